@@ -10,7 +10,7 @@ from matcap.lab.train.corpus import srgb_bytes
 from matcap.lab.train.pack import Entry, Pack
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.encoder import Encoder, EncoderConfig
-from matcap.space.prior.anchors import Habits
+from matcap.space.prior.anchors import ConditionalMean
 from matcap.space.prior.base import VARYING, start_head
 from matcap.space.prior.store import Prior
 from matcap.statistics.lattice import Wave
@@ -70,7 +70,7 @@ def small_prior(seed: int) -> Prior:
     torch.manual_seed(seed)
     decoder = Decoder(SMALL)
     start_head(decoder)
-    habits = Habits(
+    habits = ConditionalMean(
         0.05 * torch.randn(VARYING, CODE_SIZE),
         torch.tensor([-0.8, -1.0, -1.2, -3.0, 0.5, -1.5, -1.5, -1.5]),
         0.1 * torch.eye(VARYING),

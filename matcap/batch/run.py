@@ -14,10 +14,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from matcap.batch.crew import BatchCrew, Event
 from matcap.batch.entries import BatchEntry, look_again
 from matcap.batch.settings import BatchSettings
 from matcap.batch.work import BatchJob, Failure
+from matcap.batch.worker_pool import BatchWorkers, Event
 from matcap.batch.workspace import Run
 from matcap.errors import ExitCode
 from matcap.files.progress import Progress
@@ -89,7 +89,7 @@ class Batch:
         self,
         entries: Sequence[BatchEntry],
         run: Run,
-        crew: BatchCrew,
+        crew: BatchWorkers,
         settings: BatchSettings,
         policy: Policy,
         show: Show,

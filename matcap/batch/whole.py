@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import cast
 
 from matcap.batch.cameras import with_profiles
-from matcap.batch.crew import BatchCrew, Machines, Processes
 from matcap.batch.entries import BatchEntry, make_plan
 from matcap.batch.identity import prior_hash
 from matcap.batch.memory import crew_size, largest_worker
@@ -17,6 +16,7 @@ from matcap.batch.run import Batch, Policy, Show, exit_code
 from matcap.batch.settings import BatchSettings
 from matcap.batch.shoot import Grouping, ShotSample, find_samples
 from matcap.batch.work import do_job, settle_threads
+from matcap.batch.worker_pool import BatchWorkers, Machines, Processes
 from matcap.batch.workspace import open_run
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.memory import free_bytes
@@ -151,7 +151,7 @@ def work_off(
         for entry in entries:
             if entry.state != "todo":
                 show.ended(entry)
-        crew: BatchCrew
+        crew: BatchWorkers
         if scheduler is None:
             crew = Processes(prepared.workers, do_job, settle_threads)
         else:

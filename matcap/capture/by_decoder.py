@@ -23,8 +23,8 @@ from matcap.flash.likeness import PhotographTarget
 from matcap.space.decoder import DecoderConfig
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.anytime import Forecaster, self_difference
-from matcap.space.tuning.audition import begin
 from matcap.space.tuning.finetune import OnStep, Tuned, TuneSettings, finetune
+from matcap.space.tuning.initialisation import begin
 from matcap.space.tuning.match import match_photograph
 
 

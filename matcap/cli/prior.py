@@ -253,8 +253,8 @@ def variety(
     import sys
 
     from matcap.files.staging import check_writable
-    from matcap.lab.train.draws import VarietySettings, run_variety
     from matcap.lab.train.pack import Pack
+    from matcap.lab.train.prior_variety import VarietySettings, run_variety
     from matcap.space.prior.store import load_prior
 
     check_writable(out, 2_000_000)

@@ -16,7 +16,7 @@ from matcap.example.example import Example, detail_bits
 from matcap.field.plane import Rectangle
 
 
-def places_from_afar(example: Example, seed: int, level: int, area: Rectangle) -> Places:
+def coarse_places(example: Example, seed: int, level: int, area: Rectangle) -> Places:
     """(height, width, 2) int16: x, y of the exemplar's texel where each square begins.
 
     Args:

@@ -69,9 +69,9 @@ def correct(
     scratch = np.empty_like(places)
     frame = level.frame
     c_level = _Level(
-        level.appearance.ctypes.data, level.price.ctypes.data, level.similar.ctypes.data,
+        level.appearance.ctypes.data, level.placement_cost.ctypes.data, level.similar.ctypes.data,
         None if level.phases is None else level.phases.ctypes.data,
-        level.appearance.shape[1], level.similar.shape[1], level.price.shape[1],
+        level.appearance.shape[1], level.similar.shape[1], level.placement_cost.shape[1],
         level.bits, level.similar_bits, level.spacing,
         frame.left, frame.top, frame.right, frame.bottom,
     )  # fmt: skip

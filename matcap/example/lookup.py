@@ -38,7 +38,7 @@ class Level:
     """The grid of similar places is 2^similar_bits texels wide."""
     similar: NDArray[np.int16]
     """(H, W, 2) int16 x, y in texels."""
-    price: NDArray[np.int32]
+    placement_cost: NDArray[np.int32]
     """(H, W) int32 placement cost of squares of 2^PRICE_BITS texels, added to the mismatch."""
     phases: Phases | None
     """(H, W, 2) of the appearance's grid, where there is order to keep."""
@@ -66,7 +66,7 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
     grids = grids_of(features, len(index.bases))
     with ThreadPoolExecutor() as pool:
         appearances = list(pool.map(project, grids, index.bases))
-    price = np.square(index.reluctance, dtype=np.int32) << LOOKUP.dear
+    price = np.square(index.reluctance, dtype=np.int32) << LOOKUP.cost_bits
     levels = tuple(
         Level(
             spacing=1 << level,
@@ -75,7 +75,7 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
             appearance=appearance,
             similar_bits=similar_bits(level),
             similar=similar,
-            price=price,
+            placement_cost=price,
             phases=_phases(index.order, level, appearance),
         )
         for level, (appearance, similar) in enumerate(zip(appearances, index.similar, strict=True))

@@ -167,7 +167,7 @@ def _drawn(hashes: Hashes, attempt: int, frame: Frame) -> tuple[Integers, Intege
 
 
 def _price(level: Level, x: Integers, y: Integers) -> NDArray[np.int32]:
-    return level.price[y >> PRICE_BITS, x >> PRICE_BITS]
+    return level.placement_cost[y >> PRICE_BITS, x >> PRICE_BITS]
 
 
 def _with_neighbours(axis: Axis) -> Integers:

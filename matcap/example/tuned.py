@@ -143,7 +143,7 @@ class LookupSettings:
     """
 
     ordered: int = 1
-    dear: int = 11
+    cost_bits: int = 11
 
 
 LOOKUP = LookupSettings()

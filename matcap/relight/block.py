@@ -94,7 +94,7 @@ class Block:
                 self.strength, self.share = ([one[k] for one in terms] for k in (0, 1))
 
     @property
-    def thrifty(self) -> bool:
+    def adaptive(self) -> bool:
         """Whether single pixels may leave out what would not show."""
         return self.context.budget is not None
 
@@ -105,7 +105,7 @@ class Block:
         assert horizons is not None
         if self.plan.on("interreflection"):
             # What will be asked for anyway is walked to together.
-            horizons.send(self.column, self.row, None, fine=not self.thrifty)
+            horizons.send(self.column, self.row, None, fine=not self.adaptive)
         else:
             horizons.see(self.column, self.row)
         return between(horizons.open, self.context.relief.texture.size, self.column, self.row)

@@ -141,10 +141,10 @@ class Horizons:
         assert known.transfer is not None
         return known.transfer
 
-    def as_c(self, *, thrifty: bool) -> CHorizon:
+    def as_c(self, *, adaptive: bool) -> CHorizon:
         """As a C structure (loops/structures.py)."""
         width, height = self.relief.texture.size
-        return CHorizon(self.tangents.ctypes.data, width, height, int(thrifty))
+        return CHorizon(self.tangents.ctypes.data, width, height, int(adaptive))
 
     def _walk(self, known: _Known, column: Array, row: Array, which: Array | None) -> None:
         width, height = self.relief.texture.size

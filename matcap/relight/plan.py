@@ -19,8 +19,8 @@ import numpy as np
 from matcap.errors import UsageError
 from matcap.files.srgb import srgb_decode, srgb_encode
 from matcap.relight.effects.entries import EFFECTS
-from matcap.relight.facts import Facts
 from matcap.relight.scene import Film
+from matcap.relight.scene_bounds import SceneBounds
 
 
 @dataclass(frozen=True)
@@ -150,15 +150,15 @@ def radiance_tolerance(tolerance: float, film: Film) -> float:
     return float(srgb_decode(np.array(tolerance))) / film.gain
 
 
-def make_plan(facts: Facts, tolerance: float, choice: EffectChoice) -> Plan:
+def make_plan(limits: SceneBounds, tolerance: float, choice: EffectChoice) -> Plan:
     """Decide what runs.
 
     Args:
-        facts: of the scene.
+        limits: of the scene.
         tolerance: in radiance.
         choice: of the user.
     """
-    bounds = {name: effect.bound(facts) for name, effect in EFFECTS.items()}
+    bounds = {name: effect.bound(limits) for name, effect in EFFECTS.items()}
     forced = dict(choice.forced)
     off: set[str] = set()
     if choice.start == "none":

@@ -22,12 +22,12 @@ from matcap.relight.clock import Clock
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.effects.environment import samples_for
 from matcap.relight.environment_map import Environment, environment_of
-from matcap.relight.facts import gather
 from matcap.relight.horizons import Horizons
 from matcap.relight.plan import EffectChoice, Plan, make_plan, parse_choice, radiance_tolerance
 from matcap.relight.relief import Relief
 from matcap.relight.sampling import Sampler
 from matcap.relight.scene import EnvironmentLight, Film, Scene, Surface, scene_from_light
+from matcap.relight.scene_bounds import gather
 from matcap.relight.shade import shade
 from matcap.relight.surfaces.shape import Shape, shape_of
 from matcap.relight.tally import TILE, Tally
@@ -164,22 +164,22 @@ class Renderer:
         skies = tuple(self._sky(one) for one in scene.lights if isinstance(one, EnvironmentLight))
         region, footprint = shape.region(view, self.relief)
         footprint *= scene.surface.repeat / self.texture.texel_size
-        facts = gather(scene, self.texture, view, region, footprint, skies)
+        limits = gather(scene, self.texture, view, region, footprint, skies)
         # A lens that brightens corners brightens what is left out there, too.
         judged = replace(film, exposure=film.exposure + math.log2(view.brightest))
-        plan = make_plan(facts, radiance_tolerance(tolerance, judged), choice)
+        plan = make_plan(limits, radiance_tolerance(tolerance, judged), choice)
         clock, tally = Clock(), Tally(view.size)
-        thrifty = choice.start != "all" and any(plan.on(effect) for effect in BY_TILES)
+        adaptive = choice.start != "all" and any(plan.on(effect) for effect in BY_TILES)
         context = ShadingContext(
             scene,
             self.sampler,
             self.relief,
             plan,
             skies,
-            self._horizons(plan, thrifty=thrifty),
+            self._horizons(plan, adaptive=adaptive),
             clock,
             samples_for(tolerance),
-            Budget(plan.left(tolerance, judged), judged, plan.running) if thrifty else None,
+            Budget(plan.left(tolerance, judged), judged, plan.running) if adaptive else None,
             tally,
         )
         picture = np.zeros((film.height, film.width, 3), dtype=np.float32)
@@ -193,7 +193,7 @@ class Renderer:
                     radiance *= view.part(left, right).share(top, bottom)
                 picture[top:bottom, left:right] = np.moveaxis(radiance, 0, -1)
 
-        blocks = list(_blocks(view.size, whole_tiles=thrifty))
+        blocks = list(_blocks(view.size, whole_tiles=adaptive))
         _in_parallel(block, blocks, lambda done: progress(done / len(blocks)))
         if not all(np.isfinite(row).all() for row in picture):
             raise too_bright(scene.lights)
@@ -215,11 +215,11 @@ class Renderer:
             self._skies[light] = sky.above_plane() if flat else sky
         return self._skies[light]
 
-    def _horizons(self, plan: Plan, *, thrifty: bool) -> Horizons | None:
+    def _horizons(self, plan: Plan, *, adaptive: bool) -> Horizons | None:
         sends = plan.on("interreflection")
         if not sends and not plan.on("visibility"):
             return None
-        self.relief.horizons.prepare(sends=sends and thrifty, fine=sends)
+        self.relief.horizons.prepare(sends=sends and adaptive, fine=sends)
         return self.relief.horizons
 
 

@@ -57,7 +57,7 @@ class TiltMeasurement(NamedTuple):
 
 
 class Alignment(nn.Module):
-    """A photograph (as space/prior/look.py shows it) and what is known of it, to two angles."""
+    """Two tilt angles from a photograph (space/prior/encoder_input.py) and its scalars."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -52,7 +52,7 @@ class DecoderConfig:
     """Channels of noise for the cells of regular order (regular_order.py), for materials that have
     any."""
     grains: int = 0
-    """Channels of structured noise (grains.py) in addition to the white noise; 0 for none."""
+    """Channels of structured noise (structured_noise.py), besides the white; 0 for none."""
 
     @property
     def inputs(self) -> int:

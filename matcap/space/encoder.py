@@ -19,7 +19,7 @@ from matcap.space.decoder import CODE_SIZE
 from matcap.space.picture import PICTURE_CHANNELS
 from matcap.space.residual import ResidualBlock, norm, shortcut
 
-NUMBERS = 16  # parameters of the coarse fit (space/prior/look.py)
+NUMBERS = 16  # parameters of the coarse fit (space/prior/encoder_input.py)
 TEXTURE = 231  # texture statistics at full detail
 BACKBONES = ("small", "resnet50")
 
@@ -93,7 +93,7 @@ class Encoder(nn.Module):
         """Mean and log-variance, (B, CODE_SIZE) each.
 
         Args:
-            picture: (B, PICTURE_CHANNELS, h, w) as space/prior/look.py shows it.
+            picture: (B, PICTURE_CHANNELS, h, w) as space/prior/encoder_input.py shows it.
             numbers: (B, NUMBERS) likewise.
             texture: (B, TEXTURE) likewise.
         """

@@ -1,6 +1,6 @@
 """The random field the decoder reads: noise and, for materials with regular order, that order.
 
-Noise is white, and also structured (grains.py) where the decoder reads that, too.
+Noise is white, and also structured (structured_noise.py) where the decoder reads that, too.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from matcap.space.grains import grain_field
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
 from matcap.space.regular_order import order_field
+from matcap.space.structured_noise import grain_field
 from matcap.statistics.lattice import Wave
 
 

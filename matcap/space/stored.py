@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from matcap.space.decoder import DEPTH, Decoder, DecoderConfig
-from matcap.space.grains import GRAIN_CHANNELS
+from matcap.space.structured_noise import GRAIN_CHANNELS
 
 _LARGEST_WIDTH = 1024  # channels; a stranger's file cannot ask for more memory than this allows
 _MOST_CELLS = 64  # channels at full resolution, whatever the network makes of them

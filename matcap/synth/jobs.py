@@ -39,7 +39,7 @@ Submit = Callable[[Job], Future[list[Rendered]]]
 
 
 @dataclass(frozen=True)
-class Crew:
+class WorkerPool:
     """Workers that stand ready."""
 
     submit: Submit

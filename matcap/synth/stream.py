@@ -22,7 +22,7 @@ from matcap.brdf.folder import refuse_to_replace
 from matcap.files.mark import check_replaceable
 from matcap.files.staging import check_writable
 from matcap.synth.assembly import Assembly, assembly
-from matcap.synth.jobs import Crew, Job
+from matcap.synth.jobs import Job, WorkerPool
 from matcap.synth.levels import write_levels
 from matcap.synth.plan import (
     PlannedMapSet,
@@ -96,7 +96,7 @@ def write_field(
 
 
 def _fill(
-    source: Source, mapset: PlannedMapSet, files: Assembly, ready: Crew, clock: _Clock
+    source: Source, mapset: PlannedMapSet, files: Assembly, ready: WorkerPool, clock: _Clock
 ) -> None:
     """Compute all blocks of a map set whose tiles are not there yet."""
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from matcap.field.single import compute_alone, single_threaded
 from matcap.files.cluster import Cluster
 from matcap.files.interrupts import settle_child, starting_children
-from matcap.synth.jobs import Crew, Future, Job, pack, render_packed, rendered, unpacked
+from matcap.synth.jobs import Future, Job, WorkerPool, pack, render_packed, rendered, unpacked
 from matcap.synth.pictures import Rendered
 
 if TYPE_CHECKING:
@@ -31,7 +31,9 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # malloc.h
 
 
 @contextmanager
-def crew(source: Source, workers: int, jobs: int, scheduler: str | None = None) -> Iterator[Crew]:
+def crew(
+    source: Source, workers: int, jobs: int, scheduler: str | None = None
+) -> Iterator[WorkerPool]:
     """Workers for so many jobs: a cluster's, processes, or threads where that is faster.
 
     A CUDA device serves one process: threads take turns at it and encode tiles side by side.
@@ -48,18 +50,18 @@ def crew(source: Source, workers: int, jobs: int, scheduler: str | None = None) 
     if scheduler is not None:
         with Cluster(scheduler) as machines:
             shared_source = machines.shared(pack(source))
-            yield Crew(
+            yield WorkerPool(
                 partial(machines.submit, _render_alone, shared_source), _AHEAD * machines.threads
             )
     elif workers == 1 or jobs <= _FEW or source.device_type != "cpu":
         with single_threaded(workers) as pool:
-            yield Crew(lambda job: pool.submit(rendered, source, job), _AHEAD * workers)
+            yield WorkerPool(lambda job: pool.submit(rendered, source, job), _AHEAD * workers)
     else:
         processes = ProcessPoolExecutor(
             workers, mp_context=get_context("spawn"), initializer=_prepare, initargs=(pack(source),)
         )
         try:
-            yield Crew(partial(_submit, processes), _AHEAD * workers)
+            yield WorkerPool(partial(_submit, processes), _AHEAD * workers)
         finally:
             processes.shutdown(cancel_futures=True)
 

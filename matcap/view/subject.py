@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.field.material import Material
     from matcap.flash.geometry import FlashSetup
-    from matcap.view.afar import ExampleFromAfar, NetworkFromAfar, Pyramid, SmallerForms
+    from matcap.view.level_of_detail import ExampleLevels, NetworkLevels, Pyramid, SmallerForms
     from matcap.view.moments import Planes
 
 _FIELDS = 8  # seeds and shares kept at hand: each is a folded network, a megabyte or so
@@ -141,7 +141,7 @@ class Materials:
 
     @cached_property
     def _piece(self) -> Pyramid:
-        from matcap.view.afar import Pyramid
+        from matcap.view.level_of_detail import Pyramid
         from matcap.view.moments import edged, moments_of
 
         example = self.first.part(Example)
@@ -152,12 +152,12 @@ class Materials:
 
     @cached_property
     def _mean(self) -> tuple[float, ...]:
-        from matcap.view.afar import NetworkFromAfar
+        from matcap.view.level_of_detail import NetworkLevels
         from matcap.view.moments import mean_of
 
         piece = self.first.generator.piece_size
         if piece is None:
-            return mean_of(NetworkFromAfar.of(self.first, self.seed).mean)
+            return mean_of(NetworkLevels.of(self.first, self.seed).mean)
         return mean_of(self._piece.read(0, Rectangle(0, 0, *piece)))
 
     def moments(
@@ -169,20 +169,20 @@ class Materials:
         field = self._field(seed, share)
         return field.read(level, area), field.texel_size
 
-    def _open(self, seed: int, share: float) -> ExampleFromAfar | NetworkFromAfar:
+    def _open(self, seed: int, share: float) -> ExampleLevels | NetworkLevels:
         from matcap.field.plane import check_seed
-        from matcap.view.afar import ExampleFromAfar, NetworkFromAfar
+        from matcap.view.level_of_detail import ExampleLevels, NetworkLevels
 
         check_seed(seed)
         material = self.at(share)
         example = material.part(Example)
         if example is None:
-            return NetworkFromAfar.of(material, seed)
-        return ExampleFromAfar(example, seed, self._forms(example))
+            return NetworkLevels.of(material, seed)
+        return ExampleLevels(example, seed, self._forms(example))
 
     def _forms(self, example: Example) -> Callable[[], SmallerForms]:
         """Made when they are asked for, and once."""
-        from matcap.view.afar import SmallerForms
+        from matcap.view.level_of_detail import SmallerForms
 
         # Two materials have two exemplars at most.
         key = id(example)
@@ -221,7 +221,7 @@ class Maps:
 
     @cached_property
     def _pyramid(self) -> Pyramid:
-        from matcap.view.afar import from_maps
+        from matcap.view.level_of_detail import from_maps
 
         return from_maps(self.maps.stacked().numpy(), self.maps.texel_size)
 

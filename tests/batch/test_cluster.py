@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from matcap.batch.crew import Machines
+from matcap.batch.worker_pool import Machines
 from matcap.errors import MatcapError
 from matcap.files.progress import Progress
 

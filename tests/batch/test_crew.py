@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from matcap.batch.crew import Processes
+from matcap.batch.worker_pool import Processes
 from matcap.files.progress import Progress
 
 

@@ -6,13 +6,13 @@ import os
 
 import pytest
 
-from matcap.batch.crew import Event
 from matcap.batch.entries import make_plan
 from matcap.batch.record import write_record
 from matcap.batch.run import Batch, Policy, exit_code
 from matcap.batch.settings import BatchSettings
 from matcap.batch.shoot import find_samples
 from matcap.batch.work import Failure, do_job
+from matcap.batch.worker_pool import Event
 from matcap.batch.workspace import open_run
 from matcap.capture import pipeline
 from matcap.files.progress import Progress

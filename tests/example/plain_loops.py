@@ -136,7 +136,7 @@ def _cost(
     if similar:
         cost *= SIMILAR_TIMES
     at = safe[..., 1] >> level.bits, safe[..., 0] >> level.bits
-    cost += level.price[safe[..., 1] >> PRICE_BITS, safe[..., 0] >> PRICE_BITS]
+    cost += level.placement_cost[safe[..., 1] >> PRICE_BITS, safe[..., 0] >> PRICE_BITS]
     if ordered is not None and level.phases is not None:
         # Wraps, as turns do.
         apart = (level.phases[at] - ordered).astype(np.int32)

@@ -17,7 +17,7 @@ from matcap.example.tuned import LOOKUP
 
 INT16, INT32 = 2**15 - 1, 2**31 - 1
 SIDE = 1024  # places of a draw: a million of them
-MOST_PRICE = 255**2 << LOOKUP.dear
+MOST_PRICE = 255**2 << LOOKUP.cost_bits
 MOST_TURN = 2**15 >> PHASE_SHIFT
 
 
@@ -39,7 +39,7 @@ def extreme(draw: np.random.Generator) -> Level:
         appearance=draw.choice(ends, (SIDE, SIDE, DIMENSIONS)),
         similar_bits=1,
         similar=draw.integers(8, SIDE - 10, (SIDE // 2, SIDE // 2, 2)).astype(np.int16),
-        price=np.full((SIDE >> PRICE_BITS, SIDE >> PRICE_BITS), MOST_PRICE, np.int32),
+        placement_cost=np.full((SIDE >> PRICE_BITS, SIDE >> PRICE_BITS), MOST_PRICE, np.int32),
         phases=draw.choice(np.array([0, -(2**15)], np.int16), (SIDE, SIDE, 2)),
     )
 

@@ -289,8 +289,8 @@ def sky_of(tmp_path):
 
 @pytest.mark.parametrize("hides", [False, True])
 @pytest.mark.parametrize("even", [False, True])
-@pytest.mark.parametrize("thrifty", [False, True])
-def test_mirrored_surroundings(relief, whole, tmp_path, hides, even, thrifty):
+@pytest.mark.parametrize("adaptive", [False, True])
+def test_mirrored_surroundings(relief, whole, tmp_path, hides, even, adaptive):
     """All directions, or those alone that are not above the highest horizon: the same."""
     light = EnvironmentLight(radiance=(1.0,) * 3) if even else sky_of(tmp_path)
     sky = environment_of(light)
@@ -303,7 +303,7 @@ def test_mirrored_surroundings(relief, whole, tmp_path, hides, even, thrifty):
     else:
         expected = plain.environment.differing(sky, lobe, 144, test)
     relief.horizons.see(block.column, block.row)
-    horizon = relief.horizons.as_c(thrifty=thrifty)
+    horizon = relief.horizons.as_c(adaptive=adaptive)
     if not hides:
         horizon.tangents = None
     found = environment._sampled(block, sky, horizon, np.arange(200, dtype=np.int32))

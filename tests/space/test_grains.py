@@ -10,10 +10,10 @@ from matcap.field.material import Material
 from matcap.field.plane import Rectangle
 from matcap.space.decoder import Decoder, DecoderConfig
 from matcap.space.freeze import freeze
-from matcap.space.grains import GRAIN_CHANNELS, grain_field
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
 from matcap.space.random_field import noise_of
+from matcap.space.structured_noise import GRAIN_CHANNELS, grain_field
 from matcap.space.tuned import TunedDecoder
 
 CONFIG = DecoderConfig(noise_channels=2, widths=(4, 4, 4, 4, 4), grains=GRAIN_CHANNELS)

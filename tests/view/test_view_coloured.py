@@ -20,9 +20,9 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_rectified
 from matcap.relight.output import encode
 from matcap.relight.scene import Film
-from matcap.view.afar import SmallerForms
 from matcap.view.document import sealed_page
 from matcap.view.enclosed import packed_piece, packed_tile
+from matcap.view.level_of_detail import SmallerForms
 from matcap.view.library import Library
 from matcap.view.moments import edged, moments_of
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, Pages, Place

@@ -20,8 +20,8 @@ from matcap.brdf.maps import MapSet
 from matcap.field.field import Field
 from matcap.field.plane import Rectangle
 from matcap.files.exr import write_exr
-from matcap.view.afar import ExampleFromAfar, NetworkFromAfar, SmallerForms
 from matcap.view.document import SCRIPTS, STYLE
+from matcap.view.level_of_detail import ExampleLevels, NetworkLevels, SmallerForms
 from matcap.view.moments import edged, halved, moments_of
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH, Pages, Place
 from matcap.view.references import EncodedPicture, References, doubt_picture, read_verdict
@@ -313,7 +313,7 @@ def test_map_set_from_afar_is_the_mean_of_what_is_there(level):
 def test_far_pages_by_example_look_like_means_of_the_texels(level):
     """As bright, as rough, and of nearly as much contrast; and of the places that are there."""
     example = an_example()
-    field = ExampleFromAfar(example, 7, cache(lambda: SmallerForms(example.exemplar)))
+    field = ExampleLevels(example, 7, cache(lambda: SmallerForms(example.exemplar)))
     area = Rectangle(-5, 11, 64, 48)
     step = 2**level
     finest = Rectangle(area.x * step, area.y * step, area.width * step, area.height * step)
@@ -330,7 +330,7 @@ def test_far_pages_by_example_look_like_means_of_the_texels(level):
 
 
 def test_far_pages_of_a_network_have_its_mean_and_less_and_less_contrast(material):
-    field = NetworkFromAfar.of(material, 3)
+    field = NetworkLevels.of(material, 3)
     near = field.read(1, Rectangle(0, 0, 256, 256))
     spread = []
     for level in (2, 4, 7, 12):

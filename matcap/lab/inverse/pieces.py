@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import DIFFUSE, HEIGHT, SPECULAR, SURFACE, MapSet
-from matcap.lab.inverse.metals import coloured_metal
 from matcap.lab.inverse.packed import LEVELS, PackedSet
+from matcap.lab.inverse.recoloured_metals import coloured_metal
 
 _SCALES = (0.3, 2.0)  # texels of the picture to one of the set
 _STRENGTHS = (0.5, 2.0)  # of relief

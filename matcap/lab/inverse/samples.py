@@ -24,9 +24,9 @@ from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import FlashLight
 from matcap.flash.render import render_flash
 from matcap.flash.uniform import Uniform, uniform_radiance
-from matcap.lab.inverse.metals import coloured_metal
 from matcap.lab.inverse.packed import PackedSet
 from matcap.lab.inverse.pieces import real_piece
+from matcap.lab.inverse.recoloured_metals import coloured_metal
 from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.kinds import random_kind
 from matcap.lab.simulate.materials.varied import RandomMaterial, random_material

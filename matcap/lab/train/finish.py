@@ -20,9 +20,9 @@ from matcap.lab.train.pack import WAVE_DETAIL, Entry
 from matcap.space.decoder import CODE_SIZE, Decoder
 from matcap.space.encoder import Encoder
 from matcap.space.picture import picture
-from matcap.space.prior.anchors import Anchor, Anchors, Habits, anchors_of
+from matcap.space.prior.anchors import Anchor, Anchors, ConditionalMean, anchors_of
 from matcap.space.prior.base import VARYING, base_of, varying
-from matcap.space.prior.look import describe_windows, numbers, texture
+from matcap.space.prior.encoder_input import describe_windows, numbers, texture
 from matcap.space.prior.store import Prior
 
 _RIDGE = 10.0  # photographs' worth of belief that bases do not go with codes
@@ -85,7 +85,7 @@ def standardise(encoder: Encoder, decoder: Decoder, codes: Codes) -> tuple[Encod
     return encoder, decoder
 
 
-def habits_of(codes: Codes, entries: Sequence[Entry]) -> Habits:
+def conditional_mean_of(codes: Codes, entries: Sequence[Entry]) -> ConditionalMean:
     """Ridge regression of bases on standardised codes, and the covariance of the rest."""
     bases = torch.stack([varying(base_of(e.coarse, e.contrast)) for e in entries]).double()
     offset = bases.mean(0)
@@ -94,7 +94,9 @@ def habits_of(codes: Codes, entries: Sequence[Entry]) -> Habits:
     matrix = torch.linalg.solve(normal, code.T @ (bases - offset)).T
     rest = bases - offset - code @ matrix.T
     covariance = rest.T @ rest / len(rest) + 1e-6 * torch.eye(VARYING)
-    return Habits(matrix.float(), offset.float(), torch.linalg.cholesky(covariance).float())
+    return ConditionalMean(
+        matrix.float(), offset.float(), torch.linalg.cholesky(covariance).float()
+    )
 
 
 def finish(
@@ -114,21 +116,21 @@ def finish(
         "code_variance": [round(v, 3) for v in variance.tolist()],
         "dead_dimensions": int((informative < DEAD).sum()),
     }
-    habits = habits_of(codes, entries)
+    model = conditional_mean_of(codes, entries)
     return Prior(
         encoder,
         decoder,
-        habits,
+        model,
         {**about, **measured},
-        anchors_known(codes, habits, entries),
+        anchors_known(codes, model, entries),
     )
 
 
-def anchors_known(codes: Codes, habits: Habits, entries: Sequence[Entry]) -> Anchors:
+def anchors_known(codes: Codes, model: ConditionalMean, entries: Sequence[Entry]) -> Anchors:
     """Where photographs lie in a space, of whose codes they have these."""
     return anchors_of(
         [
-            Anchor(code, habits.rest(code, base_of(entry.coarse, entry.contrast)), entry.waves)
+            Anchor(code, model.rest(code, base_of(entry.coarse, entry.contrast)), entry.waves)
             for code, entry in zip(codes.mean, entries, strict=True)
         ]
     )
@@ -137,4 +139,4 @@ def anchors_known(codes: Codes, habits: Habits, entries: Sequence[Entry]) -> Anc
 def with_anchors(prior: Prior, entries: Sequence[Entry]) -> Prior:
     """A prior whose draws are near these photographs; its networks stay as they are."""
     codes = codes_of(prior.encoder, entries)
-    return replace(prior, anchors=anchors_known(codes, prior.habits, entries))
+    return replace(prior, anchors=anchors_known(codes, prior.conditional_mean, entries))

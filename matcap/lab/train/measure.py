@@ -31,7 +31,7 @@ from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
 from matcap.lab.train.pack import Entry
 from matcap.photo.photo import Photo
 from matcap.space.decoder import Decoder
-from matcap.space.prior.look import FEATURES
+from matcap.space.prior.encoder_input import FEATURES
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.finetune import RATE_FROM_NOTHING, TuneSettings, finetune
 from matcap.statistics.filterbank import FilterBank

@@ -16,7 +16,7 @@ from matcap.lab.train.state import Model, TrainConfig
 from matcap.lab.train.step import compare, decode_windows, targets
 from matcap.lab.train.trainer import mean, mixed
 from matcap.lab.train.training_windows import PreparedPhotograph, TrainingSample, Turn, cut
-from matcap.space.prior.look import texture
+from matcap.space.prior.encoder_input import texture
 from matcap.statistics.compare import Descriptor
 from matcap.statistics.filterbank import FilterBank
 

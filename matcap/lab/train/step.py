@@ -16,13 +16,13 @@ from matcap.lab.train.state import Model, TrainConfig
 from matcap.lab.train.trainer import mixed
 from matcap.lab.train.training_windows import TrainingSample
 from matcap.space.decoder import DEPTH, Decoder, DecoderConfig, maps_from_raw
-from matcap.space.grains import grain_field
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
 from matcap.space.prior.base import Base
-from matcap.space.prior.look import texture
+from matcap.space.prior.encoder_input import texture
 from matcap.space.random_field import RandomField
 from matcap.space.regular_order import WAVE_CHANNELS, wave_field
+from matcap.space.structured_noise import grain_field
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank
 from matcap.statistics.lattice import Wave

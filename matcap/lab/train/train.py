@@ -22,7 +22,7 @@ from matcap.lab.train.state import Model, TrainConfig, start, start_from
 from matcap.lab.train.step import step_loss
 from matcap.lab.train.trainer import RateSchedule, Reporting, Training, fit
 from matcap.lab.train.training_windows import PreparedPhotograph, Turn, cut, prepare
-from matcap.space.prior.look import FEATURES
+from matcap.space.prior.encoder_input import FEATURES
 from matcap.space.prior.store import Prior
 from matcap.statistics.filterbank import FilterBank
 

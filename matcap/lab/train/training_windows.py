@@ -22,7 +22,7 @@ from matcap.flash.render import shade
 from matcap.lab.train.pack import WAVE_DETAIL, Entry
 from matcap.space.picture import picture
 from matcap.space.prior.base import Base, base_of
-from matcap.space.prior.look import numbers
+from matcap.space.prior.encoder_input import numbers
 from matcap.statistics.encoding import Encoding
 from matcap.statistics.lattice import Wave
 

@@ -25,10 +25,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from matcap.relight.effects.bound import Bound
-from matcap.relight.facts import Facts
 from matcap.relight.loops.library import LANES, KeptArrays, Whole, address, loops
 from matcap.relight.loops.structures import CAreaLight, CRule, directions
 from matcap.relight.scene import RectangleLight, SphereLight
+from matcap.relight.scene_bounds import SceneBounds
 from matcap.relight.vectors import Array, unit3
 
 if TYPE_CHECKING:
@@ -64,21 +64,21 @@ class Rule:
     """How many parts there are."""
 
 
-def bound(facts: Facts) -> Bound:
+def bound(limits: SceneBounds) -> Bound:
     """The light's angular radius against how fast the lobes change with direction."""
-    sized = [light for light in facts.lights if light.half_angle > 0.0]
+    sized = [light for light in limits.lights if light.half_angle > 0.0]
     if not sized:
         return Bound(0.0, "no light has a size")
     widest = max(light.half_angle for light in sized)
     # d ln D / d angle <= 2 / alpha, and n.l, n.v, l.h may each be as small as alpha.
-    steepness = 16.0 / facts.alpha[0] ** 2
+    steepness = 16.0 / limits.alpha[0] ** 2
     total = sum(
         min(
             light.irradiance
             * min(light.half_angle, 1.0)
-            * (4.0 * facts.lambert + steepness * facts.glossy(light)),
+            * (4.0 * limits.lambert + steepness * limits.glossy(light)),
             # Neither picture is darker than black, nor brighter than the light can make it.
-            facts.radiance(light),
+            limits.radiance(light),
         )
         for light in sized
     )
@@ -97,12 +97,12 @@ def add(block: Block, light: AreaLight) -> None:
     ran, field = np.zeros(block.tiles.size, dtype=np.uint8), None
     if plan.on("shadows"):
         pixels, texels = math.prod(block.context.tally.size), len(relief.heights)
-        swift = block.thrifty and texels <= _TEXELS_A_PIXEL * pixels
+        swift = block.adaptive and texels <= _TEXELS_A_PIXEL * pixels
         field = byref(relief.swift if swift else relief.field)
     with block.context.clock.on("area"):
         loops().matcap_relight_area(
             byref(block.as_c), byref(c_light), field,
-            byref(directions(SAMPLES)[0]), Whole(block.thrifty), address(ran),
+            byref(directions(SAMPLES)[0]), Whole(block.adaptive), address(ran),
         )  # fmt: skip
     block.ran("area", ran > 0)
     block.ran("shadows", ran > 1)

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from matcap.relight.effects.bound import Bound
-from matcap.relight.facts import WHOLE, Facts
 from matcap.relight.loops.library import address, loops
 from matcap.relight.loops.structures import CHorizon, CLamp
 from matcap.relight.scene import DirectionalLight, PointLight, RectangleLight, SphereLight
+from matcap.relight.scene_bounds import WHOLE, SceneBounds
 from matcap.relight.vectors import Array, unit3
 
 if TYPE_CHECKING:
@@ -32,36 +32,36 @@ if TYPE_CHECKING:
 DIFFUSE, SPECULAR, LOST, FLOW = 1, 2, 4, 8
 
 
-def diffuse_bound(facts: Facts) -> Bound:
+def diffuse_bound(limits: SceneBounds) -> Bound:
     """Largest albedo under all the light there is."""
-    light = sum(light.irradiance for light in facts.lights)
-    if facts.diffuse == 0.0:
+    light = sum(light.irradiance for light in limits.lights)
+    if limits.diffuse == 0.0:
         return Bound(0.0, "the diffuse albedo is 0 everywhere")
-    if light == 0.0 and facts.sky == 0.0:
+    if light == 0.0 and limits.sky == 0.0:
         return Bound(0.0, "there is no light")
     return Bound(
-        facts.lambert * light + facts.diffuse * facts.sky, f"albedo up to {facts.diffuse:.2g}"
+        limits.lambert * light + limits.diffuse * limits.sky, f"albedo up to {limits.diffuse:.2g}"
     )
 
 
-def specular_bound(facts: Facts) -> Bound:
+def specular_bound(limits: SceneBounds) -> Bound:
     """D <= 1 / (pi alpha^2), V n.l <= 1 / (2 alpha), F from the angle between light and view."""
-    direct = sum(light.irradiance * facts.glossy(light) for light in facts.lights)
-    total = direct + facts.sky * WHOLE
+    direct = sum(light.irradiance * limits.glossy(light) for light in limits.lights)
+    total = direct + limits.sky * WHOLE
     if total == 0.0:
         return Bound(0.0, "there is no light to reflect")
-    return Bound(total, f"F0 up to {facts.specular:.2g}, alpha down to {facts.alpha[0]:.2g}")
+    return Bound(total, f"F0 up to {limits.specular:.2g}, alpha down to {limits.alpha[0]:.2g}")
 
 
-def falloff_bound(facts: Facts) -> Bound:
+def falloff_bound(limits: SceneBounds) -> Bound:
     """The largest difference of irradiance from that at the origin, times the reflectance."""
-    if not any(light.varying for light in facts.lights):
+    if not any(light.varying for light in limits.lights):
         return Bound(0.0, "no light is near enough to fall off")
     total = sum(
-        light.varying * (facts.lambert + facts.glossy(light)) if light.varying else 0.0
-        for light in facts.lights
+        light.varying * (limits.lambert + limits.glossy(light)) if light.varying else 0.0
+        for light in limits.lights
     )
-    share = max(light.varying / max(light.irradiance, 1e-30) for light in facts.lights)
+    share = max(light.varying / max(light.irradiance, 1e-30) for light in limits.lights)
     return Bound(total, f"distances differ: up to {100 * share:.2g} % of the light")
 
 

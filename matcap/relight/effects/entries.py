@@ -23,8 +23,8 @@ from matcap.relight.effects import (
     visibility,
 )
 from matcap.relight.effects.bound import Bound
-from matcap.relight.facts import Facts
 from matcap.relight.relief import Relief
+from matcap.relight.scene_bounds import SceneBounds
 from matcap.relight.surfaces.hits import Hits
 from matcap.relight.vectors import Array
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 class Effect:
     """One effect."""
 
-    bound: Callable[[Facts], Bound]
+    bound: Callable[[SceneBounds], Bound]
     """On what leaving it out could change."""
     move: Callable[[Relief, Hits], tuple[Hits, Array]] | None = None
     """Takes hits to where they truly are, and gives the height there."""

@@ -27,9 +27,9 @@ import numpy as np
 from matcap.relight.effects import direct
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
 from matcap.relight.environment_map import Environment
-from matcap.relight.facts import WHOLE, Facts
 from matcap.relight.loops.library import KeptArrays, address, loops
 from matcap.relight.loops.structures import CHorizon, directions
+from matcap.relight.scene_bounds import WHOLE, SceneBounds
 from matcap.relight.surfaces.hits import Hits, to_frame, to_scene
 from matcap.relight.tables import albedo
 from matcap.relight.vectors import Array, Vec, dot, vec
@@ -50,19 +50,19 @@ def samples_for(tolerance: float) -> int:
     return round(min(max(wanted, SAMPLES), _MOST))
 
 
-def bound(facts: Facts) -> Bound:
+def bound(limits: SceneBounds) -> Bound:
     """What differs from the mean, and what a tilted normal sees below the plane."""
-    if facts.sky == 0.0:
+    if limits.sky == 0.0:
         return Bound(0.0, "there are no surroundings")
-    if facts.sky_varying == 0.0 and facts.slope == 0.0:
+    if limits.sky_varying == 0.0 and limits.slope == 0.0:
         return Bound(0.0, "the surroundings are the same everywhere")
-    both = facts.diffuse + WHOLE
+    both = limits.diffuse + WHOLE
     # The share of a tilted normal's hemisphere that lies below the plane, diffuse and specular.
-    tilt = 1.0 if facts.slope > 0.0 else 0.0
-    reason = f"radiance differs by up to {facts.sky_varying:.2g} from its mean"
-    if facts.sky_varying == 0.0:
+    tilt = 1.0 if limits.slope > 0.0 else 0.0
+    reason = f"radiance differs by up to {limits.sky_varying:.2g} from its mean"
+    if limits.sky_varying == 0.0:
         reason = "tilted normals face what lies below the surface"
-    return Bound(facts.sky_varying * both + tilt * facts.sky * both, reason)
+    return Bound(limits.sky_varying * both + tilt * limits.sky * both, reason)
 
 
 def add(block: Block, sky: Environment) -> None:
@@ -132,9 +132,9 @@ def _mirror(block: Block, sky: Environment) -> None:
             needed |= f0 * scale[channel] + bias[channel] > allowed[channel]
         needed &= block.facing
     which = np.flatnonzero(needed).astype(np.int32)
-    horizon = CHorizon(thrifty=int(block.thrifty))
+    horizon = CHorizon(adaptive=int(block.adaptive))
     if block.plan.on("visibility") and context.horizons is not None:
-        horizon = context.horizons.as_c(thrifty=block.thrifty)
+        horizon = context.horizons.as_c(adaptive=block.adaptive)
     if len(which):
         plain, mixed = _sampled(block, calm, horizon, which)
         scale[:, which] += plain

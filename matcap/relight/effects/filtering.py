@@ -15,12 +15,12 @@ from __future__ import annotations
 import math
 
 from matcap.relight.effects.bound import Bound
-from matcap.relight.facts import Facts
+from matcap.relight.scene_bounds import SceneBounds
 
 
-def bound(facts: Facts) -> Bound:
+def bound(limits: SceneBounds) -> Bound:
     """Nothing while no pixel covers more than a texel; else whatever the picture shows."""
-    if facts.footprint <= 1.0 + 1e-6:
+    if limits.footprint <= 1.0 + 1e-6:
         return Bound(0.0, "no pixel covers more than a texel")
-    seen = "infinitely many" if math.isinf(facts.footprint) else f"{facts.footprint:.3g}"
-    return Bound(facts.everything, f"a pixel covers up to {seen} texels")
+    seen = "infinitely many" if math.isinf(limits.footprint) else f"{limits.footprint:.3g}"
+    return Bound(limits.everything, f"a pixel covers up to {seen} texels")

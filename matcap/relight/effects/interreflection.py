@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from matcap.relight.effects.bound import Bound
-from matcap.relight.facts import Facts
 from matcap.relight.horizons import COARSENESS
 from matcap.relight.loops.library import Whole, address, loops
+from matcap.relight.scene_bounds import SceneBounds
 from matcap.relight.vectors import Array
 
 if TYPE_CHECKING:
@@ -32,21 +32,21 @@ if TYPE_CHECKING:
 _TINY: Any = np.float32(1e-30)
 
 
-def bound(facts: Facts) -> Bound:
+def bound(limits: SceneBounds) -> Bound:
     """What neighbours hide of an even sky, times what they reflect.
 
     Nothing hidden lies higher than the steepest slope's angle e, and a surface tilted by t <= e
     receives pi cos(t) cos(e)^2 from above that, of pi in all: pi (1 - cos(e)^3) is left at most.
     """
-    light = sum(one.irradiance for one in facts.lights) + math.pi * facts.sky
+    light = sum(one.irradiance for one in limits.lights) + math.pi * limits.sky
     if light == 0.0:
         return Bound(0.0, "there is no light")
-    if facts.relief == 0.0:
+    if limits.relief == 0.0:
         return Bound(0.0, "the surface is flat")
-    steepest = math.atan(facts.relief_slope)
+    steepest = math.atan(limits.relief_slope)
     hidden = math.pi * (1.0 - math.cos(steepest) ** 3)
     reason = f"slopes of up to {math.degrees(steepest):.3g} degrees face each other"
-    return Bound(facts.lambert**2 * light * hidden, reason)
+    return Bound(limits.lambert**2 * light * hidden, reason)
 
 
 def add(block: Block) -> None:

@@ -16,29 +16,29 @@ import math
 import numpy as np
 
 from matcap.relight.effects.bound import Bound
-from matcap.relight.facts import Facts
+from matcap.relight.scene_bounds import SceneBounds
 from matcap.relight.tables import albedo
 from matcap.relight.vectors import Array
 
 
-def bound(facts: Facts) -> Bound:
+def bound(limits: SceneBounds) -> Bound:
     """The lobe's largest value for the roughnesses there are, under all the light there is."""
-    light = sum(light.irradiance for light in facts.lights)
-    if light == 0.0 and facts.sky == 0.0:
+    light = sum(light.irradiance for light in limits.lights)
+    if light == 0.0 and limits.sky == 0.0:
         return Bound(0.0, "there is no light")
     tables = albedo()
     rows = np.linspace(0.0, 1.0, len(tables.average)) ** 2
     # One row more on either side, because lookups interpolate.
-    first = max(int(np.searchsorted(rows, facts.alpha[0], side="right")) - 1, 0)
-    last = min(int(np.searchsorted(rows, facts.alpha[1])), len(rows) - 1)
+    first = max(int(np.searchsorted(rows, limits.alpha[0], side="right")) - 1, 0)
+    last = min(int(np.searchsorted(rows, limits.alpha[1])), len(rows) - 1)
     missing = 1.0 - tables.total[first : last + 1].min(axis=1)
     mean = tables.average[first : last + 1]
-    strength = _strength(np.float32(facts.specular), mean)
+    strength = _strength(np.float32(limits.specular), mean)
     lobe = float((strength * missing**2 / np.maximum(1.0 - mean, 1e-6)).max())
     share = float((strength * missing).max())
-    reason = f"F0 up to {facts.specular:.2g}, alpha up to {facts.alpha[1]:.2g}"
+    reason = f"F0 up to {limits.specular:.2g}, alpha up to {limits.alpha[1]:.2g}"
     # n.l <= 1 bounds the cosine; an environment sees the lobe's albedo.
-    return Bound(1.02 * (lobe / math.pi * light + share * facts.sky), reason)
+    return Bound(1.02 * (lobe / math.pi * light + share * limits.sky), reason)
 
 
 def terms(specular: Array, near: Array, n_dot_v: Array) -> tuple[Array, Array]:

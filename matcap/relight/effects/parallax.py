@@ -18,10 +18,10 @@ from dataclasses import replace
 import numpy as np
 
 from matcap.relight.effects.bound import Bound
-from matcap.relight.facts import Facts
 from matcap.relight.loops.library import KeptArrays, Pointer, address, loops
 from matcap.relight.loops.structures import CSearch
 from matcap.relight.relief import Relief
+from matcap.relight.scene_bounds import SceneBounds
 from matcap.relight.surfaces.hits import Hits, to_scene
 from matcap.relight.vectors import Array, Vec, add
 
@@ -31,11 +31,11 @@ _AROUND = 10
 _LOWEST, _LEAST, _MOST, _DENSITY = 0.05, 8.0, 512.0, 3.0
 
 
-def bound(facts: Facts) -> Bound:
+def bound(limits: SceneBounds) -> Bound:
     """Nothing on a flat surface; on another, whatever the picture shows."""
-    if facts.relief == 0.0:
+    if limits.relief == 0.0:
         return Bound(0.0, "the surface is flat")
-    return Bound(facts.everything, f"relief of {facts.relief:.2g} moves what is seen")
+    return Bound(limits.everything, f"relief of {limits.relief:.2g} moves what is seen")
 
 
 def shift(

@@ -20,26 +20,26 @@ from typing import Any
 import numpy as np
 
 from matcap.relight.effects.bound import Bound
-from matcap.relight.facts import Facts
 from matcap.relight.loops.library import KeptArrays, Pointer, address, loops
 from matcap.relight.relief import Relief
+from matcap.relight.scene_bounds import SceneBounds
 from matcap.relight.vectors import Array, Vec
 
 
-def bound(facts: Facts) -> Bound:
+def bound(limits: SceneBounds) -> Bound:
     """No height field whose slope stays below s shadows a light whose elevation has tan >= s."""
-    if not facts.lights:
+    if not limits.lights:
         return Bound(0.0, "no light casts shadows")
-    if facts.relief == 0.0:
+    if limits.relief == 0.0:
         return Bound(0.0, "the surface is flat")
-    slope = facts.relief_slope
-    low = [light for light in facts.lights if light.tangent < slope]
+    slope = limits.relief_slope
+    low = [light for light in limits.lights if light.tangent < slope]
     steepest = math.degrees(math.atan(slope))
-    lowest = math.degrees(math.atan(min(light.tangent for light in facts.lights)))
+    lowest = math.degrees(math.atan(min(light.tangent for light in limits.lights)))
     reason = f"lowest light at {lowest:.3g} degrees, steepest slope {steepest:.3g}"
     if not low:
         return Bound(0.0, reason)
-    return Bound(sum(facts.radiance(light) for light in low), reason)
+    return Bound(sum(limits.radiance(light) for light in low), reason)
 
 
 def lit(

@@ -13,14 +13,14 @@ from __future__ import annotations
 import math
 
 from matcap.relight.effects.bound import Bound
-from matcap.relight.facts import Facts
+from matcap.relight.scene_bounds import SceneBounds
 
 
-def bound(facts: Facts) -> Bound:
+def bound(limits: SceneBounds) -> Bound:
     """Whatever the surroundings cause, where there is any relief to hide them."""
-    if facts.sky == 0.0:
+    if limits.sky == 0.0:
         return Bound(0.0, "there are no surroundings")
-    if facts.relief == 0.0:
+    if limits.relief == 0.0:
         return Bound(0.0, "the surface is flat")
-    slope = math.degrees(math.atan(facts.relief_slope))
-    return Bound(facts.surroundings, f"horizons of up to {slope:.3g} degrees")
+    slope = math.degrees(math.atan(limits.relief_slope))
+    return Bound(limits.surroundings, f"horizons of up to {slope:.3g} degrees")

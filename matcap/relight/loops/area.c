@@ -93,10 +93,10 @@ INLINE float extent(const AreaLight *l, const float side[2][3], const float axis
 }
 
 /* The rule that a pixel needs, 0 where the light is below; `sets` where it does. Wherever the lobe
-   points, as many points as the light is wide for it; where `thrifty`, as many as it needs as far
+   points, as many points as the light is wide for it; where `adaptive`, as many as it needs as far
    from its peak as the light is: GGX is (alpha^2 + t^2)^-2 in the tangent t between normal and
    microfacet, whose nearest singularity is that far off the light's range of t. */
-static int chosen(const AreaLight *l, const Pixels *p, int64_t i, int thrifty, int *sets) {
+static int chosen(const AreaLight *l, const Pixels *p, int64_t i, int adaptive, int *sets) {
     float o[3], h[3], distance = 0.0f, nl = 0.0f, squared = 0.0f, alpha = p->alpha[i];
     for (int k = 0; k < 3; k++) o[k] = l->place[k] - p->point[k][i], distance += o[k] * o[k];
     distance = sqrtf(distance);
@@ -104,7 +104,7 @@ static int chosen(const AreaLight *l, const Pixels *p, int64_t i, int thrifty, i
     float needed = 3.0f + ceilf(l->density * angle / (2.0f * larger(alpha, 1e-6f)) + 6.0f * angle);
     int plain = number(l, needed);
     *sets = 1;
-    if (!thrifty) return plain;
+    if (!adaptive) return plain;
     float n[3], up[3] = {0.0f, 0.0f, 1.0f}, side[2][3];
     to_frame(p, i, o);
     for (int k = 0; k < 3; k++) {
@@ -243,10 +243,10 @@ static void sampled(const AreaLight *l, const Lattice *at, const Pixels *p, int6
 /* Adds a light with a size. field: casts shadows, or NULL. ran: 1 where a rule ran, and 2 where
    relief hides a part. */
 WIDE void matcap_relight_area(const Pixels *p, const AreaLight *l, const Field *field,
-                              const Lattice *at, int32_t thrifty, uint8_t *ran) {
+                              const Lattice *at, int32_t adaptive, uint8_t *ran) {
     Seen s;
     for (int64_t i = 0; i < p->count; i++) {
-        int sets, which = p->facing[i] ? chosen(l, p, i, thrifty, &sets) : 0;
+        int sets, which = p->facing[i] ? chosen(l, p, i, adaptive, &sets) : 0;
         if (!which) continue;
         float shadow[CELLS], squared = 0.0f, seen = 0.0f;
         int parted = 0;

@@ -217,7 +217,7 @@ INLINE int above_horizon(const float *tangents, float x, float y, float z) {
 typedef struct {
     const float *tangents; /* AZIMUTHS each */
     int32_t columns, rows;
-    int32_t thrifty; /* look at no direction above the highest */
+    int32_t adaptive; /* look at no direction above the highest */
 } Horizon;
 
 INLINE const float *texel_horizon(const Horizon *h, const Pixels *p, int64_t i) {

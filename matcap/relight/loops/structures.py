@@ -107,7 +107,7 @@ class CHorizon(ctypes.Structure):
     """Horizons of texels, as mirrored directions are compared with them."""
 
     _fields_ = (
-        ("tangents", Pointer), ("columns", Whole), ("rows", Whole), ("thrifty", Whole),
+        ("tangents", Pointer), ("columns", Whole), ("rows", Whole), ("adaptive", Whole),
     )  # fmt: skip
 
 

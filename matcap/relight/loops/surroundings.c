@@ -104,7 +104,7 @@ WIDE void matcap_relight_hidden(const Pixels *p, const Lattice *at, const Horizo
             tangents = texel_horizon(h, p, i);
             for (int a = 0; a < AZIMUTHS; a++) steepest = larger(steepest, tangents[a]);
         }
-        float sine = h->thrifty ? steepest / sqrtf(1.0f + steepest * steepest) + 1e-5f : 2.0f;
+        float sine = h->adaptive ? steepest / sqrtf(1.0f + steepest * steepest) + 1e-5f : 2.0f;
         look_low(&b, at, sine, low);
         for (int k = 0; k < at->points; k++) {
             if (!low[k] || at->weight[k] == 0.0f) continue;

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from matcap.relight.camera import View
-from matcap.relight.facts import VisibleRegion
+from matcap.relight.scene_bounds import VisibleRegion
 from matcap.relight.surfaces.hits import Hits
 from matcap.relight.vectors import Array, Vec, dot, scale, subtract, vec
 

@@ -18,9 +18,9 @@ import numpy as np
 from matcap.errors import MatcapError
 from matcap.files.note import note
 from matcap.relight.camera import View
-from matcap.relight.facts import VisibleRegion
 from matcap.relight.relief import Relief
 from matcap.relight.scene import Film
+from matcap.relight.scene_bounds import VisibleRegion
 from matcap.relight.surfaces.curved import hits_of
 from matcap.relight.surfaces.hits import Hits
 from matcap.relight.vectors import Array

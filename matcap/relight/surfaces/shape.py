@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from matcap.relight.camera import View
-from matcap.relight.facts import VisibleRegion
 from matcap.relight.relief import Relief
 from matcap.relight.scene import Film, Surface
+from matcap.relight.scene_bounds import VisibleRegion
 from matcap.relight.surfaces.curved import cylinder_hits, sphere_hits
 from matcap.relight.surfaces.flat import plane_hits, plane_region
 from matcap.relight.surfaces.hits import Hits

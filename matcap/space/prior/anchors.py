@@ -5,7 +5,7 @@ over all the training photographs together, but not between them: a few hundred 
 dimensions leave most of the space near none. So materials are drawn near photographs' places, and
 each brings its order along, without which nothing is woven.
 
-A base is modelled by the habits: base = A code + b + L rest, with rest standard normal.
+A base is modelled by its conditional mean: base = A code + b + L rest, with rest standard normal.
 Code and rest of an anchor z move to
 
     sqrt(1 - t^2) z + t e,    e standard normal,
@@ -31,8 +31,11 @@ SPREAD = 0.3  # how far from a training photograph's place materials are drawn; 
 
 
 @dataclass(frozen=True)
-class Habits:
-    """How bases go with codes, learnt from the training photographs: base = A code + b + L rest."""
+class ConditionalMean:
+    """Linear-Gaussian model of bases given codes, fitted to the training photographs.
+
+    base = A code + b + L rest,    rest ~ N(0, I)
+    """
 
     matrix: Tensor
     """A, (VARYING, CODE_SIZE)."""

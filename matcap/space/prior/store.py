@@ -33,9 +33,9 @@ from matcap.space.decoder import CODE_SIZE, Decoder
 from matcap.space.encoder import BACKBONES, Encoder, EncoderConfig
 from matcap.space.freeze import freeze
 from matcap.space.picture import picture
-from matcap.space.prior.anchors import SPREAD, Anchor, Anchors, Habits, nowhere
+from matcap.space.prior.anchors import SPREAD, Anchor, Anchors, ConditionalMean, nowhere
 from matcap.space.prior.base import VARYING, base_of, fold
-from matcap.space.prior.look import describe_windows, numbers, texture
+from matcap.space.prior.encoder_input import describe_windows, numbers, texture
 from matcap.space.stored import decoder_config, empty_decoder
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.start import log_contrast
@@ -58,14 +58,14 @@ class Prior:
     Attributes:
         encoder: photograph to code.
         decoder: code and noise to maps, in units of the base.
-        habits: how bases go with codes.
+        conditional_mean: linear model of bases given codes.
         about: how it was trained; JSON.
         anchors: where the training photographs lie; without them draws may lie anywhere.
     """
 
     encoder: Encoder
     decoder: Decoder
-    habits: Habits
+    conditional_mean: ConditionalMean
     about: Mapping[str, Any] = field(default_factory=dict)
     anchors: Anchors | None = None
 
@@ -102,7 +102,7 @@ class Prior:
         code = self.code(photo.pixels, coarse, plane)
         base = base_of(coarse, log_contrast(plane.linear, plane.valid))
         waves = find_lattice(plane.encoded(), plane.valid).waves
-        return Anchor(code, self.habits.rest(code, base), waves)
+        return Anchor(code, self.conditional_mean.rest(code, base), waves)
 
     def draw(
         self,
@@ -136,7 +136,7 @@ class Prior:
 
     def material(self, name: str, anchor: Anchor, provenance: Mapping[str, Any]) -> Material:
         """A frozen material of one place in the space."""
-        decoder = fold(self.decoder, self.habits.base(anchor.code, anchor.rest))
+        decoder = fold(self.decoder, self.conditional_mean.base(anchor.code, anchor.rest))
         tuned = TunedDecoder(
             decoder=decoder.eval().requires_grad_(False),
             code=anchor.code,
@@ -153,7 +153,7 @@ class Prior:
             for part, module in self._modules().items()
             for name, tensor in module.state_dict().items()
         }
-        for name, tensor in vars(self.habits).items():
+        for name, tensor in vars(self.conditional_mean).items():
             tensors[f"habits.{name}"] = tensor.float()
         if self.anchors is not None:
             tensors |= {f"anchors.{name}": tensor for name, tensor in vars(self.anchors).items()}
@@ -189,7 +189,7 @@ def load_prior(path: Path | None = None) -> Prior:
             prior = Prior(
                 encoder=encoder,
                 decoder=empty_decoder(decoder_config(about["decoder"])),
-                habits=Habits(
+                conditional_mean=ConditionalMean(
                     *(
                         stored.tensor(f"habits.{name}", shape)
                         for name, shape in (

@@ -6,7 +6,7 @@ is added to the rendering first, so that the material need not imitate it. The l
 with AdaIN's statistics frozen, so that what is saved is what was optimised.
 
 Anytime: it ends after a number of steps, a time, at an error (schedule.py), or by an interrupt,
-and hands back the best so far (guard.py). Penalties on maps are in penalty.py.
+and hands back the best so far (rollback.py). Penalties on maps are in penalty.py.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from matcap.space.freeze import freeze
 from matcap.space.noise import wrap64
 from matcap.space.patch import Patch
 from matcap.space.random_field import RandomField, random_field
-from matcap.space.tuning.guard import Guard
+from matcap.space.tuning.rollback import Rollback
 from matcap.statistics.precision import computes_bfloat16
 
 # Of learning: a decoder that knows textures already is only to be moved a little; faster, and 100
@@ -95,7 +95,7 @@ def finetune(
     if not settings.steps:
         return Tuned(decoder, tuple(freeze(decoder, code, scene.waves)), (), False)
     schedule = Schedule(settings.steps, settings.seconds, settings.target)
-    guard = Guard(decoder, settings.learning_rate)
+    guard = Rollback(decoder, settings.learning_rate)
     order = shuffled(scene.windows.count, settings.seed)
     half = settings.half_precision
     moments: list[Moments] | None = None

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from inputs import spoil, write_inputs
 
-from matcap.batch.crew import Processes
+from matcap.batch.worker_pool import Processes
 from matcap.files.progress import OnProgress
 
 LONGEST = 10.0  # seconds

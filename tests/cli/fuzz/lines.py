@@ -26,7 +26,7 @@ from pathlib import Path
 from fuzz import most_held
 from inputs import write_example, write_material
 
-from matcap.batch.crew import Processes
+from matcap.batch.worker_pool import Processes
 from matcap.files.progress import OnProgress
 
 LONGEST, LARGEST = 30.0, 3 << 30  # seconds, bytes

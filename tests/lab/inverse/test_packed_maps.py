@@ -13,7 +13,6 @@ import torch
 from matcap.brdf.maps import SURFACE
 from matcap.brdf.normals import normals_from_height
 from matcap.errors import MatcapError
-from matcap.lab.inverse.metals import coloured_metal
 from matcap.lab.inverse.packed import (
     LEVELS,
     PackedSet,
@@ -25,6 +24,7 @@ from matcap.lab.inverse.packed import (
     training_sets,
 )
 from matcap.lab.inverse.pieces import cut, real_piece
+from matcap.lab.inverse.recoloured_metals import coloured_metal
 from matcap.lab.inverse.samples import draw_sample
 
 SIDE = 64

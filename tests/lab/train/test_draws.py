@@ -4,8 +4,8 @@ from small import entry
 
 from matcap.cli.main import main
 from matcap.lab.train import pictures
-from matcap.lab.train.draws import PAIRS, VarietySettings, middles, run_variety
 from matcap.lab.train.pack import Pack, first_of_each
+from matcap.lab.train.prior_variety import PAIRS, VarietySettings, middles, run_variety
 
 
 def test_the_page_tells_what_was_measured(prior, pack, tmp_path, monkeypatch):

@@ -43,6 +43,6 @@ def test_draws_of_an_older_prior_are_led_to_photographs(prior, pack):
         anchor = led.anchors[index]
         torch.testing.assert_close(anchor.code, codes.mean[index])
         assert len(anchor.waves) == len(entry.waves)
-        base = led.habits.base(anchor.code, anchor.rest)
+        base = led.conditional_mean.base(anchor.code, anchor.rest)
         wanted = base_of(entry.coarse, entry.contrast)
         torch.testing.assert_close(base.mean[:5], wanted.mean[:5], atol=1e-4, rtol=1e-4)

@@ -15,7 +15,7 @@ from matcap.lab.train.second_teacher import comb, relief_distance, relit_distanc
 from matcap.lab.train.state import TrainConfig
 from matcap.lab.train.train import train
 from matcap.lab.train.training_windows import Turn, cut, prepare
-from matcap.space.prior.look import FEATURES
+from matcap.space.prior.encoder_input import FEATURES
 from matcap.statistics.encoding import Encoding
 from matcap.statistics.filterbank import FilterBank
 

@@ -54,7 +54,7 @@ def test_more_spread_is_farther_and_keeps_the_variance():
 
 
 def test_a_base_is_told_by_code_and_rest(prior, pack):
-    habits, code = prior.habits, anchor(3).code
+    habits, code = prior.conditional_mean, anchor(3).code
     entry = pack.entries[0]
     base = base_of(entry.coarse, entry.contrast)
     again = habits.base(code, habits.rest(code, base))

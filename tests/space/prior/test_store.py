@@ -120,5 +120,5 @@ def test_drawing_follows_the_habits(prior):
     """Means over many draws are the habits' offset; a sigmoid's argument is the decoder's mean."""
     from matcap.space.prior.base import base_from, varying
 
-    offset = prior.habits.offset
+    offset = prior.conditional_mean.offset
     torch.testing.assert_close(varying(base_from(offset)), offset)

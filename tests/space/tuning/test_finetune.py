@@ -15,7 +15,7 @@ from matcap.space.decoder import DEPTH, maps_from_raw
 from matcap.space.freeze import fold
 from matcap.space.patch import Patch
 from matcap.space.random_field import random_field
-from matcap.space.tuning.guard import Guard
+from matcap.space.tuning.rollback import Rollback
 from matcap.statistics.compare import Weights, describe, distance
 
 
@@ -107,7 +107,7 @@ class Sabotage:
 
     def __init__(self, monkeypatch, steps, how):
         self.calls = 0
-        true_take = Guard.take
+        true_take = Rollback.take
 
         def take(guard, value, penalty, pace):
             self.calls += 1
@@ -115,7 +115,7 @@ class Sabotage:
                 value, penalty = how(value, penalty, guard.decoder)
             return true_take(guard, value, penalty, pace)
 
-        monkeypatch.setattr(Guard, "take", take)
+        monkeypatch.setattr(Rollback, "take", take)
 
 
 def poisoned_gradient(value, penalty, decoder):

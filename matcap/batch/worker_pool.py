@@ -41,7 +41,7 @@ class Event:
     """(stage, share); what the work returned; the process's exit code, negative for a signal."""
 
 
-class BatchCrew(Protocol):
+class BatchWorkers(Protocol):
     """A worker pool: processes of this machine, or a cluster."""
 
     size: int
@@ -75,11 +75,11 @@ class Processes:
         self._working: dict[Connection, tuple[_Worker, Any]] = {}
 
     def busy(self) -> int:
-        """See BatchCrew."""
+        """See BatchWorkers."""
         return len(self._working)
 
     def start(self, job: Any) -> None:  # noqa: ANN401
-        """See BatchCrew."""
+        """See BatchWorkers."""
         while self._idle:
             worker = self._idle.pop()
             if worker.give(job):
@@ -90,7 +90,7 @@ class Processes:
         self._working[worker.pipe] = (worker, job)
 
     def wait(self, seconds: float) -> list[Event]:
-        """See BatchCrew."""
+        """See BatchWorkers."""
         events = []
         for pipe in connection.wait(list(self._working), seconds):
             assert isinstance(pipe, Connection)
@@ -108,7 +108,7 @@ class Processes:
         return events
 
     def close(self) -> None:
-        """See BatchCrew."""
+        """See BatchWorkers."""
         for worker in [*self._idle, *(worker for worker, _ in self._working.values())]:
             worker.kill()
         self._idle, self._working = [], {}
@@ -192,15 +192,15 @@ class Machines:
         self._jobs: dict[RemoteResult, Any] = {}
 
     def busy(self) -> int:
-        """See BatchCrew."""
+        """See BatchWorkers."""
         return len(self._jobs)
 
     def start(self, job: Any) -> None:  # noqa: ANN401
-        """See BatchCrew."""
+        """See BatchWorkers."""
         self._jobs[self._cluster.submit(_there, self._work, self._prepare, job)] = job
 
     def wait(self, seconds: float) -> list[Event]:
-        """See BatchCrew."""
+        """See BatchWorkers."""
         limit = time.monotonic() + seconds
         while not any(one.done() for one in self._jobs) and time.monotonic() < limit:
             time.sleep(_LOOK_EVERY)
@@ -215,7 +215,7 @@ class Machines:
         return events
 
     def close(self) -> None:
-        """See BatchCrew."""
+        """See BatchWorkers."""
         for one in self._jobs:
             one.cancel()
         self._jobs = {}

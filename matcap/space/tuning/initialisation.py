@@ -21,7 +21,7 @@ from matcap.space.tuning.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR, Tun
 from matcap.space.tuning.start import log_contrast, reading_cells, untrained
 
 # From nothing, where a run ends depends on where it starts: the best of a few short runs goes on.
-_AUDITIONS, _AUDITION_STEPS = 3, 40
+_CANDIDATES, _CANDIDATE_STEPS = 3, 40
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def begin(
         tune: how.
         prior: "auto" (the one that comes with matcap), "none" (start from nothing) or a file.
         shape: of the decoder, where there is no prior to say it.
-        hurried: there is no time for auditions.
+        hurried: there is no time for an initialisation search.
 
     Raises:
         MatcapError: the prior cannot be read.
@@ -86,12 +86,12 @@ def _best_of_some(
     """
     shape = replace(shape, cells=CELL_CHANNELS if target.waves else 0)
     contrast = log_contrast(plane.linear, plane.valid)
-    if tune.steps < 4 * _AUDITIONS * _AUDITION_STEPS or hurried:
+    if tune.steps < 4 * _CANDIDATES * _CANDIDATE_STEPS or hurried:
         return untrained(shape, coarse, contrast, tune.seed)
     best, least = None, math.inf
-    for seed in range(tune.seed, tune.seed + _AUDITIONS):
+    for seed in range(tune.seed, tune.seed + _CANDIDATES):
         short = replace(
-            tune, steps=_AUDITION_STEPS, learning_rate=RATE_FROM_NOTHING, target=None, seed=seed
+            tune, steps=_CANDIDATE_STEPS, learning_rate=RATE_FROM_NOTHING, target=None, seed=seed
         )
         first = untrained(shape, coarse, contrast, seed)
         tried = finetune(first, torch.zeros(CODE_SIZE), target, short, _untold)

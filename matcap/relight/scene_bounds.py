@@ -1,4 +1,4 @@
-"""What the plan knows: extremes of the maps, and of the geometry between surface and lights.
+"""Bounds of a scene that the plan decides from: extremes of maps, geometry and lights.
 
 Everything here is a bound that holds for every point of the surface that the camera may see, and
 costs a few passes over the maps at most. Nothing looks at pixels.
@@ -76,7 +76,7 @@ class LightFacts:
 
 
 @dataclass(frozen=True)
-class Facts:
+class SceneBounds:
     """Everything the bounds are made of."""
 
     diffuse: float
@@ -136,8 +136,8 @@ def gather(
     region: VisibleRegion,
     footprint: float,
     skies: Sequence[Environment],
-) -> Facts:
-    """The facts of a scene.
+) -> SceneBounds:
+    """Bounds of the quantities of a scene.
 
     Args:
         scene: its lights and surface.
@@ -149,7 +149,7 @@ def gather(
     """
     extremes = texture.extremes
     lights = tuple(
-        _light_facts(light, region, view)
+        _light_bounds(light, region, view)
         for light in scene.lights
         if not isinstance(light, EnvironmentLight)
     )
@@ -158,7 +158,7 @@ def gather(
     if footprint > 1.0:
         # Filtering turns unresolved slopes into roughness.
         high = min(math.sqrt(high**2 + extremes.slope**2), 1.0)
-    return Facts(
+    return SceneBounds(
         diffuse=extremes.diffuse,
         specular=extremes.specular,
         alpha=(low, high),
@@ -172,7 +172,7 @@ def gather(
     )
 
 
-def _light_facts(
+def _light_bounds(
     light: PointLight | DirectionalLight | SphereLight | RectangleLight,
     region: VisibleRegion,
     view: View,

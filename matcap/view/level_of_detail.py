@@ -60,7 +60,7 @@ class Pyramid:
 
 
 @dataclass(frozen=True)
-class ExampleFromAfar:
+class ExampleLevels:
     """The field by example of a seed; `forms` gives the exemplar's, which all seeds share."""
 
     example: Example
@@ -74,13 +74,13 @@ class ExampleFromAfar:
 
     def read(self, level: int, area: Rectangle) -> Planes:
         """Moments of an area, in texels of a level."""
-        from matcap.example.coarse import places_from_afar
+        from matcap.example.coarse import coarse_places
         from matcap.example.example import detail_bits
 
         if level <= max(_NEAR, detail_bits(self.example.exemplar)):
             stacked = self.example.maps(self.seed, _finest(level, area).grown(RING), None)
             return _coarser(moments_of(stacked, self.texel_size), level)
-        places = places_from_afar(self.example, self.seed, level, area)
+        places = coarse_places(self.example, self.seed, level, area)
         return self.forms().read(level, places)
 
 
@@ -125,7 +125,7 @@ class SmallerForms:
 
 
 @dataclass(frozen=True)
-class NetworkFromAfar:
+class NetworkLevels:
     """The field that a material's network makes of a seed."""
 
     source: Source
@@ -133,13 +133,13 @@ class NetworkFromAfar:
     seed: int
 
     @staticmethod
-    def of(material: Material, seed: int) -> NetworkFromAfar:
+    def of(material: Material, seed: int) -> NetworkLevels:
         """The field.
 
         Raises:
             UsageError: the seed is out of range.
         """
-        return NetworkFromAfar(Field(material, seed).source, material, seed)
+        return NetworkLevels(Field(material, seed).source, material, seed)
 
     @property
     def texel_size(self) -> float:

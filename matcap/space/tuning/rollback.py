@@ -1,4 +1,4 @@
-"""Steps of fine-tuning that go wrong are taken back, and the best decoder so far is kept."""
+"""Rollback on divergence: bad steps of fine-tuning are undone, and the best decoder is kept."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from matcap.space.decoder import Decoder
 from matcap.space.tuning.tuned import GUARD
 
 
-class Guard:
+class Rollback:
     """Moves a decoder along the gradient of a loss, and back where that goes wrong.
 
     A step goes wrong whose loss or gradient is not finite, or whose loss explodes. The decoder is
