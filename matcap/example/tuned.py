@@ -138,7 +138,7 @@ class LookupSettings:
 
     Attributes:
         ordered: levels from this one on keep to the order.
-        dear: bits: a place of full reluctance costs 255^2 * 2^11 = 1.3e8, more than any seam; one a
+        cost_bits: a place of full reluctance costs 255^2 * 2^11 = 1.3e8, more than any seam; one a
             little less trusted than most, 14 of 255, 4e5, as a common seam.
     """
 

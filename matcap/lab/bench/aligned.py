@@ -2,7 +2,7 @@
 
 Where others compare styles, so that nothing wins by pixel alignment, here truth is at hand: each
 map against its own, and relit pictures pixel by pixel, by distance from the point below the flash.
-What one photograph cannot tell, the gain between flash and albedo, cancels.
+The gain between flash and albedo, unknown from one photograph, cancels.
 """
 
 from __future__ import annotations

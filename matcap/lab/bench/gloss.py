@@ -102,7 +102,7 @@ def gloss_experiment(
     Args:
         chosen: the materials.
         evs: exposure offsets in stops.
-        exemplar: capture it, whose maps are told; the coarse fit alone otherwise.
+        exemplar: measure the maps of a capture; the coarse fit alone otherwise.
     """
 
     def prepare(material: PlainMaterial) -> tuple[PlainMaterial, Shot]:

@@ -1,7 +1,7 @@
 """`matcap bench highlight`: whether the coarse fit keeps highlights, and finds flash and tilt.
 
 Real photographs have no truth but themselves: the highlight is measured alike in photograph and
-re-rendering (flash/highlight.py). Simulated ones tell offset and tilt.
+re-rendering (flash/highlight.py). Simulated ones have known offset and tilt.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def highlight_experiment(
         count: of simulated ones.
         seed: of those.
         out: folder for photographs beside their re-renderings.
-        has_fov: False for simulated files that do not tell their field of view.
+        has_fov: False for simulated files that do not state their field of view.
     """
 
     def real(path: Path) -> Seen:

@@ -1,7 +1,7 @@
 """`matcap bench metals`: F0 of metals by channel, its hue, and that of what is no metal beside it.
 
 Truth is at hand texel by texel (simulate/photograph.py, true_maps), so metal and what is none are
-told apart by the truth, and how bright either is found counts too: nothing is scaled.
+separated by the true maps; absolute brightness counts: nothing is scaled.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A sample of a material is photographed and captured. The photograph as albedo, the exemplar that was
 found and the field that rearranges it are relit and compared with other true samples: normalised
-style distance (measures/nsd.py). Beside it what the maps tell, and what is true.
+style distance (measures/nsd.py). Also values of the maps and of the truth.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def flash_imprint(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Valu
 
 
 def map_numbers(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:
-    """What the maps tell, and what is true."""
+    """Contrast and tilt of the maps and of the truth."""
     evaluator = captured.evaluator
     return compared_numbers(evaluator.middle(maps[0]), evaluator.truths)
 

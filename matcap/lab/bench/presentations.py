@@ -1,4 +1,4 @@
-"""How each experiment's table is told on the page that `matcap bench report` writes."""
+"""Presentation of each experiment's table on the page that `matcap bench report` writes."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ BY_HAND = "## What to make of it"
 
 @dataclass(frozen=True)
 class Presentation:
-    """How an experiment's results are told."""
+    """Title, columns and plot of an experiment's results."""
 
     title: str
     about: str
@@ -70,7 +70,7 @@ def write_page(
     Args:
         tables: CSVs that experiments wrote.
         page: where the text goes.
-        command: that is writing it, for the page to tell.
+        command: that writes the page, quoted on it.
         more: lines after a table's section.
 
     Raises:

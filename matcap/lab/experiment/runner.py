@@ -43,7 +43,7 @@ class Configuration(Generic[Subject, Outcome]):
     """What it varies; configurations of a group share a colour of the plot."""
 
     settings: object = None
-    """Whatever else its values follow from, told by its `repr`."""
+    """Everything else its values depend on, compared by its `repr`."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Experiment(Generic[Subject, Outcome]):
     """Whether a subject is not asked of a configuration."""
 
     settings: object = None
-    """Whatever else its values follow from, told by its `repr`."""
+    """Everything else its values depend on, compared by its `repr`."""
 
     any_version: bool = False
     """Rows that another version of the source measured count: of sweeps that take hours."""

@@ -1,7 +1,7 @@
 """What training shows against what there is: marginal distributions, drawn beside each other.
 
 Of maps: mean tilt, roughness, F0, albedo and its contrast, drawn real, drawn simulated and as the
-sets have them. Of pictures, which is all that a photograph tells: contrast that is not slow, and
+sets have them. Of pictures, which is all that a photograph shows: contrast that is not slow, and
 the share that is clipped, drawn and in real photographs.
 """
 

@@ -37,10 +37,10 @@ from matcap.lab.simulate.materials.varied import random_material
 DOUBTS = ("albedo", "F0", "roughness", "slope")
 _FIRST = 50_000_000  # numbers of samples, beyond training's
 _SIZE = (320, 224)
-_FLAT = 0.01  # tilt in radians, and deviation of log albedo: below it none is told apart
+_FLAT = 0.01  # tilt in radians, and deviation of log albedo: below it none is distinguished
 _DARKEST = 0.01  # radiance, of a white plane's
 _BIT = 0.01  # error that the network's expectation is of, at least (losses.py)
-_SAMPLED = 4  # every so manieth texel, each way, tells of doubt
+_SAMPLED = 4  # stride in texels at which expected errors are sampled
 # Polar angle and azimuth in degrees, and distance, of the lights that pictures are relit by.
 _LIGHTS = ((20.0, 40.0, 2.0), (40.0, 160.0, 2.0), (55.0, 280.0, 2.5), (68.0, 100.0, 2.5))
 
@@ -150,7 +150,7 @@ def relit_error(maps: MapSet, truth: MapSet, sample: Sample) -> float:
             (shade(m, points, camera, place, intensity) + _DARKEST).log() for m in (maps, truth)
         )
         off = estimated - true
-        # What one photograph cannot tell, the gain between flash and albedo, cancels.
+        # The gain between flash and albedo, unknown from one photograph, cancels.
         errors.append(float((off - off.median()).abs().mean()))
     return sum(errors) / len(errors)
 

@@ -30,7 +30,7 @@ from matcap.statistics.gram import gram
 
 _LEVELS = 5  # of the pyramid on which slopes are compared
 _CELLS = 48  # texels a side of the places whose energies are compared
-_FLAT = 0.02  # root-mean-square slope, below which strength is not told apart
+_FLAT = 0.02  # root-mean-square slope, below which energies are not distinguished
 _PLAIN = 0.02  # likewise of log albedo
 _BLACK = 0.02  # albedo: darker ones differ little to the eye
 _DARKEST = 0.01  # radiance, of a white plane's
@@ -67,7 +67,7 @@ class WantedOutputs:
         truth: (B, OUTPUTS, H, W) the answer the network should give.
         metal: (B, 1, H, W) true share that is metal.
         hue: (B, 3, H, W) true F0 over the mean of its channels.
-        seen: (B, 3, H, W) the photograph's colour, which what is told as metal has.
+        seen: (B, 3, H, W) the photograph's colour, which texels predicted as metal have.
         base: (B, OUTPUTS, 1, 1) what it departs from, the coarse fit.
         points: (3, H, W) plane points, the same of all.
         camera: (B, 3, 1, 1) places of the cameras.

@@ -1,8 +1,8 @@
 """Map sets of real materials in one file, as training reads them: in half precision, by level.
 
 A set's folder holds `basecolor`, `normal`, `roughness` and, where some of it is metal, `metallic`,
-as ../data/maps/README.md of the project tells. Relief is integrated from the normals, whose scale
-is told, where a height's is not. Every level halves the one before; slopes that are lost by it
+as ../data/maps/README.md of the project says. Relief is integrated from the normals, whose scale
+is known, where a height's is not. Every level halves the one before; slopes that are lost by it
 count as roughness, as they do to an eye further away.
 """
 

@@ -39,7 +39,7 @@ _NAMED_SHARE, _KIND_SHARE = 0.05, 0.6
 _MARGIN = 2  # texels realised around, so that blur and normals see no border
 REAL_SHARE = 0.5  # of photographs, where real materials are at hand
 _TURNS, _VISITS = 16, 16  # pieces that take turns, photographs of each (real ones among them)
-_THIN = 4  # every fourth texel tells how bright a picture is
+_THIN = 4  # stride in texels at which a picture's brightness is sampled
 # Logarithm of a coarse fit's F0 over the truth, mean and deviation: as far as it is off on the
 # examples, whose albedo takes some of a wide highlight.
 _SPECULAR_OFF = (-0.2, 0.4)

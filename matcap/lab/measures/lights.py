@@ -102,7 +102,7 @@ def relight(
     """(3, H, W) float32 sRGB picture in [0, 1] of maps in the middle of the plane.
 
     The light's strength is relative to the flash that goes with the maps, so the gain between
-    flash and albedo, which one photograph cannot tell, cancels. Exposure is the photograph's;
+    flash and albedo, unknown from one photograph, cancels. Exposure is the photograph's;
     clipped at 1.
 
     Args:

@@ -1,4 +1,4 @@
-"""What maps tell in numbers, and what they are off by from true maps of the same texels."""
+"""Summary statistics of maps, and their errors against true maps of the same texels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _DARK = 1e-3  # of albedo
 
 @dataclass(frozen=True)
 class MapNumbers:
-    """What maps tell in three numbers."""
+    """Three summary statistics of maps."""
 
     tilt: float
     """Mean angle of the normal from the plane's, degrees."""

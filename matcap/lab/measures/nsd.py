@@ -10,7 +10,7 @@ It sees open cells and broken threads, which a bank of linear filters hardly doe
 
 Normalised, it is divided by the distance between true samples of the same material: 1 is
 indistinguishable from another sample. Over a whole picture true samples differ half as much as over
-a quarter of it, so the whole tells more (leather 0.12 and 0.19).
+a quarter of it, so the whole says more (leather 0.12 and 0.19).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Style distance is blind to a cut. So each pair of neighbouring texels that the exemplar did not show
 side by side is asked how far it differs, in log albedo and in slope, and that is divided by what
-the exemplar's own neighbours differ by: 1 where no pair tells that it is one.
+the exemplar's own neighbours differ by: 1 where seams are indistinguishable.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from matcap.example.exemplar import DIFFUSE, HEIGHT, Floats
 
 _DARKEST = 1e-3  # albedo
-_FEWEST = 100  # pairs: less tell nothing
+_FEWEST = 100  # pairs: with fewer, no value
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ NEIGHBOUR = 3  # the k of the paper
 
 @dataclass(frozen=True)
 class Variety:
-    """What a set of made pictures is worth beside a set of true ones.
+    """Precision, recall and diversity of generated pictures against a set of true ones.
 
     Attributes:
         precision: share of the made ones that look like a true one, 0 to 1.
@@ -40,7 +40,7 @@ class Variety:
 
     @property
     def spread(self) -> float:
-        """How far apart made pictures are, as a share of how far true ones are."""
+        """Mean style distance of generated pictures over that of true ones."""
         return self.mean_distance / self.mean_distance_true
 
 

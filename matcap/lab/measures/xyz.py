@@ -1,4 +1,4 @@
-"""How far the colours of two pictures are apart, wherever in them they are: CIE XYZ histograms.
+"""Difference of the colour distributions of two pictures: L1 distance of CIE XYZ histograms.
 
 The paper's second metric of likeness (section 5.2, "XYZ histogram L1 difference"), which does not
 say how many bins it has; here it is 64 a channel, from black to the white of sRGB.

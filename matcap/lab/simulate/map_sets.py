@@ -80,7 +80,7 @@ def read_map_set(folder: Path, span: float = SPAN) -> MapSetMaterial:
     """Read a folder.
 
     F0 has three channels where any of it is metal. Relief is integrated from the normals, whose
-    scale is told, where a height's is not.
+    scale is known, where a height's is not.
 
     Args:
         folder: of one material.

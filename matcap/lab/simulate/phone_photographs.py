@@ -3,8 +3,8 @@
 Of every third of 126 phone photographs of flat samples under their own flash (2026-11-24), read at
 512 texels: the mean of linear radiance is 0.07 to 0.21 from the 5th to the 95th per cent, a
 logarithm's deviation of 0.35 around 0.133; nothing is clipped in half of them, 0.05 % at three
-quarters, 1 % at 95 %; the coarse fit tells tilts of 2.0 and 1.7 degrees of deviation, and a flash
-0.08 above the lens. Distances are told by none: 20 to 40 cm, as the guide asks for.
+quarters, 1 % at 95 %; the coarse fit tilts to 2.0 and 1.7 degrees, and a flash
+0.08 above the lens. Distances are stated by none: 20 to 40 cm, as the guide asks for.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ class Sensor:
         matrix: ColorMatrix1, rows of XYZ (D65) to camera colour; a phone's, rounded.
         black: BlackLevel.
         white: WhiteLevel.
-        shading: light lost in the corners of the picture by the lens, in [0, 1); told in GainMaps.
+        shading: light lost in the corners of the picture by the lens, in [0, 1), in GainMaps.
     """
 
     matrix: tuple[tuple[float, float, float], ...] = (
@@ -124,9 +124,9 @@ def exif_of(shot: Shot) -> dict[int, int | Fraction | bytes]:
         33437: Fraction(9, 5),  # FNumber
         34855: 100,  # ISOSpeedRatings
         36864: b"0230",  # ExifVersion
-        37385: 9 if shot.fired else 16,  # Flash: fired, or not, because told to
+        37385: 9 if shot.fired else 16,  # Flash: fired, or not, in compulsory mode
         37386: length,  # FocalLength, mm
-        # FocalPlaneXResolution and its unit, cm: with them the field of view is exactly told.
+        # FocalPlaneXResolution and its unit, cm: with them the field of view is exactly known.
         41486: Fraction(10 * _PIXELS_PER_MM),
         41488: 3,
         41989: round(on_film),  # FocalLengthIn35mmFilm, which refers to the diagonal (CIPA DCG-001)

@@ -116,7 +116,7 @@ def measured(
 ) -> list[Trial]:
     """Every way on every photograph; their pictures go to a folder of the experiment's name.
 
-    Rows are told apart by material and by what a way follows, not by the version of matcap: after
+    Rows are identified by material and configuration, not by the version of matcap: after
     changing that, or the pack, remove the CSV.
     """
 

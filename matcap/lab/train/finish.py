@@ -26,7 +26,7 @@ from matcap.space.prior.encoder_input import describe_windows, numbers, texture
 from matcap.space.prior.store import Prior
 
 _RIDGE = 10.0  # photographs' worth of belief that bases do not go with codes
-DEAD = 0.05  # variance of the codes' means below which a dimension tells nothing
+DEAD = 0.05  # variance of the codes' means below which a dimension is unused
 
 
 @dataclass(frozen=True)

@@ -150,4 +150,4 @@ def seeds(realisations: int) -> range:
 
 
 def _untold(share: float, error: float, seconds: float) -> None:
-    """Nobody listens."""
+    """Ignore progress."""

@@ -31,7 +31,7 @@ from matcap.statistics.lattice import Wave
 VERSION = 1
 _FORMAT = "matcap-pack"
 HELD_OUT = 12  # materials, of the real ones
-WAVE_DETAIL = 1024  # texels across, of which the waves' frequencies are told
+WAVE_DETAIL = 1024  # texels across, the unit of the waves' frequencies
 
 _COARSE = 16  # diffuse 3, specular, roughness, fov, offset 3, tilt 2, intensity 3, vignetting, rest
 _CLIPPED = 254  # of 255: where a developed picture has reached its clip level

@@ -3,7 +3,7 @@
 Draws lie in the middle of a photograph's plane under a flash; of every photograph, held out or
 simulated of a seed that training never draws, the middle is taken. All are brought to the same
 mean radiance, and compared as measures/variety.py says. Blends of neighbouring held-out
-photographs, untuned, tell whether the space passes through materials: a middle that is none is
+photographs, untuned, show whether the space passes through materials: a middle that is none is
 farther from all photographs than the ends of its blend are.
 """
 

@@ -50,7 +50,7 @@ def relit_distance(
     """(B,) style distance of maps (B, C, H, W) from true ones, seen from above under a far light.
 
     Each is exposed for itself, to the photograph's middle: how bright a surface is and how bright
-    the flash was cannot be told apart in a photograph, and are not asked for here.
+    the flash was cannot be distinguished in a photograph, and are not asked for here.
     """
     with torch.no_grad(), mixed(device):
         wanted = describe(_exposed(truth, light, encoding), encoding, bank)

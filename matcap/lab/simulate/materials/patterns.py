@@ -103,7 +103,7 @@ def spots(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Rast
 
 
 def woven(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raster]:
-    """Plain weave or twill; the mask tells warp from weft and varies by thread."""
+    """Plain weave or twill; the mask separates warp from weft and varies by thread."""
     u, v = _lattice(canvas, label, shape)
     threads = weave(u, v, over=shape.variant + 1, fill=0.8 + 0.2 * shape.share, depth=0.3)
     dye = threads.per_thread(canvas.stream(label + " dye"))
