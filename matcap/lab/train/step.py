@@ -172,5 +172,5 @@ def fields(
 
 
 def fits(window: int) -> bool:
-    """Whether a window with its margins has sides of n x 16 texels, and enough of them."""
+    """Whether a window has at least 64 texels a side, and with its margins a multiple of 16."""
     return window >= 64 and (window + 2 * MARGIN) % 2**DEPTH == 0
