@@ -140,41 +140,33 @@ def find_together(
     radiometric = all(view.photo.radiometric for view in registration.views)
     reach = reach_of(registration.views, plane.size) if union else Reach.own(plane.size)
     read = spread_over(single.maps, single.errors, reach.margins)
-    alignment, interrupted = _laid_over(
-        replace(registration, setup=coarse.setup),
-        read,
-        reach.extent,
-        radiometric,
-        stage,
-        on_progress,
-    )
-    plane, lattice = plane_in_detail(first, alignment.setup, detail)
-    posed = PosedCamera.of(registration.setup), alignment.views[0].camera
+    start = replace(registration, setup=coarse.setup)
+    poses, interrupted = _laid_over(start, read, reach.extent, radiometric, stage, on_progress)
+    plane, lattice = plane_in_detail(first, poses.setup, detail)
+    posed = PosedCamera.of(registration.setup), poses.views[0].camera
     prior, hue = uncoloured(reframed(read[0], *posed, reach.extent))
     doubt, readings = unread(read[1], reach), None
     if not interrupted:
         with stage("join"):
-            prior, doubt, readings = _all_read(
-                alignment, prior, doubt, coarse, network, on_progress
-            )
+            prior, doubt, readings = _all_read(poses, prior, doubt, coarse, network, on_progress)
         interrupted = readings is None
     hue = hue_over(hue, readings, reach)
     if reach.margins.any:
         doubt = torch.minimum(doubt, scatter(single.maps, single.errors)[:, None, None])
     with stage("solve"):
-        alignment, views, solved = _solved(alignment, prior, doubt, hue, radiometric, on_progress)
+        poses, views, solved = _solved(poses, prior, doubt, hue, radiometric, on_progress)
     interrupted |= solved.interrupted
-    coarse = replace(coarse, setup=solved.light.onto(alignment.setup))
+    coarse = replace(coarse, setup=solved.light.onto(poses.setup))
     with stage("predict"):
         ahead: Predictions | None = None
         if not interrupted and readings is not None:
-            ahead = predictions(alignment, readings, solved, radiometric, hue)
+            ahead = predictions(poses, readings, solved, radiometric, hue)
     with stage("lend"):
-        reach, whole, solved = _whole(plane, alignment, reach, solved)
+        reach, whole, solved = _whole(plane, poses, reach, solved)
         exemplar = _inpainted(Sight.of(whole, coarse), solved, hue, views)
     with stage("index"):
         example, scale = _indexed(first, exemplar, single.metal, lattice.waves, reach)
-    report = SetReport.of(registration, alignment, solved, ahead, reach)
+    report = SetReport.of(registration, poses, solved, ahead, reach)
     piece = FoundPiece(
         example, single.strengths, solved.residual[0], 0.0, 1.0, (), interrupted, report, scale
     )
@@ -183,12 +175,12 @@ def find_together(
 
 
 def _whole(
-    plane: Plane, alignment: Aligned, reach: Reach, solved: Solved
+    plane: Plane, poses: Aligned, reach: Reach, solved: Solved
 ) -> tuple[Reach, Plane, Solved]:
     """The first photograph on the piece's grid, what nobody saw left out, and maps there."""
     if not reach.margins.any:
         return reach, plane, solved
-    known = seen_by_any(alignment.views, reach)
+    known = seen_by_any(poses.views, reach)
     slow = SolveSettings().slow * plane.size[0]
     return (
         replace(reach, known=float(known.float().mean())),
@@ -218,8 +210,8 @@ def aligned_photographs(
     radiometric = all(view.photo.radiometric for view in registration.views)
     light = SetLight.of(coarse.setup, len(registration.views), photos[0].profile)
     registration = replace(registration, setup=coarse.setup)
-    alignment = aligned(registration, single.maps, single.errors, light, radiometric=radiometric)
-    return registration, alignment
+    poses = aligned(registration, single.maps, single.errors, light, radiometric=radiometric)
+    return registration, poses
 
 
 def _indexed(
@@ -258,7 +250,7 @@ def _registered(
 
 
 def _solved(
-    alignment: Aligned,
+    poses: Aligned,
     prior: MapSet,
     doubt: Tensor,
     hue: Tensor | None,
@@ -271,12 +263,12 @@ def _solved(
     coarse grid's they are looked up with their whole parallax.
     """
     begun: Solved | None = None
-    light, rounds = alignment.light, SolveSettings().rounds
+    light, rounds = poses.light, SolveSettings().rounds
     across, down = prior.size
-    if alignment.extent.unit(across) >= 2 * SolveSettings().coarse:
+    if poses.extent.unit(across) >= 2 * SolveSettings().coarse:
         half = (round(down / 2), round(across / 2))
-        small, unsure = shrunk(prior, doubt, half, alignment.extent)
-        views = _on_grid(alignment, half[1], half[0], hue)
+        small, unsure = shrunk(prior, doubt, half, poses.extent)
+        views = _on_grid(poses, half[1], half[0], hue)
         begun = solve(
             views,
             small,
@@ -287,9 +279,9 @@ def _solved(
         )
         light, rounds = begun.light, SolveSettings().finer
         relief = np.asarray(begun.maps.height[0].numpy(), np.float32)
-        places = tuple(replace(place, relief=relief) for place in alignment.places)
-        alignment = replace(alignment, places=places)
-    views = _on_grid(alignment, across, down, hue)
+        places = tuple(replace(place, relief=relief) for place in poses.places)
+        poses = replace(poses, places=places)
+    views = _on_grid(poses, across, down, hue)
     solved = solve(
         views,
         prior,
@@ -302,11 +294,11 @@ def _solved(
         ),
         begun=begun,
     )
-    return alignment, views, solved
+    return poses, views, solved
 
 
-def _on_grid(alignment: Aligned, across: int, down: int, hue: Tensor | None) -> list[PieceView]:
-    both = zip(alignment.views, alignment.places, strict=True)
+def _on_grid(poses: Aligned, across: int, down: int, hue: Tensor | None) -> list[PieceView]:
+    both = zip(poses.views, poses.places, strict=True)
     return [PieceView.of(view, across, down, place, hue) for view, place in both]
 
 
@@ -363,7 +355,7 @@ def _laid_over(
 
 
 def _all_read(
-    alignment: Aligned,
+    poses: Aligned,
     prior: MapSet,
     doubt: Tensor,
     coarse: CoarseFit,
@@ -373,7 +365,7 @@ def _all_read(
     """Prior and doubts by all photographs and what each was read as; interrupted the first's."""
     read = partial(_read_plainly, network)
     try:
-        readings = read_views(alignment, prior, doubt, coarse, read, partial(on_progress, "join"))
+        readings = read_views(poses, prior, doubt, coarse, read, partial(on_progress, "join"))
     except KeyboardInterrupt:
         return prior, doubt, None
     return *with_others(prior, doubt, readings), readings
