@@ -1,5 +1,5 @@
 // The maps inside a document for sending (enclosed.py), and all their smaller forms: what
-// matcap/view/moments.py and afar.py make of a map set.
+// matcap/view/moments.py and level_of_detail.py make of a map set.
 
 import { linearOf } from "./adjust.js";
 
