@@ -104,6 +104,9 @@ def test_a_batch_begun_anew_finds_the_same_bytes(batch, tmp_path):
     before = file.read_bytes()
     file.unlink()
     assert batch()[0] == [] and file.read_bytes() == before
+    # Another profile makes other materials.
+    write_camera_profile(file, replace(read_camera_profile(file), photographs=99))
+    assert len(batch()[0]) == len(NAMES)
 
 
 def test_few_photographs_and_a_given_profile_leave_a_batch_without_its_own(batch, shoot, tmp_path):
