@@ -7,7 +7,7 @@ are two: a tone curve changes the falloff.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from matcap.batch.shoot import ShotSample
 from matcap.batch.work import settle_threads
 from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError
-from matcap.photo.camera import CameraProfile, read_camera_profile
+from matcap.photo.camera import LEAST, CameraProfile, read_camera_profile
 from matcap.photo.exif import read_exif
 
 FILE = "camera.json"  # in the output; of more cameras camera-2.json, ...
@@ -29,6 +29,7 @@ def with_profiles(
     shoot: Path,
     out: Path,
     settings: CaptureSettings,
+    note: Callable[[str], None] = lambda sentence: None,
     *,
     again: bool = False,
 ) -> tuple[list[ShotSample], Mapping[Path, CameraProfile]]:
@@ -41,6 +42,7 @@ def with_profiles(
         shoot: its folder.
         out: the output, where profiles may be already; nothing is written.
         settings: of the captures.
+        note: told what is done, and what was found.
         again: estimate even what is there.
 
     Raises:
@@ -49,8 +51,11 @@ def with_profiles(
     if settings.camera is not None:
         read_camera_profile(settings.camera)  # a bad one is refused before all
         return list(samples), {}
-    files = [file for file in sorted(out.glob("camera*.json")) if file.is_file()]
-    known = {profile.camera: (file, profile) for file, profile in _read(files)}
+    files = [
+        file for file in (out / FILE, *sorted(out.glob("camera-[0-9]*.json"))) if file.is_file()
+    ]
+    read = [(file, read_camera_profile(file)) for file in files]
+    known = {profile.camera: (file, profile) for file, profile in read}
     cameras = [camera_of(sample.photos[0], shoot) for sample in samples]
     found: dict[Path, CameraProfile] = {}
     by_camera: dict[str, CameraProfile] = {}
@@ -58,10 +63,13 @@ def with_profiles(
         file, profile = known.get(camera, (None, None))
         if profile is None or again:
             photos = [s.photos[0] for s, own in zip(samples, cameras, strict=True) if own == camera]
+            if len(photos) >= LEAST:
+                note(f"Looking at the photographs of {camera} for what its corners lose.")
             profile = estimated_profile(camera, photos, settings) or profile
         if profile is not None:
             by_camera[camera] = profile
             found[file or _free(out, {*files, *found})] = profile
+            note(profile.says())
     profiled = [
         replace(sample, profile=by_camera.get(camera))
         for sample, camera in zip(samples, cameras, strict=True)
@@ -94,11 +102,11 @@ def estimated_profile(
         settings: field of view and what is left out.
     """
     from matcap.capture.tilt import fitted
-    from matcap.flash.camera_profile import PROFILE, camera_profile
+    from matcap.flash.camera_profile import camera_profile
     from matcap.photo.left_out import leave_out
     from matcap.photo.load import load_photo
 
-    if len(photos) < PROFILE.least:
+    if len(photos) < LEAST:
         return None
     settle_threads()  # so that the profile does not depend on how many cores there are
     photos, fits = sorted(photos), []
@@ -112,10 +120,6 @@ def estimated_profile(
         if seen.flash_fired is not False:
             fits.append(fitted(seen))
     return camera_profile(camera, fits)
-
-
-def _read(files: Sequence[Path]) -> list[tuple[Path, CameraProfile]]:
-    return [(file, read_camera_profile(file)) for file in files]
 
 
 def _free(out: Path, taken: set[Path]) -> Path:

@@ -68,9 +68,9 @@ def prepare(
         show.note(sentence)
     card = read_card(cards[0], fov=settings.capture.fov) if cards else None
     show.note(card_sentence(card))
-    samples, profiles = with_profiles(samples, shoot, out, settings.capture, again=policy.force)
-    for profile in profiles.values():
-        show.note(profile.says())
+    samples, profiles = with_profiles(
+        samples, shoot, out, settings.capture, show.note, again=policy.force
+    )
     check_writable(out, settings.outputs.room)
     entries = make_plan(
         samples,

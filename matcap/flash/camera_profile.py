@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.flash.coarse import CoarseFit, FalloffEvidence
-from matcap.photo.camera import CameraProfile, Falloff
+from matcap.photo.camera import LEAST, CameraProfile, Falloff
 
 Doubles = NDArray[np.float64]
 
@@ -32,13 +32,11 @@ class ProfileSettings:
     """How photographs are combined.
 
     Attributes:
-        least: photographs; fewer are no shoot, and leave the prior as it is.
         freedom: degrees, nu: fewer trust fewer photographs.
         scatter: deviations between photographs that are tried for tau.
         rounds: of weights.
     """
 
-    least: int = 5
     freedom: float = 4.0
     scatter: tuple[float, ...] = (0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8)
     rounds: int = 30
@@ -55,20 +53,20 @@ def camera_profile(camera: str, fits: Sequence[CoarseFit]) -> CameraProfile | No
         fits: of its photographs, in any order, under the wide prior.
     """
     seen = [fit.falloff for fit in fits if fit.falloff is not None]
-    if len(seen) < PROFILE.least:
+    if len(seen) < LEAST:
         return None
     return CameraProfile(camera, shared_falloff(seen), len(seen))
 
 
 def shared_falloff(seen: Sequence[FalloffEvidence], prior: Falloff | None = None) -> Falloff:
-    """What photographs say together of the next one's falloff; fewer than `least` the prior.
+    """What photographs say together of the next one's falloff; fewer than LEAST the prior.
 
     Args:
         seen: what each says; their order does not matter.
         prior: any camera's by default.
     """
     prior = prior or Falloff()
-    if len(seen) < PROFILE.least:
+    if len(seen) < LEAST:
         return prior
     # Sums of floats depend on their order.
     ordered = sorted(seen, key=lambda one: (one.shift, one.precision))

@@ -18,6 +18,7 @@ from matcap.errors import UsageError
 from matcap.files.staging import staged_file
 from matcap.files.values import bounded, whole
 
+LEAST = 5  # photographs that make a profile: fewer are no shoot
 FORMAT = "matcap camera profile"
 VERSION = 1
 _MOST_BYTES = 100_000
