@@ -28,7 +28,7 @@ _SAME = 2e-3  # of a coefficient: primaries rounded to two digits are the same
 def rec709_from(primaries: Sequence[float]) -> Matrix | None:
     """(3, 3) from linear colours of other primaries to Rec.709; None where they are Rec.709.
 
-    The file's white becomes white, adapted by Bradford's cone responses (Lam 1985), as ICC
+    The file's white becomes white, adapted by Bradford's cone responses [lam1985], as ICC
     profiles do. Numbers that are CIE XYZ are taken as relative to D65: 0.9505, 1, 1.089 is white.
 
     Args:

@@ -1,4 +1,4 @@
-"""Adam (Kingma and Ba 2015), started afresh as often as needed."""
+"""Adam [kingma2015], started afresh as often as needed."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Directions in which a rough surface mirrors a view: the visible normals of GGX.
 
-Spherical caps (Dupuy and Benyoub 2023) sample the normals that a view sees; light from the
+Spherical caps [dupuy2023] sample the normals that a view sees; light from the
 mirrored direction counts F G2 / G1 (loops/loops.h: lobe_of, mirrored). The same points for every
 pixel, so there is no noise and pictures of twice the light are twice as bright: a Fibonacci
-lattice (Sloan and Joe 1994), drawn together towards the lobe's rim, where the integrand bends. On
+lattice [sloan1994], drawn together towards the lobe's rim, where the integrand bends. On
 smooth surroundings 144 such points are as good as some 600 of an R2 sequence.
 """
 

@@ -20,7 +20,7 @@ from matcap.space.patch import Patch
 _CHANNELS_PER_HASH = 4  # of 16 bits each
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
 _TOP_BITS = 0x8000800080008000  # of the four numbers in a hash
-_MIX_1 = 0xBF58476D1CE4E5B9  # the multipliers of splitmix64's finaliser (Steele et al. 2014)
+_MIX_1 = 0xBF58476D1CE4E5B9  # the multipliers of splitmix64's finaliser [steele2014]
 _MIX_2 = 0x94D049BB133111EB
 
 

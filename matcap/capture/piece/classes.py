@@ -7,7 +7,7 @@ the mirror point. Texels differ in albedo (a metal's is its F0 colour) and relie
 Whether the whole is metal is the coarse fit's answer. Whether metal lies beside a dielectric (rust,
 chipped paint) is a mixture of two classes: levels of each are fitted to how brightness falls off
 around the mirror point (levels.py), and a texel's class to which radiance is nearer, beginning with
-the network's prediction, by expectation and maximisation (Dempster, Laird and Rubin 1977).
+the network's prediction, by expectation and maximisation [dempster1977].
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ async function readCoded(file) {
   return { width, height, data };
 }
 
-// Radiance's format (Ward 1991): lines of text, then scanlines of four bytes a pixel, each of the
+// Radiance's format [ward1991]: lines of text, then scanlines of four bytes a pixel, each of the
 // four packed by runs.
 export function readHdr(bytes) {
   const wrong = (what) => new Error(`This .hdr file ${what}. ${REMEDY}`);

@@ -111,7 +111,7 @@ float schlickWeight(float lh) {
   return rest * rest * rest * rest * rest;
 }
 
-// A half vector among the normals that v sees (Heitz 2018).
+// A half vector among the normals that v sees [heitz2018].
 vec3 visibleNormal(vec3 v, float alpha, vec2 at) {
   vec3 stretched = normalize(vec3(alpha * v.xy, v.z));
   float flat2 = dot(stretched.xy, stretched.xy);
@@ -143,7 +143,7 @@ vec3 roomSpecular(vec3 n, vec3 v, mat3 frame, vec3 f0, float a2, float nv) {
     float ll = sqrt(a2 + (1.0 - a2) * l.z * l.z) / l.z;
     float weight = (1.0 + lv) / (lv + ll);
     vec3 fresnel = f0 + (1.0 - f0) * schlickWeight(dot(l, h));
-    // The solid angle that this direction stands for (Krivanek and Colbert 2008), blunted less.
+    // The solid angle that this direction stands for [krivanek2008], blunted less.
     float density = a2 / (PI * spread * spread) / (2.0 * max(seen.z, 1e-6) * (1.0 + lv));
     float solid = BLUR / (float(mirrored) * max(density, 1e-9));
     total += radianceFrom(turned * (frame * direction), solid) * (weight * fresnel);

@@ -118,7 +118,7 @@ def dielectric(rng: np.random.Generator) -> float:
 def piece(canvas: Canvas, label: str, *indices: Whole) -> Raster:
     """A uniform number in [0, 1) for every tuple of whole numbers, any sign, of this seed.
 
-    The finaliser of SplitMix64 (Steele, Lea and Flood 2014), once an index.
+    The finaliser of SplitMix64 [steele2014], once an index.
     """
     key = (canvas.seed * 0x9E3779B97F4A7C15 + zlib.crc32(label.encode())) % 2**64
     state: NDArray[np.uint64] = np.array(key, dtype=np.uint64)
