@@ -1,14 +1,14 @@
 """The Cook-Torrance microfacet reflectance matcap uses everywhere.
 
-f = diffuse / pi + D G F / (4 (n.l)(n.v)), with GGX for D (Walter et al. 2007, eq. 33), the
-height-correlated Smith G (Heitz 2014, eq. 99) and Schlick's Fresnel from F0 to 1 (1994, eq. 15);
+f = diffuse / pi + D G F / (4 (n.l)(n.v)), with GGX for D [walter2007, eq. 33], the
+height-correlated Smith G [heitz2014, eq. 99] and Schlick's Fresnel from F0 to 1 [schlick1994, eq. 15];
 alpha = roughness squared. Multiple scattering between microfacets is left out here.
 
 Two forms matter for stability in float32:
 
 - D's denominator 1 - (n.h)^2 (1 - alpha^2) cancels near n.h = 1 for small alpha; it is computed as
   |n x h|^2 + (n.h)^2 alpha^2, two sums of non-negative terms.
-- G / (4 (n.l)(n.v)) is computed as one term (Heitz 2014), so nothing divides by a grazing cosine.
+- G / (4 (n.l)(n.v)) is computed as one term [heitz2014], so nothing divides by a grazing cosine.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def normalize(vector: Tensor) -> Tensor:
 
 
 def ggx(n_dot_h: Tensor, n_cross_h_squared: Tensor, alpha: Tensor) -> Tensor:
-    """GGX distribution of normals (Walter et al. 2007, eq. 33), in 1/sr.
+    """GGX distribution of normals [walter2007, eq. 33], in 1/sr.
 
     Args:
         n_dot_h: cosine between normal and half vector.
@@ -60,7 +60,7 @@ def ggx(n_dot_h: Tensor, n_cross_h_squared: Tensor, alpha: Tensor) -> Tensor:
 
 
 def smith_visibility(n_dot_l: Tensor, n_dot_v: Tensor, alpha: Tensor) -> Tensor:
-    """G / (4 (n.l)(n.v)) for the height-correlated Smith G (Heitz 2014, eq. 99)."""
+    """G / (4 (n.l)(n.v)) for the height-correlated Smith G [heitz2014, eq. 99]."""
     alpha_squared = alpha.square()
     rest = 1.0 - alpha_squared
     towards_view = n_dot_l * torch.sqrt(n_dot_v.square() * rest + alpha_squared)
@@ -69,7 +69,7 @@ def smith_visibility(n_dot_l: Tensor, n_dot_v: Tensor, alpha: Tensor) -> Tensor:
 
 
 def schlick(specular: Tensor, l_dot_h: Tensor) -> Tensor:
-    """Fresnel reflectance from F0 = specular to 1 at grazing (Schlick 1994, eq. 15)."""
+    """Fresnel reflectance from F0 = specular to 1 at grazing [schlick1994, eq. 15]."""
     one_minus = (1.0 - l_dot_h).clamp(0.0, 1.0)
     squared = one_minus.square()
     return specular + (1.0 - specular) * squared.square() * one_minus

@@ -15,7 +15,7 @@ Integers = NDArray[np.int64]
 _WORD = 2**64
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)  # the multipliers of splitmix64's finaliser
-_MIX_2 = np.uint64(0x94D049BB133111EB)  # (Steele et al. 2014)
+_MIX_2 = np.uint64(0x94D049BB133111EB)  # [steele2014]
 _DRAW = 0xD6E8FEB86659FD93  # sets the draws of one place apart
 
 

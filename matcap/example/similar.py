@@ -2,7 +2,7 @@
 
 Nearest neighbours among appearances, found by all places at once: what is alike lies side by side
 along any line through the space of appearances, so each place tries its neighbours along a few
-random lines, and then, as in PatchMatch (Barnes et al. 2009), what its neighbours found, moved
+random lines, and then, as in PatchMatch [barnes2009], what its neighbours found, moved
 along. Lines are hashes, distances are integers, so that the same appearances have the same answer.
 """
 

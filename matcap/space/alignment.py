@@ -1,6 +1,6 @@
 """The alignment branch: a photograph's tilt with its standard deviation, from the photograph alone.
 
-The paper's encoder has a branch for two rotation angles (Henzler et al. 2021, section "Alignment").
+The paper's encoder has a branch for two rotation angles [henzler2021, section "Alignment"].
 Here it is a network separate from the encoder, since every capture asks it and most need no
 latent code. Falloff, the highlight's place and the texture's foreshortening all speak of tilt. The
 first two keep their place in the picture, so features are pooled on a grid, and the blurred picture

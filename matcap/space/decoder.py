@@ -4,7 +4,7 @@ Noise enters at full resolution, is halved by max-pooling four times and doubled
 upsampling with skip connections. On the way up every level also receives the material's regular
 order, if it has any (regular_order.py); on the way down, waves would beat with the poolings' grid.
 
-Every convolution is followed by AdaIN (Huang and Belongie 2017), whose mean and deviation are
+Every convolution is followed by AdaIN [huang2017], whose mean and deviation are
 affine in the 64-D code; also the last one, so the code states each map's mean and contrast
 outright. AdaIN's own statistics come either from the rectangle at hand (training) or from a large
 reference field (frozen; see freeze.py).

@@ -2,7 +2,7 @@
 
 It sees the photograph's logarithm, where in the picture every texel lies (a highlight's place and
 width mean different things), and the numbers of the coarse fit, which are known beforehand anyway.
-Two backbones share the interface: "small", the shipped one, and "resnet50" (He et al. 2016), the
+Two backbones share the interface: "small", the shipped one, and "resnet50" [he2016], the
 paper's. Both are normalised by groups, not by batches: a batch holds a handful of materials.
 """
 

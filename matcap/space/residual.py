@@ -1,4 +1,4 @@
-"""The residual block (He et al. 2016) that the encoder and the alignment branch are made of."""
+"""The residual block [he2016] that the encoder and the alignment branch are made of."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""VGG-19's features, as the paper compares textures by (Simonyan and Zisserman 2015).
+"""VGG-19's features, as the paper compares textures by [simonyan2015].
 
-The first convolution of each of five blocks (Gatys et al. 2015), rectified, of the picture as a
+The first convolution of each of five blocks [gatys2015], rectified, of the picture as a
 display shows it. The network is defined here, under torchvision's names of its parameters; its
 weights are not matcap's to give (capture/vgg_weights.py reads them). Never needed otherwise.
 """

@@ -4,7 +4,7 @@ Features scatter, which many of them take care of. What they cannot take care of
 bump's light side goes with the flash, like a point in the depth (a highlight like the bump's centre
 of curvature), and all of a material's bumps alike. How far is not in the matches, for a plane in
 that depth would look the same; how far it may be is: by as much as single features seem to lie off
-the plane. It is considered, not solved for (Schmidt 1966).
+the plane. It is considered, not solved for [schmidt1966].
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Gram matrices of VGG-16 (Simonyan and Zisserman 2015), which the paper measures style by.
+"""Gram matrices of VGG-16 [simonyan2015], which the paper measures style by.
 
 The weights are not matcap's to give: a safetensors file with tensors conv1_1.weight to
 conv4_3.bias, by path. The paper says "VGG" and leaves open which network, layers and scale; here

@@ -141,7 +141,7 @@ def _synthesise(canvas: Canvas, label: str, spectrum: Spectrum, *, unit_slope: b
 
 @dataclass(frozen=True)
 class VoronoiCells:
-    """A jittered grid's Voronoi cells (Worley 1996).
+    """A jittered grid's Voronoi cells [worley1996].
 
     Attributes:
         nearest: (H, W) distance to the nearest point, in cell sizes.

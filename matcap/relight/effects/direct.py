@@ -1,11 +1,11 @@
 """Light straight from its source: the two lobes, and falloff with distance.
 
-- `diffuse`: albedo / pi (Lambert 1760). Left out: no diffuse reflection at all. Cost: three
+- `diffuse`: albedo / pi [lambert1760]. Left out: no diffuse reflection at all. Cost: three
   multiplications a light and pixel.
 - `specular`: the GGX lobe D G F / (4 (n.l)(n.v)) of matcap.relight.lobes (GGX: Walter et al. 2007,
   eq. 33; G: Heitz 2014, eq. 99; F: Schlick 1994, eq. 15). Left out: no specular reflection at all.
   Cost: about fifty operations a light and pixel.
-- `falloff`: irradiance is intensity over distance squared (Lambert 1760). Left out: every point
+- `falloff`: irradiance is intensity over distance squared [lambert1760]. Left out: every point
   receives what the scene's origin would; directions stay each point's own. Cost: one division a
   light and pixel.
 """

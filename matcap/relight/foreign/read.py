@@ -25,7 +25,7 @@ from matcap.relight.foreign.normals import NormalStyle, gradient
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import Array
 
-_LEVEL = 0.08  # F0 of specular level 1 (Burley 2012)
+_LEVEL = 0.08  # F0 of specular level 1 [burley2012]
 # Without a normal map nothing says how high a height map is: this much of its width.
 _ASSUMED_RELIEF = 0.02
 _METALS = frozenset(

@@ -224,7 +224,7 @@ INLINE const float *texel_horizon(const Horizon *h, const Pixels *p, int64_t i) 
     return h->tangents + AZIMUTHS * nearest(h->columns, h->rows, p->column[i], p->row[i]);
 }
 
-/* ---- visible normals (Dupuy and Benyoub 2023) ---- */
+/* ---- visible normals [dupuy2023] ---- */
 
 typedef struct {
     float n[3], v[3];    /* unit vectors in the material's frame */

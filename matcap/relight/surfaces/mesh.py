@@ -323,7 +323,7 @@ def _nearer(
 def _meet(
     origin: Array, direction: Array, a: Array, b: Array, c: Array
 ) -> tuple[Array, Array, Array]:
-    """Distance and barycentric coordinates of rays in triangles (Moeller and Trumbore 1997)."""
+    """Distance and barycentric coordinates of rays in triangles [moeller1997]."""
     edge1, edge2 = b - a, c - a
     p = np.cross(direction, edge2, axis=0)
     determinant = (edge1 * p).sum(0)
