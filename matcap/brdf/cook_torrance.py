@@ -1,8 +1,8 @@
 """The Cook-Torrance microfacet reflectance matcap uses everywhere.
 
 f = diffuse / pi + D G F / (4 (n.l)(n.v)), with GGX for D [walter2007, eq. 33], the
-height-correlated Smith G [heitz2014, eq. 99] and Schlick's Fresnel from F0 to 1 [schlick1994, eq. 15];
-alpha = roughness squared. Multiple scattering between microfacets is left out here.
+height-correlated Smith G [heitz2014, eq. 99] and Schlick's Fresnel from F0 to 1 [schlick1994,
+eq. 15]; alpha = roughness squared. Multiple scattering between microfacets is left out here.
 
 Two forms matter for stability in float32:
 
