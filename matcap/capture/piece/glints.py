@@ -1,10 +1,13 @@
 """Strength of relief from the contrast of glints, octave by octave.
 
 Where most light is mirrored, contrast is slope: albedo is diluted and F0 and roughness are even. So
-there the energy of log radiance in each octave b, photograph less noise, over that of the
-re-rendering whose albedo is flat, is the square of the factor that relief is to be scaled by:
+there the energy of log radiance in each octave b, photograph less noise and albedo, over that of
+the re-rendering with even albedo, is the square of the factor g_b that relief is to be scaled by:
 
-    g_b^2 = (E_b(photograph) - E_b(noise) - E_b(albedo alone)) / E_b(relief alone).
+    E_b(region) = mean (1 - s)^2 A_b + g_b^2 R_b(region),   of the glossiest and of the mattest region,
+
+of unknown energy A_b of log albedo, with specular fraction s and energy R_b of the re-rendering.
+A glaze over a pattern, or polished limestone, has contrast under its highlight that is no relief.
 """
 
 from __future__ import annotations
@@ -26,14 +29,16 @@ class GlintSettings:
     """What is tuned of it.
 
     Attributes:
-        mirrored: specular fraction of the radiance above which contrast is taken for slope.
+        mirrored: specular fraction of the radiance above which contrast may be slope's.
         least_share: of the photograph that must be so, and not clipped.
+        matte: share of the photograph, that with the least specular fraction.
         around: the long side over the deviation of what is too slow for a glint.
         least, most: factors are kept within.
     """
 
     mirrored: float = 0.4
     least_share: float = 0.01
+    matte: float = 0.33
     around: float = 12.0
     least: float = 0.5
     most: float = 6.0
@@ -63,27 +68,31 @@ def scaled_by_glints(
     log, diffuse_share = light.logs(maps, incidence)
     around = max(linear.shape) / settings.around
     glare = 1.0 - smoothed(diffuse_share.mean(0).numpy(), around / 4.0)
-    region = (glare > settings.mirrored) & measured.all(0).numpy()
+    seen = measured.all(0).numpy()
+    region = (glare > settings.mirrored) & seen
     if float(region.mean()) < settings.least_share:
         return departures
-    flat = replace(departures, diffuse=departures.diffuse.mean((1, 2), keepdim=True) + 0 * log)
-    level = replace(departures, height=torch.zeros_like(departures.height))
+    even = replace(departures, diffuse=departures.diffuse.mean((1, 2), keepdim=True) + 0 * log)
+    maps = light.maps(even)
+    rendered = light.logs(maps, light.flash.onto(maps.normal))[0].mean(0).numpy()
+    photograph = linear.clamp_min(1e-5).log().mean(0).numpy()
+    variance = (noise.square().mean(0) / 3.0).numpy()
 
-    def energies(radiance: Tensor) -> NDArray[np.float64]:
-        return _energies(radiance.mean(0).numpy(), region, around)
+    def energies(where: NDArray[np.bool_]) -> NDArray[np.float64]:
+        energy = _energies(photograph, where, around)
+        # The sensor's noise is white: three quarters of its energy are in the finest octave.
+        for octave in range(len(energy) - 1):
+            energy[len(energy) - 2 - octave] -= variance[where].mean() * 0.75 * 0.25**octave
+        return energy.clip(0.0)
 
-    def rendered(surface: SurfaceParameters) -> Tensor:
-        maps = light.maps(surface)
-        return light.logs(maps, light.flash.onto(maps.normal))[0]
-
-    photographed = energies(linear.clamp_min(1e-5).log())
-    albedo, relief = energies(rendered(level)), energies(rendered(flat))
-    grain = np.zeros_like(relief)
-    # The sensor's noise is white: half of its energy is in the finest octave, and so on.
-    variance = float((noise.square().mean(0) / 3.0)[torch.from_numpy(region)].mean())
-    for octave in range(len(grain) - 1):
-        grain[len(grain) - 2 - octave] = variance * 0.75 * 0.25**octave
-    gains = np.sqrt((photographed - grain - albedo).clip(0.0) / relief.clip(1e-12))
+    matte = (glare <= np.quantile(glare[seen], settings.matte)) & seen
+    diluted = np.square(1.0 - glare)
+    share = diluted[region].mean() / diluted[matte].mean()
+    whole = _energies(rendered, region, around)
+    # Where both regions show relief alike, they hardly tell it from albedo.
+    relief = (whole - share * _energies(rendered, matte, around)).clip(0.5 * whole)
+    excess = (energies(region) - share * energies(matte)).clip(0.0)
+    gains = np.sqrt(excess / relief.clip(1e-12))
     gains = gains.clip(settings.least, settings.most)
     gains[-1] = 1.0
     bands = split(departures.height[0].numpy())

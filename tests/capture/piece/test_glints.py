@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
+import numpy as np
 import pytest
 import torch
 from photographed import photographed
@@ -46,3 +48,18 @@ def test_relief_gets_the_strength_of_the_glints(strength: float) -> None:
 
 def test_a_matte_photograph_leaves_relief_alone() -> None:
     assert factor(0.5, 0.9, 0.3) == 1.0
+
+
+def test_a_pattern_under_a_glaze_is_no_relief() -> None:
+    _, light, truth = scene(0.1, 0.3)
+    noise = np.random.default_rng(1).normal(size=(HEIGHT, WIDTH)).astype(np.float32)
+    drawing = torch.from_numpy(cv2.GaussianBlur(noise, (0, 0), 3.0))[None]
+    drawing = drawing / drawing.std()
+    flat = replace(truth, diffuse=truth.diffuse + drawing, height=0.0 * truth.height)
+    maps = light.maps(flat)
+    linear = light.logs(maps, light.flash.onto(maps.normal))[0].exp()
+    linear = linear / float(linear.quantile(0.99))
+    guess = replace(truth, height=0.03 * truth.height)  # and an albedo that is even
+    scaled = scaled_by_glints(guess, linear, linear < 1.0, light, 1e-3 * torch.ones_like(linear))
+    slope, before = (each.height.diff(dim=2).std() for each in (scaled, guess))
+    assert float(slope) < 1.3 * float(before)
