@@ -4,7 +4,7 @@ Where most light is mirrored, contrast is slope: albedo is diluted and F0 and ro
 there the energy of log radiance in each octave b, photograph less noise and albedo, over that of
 the re-rendering with even albedo, is the square of the factor g_b that relief is to be scaled by:
 
-    E_b(region) = mean (1 - s)^2 A_b + g_b^2 R_b(region),   of the glossiest and of the mattest region,
+    E_b(region) = mean (1 - s)^2 A_b + g_b^2 R_b(region),  of the glossiest and the mattest region,
 
 of unknown energy A_b of log albedo, with specular fraction s and energy R_b of the re-rendering.
 A glaze over a pattern, or polished limestone, has contrast under its highlight that is no relief.
@@ -86,7 +86,7 @@ def scaled_by_glints(
         return energy.clip(0.0)
 
     matte = (glare <= np.quantile(glare[seen], settings.matte)) & seen
-    diluted = np.square(1.0 - glare)
+    diluted = np.square(1.0 - glare).clip(1e-8)
     share = diluted[region].mean() / diluted[matte].mean()
     whole = _energies(rendered, region, around)
     # Where both regions show relief alike, they hardly tell it from albedo.
