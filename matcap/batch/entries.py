@@ -92,7 +92,7 @@ def look_again(
         return
     try:
         if not overwrite:
-            refuse_to_replace_longer_capture(folder, settings.capture)
+            refuse_to_replace_longer_capture(folder, settings.capture, len(entry.sample.photos))
     except MatcapError as error:
         entry.state, entry.reason, entry.record = "failed", str(error), read_record(folder) or {}
 

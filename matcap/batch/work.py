@@ -148,7 +148,7 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         said.append(f"Memory ran out: made at a detail of {job.detail} texels across.")
     for inspection in looked_at:
         of = f"{inspection.name}: " if len(looked_at) > 1 else ""
-        doubts = [f.line() for f in inspection.findings if f.verdict.value in ("doubtful", "poor")]
+        doubts = [f.line() for f in inspection.findings if not f.rating.fit]
         said += [f"{of}{doubt}" for doubt in doubts]
     tilt = result.material.setup.tilt
     return {
@@ -161,7 +161,7 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         "tilt_degrees": [round(angle * 57.29577951, 3) for angle in tilt],
         "clipped": round(result.photo.clipped_share, 5),
         "doubtful": not verdict.fit or any(inspection.doubtful for inspection in looked_at),
-        "warnings": said,
+        "warnings": list(dict.fromkeys(said)),
         "notes": list(result.photo.remarks),
         "inspection": [inspection.document() for inspection in looked_at],
         "albedo": "absolute" if result.photo.flash_intensity is not None else "relative",

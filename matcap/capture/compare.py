@@ -44,7 +44,7 @@ class Compared:
             MatcapError: no material there, or several.
         """
         file, material = open_material(path)
-        report = _report(file.parent / REPORT)
+        report = read_report(file.parent / REPORT)
         return Compared(file.stem, material, _verdict(report), _photograph(report))
 
     def title(self) -> str:
@@ -91,7 +91,7 @@ def _rows(linear: torch.Tensor) -> np.ndarray[Any, np.dtype[np.float32]]:
     return np.ascontiguousarray(linear.movedim(0, -1).numpy())
 
 
-def _report(file: Path) -> dict[str, Any]:
+def read_report(file: Path) -> dict[str, Any]:
     """A capture's report; nothing where there is none."""
     try:
         document = json.loads(file.read_bytes())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,9 +14,9 @@ from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import CaptureSettings, Effort
 from matcap.capture.tilt import tilt_document
-from matcap.capture.verdict.evidence import evidence
 from matcap.capture.verdict.judge import judge
-from matcap.capture.verdict.marks import marks
+from matcap.capture.verdict.measurements import PieceMeasurements, measured
+from matcap.capture.verdict.residue import highlight_residue
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
 from matcap.flash.coarse import CoarseFit
@@ -48,19 +47,8 @@ def judged(
             left_out = plane.left_out.numpy()[..., None]
             compared = np.where(left_out, rerendered, rectified)  # nothing is said of it
             rectified = np.where(left_out, np.float32(0.0), rectified)
-        seen = evidence(
-            photo,
-            material.setup,
-            compared,
-            rerendered,
-            waves,
-            None if found is None else _piece_evidence(found, photo.kept_share),
-            marks=None if found is None else marks(found.framed, material.setup),
-            tilt=0.0 if found is None else _mean_tilt(found),
-            # A regular order keeps its pieces together, however small its periods.
-            variety=1.0 if found is None or waves else found.example.variety,
-            photographs=1 if found is None or found.several is None else len(found.several.views),
-        )
+        about = None if found is None else _piece_measurements(found, photo, material, waves)
+        seen = measured(photo, material.setup, compared, rerendered, waves, about)
         verdict = judge(seen)
     return CaptureResult(
         photo=photo,
@@ -68,7 +56,7 @@ def judged(
         rectified=rectified,
         rerendered=rerendered,
         maps=maps,
-        evidence=seen,
+        measurements=seen,
         verdict=verdict,
         stage_seconds=clock.seconds,
         settings=settings,
@@ -103,9 +91,19 @@ def provenance(
     return told | ({"others": joined} if joined else {})
 
 
-def _piece_evidence(found: FoundPiece, kept: float) -> Mapping[str, float]:
-    """What the verdict is told of a piece."""
-    return {"error": found.error, "slow": found.slow, **found.mean_confidence(kept)}
+def _piece_measurements(
+    found: FoundPiece, photo: Photo, material: Material, waves: tuple[Wave, ...]
+) -> PieceMeasurements:
+    """What is measured of a piece for its verdict."""
+    confidence = found.mean_confidence(photo.kept_share)
+    return PieceMeasurements(
+        maps={"error": found.error, "slow": found.slow, **confidence},
+        residue=highlight_residue(found.framed, material.setup),
+        tilt=_mean_tilt(found),
+        # A regular order keeps its pieces together, however small its periods.
+        variety=1.0 if waves else found.example.variety,
+        photographs=1 if found.several is None else len(found.several.views),
+    )
 
 
 def _mean_tilt(found: FoundPiece) -> float:

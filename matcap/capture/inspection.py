@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.told import photographed_strengths
 from matcap.capture.tilt import fitted, tilt_document
+from matcap.capture.verdict.highlight import highlight_profile
 from matcap.flash.coarse import CoarseFit
+from matcap.flash.rectify import CLIPPING, rectify
 from matcap.photo.camera import CameraProfile
+from matcap.photo.checks import Finding, Rating
 from matcap.photo.inspect import Inspection, inspect_photo
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
@@ -60,4 +66,26 @@ def photograph_quality(photo: Photo, coarse: CoarseFit | None = None) -> Inspect
         photo: read at the detail it is captured at.
         coarse: its fit, or None to find it.
     """
-    return inspect_photo(photo, (coarse or fitted(photo)).setup.tilt)
+    coarse = coarse or fitted(photo)
+    found = inspect_photo(photo, coarse.setup.tilt)
+    return replace(found, findings=(*found.findings, *_gloss(photo, coarse)))
+
+
+def _gloss(photo: Photo, coarse: CoarseFit) -> tuple[Finding, ...]:
+    """How strong and how lively the photographed highlight is: what a capture must reach."""
+    linear, valid = rectify(photo, coarse.setup, photo.pixels.shape[1])
+    picture = np.minimum(linear.movedim(0, -1).numpy(), 1.0)
+    inside = valid.numpy() | (picture.max(axis=2) > CLIPPING)
+    profile = highlight_profile((picture, picture), inside, valid.numpy(), coarse.setup)
+    if profile is None or not profile.glossy:
+        return (Finding("highlight", None, Rating.NOT_JUDGED, "nothing glossy shows in it"),)
+    contrast = profile.contrast[0]
+    says = f"the highlight is {contrast:.1f} times as bright as a matte surface would be there"
+    if profile.bound:
+        says += f", or more: {profile.clipped[0]:.0%} of its core is clipped"
+    found = [Finding("highlight", round(contrast, 3), Rating.NOT_JUDGED, says)]
+    if profile.glints:
+        deviation = math.hypot(*(before for before, _ in profile.glints))
+        says = f"glints in the highlight vary by {math.expm1(deviation):.0%}"
+        found.append(Finding("glints", round(deviation, 4), Rating.NOT_JUDGED, says))
+    return tuple(found)

@@ -25,7 +25,13 @@ from matcap.capture.progress import (
     CaptureProgress,
 )
 from matcap.capture.result import CaptureResult
-from matcap.capture.settings import CaptureSettings, OutputSettings, check_union, resolve
+from matcap.capture.settings import (
+    DETAIL,
+    CaptureSettings,
+    OutputSettings,
+    check_union,
+    resolve,
+)
 from matcap.capture.target import CaptureStart, photograph_target
 from matcap.capture.tilt import fitted
 from matcap.capture.upright import upright
@@ -238,7 +244,7 @@ def _captured_together(
     together = find_together(
         photos,
         load_inverse(),
-        settings.detail,
+        settings.detail or _less_detail(settings),
         union=settings.union,
         stage=clock.stage,
         on_progress=clock.within,
@@ -254,12 +260,18 @@ def _captured_together(
             together.photo,
             settings,
             coarse,
-            resolve(settings),
+            resolve(settings, photographs=len(photos)),
             [] if several is None else several.document()["photographs"][1:],
         ),
     )
     result = judged(together.photo, material, plane, together.waves, settings, clock, found)
     return upright(result, together.waves)
+
+
+def _less_detail(settings: CaptureSettings) -> int | None:
+    """Texels across of several photographs where preset or time ask for fewer than by default."""
+    texels = resolve(settings).detail
+    return texels if texels < DETAIL else None
 
 
 def _window(plane: Plane, wanted: int, name: str) -> int:

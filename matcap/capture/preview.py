@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from matcap.capture.tilt import tilt_line
-from matcap.capture.verdict.rating import Rating
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged_file
 
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from matcap.capture.piece.find import FoundPiece
     from matcap.capture.result import CaptureResult
     from matcap.flash.geometry import FlashSetup
+from matcap.photo.checks import Rating
 
 _COLUMNS = 4  # panels side by side
 _CROP, _GAP, _LABEL = 256, 12, 26  # pixels

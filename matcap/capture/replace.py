@@ -16,13 +16,16 @@ _HOW_LONG = ("preset", "steps", "time_limit", "target")
 
 
 def refuse_to_replace_capture(
-    folder: Path, photograph: str, settings: CaptureSettings, outputs: OutputSettings
+    folder: Path,
+    photographs: Sequence[Path],
+    settings: CaptureSettings,
+    outputs: OutputSettings,
 ) -> None:
     """Refuse to replace a capture of another photograph, with other settings, or a longer one.
 
     Args:
         folder: of the capture to be.
-        photograph: name of its file.
+        photographs: its files, the first of which names it.
         settings: of the capture to be.
         outputs: of it.
 
@@ -32,21 +35,24 @@ def refuse_to_replace_capture(
     old = _report(folder)
     if old is None:
         return
-    _refuse(folder, _differences(folder, old, photograph, settings, outputs))
+    _refuse(folder, _differences(folder, old, photographs, settings, outputs))
 
 
-def refuse_to_replace_longer_capture(folder: Path, settings: CaptureSettings) -> None:
+def refuse_to_replace_longer_capture(
+    folder: Path, settings: CaptureSettings, photographs: int
+) -> None:
     """Refuse to replace a capture that took longer than these settings would.
 
     Args:
         folder: of the capture to be.
         settings: of the capture to be.
+        photographs: that it is made of.
 
     Raises:
         MatcapError: how long the old one was, and how to replace it all the same.
     """
     old = _report(folder)
-    _refuse(folder, [] if old is None else _longer(old, settings))
+    _refuse(folder, [] if old is None else _longer(old, settings, photographs))
 
 
 def _refuse(folder: Path, differences: Sequence[str]) -> None:
@@ -58,11 +64,18 @@ def _refuse(folder: Path, differences: Sequence[str]) -> None:
         )
 
 
-def _longer(old: dict[str, Any], settings: CaptureSettings) -> list[str]:
-    """That an earlier capture came to its end and was of more work."""
+def _longer(old: dict[str, Any], settings: CaptureSettings, photographs: int) -> list[str]:
+    """That an earlier capture came to its end and was of more photographs, or of more work."""
+    if old.get("interrupted"):
+        return []
+    before = len((old.get("several") or {}).get("photographs", ())) or 1
+    if before > photographs:
+        return [f"one of {before} photographs"]
     work = "steps" if settings.generator == "decoder" else "adapted"
     spent = old.get("effort", {})
-    if old.get("interrupted") or spent.get(work, 0) <= getattr(resolve(settings), work):
+    # Several photographs are not adapted, and tell more than one that is.
+    solved = photographs > 1 and settings.generator == "example"
+    if solved or spent.get(work, 0) <= getattr(resolve(settings), work):
         return []
     return [f"a longer one, of preset {spent.get('preset')}"]
 
@@ -70,13 +83,13 @@ def _longer(old: dict[str, Any], settings: CaptureSettings) -> list[str]:
 def _differences(
     folder: Path,
     old: dict[str, Any],
-    photograph: str,
+    photographs: Sequence[Path],
     settings: CaptureSettings,
     outputs: OutputSettings,
 ) -> list[str]:
     found = []
     before = str(old.get("photograph", {}).get("name"))
-    if before != photograph:
+    if before != photographs[0].name:
         found.append(f"of {before}")
     named = {k: v for k, v in settings.named().items() if k not in _HOW_LONG}
     earlier = old.get("settings", {})
@@ -85,7 +98,7 @@ def _differences(
         for key in named
         if key in earlier and earlier[key] != json.loads(json.dumps(named[key]))
     ]
-    found += _longer(old, settings)
+    found += _longer(old, settings, len(photographs))
     maps = _document(folder / f"{folder.name}.json")
     if maps is not None:
         size = (maps.get("width"), maps.get("height"))

@@ -5,9 +5,18 @@ Keys:
     name: of the material.
     interrupted: whether it was ended early.
     verdict: `rating` (good, usable, doubtful or failed), `fit` (good or usable), `severity` (up to
-        1 is good, 2 usable, 3 doubtful), `sentence`, `causes` that the photograph
-        shows, each with its remedy, and all `checks`: each its rating, severity, finding, cause and
-        remedy.
+        1 is good, 2 usable, 3 doubtful), `sentence` (the largest difference, its cause and remedy),
+        `causes` that the photograph shows, each with its remedy, and all `checks`
+        (photo/checks.py): each `value` and `unit`, rating or "not judged", severity, `says`,
+        cause and remedy.
+    highlight: of the photograph and of its re-rendering under the same flash, both clipped where
+        the photograph is, in pairs; or null where the mirror point is not in the picture. `rings`
+        about it, out to `radii` (plane units) and beyond the last: mean radiance over an even matte
+        surface's, 1 beyond the last; the first is the highlight contrast. `contrast_ratio`,
+        re-rendered over photographed (null where neither is glossy; of a clipped core also of the
+        innermost ring that is not, whichever is farther from 1); `clipped`, share of each ring:
+        beyond 5 % of the first the photographed contrast is a lower bound. `glints`, standard
+        deviation of log radiance by octave, finest first, and `glint_ratio`.
     error: `piece`, median difference of log radiance between the photograph and the re-rendered
         piece; `field`, difference of texture between the photograph and the endless material in
         multiples of what the photograph's own parts differ by; null where there is none.
@@ -38,9 +47,9 @@ Keys:
         band; see capture/piece/strengths.py; or null), `sharpness` (power of the finest octave,
         re-rendering over photograph), `adaptation` (of each leg: what it changed, how near it was
         before and after on windows held back, and whether it was kept), `confidence` (mean, by
-        map), `specular_channels` (3 where F0 has a colour), `marks` (root-mean-square of what goes
-        with the distance from where the flash was: logarithms of `albedo`, `specular` and `grain`,
-        relief's strength, and `roughness`).
+        map), `specular_channels` (3 where F0 has a colour), `highlight_residue` (radial variation
+        about the flash's mirror point: of the logarithms of `albedo`, `specular` and `grain`,
+        relief's strength, and of `roughness`).
     several: of several photographs of one piece, or null: `photographs` (name, `flash`, false of
         one by the room's light, `matches` with the first, `likeness`, `place` in plane units, tilt,
         `doubt`, what that place may be off by over its distance, one deviation, `residual` of its
@@ -69,6 +78,7 @@ from matcap.capture.settings import CaptureSettings, resolve
 from matcap.example.summary import summary
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.staging import staged
+from matcap.photo.checks import Rating
 
 if TYPE_CHECKING:
     from matcap.capture.piece.find import FoundPiece
@@ -77,8 +87,6 @@ if TYPE_CHECKING:
 
 CURVE = "error.png"
 _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "OpenEXR")
-# Where a photograph gets doubtful.
-_MUCH_CLIPPED, _MUCH_TILT = 0.05, 10.0
 
 
 def write_report(result: CaptureResult, path: Path) -> None:
@@ -100,14 +108,20 @@ def write_report(result: CaptureResult, path: Path) -> None:
 def report(result: CaptureResult) -> dict[str, Any]:
     """The report as plain data. Angles in degrees, times in seconds, lengths in plane units."""
     setup, photo = result.material.setup, result.photo
+    profile = result.measurements.profile
     return {
         "format": "matcap report",
         "name": result.material.name,
         "interrupted": result.interrupted,
         "verdict": result.verdict.document(),
+        "highlight": None if profile is None else profile.document(),
         "error": result.errors,
         "warnings": list(warnings(result)),
-        "notes": [*photo.notes, *_grown(result.found), *_rules(result.settings)],
+        "notes": [
+            *photo.notes,
+            *_grown(result.found),
+            *_rules(result.settings, result.photographs),
+        ],
         "photograph": {
             "name": photo.name,
             "path": None if photo.path is None else str(photo.path),
@@ -133,7 +147,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         },
         "texel_size": result.material.texel_size,
         "settings": result.settings.named(),
-        "effort": asdict(resolve(result.settings)),
+        "effort": asdict(resolve(result.settings, photographs=result.photographs)),
         "seconds": sum(result.stage_seconds.values()),
         "stage_seconds": dict(result.stage_seconds),
         "tuning": _tuning(result.tuning),
@@ -185,20 +199,20 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
         "adaptation": [asdict(change) for change in found.adaptation],
         "confidence": found.mean_confidence(result.photo.kept_share),
         "specular_channels": len(found.exemplar.specular),
-        "marks": result.evidence.marks,
+        "highlight_residue": result.measurements.residue,
     }
 
 
 def warnings(result: CaptureResult) -> Iterable[str]:
     """What may have hurt the result, each with what to do at the next shot."""
-    photo = result.photo
     if result.interrupted:
         yield "Interrupted: this is the best so far; run it again for a better result."
-    if photo.clipped_share > _MUCH_CLIPPED:
-        yield (
-            f"{100 * photo.clipped_share:.0f} % of the photograph is clipped: "
-            "lower the exposure by a stop."
-        )
+    # What the light shows of a flash is the verdict's; what the file says of it is worth a warning.
+    keys = (
+        ("flash", "clipped", "tilt") if result.photo.flash_fired is False else ("clipped", "tilt")
+    )
+    shot = (result.measurements.photograph[key] for key in keys)
+    yield from (found.line() for found in shot if found.rating is not Rating.GOOD)
     if result.found is not None and result.found.several is not None:
         for one in result.found.several.left_out:
             yield f"{one.name} was left out: {one.why}."
@@ -206,16 +220,11 @@ def warnings(result: CaptureResult) -> Iterable[str]:
         if doubted:
             yield doubted
         yield from _union(result.found.several, result.settings)
-    if photo.flash_fired is False:
-        yield "The file says that the flash did not fire: photograph again with the flash on."
     if result.found is not None and result.found.strengths is None:
         yield (
             "The photograph is too small or too much of it unseen to tell relief's strength: it is "
             "as the network reads it. Photograph again a stop darker, or from further away."
         )
-    tilt = math.degrees(math.hypot(*result.material.setup.tilt))
-    if tilt > _MUCH_TILT:
-        yield f"The camera was tilted by {tilt:.0f} degrees: hold it parallel to the sample."
 
 
 def _union(several: SetReport, settings: CaptureSettings) -> Iterable[str]:
@@ -236,10 +245,16 @@ def _grown(found: FoundPiece | None) -> Iterable[str]:
         yield found.several.reach.says()
 
 
-def _rules(settings: CaptureSettings) -> Iterable[str]:
+def _rules(settings: CaptureSettings, photographs: int) -> Iterable[str]:
     """What follows from the settings and is not what it was called."""
     effort = resolve(settings)
-    if effort.preset != settings.preset:
+    if photographs > 1 and settings.generator == "example":
+        if settings.steps is not None or settings.time_limit is not None:
+            yield (
+                "Several photographs are solved, not adapted: steps decide nothing, and a time "
+                "limit only the detail."
+            )
+    elif effort.preset != settings.preset:
         yield (
             "A time limit or a target decided when to stop, so the preset was "
             f"{effort.preset}: at most {effort.work(settings.generator)} steps. "

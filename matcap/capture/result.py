@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.find import FoundPiece
 from matcap.capture.settings import CaptureSettings
-from matcap.capture.verdict.evidence import Evidence
 from matcap.capture.verdict.judge import CaptureVerdict
+from matcap.capture.verdict.measurements import Measurements
 from matcap.field.material import Material
 from matcap.photo.photo import Photo
 
@@ -49,7 +49,7 @@ class CaptureResult:
         rectified: (H, W, 3) the photograph on the plane's grid, linear.
         rerendered: (H, W, 3) the material under the photograph's own flash, linear.
         maps: of that same rectangle.
-        evidence: what a person would compare in photograph and re-rendering, as numbers.
+        measurements: what a person would compare in photograph and re-rendering, as numbers.
         verdict: how good it is, in words.
         stage_seconds: per stage.
         settings: as given.
@@ -63,13 +63,18 @@ class CaptureResult:
     rectified: NDArray[np.float32]
     rerendered: NDArray[np.float32]
     maps: MapSet
-    evidence: Evidence
+    measurements: Measurements
     verdict: CaptureVerdict
     stage_seconds: Mapping[str, float]
     settings: CaptureSettings
     interrupted: bool
     found: FoundPiece | None = None
     tuning: Tuning | None = None
+
+    @property
+    def photographs(self) -> int:
+        """That the material was made of."""
+        return self.measurements.causes.photographs
 
     @property
     def tilt_sources(self) -> Mapping[str, Any] | None:
@@ -83,7 +88,7 @@ class CaptureResult:
         `field`: difference of texture between photograph and the endless material, in multiples
         of what the photograph's own parts differ by. None where there is none.
         """
-        field = self.evidence.likeness
+        field = self.measurements.texture
         return {
             "piece": None if self.found is None else self.found.error,
             "field": field if math.isfinite(field) else None,

@@ -281,8 +281,15 @@ def check_union(settings: CaptureSettings, photographs: int) -> None:
         )
 
 
-def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:
+def resolve(
+    settings: CaptureSettings, method: Method | None = None, photographs: int = 1
+) -> Effort:
     """What a capture with these settings spends.
+
+    Args:
+        settings: what the user decides.
+        method: how it is done.
+        photographs: of one piece; several are solved, and not adapted.
 
     Raises:
         UsageError: an unknown preset.
@@ -317,4 +324,6 @@ def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:
         effort = replace(effort, matched=method.matched)
     if method is not None and method.adapted is not None:
         effort = replace(effort, adapted=method.adapted)
+    if photographs > 1 and settings.generator == "example":
+        effort = replace(effort, adapted=0)
     return effort

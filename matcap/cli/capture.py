@@ -114,7 +114,7 @@ def _attempt(
     started = time.perf_counter()
     try:
         if not overwrite:
-            refuse_to_replace_capture(job.folder, job.photo.name, settings, outputs)
+            refuse_to_replace_capture(job.folder, (job.photo, *job.others), settings, outputs)
         done = _capture(job, settings, outputs, shown, spent)
     except UsageError:
         raise  # wrong for every photograph alike

@@ -16,7 +16,7 @@ from matcap.errors import ExitCode, MatcapError, UsageError
 if TYPE_CHECKING:
     from matcap.photo.camera import CameraProfile
 
-_MARKS = {"good": "ok", "note": "  ", "doubtful": "? ", "poor": "! "}
+_MARKS = {"good": "ok", "not judged": "  ", "usable": "- ", "doubtful": "? ", "failed": "! "}
 
 
 def inspect(
@@ -54,11 +54,12 @@ def inspect(
 ) -> None:
     """Say how good photographs are, and what to do at the next shot.
 
-    Flash, clipping, hot spot, tilt, sharpness, sameness all over, what kind of file it is, and how
-    strong relief and albedo's contrast are, where the photograph measures that. Lines marked "!"
-    hurt, "?" may hurt. Of several photographs of one piece: which do not belong, from where nothing
-    is lit, which are nearly the same. Of a material: its exemplar, what of it is left out, and its
-    F0.
+    Flash, clipping, hot spot, tilt, sharpness, sameness all over, what kind of file it is, how
+    strong highlight and glints are, and relief and albedo's contrast, where the photograph measures
+    them. Ratings are the verdict's: "-" usable, "?" doubtful, "!" failed. Of several photographs of
+    one piece: which do not belong, from where nothing is lit, which are nearly the same. Of a
+    material: its exemplar, what of it is left out, its F0, and what the verdict on its capture says
+    of highlight and glints.
     """
     from matcap.files.names import are_a_series
     from matcap.photo.camera import read_camera_profile
@@ -113,8 +114,8 @@ def _photo(
 
     inspected = inspect_file(path, detail, fov, profile)
     quality, relief = inspected.quality, inspected.strengths
-    lines = [f"{path}: {quality.verdict.value}"]
-    lines += [f"  {_MARKS[f.verdict.value]} {f.name:<13} {f.line()}" for f in quality.findings]
+    lines = [f"{path}: {quality.rating.value}"]
+    lines += [f"  {_MARKS[f.rating.value]} {f.name:<13} {f.line()}" for f in quality.findings]
     strengths = relief.document() if relief else None
     lines += [f"     {name:<13} {says}" for name, says in _strengths(strengths)]
     if inspected.tilt is not None:
@@ -131,8 +132,8 @@ def _set(paths: Sequence[Path], fov: float | None) -> tuple[dict[str, Any], str]
     from matcap.capture.together.look import look_at_files
 
     quality = look_at_files(paths, fov)
-    lines = [f"{len(paths)} photographs together: {quality.verdict.value}"]
-    lines += [f"  {_MARKS[f.verdict.value]} {f.name:<13} {f.line()}" for f in quality.findings]
+    lines = [f"{len(paths)} photographs together: {quality.rating.value}"]
+    lines += [f"  {_MARKS[f.rating.value]} {f.name:<13} {f.line()}" for f in quality.findings]
     return quality.document(), "\n".join(lines)
 
 
@@ -156,6 +157,8 @@ def _strengths(measured: dict[str, Any] | None) -> list[tuple[str, str]]:
 
 def _material(path: Path) -> tuple[dict[str, Any], str]:
     """What a material holds, for JSON and as text."""
+    from matcap.capture.compare import read_report
+    from matcap.capture.outputs import REPORT
     from matcap.example.stored import read_exemplified
     from matcap.example.summary import summary
     from matcap.export.job import known_scale
@@ -167,4 +170,12 @@ def _material(path: Path) -> tuple[dict[str, Any], str]:
     lines = [
         f"     {name:<13} {says}" for name, says in about.lines(known_scale(exemplified.provenance))
     ]
-    return {"exemplar": about.document()}, "\n".join([f"{path}: by example", *lines])
+    document: dict[str, Any] = {"exemplar": about.document()}
+    verdict = read_report(path.parent / REPORT).get("verdict")
+    if isinstance(verdict, dict) and "sentence" in verdict:
+        checks = verdict.get("checks", {})
+        document["verdict"] = verdict
+        lines.append(f"     {'verdict':<13} {verdict['sentence']}")
+        gloss = (name for name in ("highlight_contrast", "glint_contrast") if name in checks)
+        lines += [f"     {name[:-9]:<13} {checks[name]['says']}" for name in gloss]
+    return document, "\n".join([f"{path}: by example", *lines])

@@ -10,8 +10,7 @@ The formulas are this file's own; tests/photo holds them against simulated photo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.photo.border import border_crop
+from matcap.photo.checks import CHECKS, Finding, Rating
 from matcap.photo.photo import Photo
 
 Values = NDArray[np.float64]
@@ -26,7 +26,7 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ShotSettings:
-    """How a shot is looked at, and when there is something to say; docs/notes/verdict.md.
+    """How a shot is measured; docs/notes/verdict.md. Limits are in checks.py.
 
     Attributes:
         toe: of the median: bounds logarithms in the dark.
@@ -36,18 +36,8 @@ class ShotSettings:
             for.
         hot_reach: plane units: deviation of the weights of that fit.
         hot_rounds: of moving it.
-        hot_edge: nearer the border than this part of a side, the highlight is cut off.
-        falloff: brightness of the hot spot over the border; a lower ratio shows no flash.
-        clipped: share of the whole picture that is worth a word, and ...
-        much_clipped: ... that hurts.
-        tilted: degrees; real lenses shift what is found by a few.
-        much_tilted: degrees; that hurts.
-        soft: pixels of the photograph as it is used.
-        blurred: likewise; that hurts.
         sharpest: quantile over tiles: what is smooth by nature says nothing of focus.
         least_detail: squared slope of log light, per pixel, of tiles that have anything in them.
-        uneven: in deviations of `usual`.
-        mixed: likewise; that hurts.
         usual: differences from tile to tile: log contrast of fine and coarser bands, and two log
             hues.
         tiles: along the long side.
@@ -58,57 +48,14 @@ class ShotSettings:
     hot_blur: float = 0.08
     hot_reach: float = 0.14
     hot_rounds: int = 4
-    hot_edge: float = 0.12
-    falloff: float = 1.12
-    clipped: float = 0.01
-    much_clipped: float = 0.05
-    tilted: float = 8.0
-    much_tilted: float = 14.0
-    soft: float = 1.5
-    blurred: float = 2.6
     sharpest: float = 0.25
     least_detail: float = 1e-5
-    uneven: float = 2.0
-    mixed: float = 3.2
     usual: tuple[float, float, float, float] = (0.4, 0.6, 0.15, 0.15)
     tiles: int = 8
 
 
 SHOT = ShotSettings()
 _HDR = "HDR gain map"  # in a note that has a finding of its own
-
-
-class Verdict(Enum):
-    """How good a thing is, from the photographer's side."""
-
-    GOOD = "good"
-    NOTE = "note"  # nothing wrong, worth knowing
-    DOUBTFUL = "doubtful"
-    POOR = "poor"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing looked at.
-
-    Attributes:
-        name: of it.
-        value: JSON: a number, True or False, a place (x, y), sentences, or None where it is not
-            known.
-        verdict: how good that is.
-        says: what was found, a sentence.
-        remedy: what to do at the next shot, a sentence, or "".
-    """
-
-    name: str
-    value: Any
-    verdict: Verdict
-    says: str
-    remedy: str = ""
-
-    def line(self) -> str:
-        """Both sentences."""
-        return f"{self.says} {self.remedy}".strip()
 
 
 @dataclass(frozen=True)
@@ -119,16 +66,15 @@ class Inspection:
     findings: tuple[Finding, ...]
 
     @property
-    def verdict(self) -> Verdict:
+    def rating(self) -> Rating:
         """The worst of them; what is only worth knowing leaves a photograph good."""
-        order = list(Verdict)
-        worst = max((f.verdict for f in self.findings), key=order.index, default=Verdict.GOOD)
-        return Verdict.GOOD if worst is Verdict.NOTE else worst
+        judged = [f.rating for f in self.findings if f.rating is not Rating.NOT_JUDGED]
+        return max(judged, key=list(Rating).index, default=Rating.GOOD)
 
     @property
     def doubtful(self) -> bool:
         """Whether the shot had better be taken again."""
-        return self.verdict in (Verdict.DOUBTFUL, Verdict.POOR)
+        return not self.rating.fit
 
     def __getitem__(self, name: str) -> Finding:
         return next(finding for finding in self.findings if finding.name == name)
@@ -137,16 +83,8 @@ class Inspection:
         """As JSON."""
         return {
             "name": self.name,
-            "verdict": self.verdict.value,
-            **{
-                finding.name: {
-                    "value": finding.value,
-                    "verdict": finding.verdict.value,
-                    "says": finding.says,
-                    "remedy": finding.remedy,
-                }
-                for finding in self.findings
-            },
+            "rating": self.rating.value,
+            **{finding.name: finding.document() for finding in self.findings},
         }
 
 
@@ -255,38 +193,19 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
 
 
 def _flash(photo: Photo, falloff: float) -> Finding:
-    name, fired, visible = "flash", photo.flash_fired, falloff > SHOT.falloff
-    if fired is False:
-        return Finding(
-            name,
-            False,
-            Verdict.POOR,
-            "The file says that the flash did not fire.",
-            "Photograph again with the flash switched on, not on automatic.",
-        )
-    if not visible:
-        said = "The flash fired but hardly shows" if fired else "No flash shows"
-        return Finding(
-            name,
-            fired,
-            Verdict.DOUBTFUL,
-            f"{said}: the middle is only {falloff:.2f} times as bright as the border.",
-            "Keep other light out and hold the phone 20 to 40 cm away.",
-        )
-    source = "The flash fired" if fired else "The file does not say, but a flash shows"
-    return Finding(
-        name, fired, Verdict.GOOD, f"{source}: {falloff:.1f} times as bright as at the border."
-    )
+    # Files err, and a matte material under a flash far away has little falloff; both together tell.
+    fired = photo.flash_fired
+    severity = CHECKS["flash"].severity(falloff) + {None: 0.0, True: -0.5, False: 2.5}[fired]
+    says = {
+        None: "",
+        True: ", and the file says that the flash fired",
+        False: ", and the file says that the flash did not fire",
+    }[fired]
+    return CHECKS["flash"].finding(falloff, max(severity, 0.0), fired=says)
 
 
 def _clipped(photo: Photo) -> Finding:
-    share = photo.clipped_share
-    says = f"{_percent(share)} of the picture is clipped."
-    if share < SHOT.clipped:
-        return Finding("clipped", share, Verdict.GOOD, says)
-    verdict = Verdict.POOR if share >= SHOT.much_clipped else Verdict.DOUBTFUL
-    stops = "two stops" if share >= 2.0 * SHOT.much_clipped else "one stop"
-    return Finding("clipped", share, verdict, says, f"Lower the exposure by {stops}.")
+    return CHECKS["clipped"].finding(photo.clipped_share)
 
 
 def _border(photo: Photo) -> tuple[Finding, ...]:
@@ -296,95 +215,68 @@ def _border(photo: Photo) -> tuple[Finding, ...]:
         return ()
     says = "The border differs from the rest, as where a sample ends."
     remedy = f"If it does, capture it with --crop {crop}."
-    return (Finding("crop", str(crop), Verdict.NOTE, says, remedy),)
+    return (Finding("crop", str(crop), Rating.NOT_JUDGED, says, remedy),)
 
 
 def _hot_spot(photo: Photo, place: tuple[float, float]) -> Finding:
     x, y = _upright(photo, *place)
-    value = [round(x, 4), round(y, 4)]
-    edge = min(x, 1.0 - x, y, 1.0 - y)
-    says = f"The hot spot is {_whereabouts(x, y)}, at {x:.0%} from the left and {y:.0%} from above."
-    if edge >= SHOT.hot_edge:
-        return Finding("hot_spot", value, Verdict.GOOD, says)
-    return Finding(
-        "hot_spot",
-        value,
-        Verdict.DOUBTFUL,
-        says,
-        "The highlight must be in the picture, whole: hold the phone squarely above the middle.",
-    )
+    says = f"{_whereabouts(x, y)}, at {x:.0%} from the left and {y:.0%} from above"
+    finding = CHECKS["hot_spot"].finding(min(x, 1.0 - x, y, 1.0 - y), where=says)
+    return replace(finding, value=[round(x, 4), round(y, 4)])
 
 
 def _tilt(photo: Photo, tilt: tuple[float, float] | None) -> Finding:
     if tilt is None:
-        return Finding("tilt", None, Verdict.NOTE, "The tilt was not looked at.")
+        return CHECKS["tilt"].not_judged("the tilt was not looked at")
     # The slope of the plane towards the camera, along x (right) and y (up) of photo.pixels.
     right, up = -math.degrees(tilt[1]), math.degrees(tilt[0])
     if photo.turned:
         right, up = up, -right
-    degrees = math.hypot(right, up)
-    value = {"degrees": round(degrees, 2), "right": round(right, 2), "up": round(up, 2)}
-    if degrees < SHOT.tilted:
-        says = f"The phone was square enough to the sample: {degrees:.1f} degrees off."
-        return Finding("tilt", value, Verdict.GOOD, says)
-    side = _side(right, up)
-    return Finding(
-        "tilt",
-        value,
-        Verdict.POOR if degrees >= SHOT.much_tilted else Verdict.DOUBTFUL,
-        f"The phone was tilted by {degrees:.0f} degrees: the sample's {side} side was nearer.",
-        f"Stand squarer: lift the phone's {side} side until it is parallel to the sample.",
+    degrees, side = math.hypot(right, up), _side(right, up)
+    finding = CHECKS["tilt"].finding(
+        degrees, side=f": the sample's {side} side was nearer", raised=side
     )
+    if finding.rating is Rating.GOOD:
+        says = f"the phone was square enough to the sample: {degrees:.1f} degrees off"
+        finding = replace(finding, says=says)
+    value = {"degrees": round(degrees, 2), "right": round(right, 2), "up": round(up, 2)}
+    return replace(finding, value=value)
 
 
 def _sharpness(photo: Photo) -> Finding:
     blur = softness(photo.pixels)
     width = photo.pixels.shape[1]
     if math.isnan(blur):
-        says = "Its sharpness cannot be measured: it is the same all over."
-        remedy = "Check by eye that the focus was on the sample."
-        return Finding("sharpness", None, Verdict.NOTE, says, remedy)
-    value = round(blur, 3)
-    if blur < SHOT.soft:
-        return Finding("sharpness", value, Verdict.GOOD, f"Sharp at {width} pixels across.")
-    soft = blur < SHOT.blurred
-    return Finding(
-        "sharpness",
-        value,
-        Verdict.DOUBTFUL if soft else Verdict.POOR,
-        f"{'Soft' if soft else 'Blurred'} at {width} pixels across: details smaller than "
-        f"{2 * blur:.0f} pixels are lost, unless the sample has none.",
-        "Touch the middle of the screen to focus, and hold still.",
-    )
+        return CHECKS["sharpness"].not_judged(
+            "Its sharpness cannot be measured: it is the same all over. "
+            "Check by eye that the focus was on the sample."
+        )
+    finding = CHECKS["sharpness"].finding(blur, details=2.0 * blur, width=width)
+    if finding.rating is Rating.GOOD:
+        return replace(finding, says=f"sharp at {width} pixels across")
+    return finding
 
 
 def _stationarity(photo: Photo) -> Finding:
     tiles = unevenness(photo.pixels, hot_spot(photo)[0])
     value = float(np.sqrt(np.mean(tiles**2)))
-    if value < SHOT.uneven:
-        return Finding(
-            "stationarity", round(value, 3), Verdict.GOOD, "The sample looks the same all over."
-        )
     rows, columns = tiles.shape
     row, column = divmod(int(tiles.argmax()), columns)
     where = _whereabouts(*_upright(photo, (column + 0.5) / columns, (row + 0.5) / rows))
-    return Finding(
-        "stationarity",
-        round(value, 3),
-        Verdict.DOUBTFUL if value < SHOT.mixed else Verdict.POOR,
-        f"The sample does not look the same all over; it differs most {where}.",
-        "Fill the picture with one material: no edges, stains, labels or shadows.",
-    )
+    finding = CHECKS["stationarity"].finding(value, where=where)
+    if finding.rating is Rating.GOOD:
+        return replace(finding, says="the sample looks the same all over")
+    return finding
 
 
 def _radiometric(photo: Photo) -> Finding:
     if photo.radiometric:
         says = "A RAW: its numbers are proportional to light."
-        return Finding("radiometric", True, Verdict.GOOD, says)
+        return Finding("radiometric", True, Rating.GOOD, says)
     return Finding(
         "radiometric",
         False,
-        Verdict.NOTE,
+        Rating.NOT_JUDGED,
         "A developed picture: albedo is relative, the camera's tone curve is not known.",
         "Photograph RAW (DNG) where the phone can.",
     )
@@ -393,7 +285,7 @@ def _radiometric(photo: Photo) -> Finding:
 def _shading_map(photo: Photo) -> Finding:
     applied = photo.gain_map_applied
     says = "Its lens-shading map was applied." if applied else "It carries no lens-shading map."
-    return Finding("shading_map", applied, Verdict.GOOD if applied else Verdict.NOTE, says)
+    return Finding("shading_map", applied, Rating.GOOD if applied else Rating.NOT_JUDGED, says)
 
 
 def _reading(photo: Photo) -> tuple[Finding, ...]:
@@ -401,17 +293,17 @@ def _reading(photo: Photo) -> tuple[Finding, ...]:
     notes = [note for note in photo.remarks if _HDR not in note]
     if not notes:
         return ()
-    return (Finding("reading", notes, Verdict.NOTE, " ".join(notes)),)
+    return (Finding("reading", notes, Rating.NOT_JUDGED, " ".join(notes)),)
 
 
 def _gain_map(photo: Photo) -> Finding:
     notes = [note for note in photo.notes if _HDR in note]
     if not notes:
-        return Finding("gain_map", False, Verdict.GOOD, "It carries no HDR gain map.")
+        return Finding("gain_map", False, Rating.GOOD, "It carries no HDR gain map.")
     return Finding(
         "gain_map",
         True,
-        Verdict.NOTE,
+        Rating.NOT_JUDGED,
         notes[0],
         "Switch HDR off: it brightens parts of the picture differently.",
     )
@@ -443,13 +335,6 @@ def _side(right: float, up: float) -> str:
     if abs(right) > 2.0 * abs(up):
         return across
     return down if abs(up) > 2.0 * abs(right) else f"{down} {across}"
-
-
-def _percent(share: float) -> str:
-    percent = 100.0 * share
-    if percent == 0.0:
-        return "Nothing"
-    return "Less than 0.1 %" if percent < 0.1 else f"{percent:.1f} %"
 
 
 def _log_light(pixels: NDArray[np.float32]) -> NDArray[np.float32]:

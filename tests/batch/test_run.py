@@ -283,5 +283,8 @@ def test_a_shorter_capture_replaces_a_longer_one_only_if_asked(shoot, tmp_path):
     kept = plan()
     assert kept["a"].state == "failed" and kept["b"].state == "todo"
     assert "a longer one, of preset high" in kept["a"].reason and "--overwrite" in kept["a"].reason
+    report |= {"several": {"photographs": [{"name": name} for name in "bcd"]}}
+    (out / "b" / "report.json").write_text(json.dumps(report))
+    assert "one of 3 photographs" in plan()["b"].reason
     assert plan(force=True)["a"].state == "failed"
     assert plan(overwrite=True)["a"].state == "todo"

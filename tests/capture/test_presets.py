@@ -7,6 +7,15 @@ from matcap.capture.settings import PRESETS, CaptureSettings, resolve
 from matcap.errors import UsageError
 
 
+@pytest.mark.parametrize("preset", PRESETS)
+def test_several_photographs_are_not_adapted(preset):
+    settings = CaptureSettings(preset=preset)
+    several = resolve(settings, photographs=3)
+    assert several.adapted == 0 and several.detail == resolve(settings).detail
+    decoder = CaptureSettings(preset=preset, generator="decoder")
+    assert resolve(decoder, photographs=3) == resolve(decoder)
+
+
 @pytest.mark.parametrize("generator", ["example", "decoder"])
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_preset_is_its_effort_unless_steps_are_given(preset, generator):

@@ -12,8 +12,8 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.capture import pipeline as capturing
 from matcap.capture.result import CaptureResult, Tuning
-from matcap.capture.verdict.evidence import evidence
 from matcap.capture.verdict.judge import judge
+from matcap.capture.verdict.measurements import measured
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
@@ -84,7 +84,7 @@ class FakePipeline:
             clock.within(longest, 0.5)
         material = FakeMaterial(Path(photo.name).stem)
         again = photo.pixels * 0.9
-        seen = evidence(photo, material.setup, photo.pixels, again)
+        seen = measured(photo, material.setup, photo.pixels, again)
         tuned = Tuning(((0.5, 1, 0.9), (1.0, 2, 0.5)), self_difference=0.25)
         return CaptureResult(
             photo=photo,
@@ -92,7 +92,7 @@ class FakePipeline:
             rectified=photo.pixels,
             rerendered=again,
             maps=random_maps(64, 48, 0),
-            evidence=seen,
+            measurements=seen,
             verdict=judge(seen),
             stage_seconds={"coarse fit": 0.5, longest: 0.5},
             settings=settings,

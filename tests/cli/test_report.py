@@ -14,6 +14,7 @@ from matcap.capture.report import report, warnings, write_report
 from matcap.capture.result import Tuning
 from matcap.capture.settings import CaptureSettings
 from matcap.flash.geometry import FlashSetup
+from matcap.photo.inspect import inspect_photo
 
 STAGES = {**PIECE_STAGES, **DECODER_STAGES}
 
@@ -34,14 +35,17 @@ def test_a_good_capture_has_no_warnings(captured):
 
 
 def test_each_warning_says_what_to_do(captured):
-    result, photo = captured, captured.photo
-    clipped = replace(result, photo=replace(photo, clipped=np.ones_like(photo.clipped)))
-    assert "100 % of the photograph is clipped: lower" in next(iter(warnings(clipped)))
-    dark = replace(result, photo=replace(photo, flash_fired=False))
-    assert "with the flash on" in next(iter(warnings(dark)))
-    tilted = replace(result.material, setup=FlashSetup(tilt=(0.0, -0.25)))
-    (said,) = warnings(replace(result, material=tilted))
-    assert "tilted by 14 degrees: hold it parallel" in said
+    def warned(tilt=(0.0, 0.0), **photographed):
+        photo = replace(captured.photo, **photographed)
+        seen = replace(captured.measurements, photograph=inspect_photo(photo, tilt))
+        return list(warnings(replace(captured, photo=photo, measurements=seen)))
+
+    (said,) = warned(clipped=np.ones_like(captured.photo.clipped))
+    assert "100.0 % of the photograph is clipped. Lower the exposure" in said
+    (said,) = warned(flash_fired=False)
+    assert "did not fire" in said and "with the flash switched on" in said
+    (said,) = warned(tilt=(0.0, -0.25))
+    assert "tilted by 14 degrees" in said and "until it is parallel" in said
 
 
 def test_its_keys_are_those_of_the_reference(captured):

@@ -7,7 +7,7 @@ import pytest
 
 from matcap.lab.simulate.photograph import PhoneCamera
 from matcap.lab.simulate.write_jpeg import write_jpeg
-from matcap.photo.inspect import Verdict, inspect_photo
+from matcap.photo.inspect import inspect_photo
 from matcap.photo.load import load_photo
 
 SCRIPT = Path(__file__).parents[2] / "docs" / "images" / "failing.py"
@@ -34,7 +34,7 @@ def inspected(failing, name, folder):
 @pytest.mark.parametrize("name", SEEN)
 def test_what_is_seen_before_is_told_apart(failing, name, tmp_path):
     found = inspected(failing, name, tmp_path)
-    worst = {f.name for f in found.findings if f.verdict in (Verdict.DOUBTFUL, Verdict.POOR)}
+    worst = {f.name for f in found.findings if not f.rating.fit}
     assert worst == {SEEN[name]}
 
 
@@ -42,4 +42,4 @@ def test_what_is_seen_before_is_told_apart(failing, name, tmp_path):
 def test_what_is_not_seen_before_is_not_refused(failing, name, tmp_path):
     """A limit: no period is looked for, nothing that is there once, and no spike."""
     found = inspected(failing, name, tmp_path)
-    assert found.verdict in (Verdict.GOOD, Verdict.NOTE)
+    assert found.rating.fit

@@ -36,8 +36,8 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.outputs import write_outputs
 from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import CaptureSettings, OutputSettings
-from matcap.capture.verdict.evidence import evidence
 from matcap.capture.verdict.judge import judge
+from matcap.capture.verdict.measurements import measured
 from matcap.cli.main import main as matcap
 from matcap.errors import MatcapError
 from matcap.export.job import ExportJob
@@ -116,7 +116,7 @@ def _captured(version: int) -> CaptureResult:
     pixels = np.full((_SIDE, _SIDE, 3), 0.2 * version, dtype=np.float32)
     photo = Photo(pixels, pixels[..., 0] > 1.0, 45.0, "assumed", False, "p.jpg", (_SIDE, _SIDE))
     material = a_material("m", seed=version)
-    seen = evidence(photo, material.setup, pixels, pixels)
+    seen = measured(photo, material.setup, pixels, pixels)
     return CaptureResult(
         photo, material, pixels, pixels, _maps(version), seen, judge(seen), {"coarse fit": 0.5},
         CaptureSettings(), False, tuning=Tuning(((0.5, 1, 0.9), (1.0, 2, 0.5))),

@@ -21,7 +21,8 @@ from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
 from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.lab.train.align import UNSEEN, tilted_photo
-from matcap.photo.inspect import Verdict, hot_spot, inspect_photo, softness
+from matcap.photo.checks import Rating
+from matcap.photo.inspect import hot_spot, inspect_photo, softness
 from matcap.photo.load import load_photo, photo_from_array
 
 CAMERA = PhoneCamera(width=320, height=240, supersampling=1)
@@ -109,15 +110,15 @@ def test_a_good_photograph_is_called_good():
 
 def test_what_is_only_worth_knowing_leaves_a_photograph_good(shots):
     found = inspect_photo(as_photo(shots["granite", 0], 1, "a"), (0.01, 0.0))
-    notes = [finding for finding in found.findings if finding.verdict is Verdict.NOTE]
+    notes = [finding for finding in found.findings if finding.rating is Rating.NOT_JUDGED]
     only = replace(found, findings=tuple(notes))
-    assert notes and only.verdict is Verdict.GOOD
+    assert notes and only.rating is Rating.GOOD
 
 
 def test_a_flat_grey_is_not_called_sharp():
     pixels = np.full((64, 64, 3), 0.2, np.float32)
     told = inspect_photo(photo_from_array(pixels))["sharpness"]
-    assert told.value is None and told.verdict is Verdict.NOTE
+    assert told.value is None and told.rating is Rating.NOT_JUDGED
     assert "Its sharpness cannot be measured" in told.says
 
 
@@ -135,7 +136,7 @@ def test_a_flat_grey_is_not_called_sharp():
 )
 def test_a_tilt_is_told_in_directions_of_the_upright_picture(tilt, turned, side):
     finding = inspect_photo(photo_of(grey(), turned=turned), tilt)["tilt"]
-    assert finding.verdict is not Verdict.GOOD
+    assert finding.rating is not Rating.GOOD
     assert side in finding.says and side in finding.remedy
 
 
@@ -154,17 +155,17 @@ def test_the_hot_spot_of_a_portrait_is_told_upright(tmp_path):
 def test_what_is_wrong_is_said_with_a_remedy():
     burnt = photo_of(np.minimum(grey() * 3.0, 1.0))
     cases = {
-        "clipped": (burnt, "Lower the exposure"),
+        "clipped": (burnt, "lower the exposure"),
         "flash": (photo_of(grey(), flash_fired=False), "flash switched on"),
         "sharpness": (photo_of(cv2.GaussianBlur(grey(), (0, 0), 4.0)), "focus"),
         "hot_spot": (photo_of(np.roll(grey(), 120, axis=1)[:, :128]), "in the picture"),
     }
     for name, (photo, word) in cases.items():
         finding = inspect_photo(photo)[name]
-        assert finding.verdict in (Verdict.DOUBTFUL, Verdict.POOR), name
+        assert finding.rating in (Rating.DOUBTFUL, Rating.FAILED), name
         assert word in finding.remedy
     even = inspect_photo(photo_of(grey(falloff=0.0), flash_fired=True))["flash"]
-    assert even.verdict is Verdict.DOUBTFUL
+    assert not even.rating.fit
 
 
 @pytest.mark.parametrize("blur", [1.0, 2.0, 3.0])
@@ -185,8 +186,8 @@ def test_two_materials_in_one_picture_do_not_look_the_same_all_over(shots):
     mixed = one.pixels.copy()
     mixed[:, 160:] = other.pixels[:, 160:] * one.pixels.mean() / other.pixels.mean()
     whole, half = (inspect_photo(p)["stationarity"] for p in (one, replace(one, pixels=mixed)))
-    assert whole.verdict is Verdict.GOOD
-    assert half.verdict in (Verdict.DOUBTFUL, Verdict.POOR)
+    assert whole.rating is Rating.GOOD
+    assert half.rating in (Rating.DOUBTFUL, Rating.FAILED)
     assert half.value > 2.0 * whole.value
 
 
@@ -198,7 +199,7 @@ def test_the_command_prints_json_and_goes_on_after_a_bad_file(shots, tmp_path, c
     good, bad = json.loads(said.out)["photographs"]
     assert code == 4
     assert good["radiometric"]["value"] is True and good["shading_map"]["value"] is True
-    assert good["flash"]["value"] is True and abs(good["tilt"]["value"]["degrees"]) < 8
+    assert "the flash fired" in good["flash"]["says"] and abs(good["tilt"]["value"]["degrees"]) < 8
     assert "truncated or damaged" in bad["reason"]
     assert main(["inspect", str(tmp_path / "b.jpg")]) == 3
 
@@ -208,8 +209,8 @@ def test_what_was_noticed_when_reading_is_a_finding():
     assert "reading" not in plain.document()
     notes = ("The file carries an HDR gain map, which was not applied.", "Daylight assumed.")
     found = inspect_photo(replace(photo_of(grey(), flash_fired=True), notes=notes))
-    assert (found["reading"].value, found["reading"].verdict) == ([notes[1]], Verdict.NOTE)
-    assert found.verdict is plain.verdict
+    assert (found["reading"].value, found["reading"].rating) == ([notes[1]], Rating.NOT_JUDGED)
+    assert found.rating is plain.rating
 
 
 def test_an_assumed_field_of_view_is_told_of(tmp_path, codes):

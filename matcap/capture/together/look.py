@@ -20,7 +20,8 @@ from matcap.errors import MatcapError
 from matcap.flash.registration.doubt import DOUBTED
 from matcap.flash.registration.grid import grid_points
 from matcap.flash.registration.register import RegisteredView, Registration
-from matcap.photo.inspect import Finding, Inspection, Verdict
+from matcap.photo.checks import Finding, Rating
+from matcap.photo.inspect import Inspection
 from matcap.photo.load import load_photo
 
 _SIDES = ("left", "right", "top", "bottom")
@@ -99,12 +100,12 @@ def _belonging(registration: Registration) -> Finding:
     )
     value = {"used": used, "left_out": [one.name for one in out]}
     if not out and used > 1:
-        return Finding("belong", value, Verdict.GOOD, says)
+        return Finding("belong", value, Rating.GOOD, says)
     remedy = "Leave it out" if len(out) == 1 else "Leave them out"
     remedy += (
         ", or photograph again: the same piece, sharp, with flash, two thirds of it in common."
     )
-    return Finding("belong", value, Verdict.POOR if used < 2 else Verdict.DOUBTFUL, says, remedy)
+    return Finding("belong", value, Rating.FAILED if used < 2 else Rating.DOUBTFUL, says, remedy)
 
 
 def _room(registration: Registration) -> tuple[str, ...]:
@@ -126,13 +127,13 @@ def _sides(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
     dark = [side for side, far in zip(_SIDES, reach, strict=True) if far < LOOK.aside]
     if not dark:
         says = "The piece is lit from all four sides."
-        return (Finding("lit_from", value, Verdict.GOOD, says),)
+        return (Finding("lit_from", value, Rating.GOOD, says),)
     each = "" if len(dark) == 1 else ", once for each"
     return (
         Finding(
             "lit_from",
             value,
-            Verdict.NOTE if len(dark) < len(_SIDES) else Verdict.DOUBTFUL,
+            Rating.NOT_JUDGED if len(dark) < len(_SIDES) else Rating.DOUBTFUL,
             f"Nothing is lit from the {_listed(dark, 'or')}.",
             f"Photograph again with the phone moved by a third of its distance to the "
             f"{_listed(dark, 'and')}{each}.",
@@ -156,10 +157,10 @@ def _places(views: Sequence[RegisteredView]) -> Finding:
         f"{v.photo.name} was taken at {math.degrees(v.camera.tilt):.0f} degrees." for v in steep
     ]
     if not said:
-        return Finding("places", value, Verdict.GOOD, "All were taken from different places.")
+        return Finding("places", value, Rating.GOOD, "All were taken from different places.")
     remedy = "Move the phone by a third of its distance from one to the next." if same else ""
     remedy += " Stay within 45 degrees: the far side is told by few pixels." if steep else ""
-    return Finding("places", value, Verdict.DOUBTFUL, " ".join(said), remedy.strip())
+    return Finding("places", value, Rating.DOUBTFUL, " ".join(said), remedy.strip())
 
 
 def _cameras(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
@@ -170,10 +171,10 @@ def _cameras(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
     value = {view.photo.name: round(view.doubt, 5) for view in views[1:]}
     says = f"Where cameras stood is known to {100 * worst.doubt:.2f} % of their distance"
     if worst.doubt <= DOUBTED:
-        return (Finding("cameras", value, Verdict.GOOD, f"{says}."),)
+        return (Finding("cameras", value, Rating.GOOD, f"{says}."),)
     says += f" so far ({worst.photo.name}): shading goes with the flash."
     remedy = "A capture, which reckons with shading, brings them to about half of that or less."
-    return (Finding("cameras", value, Verdict.NOTE, says, remedy),)
+    return (Finding("cameras", value, Rating.NOT_JUDGED, says, remedy),)
 
 
 def _common(views: Sequence[RegisteredView]) -> Finding:
@@ -181,11 +182,11 @@ def _common(views: Sequence[RegisteredView]) -> Finding:
     alone = float((seen < 2).mean())
     says = f"{1.0 - alone:.0%} of the piece is in two photographs or more."
     if alone <= LOOK.alone:
-        return Finding("common", round(alone, 3), Verdict.GOOD, says)
+        return Finding("common", round(alone, 3), Rating.GOOD, says)
     return Finding(
         "common",
         round(alone, 3),
-        Verdict.DOUBTFUL,
+        Rating.DOUBTFUL,
         says,
         "Turn the phone towards the middle of the piece each time, so that all of it is seen.",
     )
@@ -204,7 +205,7 @@ def _union(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
         says = (
             f"They show {value:g} times as much as the first one: --union makes it all the piece."
         )
-    return (Finding("union", value, Verdict.GOOD, says),)
+    return (Finding("union", value, Rating.GOOD, says),)
 
 
 def _seen(view: RegisteredView, first: RegisteredView) -> NDArray[np.bool_]:

@@ -1,5 +1,6 @@
 """A plain verdict on a capture: what a person would look at, in words.
 
-`evidence.py` measures photograph and re-rendering alike, `checks.py` rates each measure, `judge.py`
-makes one verdict of them. How far it agrees with the eye is in docs/notes/verdict.md.
+`measurements.py` compares photograph and re-rendering, `findings.py` rates every measurement by the
+table of checks (photo/checks.py), `judge.py` makes one verdict of them. How far it agrees with the
+eye is in docs/notes/verdict.md.
 """

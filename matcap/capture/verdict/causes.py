@@ -1,20 +1,40 @@
 """Why a capture is not better, where the photograph itself shows it, and what helps against it.
 
-A cause is named on evidence of its own (signs.py); where there is none, none is named.
+Each cause is named by a measurement of its own, of the photograph beside its re-rendering; where
+none is beyond its limit (docs/notes/verdict.md), none is named.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
-from matcap.capture.verdict.signs import Signs
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.flash.highlight import Highlight, light_of
+
+Picture = NDArray[np.float32]
+SmoothLight = NDArray[np.float64]
+
+DARK = (
+    "photograph in a dark room, with other lights off, or take one more without flash and give "
+    "them with --together"
+)
+_HIGHLIGHT = frozenset({"highlight_contrast", "highlight_place", "highlight_width"})
+_LIGHT = _HIGHLIGHT | {"light", "colour", "piece", "flash", "tilt", "flash_offset"}
+# A highlight of another strength passes for a bent tone curve and for light over everything.
+_LEVELS = _LIGHT - {"highlight_contrast"}
+_DRAWING = frozenset({"texture", "contrast", "order", "light"})
+_RELIEF = frozenset({"texture", "contrast", "piece", "confidence", "glint_contrast"})
+_CLIPPED = _HIGHLIGHT | {"clipped", "colour", "confidence", "piece", "contrast", "light"}
 
 
 @dataclass(frozen=True)
 class CauseLimits:
-    """From where on a sign is one; docs/notes/verdict.md."""
+    """From where on a cause is named; docs/notes/verdict.md."""
 
     side: float = 0.3
     """Log: so much brighter a side counts as twice what a flash never does."""
@@ -25,16 +45,78 @@ class CauseLimits:
     streak: float = 1.35
     channels: float = 0.04
     tilt: float = 25.0
-    """See Signs."""
+    """See CauseMeasurements."""
     variety: float = 0.2
     """Up to it what is drawn hangs together over much of the photograph."""
+    rings: int = 6
+    """That what changes with distance from the middle is measured by."""
+    brightest: float = 0.7
+    """Of the light: above it a highlight's error would pass for a curve."""
+    strip: float = 0.06
+    """Of a side's length: width of the border that stands for a side."""
+    around: tuple[float, float] = (0.25, 0.5)
+    """Plane units, from and to: what is around the middle, its highlight left out."""
+    streak_blur: float = 0.03
+    """Plane units, deviation: a texture's grain is smaller than a highlight."""
+    clip: float = 0.995
+    """Of 1, where a channel counts as clipped."""
 
 
 CAUSES = CauseLimits()
-DARK = (
-    "photograph in a dark room, with other lights off, or take one more without flash and give "
-    "them with --together"
-)
+
+
+@dataclass(frozen=True)
+class CauseMeasurements:
+    """Of a photograph beside its re-rendering; the defaults show nothing."""
+
+    side: float = -1.0
+    """Log of the brightest side's light over that around the middle; a flash makes it negative,
+    wherever its beam points."""
+    room: float = 0.0
+    """Radiance that lies over everything, as a share of the photograph's dark parts."""
+    curve: float = 0.0
+    """Log radiance, root-mean-square, that goes with brightness instead of place."""
+    streak: float = 1.0
+    """How much longer than wide the highlight is, over the re-rendering's."""
+    channels: float = 0.0
+    """Share of the photograph where some channels are clipped and others are not."""
+    tilt: float = 0.0
+    """Mean angle of the piece's relief, degrees."""
+    variety: float = 1.0
+    """Of the field, from 0, the piece repeated because what it shows is as large as the photograph,
+    to 1."""
+    developed: bool = False
+    """Whether a tone curve can be in it, as in a JPEG."""
+    fired: bool | None = None
+    """Whether the flash fired, as the file says; None where it does not."""
+    photographs: int = 1
+    """That the piece was made of."""
+
+    def beside(
+        self,
+        pixels: Picture,
+        smooth: tuple[SmoothLight, SmoothLight],
+        pictures: tuple[Picture, Picture],
+        highlights: tuple[Highlight | None, Highlight | None],
+    ) -> CauseMeasurements:
+        """With what the photograph beside its re-rendering shows.
+
+        Args:
+            pixels: (H, W, 3) the photograph, linear, 1 at clipping.
+            smooth: (h, w, 3) what is smooth of photograph and re-rendering on the plane.
+            pictures: both, whole.
+            highlights: of both.
+        """
+        light, model = (each.mean(axis=2) for each in smooth)
+        clipped = pixels >= CAUSES.clip
+        return replace(
+            self,
+            side=_brightest_side(light),
+            room=_laid_over(light, model),
+            curve=_bent(light, model),
+            streak=_streak(pictures, highlights),
+            channels=float((clipped.any(axis=2) & ~clipped.all(axis=2)).mean()),
+        )
 
 
 @dataclass(frozen=True)
@@ -42,21 +124,14 @@ class Cause:
     """One cause that shows."""
 
     name: str
-    """Of it."""
     strength: float
-    """The sign over its limit; at least 1."""
+    """The measurement over its limit; at least 1."""
     says: str
     """What it is."""
     remedy: str
     """What helps."""
     explains: frozenset[str]
-    """Names of the checks that suffer from it."""
-
-
-_LIGHT = frozenset({"light", "colour", "piece", "highlight", "flash", "camera"})
-_DRAWING = frozenset({"texture", "contrast", "order", "light"})
-_RELIEF = frozenset({"texture", "contrast", "piece", "seen"})
-_CLIPPED = frozenset({"clipping", "colour", "highlight", "seen", "piece", "contrast", "light"})
+    """Keys of the checks that suffer from it."""
 
 
 def more_photographs(given: int) -> str:
@@ -68,69 +143,163 @@ def more_photographs(given: int) -> str:
     return "photograph again with the phone moved further to each side (see matcap inspect)"
 
 
-def causes(signs: Signs) -> tuple[Cause, ...]:
+def causes(measured: CauseMeasurements) -> tuple[Cause, ...]:
     """All that show, the strongest first."""
-    found = [cause for cause in _all(signs) if cause.strength >= 1.0]
+    found = [cause for cause in _all(measured) if cause.strength >= 1.0]
     return tuple(sorted(found, key=lambda cause: -cause.strength))
 
 
-def _all(signs: Signs) -> Iterator[Cause]:
+def _all(measured: CauseMeasurements) -> Iterator[Cause]:
     yield Cause(
         "anisotropic highlight",
-        (signs.streak - 1.0) / (CAUSES.streak - 1.0),
-        f"the highlight is a streak, {signs.streak:.1f} times as long as a round one would be: "
+        (measured.streak - 1.0) / (CAUSES.streak - 1.0),
+        f"the highlight is a streak, {measured.streak:.1f} times as long as a round one would be: "
         "gloss depends on direction, which the maps cannot tell",
         "shade it as anisotropic where you use it",
-        frozenset({"highlight", "light", "piece"}),
+        _HIGHLIGHT | {"light", "piece"},
     )
-    even = 0.0 <= signs.side <= CAUSES.even
+    even = 0.0 <= measured.side <= CAUSES.even
     yield Cause(
         "no flash",
-        1.0 if even and not signs.fired else 0.0,
+        1.0 if even and not measured.fired else 0.0,
         "no flash shows: a side is as bright as the middle",
         "photograph again with the flash on, in a dark room",
         _LIGHT,
     )
     yield Cause(
         "light from a side",
-        0.0 if even else 1.0 + signs.side / CAUSES.side,
-        f"one side is {math.exp(signs.side):.1f} times as bright as the middle",
+        0.0 if even else 1.0 + measured.side / CAUSES.side,
+        f"one side is {math.exp(measured.side):.1f} times as bright as the middle",
         DARK,
         _LIGHT,
     )
-    bent = signs.developed and signs.curve / CAUSES.curve >= signs.room / CAUSES.room
+    bent = measured.developed and measured.curve / CAUSES.curve >= measured.room / CAUSES.room
     yield Cause(
         "room light",
-        0.0 if bent else signs.room / CAUSES.room,
-        f"{100.0 * min(signs.room, 1.0):.0f} % of the light in the dark parts is not the flash's",
+        0.0 if bent else measured.room / CAUSES.room,
+        f"{min(measured.room, 1.0):.0%} of the light in the dark parts is not the flash's",
         DARK,
-        _LIGHT,
+        _LEVELS,
     )
     yield Cause(
         "tone curve",
-        signs.curve / CAUSES.curve if bent else 0.0,
+        measured.curve / CAUSES.curve if bent else 0.0,
         "the camera bent brightness: bright and dark parts differ otherwise than light does",
         "take RAW (DNG)",
-        _LIGHT,
+        _LEVELS,
     )
     yield Cause(
         "clipping by channel",
-        signs.channels / CAUSES.channels,
-        f"single channels are clipped on {100.0 * signs.channels:.0f} % of the photograph",
+        measured.channels / CAUSES.channels,
+        f"single channels are clipped on {100.0 * measured.channels:.0f} % of the photograph",
         "photograph again a stop darker",
         _CLIPPED,
     )
     yield Cause(
         "steep relief",
-        signs.tilt / CAUSES.tilt,
-        f"relief leans by {signs.tilt:.0f} degrees on the mean, which one flash hardly tells",
-        more_photographs(signs.photographs),
+        measured.tilt / CAUSES.tilt,
+        f"relief leans by {measured.tilt:.0f} degrees on the mean, which one flash hardly tells",
+        more_photographs(measured.photographs),
         _RELIEF,
     )
     yield Cause(
         "large drawing",
-        (1.0 - signs.variety) / (1.0 - CAUSES.variety),
+        (1.0 - measured.variety) / (1.0 - CAUSES.variety),
         "what is drawn hangs together over much of the photograph",
         "use it with --variety 0, or photograph more of it from further away",
         _DRAWING,
     )
+
+
+def by_place(difference: SmoothLight) -> SmoothLight:
+    """What of a difference (h, w) changes from one side to the other and with distance from the
+    middle: light does, a drawing does not but for what its few large parts leave of it.
+    """
+    terms = np.concatenate([_plane(difference.shape), _rings(difference.shape)])
+    return _projected(difference, terms)
+
+
+def _brightest_side(light: SmoothLight) -> float:
+    height, width = light.shape
+    rows, columns = (max(1, round(CAUSES.strip * side)) for side in (height, width))
+    sides = (light[:rows], light[-rows:], light[:, :columns], light[:, -columns:])
+    away = np.hypot(*_from_middle(light.shape)) * 2.0
+    around = light[(away > CAUSES.around[0]) & (away < CAUSES.around[1])]
+    brightest = max(float(np.median(side)) for side in sides)
+    return float(np.log((brightest + 1e-6) / (np.median(around) + 1e-6)))
+
+
+def _bent(light: SmoothLight, model: SmoothLight) -> float:
+    """What of the log of light over model goes with brightness, and not from side to side."""
+    floor = 0.02 * float(np.median(light)) + 1e-6
+    difference = np.log((light + floor) / (model + floor))
+    level = np.log(model + floor)
+    level = (level - level.mean()) / max(float(level.std()), 1e-6)
+    bent = np.stack([level, np.square(level)])
+    plane = _plane(difference.shape)
+    terms = np.concatenate([plane, bent, np.ones((1, *difference.shape))])
+    weights = np.linalg.lstsq(terms.reshape(len(terms), -1).T, difference.ravel(), rcond=1e-9)[0]
+    curve = np.einsum("n,nhw->hw", weights[2:4], bent)
+    return float(curve.std())
+
+
+def _laid_over(light: SmoothLight, model: SmoothLight) -> float:
+    """What must be added to a model times a factor, over the light of the darkest tenth."""
+    fit = model < np.quantile(model, CAUSES.brightest)
+    weight = 1.0 / (model[fit] + 1e-6)  # logarithms count alike
+    columns = np.stack([model[fit] * weight, weight], axis=1)
+    added = float(np.linalg.lstsq(columns, light[fit] * weight, rcond=None)[0][1])
+    return max(added, 0.0) / (float(np.quantile(light, 0.1)) + 1e-6)
+
+
+def _streak(
+    pictures: tuple[Picture, Picture], highlights: tuple[Highlight | None, Highlight | None]
+) -> float:
+    first, second = (
+        None if found is None else _elongation(light_of(picture), found)
+        for picture, found in zip(pictures, highlights, strict=True)
+    )
+    if first is None:
+        return 1.0
+    return max(first / (second or 1.0), 1.0)
+
+
+def _elongation(light: SmoothLight, found: Highlight) -> float | None:
+    """A highlight's length over its width."""
+    height, width = light.shape
+    blurred = cv2.GaussianBlur(light, (0, 0), CAUSES.streak_blur * width / 2.0)
+    v, u = np.mgrid[:height, :width].astype(np.float64)
+    u, v = (u + 0.5) * 2.0 / width - 1.0, (height - 2.0 * (v + 0.5)) / width
+    u, v = u - found.centre[0], v - found.centre[1]
+    half = 0.5 * (found.peak + found.surroundings)
+    over = np.clip(blurred - half, 0.0, found.peak - half) * (np.hypot(u, v) < 3.0 * found.width)
+    if over.sum() <= 0.0:
+        return None
+    spread = np.cov(np.stack([u.ravel(), v.ravel()]), aweights=over.ravel())
+    small, large = np.linalg.eigvalsh(spread)
+    return float(np.sqrt(large / max(small, 1e-9)))
+
+
+def _plane(shape: Sequence[int]) -> SmoothLight:
+    """(2, h, w) from -1/2 at one side to 1/2 at the other."""
+    down, across = (np.linspace(-0.5, 0.5, side) for side in shape)
+    return np.stack(np.broadcast_arrays(across[None, :], down[:, None]))
+
+
+def _rings(shape: Sequence[int]) -> SmoothLight:
+    """(rings, h, w) shares of rings around the middle, which add up to 1."""
+    away = np.hypot(*_from_middle(shape))
+    at = away / away.max() * (CAUSES.rings - 1)
+    return np.stack([np.clip(1.0 - np.abs(at - ring), 0.0, 1.0) for ring in range(CAUSES.rings)])
+
+
+def _from_middle(shape: Sequence[int]) -> tuple[SmoothLight, SmoothLight]:
+    """Columns (1, w) and rows (h, 1) from the middle, the long side 1."""
+    down, across = ((np.arange(side) + 0.5 - side / 2.0) / max(shape) for side in shape)
+    return across[None, :], down[:, None]
+
+
+def _projected(plane: SmoothLight, terms: SmoothLight) -> SmoothLight:
+    flat = terms.reshape(len(terms), -1)
+    weights = np.linalg.lstsq(flat.T, plane.ravel(), rcond=1e-9)[0]
+    return np.asarray(np.einsum("n,nhw->hw", weights, terms), np.float64)

@@ -1,4 +1,4 @@
-"""One verdict of all checks."""
+"""One verdict of all findings."""
 
 from __future__ import annotations
 
@@ -6,30 +6,20 @@ from dataclasses import dataclass
 from typing import Any
 
 from matcap.capture.verdict.causes import Cause, causes, more_photographs
-from matcap.capture.verdict.checks import QualityCheck, all_checks
-from matcap.capture.verdict.evidence import Evidence
-from matcap.capture.verdict.rating import Rating
+from matcap.capture.verdict.findings import findings
+from matcap.capture.verdict.measurements import Measurements
+from matcap.photo.checks import Finding, Rating
 
-
-@dataclass(frozen=True)
-class JudgeSettings:
-    """How checks become one verdict; docs/notes/verdict.md."""
-
-    norm: float = 6.0
-    """That joins severities: the worst counts most, several small ones a little more than one
-    (three of 1.8 are one of 2.2)."""
-    told: int = 2
-    """Checks in a sentence, the worst."""
-
-
-JUDGE = JudgeSettings()
+NORM = 6.0
+"""That joins severities: the worst counts most, several small ones a little more than one (three of
+1.8 are one of 2.2); docs/notes/verdict.md."""
 
 
 @dataclass(frozen=True)
 class CaptureVerdict:
     """What a person would say of a capture."""
 
-    checks: tuple[QualityCheck, ...]
+    findings: tuple[Finding, ...]
     """All that was looked at."""
     causes: tuple[Cause, ...] = ()
     """What the photograph shows of why, the strongest first."""
@@ -38,8 +28,8 @@ class CaptureVerdict:
 
     @property
     def severity(self) -> float:
-        """Of all checks together, on their scale."""
-        return float(sum(check.severity**JUDGE.norm for check in self.checks) ** (1.0 / JUDGE.norm))
+        """Of all findings together, on their scale."""
+        return float(sum(found.severity**NORM for found in self.findings) ** (1.0 / NORM))
 
     @property
     def rating(self) -> Rating:
@@ -49,31 +39,30 @@ class CaptureVerdict:
     @property
     def fit(self) -> bool:
         """Whether it is fit for use: good or usable."""
-        return self.rating in (Rating.GOOD, Rating.USABLE)
+        return self.rating.fit
 
     @property
-    def faults(self) -> tuple[QualityCheck, ...]:
-        """The worst checks that are not good, the worst first."""
-        bad = [check for check in self.checks if check.rating is not Rating.GOOD]
-        return tuple(sorted(bad, key=lambda check: -check.severity)[: JUDGE.told])
+    def worst(self) -> Finding:
+        """The largest difference."""
+        return max(self.findings, key=lambda found: found.severity)
 
     def sentence(self) -> str:
-        """The verdict in one line: the word, what was found, the likely cause and what to do."""
-        if self.rating is Rating.GOOD or not self.faults:
+        """The verdict in one line: the word, the largest difference, its cause and what to do."""
+        if self.rating is Rating.GOOD:
             return f"{self.rating.value}: looks like the photograph"
-        said = "; ".join(fault.says for fault in self.faults)
         cause, remedy = self.cause()
-        return f"{self.rating.value}: {said}. {cause}. Remedy: {remedy}."
+        return f"{self.rating.value}: {self.worst.says}. {cause}. Remedy: {remedy}."
 
     def cause(self) -> tuple[str, str]:
-        """What the worst fault comes from, as far as the photograph shows it, and what to do."""
-        worst = self.faults[0]
+        """What the largest difference comes from, as far as the photograph shows; the remedy."""
+        worst = self.worst
         for cause in self.causes:
             if worst.name in cause.explains:
                 return f"Likely cause: {cause.says}", cause.remedy
+        remedy = worst.remedy or more_photographs(self.photographs)
         if worst.cause:
-            return f"Likely cause: {worst.cause}", worst.remedy
-        return "The photograph shows no cause", worst.remedy or more_photographs(self.photographs)
+            return f"Likely cause: {worst.cause}", remedy
+        return "The photograph shows no cause", remedy
 
     def document(self) -> dict[str, Any]:
         """As JSON."""
@@ -85,21 +74,10 @@ class CaptureVerdict:
             "causes": [
                 {"name": one.name, "says": one.says, "remedy": one.remedy} for one in self.causes
             ],
-            "checks": {
-                check.name: {
-                    "rating": check.rating.value,
-                    "severity": round(check.severity, 3),
-                    "says": check.says,
-                    "cause": check.cause,
-                    "remedy": check.remedy,
-                }
-                for check in self.checks
-            },
+            "checks": {found.name: found.document() for found in self.findings},
         }
 
 
-def judge(seen: Evidence) -> CaptureVerdict:
+def judge(seen: Measurements) -> CaptureVerdict:
     """The verdict on what was measured."""
-    return CaptureVerdict(
-        tuple(all_checks(seen)), causes(seen.signs), photographs=seen.signs.photographs
-    )
+    return CaptureVerdict(tuple(findings(seen)), causes(seen.causes), seen.causes.photographs)

@@ -306,10 +306,10 @@ def _photographed(specimen: Specimen, bench: Fronts, count: int, pixels: int) ->
 
 
 def _inspected(photograph: Path) -> str:
-    """What `inspect` says of it that is not good."""
+    """What `inspect` calls doubtful or failed in it."""
     quality = inspect_file(photograph, _INSPECTED).quality
-    remarks = [each.name for each in quality.findings if each.verdict.value not in ("good", "note")]
-    return f"{quality.verdict.value}{': ' if remarks else ''}{', '.join(remarks)}"
+    remarks = [each.name for each in quality.findings if not each.rating.fit]
+    return f"{quality.rating.value}{': ' if remarks else ''}{', '.join(remarks)}"
 
 
 def _capture(name: str, way: Way, out: Path, at: At, seed: int) -> CommandOutcome:

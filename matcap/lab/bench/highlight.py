@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.verdict.checks import plain
+from matcap.capture.verdict.findings import plain
 from matcap.errors import MatcapError
 from matcap.files.picture import write_picture
 from matcap.flash.coarse import CoarseFit, fit_coarse, render_coarse

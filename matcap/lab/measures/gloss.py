@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.verdict.highlight import FAR, NEAR
 from matcap.flash.geometry import plane_points
 from matcap.flash.render import shade
 from matcap.lab.measures.lights import BenchScene
 
-NEAR, FAR = 0.06, 0.3  # plane units from the mirror point
 _OCTAVES, _SECTORS = 5, 8
 _LEAST = 0.01  # of the strongest octave's energy
 _RINGS = 0.84  # of the shorter half side: radii whose rings lie in the map whole

@@ -16,7 +16,7 @@ from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import PhoneCamera
 from matcap.lab.simulate.specimen import named_specimen
 from matcap.lab.simulate.write_jpeg import write_jpeg
-from matcap.photo.inspect import Verdict
+from matcap.photo.checks import Rating
 
 
 @pytest.fixture(scope="module")
@@ -31,11 +31,11 @@ def test_a_set_is_told_what_it_lacks(looked):
     assert "leather_9 does not belong" in told["belong"].says
     # The second camera is moved to the right, the third to the top.
     assert told["lit_from"].says == "Nothing is lit from the left or bottom."
-    assert told["lit_from"].verdict is Verdict.NOTE
-    assert told["places"].verdict is Verdict.GOOD
-    assert told["common"].verdict is Verdict.GOOD
+    assert told["lit_from"].rating is Rating.NOT_JUDGED
+    assert told["places"].rating is Rating.GOOD
+    assert told["common"].rating is Rating.GOOD
     assert 1.05 < told["union"].value < 2.0 and "--union" in told["union"].says
-    assert json.loads(json.dumps(told.document()))["verdict"] == "doubtful"
+    assert json.loads(json.dumps(told.document()))["rating"] == "doubtful"
 
 
 def test_how_far_cameras_are_known_is_told(looked):
@@ -45,8 +45,8 @@ def test_how_far_cameras_are_known_is_told(looked):
         set_quality(replace(looked, views=tuple(replace(v, doubt=d) for v in looked.views)))
         for d in (0.001, 0.004)
     )
-    assert sure["cameras"].verdict is Verdict.GOOD and "0.10 %" in sure["cameras"].says
-    assert unsure["cameras"].verdict is Verdict.NOTE and "0.40 %" in unsure["cameras"].says
+    assert sure["cameras"].rating is Rating.GOOD and "0.10 %" in sure["cameras"].says
+    assert unsure["cameras"].rating is Rating.NOT_JUDGED and "0.40 %" in unsure["cameras"].says
 
 
 def test_a_capture_says_where_cameras_are_doubted(looked):
@@ -69,12 +69,12 @@ def test_two_from_the_same_place_are_named(looked):
     again = replace(looked.views[1], photo=replace(looked.views[1].photo, name="again"))
     told = set_quality(replace(looked, views=(*looked.views, again)))
     assert told["places"].says == "plaster_1 and again are nearly the same."
-    assert told["places"].value < LOOK.apart
+    assert told["places"].value < LOOK.same_place
 
 
 def test_one_alone_is_poor(looked):
     told = set_quality(replace(looked, views=looked.views[:1]))
-    assert told.verdict is Verdict.POOR
+    assert told.rating is Rating.FAILED
     assert told["belong"].says.startswith("No other photograph shows the piece of plaster_0.")
 
 

@@ -1,6 +1,6 @@
 """What a person would compare in a photograph and its re-rendering, as numbers.
 
-Read next: checks.py, which rates them.
+Read next: findings.py, which rates them.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.method import FEATURES
-from matcap.capture.verdict.signs import Signs, by_place, signs_of
+from matcap.capture.verdict.causes import CauseMeasurements, by_place
+from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.plane import Plane, plane_of
-from matcap.flash.rectify import rectify
-from matcap.photo.inspect import hot_spot, unevenness
+from matcap.flash.rectify import CLIPPING, rectify
+from matcap.photo.inspect import Inspection, inspect_photo
 from matcap.photo.photo import Photo
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank
@@ -31,7 +32,7 @@ Picture = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class EvidenceSettings:
+class MeasurementSettings:
     """How photograph and re-rendering are looked at; docs/notes/verdict.md."""
 
     cells: int = 64
@@ -56,63 +57,63 @@ class EvidenceSettings:
     """Share of a window that must be seen."""
 
 
-LOOK = EvidenceSettings()
+MEASURED = MeasurementSettings()
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """Measures of a capture."""
+class PieceMeasurements:
+    """What a capture says of the photographed piece, before anything is compared."""
 
+    maps: Mapping[str, float] | None = None
+    residue: Mapping[str, float] | None = None
+    """Both as of Measurements."""
+    tilt: float = 0.0
+    variety: float = 1.0
+    photographs: int = 1
+    """All three as of CauseMeasurements."""
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Of a capture; pairs are of the photograph and of its re-rendering."""
+
+    photograph: Inspection
+    """What `inspect` finds in it."""
     highlights: tuple[Highlight | None, Highlight | None]
-    """Of the photograph and of its re-rendering, each None where nothing stands out."""
-    flash_ratio: float
-    """The photograph's hot spot over its border."""
-    flash_fired: bool | None
-    """What the file says, or None."""
+    """None where nothing stands out."""
+    profile: HighlightProfile | None
+    """Of the highlight in rings; None where its mirror point is not in the picture."""
     colour: tuple[float, float, float]
     """(3,) log of re-rendering over photograph, median over cells, by channel."""
     light: float
     """Root-mean-square difference of log luminance that goes with place, as light does: across the
     picture, and with distance from its middle."""
-    likeness: float
+    texture: float
     """Difference of texture statistics between re-rendering and photograph, in multiples of what
     neighbouring parts of the photograph differ by; NaN where it has none."""
     contrast: Mapping[str, tuple[float, float]]
-    """By band and region, root-mean-square log luminance of the texture of photograph and
-    re-rendering."""
+    """By band and region, root-mean-square log luminance of the texture."""
     order: tuple[float, float] | None
-    """Likeness of photograph and re-rendering to themselves a period further, each at most 1; None
-    where no regular order was found."""
-    unevenness: float
-    """How far the photograph's parts differ from each other; 1 is usual."""
-    tilt: float
-    """Of the camera, degrees."""
+    """Likeness to themselves a period further, each at most 1; None without a regular order."""
     offset: float
     """Of the flash from the lens, plane units."""
-    clipped: float
-    """Share of the photograph."""
     piece: Mapping[str, float] | None = None
     """Of the photographed piece's own maps: `error`, `slow` (log radiance) and confidence by map;
     None where they were not looked for."""
-    marks: Mapping[str, float] | None = None
-    """What of the piece's maps goes with the distance from the highlight; see marks.py."""
-    signs: Signs = Signs()
+    residue: Mapping[str, float] | None = None
+    """Radial variation of the piece's maps about the mirror point; see residue.py."""
+    causes: CauseMeasurements = CauseMeasurements()
     """Of what may be the cause of all that."""
 
 
-def evidence(
+def measured(
     photo: Photo,
     setup: FlashSetup,
     rectified: Picture,
     rerendered: Picture,
     waves: tuple[Wave, ...] = (),
-    piece: Mapping[str, float] | None = None,
-    *,
-    marks: Mapping[str, float] | None = None,
-    tilt: float = 0.0,
-    variety: float = 1.0,
-    photographs: int = 1,
-) -> Evidence:
+    piece: PieceMeasurements | None = None,
+) -> Measurements:
     """Measure a capture, in about a second.
 
     Args:
@@ -121,43 +122,37 @@ def evidence(
         rectified: (H, W, 3) the photograph on the plane's grid, linear.
         rerendered: (H, W, 3) the material under that flash, linear.
         waves: the plane waves of its regular order, cycles a texel.
-        piece, marks: of the photographed piece's own maps; see Evidence.
-        tilt, variety, photographs: of the piece and its field; see Signs.
+        piece: of the photographed piece's own maps.
     """
+    piece = piece or PieceMeasurements()
     # What the camera would have seen of the re-rendering: clipped where the photograph is.
-    seen, again = np.minimum(rectified, 1.0), np.minimum(rerendered, 1.0)
-    place, ratio = hot_spot(photo)
-    smooth = _smooth(seen), _smooth(again)
+    pictures = np.minimum(rectified, 1.0), np.minimum(rerendered, 1.0)
+    smooth = _smooth(pictures[0]), _smooth(pictures[1])
     colour, light = smooth_difference(*smooth)
-    highlights = (find_highlight(light_of(seen)), find_highlight(light_of(again)))
-    valid = rectify(photo, setup, seen.shape[1])[1]
-    plane, rendering = plane_of(_planes(seen), valid), _planes(again)
-    return Evidence(
+    highlights = find_highlight(light_of(pictures[0])), find_highlight(light_of(pictures[1]))
+    valid = rectify(photo, setup, rectified.shape[1])[1]
+    inside = valid.numpy() | (rectified.max(axis=2) > CLIPPING)
+    plane, rendering = plane_of(_planes(pictures[0]), valid), _planes(pictures[1])
+    causes = CauseMeasurements(
+        tilt=piece.tilt,
+        variety=piece.variety,
+        developed=not photo.radiometric,
+        fired=photo.flash_fired,
+        photographs=piece.photographs,
+    )
+    return Measurements(
+        photograph=inspect_photo(photo, setup.tilt),
         highlights=highlights,
-        flash_ratio=ratio,
-        flash_fired=photo.flash_fired,
+        profile=highlight_profile(pictures, inside, valid.numpy(), setup),
         colour=colour,
         light=light,
-        likeness=texture_difference(plane, rendering),
-        contrast=texture_contrasts(seen, again),
+        texture=texture_difference(plane, rendering),
+        contrast=texture_contrasts(*pictures),
         order=_order(plane, rendering, waves) if waves else None,
-        unevenness=float(np.sqrt(np.mean(np.square(unevenness(photo.pixels, place))))),
-        tilt=math.degrees(math.hypot(*setup.tilt)),
         offset=math.hypot(*setup.offset[:2]),
-        clipped=photo.clipped_share,
-        piece=piece,
-        marks=marks,
-        signs=signs_of(
-            photo.pixels,
-            *smooth,
-            (seen, again),
-            highlights,
-            developed=not photo.radiometric,
-            tilt=tilt,
-            variety=variety,
-            fired=photo.flash_fired,
-            photographs=photographs,
-        ),
+        piece=piece.maps,
+        residue=piece.residue,
+        causes=causes.beside(photo.pixels, smooth, pictures, highlights),
     )
 
 
@@ -173,10 +168,10 @@ def smooth_difference(
         the median log ratio of each channel, and the root-mean-square of what else log luminance
         differs by as light does.
     """
-    toe = LOOK.toe * np.median(before, axis=(0, 1)) + 1e-6
+    toe = MEASURED.toe * np.median(before, axis=(0, 1)) + 1e-6
     ratio = np.median(np.log((after + toe) / (before + toe)), axis=(0, 1))
     light, lit = before.mean(axis=2), after.mean(axis=2)
-    floor = LOOK.toe * float(np.median(light)) + 1e-6
+    floor = MEASURED.toe * float(np.median(light)) + 1e-6
     difference = np.log((lit + floor) / (light + floor))
     rest = by_place(difference)
     return (float(ratio[0]), float(ratio[1]), float(ratio[2])), float(rest.std())
@@ -190,7 +185,7 @@ def texture_contrasts(seen: Picture, again: Picture) -> dict[str, tuple[float, f
     """
     light = _tiles(seen.mean(axis=2))
     bright = np.zeros(light.shape, bool)
-    bright.flat[light.argsort(axis=None)[-math.ceil(LOOK.bright * light.size) :]] = True
+    bright.flat[light.argsort(axis=None)[-math.ceil(MEASURED.bright * light.size) :]] = True
     before, after = (_tile_contrasts(picture) for picture in (seen, again))
 
     def of(tiles: Picture, region: NDArray[np.bool_]) -> float:
@@ -206,11 +201,11 @@ def texture_contrasts(seen: Picture, again: Picture) -> dict[str, tuple[float, f
 def _tile_contrasts(picture: Picture) -> dict[str, Picture]:
     """By band, variance of log luminance in each tile."""
     luminance = picture.mean(axis=2)
-    log = np.log(luminance + LOOK.toe * float(np.median(luminance)) + 1e-6)
-    bands = {"fine": LOOK.fine, "coarse": LOOK.coarse}
+    log = np.log(luminance + MEASURED.toe * float(np.median(luminance)) + 1e-6)
+    bands = {"fine": MEASURED.fine, "coarse": MEASURED.coarse}
     tiles = {band: _tiles(np.square(_band(log, *reach))) for band, reach in bands.items()}
-    whole = np.log(picture + LOOK.toe * float(np.median(luminance)) + 1e-6)
-    chroma = _band(whole[..., ::2] - whole[..., 1:2], *LOOK.chroma)
+    whole = np.log(picture + MEASURED.toe * float(np.median(luminance)) + 1e-6)
+    chroma = _band(whole[..., ::2] - whole[..., 1:2], *MEASURED.chroma)
     return {**tiles, "coloured": _tiles(np.square(chroma).mean(axis=2))}
 
 
@@ -225,9 +220,9 @@ def _tiles(picture: Picture) -> Picture:
 
 
 def _smooth(picture: Picture) -> NDArray[np.float64]:
-    rows = max(4, round(LOOK.cells * picture.shape[0] / picture.shape[1]))
-    small = cv2.resize(picture, (LOOK.cells, rows), interpolation=cv2.INTER_AREA)
-    blurred = cv2.GaussianBlur(small, (0, 0), LOOK.smooth, borderType=cv2.BORDER_REFLECT)
+    rows = max(4, round(MEASURED.cells * picture.shape[0] / picture.shape[1]))
+    small = cv2.resize(picture, (MEASURED.cells, rows), interpolation=cv2.INTER_AREA)
+    blurred = cv2.GaussianBlur(small, (0, 0), MEASURED.smooth, borderType=cv2.BORDER_REFLECT)
     return np.asarray(blurred, np.float64)
 
 
@@ -246,21 +241,24 @@ def texture_difference(plane: Plane, rendering: Tensor) -> float:
     width, height = plane.size
     places = [
         (x, y)
-        for y in _spread(height - LOOK.window, LOOK.places[1])
-        for x in _spread(width - 2 * LOOK.window, LOOK.places[0])
-        if plane.valid[y : y + LOOK.window, x : x + 2 * LOOK.window].float().mean()
-        > LOOK.least_seen
+        for y in _spread(height - MEASURED.window, MEASURED.places[1])
+        for x in _spread(width - 2 * MEASURED.window, MEASURED.places[0])
+        if plane.valid[y : y + MEASURED.window, x : x + 2 * MEASURED.window].float().mean()
+        > MEASURED.least_seen
     ]
     if not places:
         return math.nan
     bank, weights = FilterBank(FEATURES), Weights(mean=0.0)
 
     def described(picture: Tensor, shift: int) -> Descriptor:
-        cut = [picture[:, y : y + LOOK.window, x + shift :][..., : LOOK.window] for x, y in places]
+        cut = [
+            picture[:, y : y + MEASURED.window, x + shift :][..., : MEASURED.window]
+            for x, y in places
+        ]
         return describe(torch.stack(cut), plane.encoding, bank)
 
     with torch.inference_mode():
-        here, beside = described(plane.linear, 0), described(plane.linear, LOOK.window)
+        here, beside = described(plane.linear, 0), described(plane.linear, MEASURED.window)
         there = described(rendering, 0)
         own = float(distance(beside, here, weights).median())
         return float(distance(there, here, weights).median()) / max(own, 1e-6)

@@ -1,53 +1,53 @@
-"""Marks where the flash was: what of a piece's maps goes with the distance from its highlight.
+"""Highlight residue: radial variation of a piece's maps about the flash's mirror point.
 
-A material knows nothing of the light. What its maps have in rings around the highlight's foot, a
-disc, a hole in roughness, grain that fades, is left of the photograph's light; in a field it lies
-about as stains.
+A material knows nothing of the light: a disc, a hole in roughness or relief that fades towards the
+mirror point is the photograph's light taken for the material, and is repeated in the field as
+stains.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.capture.verdict.highlight import from_mirror_point
 from matcap.example.exemplar import Exemplar
-from matcap.flash.geometry import FlashSetup, highlight_foot
+from matcap.flash.geometry import FlashSetup
 
 BlockMeans = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class MarkSettings:
-    """How marks are looked for; docs/notes/verdict.md."""
+class ResidueSettings:
+    """How it is measured; docs/notes/verdict.md."""
 
     blocks: int = 24
     """Along the long side: what is smaller is drawing."""
     rings: int = 6
-    """Of equally many blocks: more follow a mark closer, and chance too."""
+    """Of equally many blocks: more follow the residue closer, and chance too."""
     toe: float = 0.004
     """Of albedo and F0: bounds logarithms in the dark."""
 
 
-MARKS = MarkSettings()
+RESIDUE = ResidueSettings()
 
 
-def marks(piece: Exemplar, setup: FlashSetup) -> dict[str, float]:
-    """Root-mean-square of what goes in rings around the highlight's foot, chance taken off.
+def highlight_residue(piece: Exemplar, setup: FlashSetup) -> dict[str, float]:
+    """Standard deviation between rings about the mirror point, chance taken off.
 
     Returns:
         `albedo` and `specular` (logarithm), `roughness`, and `grain`: the logarithm of slopes'
         strength.
     """
-    away = _from_foot(piece.size, highlight_foot(setup))
+    away = from_mirror_point(setup, piece.size[::-1])
     step = piece.texel_size
     slopes = np.gradient(piece.height[0].astype(np.float64) / step)
     steep = _blocks(np.square(slopes[0]) + np.square(slopes[1]))
     planes = {
-        "albedo": _blocks(np.log(piece.diffuse.mean(0, dtype=np.float64) + MARKS.toe)),
-        "specular": _blocks(np.log(piece.specular.mean(0, dtype=np.float64) + MARKS.toe)),
+        "albedo": _blocks(np.log(piece.diffuse.mean(0, dtype=np.float64) + RESIDUE.toe)),
+        "specular": _blocks(np.log(piece.specular.mean(0, dtype=np.float64) + RESIDUE.toe)),
         "roughness": _blocks(piece.roughness[0].astype(np.float64)),
         # A flat piece has slopes of a thousandth, from rounding.
         "grain": 0.5 * np.log(steep + 1e-4),
@@ -63,32 +63,20 @@ def in_rings(values: BlockMeans, distances: BlockMeans) -> float:
 
     Args:
         values: of blocks, any shape.
-        distances: theirs from the foot.
+        distances: theirs from the mirror point.
     """
     order = np.argsort(distances, axis=None, kind="stable")
-    rings = np.array_split(values.ravel()[order], MARKS.rings)
-    count = values.size / MARKS.rings
+    rings = np.array_split(values.ravel()[order], RESIDUE.rings)
+    count = values.size / RESIDUE.rings
     between = count * np.var([ring.mean() for ring in rings], ddof=1)
     within = sum(np.square(ring - ring.mean()).sum() for ring in rings)
-    within /= max(values.size - MARKS.rings, 1)
+    within /= max(values.size - RESIDUE.rings, 1)
     return float(np.sqrt(max(between - within, 0.0) / count))
-
-
-def worst_mark(found: Mapping[str, float], limits: Mapping[str, float]) -> tuple[str, float]:
-    """The map whose mark is largest by its limit, and how often it has it."""
-    name = max(limits, key=lambda one: found[one] / limits[one])
-    return name, found[name] / limits[name]
-
-
-def _from_foot(size: tuple[int, int], foot: tuple[float, float]) -> BlockMeans:
-    width, height = size
-    v, u = np.mgrid[:height, :width] + 0.5
-    return np.hypot(2.0 * u / width - 1.0 - foot[0], (height - 2.0 * v) / width - foot[1])
 
 
 def _blocks(plane: BlockMeans) -> BlockMeans:
     """Means of square blocks; what is left over at the end belongs to the last ones."""
-    side = max(1, max(plane.shape) // MARKS.blocks)
+    side = max(1, max(plane.shape) // RESIDUE.blocks)
     rows, columns = (np.arange(0, max(n - side, 0) + 1, side) for n in plane.shape)
     counts = [np.diff([*starts, n]) for starts, n in zip((rows, columns), plane.shape, strict=True)]
     sums = np.add.reduceat(np.add.reduceat(plane, rows, 0), columns, 1)

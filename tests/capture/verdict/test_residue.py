@@ -1,9 +1,9 @@
-"""Marks where the flash was: told where there is one, and not where chance makes rings."""
+"""Highlight residue: measured where there is some, and not where chance makes rings."""
 
 import numpy as np
 import pytest
 
-from matcap.capture.verdict.marks import in_rings, marks
+from matcap.capture.verdict.residue import highlight_residue, in_rings
 from matcap.example.exemplar import Exemplar
 from matcap.flash.geometry import FlashSetup, camera_in_plane, highlight_foot
 
@@ -42,7 +42,7 @@ def test_the_foot_is_where_a_mirror_shows_the_flash():
 
 
 def test_what_is_the_same_all_over_has_none():
-    assert max(marks(piece(), SETUP).values()) < 0.03
+    assert max(highlight_residue(piece(), SETUP).values()) < 0.03
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_a_disc_is_told_in_its_map_alone(map_name, mark):
     def marked(values):
         return values + disc if mark == "roughness" else values * np.exp(disc)
 
-    found = marks(piece(**{map_name: marked}), SETUP)
+    found = highlight_residue(piece(**{map_name: marked}), SETUP)
     # Rings of equal counts: six, and the disc has its share of them.
     share = float((away() < 0.5).mean())
     expected = 0.1 * np.sqrt(share * (1.0 - share))
@@ -65,7 +65,7 @@ def test_a_disc_is_told_in_its_map_alone(map_name, mark):
 
 def test_grain_that_fades_towards_the_foot_is_told():
     fading = np.minimum(away(), 0.8) / 0.8
-    assert marks(piece(height=lambda height: height * fading), SETUP)["grain"] > 0.3
+    assert highlight_residue(piece(height=lambda height: height * fading), SETUP)["grain"] > 0.3
 
 
 def test_a_stain_elsewhere_counts_for_little_and_chance_for_nothing():

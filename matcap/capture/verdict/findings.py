@@ -1,0 +1,146 @@
+"""Every measurement of a capture rated by the table of checks (photo/checks.py)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from matcap.capture.verdict.causes import more_photographs
+from matcap.capture.verdict.highlight import GLOSSY, UNSEEN, HighlightProfile
+from matcap.capture.verdict.measurements import Measurements
+from matcap.flash.highlight import Highlight
+from matcap.photo.checks import CHECKS, Finding
+
+PHOTOGRAPHED = ("flash", "clipped", "tilt", "stationarity")
+"""Checks of the photograph that count in the verdict on its capture."""
+
+
+@dataclass(frozen=True)
+class FindingSettings:
+    """What is compared at all; docs/notes/verdict.md."""
+
+    widest: float = 0.34
+    """Plane units, half width: a highlight plain to see is narrower than the falloff, ..."""
+    faintest: float = 2.0
+    """... and so many times brighter than its surroundings."""
+    apart: tuple[float, float] = (0.03, 0.1)
+    """Tolerance of a highlight's place: plane units, and shares of its width more."""
+    plain_order: float = 0.15
+    """Likeness of a photograph whose order is plain to see."""
+
+
+FINDINGS = FindingSettings()
+
+# Of every map: how large a residue is just visible in it, and what is said of it.
+RESIDUES: Mapping[str, tuple[float, str]] = {
+    "albedo": (0.05, "diffuse differs there by a factor of {:.2f}"),
+    "specular": (0.15, "specular differs there by a factor of {:.2f}"),
+    "roughness": (0.025, "roughness differs there by {:.2f}"),
+    "grain": (0.3, "relief is stronger or weaker there by a factor of {:.2f}"),
+}
+
+
+def findings(seen: Measurements) -> Iterator[Finding]:
+    """Everything that can be rated, in the order in which a person would look."""
+    more = more_photographs(seen.causes.photographs)
+    yield from (seen.photograph[key] for key in PHOTOGRAPHED)
+    yield from _highlight(seen)
+    yield CHECKS["light"].finding(seen.light, more=more)
+    yield CHECKS["colour"].finding(max(map(abs, seen.colour)), more=more)
+    yield (
+        CHECKS["texture"].finding(seen.texture, more=more)
+        if math.isfinite(seen.texture)
+        else CHECKS["texture"].not_judged("the picture is too small to compare textures")
+    )
+    yield _contrast(seen, more)
+    yield from _order(seen)
+    yield from _piece(seen, more)
+    if seen.residue is not None:
+        yield _residue(seen.residue, more)
+    yield CHECKS["flash_offset"].finding(seen.offset, off=50.0 * seen.offset)
+
+
+def plain(highlight: Highlight | None) -> bool:
+    """Whether a highlight is plain to see."""
+    return (
+        highlight is not None
+        and highlight.width < FINDINGS.widest
+        and highlight.contrast > FINDINGS.faintest
+    )
+
+
+def _highlight(seen: Measurements) -> Iterator[Finding]:
+    """Strength, glints, place and width."""
+    yield highlight_contrast(seen.profile)
+    glints = math.nan if seen.profile is None else seen.profile.glint_ratio
+    yield (
+        CHECKS["glint_contrast"].finding(glints, more=more_photographs(seen.causes.photographs))
+        if math.isfinite(glints)
+        else CHECKS["glint_contrast"].not_judged("no highlight shows glints")
+    )
+    before, after = seen.highlights
+    if before is None or after is None or not (plain(before) or plain(after)):
+        return
+    apart = math.dist(before.centre, after.centre)
+    tolerance = FINDINGS.apart[0] + FINDINGS.apart[1] * before.width
+    yield CHECKS["highlight_place"].finding(apart / tolerance, off=50.0 * apart)
+    yield CHECKS["highlight_width"].finding(after.width / before.width)
+
+
+def highlight_contrast(profile: HighlightProfile | None) -> Finding:
+    """Strength of the highlight, re-rendered over photographed."""
+    check = CHECKS["highlight_contrast"]
+    if profile is None:
+        return check.not_judged("the highlight's mirror point is not in the photograph")
+    if not profile.glossy:
+        return check.not_judged("nothing is glossy in the photograph or in its re-rendering")
+    bound = f", as far as is seen: {profile.clipped[0]:.0%} of its core is clipped"
+    found = check.finding(profile.ratio, bound=bound if profile.bound else "")
+    if profile.contrast[0] < GLOSSY and found.severity > 1.0:
+        says = f"{found.says}, which is matte"
+        return replace(found, says=says)
+    return found
+
+
+def _contrast(seen: Measurements, more: str) -> Finding:
+    """Of the band and region that differ most."""
+    factors = {
+        band: (after + UNSEEN) / (before + UNSEEN)
+        for band, (before, after) in seen.contrast.items()
+    }
+    band = max(factors, key=lambda name: abs(math.log(factors[name])))
+    factor = factors[band]
+    says = f"{max(factor, 1.0 / factor):.1f} times {'stronger' if factor > 1.0 else 'weaker'}"
+    return CHECKS["contrast"].finding(factor, more=more, band=band, more_or_less=says)
+
+
+def _order(seen: Measurements) -> Iterator[Finding]:
+    if seen.order is None:
+        return
+    before, after = seen.order
+    if before < FINDINGS.plain_order:
+        yield CHECKS["order"].not_judged("the regular order is too faint to be seen")
+        return
+    kept = max(after, 0.0) / before
+    yield CHECKS["order"].finding(1.0 - kept, kept=100.0 * min(kept, 1.0))
+
+
+def _piece(seen: Measurements, more: str) -> Iterator[Finding]:
+    if seen.piece is None:
+        return
+    yield CHECKS["piece"].finding(seen.piece["error"], more=more)
+    trusted = {name: seen.piece[name] for name in seen.piece if name not in ("error", "slow")}
+    least = min(trusted, key=lambda name: trusted[name])
+    guessed = 1.0 - sum(trusted.values()) / len(trusted)
+    yield CHECKS["confidence"].finding(guessed, least=least)
+
+
+def _residue(found: Mapping[str, float], more: str) -> Finding:
+    """Of the map in which it is most visible."""
+    name = max(RESIDUES, key=lambda one: found[one] / RESIDUES[one][0])
+    visible, says = RESIDUES[name]
+    amount = found[name] if name == "roughness" else math.exp(found[name])
+    return CHECKS["highlight_residue"].finding(
+        found[name] / visible, more=more, found=says.format(amount)
+    )

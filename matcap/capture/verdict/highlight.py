@@ -1,0 +1,165 @@
+"""How strong and how lively the re-rendered highlight is beside the photographed one.
+
+Both pictures are clipped at the photograph's clip level 1, then averaged in rings around the mirror
+point and divided by M, an even matte surface under the same flash. With <> a mean over texels,
+
+    profile(r) = <L>_r / <M>_r,    contrast = profile(r < NEAR) / profile(r > FAR),
+
+and 1 is a matte surface. Glint contrast is the standard deviation of log L in octaves of spatial
+frequency, where at least MIRRORED of the photographed radiance is the highlight's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.piece.smooth import filled
+from matcap.flash.geometry import FlashSetup, highlight_foot
+from matcap.flash.render import render_rectified
+
+Picture = NDArray[np.float32]
+TexelMask = NDArray[np.bool_]
+
+NEAR, FAR = 0.06, 0.3  # plane units from the mirror point
+_EDGES = (0.0, NEAR, 0.085, 0.12, 0.17, 0.24, FAR, 9.0)  # plane units; an octave is two rings
+GLOSSY = 1.3  # contrast from which a highlight is looked for, as in flash/highlight.py
+MIRRORED = 0.4  # specular fraction from which contrast is taken for slope, as in piece/glints.py
+BOUND = 0.05  # clipped share from which a ring is a lower bound, as in piece/levels.py
+UNSEEN = 0.01  # log radiance, standard deviation, that the eye does not see in a surface
+_LEAST = 0.01  # share of the picture that glints are measured in, as in piece/glints.py
+_OCTAVES = 3  # from 1 texel on
+_DARKEST = 1e-4  # radiance
+
+
+@dataclass(frozen=True)
+class HighlightProfile:
+    """A photographed highlight and its re-rendering, clipped alike; pairs are in this order."""
+
+    rings: tuple[tuple[float, float], ...]
+    """Of every ring, radiance over a matte surface's, relative to the outermost ring's; the first
+    is the contrast."""
+    clipped: tuple[float, ...]
+    """Share of every ring that is clipped in the photograph."""
+    glints: tuple[tuple[float, float], ...] = ()
+    """By octave, finest first: standard deviation of log radiance; empty without a highlight."""
+
+    @property
+    def contrast(self) -> tuple[float, float]:
+        """Radiance at the mirror point over an even matte surface's."""
+        return self.rings[0]
+
+    @property
+    def glossy(self) -> bool:
+        """Whether either picture has a highlight."""
+        return max(self.contrast) >= GLOSSY
+
+    @property
+    def bound(self) -> bool:
+        """Whether the photographed contrast is a lower bound only, because its core is clipped."""
+        return self.clipped[0] > BOUND
+
+    @property
+    def ratio(self) -> float:
+        """Highlight contrast, re-rendered over photographed; NaN where neither is glossy.
+
+        Of a clipped core the innermost highlight ring that is not clipped is asked, too; the one
+        farther from 1 counts.
+        """
+        if not self.glossy:
+            return math.nan
+        measured = (
+            after / before
+            for (before, after), clipped in zip(self.rings, self.clipped, strict=True)
+            if clipped <= BOUND and max(before, after) >= GLOSSY
+        )
+        core = self.contrast[1] / self.contrast[0]
+        return max((core, next(measured, core)), key=lambda ratio: abs(math.log(ratio)))
+
+    @property
+    def glint_ratio(self) -> float:
+        """Glint contrast of all octaves, re-rendered over photographed; NaN without a highlight.
+
+        UNSEEN is added to both in quadrature: what nobody sees is no difference.
+        """
+        if not self.glints:
+            return math.nan
+        before, after = (math.hypot(UNSEEN, *each) for each in zip(*self.glints, strict=True))
+        return after / before
+
+    def document(self) -> Mapping[str, Any]:
+        """As JSON; radii in plane units."""
+        return {
+            "radii": list(_EDGES[1:-1]),
+            "rings": [list(pair) for pair in self.rings],
+            "clipped": list(self.clipped),
+            "contrast_ratio": self.ratio,
+            "glints": [list(pair) for pair in self.glints],
+            "glint_ratio": self.glint_ratio,
+        }
+
+
+def highlight_profile(
+    pictures: tuple[Picture, Picture], seen: TexelMask, measured: TexelMask, setup: FlashSetup
+) -> HighlightProfile | None:
+    """The highlight in both pictures; None where its mirror point is not in the photograph.
+
+    Args:
+        pictures: (H, W, 3) radiance of photograph and re-rendering on the plane's grid, clipped
+            alike at 1.
+        seen: (H, W) what lies in the photograph.
+        measured: (H, W) what of it is not clipped.
+        setup: camera and flash.
+    """
+    lights = [picture.mean(axis=2) for picture in pictures]
+    away, matte = from_mirror_point(setup, seen.shape), _matte(setup, seen.shape)
+    rings = [
+        seen & (away >= inner) & (away < outer)
+        for inner, outer in zip(_EDGES, _EDGES[1:], strict=False)
+    ]
+    if not all(ring.any() for ring in rings):
+        return None
+    levels = np.array([[each[ring].sum() / matte[ring].sum() for each in lights] for ring in rings])
+    levels /= np.maximum(levels[-1], 1e-9)
+    reach = _reach(levels[:, 0])
+    region = seen & measured & (lights[1] < 1.0) & (away < reach)
+    glints = [_octaves(each, region) for each in lights] if region.mean() >= _LEAST else [[], []]
+    return HighlightProfile(
+        tuple((float(before), float(after)) for before, after in levels),
+        tuple(float((~measured[ring]).mean()) for ring in rings),
+        tuple(zip(*glints, strict=True)),
+    )
+
+
+def _reach(profile: NDArray[np.float64]) -> float:
+    """Radius within which at least MIRRORED of the radiance is the highlight's; 0 for none."""
+    mirrored = 1.0 - 1.0 / np.maximum(profile[:-1], 1e-9) >= MIRRORED
+    return _EDGES[len(mirrored) if mirrored.all() else int(mirrored.argmin())]
+
+
+def _octaves(picture: Picture, region: TexelMask) -> list[float]:
+    log = filled(np.log(np.maximum(picture, _DARKEST)).astype(np.float32), region)
+    blurs = [cv2.GaussianBlur(log, (0, 0), 2.0**octave) for octave in range(_OCTAVES + 1)]
+    return [float((a - b)[region].std()) for a, b in zip(blurs, blurs[1:], strict=False)]
+
+
+def from_mirror_point(setup: FlashSetup, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """(H, W) plane units from the mirror point."""
+    (x, y), (height, width) = highlight_foot(setup), shape
+    v, u = np.mgrid[:height, :width] + 0.5
+    return np.hypot(2.0 * u / width - 1.0 - x, (height - 2.0 * v) / width - y)
+
+
+def _matte(setup: FlashSetup, shape: tuple[int, ...]) -> Picture:
+    """(H, W) radiance of an even matte surface."""
+    one = torch.ones(1, *shape)
+    maps = MapSet(one.expand(3, -1, -1), 1e-6 * one, one, 0.0 * one, 2.0 / shape[1])
+    return np.asarray(render_rectified(maps, setup).mean(0).numpy(), np.float32)

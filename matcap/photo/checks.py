@@ -1,0 +1,265 @@
+"""The one table of checks: what `inspect`, report.json and the verdict measure, and their limits.
+
+Photographs are judged by photo/inspect.py, captures by capture/verdict; both take limits, words,
+causes and remedies from here. Severity is one scale: up to 1 nobody minds, up to 2 one sees it
+beside the photograph, up to 3 one sees it without, and beyond it is another material. Limits are
+what a person notices, not what captures reach; where each comes from is in docs/notes/verdict.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+
+class Rating(Enum):
+    """How good a photograph or a capture is, for what one does with it."""
+
+    GOOD = "good"
+    """Like the photograph; use it. Of a photograph: nothing to mend."""
+    USABLE = "usable"
+    """One sees differences beside the photograph only."""
+    DOUBTFUL = "doubtful"
+    """One sees that something is wrong; look before using it, or photograph again."""
+    FAILED = "failed"
+    """Another material than the photographed one; a photograph that tells another."""
+    NOT_JUDGED = "not judged"
+    """Worth knowing; nothing to be rated."""
+
+    @staticmethod
+    def of(severity: float | None) -> Rating:
+        """The word for a severity: up to 1 good, 2 usable, 3 doubtful, beyond failed."""
+        if severity is None:
+            return Rating.NOT_JUDGED
+        words = (Rating.GOOD, Rating.USABLE, Rating.DOUBTFUL)
+        return next((word for most, word in enumerate(words, 1) if severity <= most), Rating.FAILED)
+
+    @property
+    def fit(self) -> bool:
+        """Whether it is fit for use."""
+        return self not in (Rating.DOUBTFUL, Rating.FAILED)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at."""
+
+    name: str
+    """A key of CHECKS, or what is only told."""
+    value: Any
+    """JSON: the measurement, or None where it is not known."""
+    rating: Rating
+    says: str
+    """What was found: a clause, or sentences."""
+    remedy: str = ""
+    """What to do, likewise, or ""."""
+    cause: str = ""
+    """What it comes from, where the measurement itself says so, or ""."""
+    severity: float = 0.0
+    """On the scale of all checks; 0 where nothing is measured."""
+
+    def line(self) -> str:
+        """Finding and remedy as sentences."""
+        return f"{sentence(self.says)} {sentence(self.remedy)}".strip()
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "value": self.value,
+            "unit": CHECKS[self.name].unit if self.name in CHECKS else "",
+            "rating": self.rating.value,
+            "severity": round(self.severity, 3),
+            "says": sentence(self.says),
+            "cause": self.cause,
+            "remedy": sentence(self.remedy),
+        }
+
+
+@dataclass(frozen=True)
+class QualityCheck:
+    """One row of the table."""
+
+    key: str
+    measures: str
+    """What is measured."""
+    unit: str
+    limits: tuple[float, float, float]
+    """Up to which it is good, usable and doubtful; falling where less is worse."""
+    says: str
+    """Of a measurement, to be formatted with `value` and what else a caller gives."""
+    cause: str = ""
+    """What it comes from where the photograph shows no other cause, or ""."""
+    remedy: str = "try --preset high, or {more}"
+    """What to do; `more` is what more photographs would help."""
+    factor: bool = False
+    """Whether it is a ratio that counts alike above and below 1."""
+
+    def severity(self, value: float) -> float:
+        """A measurement on the common scale, linear between limits (of logarithms for a factor).
+
+        Where less is worse, severity falls to 0 beyond the first limit within the distance to the
+        second.
+        """
+        limits = self.limits
+        if self.factor:
+            value = abs(math.log(max(value, 1e-9)))
+            limits = (math.log(limits[0]), math.log(limits[1]), math.log(limits[2]))
+        sign = 1.0 if limits[0] < limits[2] else -1.0
+        value, (first, second, third) = sign * value, (sign * limit for limit in limits)
+        if value <= first:
+            start = 0.0 if first > 0.0 else 2.0 * first - second
+            return max(0.0, (value - start) / (first - start))
+        if value <= second:
+            return 1.0 + (value - first) / (second - first)
+        return 2.0 + (value - second) / (third - second)
+
+    def finding(
+        self, value: float, severity: float | None = None, *, more: str = "", **words: object
+    ) -> Finding:
+        """What is said of a measurement.
+
+        Args:
+            value: measured.
+            severity: of it, where more than the value decides.
+            more: what to photograph (capture/verdict/causes.py).
+            words: that the sentences need beside the value.
+        """
+        severity = self.severity(value) if severity is None else severity
+        rating = Rating.of(severity)
+        good = rating is Rating.GOOD
+        return Finding(
+            self.key,
+            round(float(value), 4),
+            rating,
+            self.says.format(value=value, percent=100.0 * value, **words),
+            "" if good else self.remedy.format(more=more, **words),
+            "" if good else self.cause,
+            severity,
+        )
+
+    def not_judged(self, says: str) -> Finding:
+        """That it cannot be measured, or that there is nothing to measure."""
+        return Finding(self.key, None, Rating.NOT_JUDGED, says)
+
+
+def sentence(clause: str) -> str:
+    """A clause as a sentence; sentences as they are."""
+    if not clause or clause.endswith("."):
+        return clause
+    return f"{clause[0].upper()}{clause[1:]}."
+
+
+_SHOOT = "photograph again, squarely from above, in the dark, a stop darker, RAW if you can"
+_HIGHLIGHT = f"try --preset high, give --fov if you know it, or {_SHOOT}"
+
+_TABLE = (
+    # Of the photograph.
+    QualityCheck(
+        "flash", "hot spot over border", "times", (1.5, 1.25, 1.12),
+        "the photograph's middle is {value:.1f} times as bright as its border{fired}",
+        "no flash, or other light",
+        "photograph again with the flash switched on, not on automatic, and keep other light out",
+    ),
+    QualityCheck(
+        "clipped", "pixels at their limit", "share of the photograph", (0.02, 0.08, 0.25),
+        "{percent:.1f} % of the photograph is clipped", "it was exposed too long",
+        "lower the exposure by a stop",
+    ),
+    QualityCheck(
+        "hot_spot", "distance of the hot spot from the border", "share of a side", (0.12, 0.1, 0.0),
+        "the hot spot is {where}", "the phone was held beside the sample",
+        "hold the phone squarely above the middle: the highlight must be in the picture, whole",
+    ),
+    QualityCheck(
+        "tilt", "angle between camera and sample", "degrees", (8.0, 14.0, 25.0),
+        "the phone was tilted by {value:.0f} degrees{side}",
+        "it was held askew, or other light came from one side",
+        "lift the phone's {raised} side until it is parallel to the sample",
+    ),
+    QualityCheck(
+        "sharpness", "blur, standard deviation", "pixels", (1.5, 2.05, 2.6),
+        "details smaller than {details:.0f} pixels are lost at {width} pixels across, unless the "
+        "sample has none", "out of focus, or moved",
+        "touch the middle of the screen to focus, and hold still",
+    ),
+    QualityCheck(
+        "stationarity", "difference between parts of the photograph", "times the usual",
+        (2.0, 3.2, 4.5),
+        "the sample does not look the same all over; it differs most {where}",
+        "several materials, stains, a picture or shadows",
+        "fill the picture with one material: no edges, stains, labels or shadows",
+    ),
+    # Of the capture.
+    QualityCheck(
+        "highlight_contrast", "radiance at the mirror point over a matte surface's, re-rendered "
+        "over photographed", "times", (1.3, 2.0, 3.0),
+        "the highlight is {value:.2g} times as strong as in the photograph{bound}", "", _HIGHLIGHT,
+        factor=True,
+    ),
+    QualityCheck(
+        "glint_contrast", "standard deviation of log radiance in the highlight, re-rendered over "
+        "photographed", "times", (1.3, 2.0, 3.0),
+        "the glints in the highlight are {value:.2g} times as strong as in the photograph",
+        factor=True,
+    ),
+    QualityCheck(
+        "highlight_place", "distance between centres of the highlights", "tolerances",
+        (1.0, 2.6, 5.0), "the highlight is {off:.0f} % of the picture's long side off",
+        "the light's place or the field of view is wrong", _HIGHLIGHT,
+    ),
+    QualityCheck(
+        "highlight_width", "half width of the highlight, re-rendered over photographed", "times",
+        (1.3, 1.8, 3.0), "the highlight is {value:.1f} times as wide as in the photograph", "",
+        _HIGHLIGHT, factor=True,
+    ),
+    QualityCheck(
+        "light", "log luminance that goes with place as light does", "share", (0.12, 0.22, 0.4),
+        "brightness is distributed otherwise than in the photograph, by {percent:.0f} %", "",
+        "{more}",
+    ),
+    QualityCheck(
+        "colour", "log ratio of a channel, median", "share", (0.06, 0.15, 0.35),
+        "colours are off by {percent:.0f} %",
+    ),
+    QualityCheck(
+        "texture", "difference of texture statistics", "of the photograph's parts among themselves",
+        (1.1, 1.5, 2.3),
+        "the texture differs from the photograph's by {value:.1f} times what the photograph's own "
+        "parts differ by",
+    ),
+    QualityCheck(
+        "contrast", "contrast of a band of texture, re-rendered over photographed", "times",
+        (1.25, 1.6, 2.5), "{band} is {more_or_less} than in the photograph", factor=True,
+    ),
+    QualityCheck(
+        "order", "likeness a period further that is lost", "share", (0.3, 0.5, 0.75),
+        "{kept:.0f} % of the photograph's regular order is kept",
+        "the pattern's period was not found exactly, or it bends",
+        "try --preset high, or photograph it flat and from nearer",
+    ),
+    QualityCheck(
+        "piece", "log radiance that the maps of the photographed piece leave", "share",
+        (0.12, 0.22, 0.4),
+        "maps of the photographed piece leave {percent:.0f} % of its light unexplained",
+    ),
+    QualityCheck(
+        "confidence", "mean of what the maps' confidence lacks", "share", (0.6, 0.75, 0.9),
+        "{percent:.0f} % of the maps is guessed, most of {least}",
+        "clipped, dark or dull parts tell little", _SHOOT,
+    ),
+    QualityCheck(
+        "highlight_residue", "radial variation of a map about the mirror point", "just visible",
+        (1.0, 2.0, 4.0), "the highlight's residue is in the maps: {found}",
+        "the highlight was taken for the material's own", "{more}",
+    ),
+    QualityCheck(
+        "flash_offset", "distance of the flash from the lens", "plane units", (0.25, 0.35, 0.6),
+        "the light seems to be {off:.0f} % of the picture's long side beside the lens",
+        "other light, or a wrong field of view",
+        "switch other lights off, and give --fov if you know it",
+    ),
+)  # fmt: skip
+CHECKS: Mapping[str, QualityCheck] = {check.key: check for check in _TABLE}
