@@ -23,12 +23,14 @@ from matcap.capture.together.texels import (
     numbers_of,
     spread_of,
 )
+from matcap.capture.together.views import SetLight
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.register import register
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import as_photo
 from matcap.lab.simulate.specimen import subjects
+from matcap.photo.camera import CameraProfile, Falloff
 
 
 def _true(seed=0):
@@ -104,6 +106,26 @@ def test_the_flash_is_found_beside_the_lens():
         views, numbers, numbers, spread, begun, True, SolveSettings(), moving=False
     )
     assert np.abs(found.offset.numpy() - OFFSET).max() < 0.01
+
+
+def test_the_falloff_of_all_photographs_stays_as_near_as_the_camera_s_profile_says():
+    maps = _true(3)
+    views, light = seen([maps] * 5)
+    numbers, spread = numbers_of(maps), spread_of(NOTHING_KNOWN, SolveSettings())
+
+    def off(profile):
+        lost = {"vignetting": 0.3, "vignetting_quartic": 0.0}  # the photographs lose nothing
+        setup = FlashSetup(offset=(*light.offset.tolist(), 0.0), **lost)
+        begun = SetLight.of(setup, 5, profile)
+        begun = replace(begun, intensity=light.intensity)
+        found, _ = shared_step(
+            views, numbers, numbers, spread, begun, False, SolveSettings(), moving=False
+        )
+        return float(found.vignetting.sum())
+
+    narrow = CameraProfile("phone", Falloff((0.3, 0.0), (1e-3, 1e-3)), 9)
+    assert off(narrow) == pytest.approx(0.3, abs=0.01)
+    assert abs(off(None)) < 0.1
 
 
 def test_gloss_that_was_read_wrong_does_not_scale_relief():
