@@ -218,7 +218,7 @@ FAULTS = (
           "(PROFILE.freedom + 2.0) / (PROFILE.freedom + distances)", "np.ones(len(shifts))",
           "flash/test_camera_profile.py -k contradicts"),
     Fault("camera: photographs do not scatter", "flash _combined",
-          "np.linalg.inv(precision) + scatter ** 2 * np.eye(2)", "np.linalg.inv(precision)",
+          "np.linalg.inv(precision) + variance * np.eye(2)", "np.linalg.inv(precision)",
           "flash/test_camera_profile.py -k scatter"),
     Fault("camera: corners may gain light", "flash _no_gain", "mean[one] < 0.0", "False",
           "flash/test_camera_profile.py -k gains"),

@@ -32,7 +32,7 @@ class ProfileSettings:
     """How photographs are combined.
 
     Attributes:
-        freedom: degrees, nu: fewer trust fewer photographs.
+        freedom: degrees, nu, above 2: fewer trust fewer photographs.
         scatter: deviations between photographs that are tried for tau.
         rounds: of weights.
     """
@@ -103,7 +103,9 @@ def _combined(
         weight = (PROFILE.freedom + 2.0) / (PROFILE.freedom + distances)
     likelihood = -0.5 * np.linalg.slogdet(wider).logabsdet
     likelihood -= 0.5 * (PROFILE.freedom + 2.0) * np.log1p(distances / PROFILE.freedom)
-    return float(likelihood.sum()), mean, np.linalg.inv(precision) + scatter**2 * np.eye(2)
+    # Student's t is wider than tau says.
+    variance = scatter**2 * PROFILE.freedom / (PROFILE.freedom - 2.0)
+    return float(likelihood.sum()), mean, np.linalg.inv(precision) + variance * np.eye(2)
 
 
 def _no_gain(precision: Doubles, shift: Doubles) -> Doubles:
