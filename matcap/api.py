@@ -1,4 +1,4 @@
-"""What a Python program calls first: a photograph to a material, maps to a picture.
+"""The Python interface: capture a material from a photograph, render maps to a picture.
 
 Torch and what is heavy are imported when a function is called, or a name first used.
 """

@@ -1,4 +1,4 @@
-"""A whole shoot: every photograph of a folder to a material, and nothing lost on the way.
+"""Batch capture: every photograph of a folder to a material; failures are kept and reported.
 
 Start reading at `run`, which is the order of events. `shoot` finds the photographs, `identity`
 says what a material was made from, `record` and `workspace` are the files that the truth is read

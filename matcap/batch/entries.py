@@ -1,4 +1,4 @@
-"""What is to be done, what is done already, and what cannot be done: read from the files."""
+"""The state of each sample of a batch (to do, done, failed), read from the output files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much memory a worker takes, and how many fit.
+"""Memory that one worker needs, and the number of workers that fit.
 
 Measured on Linux, glibc (docs/notes/stability.md has the command): the libraries,
 the photograph as it is developed, what grows with the detail, and what grows with the map set.

@@ -1,4 +1,4 @@
-"""index.html, index.csv and index.json of an output folder: everything that was made, and not."""
+"""index.html, index.csv and index.json of an output folder: captured and failed samples."""
 
 from __future__ import annotations
 

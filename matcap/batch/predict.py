@@ -1,4 +1,4 @@
-"""What a batch will take: from materials made before, or from a short trial of the first one."""
+"""Time and disk space a batch will take: from earlier captures, or a short trial of the first."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The order of events of a batch: who works on what, and what becomes of failures.
+"""Scheduling of a batch: which worker gets which sample, and how failures are retried.
 
 Nothing is decided by what this process remembers: a batch that is killed and started again reads
 the same files and goes on from there.

@@ -1,4 +1,4 @@
-"""What a batch is to do: matcap.toml beside the shoot, and flags that win over it."""
+"""Settings of a batch: matcap.toml beside the input folder, overridden by options."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which photographs a folder holds, and which of them show the same sample."""
+"""The input folder: its photographs, grouped by sample."""
 
 from __future__ import annotations
 

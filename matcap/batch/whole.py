@@ -1,4 +1,4 @@
-"""The whole of a batch in two steps: look at everything, then work it off."""
+"""A batch in two steps: plan (inspect every sample), then run."""
 
 from __future__ import annotations
 

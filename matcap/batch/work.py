@@ -1,4 +1,4 @@
-"""What one worker does with one sample: photograph to folder, whole or not at all."""
+"""The job of a worker: one sample's photographs to its folder, written completely or not at all."""
 
 from __future__ import annotations
 

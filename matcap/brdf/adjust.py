@@ -1,4 +1,4 @@
-"""Adjustments: how a material is to look other than it was found, without changing it.
+"""Adjustments of maps on output (brightness, roughness, relief, tint); the material is unchanged.
 
 One short text, shared by `synth`, `export`, `relight` and the page, and kept in sidecars:
 

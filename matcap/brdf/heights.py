@@ -1,4 +1,4 @@
-"""Which heights are those of a surface."""
+"""Validation of height maps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Heights of slopes: the surface that a normal map without a height map is of."""
+"""Height from slopes by integration, for normal maps without a height map."""
 
 from __future__ import annotations
 

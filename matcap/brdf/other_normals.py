@@ -1,4 +1,4 @@
-"""A map set's normal file, where it says something else than its height.
+"""A map set's normal file, where it disagrees with the height.
 
 Normals follow from the height. Their file may have been edited: a note says so, and it is
 read where it is asked for (`--normals file`).

@@ -1,4 +1,4 @@
-"""Surfaces in numbers of which any is allowed: what networks answer and fits move.
+"""Unconstrained reflectance parameters (logs and logits), for networks and optimisers.
 
 Logarithms of diffuse albedo and F0, the logit of roughness, heights in texels. One way in and one
 way out, and here stand the limits of what a surface is taken for. Channels go by their names; in a

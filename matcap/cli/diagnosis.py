@@ -1,4 +1,4 @@
-"""What this installation is made of, and whether it works: facts for reports of faults."""
+"""Versions, devices and a self-test of this installation, for bug reports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The files that a command reads of what it is given, so that it replaces none of them."""
+"""The input files of a command, which it must not overwrite."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`matcap inspect`: what to do better at the next shot, and what a material holds."""
+"""`matcap inspect`: the quality of photographs with advice, and a summary of a material."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The laboratory, which measures and trains, is installed apart from what captures."""
+"""Check that the laboratory (experiments and training), a separate install, is there."""
 
 from __future__ import annotations
 

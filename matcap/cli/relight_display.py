@@ -1,4 +1,4 @@
-"""How far a picture has come, where it takes long."""
+"""Progress display of long renderings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the process begins: until the command line is there, Ctrl-C ends it without a word."""
+"""Process entry: until the command line is loaded, Ctrl-C ends it without a traceback."""
 
 from __future__ import annotations
 

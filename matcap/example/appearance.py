@@ -1,4 +1,4 @@
-"""Appearance vectors: what a texel and its surroundings look like, in a few integers.
+"""Appearance vectors: PCA of texel neighbourhoods, in a few integers (Lefebvre and Hoppe 2006).
 
 Neighbourhoods of 5 x 5 features, weighted towards the middle, projected on their principal
 components (Lefebvre and Hoppe 2006). Basis and features are integers of 7 bits, so that every sum

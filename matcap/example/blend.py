@@ -1,4 +1,4 @@
-"""Maps that join where a rearrangement has seams: multi-band votes.
+"""Multi-band blending across the seams of a rearranged exemplar.
 
 A patch that ends at a seam ends in every octave at once: grain, colour and height step there. So
 each octave of every map is blended over about as many texels as its waves are long (Burt and

@@ -1,4 +1,4 @@
-"""Places of a field corrected until they fit their neighbours: the inner loop, compiled."""
+"""Correction passes: coordinates are replaced by better-fitting candidates; a compiled loop."""
 
 from __future__ import annotations
 

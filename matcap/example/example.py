@@ -1,4 +1,4 @@
-"""An exemplar ready to be rearranged: its index, and what is looked up in both.
+"""The by-example generator: an exemplar with its index.
 
 Places are found on a grid of at most some 1500 texels; an exemplar of more detail is read at 2, 4
 or 8 times that grid's resolution, so that a finer photograph costs no more to rearrange.

@@ -1,4 +1,4 @@
-"""Exemplar: maps of the photographed piece itself, texel by texel, and how far each is trusted.
+"""Exemplar: the maps of the photographed rectangle, with a confidence per map and texel.
 
 NumPy alone: what reads an exemplar, the field by example first of all, starts without PyTorch.
 

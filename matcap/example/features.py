@@ -1,4 +1,4 @@
-"""What of an exemplar is compared: its maps as small integers, at every level.
+"""Features by which places of an exemplar are compared: its maps quantised to small integers.
 
 Every step but the choice of `Scale` is exact arithmetic, elementwise, so that an exemplar and a
 scale have the same features on every machine.

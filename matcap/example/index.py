@@ -1,4 +1,4 @@
-"""Index of an exemplar: what is chosen once, at capture, and kept with it.
+"""Index of an exemplar: PCA bases, candidates and placement costs, computed once at capture.
 
 What follows from the exemplar and these choices by exact arithmetic is not kept, but made again
 (lookup.py): appearances alone would take 30 megabytes.

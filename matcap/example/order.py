@@ -1,4 +1,4 @@
-"""Regular order of an exemplar: the lattice of a weave or a bond, kept for ever.
+"""The lattice of an exemplar (weave, tiles): its waves and their phase, kept in every field.
 
 Photographs bend a lattice, so its phase is measured all over the exemplar; what is synthesised
 has the ideal lattice of the same mean waves, whose phase is an integer of 64 bits that neither

@@ -1,4 +1,4 @@
-"""Arrays of integers as few bytes, and back from a file that a stranger may have written.
+"""Compressed integer arrays, decoded with checks: files may be damaged or hostile.
 
 Numbers less their left neighbours, low bytes before high bytes, deflated.
 """

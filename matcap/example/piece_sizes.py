@@ -1,4 +1,4 @@
-"""How large the pieces of the exemplar are that a field begins with: its variety."""
+"""Patch sizes: how large the patches are that a field's coarsest level is laid from."""
 
 from __future__ import annotations
 

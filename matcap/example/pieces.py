@@ -1,4 +1,4 @@
-"""How the coarsest level is cut into pieces of the exemplar, and which place each one shows.
+"""Patches of the coarsest level: the grid they are laid on and the place each one shows.
 
 A field of full variety begins with squares of some hundred texels, each anywhere. With less,
 pieces are larger, up to the whole exemplar, which is then repeated: what is long in it is torn

@@ -1,4 +1,4 @@
-"""How far an exemplar may be taken apart: the variety that keeps what is long in it.
+"""Choice of the patch size (variety): the most random one that keeps long structure.
 
 Some blocks are synthesised at several varieties, and compared with the exemplar: what of its
 correlation over long shifts they keep, and how much of them lies at borders of pieces. The most

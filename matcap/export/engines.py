@@ -1,4 +1,4 @@
-"""How engines name and pack their textures, in every workflow that each of them has.
+"""Naming and packing of textures for game engines, in each of their workflows.
 
 An engine's forms go by workflow; PLAIN says which is written where no other is asked for, and of
 all other engines it is the one that comes nearest.

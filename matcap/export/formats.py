@@ -1,4 +1,4 @@
-"""What a picture is in memory, and what the file of one can be."""
+"""Pixel types in memory and file formats of textures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What exporters are given: a map set, and how it is to be written.
+"""Input of exporters: a map set, and how it is to be written.
 
 Read next: texture_file.py, which makes files of it.
 """

@@ -1,4 +1,4 @@
-"""How texture libraries name and store their maps: presets that lose nothing."""
+"""Presets in the naming of texture libraries, lossless."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How an export is written, as users say it: the options of `matcap export`."""
+"""Options of `matcap export`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How targets shade: where their reflectance differs from matcap's (brdf/cook_torrance.py).
+"""Shading models of targets, where they differ from matcap's (brdf/cook_torrance.py).
 
 Targets differ in a few ways only: which masking they know, which diffuse lobe, which Fresnel, and
 whether what the specular layer reflects is taken from what lies below it. TargetShading says these

@@ -1,4 +1,4 @@
-"""What a target makes of a material, and how far that is from what matcap means by it.
+"""The reflectance that a target renders, and its error against matcap's.
 
 A TargetSurface holds the maps as a target's files hold them, rounding included, and how the target
 shades (shading.py). Read next: fit.py, which fits the parameters for a target such that little

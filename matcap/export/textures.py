@@ -1,4 +1,4 @@
-"""What exporters give back, and the textures that most of them write."""
+"""Result of exporters, and the textures that most of them write."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fixed grid of blocks that the plane is cut into, and what they give to a rectangle."""
+"""The fixed grid of blocks of the plane, and the blocks that a rectangle needs."""
 
 from __future__ import annotations
 

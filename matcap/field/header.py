@@ -1,4 +1,4 @@
-"""What a `.matcap` file says of itself; without PyTorch.
+"""The header of a `.matcap` file, read without PyTorch.
 
 Read next: material.py, and the generators' own readers (GENERATORS there).
 """

@@ -1,4 +1,4 @@
-"""The endless plane: where it is addressed, what repeats, which realisations there are.
+"""Addresses on the endless plane: rectangles, periods and seeds, with their limits.
 
 Without PyTorch, so that what needs none can start without it.
 """

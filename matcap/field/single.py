@@ -1,4 +1,4 @@
-"""Threads that compute on one core each, whatever the rest of the process does.
+"""Thread pool whose threads compute on one core each.
 
 A block is computed on one thread, so that the machine's count of cores changes no bit. How many
 threads PyTorch's operators use is a setting of the calling thread (OpenMP's), beside a number for

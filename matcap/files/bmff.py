@@ -1,4 +1,4 @@
-"""What HEIC and AVIF files say of their primary picture (ISO/IEC 14496-12 and 23008-12).
+"""Properties of the primary picture of HEIC and AVIF files (ISO/IEC 14496-12 and 23008-12).
 
 Decoders hand out pixels and leave out what is not needed for that: the colour space as code
 points, and the camera's intrinsic matrix. Only the boxes meta, pitm, iprp, ipco, ipma are read.

@@ -1,4 +1,4 @@
-"""Whether a safetensors file holds what was written into it; without PyTorch.
+"""Digest check of safetensors files, without PyTorch.
 
 Read next: tensors.py, which writes the digest.
 """

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: both end a command alike, and not in the middle of what is to be whole."""
+"""Ctrl-C and SIGTERM: both end a command alike, and never inside an atomic step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which JPEGs no usual decoder reads, by the frame's header (ITU-T T.81, table B.1)."""
+"""JPEG coding modes that common decoders do not read, by frame header (ITU-T T.81, table B.1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who made a file: what every file that matcap writes says of the program."""
+"""The generator mark that every file written by matcap carries."""
 
 from __future__ import annotations
 

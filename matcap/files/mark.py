@@ -1,4 +1,4 @@
-"""Which command wrote a file, by what the file itself says; and what a command may replace.
+"""Overwrite rules: which command wrote a file, by its mark, and what a command may replace.
 
 One rule for every command's outputs: one replaces only what the same command wrote, unless
 --overwrite is given, and never what the same call reads. Pictures and pages say it in a place that

@@ -1,4 +1,4 @@
-"""Masks: which part of a picture is meant, as grey or as transparency."""
+"""Masks: the used part of a picture, as grey or as transparency."""
 
 from __future__ import annotations
 

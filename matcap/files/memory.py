@@ -1,4 +1,4 @@
-"""What memory is left, asked before work begins."""
+"""Free memory, checked before work begins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Names that come from files: what may be a file's name, and nothing else is written under one.
+"""Validation of file names that come from files.
 
 A name is checked where it comes in (`plain_name`, or `made_plain` where it is only called after
 something) and a second time at the moment of writing (`StagedFolder`).

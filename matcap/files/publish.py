@@ -1,4 +1,4 @@
-"""Files into their folder, all or none: whatever fails, and wherever the power goes.
+"""Atomic commit of several files to a folder, with a write-ahead log against power cuts.
 
 What makes room is kept in a journal, a hidden folder beside it, until all of the new stands:
 

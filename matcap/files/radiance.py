@@ -1,4 +1,4 @@
-"""Radiance's pictures: what their header says of the numbers, and of how they lie.
+"""Headers of Radiance HDR pictures: exposure, primaries and orientation.
 
 Larson 1998, "Real Pixels" and Radiance's file formats: lines of text up to an empty one, then the
 resolution, such as `-Y 512 +X 1024`: the axis that the scanlines go along and how many there are,

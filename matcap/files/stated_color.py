@@ -1,4 +1,4 @@
-"""Which colour space a picture file states, in whatever way its format has.
+"""The colour space stated by a picture file: ICC, CICP, Exif or chunk.
 
 | format | stated by, the first that is there |
 | --- | --- |

@@ -1,4 +1,4 @@
-"""What users type for sizes, rectangles and times, as values.
+"""Parsers of sizes, rectangles and durations that users type.
 
 What is none is a ValueError that says so. A value passes through as it is.
 """

@@ -1,4 +1,4 @@
-"""What a DNG's tags say that LibRaw does not act on: lens shading, whites, JPEG XL compression."""
+"""DNG tags that LibRaw ignores: lens shading, white balance, JPEG XL compression."""
 
 from __future__ import annotations
 

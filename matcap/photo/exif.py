@@ -1,4 +1,4 @@
-"""What a photograph says of itself: orientation, field of view, flash (Exif 2.32, XMP).
+"""Metadata of a photograph: orientation, field of view, flash (Exif 2.32, XMP).
 
 | container | where it is said |
 | --- | --- |

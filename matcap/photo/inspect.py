@@ -1,4 +1,4 @@
-"""What a photographer should know of a shot before anything is made of it, and do at the next one.
+"""Quality checks of a photograph before capture, with advice for the next shot.
 
 `inspect_photo` judges a `Photo`; the tilt comes from outside (the coarse fit, as in a capture),
 for photo knows nothing of fits. Every finding has a number, a verdict and a sentence. Places and

@@ -1,4 +1,4 @@
-"""What of a photograph is not the material: outside of a crop, black in a mask, or transparent.
+"""Masked parts of a photograph: outside of a crop, black in a mask, or transparent.
 
 The photograph keeps its size, so that its middle stays the camera's axis and the flash's foot stays
 where it is; nothing is measured where something is left out, and nothing drawn from there. For

@@ -1,4 +1,4 @@
-"""Photo: what the rest of matcap sees of a photograph file."""
+"""Photo: linear pixels, clipping mask and metadata of a photograph file."""
 
 from __future__ import annotations
 

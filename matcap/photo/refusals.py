@@ -1,4 +1,4 @@
-"""What load_photo answers to a file that it cannot use, in one place so that it is said one way."""
+"""Errors of load_photo for files that it cannot use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pixels of a picture that are shaded together: what is known of them, and what adds up."""
+"""A block of pixels shaded together: its inputs and its accumulated radiance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lights that single precision can hold, and the sentence for those it cannot."""
+"""Range check of light intensities for single precision."""
 
 from __future__ import annotations
 

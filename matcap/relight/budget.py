@@ -1,4 +1,4 @@
-"""What tiles may leave out: the tolerance that the picture's plan has left, shared among effects.
+"""Per-tile error budget: the tolerance left by the plan, shared among effects.
 
 The tolerance is in code values, and what is known of a pixel's radiance already, all of which
 adds up, says how much more of it such a step of code is: at code 0.5 eight times as much as at

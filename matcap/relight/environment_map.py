@@ -1,4 +1,4 @@
-"""Surroundings as the shader asks for them: radiance along a direction, and irradiance.
+"""Environment map lookups: radiance along a direction, and irradiance.
 
 A picture is kept as latitude by longitude, as it came, with a pyramid of averages for wide lobes.
 Directions are turned by the light's rotation on the way in.

@@ -1,4 +1,4 @@
-"""What of the sky each texel of a height field sees, and what its neighbours show it instead.
+"""Horizon maps of a height field: visible sky per texel, and one-bounce transfer.
 
 From a texel, along 16 azimuths, the height field is walked outwards in growing steps (each texel
 for the first eight, then a fifth more each time), and the highest elevation so far is kept

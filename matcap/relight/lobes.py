@@ -1,4 +1,4 @@
-"""The reflectance of matcap.brdf as the loops have it: same formula, same limits.
+"""matcap.brdf's reflectance evaluated by the compiled loops: same formula and limits.
 
 GGX from |n x h|^2 without cancellation, the height-correlated Smith visibility, Schlick's
 Fresnel, float32. tests/relight/test_relight_lobes.py holds it to matcap.brdf.cook_torrance.

@@ -1,4 +1,4 @@
-"""Surroundings folded onto octahedra, one for each width of lobe: quick to look up.
+"""Prefiltered environment maps in octahedral parametrisation, one for each lobe width.
 
 A direction's place on the unfolded octahedron takes a few divisions (Engelhardt and Dachsbacher
 2008), no angles. Each level is half as large as the one before; a lookup reads between four of its

@@ -1,4 +1,4 @@
-"""Radiance to files: exposed and encoded for the eye, or as it is."""
+"""Radiance to files: exposed and sRGB-encoded, or linear EXR."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much the specular lobe reflects altogether, tabulated once a process.
+"""Directional albedo of the specular lobe, tabulated once a process.
 
 E(mu, alpha) is the directional albedo of D G / (4 (n.l)(n.v)) with F = 1, and split in two for
 Schlick's Fresnel: albedo = F0 scale + bias (Karis 2013). Integrated over the lattice of visible

@@ -1,7 +1,7 @@
-"""Where a captured material lies in the paper's space, worked out from its photographed piece.
+"""The latent vector of a captured material, computed from its exemplar by the prior's encoder.
 
-The piece under the photograph's own flash is the photograph again, as far as anything was found of
-it; the prior's encoder reads that. So a capture need not wait for its code, and a material's file
+The exemplar rendered under the photograph's own flash reproduces the photograph, which the prior's
+encoder reads. So a capture need not wait for its code, and a material's file
 need not hold it.
 """
 

@@ -1,4 +1,4 @@
-"""What a block of output needs: how far every level of the decoder must be computed.
+"""Receptive fields: the span of every decoder level that a block of output needs.
 
 Followed from the output back to the noise, so that nothing is computed twice as wide as needed
 and nothing at all is padded. Spans are along one axis, in texels of their level, counted from the

@@ -1,1 +1,1 @@
-"""What makes two textures look alike: features, Gram matrices, spectra, and their comparison."""
+"""Texture statistics: features, Gram matrices, spectra, and a distance between them."""

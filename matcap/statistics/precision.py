@@ -1,4 +1,4 @@
-"""Half precision, where it is quicker."""
+"""Support of bfloat16 on this processor."""
 
 from __future__ import annotations
 

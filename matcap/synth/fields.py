@@ -1,4 +1,4 @@
-"""The field that was asked for: of one material or between two, by example or by the network.
+"""The field of a request: of one material or between two, by example or by the network.
 
 By example without PyTorch, which alone takes longer to start than a map takes to make: so its
 modules are imported where they are needed.
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OpenedField:
-    """A request's field."""
+    """The opened field of a request, with its name, provenance and precision."""
 
     source: Source
     """Of its blocks."""

@@ -1,4 +1,4 @@
-"""What a request comes to: map sets, the pictures of each, and their JSON document."""
+"""Output plan of a request: map sets, the pictures of each, and their JSON document."""
 
 from __future__ import annotations
 

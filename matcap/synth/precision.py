@@ -1,4 +1,4 @@
-"""How exactly to compute: float32, bfloat16, or as much bfloat16 as no eye can see.
+"""Choice of precision: float32, bfloat16, or bfloat16 where the error is invisible.
 
 bfloat16 takes half the time where the device multiplies it, and keeps eight bits of every
 feature. What that does to the maps depends on the material: it is measured on a few blocks, in

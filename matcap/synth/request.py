@@ -1,4 +1,4 @@
-"""What is asked of a material's field: a rectangle of it, as files; and who makes them.
+"""A request for a rectangle of a material's field as files, and the workers for it.
 
 Read next: fields.py (the field), plan.py (which files), stream.py (how they are written).
 """

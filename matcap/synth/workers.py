@@ -1,4 +1,4 @@
-"""Who computes the blocks: threads, processes, or a cluster.
+"""Workers that compute blocks: threads, processes, or a cluster.
 
 Read next: field/single.py (why one thread a block), stream.py (what becomes of the results).
 """

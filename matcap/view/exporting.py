@@ -1,4 +1,4 @@
-"""What the page's export button downloads: an export's folder as a zip file."""
+"""Downloads of the page's export button: an export's folder as a zip file."""
 
 from __future__ import annotations
 

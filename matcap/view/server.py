@@ -1,4 +1,4 @@
-"""What the page's server answers, and whom.
+"""Routes of the page's server, and the check of its requests.
 
 Only this machine can reach it (see serve.py), and on this machine only who knows the address: it
 begins with a random token. A Host header other than the server's own is refused, so that no web

@@ -1,4 +1,4 @@
-"""What the page looks at: an endless material, two of them with all between, or a map set."""
+"""Subjects of the page: a material, a blend of two, or a map set."""
 
 from __future__ import annotations
 

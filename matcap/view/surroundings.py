@@ -1,4 +1,4 @@
-"""One's own surroundings, sent by the page: formats that browsers do not read.
+"""Environment maps uploaded from the page, in formats that browsers do not read.
 
 An .exr is decoded here, by what `matcap relight` reads environments with; the page reads the others
 (page/reading.js).

@@ -1,1 +1,1 @@
-"""The photographed piece itself, made to repeat: level, straight, cut where it shows least."""
+"""Seamless tile from the exemplar itself: flattened, straightened, cut along a minimal seam."""

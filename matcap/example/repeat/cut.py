@@ -1,4 +1,4 @@
-"""The least visible cut through what two copies of a piece share (Kwatra et al. 2003).
+"""Minimum-cost seam through the overlap of two copies of an exemplar (Kwatra et al. 2003).
 
 A minimum cut in which every row is cut once, which dynamic programming finds exactly: from row to
 row it may run any way across, at the cost of what it crosses.

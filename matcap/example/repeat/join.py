@@ -1,4 +1,4 @@
-"""Maps of places that repeat: what rises from texel to texel is kept, and the whole is closed."""
+"""Maps of a seamless tile: gradient-domain blending, a Poisson equation on a torus."""
 
 from __future__ import annotations
 

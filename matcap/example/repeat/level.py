@@ -1,4 +1,4 @@
-"""Takes from a piece's colour and gloss what is slow over it: a tile's would show as a chequer."""
+"""Removes low frequencies of colour and gloss: in a tiling they would show as a chequer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The photographed piece itself, made to repeat: the least of it replaced, nothing rearranged.
+"""Make a seamless tile of the exemplar itself, replacing as little as possible.
 
 What is slow is taken from colour and gloss; regular order is made straight; copies of the piece,
 shifted by what it is most like itself after, are cut into each other where it shows least, all maps

@@ -1,4 +1,4 @@
-"""After which shifts a piece is most like itself: what it is made to repeat in."""
+"""The shifts at which an exemplar best matches itself: candidate periods of the tile."""
 
 from __future__ import annotations
 

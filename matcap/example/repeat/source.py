@@ -1,4 +1,4 @@
-"""Blocks of maps that are there whole and repeat: what is written as any field is."""
+"""Source of blocks from periodic maps held in memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Maps in which shifts are straight, and regular order is unbent."""
+"""Resampling that straightens the period's shifts and the lattice."""
 
 from __future__ import annotations
 

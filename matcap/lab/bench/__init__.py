@@ -1,1 +1,1 @@
-"""What the documentation claims, measured: how like the sample a capture looks under new lights."""
+"""Experiments behind the documentation's claims: appearance of captures under new lights."""

@@ -1,4 +1,4 @@
-"""`matcap bench aligned`: maps of the photographed sample against its true ones, by texel.
+"""`matcap bench aligned`: errors of captured maps against the true ones, texel by texel.
 
 Where others compare styles, so that nothing wins by pixel alignment, here truth is at hand: each
 map against its own, and relit pictures pixel by pixel, by distance from the point below the flash.

@@ -1,4 +1,4 @@
-"""`matcap bench fields`: fields and repeated samples of true maps, so that captures do not count.
+"""`matcap bench fields`: fields and tiles synthesised from true maps, without capture errors.
 
 True maps of a sample of a known material are the exemplar. Its field and the sample made to repeat
 are relit and compared with other true samples, as the exemplar itself is. Beside them: how long

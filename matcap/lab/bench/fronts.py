@@ -1,4 +1,4 @@
-"""`matcap bench fronts`: what accuracy costs, by measures that nothing is tuned by.
+"""`matcap bench fronts`: accuracy against time, by measures that no setting is tuned to.
 
 Every configuration is a command line, every subject a material whose truth is known, photographed
 as real ones are (simulate/phone_photographs.py). The command runs as a user runs it; what it wrote

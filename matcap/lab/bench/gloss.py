@@ -1,4 +1,4 @@
-"""`matcap bench gloss`: roughness and F0 found of plain materials, over exposures.
+"""`matcap bench gloss`: estimates of roughness and F0 of plain materials, over exposures.
 
 Even albedo, F0 and roughness, flat or with bumps that break the highlight up, photographed at the
 camera's own exposure and some EV above it, so that more and more of the highlight is clipped.

@@ -1,4 +1,4 @@
-"""`matcap bench metals`: F0 of metals by channel, its hue, and that of what is no metal beside it.
+"""`matcap bench metals`: F0 of metals by channel, its hue, and F0 of dielectric parts.
 
 Truth is at hand texel by texel (simulate/photograph.py, true_maps), so metal and what is none are
 separated by the true maps; absolute brightness counts: nothing is scaled.

@@ -1,4 +1,4 @@
-"""Ways to make maps of a photograph that captures are measured beside, and the capture's own.
+"""Baseline methods that make maps of a photograph, and the capture itself.
 
 The photograph as albedo is what a capture must beat; it is given the true camera and flash, which
 a capture has to find out. The exemplar and the field that rearranges it need no decoder: coarse

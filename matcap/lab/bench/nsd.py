@@ -1,4 +1,4 @@
-"""`matcap bench floors`: captures of known materials, by a measure that nothing is tuned by.
+"""`matcap bench floors`: normalised style distance of captures of known materials.
 
 A sample of a material is photographed and captured. The photograph as albedo, the exemplar that was
 found and the field that rearranges it are relit and compared with other true samples: normalised
@@ -54,7 +54,7 @@ class PhotographSettings:
 
 @dataclass(frozen=True)
 class CapturedSubject:
-    """A material, its photograph, what was made of that, and what that is compared with."""
+    """A material, its photograph, the captured maps, and the reference they are compared with."""
 
     subject: Specimen
     shot: Shot

@@ -1,4 +1,4 @@
-"""Pairs of captures to be looked at without names: does the eye say what the measures say?
+"""Blind pairwise comparison of captures: agreement of human judgements with the measures.
 
 Sheets of `matcap bench fronts`, the truth in the middle, one capture on either side, several pairs
 to a page. Which is which stands in a CSV, which is not to be read before its column `nearer` is

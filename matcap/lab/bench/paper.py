@@ -1,4 +1,4 @@
-"""The paper's form of a capture, to be measured beside this one's: an hour and more of a core.
+"""Capture as in the paper, a baseline: an hour and more of a core.
 
     python -m matcap.lab.bench.paper PHOTO MATERIAL SEED
 

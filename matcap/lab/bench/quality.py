@@ -1,4 +1,4 @@
-"""`matcap bench quality`: how like the true material a capture looks under new lights.
+"""`matcap bench quality`: appearance error of captures under new lights.
 
 Each procedural material is photographed, each method makes maps of the photograph, and these are
 relit and compared with other true samples by Portilla-Simoncelli statistics and random filters.

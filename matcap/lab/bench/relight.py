@@ -1,4 +1,4 @@
-"""`matcap bench relight`: what relighting costs, and what leaving effects out saves.
+"""`matcap bench relight`: time of relighting, and what leaving effects out saves.
 
 - *relight*: each scene by its plan against all effects, by the same loops; and the next picture of
   the same surface, for which horizons are known.

@@ -1,4 +1,4 @@
-"""`matcap bench floors --photographs 1,2,3,5`: what several photographs of one sample are worth."""
+"""`matcap bench floors --photographs 1,2,3,5`: accuracy against the number of photographs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`matcap bench synth`: what the endless field costs, by the decoder and by example.
+"""`matcap bench synth`: speed of synthesis, by the decoder and by example.
 
 The decoder's stands beside the same network in the paper's form: instance normalisation over the
 whole picture, circular padding, a blur after each upsampling, channels first, weights that nothing

@@ -1,4 +1,4 @@
-"""A command in a process of its own, with its seconds by the clock, of the processor, and memory.
+"""Run a command in its own process and measure wall time, processor time and peak memory.
 
     python clocked.py COMMAND...
 

@@ -1,4 +1,4 @@
-"""The one page of what was measured: a section, a table and a picture for every CSV."""
+"""The results page: a section, a table and a plot for every CSV."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The one picture of what accuracy costs, for every experiment (extra `bench`: matplotlib)."""
+"""Plot of error against cost, for every experiment (extra `bench`: matplotlib)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What experiments measured: a CSV with a row a trial, its table, means and Pareto front.
+"""Results of experiments: a CSV with a row a trial, its table, means and Pareto front.
 
 A row is appended as soon as it is measured, so that an experiment can be stopped and taken up
 again. A table whose rows have a column that the file lacks is written anew, whole.

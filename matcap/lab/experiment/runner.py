@@ -34,7 +34,7 @@ Measure = Callable[[Subject, Outcome], Mapping[str, Value]]
 
 @dataclass(frozen=True)
 class Configuration(Generic[Subject, Outcome]):
-    """One way of doing it."""
+    """One configuration of an experiment: a function of a prepared subject and a seed."""
 
     run: Callable[[Subject, int], Outcome]
     """Of a prepared subject and a seed."""

@@ -1,4 +1,4 @@
-"""What training shows against what there is: marginal distributions, drawn beside each other.
+"""Marginal distributions of training data against those of real maps and photographs.
 
 Of maps: mean tilt, roughness, F0, albedo and its contrast, drawn real, drawn simulated and as the
 sets have them. Of pictures, which is all that a photograph shows: contrast that is not slow, and

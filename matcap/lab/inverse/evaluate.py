@@ -1,4 +1,4 @@
-"""How right the inverse network is about materials that it was not trained on.
+"""Errors of the inverse network on held-out materials.
 
 Always the same photographs: of real sets held out by name, and of simulated materials held out by
 kind. Beside the loss's parts stands what the piece lives on: slopes that lie where they should and

@@ -1,4 +1,4 @@
-"""What the inverse network's answer is judged by.
+"""Losses of the inverse network.
 
 Beside the maps' own errors: renderings under lights it was not photographed by (Deschaintre et al.
 2018), which say how much an error shows; energies of slope and albedo per band and place, because

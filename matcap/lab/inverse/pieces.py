@@ -1,4 +1,4 @@
-"""Pieces of real materials as training shows them: cut, scaled, turned, mirrored, coloured anew.
+"""Augmented crops of real map sets: cut, scaled, rotated, mirrored, recoloured.
 
 All is drawn within what real materials are like, so that a few dozen sets stand for many: the
 same bricks paler, wetter, further away, with half their relief.

@@ -1,4 +1,4 @@
-"""Metals as training shows them: half of them of a colour drawn anew, for sets have few."""
+"""Augmentation of metals: half of them get another colour, for map sets have few."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What captures are measured by: statistics of relit pictures, and maps against true ones."""
+"""Measures of captures: statistics of relit pictures, and errors of maps."""

@@ -1,4 +1,4 @@
-"""How unlike several realisations of one material are (paper, section 5.2, "diversity").
+"""Diversity of several realisations of one material (paper, section 5.2, "diversity").
 
 The paper's is the mean pairwise L1 of VGG features over all realisations, after Henzler, Mitra and
 Ritschel (2020), "Learning a Neural 3D Texture Space from 2D Exemplars"; here the features are those

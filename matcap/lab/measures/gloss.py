@@ -1,4 +1,4 @@
-"""How strong highlights are under mirrored lights, and what a photograph's flash left in maps."""
+"""Highlight contrast under mirrored lights, and highlight residue in maps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Normalised style distance (NSD): how far pictures of a material are from true ones of it.
+"""Normalised style distance (NSD): style distance to the truth, over that of two true samples.
 
 The style distance by SqueezeNet, which nothing is tuned by, is that of Gram matrices of its first
 convolution and its fire modules, at two scales. The distance of two Gram matrices is relative,

@@ -1,4 +1,4 @@
-"""How unlike patches of two textures are: needs no weights, and nothing is tuned by it.
+"""Sliced Wasserstein distance of patches of two textures; no weights, never tuned to.
 
 The sliced Wasserstein distance (Rabin et al. 2011; of patches Elnekave and Weiss 2022): patches of
 3, 7 and 15 texels a side, at three scales, are projected on random directions; along each the

@@ -1,4 +1,4 @@
-"""How far a field's seams show: neighbouring texels of different places of the exemplar.
+"""Seam contrast of a field: differences across seams over differences inside the exemplar.
 
 Style distance is blind to a cut. So each pair of neighbouring texels that the exemplar did not show
 side by side is asked how far it differs, in log albedo and in slope, and that is divided by what

@@ -1,4 +1,4 @@
-"""How unlike two textures look, by statistics that no capture optimises.
+"""Style distances of textures, by statistics that no capture optimises.
 
 1. *Portilla-Simoncelli* (2000) statistics of the grey picture, by plenoptic (extra `bench`), and
    mean and covariance of its colours. The distance is the mean over groups g of statistics of

@@ -1,4 +1,4 @@
-"""How varied made pictures are, and how like true ones: precision and recall.
+"""Precision, recall and diversity of generated pictures.
 
 After Kynkaanniemi et al. (2019), "Improved Precision and Recall Metric for Assessing Generative
 Models". Each set of pictures covers the balls around its members that reach to their k-th nearest

@@ -1,4 +1,4 @@
-"""Several photographs of one piece, as a hand takes them: each from elsewhere, its flash along.
+"""Simulated hand-held photographs of one sample: each from another place, flash moving along.
 
 The first one's frame is the plane's. Relief has parallax: a pixel shows the point of the surface
 that its ray meets, not the plane's. Distances, tilts, exposure and white balance scatter.
@@ -92,11 +92,11 @@ class Hand:
 
 @dataclass(frozen=True)
 class HandShot:
-    """One of several photographs.
+    """One of several simulated hand-held photographs.
 
     Attributes:
         shot: what reached the sensor; its setup is true of the first one alone.
-        camera: where it stood.
+        camera: its pose.
     """
 
     shot: Shot

@@ -1,4 +1,4 @@
-"""Photographs of materials as hands take them: exposure, clipping, tilt, flash and distance.
+"""Distributions of phone photographs: exposure, clipping, tilt, flash and distance.
 
 Of every third of 126 phone photographs of flat samples under their own flash (2026-11-24), read at
 512 texels: the mean of linear radiance is 0.07 to 0.21 from the 5th to the 95th per cent, a

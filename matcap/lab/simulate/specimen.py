@@ -1,4 +1,4 @@
-"""Materials that are photographed to judge captures by: all their pieces, and how."""
+"""Specimens: materials with known truth that captures are evaluated on."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Training the space of materials: corpus, packs, training, and what the result is worth."""
+"""Training the prior: corpus, packs, training and evaluation."""

@@ -1,4 +1,4 @@
-"""What a prior is worth, and each part of the method: captures of photographs it never saw.
+"""Evaluation of a prior and ablations, on held-out photographs.
 
 *Evaluation*: held-out photographs captured with and without the prior, beside the photograph as
 albedo. *Ablation* (paper, section 5.4): FULL starts from the prior and fine-tunes. SINGLE starts

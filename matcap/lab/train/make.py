@@ -103,7 +103,7 @@ def _recipe(path: Path) -> tuple[dict[str, Any], dict[str, dict[str, int]]]:
 def _card(
     prior: Prior, pack: Pack, recipe: Path, place: Path, branch: Path | None, count: int
 ) -> str:
-    """What the prior is made of, in Markdown."""
+    """Markdown card of a prior: data, recipe, losses and measured quality."""
     simulated = sum(entry.simulated for entry in pack.training)
     lines = [
         "# A prior",

@@ -1,4 +1,4 @@
-"""Held-out photographs, and what pictures of a material are worth beside them.
+"""Held-out photographs, and errors of pictures of a material against them.
 
 Everything is compared under the photograph's own flash in the middle of the photograph, where both
 have the same light: style by random filters that no capture optimises, colours by

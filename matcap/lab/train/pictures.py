@@ -1,4 +1,4 @@
-"""Pictures of photographs and of materials that can be compared: middles, alike exposed."""
+"""Comparable pictures of photographs and materials: central crops at one exposure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What materials drawn from a prior are worth beside photographs of materials it never saw.
+"""Variety and realism of draws from a prior, against held-out photographs.
 
 Draws lie in the middle of a photograph's plane under a flash; of every photograph, held out or
 simulated of a seed that training never draws, the middle is taken. All are brought to the same

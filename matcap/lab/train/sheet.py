@@ -1,4 +1,4 @@
-"""What training of a prior shows of itself: loss on held-out materials, and a sheet of pictures."""
+"""Monitoring of training: loss on held-out materials, and a sheet of pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One step of training: windows of photographs against what encoder and decoder make of them."""
+"""One training step: loss of decoded windows against windows of photographs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What leaving an effect out could change."""
+"""Upper bound on the change from leaving an effect out."""
 
 from __future__ import annotations
 

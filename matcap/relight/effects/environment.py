@@ -1,4 +1,4 @@
-"""Light of the surroundings.
+"""Light of the environment map: diffuse irradiance and the mirrored lobe.
 
 Diffuse: irradiance tabulated over normals, summed over 256 x 128 directions (Ramamoorthi and
 Hanrahan 2001 for the idea; a table instead of harmonics, error below 1e-3 of the light), and each

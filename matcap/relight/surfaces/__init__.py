@@ -1,1 +1,1 @@
-"""What a material lies on: where a camera's rays meet it, and which texel lies there."""
+"""Surfaces a material is mapped onto: ray intersections and texture coordinates."""

@@ -1,4 +1,4 @@
-"""Where rays met a surface."""
+"""Ray-surface intersections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One interface to all surfaces: what of them is seen, and where it can be."""
+"""Interface of surfaces: intersections of a camera's rays and the visible region."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The base: what the coarse fit already says about a material's maps.
+"""The base: mean maps as given by the coarse fit.
 
 The decoder's outputs are read in units of the base: raw = mean + deviation * output. The network
 then only learns how a material departs from its coarse fit. Both numbers fold exactly into the

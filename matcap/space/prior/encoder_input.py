@@ -1,4 +1,4 @@
-"""What the encoder is shown of a photograph: a small picture, the coarse fit, and its texture.
+"""Encoder input of a photograph: a small picture, the coarse fit, and texture statistics.
 
 The small picture shows the highlight and large patterns; fine texture is lost in it, so statistics
 of windows at full detail go with it (autocorrelation, contrast and distribution, per level).

@@ -1,4 +1,4 @@
-"""A capture can end at any time: how good it is, and what more time would buy.
+"""Error of a capture over time, and a forecast of what more time would gain.
 
 Errors of fine-tuning are distances between texture statistics, whose size says little. Beside the
 photograph's *self-difference*, by how much neighbouring windows of one photograph differ, they do:

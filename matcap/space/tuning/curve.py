@@ -1,4 +1,4 @@
-"""error.png: how the error fell while a capture worked, and what another minute would buy."""
+"""error.png: error against time of a capture, with a forecast of another minute."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A second endless stream of materials: kinds that a person would name, each in endless variety.
+"""Random materials of nameable kinds (bricks, wood, felt), each with random parameters.
 
 `random_material` (varied.py) draws patterns; this draws things: gravel, knits, bonds, hammered
 metal, planks. Where features lie, `place.py`; their numbers, `draws.py`; what all have in common,

@@ -1,4 +1,4 @@
-"""What a kind of material lays down, and what all kinds have in common on top of it.
+"""Fields of a surface (albedo, roughness, height) of each kind, and the finish common to all.
 
 A kind draws its parameters from one generator and its realisation from the canvas. It says where
 its cavities are; the finish ties darkness and gloss to them, adds fine grain and brings the relief
