@@ -263,7 +263,7 @@ FAULTS = (
           "capture/piece/test_equalise.py -k shown_best"),
     Fault("equalise: whatever the photograph says", "capture _wanted", "strengths is None", "True",
           "capture/piece/test_equalise.py -k sure"),
-    Fault("equalise: however little it is trusted", "capture.piece.believed believed",
+    Fault("equalise: however little it is trusted", "capture.piece.posterior posterior_energies",
           "doubt[:, None] + STRENGTH.least_energy", "STRENGTH.least_energy",
           "capture/piece/test_equalise.py -k sure"),
     Fault("equalise: weaker for stronger", "capture equalise", "wanted / drawn", "drawn / wanted",

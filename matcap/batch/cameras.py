@@ -57,7 +57,7 @@ def with_profiles(
     read = [(file, read_camera_profile(file)) for file in files]
     known = {profile.camera: (file, profile) for file, profile in read}
     cameras = [camera_of(sample.photos[0], shoot) for sample in samples]
-    found: dict[Path, CameraProfile] = {}
+    profiles: dict[Path, CameraProfile] = {}
     by_camera: dict[str, CameraProfile] = {}
     for camera in sorted(set(cameras)):
         file, profile = known.get(camera, (None, None))
@@ -68,13 +68,13 @@ def with_profiles(
             profile = estimated_profile(camera, photos, settings) or profile
         if profile is not None:
             by_camera[camera] = profile
-            found[file or _free(out, {*files, *found})] = profile
+            profiles[file or _free(out, {*files, *profiles})] = profile
             note(profile.says())
     profiled = [
         replace(sample, profile=by_camera.get(camera))
         for sample, camera in zip(samples, cameras, strict=True)
     ]
-    return profiled, found
+    return profiled, profiles
 
 
 def camera_of(photo: Path, shoot: Path) -> str:

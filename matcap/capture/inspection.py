@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from matcap.capture.piece.photographed_strengths import photographed_strengths
 from matcap.capture.piece.strengths import Strengths
-from matcap.capture.piece.told import photographed_strengths
 from matcap.capture.tilt import fitted, tilt_document
 from matcap.capture.verdict.highlight import highlight_profile
 from matcap.flash.coarse import CoarseFit

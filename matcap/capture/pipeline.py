@@ -222,7 +222,7 @@ def capture_under(
         seconds=lambda: clock.left_for("adapt"),
         seed=settings.seed,
         stage=clock.stage,
-        tell=lambda share: clock.within("adapt", share),
+        on_progress=lambda share: clock.within("adapt", share),
     )
     material = Material(
         name=photo.stem,

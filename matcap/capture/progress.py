@@ -74,7 +74,7 @@ class CaptureProgress(Progress):
 
 
 class CaptureClock:
-    """Times the stages of a capture and tells the caller how far things are.
+    """Times the stages of a capture and reports progress to a callback.
 
     Attributes:
         seconds: of each stage that is over.
@@ -83,7 +83,7 @@ class CaptureClock:
 
     def __init__(
         self,
-        tell: Callable[[CaptureProgress], None] | None,
+        on_progress: Callable[[CaptureProgress], None] | None,
         stages: Mapping[str, float] = PIECE_STAGES,
         limit: float | None = None,
         spent: float = 0.0,
@@ -91,14 +91,14 @@ class CaptureClock:
         """Start the clock.
 
         Args:
-            tell: called as the work goes on.
+            on_progress: called as the work goes on.
             stages: what there is to do, with shares of the time.
             limit: seconds for the whole command, or None.
             spent: seconds of them that the command took until now.
         """
         self.seconds: dict[str, float] = {}
         self.interrupted = False
-        self._tell = tell or nobody
+        self._on_progress = on_progress or nobody
         self._bounds, self._limit = _bounds(stages), limit
         self._spent = spent
         self._started = time.monotonic()
@@ -112,7 +112,7 @@ class CaptureClock:
     def stage(self, name: str) -> Iterator[None]:
         """A stage, while the block runs."""
         began = time.monotonic()
-        self._tell(self._now(name, 0.0))
+        self._on_progress(self._now(name, 0.0))
         try:
             yield
         except KeyboardInterrupt:
@@ -120,16 +120,16 @@ class CaptureClock:
             raise
         finally:
             self.seconds[name] = time.monotonic() - began
-        self._tell(self._now(name, 1.0))
+        self._on_progress(self._now(name, 1.0))
 
     def within(self, name: str, share: float) -> None:
         """So large a share of a stage is done."""
-        self._tell(self._now(name, share))
+        self._on_progress(self._now(name, share))
 
     def tuning(self, share: float, error: float | None, in_a_minute: float | None) -> None:
         """A step of fine-tuning is done."""
         now = self._now("fine-tuning", share)
-        self._tell(replace(now, error=error, in_a_minute=in_a_minute))
+        self._on_progress(replace(now, error=error, in_a_minute=in_a_minute))
 
     def left_for(self, name: str) -> float:
         """Seconds that a stage may take under the limit, so that what comes after it ends in time.

@@ -87,28 +87,28 @@ def _differences(
     settings: CaptureSettings,
     outputs: OutputSettings,
 ) -> list[str]:
-    found = []
+    differences = []
     before = str(old.get("photograph", {}).get("name"))
     if before != photographs[0].name:
-        found.append(f"of {before}")
+        differences.append(f"of {before}")
     named = {k: v for k, v in settings.named().items() if k not in _HOW_LONG}
     earlier = old.get("settings", {})
-    found += [
+    differences += [
         f"{key.replace('_', '-')} {earlier[key]}"
         for key in named
         if key in earlier and earlier[key] != json.loads(json.dumps(named[key]))
     ]
-    found += _longer(old, settings, len(photographs))
+    differences += _longer(old, settings, len(photographs))
     maps = _document(folder / f"{folder.name}.json")
     if maps is not None:
         size = (maps.get("width"), maps.get("height"))
         if size != outputs.size:
-            found.append(f"with maps of {size[0]}x{size[1]}")
+            differences.append(f"with maps of {size[0]}x{size[1]}")
         if maps.get("seed") != outputs.seed:
-            found.append(f"with maps of seed {maps.get('seed')}")
+            differences.append(f"with maps of seed {maps.get('seed')}")
         if "png" in maps and not outputs.png:
-            found.append("with PNGs")
-    return found
+            differences.append("with PNGs")
+    return differences
 
 
 def _report(folder: Path) -> dict[str, Any] | None:

@@ -180,14 +180,14 @@ class CaptureSettings:
 
     def named(self) -> dict[str, Any]:
         """All settings by name, as files tell of them: numbers, words and None."""
-        told = asdict(self) | {"statistics": str(self.statistics), "union": self.union or None}
+        document = asdict(self) | {"statistics": str(self.statistics), "union": self.union or None}
         # Unsaid where there is none, as in files of before there were any.
-        told |= {
+        document |= {
             name: part and str(part)
             for name, part in (("crop", self.crop), ("mask", self.mask), ("camera", self.camera))
         }
         unsaid = {"crop", "mask", "camera", "union"}
-        return {name: value for name, value in told.items() if value or name not in unsaid}
+        return {name: value for name, value in document.items() if value or name not in unsaid}
 
     @property
     def millimetres_per_unit(self) -> float | None:

@@ -50,12 +50,12 @@ def tilt_document(coarse: CoarseFit) -> dict[str, Any] | None:
     }
 
 
-def tilt_line(told: Mapping[str, Any]) -> str:
+def tilt_line(document: Mapping[str, Any]) -> str:
     """What tilt_document says, in a sentence."""
-    x, y = told["used"]
-    bx, by = told["branch"]
-    sx, sy = told["branch_std"]
-    px, py = told["picture"]
+    x, y = document["used"]
+    bx, by = document["branch"]
+    sx, sy = document["branch_std"]
+    px, py = document["picture"]
     return (
         f"Tilt about x and y: {x:.1f} and {y:.1f} degrees; the alignment branch says {bx:.1f} "
         f"and {by:.1f} (standard deviations {sx:.1f} and {sy:.1f}), the picture alone {px:.1f} "

@@ -26,16 +26,16 @@ def load_vgg19(path: Path) -> Vgg19:
         MatcapError: no such file, not what torchvision publishes, or other shapes.
     """
     network = Vgg19()
-    found = _read(path)
+    weights = _read(path)
     wanted = network.state_dict()
     for name, value in wanted.items():
-        if name not in found or found[name].shape != value.shape:
+        if name not in weights or weights[name].shape != value.shape:
             raise MatcapError(
                 f"this is not VGG-19: {name} is missing or of another shape",
                 where=str(path),
                 remedy=_REMEDY,
             )
-    network.load_state_dict({name: found[name].float() for name in wanted})
+    network.load_state_dict({name: weights[name].float() for name in wanted})
     return network
 
 

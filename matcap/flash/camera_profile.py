@@ -98,8 +98,8 @@ def _combined(
     for _ in range(PROFILE.rounds):
         precision = prior.precision + np.einsum("n,nij->ij", weight, precisions)
         mean = _no_gain(precision, prior.precision @ prior.mean + weight @ shifts)
-        away = shifts - precisions @ mean
-        distances = np.einsum("ni,nij,nj->n", away, spread, away)
+        deviation = shifts - precisions @ mean
+        distances = np.einsum("ni,nij,nj->n", deviation, spread, deviation)
         weight = (PROFILE.freedom + 2.0) / (PROFILE.freedom + distances)
     likelihood = -0.5 * np.linalg.slogdet(wider).logabsdet
     likelihood -= 0.5 * (PROFILE.freedom + 2.0) * np.log1p(distances / PROFILE.freedom)

@@ -64,8 +64,8 @@ class CoarseSettings:
         tilt_radiometric: radians, deviation: nor does a tone curve pass for a tilt there.
         hidden: share of the picture: where more is clipped whole, a matte fit is tried besides.
         alike: log radiance, root-mean-square: fits that leave so much more explain as well.
-        crushed: share of a developed cell's brightest channel below which another tells nothing
-            but that it is dark: saturated colours lie outside of what a file can hold.
+        crushed: share of a developed cell's brightest channel below which another is only
+            known to be dark: saturated colours lie outside of what a file can hold.
         brightening: deviation of a falloff below 0: corners that gain light are room light's.
         black: diffuse albedo of a conductor over its F0.
         conductor_odds: nats of the prior by which a conductor must explain a photograph better.
@@ -74,7 +74,7 @@ class CoarseSettings:
             has 8 and more.
         bluest: log F0 of a metal's blue over its red, at most.
         dullest: roughness of a metal, at most: a photograph without any highlight shows none.
-        brightest: mean albedo or F0 of the brightest material believed in.
+        brightest: upper limit of mean albedo or F0.
         most_albedo: or F0, under a known flash: no surface gives back all.
         prior_share_developed: share of the cells in which residuals of `huber` weigh like one
             deviation of the prior: what the model lacks there (tone mapping) is smooth.
@@ -87,9 +87,9 @@ class CoarseSettings:
         evidence_developed, evidence_radiometric: what one deviation of the highlight's measures
             weighs: a tone curve bends what is around it, in a RAW they only show the way.
         directions: points of a ring.
-        colour_noise: log radiance: no two channels are believed to agree better.
+        colour_noise: log radiance: least deviation of the difference of two channels.
         texture_at_most: log radiance: larger residuals count as this large.
-        cells_that_tell_colour: at least, for nine numbers.
+        least_whole_cells: at least, for nine numbers.
     """
 
     cells: tuple[int, int] = (24, 32)
@@ -125,7 +125,7 @@ class CoarseSettings:
     directions: int = 12
     colour_noise: float = 0.01
     texture_at_most: float = 0.5
-    cells_that_tell_colour: int = 30
+    least_whole_cells: int = 30
 
 
 COARSE = CoarseSettings()
@@ -281,7 +281,7 @@ class _Cells:
         image: (2, n) image coordinates of the cells.
         observed: (3, n) log radiance.
         toe: (3, n) radiance that is added to theirs and the model's before logarithms: below it a
-            channel tells nothing but that it is dark.
+            channel is only known to be dark.
         above: (3, n) what a model brighter than the cell is blamed: 1, or less for lower bounds.
         weight: (n,) of each cell; sums to what the picture weighs.
     """
@@ -329,8 +329,8 @@ def fit_coarse(
     is_metal = odds > 0.0 and blue < red + COARSE.bluest
     is_metal &= float(torch.sigmoid(conductor.best.roughness)) < COARSE.dullest
     chosen = conductor if is_metal else dielectric
-    found = _coarse_fit(chosen, photo.fov, abs(odds))
-    return replace(found, tilt_prior=tilt_prior, picture_tilt=chosen.own_tilt)
+    fit = _coarse_fit(chosen, photo.fov, abs(odds))
+    return replace(fit, tilt_prior=tilt_prior, picture_tilt=chosen.own_tilt)
 
 
 @dataclass(frozen=True)
@@ -346,7 +346,7 @@ class _Prior:
     deviation: Unknowns
     coupling: float
     conductor: bool
-    held: bool
+    at_lens: bool
     alone: tuple[Tensor, Tensor] | None
 
 
@@ -419,7 +419,7 @@ def _fit_as(
     )
     starts = _starts(first.cells.observed, prior, highlight, distance)
     tried = [_levenberg_marquardt(first, start, COARSE.iterations[0]) for start in starts]
-    tried.sort(key=lambda found: found[0])
+    tried.sort(key=lambda candidate: candidate[0])
     if photo.radiometric:
         last = last.whitened(tried[0][1])
         last, unit = last.trusting(tried[0][1], unit)
@@ -427,7 +427,7 @@ def _fit_as(
     if last.cells.hidden:
         worth.append(_matte(tried[0][1]))
     single = _mattest([_levenberg_marquardt(last, each, COARSE.iterations[1]) for each in worth])
-    # Two lobes tell the place better; then one lobe does what it can there.
+    # Two lobes locate the highlight better; then one lobe is fitted there.
     two = last.with_two_lobes(unit)
     both = Unknowns.of(_levenberg_marquardt(two, _parted(single), COARSE.iterations[1])[1])
     start = replace(
@@ -484,8 +484,8 @@ def under_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
     """The same picture under a flash of known intensity: albedo becomes absolute.
 
     Args:
-        coarse: the fit, whose intensity was believed.
-        intensity: that a calibration card told, in the units of the photograph's pixels; None
+        coarse: the fit, with its own estimate of the intensity.
+        intensity: measured by a calibration card, in the units of the photograph's pixels; None
             leaves the fit as it is.
     """
     if intensity is None:
@@ -664,7 +664,7 @@ class _Problem:
         """
         cells = self.cells
         whole = (cells.above == 1.0).all(0)
-        if int(whole.sum()) < COARSE.cells_that_tell_colour:
+        if int(whole.sum()) < COARSE.least_whole_cells:
             return self
         rest = cells.differences(self.log_radiance(parameters, cells.image))
         return replace(self, whitening=_whitening(rest[:, whole], cells.weight[whole]))
@@ -705,11 +705,11 @@ class _Problem:
 
     def at(self, place: Unknowns) -> _Problem:
         """The same with offset and tilt held."""
-        prior, held = Unknowns.of(self.prior), _numbers(1e6, 1e6)
+        prior, tight = Unknowns.of(self.prior), _numbers(1e6, 1e6)
         return replace(
             self,
             prior=replace(prior, offset=place.offset, tilt=place.tilt).vector(),
-            precision=replace(Unknowns.of(self.precision), offset=held, tilt=held).vector(),
+            precision=replace(Unknowns.of(self.precision), offset=tight, tilt=tight).vector(),
         )
 
     @property
@@ -728,21 +728,21 @@ class _Problem:
         """
         centre = torch.tensor(highlight.centre, dtype=parameters.dtype)
         deviation = COARSE.centre_deviation[0] + COARSE.centre_deviation[1] * highlight.width
-        away = (_mirror(parameters, self.distance) - centre) / deviation
+        place_error = (_mirror(parameters, self.distance) - centre) / deviation
         radiance = self.log_radiance(parameters, self.rings).exp()
         light = radiance.clamp_max(max(1.0, highlight.peak)).mean(0).log()  # as the camera clips
         rings = light.unflatten(0, (3, COARSE.directions))
         circle = _circle()
         slope = math.log(highlight.contrast) / (2.0 * highlight.width)
-        middle_away = 2.0 * (rings[1] * circle).mean(1) / slope
+        middle_offset = 2.0 * (rings[1] * circle).mean(1) / slope
         levels = rings.mean(1)
         middle = 0.5 * (highlight.peak + highlight.surroundings)
         expected = torch.tensor([highlight.peak, middle, highlight.surroundings]).double().log()
         difference = (levels - expected) / COARSE.level_deviation
-        aside = middle_away / (
+        aside = middle_offset / (
             COARSE.middle_deviation[0] + COARSE.middle_deviation[1] * highlight.width
         )
-        return torch.cat([away, aside, difference])
+        return torch.cat([place_error, aside, difference])
 
     def residuals(self, parameters: Tensor) -> Tensor:
         """(residuals,) of the parameters, in log radiance."""
@@ -791,8 +791,10 @@ class _Problem:
         """(n,) precision at 0 that holds a falloff which has become negative."""
         vignetting, precision = Unknowns.of(parameters).vignetting, Unknowns.of(self.precision)
         nat = precision.intensity * _DIELECTRIC_DEVIATION.intensity.square()
-        held = torch.where(vignetting < 0.0, nat / COARSE.brightening**2, 0.0)
-        return replace(Unknowns.of(torch.zeros_like(parameters)), vignetting=held).vector()
+        precision_there = torch.where(vignetting < 0.0, nat / COARSE.brightening**2, 0.0)
+        return replace(
+            Unknowns.of(torch.zeros_like(parameters)), vignetting=precision_there
+        ).vector()
 
     def cost(self, parameters: Tensor) -> float:
         """To be minimised."""
@@ -800,8 +802,8 @@ class _Problem:
         huber = torch.where(
             r < COARSE.huber, 0.5 * r.square(), COARSE.huber * (r - 0.5 * COARSE.huber)
         )
-        away = parameters - self.prior
-        prior = 0.5 * away @ self.prior_hessian() @ away
+        deviation = parameters - self.prior
+        prior = 0.5 * deviation @ self.prior_hessian() @ deviation
         prior = prior + 0.5 * (parameters.square() * self.brightening(parameters)).sum()
         return float((self.weight * huber).sum() + prior)
 
@@ -860,16 +862,18 @@ def _log_radiance(
 def _distinct(fits: Sequence[Tensor]) -> list[Tensor]:
     """Parameters, the best first, whose roughness no better ones have."""
     kept: list[Tensor] = []
-    for found in fits:
+    for candidate in fits:
         others = [Unknowns.of(one).roughness for one in kept]
-        if all(float(abs(Unknowns.of(found).roughness - one)) > COARSE.distinct for one in others):
-            kept.append(found)
+        if all(
+            float(abs(Unknowns.of(candidate).roughness - one)) > COARSE.distinct for one in others
+        ):
+            kept.append(candidate)
     return kept
 
 
-def _matte(found: Tensor) -> Tensor:
+def _matte(candidate: Tensor) -> Tensor:
     """The same with the widest highlight there is."""
-    unknowns = Unknowns.of(found)
+    unknowns = Unknowns.of(candidate)
     return replace(unknowns, roughness=torch.full_like(unknowns.roughness, _MATTE)).vector()
 
 
@@ -878,8 +882,8 @@ def _mattest(fits: Sequence[tuple[float, Tensor]]) -> Tensor:
     highlight that is nowhere seen is not made up where all is clipped.
     """
     least = min(cost for cost, _ in fits)
-    alike = [found for cost, found in fits if cost <= least + 0.5 * COARSE.alike**2]
-    return max(alike, key=lambda found: float(Unknowns.of(found).roughness))
+    alike = [candidate for cost, candidate in fits if cost <= least + 0.5 * COARSE.alike**2]
+    return max(alike, key=lambda candidate: float(Unknowns.of(candidate).roughness))
 
 
 def _parted(single: Tensor) -> Tensor:
@@ -910,9 +914,9 @@ def _starts(
         # The centre lies where it does because the flash is beside the lens, or the plane tilted.
         tilt_x, tilt_y = mean.tilt.tolist()
         across, up = u + distance * math.tan(tilt_y), v - distance * math.tan(tilt_x)
-        beside = replace(mean, offset=_numbers(2.0 * across, 2.0 * up))
+        shifted = replace(mean, offset=_numbers(2.0 * across, 2.0 * up))
         turned = replace(mean, tilt=_numbers(v / distance, -u / distance))
-        places = [beside] if prior.held else [beside, turned]
+        places = [shifted] if prior.at_lens else [shifted, turned]
     for place in places:
         for logit in logits:
             yield replace(
@@ -929,8 +933,8 @@ def _levenberg_marquardt(problem: _Problem, start: Tensor, iterations: int) -> t
     cost = problem.cost(parameters)
     for _ in range(iterations):
         normal, gradient = problem.quadratic(parameters)
-        held = problem.brightening(parameters)
-        normal, gradient = normal + torch.diag(held), gradient + held * parameters
+        extra = problem.brightening(parameters)
+        normal, gradient = normal + torch.diag(extra), gradient + extra * parameters
         candidate, new = parameters, math.inf
         while not new < cost and damping < 1e6:
             damped = normal + damping * torch.diag(normal.diagonal())

@@ -81,21 +81,21 @@ def find_highlight(light: Luminance) -> Highlight | None:
     make none, as pale leaves on the ground do not, they were no highlight.
     """
     cell = 2.0 / light.shape[1]
-    found = None
+    spot = None
     for texture in HIGHLIGHT.textures:
         blurred = _blur(light, texture / cell) if texture else light
-        found = _brightest(blurred)
-        if found is None or _others(blurred, found) < HIGHLIGHT.others:
+        spot = _brightest(blurred)
+        if spot is None or _others(blurred, spot) < HIGHLIGHT.others:
             break
-    return found
+    return spot
 
 
-def _others(light: Luminance, found: Highlight) -> float:
+def _others(light: Luminance, spot: Highlight) -> float:
     """Area elsewhere that is as bright as a highlight's half-way ring, in areas of that ring."""
-    away = np.hypot(*(c - at for c, at in zip(_coordinates(light), found.centre, strict=True)))
-    middle = 0.5 * (found.peak + found.surroundings)
-    elsewhere = (light > middle) & (away > 2.0 * found.width) & (away < SURROUNDINGS[1])
-    return float(elsewhere.sum() * (2.0 / light.shape[1]) ** 2 / (np.pi * found.width**2))
+    distance = np.hypot(*(c - at for c, at in zip(_coordinates(light), spot.centre, strict=True)))
+    middle = 0.5 * (spot.peak + spot.surroundings)
+    elsewhere = (light > middle) & (distance > 2.0 * spot.width) & (distance < SURROUNDINGS[1])
+    return float(elsewhere.sum() * (2.0 / light.shape[1]) ** 2 / (np.pi * spot.width**2))
 
 
 def _coordinates(light: Luminance) -> tuple[Luminance, Luminance]:
@@ -113,19 +113,19 @@ def _brightest(light: Luminance) -> Highlight | None:
     u, v = (c.ravel() for c in _coordinates(light))
     smooth = _blur(light, HIGHLIGHT.seed_blur / cell)
     row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)
-    centre, found = np.array([u[column], v[row]]), None
+    centre, profile = np.array([u[column], v[row]]), None
     reach = 2.0 * HIGHLIGHT.ring
     for _ in range(HIGHLIGHT.rounds):
-        away = np.hypot(u[None, :] - centre[0], v[:, None] - centre[1])
-        found = _profile(light, away, reach)
-        if found is None:
+        distance = np.hypot(u[None, :] - centre[0], v[:, None] - centre[1])
+        profile = _profile(light, distance, reach)
+        if profile is None:
             return None
-        peak, surroundings, half = found
+        peak, surroundings, half = profile
         # Light near the top, none of it counting for more than the peak: lower down, what is around
         # the highlight pulls it to the brighter side.
         high = peak - HIGHLIGHT.top * (peak - surroundings)
         over = np.clip(_blur(light, 0.25 * half / cell) - high, 0.0, peak - high)
-        over = over * (away < 1.2 * half + 2.0 * cell)
+        over = over * (distance < 1.2 * half + 2.0 * cell)
         if over.sum() <= 0.0:
             return None
         moved = np.array([(over * u[None, :]).sum(), (over * v[:, None]).sum()]) / over.sum()
@@ -134,30 +134,32 @@ def _brightest(light: Luminance) -> Highlight | None:
         centre = moved
         if done:
             break
-    if found is None:
+    if profile is None:
         return None
-    peak, surroundings, half = found[0], max(found[1], 1e-6), found[2]
-    ring = (away > SURROUNDINGS[0]) & (away < SURROUNDINGS[1])
+    peak, surroundings, half = profile[0], max(profile[1], 1e-6), profile[2]
+    ring = (distance > SURROUNDINGS[0]) & (distance < SURROUNDINGS[1])
     if peak < HIGHLIGHT.faintest * float(np.quantile(light[ring], HIGHLIGHT.usual)):
         return None
     return Highlight((float(centre[0]), float(centre[1])), half, peak, surroundings)
 
 
-def _profile(light: Luminance, away: Luminance, reach: float) -> tuple[float, float, float] | None:
+def _profile(
+    light: Luminance, distance: Luminance, reach: float
+) -> tuple[float, float, float] | None:
     """Peak, surroundings and the radius half-way between them; None without one."""
-    ring = (away < SURROUNDINGS[1]) & (away > SURROUNDINGS[0])
+    ring = (distance < SURROUNDINGS[1]) & (distance > SURROUNDINGS[0])
     if not ring.any():
         return None
     surroundings = float(np.median(light[ring]))
-    inner = away < max(reach, float(away.min()))
-    peak = float(np.median(light[inner])) if inner.any() else float(light.flat[away.argmin()])
+    inner = distance < max(reach, float(distance.min()))
+    peak = float(np.median(light[inner])) if inner.any() else float(light.flat[distance.argmin()])
     middle = 0.5 * (peak + surroundings)
     # Medians of rings, the first of them a disc, from the middle outwards.
     last_radius, last = 0.0, peak
     step = min(HIGHLIGHT.ring, 0.5 * max(reach, HIGHLIGHT.ring / 2.0))
     for k in range(1, int(HIGHLIGHT.widest / step) + 1):
         radius = k * step
-        inside = (away >= radius - 0.5 * step) & (away < radius + 0.5 * step)
+        inside = (distance >= radius - 0.5 * step) & (distance < radius + 0.5 * step)
         if not inside.any():
             continue
         value = float(np.median(light[inside]))

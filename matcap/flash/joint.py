@@ -44,7 +44,7 @@ def join(
     Raises:
         MatcapError: a photograph is too narrow to hold a window.
     """
-    windows, setups, told = [scene.windows], [], []
+    windows, setups, documents = [scene.windows], [], []
     for photo, fit in others:
         plane = read_plane(photo, fit.setup, detail)
         if min(plane.size) < scene.windows.size:
@@ -57,7 +57,7 @@ def join(
         compared = replace(plane.brightened(gain), encoding=scene.encoding)
         windows.append(cut_windows(compared, scene.bank, scene.windows.size))
         setups.append(fit.setup.with_intensity(scene.setup.intensity))
-        told.append(
+        documents.append(
             {
                 "photograph": photo.name,
                 "tilt_degrees": [math.degrees(angle) for angle in fit.setup.tilt],
@@ -74,7 +74,7 @@ def join(
         _joined_noise(windows),
         torch.cat([torch.full((each.count,), n) for n, each in enumerate(windows)]),
     )
-    return replace(scene, windows=joined, others=tuple(setups)), told
+    return replace(scene, windows=joined, others=tuple(setups)), documents
 
 
 def _joined_noise(windows: Sequence[Windows]) -> Tensor | None:
@@ -87,5 +87,5 @@ def _joined_noise(windows: Sequence[Windows]) -> Tensor | None:
 
 
 def _brightness(fit: CoarseFit) -> float:
-    """What albedo and flash come to together: all that a photograph tells of either."""
+    """Product of albedo and flash intensity, all that a photograph determines of either."""
     return sum(fit.diffuse) / 3.0 * fit.setup.intensity[1]

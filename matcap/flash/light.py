@@ -71,10 +71,10 @@ class FlashLight:
             intensity: (3,), (..., 1 or 3, 1, 1) or (..., 1 or 3, H, W): radiant intensity.
         """
         camera, light, intensity = (_column(v) for v in (camera, light, intensity))
-        away = light - points
-        squared_distance = dot(away, away)
+        offset = light - points
+        squared_distance = dot(offset, offset)
         return FlashLight(
-            away * squared_distance.rsqrt(),
+            offset * squared_distance.rsqrt(),
             normalize(camera - points),
             intensity / squared_distance,
         )

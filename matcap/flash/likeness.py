@@ -1,6 +1,6 @@
 """How like a photograph a material looks: its windows under the photograph's light, compared.
 
-What a material is fitted by, whoever made it: the decoder (space/tuning) and the photographed
+The loss of every generator: the decoder (space/tuning) and the photographed
 piece (capture/piece/adapt.py) alike (paper, 4.3 and 4.6).
 """
 
@@ -76,8 +76,8 @@ def compare_windows(
 ) -> Tensor:
     """Mean distance of renderings from the photograph at the same places; a number."""
     with torch.autocast("cpu", torch.bfloat16, enabled=half_precision and computes_bfloat16()):
-        found = describe(rendered, target.encoding, target.bank)
-    return distance(found, target.windows.target.select(places), target.weights).mean()
+        described = describe(rendered, target.encoding, target.bank)
+    return distance(described, target.windows.target.select(places), target.weights).mean()
 
 
 def with_noise(rendered: Tensor, noise: Tensor, step: int) -> Tensor:

@@ -1,4 +1,4 @@
-"""What maps pay for being what the photograph does not call for."""
+"""Regularisers of maps: penalties on structure that the photograph does not call for."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Penalties:
     """What is paid beside the distance of statistics; docs/notes/prior.md.
 
     Attributes: weights, and what they are of.
-        slope: of the mean squared slope; relief must pay for itself.
+        slope: of the mean squared slope; relief must lower the loss by more.
         steep: of squared slopes beyond `steepest`.
         specular, roughness: of their logits' variance; what diffuse albedo explains as well is
             not to become blotches of gloss.
@@ -25,12 +25,12 @@ class Penalties:
         outlier: of texels beyond `outlying` standard deviations of diffuse albedo, F0 or
             roughness, in their squared excess; few of them do not show in the statistics.
         outlying: standard deviations of a map.
-        outliers_from: share of the work that is done before they are paid for: what belongs there,
+        outliers_from: share of the work before outliers are penalised: what belongs there,
             as metal between rust, begins as specks too, and has spread by then.
         even: logits, added to the standard deviation: an even map has none.
         steepest: slopes beyond are not relief that a flash photograph shows: 45 degrees.
-        belief: logits, how far the coarse fit's diffuse albedo (3), F0 and roughness are believed:
-            the texture's bumps widen the highlight, so its roughness tells little.
+        belief: logits, prior deviations of the coarse fit's diffuse albedo (3), F0 and roughness:
+            the texture's bumps widen the highlight, so its roughness is uncertain.
     """
 
     slope: float = 0.005
@@ -47,7 +47,7 @@ class Penalties:
 
 
 def price(maps: MapSet, expected: Tensor | None, weights: Penalties, share: float) -> Tensor:
-    """What maps (B, ., H, W) pay; a number, differentiable.
+    """Penalty of maps (B, ., H, W); a number, differentiable.
 
     Args:
         maps: of one step.
@@ -59,7 +59,7 @@ def price(maps: MapSet, expected: Tensor | None, weights: Penalties, share: floa
     squared = (normal[:, :2] / normal[:, 2:]).square().sum(dim=1)
     steep = torch.relu((squared + 1e-6).sqrt() - weights.steepest).square().mean()
     penalty = weights.slope * squared.mean() + weights.steep * steep
-    # Of an F0 with a colour its mean is believed, as the fit's is.
+    # Of a coloured F0 the mean is compared, as the fit's is grey.
     maps = replace(maps, specular=maps.specular.mean(dim=1, keepdim=True))
     specular = torch.logit(maps.specular, eps=_LOGIT_EPSILON)
     roughness = torch.logit(maps.roughness, eps=_LOGIT_EPSILON)
@@ -75,9 +75,9 @@ def price(maps: MapSet, expected: Tensor | None, weights: Penalties, share: floa
 
 def _outlying(logits: list[Tensor], weights: Penalties) -> Tensor:
     reflectance = torch.cat(logits, dim=1)
-    apart = reflectance - reflectance.mean(dim=(0, 2, 3), keepdim=True)
-    variance = apart.square().mean(dim=(0, 2, 3), keepdim=True)
-    outlying = torch.relu(apart.abs() / (variance + weights.even**2).sqrt() - weights.outlying)
+    deviation = reflectance - reflectance.mean(dim=(0, 2, 3), keepdim=True)
+    variance = deviation.square().mean(dim=(0, 2, 3), keepdim=True)
+    outlying = torch.relu(deviation.abs() / (variance + weights.even**2).sqrt() - weights.outlying)
     return outlying.square().mean((0, 2, 3)).sum()
 
 

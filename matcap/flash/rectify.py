@@ -45,7 +45,7 @@ def rectify(photo: Photo, setup: FlashSetup, detail: int) -> tuple[Tensor, Tenso
 def measured(photo: Photo, setup: FlashSetup, detail: int) -> Tensor:
     """(3, H, W) bool: where each channel was seen and not clipped.
 
-    A sparkle that clips in red still tells green and blue.
+    A sparkle that clips in red is still measured in green and blue.
     """
     full = photo.clipped[..., None] & (photo.pixels > CLIPPING)
     clipped = _resampled(full.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
@@ -70,8 +70,8 @@ def kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_] | No
 
 
 def _kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_]:
-    found = kept(photo, setup, detail)
-    return np.ones((1, 1), np.bool_) if found is None else found
+    mask = kept(photo, setup, detail)
+    return np.ones((1, 1), np.bool_) if mask is None else mask
 
 
 def _resampled(

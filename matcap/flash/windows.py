@@ -27,7 +27,7 @@ class WindowSettings:
     together: int = 4
     """Windows described at a time: more outgrow the processor's caches."""
     pairs: int = 64
-    """Of windows that tell how much statistics scatter."""
+    """Pairs of windows by which the scatter of statistics is measured."""
     least_scale: float = 0.7
     """Of a target: more than that is no scatter."""
     least_seen: float = 0.3
@@ -99,43 +99,43 @@ def side_by_side(points: Tensor, size: int) -> tuple[Tensor, Tensor]:
     """
     centres = points[:, :2].mean(dim=(2, 3))[None].double()
     texel = float(points[0, 0, 0, 1] - points[0, 0, 0, 0])
-    apart = torch.cdist(centres, centres)[0] / (texel * size)
+    distance = torch.cdist(centres, centres)[0] / (texel * size)
     # Places are rounded, and at a border closer.
-    first, second = ((apart > 0.85) & (apart < 1.15)).nonzero(as_tuple=True)
+    first, second = ((distance > 0.85) & (distance < 1.15)).nonzero(as_tuple=True)
     return first, second
 
 
-def _raised(found: Descriptor, first: Tensor, second: Tensor) -> Descriptor:
+def _raised(target: Descriptor, first: Tensor, second: Tensor) -> Descriptor:
     """Targets that an L1 distance leads to the photograph's own contrast.
 
     Statistics of single windows scatter, and the mean L1 distance between two draws of the same
-    kind is least when one of them is a little too faint. How much, the photograph's own windows
-    tell; by as much the targets are raised. Autocorrelations stay as they are: most of their
-    numbers are nothing but scatter.
+    kind is least when one of them is a little too faint. How much is measured on the photograph's
+    own windows, and the targets are raised by as much. Autocorrelations stay as they are: most
+    of their numbers are nothing but scatter.
     """
     if not len(first):
-        return found
+        return target
     some = torch.randperm(len(first), generator=torch.Generator().manual_seed(0))[: WINDOWS.pairs]
 
     def raised(level: Tensor) -> Tensor:
         return level / _best_scale(level[first[some]], level[second[some]])
 
     return replace(
-        found,
-        grams=tuple(map(raised, found.grams)),
-        crosses=tuple(map(raised, found.crosses)),
-        quantiles=tuple(map(raised, found.quantiles)),
+        target,
+        grams=tuple(map(raised, target.grams)),
+        crosses=tuple(map(raised, target.crosses)),
+        quantiles=tuple(map(raised, target.quantiles)),
     )
 
 
-def _best_scale(found: Tensor, target: Tensor) -> float:
+def _best_scale(sample: Tensor, target: Tensor) -> float:
     """The s, of WINDOWS.least_scale to 1, for which the mean of |s found - target| is least.
 
     A weighted median: every quotient target / found counts by what it is a quotient of.
     """
     size = target.abs().flatten(1).mean(dim=1).clamp_min(UNSEEN)
-    weight = (found.abs().flatten(1) / size[:, None]).flatten()
-    quotient = torch.where(found == 0.0, 0.0, target / found).flatten()
+    weight = (sample.abs().flatten(1) / size[:, None]).flatten()
+    quotient = torch.where(sample == 0.0, 0.0, target / sample).flatten()
     ordered, order = quotient.sort()
     heavier = weight[order].double().cumsum(0)
     middle = int(torch.searchsorted(heavier, 0.5 * heavier[-1]))

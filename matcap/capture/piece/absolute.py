@@ -1,11 +1,11 @@
-"""How bright the flash was, which one photograph does not tell: the most probable answer.
+"""Exposure prior: the most probable flash intensity, which one photograph does not determine.
 
 Twice the albedo and F0 under half the flash is the same picture. What decides is what materials are
 like: nearly all that are no metal mirror 4 % (F0 of an index of refraction of 1.5) whatever their
 albedo, which spreads over two orders of magnitude; metals mirror most and have no diffuse albedo.
-So where a highlight tells F0 over albedo, it tells both: black leather whose gloss is three times
-its albedo is black. Where texels are told apart into metal and what is none (metal.py), each part
-is held to its own kind, and metal to how bright metals of its hue are: gold is brighter than steel.
+So where a highlight gives F0 over albedo, both follow: black leather whose gloss is three times
+its albedo is black. Where texels are classified as metal or dielectric (metal.py), each part
+has the prior of its own class, and metal that of metals of its hue: gold is brighter than steel.
 docs/notes/capture.md.
 """
 
@@ -57,18 +57,18 @@ class MaterialKind:
 
 @dataclass(frozen=True)
 class ScaleSettings:
-    """What materials are believed to be like; 78 map sets of artists and scanners are so.
+    """Priors of albedo and F0 of materials; 78 map sets of artists and scanners agree with them.
 
     Attributes:
-        kinds: of materials. A wider F0 of what is no metal believes the flash's fitted strength
+        kinds: of materials. A wider F0 prior of dielectrics follows the flash's fitted intensity
             more, and makes black things grey.
         brightest: mean and, for single texels (`most_of`), limits of albedo and F0.
         most_of: quantile that counts as the brightest texel.
-        most_of_metal: likewise of F0 where some is metal: what glints beyond is told too bright.
+        most_of_metal: likewise of F0 where some is metal: glints beyond are overestimated.
         hue: deviation of a metal's colour, logarithm, from a clean one's.
         clean: deviation of how bright metal of a known hue is, likewise.
         unknown: what a metal of no known hue counts for, among those within `hue` of one.
-        least_part: share of the piece that tells anything as a part.
+        least_part: least share of the exemplar for a part to count.
     """
 
     kinds: tuple[MaterialKind, ...] = (
@@ -94,8 +94,8 @@ def how_metallic(levels: Tensor) -> float:
         levels: (5,) as SurfaceParameters.levels has them, under a flash of any strength.
     """
     luminance = float((torch.from_numpy(_LUMINANCE) * levels[:3].exp()).sum())
-    found = math.log(max(luminance, _LEAST)), float(levels[3])
-    plain, metal = (kind.scale(*found)[1] - math.log(kind.share) for kind in SCALE.kinds)
+    logs = math.log(max(luminance, _LEAST)), float(levels[3])
+    plain, metal = (kind.scale(*logs)[1] - math.log(kind.share) for kind in SCALE.kinds)
     return metal - plain
 
 
@@ -122,7 +122,7 @@ def _factor_of_parts(exemplar: Exemplar, metal: NDArray[np.float32]) -> float:
     across, down = exemplar.size
     share = cv2.resize(metal, (across, down), interpolation=cv2.INTER_LINEAR)
     plain, _ = SCALE.kinds
-    # What is more of the one than of the other, so that borders tell of neither.
+    # Texels more of the one than of the other, so that borders count for neither.
     bare, rest = np.maximum(2.0 * share - 1.0, 0.0), np.maximum(1.0 - 2.0 * share, 0.0)
     parts = ((rest, plain), (bare, _metal_kind(exemplar, bare)))
     total = weights = 0.0
@@ -130,10 +130,10 @@ def _factor_of_parts(exemplar: Exemplar, metal: NDArray[np.float32]) -> float:
         size = float(part.mean())
         if size < SCALE.least_part:
             continue
-        for found, (mean, deviation) in zip(
+        for measured, (mean, deviation) in zip(
             _logs(exemplar, part), (kind.albedo, kind.specular), strict=True
         ):
-            total += size * (mean - found) / deviation**2
+            total += size * (mean - measured) / deviation**2
             weights += size / deviation**2
     return total / weights
 
@@ -146,8 +146,8 @@ def _metal_kind(exemplar: Exemplar, share: NDArray[np.float32]) -> MaterialKind:
     levels = [(anything.specular[0], anything.specular[1], SCALE.unknown)]
     for f0 in METAL_F0.values():
         log = np.log(np.array(f0))
-        apart = (colour - colour.mean()) - (log - log.mean())
-        likely = math.exp(-0.5 * float(np.square(apart / SCALE.hue).sum()))
+        difference = (colour - colour.mean()) - (log - log.mean())
+        likely = math.exp(-0.5 * float(np.square(difference / SCALE.hue).sum()))
         levels.append((math.log(sum(f0) / 3.0), SCALE.clean, likely))
     total = sum(weight for _, _, weight in levels)
     mean = sum(level * weight for level, _, weight in levels) / total

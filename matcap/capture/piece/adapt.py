@@ -1,12 +1,12 @@
-"""Adaptation: a piece of the exemplar, put anywhere, must look like the photograph there.
+"""Texture-statistics fit: windows of the exemplar, lit anywhere, must match the photograph there.
 
-The network gets the drawing right and strengths wrong: how bright, glossy and deep, and by how much
-each varies. The paper holds its decoder to the photograph by statistics of renderings at the
+The network's structure is right and its amplitudes are off: mean and contrast of albedo, and the
+strength of relief. The paper holds its decoder to the photograph by statistics of renderings at the
 photograph's places (4.6). The same holds the exemplar: its windows are lit as if they lay
 elsewhere, compared with what is seen there, and a few numbers that scale its maps as a whole are
 moved until they agree. So few numbers need few steps, and cannot draw what was not photographed.
-Some windows are held back: what was found is taken if it is nearer there. Relief that the
-photograph tells outright (strengths.py) hardly moves.
+Some windows are a validation set: the result is kept if it is nearer there. Relief that the
+photograph measures (strengths.py) hardly moves.
 F0 and roughness are the classes' (levels.py) and stay.
 """
 
@@ -74,7 +74,7 @@ def adapt(
     doubt: Sequence[float] = (),
     seconds: float | None = None,
     seed: int = 0,
-    tell: Callable[[float], None] | None = None,
+    on_progress: Callable[[float], None] | None = None,
 ) -> Adapted:
     """Maps whose levels, contrasts and strengths of relief are the photograph's everywhere.
 
@@ -83,22 +83,22 @@ def adapt(
         seen: (H, W) where they are more than a guess.
         scene: the photograph.
         steps: of Adam.
-        reach: how far the numbers may be off, beside what is believed of the network's maps.
-        doubt: deviations of the logarithm of relief's strength, band by band as BANDS are, where
-            it is told otherwise; relief stands where it is told well.
+        reach: factor on the prior deviations of the scaling parameters.
+        doubt: standard deviations of the log strength of relief, of each of BANDS, where the
+            photograph measures it.
         seconds: at most, or None.
         seed: of the order of windows.
-        tell: called after every step with the share that is done.
+        on_progress: called after every step with the share that is done.
     """
     if not steps:
         return Adapted(maps)
     scaled = _ScaledMaps(maps, reach, doubt)
     seen_corners = corners(seen, scene.windows.size)
-    fitted, held = _parted(scene.windows.count, seed)
+    fitted, validation = _parted(scene.windows.count, seed)
     fit = _Fit(scaled, scene, seen_corners, fitted, reach)
-    interrupted = fit.run(steps, seconds, seed, tell)
+    interrupted = fit.run(steps, seconds, seed, on_progress)
     with torch.no_grad():
-        change = _judged(scaled, scene, held, seen_corners)
+        change = _judged(scaled, scene, validation, seen_corners)
         return Adapted(scaled.maps() if change.kept else maps, interrupted, change)
 
 
@@ -125,7 +125,7 @@ class _Fit:
         steps: int,
         seconds: float | None,
         seed: int,
-        tell: Callable[[float], None] | None,
+        on_progress: Callable[[float], None] | None,
     ) -> bool:
         """Fit; whether Ctrl-C ended it. The numbers are the mean of those at the end."""
         numbers, schedule = self.scaled.numbers, Schedule(steps, seconds, None)
@@ -138,13 +138,13 @@ class _Fit:
                 places = self.fitted[[next(order) for _ in range(ADAPT.windows)]]
                 (numbers.grad,) = torch.autograd.grad(self._loss(places, draw, schedule), [numbers])
                 if torch.isfinite(numbers.grad).all():
-                    falling = min(1.0, (1.0 - schedule.share) / ADAPT.held)
+                    falling = min(1.0, (1.0 - schedule.share) / ADAPT.averaged_from)
                     adam.step(self.reach * ADAPT.rate * falling)
-                if schedule.share >= ADAPT.held:
+                if schedule.share >= ADAPT.averaged_from:
                     total, averaged = total + numbers.detach(), averaged + 1
                 schedule.step += 1
-                if tell is not None:
-                    tell(min(1.0, schedule.step / steps))
+                if on_progress is not None:
+                    on_progress(min(1.0, schedule.step / steps))
         except KeyboardInterrupt:
             interrupted = True
         if averaged:
@@ -162,10 +162,14 @@ class _Fit:
 
 
 def _parted(count: int, seed: int) -> tuple[Tensor, Tensor]:
-    """Numbers of windows that are fitted to, and of those held back; the same ones if few."""
+    """Indices of windows to fit and to validate on; the same ones if few."""
     mixed = torch.randperm(count, generator=torch.Generator().manual_seed(seed))
-    held = min(ADAPT.held_back, count // 3)
-    return (mixed[held:], mixed[:held]) if held >= ADAPT.fewest_held else (mixed, mixed)
+    validation = min(ADAPT.validation, count // 3)
+    return (
+        (mixed[validation:], mixed[:validation])
+        if validation >= ADAPT.least_validation
+        else (mixed, mixed)
+    )
 
 
 def _cut(
@@ -192,24 +196,27 @@ def _distance(cuts: list[MapSet], scene: PhotographTarget, places: Tensor, step:
 
 
 def _judged(
-    scaled: _ScaledMaps, scene: PhotographTarget, held: Tensor, corners_seen: NDArray[np.int64]
+    scaled: _ScaledMaps,
+    scene: PhotographTarget,
+    validation: Tensor,
+    corners_seen: NDArray[np.int64],
 ) -> Change:
-    """What numbers change on windows that they were not fitted to."""
-    found = scaled.numbers.clone()
+    """The change of the distance on validation windows."""
+    numbers = scaled.numbers.clone()
 
     def distance() -> float:
         draw = np.random.default_rng(ADAPT.judging_seed)  # the same places, whatever the numbers
         parts = []
-        for places in held.split(ADAPT.windows):
+        for places in validation.split(ADAPT.windows):
             cuts = _cut(scaled, corners_seen, draw, len(places), scene.windows.size)
             parts.append(float(_distance(cuts, scene, places, 0)) * len(places))
-        return sum(parts) / len(held)
+        return sum(parts) / len(validation)
 
     after = distance()
     scaled.numbers.zero_()
     before = distance()
-    scaled.numbers.copy_(found)
-    scaling = scaled.scaling(found)
+    scaled.numbers.copy_(numbers)
+    scaling = scaled.scaling(numbers)
     return Change(
         before=before,
         after=after,
@@ -253,11 +260,11 @@ class _ScaledMaps:
         self._logits = torch.logit(maps.diffuse, eps=ADAPT.logit_epsilon)
         self._means = self._logits.mean((1, 2), keepdim=True)
         self._bands = torch.from_numpy(np.stack(split(maps.height[0].numpy())))
-        self._deviations = reach * self._believed(doubt).vector()
+        self._deviations = reach * self._prior_deviations(doubt).vector()
         self.numbers = torch.zeros(len(self._deviations), requires_grad=True)
 
-    def _believed(self, doubt: Sequence[float]) -> Scaling:
-        """How far each number is believed to be off; relief's doubt is told band by band."""
+    def _prior_deviations(self, doubt: Sequence[float]) -> Scaling:
+        """Prior standard deviation of each scaling parameter; of relief, band by band."""
         bands = torch.full((len(self._bands),), ADAPT.band)
         for index, each in enumerate(doubt):
             bands[index] = min(ADAPT.band, max(each, ADAPT.least_doubt))
@@ -276,8 +283,8 @@ class _ScaledMaps:
     def maps(self, rows: slice = slice(None), columns: slice = slice(None)) -> MapSet:
         """Maps of a rectangle."""
         by = self.scaling(self.numbers)
-        apart = self._logits[:, rows, columns] - self._means
-        albedo = torch.sigmoid(self._means + by.offset[:, None, None] + by.gain.exp() * apart)
+        deviation = self._logits[:, rows, columns] - self._means
+        albedo = torch.sigmoid(self._means + by.offset[:, None, None] + by.gain.exp() * deviation)
         heights = (by.relief + by.bands).exp()[:, None, None] * self._bands[:, rows, columns]
         return replace(
             self._maps,
@@ -288,7 +295,7 @@ class _ScaledMaps:
         )
 
     def price(self) -> Tensor:
-        """What the numbers pay for being off."""
+        """Negative log prior of the scaling parameters: sum of (x / deviation)^2, weighted."""
         return ADAPT.belief * (self.numbers / self._deviations).square().sum()
 
 

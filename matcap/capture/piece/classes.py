@@ -163,18 +163,18 @@ def _coloured(target: RingTarget, metal: Tensor) -> RingTarget:
 def goes_with_metal(departures: SurfaceParameters, logit: Tensor) -> Tensor:
     """(1, H, W) what of a reading goes with the logit of metal (1, H, W); median 0, deviation 1.
 
-    Beside a highlight all is told to be metal and far from it little: what counts is what a texel
-    differs by from its neighbourhood, in the logit and in maps that differ as it does.
+    Near a highlight the network calls everything metal, and far from it little: what counts is
+    a texel's difference from its neighbourhood, in the logit and in maps that differ as it does.
     """
     albedo = departures.diffuse
     lightness = albedo.mean(0, keepdim=True)
     colour = (albedo - lightness)[::2]
     maps = [logit, lightness, colour, departures.roughness, departures.specular]
     around = max(logit.shape) / KINDS.around
-    apart = np.stack([plane - smoothed(plane, around) for plane in torch.cat(maps).numpy()])
-    apart /= apart.std((1, 2), keepdims=True) + np.float32(1e-6)
-    together = (apart * apart[0]).mean((1, 2))
-    score = np.tensordot(together * np.abs(together), apart, 1)
+    local = np.stack([plane - smoothed(plane, around) for plane in torch.cat(maps).numpy()])
+    local /= local.std((1, 2), keepdims=True) + np.float32(1e-6)
+    together = (local * local[0]).mean((1, 2))
+    score = np.tensordot(together * np.abs(together), local, 1)
     score = (score - np.median(score)) / (score.std() + np.float32(1e-6))
     return torch.from_numpy(score.astype(np.float32))[None]
 

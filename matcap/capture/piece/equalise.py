@@ -4,7 +4,7 @@ One flash shows the slope along its own light and hardly the other, and under it
 network shrinks what it cannot see. Relit, such relief shows a bull's-eye: weak in the middle,
 ridges running around it. So every band is parted into waves of some directions, and each of those
 is made as strong in every neighbourhood as it is where the light runs along it. Bands are then
-brought to the strengths that the photograph tells (strengths.py).
+scaled to the energies that the photograph measures (strengths.py).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.piece.believed import believed
+from matcap.capture.piece.posterior import posterior_energies
 from matcap.capture.piece.smooth import coarse_smoothed, enlarged, split
 from matcap.capture.piece.strengths import Strengths, slope_strengths
 from matcap.capture.piece.tuned import BAND, STRENGTH
@@ -24,18 +24,20 @@ Height = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 
 
-def equalise(height: Height, strengths: Strengths | None, shows: Height | None = None) -> Height:
+def equalise(
+    height: Height, strengths: Strengths | None, sensitivity: Height | None = None
+) -> Height:
     """A height (H, W) in texels whose slopes are as strong everywhere as the photograph says.
 
     Args:
         height: as the network gives it.
         strengths: of the photograph; None keeps each band's own on the whole.
-        shows: (2, H, W) what slopes along x and y (upwards) change of log radiance; None where all
-            show alike.
+        sensitivity: (2, H, W) d log L / d slope along x and y (upwards); None for the same
+            everywhere.
     """
     # What is slower than all bands is the bowl that a highlight's error leaves, not relief.
     bands = split(height)[:-1]
-    seen = _squares(np.ones((2, *height.shape), np.float32) if shows is None else shows)
+    seen = _squares(np.ones((2, *height.shape), np.float32) if sensitivity is None else sensitivity)
     with ThreadPoolExecutor() as pool:
         even = np.stack(list(pool.map(partial(_evened, seen=seen), bands)))
     wanted = _wanted(height, strengths)
@@ -52,9 +54,9 @@ def _sum(factors: Doubles, bands: Height) -> Height:
     return np.asarray(np.einsum("n,nhw->hw", factors, bands, optimize=False), np.float32)
 
 
-def _squares(shows: Height) -> Height:
-    """(3, h, w) xx, xy and yy of what slopes show, on the grid of coarse_smoothed."""
-    x, y = shows
+def _squares(sensitivity: Height) -> Height:
+    """(3, h, w) products xx, xy and yy of the sensitivity, on the grid of coarse_smoothed."""
+    x, y = sensitivity
     return np.stack([coarse_smoothed(product, BAND.coarser) for product in (x * x, x * y, y * y)])
 
 
@@ -98,12 +100,12 @@ def _directions(shape: tuple[int, ...]) -> list[tuple[float, Height]]:
     count = STRENGTH.even_directions
     fx, fy = np.fft.rfftfreq(shape[1]), -np.fft.fftfreq(shape[0])[:, None]
     along = np.arctan2(fy, fx + np.zeros_like(fy))
-    found = []
+    directions = []
     for angle in np.arange(count) * np.pi / count:
         off = (along - angle + np.pi / 2.0) % np.pi - np.pi / 2.0
         share = np.where(np.abs(off) < np.pi / count, np.square(np.cos(off * count / 2.0)), 0.0)
-        found.append((float(angle), share.astype(np.float32)))
-    return found
+        directions.append((float(angle), share.astype(np.float32)))
+    return directions
 
 
 def _energies(height: Height) -> Doubles:
@@ -116,7 +118,7 @@ def _wanted(height: Height, strengths: Strengths | None) -> Doubles:
     drawn = _energies(height)
     if strengths is None:
         return drawn
-    return believed(drawn, np.square(strengths.slope).sum(1), strengths.doubt)
+    return posterior_energies(drawn, np.square(strengths.slope).sum(1), strengths.doubt)
 
 
 def slopes(height: Height) -> tuple[Height, Height]:

@@ -29,7 +29,7 @@ from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.glints import scaled_by_glints
 from matcap.capture.piece.levels import LevelPrior, RingTarget, fit_levels
-from matcap.capture.piece.metal import believed, seen_colour, tint
+from matcap.capture.piece.metal import metal_share, seen_colour, tint
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import (
     ExpectedErrors,
@@ -38,12 +38,12 @@ from matcap.capture.piece.network.network import (
     NetworkInputs,
 )
 from matcap.capture.piece.noise import channel_noise
+from matcap.capture.piece.photographed_strengths import plane_strengths
 from matcap.capture.piece.refine import PieceLight, Refined, flatten, refine, remaining
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.strengths import Strengths
-from matcap.capture.piece.told import plane_strengths
 from matcap.capture.piece.transport import transport
-from matcap.capture.piece.tuned import ADAPT, LEND, READ
+from matcap.capture.piece.tuned import ADAPT, INPAINT, READ
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.variety import chosen
@@ -119,14 +119,14 @@ class Sight:
     """A photograph of a piece, and its light.
 
     Attributes:
-        plane: the photograph; valid where it tells anything.
+        plane: the photograph; valid where it was seen and lit.
         coarse: its coarse fit.
         shown: (3, H, W) bool: seen and lit, or beyond the photograph, by channel.
         within: (H, W) bool: the material, in the photograph.
         seen: (H, W) share of each place that was seen, in [0, 1].
-        inputs: what the network is told.
+        inputs: of the network.
         light: the photograph's, at every texel.
-        glare: (H, W) share of the uniform material's radiance that is mirrored.
+        glare: (H, W) specular fraction of the uniform material's radiance.
         noise: (3, H, W) of log radiance, the sensor's or the codes'.
     """
 
@@ -209,7 +209,7 @@ def find_piece(
     seconds: Callable[[], float] | None = None,
     seed: int = 0,
     stage: Stage = lambda name: nullcontext(),
-    tell: Callable[[float], None] | None = None,
+    on_progress: Callable[[float], None] | None = None,
 ) -> FoundPiece:
     """Maps of the photographed piece, stage by stage.
 
@@ -228,13 +228,13 @@ def find_piece(
         seconds: of adaptation at most from now on, asked when each leg of it begins.
         seed: of adaptation.
         stage: entered with the name of each stage.
-        tell: called as adaptation goes on with the share that is done.
+        on_progress: called as the texture-statistics fit goes on with the share that is done.
     """
     with stage("piece"):
         sight = Sight.of(plane, coarse)
         sight, reading = read_piece(sight, network)
     with stage("strengths"):
-        strengths = tell_strengths(sight, reading)
+        strengths = measured_relief(sight, reading)
         sight, reading = classified(sight, strengthened(sight, reading, strengths))
     explained = _Explained(reading)
     with explained.until_interrupted():
@@ -244,16 +244,16 @@ def find_piece(
             with stage("adapt"):
                 doubt = strengths.doubts() if strengths else ()
                 wanted = target()
-                for each in legs(steps, seconds, seed, doubt, tell):
+                for each in legs(steps, seconds, seed, doubt, on_progress):
                     explained.adapt(sight, wanted, each)
     whole = plane if fine is None else fine
     with stage("lend"):
-        tried = LEND.tried if steps and not explained.interrupted else LEND.tried_at_once
-        exemplar = _in_detail(sight, lent(sight, explained.reading, tried), whole)
+        tried = INPAINT.tried if steps and not explained.interrupted else INPAINT.tried_at_once
+        exemplar = _in_detail(sight, inpainted(sight, explained.reading, tried), whole)
         scale = 1.0 if absolute else most_probable_scale(exemplar, explained.reading.metal)
     with stage("index"):
         example = indexed(scaled(exemplar, scale), waves, whole.size[0] / plane.size[0])
-    return replace(_found(sight, whole, explained, strengths, example), scale=scale)
+    return replace(_estimate(sight, whole, explained, strengths, example), scale=scale)
 
 
 def indexed(exemplar: Exemplar, waves: Sequence[Wave], longer: float = 1.0) -> Example:
@@ -262,7 +262,7 @@ def indexed(exemplar: Exemplar, waves: Sequence[Wave], longer: float = 1.0) -> E
     Args:
         exemplar: the piece.
         waves: of its regular order.
-        longer: texels across of it over those that waves are told in.
+        longer: its texels across over those that the waves' unit is.
     """
     return chosen(Example.of(exemplar, tuple((w.fx / longer, w.fy / longer) for w in waves)))
 
@@ -291,7 +291,7 @@ class _Explained:
             raise KeyboardInterrupt
 
 
-def _found(
+def _estimate(
     sight: Sight,
     fine: Plane,
     explained: _Explained,
@@ -328,7 +328,7 @@ def read_piece(sight: Sight, network: Inverse) -> tuple[Sight, Reading]:
     answer = NetworkAnswer.from_stacked(_read(network, sight.inputs.stacked()))
     trusted = confidence(answer.errors, sight.seen)
     trusted[0] *= 1.0 - sight.glare
-    some = believed(answer.metal)
+    some = metal_share(answer.metal)
     classes = Classes.whole(sight.glare.shape, metal=sight.coarse.conductor)
     if sight.coarse.conductor:
         sight = tinted(sight, classes.metal_share)
@@ -342,16 +342,16 @@ def tinted(sight: Sight, metal: Tensor) -> Sight:
     return replace(sight, light=replace(sight.light, hue=tint(metal, seen)))
 
 
-def tell_strengths(sight: Sight, reading: Reading) -> Strengths | None:
-    """What the photograph says outright of relief and albedo; None where it says too little."""
-    shown = sight.light.shows_relief(sight.light.maps(reading.departures))
+def measured_relief(sight: Sight, reading: Reading) -> Strengths | None:
+    """Relief and albedo energies measured by the photograph; None where too little can be used."""
+    shown = sight.light.slope_sensitivity(sight.light.maps(reading.departures))
     return plane_strengths(sight.plane, sight.inputs, shown)
 
 
 def strengthened(sight: Sight, reading: Reading, strengths: Strengths | None) -> Reading:
     """Relief as strong as the photograph says, everywhere and in all directions."""
-    drawn, shows = reading.departures, sight.inputs.shows_slope.numpy()
-    height = torch.from_numpy(equalise(drawn.height[0].numpy(), strengths, shows))[None]
+    drawn, sensitivity = reading.departures, sight.inputs.slope_sensitivity.numpy()
+    height = torch.from_numpy(equalise(drawn.height[0].numpy(), strengths, sensitivity))[None]
     return replace(reading, departures=replace(drawn, height=height))
 
 
@@ -383,7 +383,7 @@ def _ring_target(sight: Sight, departures: SurfaceParameters, classes: Classes) 
         linear=plane.linear,
         measured=sight.shown,
         counts=sight.within,
-        away=torch.hypot(points[0] - x, points[1] - y),
+        distance=torch.hypot(points[0] - x, points[1] - y),
         flash=sight.light.flash,
         normal=sight.light.maps(departures).normal,
         surface=sight.light.uniform + departures,
@@ -395,7 +395,7 @@ def with_levels(sight: Sight, reading: Reading, departures: SurfaceParameters) -
     """The reading with levels of its classes fitted to how the highlight falls off."""
     classes = reading.classes
     target = _ring_target(sight, departures, classes)
-    size = target.away.shape
+    size = target.distance.shape
     target = target.thinned(LEVEL_TEXELS)
     step = max(1, min(size) // LEVEL_TEXELS)
     shares = classes.shares[:, ::step, ::step]
@@ -434,7 +434,7 @@ class Leg:
     doubt: Sequence[float]
     seconds: float | None
     seed: int
-    tell: Callable[[float], None] | None
+    on_progress: Callable[[float], None] | None
 
 
 def legs(
@@ -442,7 +442,7 @@ def legs(
     seconds: Callable[[], float] | None,
     seed: int,
     doubt: Sequence[float],
-    tell: Callable[[float], None] | None,
+    on_progress: Callable[[float], None] | None,
 ) -> Iterator[Leg]:
     """The legs of so many steps in all, and of as many seconds as there still are."""
     count = len(ADAPT.legs)
@@ -453,7 +453,7 @@ def legs(
             doubt,
             None if seconds is None else ADAPT.stepping * seconds() / (count - number),
             seed * count + number,
-            tell and _shared(tell, number),
+            on_progress and _shared(on_progress, number),
         )
 
 
@@ -463,13 +463,13 @@ def adapted(
     """A leg of adaptation, if it earns its place, and what it came to.
 
     Statistics may come nearer while the piece itself no longer looks like the photograph: bare iron
-    beside rust, told as paint, gains a likeness from rings. Such a leg is not taken.
+    beside rust, predicted as paint, gains a likeness from rings. Such a leg is not taken.
     """
     plane = sight.plane
     departures = reading.departures
     weight = np.square(reading.confidence["diffuse"])
     albedo = torch.from_numpy(even_contrast(departures.diffuse.numpy(), weight))
-    found = adapt(
+    fitted = adapt(
         sight.light.maps(replace(departures, diffuse=albedo), plane.texel_size),
         plane.valid.numpy(),
         target,
@@ -478,15 +478,15 @@ def adapted(
         doubt=leg.doubt,
         seconds=leg.seconds,
         seed=leg.seed,
-        tell=leg.tell,
+        on_progress=leg.on_progress,
     )
-    if found.change is None or not found.change.kept:
-        return reading, found
-    tried = _rerendered(sight, reading, sight.light.departures(found.maps))
+    if fitted.change is None or not fitted.change.kept:
+        return reading, fitted
+    tried = _rerendered(sight, reading, sight.light.departures(fitted.maps))
     before = max(unexplained(sight, reading), ADAPT.unexplained)
     if unexplained(sight, tried) > ADAPT.more_unexplained * before:
-        return reading, replace(found, change=replace(found.change, kept=False))
-    return tried, found
+        return reading, replace(fitted, change=replace(fitted.change, kept=False))
+    return tried, fitted
 
 
 def exemplar_of(sight: Sight, reading: Reading) -> Exemplar:
@@ -502,8 +502,8 @@ def exemplar_of(sight: Sight, reading: Reading) -> Exemplar:
     )
 
 
-def lent(sight: Sight, reading: Reading, tried: int) -> Exemplar:
-    """The exemplar, what glare hides lent from elsewhere in it; `tried` blocks for a place."""
+def inpainted(sight: Sight, reading: Reading, tried: int) -> Exemplar:
+    """The exemplar, inpainted where specular light hides albedo; `tried` blocks for a place."""
     plane = sight.plane
     exemplar = exemplar_of(sight, reading)
     left_out = None if plane.left_out is None else plane.left_out.numpy()
@@ -545,9 +545,9 @@ def _rerendered(sight: Sight, reading: Reading, departures: SurfaceParameters) -
     return replace(reading, departures=evened(sight, reading, refined.departures))
 
 
-def _shared(tell: Callable[[float], None], leg: int) -> Callable[[float], None]:
-    """Tells of one leg's share as part of all."""
-    return lambda share: tell((leg + share) / len(ADAPT.legs))
+def _shared(on_progress: Callable[[float], None], leg: int) -> Callable[[float], None]:
+    """Progress of one leg as a share of all."""
+    return lambda share: on_progress((leg + share) / len(ADAPT.legs))
 
 
 def piece_maps(exemplar: Exemplar) -> MapSet:
@@ -562,7 +562,7 @@ def confidence(
     """(4, H, W) in [0, 1] of expected errors and of what was seen (H, W).
 
     Of neighbourhoods: confidence is about where the light shows a map, not about which of the
-    material's features are easily read, or only its plain places would be believed.
+    material's features are easily read, or only its plain places would be trusted.
 
     Args:
         errors, seen: see there.
@@ -574,8 +574,8 @@ def confidence(
     )  # fmt: skip
     doubt = doubt / np.array(units, np.float32)[:, None, None]
     around = (unit or max(seen.shape)) / READ.confidence_around
-    believed = np.stack([np.exp(-smoothed(plane, around)) for plane in doubt])
-    return np.ascontiguousarray(believed * seen, dtype=np.float32)
+    certain = np.stack([np.exp(-smoothed(plane, around)) for plane in doubt])
+    return np.ascontiguousarray(certain * seen, dtype=np.float32)
 
 
 def seen_share(measured: Tensor) -> NDArray[np.float32]:
@@ -585,12 +585,12 @@ def seen_share(measured: Tensor) -> NDArray[np.float32]:
     that is burnt out, wide as it is, is not seen at all.
     """
     share = measured.float().mean(0).numpy()
-    around = cv2.GaussianBlur(share, (0, 0), READ.beside, borderType=cv2.BORDER_REFLECT)
+    around = cv2.GaussianBlur(share, (0, 0), READ.spread_of_light, borderType=cv2.BORDER_REFLECT)
     return np.asarray(np.minimum(share, np.clip(2.0 * around - 1.0, 0.0, 1.0)), np.float32)
 
 
 def lit(linear: Tensor) -> Tensor:
-    """(H, W) bool: where radiance (3, H, W) tells anything, and is not black all around."""
+    """(H, W) bool: where the neighbourhood's radiance (3, H, W) is above the noise."""
     return torch.from_numpy(smoothed(linear.mean(0).numpy(), READ.unlit_around) > READ.unlit)
 
 

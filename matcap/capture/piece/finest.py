@@ -1,6 +1,6 @@
 """The finest bands, carried over from the photograph to maps that were read on fewer texels.
 
-Networks read, strengths tell and statistics compare at the scale they were made for (detail.py);
+Network, spectra and statistics work at the scale they were made for (detail.py);
 the photograph resolves more. What its finest bands show beyond the enlarged maps' re-rendering, and
 is not the sensor's noise, goes to albedo, but for what relief must show of it: relief has as much
 of every finer octave as its own last octaves let one expect. It is drawn along with the
@@ -74,7 +74,7 @@ def sharpness(maps: MapSet, plane: Plane, uniform: Uniform) -> float:
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     light = PieceLight.of(uniform, points)
-    found = light.logs(maps, light.flash.onto(maps.normal))[0]
+    rendered = light.logs(maps, light.flash.onto(maps.normal))[0]
     observed = plane.linear.clamp_min(FINEST.darkest).log()
     half = ((width + 1) // 2, (height + 1) // 2)
     seen = plane.valid
@@ -82,7 +82,7 @@ def sharpness(maps: MapSet, plane: Plane, uniform: Uniform) -> float:
         return 1.0
     shown, true = (
         _beyond(torch.where(seen, x, observed), half)[:, seen].square().mean()
-        for x in (found, observed)
+        for x in (rendered, observed)
     )
     return float((shown / true.clamp_min(1e-12)).sqrt())
 
@@ -106,8 +106,8 @@ def _unshown(
     """(3, H, W) each: what the photograph's log radiance has beyond maps', finer than `coarse`
     texels, and the diffuse share of theirs.
     """
-    found, share = light.logs(maps, light.flash.onto(maps.normal))
-    left = plane.linear.clamp_min(FINEST.darkest).log() - found
+    rendered, share = light.logs(maps, light.flash.onto(maps.normal))
+    left = plane.linear.clamp_min(FINEST.darkest).log() - rendered
     left = torch.where(plane.measured, left, left.clamp_min(0.0)).clamp(-FINEST.most, FINEST.most)
     grain = _beyond(left, coarse)
     return grain if noise is None else noise.left_out(grain), share
@@ -139,10 +139,10 @@ class _Noise:
     def left_out(self, grain: Tensor) -> Tensor:
         """Grain (3, H, W), weakened where its energy is the noise's (a Wiener filter)."""
         grey = grain.mean(0, keepdim=True)
-        return _believed(grey, self.grey) + _believed(grain - grey, self.colours)
+        return _wiener(grey, self.grey) + _wiener(grain - grey, self.colours)
 
 
-def _believed(seen: Tensor, chance: Tensor) -> Tensor:
+def _wiener(seen: Tensor, chance: Tensor) -> Tensor:
     """What is seen (C, H, W), as far as its energy is more than that of chance (C, H, W)."""
     return seen * (1.0 - chance / _energy(seen).clamp_min(1e-12)).clamp_min(0.0)
 
@@ -156,8 +156,8 @@ def _beyond(picture: Tensor, coarse: tuple[int, int]) -> Tensor:
     """What of a picture (C, H, W) a grid of fewer texels (width, height) cannot hold."""
     whole = picture.numpy()
     size = (whole.shape[-1], whole.shape[-2])
-    held = _resized(_resized(whole, coarse, cv2.INTER_AREA), size, cv2.INTER_CUBIC)
-    return torch.from_numpy(whole - held)
+    coarse_part = _resized(_resized(whole, coarse, cv2.INTER_AREA), size, cv2.INTER_CUBIC)
+    return torch.from_numpy(whole - coarse_part)
 
 
 def _relief(exemplar: Exemplar, grain: Floats, maps: MapSet, light: PieceLight) -> Floats:
@@ -175,8 +175,10 @@ def _relief(exemplar: Exemplar, grain: Floats, maps: MapSet, light: PieceLight) 
     reflectance = Reflectance(
         *(p[:, some, some] for p in (maps.diffuse, maps.specular, maps.roughness))
     )
-    shows = light.cut(some, some).shows_relief(reflectance).square().sum(0).mean()
-    most = FINEST.relief_at_most * float(np.square(grain).mean()) / max(0.5 * float(shows), 1e-6)
+    sensitivity = light.cut(some, some).slope_sensitivity(reflectance).square().sum(0).mean()
+    most = (
+        FINEST.relief_at_most * float(np.square(grain).mean()) / max(0.5 * float(sensitivity), 1e-6)
+    )
     drawn = max(_steepness(grain), 1e-12)
     return _sign(exemplar, bands) * np.float32(math.sqrt(min(wanted, most) / drawn)) * grain
 

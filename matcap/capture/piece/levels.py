@@ -75,7 +75,7 @@ class RingTarget:
         linear: (3, H, W) radiance on the plane's grid; 1 is where it clips.
         measured: (3, H, W) bool: not clipped.
         counts: (H, W) bool: what lies in the picture, clipped or not.
-        away: (H, W) plane units from the mirror point.
+        distance: (H, W) plane units from the mirror point.
         flash: the photograph's.
         normal: (3, H, W) of the relief.
         surface: what levels are added to; broadcasts to (..., H, W).
@@ -85,7 +85,7 @@ class RingTarget:
     linear: Tensor
     measured: Tensor
     counts: Tensor
-    away: Tensor
+    distance: Tensor
     flash: FlashLight
     normal: Tensor
     surface: SurfaceParameters
@@ -93,7 +93,7 @@ class RingTarget:
 
     def thinned(self, texels: int) -> RingTarget:
         """One texel of several, so that so many are left along the short side."""
-        size = self.away.shape
+        size = self.distance.shape
         every = slice(None, None, max(1, min(size) // texels))
 
         def thin(plane: Tensor) -> Tensor:
@@ -119,7 +119,7 @@ class RingTarget:
             incidence: on the relief.
             duller: added to the logit of roughness.
         """
-        one = torch.ones_like(self.away)[None]
+        one = torch.ones_like(self.distance)[None]
         parts = []
         for level, hue in zip(levels, self.hues, strict=True):
             surface = self.surface + SurfaceParameters.from_levels(level)
@@ -137,7 +137,7 @@ class _Rings:
     """Means of every class in rings."""
 
     def __init__(self, target: RingTarget, shares: Tensor, settings: LevelSettings) -> None:
-        octaves = torch.log2(1.0 + target.away / settings.innermost)
+        octaves = torch.log2(1.0 + target.distance / settings.innermost)
         self._ring = (settings.per_octave * octaves).long().flatten()
         self._many = int(self._ring.max()) + 1
         self._weights = [(share * target.counts).flatten() for share in shares]

@@ -15,13 +15,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-# Shares told below the first count as none and above the second as whole: the network doubts, and
+# Predicted shares below the first count as 0 and above the second as 1: the network hedges, and
 # what is no metal stays grey.
 _NONE, _WHOLE = 0.25, 0.75
 _LEAST_SHARE = 0.005  # of a piece, below which nothing of it is metal
 _AROUND = 5  # texels a side of the neighbourhood whose colour is seen: less than noise's share
 # Radiance, of clipping. Of what is darker little is mirrored, and dirt and noise are seen: it has
-# the colour of all, which is told where it is bright.
+# the mean colour, estimated where it is bright.
 _DARK = 0.05
 _LEAST = 1e-6
 
@@ -40,18 +40,18 @@ def seen_colour(linear: Tensor, weight: Tensor) -> Tensor:
 
 
 def whole_colour(linear: Tensor, weight: Tensor) -> Tensor:
-    """(..., 3, 1, 1) colour of all, told where it is bright; arguments as of seen_colour."""
+    """(..., 3, 1, 1) mean colour, weighted by brightness; arguments as of seen_colour."""
     counted = linear.clamp_min(0.0) * weight.to(linear)
     bright = counted.mean(-3, keepdim=True)
     whole = (counted * bright).sum((-2, -1), keepdim=True) + _LEAST
     return whole / whole.mean(-3, keepdim=True)
 
 
-def believed(metal: Tensor) -> Tensor | None:
+def metal_share(metal: Tensor) -> Tensor | None:
     """(1, H, W) share of each texel that is metal in [0, 1], or None where there is hardly any.
 
     Args:
-        metal: (1, H, W) logit, as the network tells.
+        metal: (1, H, W) logit predicted by the network.
     """
     share = ((torch.sigmoid(metal) - _NONE) / (_WHOLE - _NONE)).clamp(0.0, 1.0)
     return share if float((share > 0.5).float().mean()) > _LEAST_SHARE else None

@@ -1,8 +1,8 @@
-"""How far a photograph's channels are to be believed: their noise, as deviations of log radiance.
+"""Noise of a photograph's channels, as standard deviations of log radiance.
 
 A camera's own development ends in codes of 8 bits, and in the dark a code is a large step: where a
-saturated colour leaves a channel with a code or two, that channel's logarithm is chance, and its
-texture nobody's. A RAW's noise is drawn once more when it is read (photo/sensor_noise.py).
+saturated colour leaves a channel with a code or two, that channel's logarithm is
+quantisation noise. A RAW's noise is drawn once more when it is read (photo/sensor_noise.py).
 """
 
 from __future__ import annotations

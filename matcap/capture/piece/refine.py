@@ -1,11 +1,10 @@
-"""Refinement by re-rendering: what is unexplained goes to the maps that are in doubt most.
+"""Refinement by re-rendering: residuals are assigned to the maps with the largest uncertainty.
 
 First the means of albedo and gloss, then every texel: Gauss-Newton steps in which a residual of
 log radiance is shared among albedo, F0 and roughness by how much each shows there and how much it
 is in doubt (a Wiener filter whose prior is the network's answer and its expected errors). Relief
 is left as it is: what of it lies in the wrong place would be cancelled instead of moved
-(docs/notes/capture.md). A clipped channel is a lower bound, and the others
-tell what they tell. What varies slowly over the whole
+(docs/notes/capture.md). A clipped channel is a lower bound. What varies slowly over the whole
 picture is what coarse fit and tone curve left undone, not the material, and stays out of the maps.
 """
 
@@ -93,8 +92,8 @@ class PieceLight:
         radiance = (diffuse + mirrored).clamp_min(REFINE.darkest)
         return radiance.log(), diffuse / radiance
 
-    def shows_relief(self, maps: MapSet | Reflectance) -> Tensor:
-        """(2, H, W) what dh/dx and dh/dy change of grey log radiance, were all maps flat."""
+    def slope_sensitivity(self, maps: MapSet | Reflectance) -> Tensor:
+        """(2, H, W) d log L / d slope along x and y, of grey log radiance on a flat surface."""
         one = torch.ones_like(maps.roughness)
 
         def tilted(x: float, y: float) -> Tensor:
@@ -192,11 +191,11 @@ def refine(
             log, shares = light.logs(light.maps(departures), incidence)
         residual = _unexplained(observed, log, valid)
         residual = (residual - _slow(residual, valid)).clamp(-REFINE.most, REFINE.most)
-        tells = valid | (residual > 0.0)
+        informative = valid | (residual > 0.0)
         share = (weights * shares).sum(0, keepdim=True)
         # d log L / d log albedo, and of metal / d log F0.
         base = (1.0 - bare) * share + bare * (1.0 - share)
-        counts = weights * tells
+        counts = weights * informative
         counts = counts / counts.sum(0, keepdim=True).clamp_min(1e-6)
         grey = (counts * residual).sum(0, keepdim=True)
         uncertain = REFINE.glare + (REFINE.glare_metal - REFINE.glare) * bare
@@ -205,8 +204,8 @@ def refine(
         unknown = (counts * white).sum(0, keepdim=True).square() + glare
         common = base * albedo * grey / (base.square() * albedo + unknown)
         # A bound that holds says nothing of the colour.
-        apart = torch.where(tells, residual - grey, 0.0)
-        own = apart * shares * colour / (shares.square() * colour + white.square() + glare)
+        chroma = torch.where(informative, residual - grey, 0.0)
+        own = chroma * shares * colour / (shares.square() * colour + white.square() + glare)
         departures = replace(
             departures,
             diffuse=departures.diffuse + (1.0 - bare) * (common + own),

@@ -1,9 +1,9 @@
-"""What one flash photograph says outright of relief's and albedo's strength, in closed form.
+"""Energies of relief and albedo by band, measured from one flash photograph in closed form.
 
 To first order the logarithm of radiance is log albedo + g . grad h, where g is how log radiance
-changes with slope (inputs.py): nothing under the flash's foot, more the further the light slants,
-more again where gloss shows. A stationary sample has the same spectra everywhere, so in a window
-whose mean g along a direction is s, the energy of the band's waves in that direction is
+changes with slope (inputs.py): nothing at the flash's mirror point, more the further the light
+slants, more again where gloss shows. A stationary sample has the same spectra
+everywhere, so in a window whose mean g along a direction is s, the energy of the band's waves in that direction is
 
     E(s) = A m + 2 C s + S s^2,
 
@@ -12,7 +12,7 @@ in all directions alike: mirrored light dilutes it, dark gaps more than all, the
 rim, and streaks end. Where the flash stands m is small, and so is s: taken for 1 it makes relief of
 albedo. But relief shows along the light and not across. Windows differ in s, and a regression over
 them and all directions recovers A and S, and how far S is to be doubted: by its scatter, and by
-what two opinions of g tell differently (docs/notes/capture.md).
+the disagreement of two estimates of g (docs/notes/capture.md).
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Strengths:
 
 def measure_strengths(
     log: NDArray[np.float32],
-    shows: NDArray[np.float32],
+    sensitivity: NDArray[np.float32],
     use: NDArray[np.bool_] | NDArray[np.float32],
     noise: float = 0.0,
     *,
@@ -91,12 +91,12 @@ def measure_strengths(
 
     Args:
         log: (H, W) log radiance over the coarse fit's; what is not used is filled from around it.
-        shows: (2, H, W) change of log radiance with slope along x and y (upwards).
+        sensitivity: (2, H, W) d log L / d slope along x and y (upwards).
         use: (H, W) share of a texel that was seen and not clipped.
         noise: standard deviation of log radiance that is the sensor's.
         matte: (H, W) diffuse share of the radiance; None for all of it.
-        also: (2, H, W) another opinion of `shows`: where the two tell different strengths, what is
-            told is doubted.
+        also: (2, H, W) another estimate of `sensitivity`: the difference of their results adds to
+            the standard deviation.
     """
     whole = _windows(log.shape)
     seen = _seen(use, whole)
@@ -109,12 +109,14 @@ def measure_strengths(
     white = noise**2 * _sums(np.ones((window, window)), _kinds()) / window**2
     energy = np.maximum(energy - white, 0.0)
     matte = np.ones_like(log) if matte is None else matte
-    albedo, slope, error = _told(energy, _responses(matte, shows, use, cuts))
-    apart = 0.0
+    albedo, slope, error = _regressed(energy, _responses(matte, sensitivity, use, cuts))
+    disagreement = 0.0
     if also is not None:
-        apart = np.abs(slope - _told(energy, _responses(matte, also, use, cuts))[1]).sum(1)
+        disagreement = np.abs(
+            slope - _regressed(energy, _responses(matte, also, use, cuts))[1]
+        ).sum(1)
     # Scatter of directions cancels; what is wrong with the model goes the same way in all of them.
-    doubt = np.hypot(np.sqrt(np.square(error).sum(1)), STRENGTH.disagreed * apart)
+    doubt = np.hypot(np.sqrt(np.square(error).sum(1)), STRENGTH.disagreed * disagreement)
     return Strengths(
         albedo=np.sqrt(albedo),
         slope=np.sqrt(slope),
@@ -143,7 +145,7 @@ def _window_energies(log: NDArray[np.float32], cuts: list[tuple[slice, slice]]) 
 
 def _responses(
     matte: NDArray[np.float32],
-    shows: NDArray[np.float32],
+    sensitivity: NDArray[np.float32],
     use: NDArray[np.bool_] | NDArray[np.float32],
     cuts: list[tuple[slice, slice]],
 ) -> Doubles:
@@ -153,17 +155,17 @@ def _responses(
     Around a highlight the response turns within a window: its mean is little and its square is not.
     """
     counts = np.square(_hann())
-    found = []
+    responses = []
     for cut in cuts:
         weight = counts * use[cut]
-        d, (x, y) = matte[cut], shows[(slice(None), *cut)]
-        found.append(
+        d, (x, y) = matte[cut], sensitivity[(slice(None), *cut)]
+        responses.append(
             [(weight * v).sum() / weight.sum() for v in (d * d, x, y, x * x, x * y, y * y)]
         )
-    return np.array(found, np.float64)
+    return np.array(responses, np.float64)
 
 
-def _told(energy: Doubles, responses: Doubles) -> Doubles:
+def _regressed(energy: Doubles, responses: Doubles) -> Doubles:
     """(3, len(BANDS), DIRECTIONS) A, S and S's standard error.
 
     Args:

@@ -1,8 +1,8 @@
-"""What glare hides, lent by places that look like it (reflectance transport, Aittala et al. 2015).
+"""Inpainting under the highlight by blocks of the exemplar (reflectance transport, Aittala 2015).
 
-Near the flash's foot a highlight lies over albedo, and where it clips nothing is seen at all. The
-material is the same all over the piece, so blocks of maps from where it is well seen are laid
-there. Of many blocks the one is taken that continues its neighbours and, lit here,
+Near the flash's mirror point a highlight lies over albedo, and where it clips nothing is seen at
+all. The material is stationary, so blocks of maps from where it is well seen are copied there. Of
+many blocks the one is taken that continues its neighbours and, lit here,
 would draw what the photograph shows here (texture transfer, Efros and Freeman 2001). Drawings are
 compared by correlation: what a block's radiance is off by on the whole is the highlight's fit, and
 blocks chosen by it are all pale ones.
@@ -21,7 +21,7 @@ from torch import Tensor
 from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
 from matcap.brdf.parameters import Reflectance
 from matcap.capture.piece.refine import PieceLight
-from matcap.capture.piece.tuned import LEND
+from matcap.capture.piece.tuned import INPAINT
 from matcap.example.exemplar import Exemplar
 
 Floats = NDArray[np.float32]
@@ -50,7 +50,7 @@ def transport(
     tried: int,
     left_out: NDArray[np.bool_] | None = None,
 ) -> Exemplar:
-    """The exemplar with maps lent to where glare hides them.
+    """Inpaint an exemplar's maps where specular light hides them.
 
     Args:
         exemplar: as found; its confidence stays as it is.
@@ -58,24 +58,24 @@ def transport(
         valid: (H, W) bool, seen and not clipped.
         light: the photograph's, at every texel.
         tried: blocks for a place.
-        left_out: (H, W) what is not the material, or None; lent where material is around it.
+        left_out: (H, W) what is not the material, or None; inpainted where material is around it.
 
     Returns:
-        The same object if nothing is hidden, or nothing well enough seen to be lent.
+        The same object if nothing is hidden, or no donor block is seen well enough.
     """
     confidence = exemplar.confidence[0]
     known = np.ones(confidence.shape, np.bool_) if left_out is None else ~left_out
-    trusted = confidence / max(float(np.quantile(confidence[known], LEND.well_seen)), 1e-6)
-    most = float(np.quantile(trusted[known], LEND.most_hidden)) + 1e-6
-    hidden = trusted < min(LEND.trusted, most)
-    lenders = _lenders(~hidden & known)
+    trusted = confidence / max(float(np.quantile(confidence[known], INPAINT.well_seen)), 1e-6)
+    most = float(np.quantile(trusted[known], INPAINT.most_hidden)) + 1e-6
+    hidden = trusted < min(INPAINT.trusted, most)
+    lenders = _donors(~hidden & known)
     if left_out is not None:
-        # Beyond a crop nothing is shown of what would be lent.
+        # Beyond a crop nothing is shown, and nothing is inpainted.
         hidden = (hidden & known) | (_between(known) & ~known)
-    if hidden.mean() < LEND.least or not len(lenders):
+    if hidden.mean() < INPAINT.least or not len(lenders):
         return exemplar
     drawn = _drawn(exemplar, ~hidden)
-    places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > LEND.wanted]
+    places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > INPAINT.wanted]
     # From well seen surroundings inwards, so that drawings go on.
     places.sort(key=lambda p: -float(trusted[_block(p)].mean()))
     photograph = _Photograph(exemplar, linear, valid, light)
@@ -103,9 +103,9 @@ class _Likeness:
     """Of the place that was seen and not clipped."""
 
     @property
-    def tells_more(self) -> bool:
+    def is_distinct(self) -> bool:
         """Whether the place shows what no block knows of: a scratch, bare metal in a highlight."""
-        return self.share > LEND.shown and self.stronger > LEND.stronger
+        return self.share > INPAINT.shown and self.stronger > INPAINT.stronger
 
 
 class _Photograph:
@@ -114,24 +114,24 @@ class _Photograph:
     def __init__(
         self, exemplar: Exemplar, linear: Tensor, valid: Tensor, light: PieceLight
     ) -> None:
-        self._log = linear.clamp_min(LEND.darkest).log()
+        self._log = linear.clamp_min(INPAINT.darkest).log()
         self._valid = valid
         self._light = light
         maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
         planes = torch.cat([maps.diffuse, maps.specular, maps.roughness, maps.normal])
         self._maps = planes.movedim(0, -1).numpy().copy()  # a texel's numbers lie together
         # What the mean material would show is the light's doing, and in every block alike.
-        even, _ = _lent(planes.mean((1, 2), keepdim=True).expand_as(planes))
+        even, _ = _parts(planes.mean((1, 2), keepdim=True).expand_as(planes))
         upright = torch.zeros_like(maps.normal)
         upright[2] = 1.0
         self._even = light.logs(even, light.flash.onto(upright))[0]
 
     def likeness(self, place: tuple[int, int], blocks: BlockPlaces) -> _Likeness:
         """How blocks, as if they lay at a place, compare with what is seen of it."""
-        inner = np.arange(0, LEND.block, LEND.thinned)
+        inner = np.arange(0, INPAINT.block, INPAINT.thinned)
         rows, columns = blocks[:, 0, None, None] + inner[:, None], blocks[:, 1, None, None] + inner
-        reflectance, normal = _lent(torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1))
-        here = tuple(slice(start, start + LEND.block, LEND.thinned) for start in place)
+        reflectance, normal = _parts(torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1))
+        here = tuple(slice(start, start + INPAINT.block, INPAINT.thinned) for start in place)
         light = self._light.cut(*here)
         log = light.logs(reflectance, light.flash.onto(normal))[0]
         seen = self._valid[here].to(log)
@@ -146,7 +146,7 @@ class _Photograph:
         return _Likeness(np.asarray(unlike, np.float32), stronger, share)
 
 
-def _lent(planes: Tensor) -> tuple[Reflectance, Tensor]:
+def _parts(planes: Tensor) -> tuple[Reflectance, Tensor]:
     """Reflectance and normals of planes (..., 8, H, W), 10 where F0 has a colour."""
     *reflectance, normal = planes.split([3, planes.shape[-3] - 7, 1, 3], dim=-3)
     return Reflectance(*reflectance), normal
@@ -166,7 +166,7 @@ def _choose(
     photograph: _Photograph,
     tried: int,
 ) -> dict[tuple[int, int], tuple[int, int]]:
-    """The lending block of every place."""
+    """The donor block of every place."""
     rng = np.random.default_rng(0)
     known, seen = known.copy(), drawn.seen.copy()
     allowed = set(map(tuple, lenders.tolist()))
@@ -178,9 +178,9 @@ def _choose(
             blocks = np.concatenate([blocks, np.array(follow)])
         shown = photograph.likeness(place, blocks)
         torn = _discontinuity(place, blocks, drawn.seen, seen, known)
-        best = int((torn + LEND.likeness * shown.share * shown.unlike).argmin())
+        best = int((torn + INPAINT.likeness * shown.share * shown.unlike).argmin())
         source = (int(blocks[best][0]), int(blocks[best][1]))
-        if shown.tells_more:
+        if shown.is_distinct:
             source = place
         else:
             chosen[place] = source
@@ -194,47 +194,47 @@ def _continued(
     place: tuple[int, int], chosen: dict[tuple[int, int], tuple[int, int]]
 ) -> list[tuple[int, int]]:
     """Where the blocks laid around a place would go on."""
-    step = LEND.block - LEND.overlap
+    step = INPAINT.block - INPAINT.overlap
     around = [(dy, dx) for dy in (-step, 0, step) for dx in (-step, 0, step) if dy or dx]
-    found = []
+    continued = []
     for dy, dx in around:
         source = chosen.get((place[0] + dy, place[1] + dx))
         if source is not None:
-            found.append((source[0] - dy, source[1] - dx))
-    return found
+            continued.append((source[0] - dy, source[1] - dx))
+    return continued
 
 
 def _discontinuity(
     place: tuple[int, int],
     blocks: BlockPlaces,
-    lent: Floats,
+    donor: Floats,
     seen: Floats,
     known: NDArray[np.bool_],
 ) -> Floats:
     """(N,) mean squared difference from what is known at a place, in deviations."""
-    here = tuple(slice(start, start + LEND.block, 2) for start in place)
+    here = tuple(slice(start, start + INPAINT.block, 2) for start in place)
     rows, columns = 2 * np.array(np.nonzero(known[here]))
     if not rows.size:
         return np.zeros(len(blocks), np.float32)
-    there = lent[blocks[:, :1] + rows, blocks[:, 1:] + columns]
+    there = donor[blocks[:, :1] + rows, blocks[:, 1:] + columns]
     difference = np.square(there - seen[place[0] + rows, place[1] + columns])
-    return np.asarray(difference.clip(0.0, LEND.farthest).mean((1, 2)), np.float32)
+    return np.asarray(difference.clip(0.0, INPAINT.farthest).mean((1, 2)), np.float32)
 
 
 def _laid(
     chosen: dict[tuple[int, int], tuple[int, int]], maps: Floats, hidden: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
     """(6 or 8, H, W) blocks side by side, and (H, W) the share of them in the result."""
-    texels = np.arange(LEND.block)
-    inside = np.minimum(texels + 1, LEND.block - texels) / LEND.overlap
+    texels = np.arange(INPAINT.block)
+    inside = np.minimum(texels + 1, INPAINT.block - texels) / INPAINT.overlap
     ramp = np.minimum(inside, 1.0)
-    weight = (np.outer(ramp, ramp) ** LEND.sharpness + 1e-6).astype(np.float32)
+    weight = (np.outer(ramp, ramp) ** INPAINT.sharpness + 1e-6).astype(np.float32)
     total, weights = np.zeros_like(maps), np.zeros(maps.shape[-2:], np.float32)
     for place, source in chosen.items():
         total[:, *_block(place)] += weight * maps[:, *_block(source)]
         weights[_block(place)] += weight
     covered = weights > 0.0
-    share = cv2.GaussianBlur((hidden & covered).astype(np.float32), (0, 0), LEND.edge) * covered
+    share = cv2.GaussianBlur((hidden & covered).astype(np.float32), (0, 0), INPAINT.edge) * covered
     laid = total / np.maximum(weights, np.float32(1e-9))
     return np.asarray(laid, np.float32), np.asarray(share, np.float32)
 
@@ -242,7 +242,7 @@ def _laid(
 def _drawn(exemplar: Exemplar, known: NDArray[np.bool_]) -> _Drawn:
     stacked = exemplar.stacked().astype(np.float32)
     height = exemplar.height[0] / exemplar.texel_size
-    fine = height - cv2.GaussianBlur(height, (0, 0), LEND.block / 1.5)
+    fine = height - cv2.GaussianBlur(height, (0, 0), INPAINT.block / 1.5)
     laid = stacked.copy()
     laid[HEIGHT] = fine * exemplar.texel_size
     down, across = np.gradient(fine)
@@ -259,23 +259,25 @@ def _between(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return rows[:, None] & columns[None, :]
 
 
-def _lenders(trusted: NDArray[np.bool_]) -> BlockPlaces:
+def _donors(trusted: NDArray[np.bool_]) -> BlockPlaces:
     """(N, 2) corners of blocks that are trusted nearly all over."""
     rows, columns = trusted.shape
-    if min(rows, columns) <= LEND.block:
+    if min(rows, columns) <= INPAINT.block:
         return np.zeros((0, 2), np.int64)
     sums = cv2.integral(trusted.astype(np.uint8)).astype(np.int64)
-    n = LEND.block
+    n = INPAINT.block
     count = sums[n:, n:] - sums[:-n, n:] - sums[n:, :-n] + sums[:-n, :-n]
-    return np.argwhere(count >= LEND.whole * n * n)
+    return np.argwhere(count >= INPAINT.whole * n * n)
 
 
 def _grid(shape: tuple[int, ...]) -> list[tuple[int, int]]:
     """Corners of blocks that overlap and reach the border."""
-    step = LEND.block - LEND.overlap
-    rows, columns = ([*range(0, side - LEND.block, step), side - LEND.block] for side in shape)
+    step = INPAINT.block - INPAINT.overlap
+    rows, columns = (
+        [*range(0, side - INPAINT.block, step), side - INPAINT.block] for side in shape
+    )
     return [(row, column) for row in rows for column in columns]
 
 
 def _block(corner: tuple[int, int]) -> tuple[slice, slice]:
-    return slice(corner[0], corner[0] + LEND.block), slice(corner[1], corner[1] + LEND.block)
+    return slice(corner[0], corner[0] + INPAINT.block), slice(corner[1], corner[1] + INPAINT.block)

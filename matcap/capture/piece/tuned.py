@@ -13,18 +13,18 @@ from matcap.flash.penalty import Penalties
 
 @dataclass(frozen=True)
 class ReadSettings:
-    """What the network is told, and how far its answer is believed.
+    """Inputs of the network, and the confidence in its prediction.
 
     Attributes:
-        farthest: log radiance; departures beyond it from the uniform material tell no more.
+        farthest: log radiance; residuals from the uniform material are clipped to it.
         step: slope, and logit of roughness, for differences of radiance.
         coarser: texels a side of which one is worked out: what a uniform material shows is smooth.
-        damping: bounds the slope told per log radiance where relief does not show.
+        damping: bounds the first-order slope estimate where the sensitivity vanishes.
         doubted_albedo, doubted_specular, doubted_roughness, doubted_slope: expected errors (log,
             log, logit, slope) at which confidence has fallen to 1/e. More trusts what is guessed.
         confidence_around: the long side over the deviation of a neighbourhood's confidence. More
-            follows single features, and only plain places are believed.
-        beside: texels, deviation: how far light spreads into what lies beside a clipped texel.
+            follows single features, and only plain places are trusted.
+        spread_of_light: texels, deviation of the blur of light from a clipped texel.
         unlit, unlit_around: where a neighbourhood (deviation in texels) has less light than this,
             of 1 at clipping, a photograph of 8 bits has its last codes, a RAW the sensor's noise.
     """
@@ -38,14 +38,14 @@ class ReadSettings:
     doubted_roughness: float = 0.6
     doubted_slope: float = 0.15
     confidence_around: float = 12.0
-    beside: float = 1.5
+    spread_of_light: float = 1.5
     unlit: float = 1e-3
     unlit_around: float = 8.0
 
 
 @dataclass(frozen=True)
 class NoiseSettings:
-    """How far channels are believed.
+    """Noise model of the channels.
 
     Attributes:
         codes: of 255, deviation: what development leaves a channel off by. More takes dark texture
@@ -66,35 +66,35 @@ class NoiseSettings:
 
 @dataclass(frozen=True)
 class StrengthSettings:
-    """What the photograph says outright of strengths, and how far it is followed.
+    """Measurement of relief and albedo energies (strengths.py), and how far it is followed.
 
     Attributes:
-        window, stride: texels. Larger windows tell long waves, and fewer fit.
+        window, stride: texels. Larger windows resolve longer waves, and fewer fit.
         seen: share of a window that must be seen; energies are raised by what is not. At 0.98 a
-            photograph with sparkles tells nothing.
-        linear: of the response to slope: where radiance bends so much, a window counts half. It
-            is far from linear there, and near a highlight's middle it turns within a window. A
+            photograph with sparkles has no window left.
+        linear: |d log L/d slope| at which a window's weight drops to one half; beyond it the
+            first-order shading model fails, and near a highlight it turns within a window. A
             cut-off at 0.8 or 2 instead is the same within 1 %.
         rounds: of reweighting: energies scatter in proportion to themselves.
         fewest: windows, for three unknowns.
         scatter: factor on errors: windows overlap and all directions look at the same ones.
         common: share of albedo's energy that windows differ by in all directions alike. At 0 what
-            light dilutes passes for relief (a weave's slopes are told three times too large).
+            light dilutes passes for relief (a weave's slopes are measured three times too large).
         diluted: likewise with the squared diffuse share, for all windows together. Dark gaps are
             diluted far more than by the share itself.
-        disagreed: share of what two responses to slope tell differently, that is doubt.
-        response_around: texels, deviation of the neighbourhood whose slopes show alike.
+        disagreed: share of the difference of two estimates that counts as deviation.
+        response_around: texels, deviation of the blur of the sensitivity.
         together, each_band: deviations of the logarithm of energies that networks draw from true
             ones: of all bands, and of each beside. Half or twice as much hardly matters.
-        believed_reach, believed_fineness: logarithms of energy that are tried, and their step.
+        posterior_reach, posterior_step: range and step of the log factors tried (posterior.py).
         least_energy: squared slope.
         even_around: texels, deviation of a neighbourhood. Less evens out a cell beside its groove
             (at 20 a leather loses 0.1 floors and a cloth gains as much), more leaves arcs around
-            the flash's foot.
+            the flash's mirror point.
         even_directions: that waves are parted into.
         even_margin: texels that a band goes on for beyond its border, mirrored.
         even_least, even_most: waves are not weakened or strengthened more by their place.
-        even_sharpness: power of what shows of slopes: more counts only where the light runs along.
+        even_sharpness: power of the sensitivity: more counts only where the light runs along.
         even_rounds: of bringing bands to their strengths: they share waves at their borders.
         strongest: a band's factor; beyond, it has nothing of its own. At 5 leather's finest octave,
             which needed 11, stayed weak.
@@ -114,8 +114,8 @@ class StrengthSettings:
     response_around: float = 24.0
     together: float = 1.5
     each_band: float = 1.0
-    believed_reach: float = 5.0
-    believed_fineness: float = 0.05
+    posterior_reach: float = 5.0
+    posterior_step: float = 0.05
     least_energy: float = 1e-8
     even_around: float = 32.0
     even_directions: int = 8
@@ -130,25 +130,25 @@ class StrengthSettings:
 
 @dataclass(frozen=True)
 class KindSettings:
-    """Metal beside what is none, told apart and each given levels of its own; docs/notes/gloss.md.
+    """Classification of texels as metal or dielectric (classes.py); docs/notes/gloss.md.
 
     Attributes:
         around: the long side over the deviation of a neighbourhood that a texel is compared with.
         drawn: logit of metal for a deviation of what goes with the network's. More believes its
             borders, and less the photograph.
         texels: along the short side that kinds are fitted on.
-        rounds: of fitting levels and telling texels apart.
+        rounds: of fitting mean parameters and classifying texels.
         albedo, specular, roughness: deviations of levels as read (log, log, logit).
         grey, colour: of a texel's log radiance: what relief and grain leave unexplained, of all
             channels together and apart. Less tears kinds apart by relief.
-        patch: of the long side, deviation of a neighbourhood that is told apart as one. More rounds
+        patch: of the long side, deviation of a neighbourhood that is classified as one. More rounds
             borders off, less tears kinds apart by relief.
-        counts: power of what a texel's radiance tells: not all it is off by is by chance.
+        counts: power of a texel's likelihood: its residuals are not independent.
         least_share: of either kind.
         black, black_deviation: diffuse albedo of metal, and the deviation of its logarithm.
         contrast: log F0 of metal over the rest's, at least; 2.5 as materials are.
         sure: log odds that the rest is none.
-        agreed: correlation of the photograph's and the network's telling of texels, below which
+        agreed: correlation of the photograph's and the network's classification, below which
             there are no two kinds.
         most_off: of rings' log radiance over `agreed`; beyond, the classes explain too little.
     """
@@ -181,7 +181,7 @@ class RefineSettings:
         steps: of refinement. More is sharper, and takes as much longer: of granite's finest octave
             0.66, 0.74 and 0.74 are there after 3, 4 and 6.
         slope_step: of slopes, for differences of log radiance.
-        least_error, most_error: expected errors believed in.
+        least_error, most_error: limits of expected errors.
         least_noise: of log radiance: what is not explained, where the sensor's is less. Less draws
             the sensor's grain into the maps.
         darkest: linear radiance.
@@ -224,12 +224,12 @@ class AdaptSettings:
         rate: of Adam, in logits and in logarithms of gains.
         betas: of Adam: short memories, for there are few steps.
         windows: a step, of exemplar and of photograph.
-        held: share of the steps after which the rate falls to nothing and numbers are averaged.
+        averaged_from: share of the steps after which the rate falls to 0 and iterates are averaged.
         offset_albedo: prior deviation of the logits' mean.
         gain_albedo: prior deviation of the logarithm of albedo's contrast.
         relief, band: how far the logarithm of relief's strength is, and of each band's beside.
-        least_doubt: of that logarithm, however well it is told.
-        held_back, fewest_held: windows that what is found is judged on.
+        least_doubt: lower limit of that deviation, however well it is measured.
+        validation, least_validation: number of validation windows, and the least.
         judging_seed: of their places.
         belief: of the distance of statistics, for a number that is off by its deviation.
         logit_epsilon: of albedo, F0 and roughness: bounds the logit at 0 and 1.
@@ -249,14 +249,14 @@ class AdaptSettings:
     rate: float = 0.06
     betas: tuple[float, float] = (0.8, 0.95)
     windows: int = 3
-    held: float = 0.5
+    averaged_from: float = 0.5
     offset_albedo: float = 0.3
     gain_albedo: float = 0.3
     relief: float = 0.5
     band: float = 0.3
     least_doubt: float = 0.03
-    held_back: int = 12
-    fewest_held: int = 3
+    validation: int = 12
+    least_validation: int = 3
     judging_seed: int = 1
     belief: float = 0.005
     logit_epsilon: float = 1e-4
@@ -272,8 +272,8 @@ class AdaptSettings:
 
 
 @dataclass(frozen=True)
-class LendSettings:
-    """Blocks lent to where glare hides the maps.
+class InpaintSettings:
+    """Inpainting of maps under the highlight (transport.py).
 
     Attributes:
         tried, tried_at_once: blocks for a place of a piece that was adapted, or was not. More finds
@@ -281,17 +281,17 @@ class LendSettings:
         block: texels a side: long enough for pieces of a drawing, short enough to be found.
         overlap: texels that neighbours share.
         sharpness: of the border between two: the nearer block's texels, hardly mixed.
-        trusted: confidence of albedo, as a share of the well seen places', that lends. More lends
-            to places that are seen well enough: at 0.93 wood lost 0.4 floors.
+        trusted: confidence of albedo, as a share of the well seen places', of donors. More inpaints
+            places that are seen well enough: at 0.93 wood lost 0.4 floors.
         well_seen: quantile of confidence that counts as well seen.
         most_hidden: share of the picture: more than this no flash hides.
         whole: share of a block that must be trusted.
         wanted: share of a place that is not, for a block to be laid there.
-        least: share of all texels below which nothing is worth lending.
+        least: share of all texels below which nothing is inpainted.
         likeness: what a drawing's correlation counts beside the overlap's continuity.
-        stronger, shown: times the energy that lent blocks would draw, beyond which a place keeps
+        stronger, shown: times the energy of donor blocks, beyond which a place keeps
             what is there, if so large a share of it shows at all: a scratch stays, and so does bare
-            metal that only the highlight tells of. More lends more, and loses those.
+            metal that only the highlight shows. More inpaints more, and loses those.
         thinned: texels a side of which one is lit.
         farthest: squared, in deviations: differences beyond it are edges that do not meet.
         edge: texels, deviation of the soft edge towards what is kept.
@@ -349,7 +349,7 @@ STRENGTH = StrengthSettings()
 KINDS = KindSettings()
 REFINE = RefineSettings()
 ADAPT = AdaptSettings()
-LEND = LendSettings()
+INPAINT = InpaintSettings()
 FINEST = FinestSettings()
 
 

@@ -30,17 +30,17 @@ from matcap.capture.piece.find import (
     evened,
     exemplar_of,
     indexed,
-    lent,
+    inpainted,
     levelled,
+    measured_relief,
     piece_maps,
     read_piece,
     strengthened,
-    tell_strengths,
 )
 from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse
 from matcap.capture.piece.strengths import Strengths
-from matcap.capture.piece.tuned import LEND
+from matcap.capture.piece.tuned import INPAINT
 from matcap.capture.together.align import Aligned, aligned, reframed, shrunk
 from matcap.capture.together.hue import coloured, on_grid, uncoloured
 from matcap.capture.together.place import fitted, placed
@@ -82,7 +82,7 @@ class FoundTogether:
 
     Attributes:
         found: the piece.
-        coarse: fit of the first photograph, with its camera as all of them tell.
+        coarse: fit of the first photograph, its camera estimated from all.
         plane: the first photograph on it.
         waves: of its regular order.
         photo: the first photograph, without what the room added to its light.
@@ -177,7 +177,7 @@ def find_together(
 def _whole(
     plane: Plane, poses: Aligned, reach: Reach, solved: Solved
 ) -> tuple[Reach, Plane, Solved]:
-    """The first photograph on the piece's grid, what nobody saw left out, and maps there."""
+    """The first photograph on the mosaic's grid, unseen texels masked, and maps there."""
     if not reach.margins.any:
         return reach, plane, solved
     known = seen_by_any(poses.views, reach)
@@ -317,7 +317,7 @@ def _read_alone(plane: Plane, coarse: CoarseFit, network: Inverse, stage: Stage)
         sight = Sight.of(read, coarse)
         sight, reading = read_piece(sight, network)
     with stage("strengths"):
-        strengths = tell_strengths(sight, reading)
+        strengths = measured_relief(sight, reading)
         sight, reading = classified(sight, strengthened(sight, reading, strengths))
     with stage("refine"), torch.no_grad():
         reading = levelled(sight, reading)
@@ -380,7 +380,7 @@ def _read_plainly(network: Inverse, plane: Plane, coarse: CoarseFit) -> tuple[Ma
 def _inpainted(
     sight: Sight, solved: Solved, hue: Tensor | None, views: Sequence[PieceView]
 ) -> Exemplar:
-    """What was solved, metal in its colour again, and lent what glare hides."""
+    """The solved maps with the specular tint of metal, inpainted under the highlight."""
     if hue is not None:
         sight = replace(sight, light=replace(sight.light, hue=on_grid(hue, solved.maps.size)))
     maps = coloured(solved.maps, hue)
@@ -388,10 +388,10 @@ def _inpainted(
     errors = ExpectedErrors.from_stacked(solved.errors)
     unit = None
     if sight.plane.margins.any and sight.plane.left_out is not None:
-        seen = seen * ~sight.plane.left_out  # what nobody saw, or from too far aside
+        seen = seen * ~sight.plane.left_out  # unseen, or from too oblique a view
         unit = sight.plane.extent.unit(sight.plane.size[0])
     trusted = confidence(errors, np.asarray(seen.numpy(), np.float32), unit)
     classes = Classes.whole(sight.glare.shape, metal=False)
     reading = Reading(sight.light.departures(maps), errors, trusted, None, classes)
     reading = replace(reading, departures=evened(sight, reading, reading.departures))
-    return lent(sight, reading, LEND.tried_at_once)
+    return inpainted(sight, reading, INPAINT.tried_at_once)

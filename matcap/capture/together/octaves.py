@@ -110,7 +110,7 @@ def _octaves(
     """Each of both maps, and the rest."""
     share = np.float32(
         max(0.5, 1.0 - 1.0 / len(changes))
-    )  # of one, what it changes is all it tells
+    )  # with one photograph its change is all of it
     noises = [np.full_like(measured, _LEAST) for _ in range(len(_OCTAVES) + 1)]
     for change in changes:
         for noise, band in zip(noises, split(change, _OCTAVES), strict=True):

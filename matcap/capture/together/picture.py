@@ -97,7 +97,7 @@ def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
         if not view.flash:
             said += ", without flash"
         elif ahead is not None:
-            said += f", foretold within {100.0 * ahead:.1f} %"
+            said += f", predicted by the others within {100.0 * ahead:.1f} %"
         yield said, number
     for one in report.left_out:
         yield f"left out: {one.name}, {one.why}", 0

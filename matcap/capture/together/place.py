@@ -22,7 +22,7 @@ def placed(photos: Sequence[Photo], coarse: CoarseFit | None = None) -> Registra
     Args:
         photos: two or more, in any order; the first with flash gives the frame, or the next one
             where that is blurred.
-        coarse: as fitted() tells it, if it is known.
+        coarse: result of fitted(), if it is known.
     """
     photos = flash_first(photos)
     registration = register(photos, (coarse or fitted(photos)).setup)

@@ -33,7 +33,7 @@ class PredictSettings:
 
 @dataclass(frozen=True)
 class Predictions:
-    """What is told of photographs by the others, and with their own help; (photographs,) each.
+    """Leave-one-out prediction errors and residuals, (photographs,) each.
 
     Both on the same few texels, of maps solved there, gain and balance fitted: a photograph's grain
     is in both or in neither. Medians of log radiance; NaN of one by the room's light.

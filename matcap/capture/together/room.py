@@ -1,4 +1,4 @@
-"""The room's light: taken off flash photographs, and what a photograph by it alone tells.
+"""Ambient light: subtracted from flash photographs, and a photograph by it alone as a measurement.
 
 A photograph without the flash shows albedo under light that hardly changes over the piece. Where
 exposures are known what it shows is what the flash photographs have too much (Aittala et al. 2015
@@ -157,7 +157,7 @@ def _without(
 ) -> tuple[Photo, float]:
     photo = view.photo
     added = _seen_from(view, room) * amount.astype(np.float32)
-    # Nothing can be darker than the room alone makes it: exposures are told wrongly at times.
+    # Nothing can be darker than the room alone makes it: exposure metadata is wrong at times.
     small = (64, max(8, round(64 * photo.pixels.shape[0] / photo.pixels.shape[1])))
     light, theirs = (
         np.asarray(cv2.resize(each, small, interpolation=cv2.INTER_AREA), np.float32)
@@ -172,7 +172,8 @@ def _without(
     full = photo.clipped[..., None] & (photo.pixels > FULL)
     left = np.where(full, photo.pixels, left)
     note = (
-        f"{100.0 * share:.0f} % of its light was the room's, told by {room.photo.name}: taken off."
+        f"{100.0 * share:.0f} % of its light was ambient, measured by {room.photo.name} and "
+        "subtracted."
     )
     return replace(photo, pixels=left, notes=(*photo.notes, note)), share
 

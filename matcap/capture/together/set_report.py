@@ -24,7 +24,7 @@ class SetReport:
     """Median difference of log radiance between each and its re-rendering."""
     predicted: tuple[float, ...]
     """The same of each when all the others alone decide, on the same texels (predict.py); NaN of
-    one by the room's light; empty where nobody asked."""
+    one by ambient light; empty where it was not computed."""
     left_out: tuple[LeftOut, ...]
     """Those that were not used, and why."""
     measured: tuple[float, float, float, float]

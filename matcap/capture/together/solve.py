@@ -3,8 +3,8 @@
 Per texel Gauss-Newton steps on log radiance, robust against shadows, parallax and what no
 reflectance explains (Geman and McClure's weights), held by what the network read from the first
 photograph, with its own doubt (texels.py). Between rounds, what all texels share is found from some
-of them (shared.py). Gloss shows where a highlight crosses: elsewhere it is believed to be as it is
-around, weighted by what was told. At last slopes become a surface, and albedo and gloss follow.
+of them (shared.py). Gloss is measured where a highlight crosses: elsewhere it is interpolated,
+weighted by precision. At last slopes become a surface, and albedo and gloss follow.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Solved:
         residual: (photographs,) median difference of log radiance of what each shows.
         measured: share of the posterior precision of log albedo, log F0, roughness and slopes that
             photographs contribute rather than the prior, in [0, 1]; medians over texels.
-        read_off: deviation of slopes that were read too weak, by what photographs tell.
+        read_off: standard deviation of predicted slopes, measured by the photographs.
         interrupted: ended early, with the best so far.
     """
 
@@ -196,7 +196,7 @@ def predicted(view: PieceView, solved: Solved) -> float:
 
 
 def _without_slow(slopes: Tensor, unit: float, settings: SolveSettings) -> Tensor:
-    """Slopes less what of them is slow, which cameras and lights a little beside their places tell.
+    """Slopes without low frequencies, which absorb small errors of cameras and lights.
 
     A sheet that lies bent or leans is no relief of its material either.
     """
@@ -217,7 +217,7 @@ def _gloss_prior(
     Args:
         prior_mean: (NUMBERS, H, W) so far.
         off: likewise, what numbers are off by from it.
-        precision: likewise, of what photographs tell of each number.
+        precision: likewise, of each parameter by the photographs.
         unit: texels of the long side.
         settings: see SolveSettings.
     """
@@ -259,7 +259,7 @@ def _step_at_fixed_slopes(
 
 
 def _read_off(numbers: Tensor, prior_mean: Tensor, changes: Tensor) -> float:
-    """Deviation of a slope that was read too weak, by what photographs tell."""
+    """Standard deviation of predicted slopes, measured by the photographs."""
     squares = [
         read_error(numbers[k].numpy(), prior_mean[k].numpy(), changes[:, k].numpy())
         for k in range(SLOPES.start, SLOPES.stop)
@@ -271,7 +271,7 @@ def _errors(precision: Tensor, spread: Tensor) -> Tensor:
     """(4, H, W) log deviations of log albedo, log F0, logit roughness and slope."""
     if precision.ndim == 0:
         precision = torch.zeros_like(spread)
-    # What is told of one number alone flatters: others could do the same.
+    # The precision of a parameter alone is optimistic: the others are correlated with it.
     deviation = (0.25 * precision + spread.square().reciprocal()).rsqrt()
     return torch.stack(
         [

@@ -1,4 +1,4 @@
-"""The surface whose slopes are told, each as far as it is told."""
+"""Height from slopes, weighted by their precision."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class SurfaceSettings:
     even: float = 4.0
     """texels' deviation of what precision is evened by before each step."""
     least: float = 1e-3
-    """Of the mean precision, that every slope is believed with."""
+    """Least precision of a slope, as a share of the mean."""
 
 
 def surface_of(

@@ -39,15 +39,15 @@ class SolveSettings:
             best.
         albedo, gloss: least deviations of what the network read: log albedo, log F0 and logit
             roughness. Smaller holds more to it.
-        slope: the same of slopes, until photographs have told what those that were read are off by.
-        wider: deviations of that, within which slopes are then held: how much of each octave is
-            believed is told later (octaves.py).
+        slope: the same of slopes, until their error is measured from the photographs.
+        wider: deviations of that, of the prior of slopes from then on: each octave's gain is
+            estimated later (octaves.py).
         steepest: slope.
         step: of finite differences.
-        damping: share of what is told of a number that holds it where it is; a step that is too
+        damping: share of a parameter's precision added to the diagonal; a step that is too
             bold overshoots, a timid one leaves what trades albedo for slope where it began.
         around: texels' deviation, as a share of the first photograph's long side, over which gloss
-            is told to others.
+            is interpolated.
         slow: deviation of what counts as slow in slopes, as a share of the long side.
         sampled: texels that what all share is found from.
         rows: solved at a time; memory is in proportion.
@@ -156,7 +156,7 @@ def rendered(numbers: Tensor, lights: Sequence[FlashLight | RoomLight]) -> list[
 
 
 def under_room(views: Sequence[PieceView], numbers: Tensor) -> list[PieceView]:
-    """Photographs, the one by the room's light as its light is told by texels' numbers so far."""
+    """Photographs, the ambient one with its illumination fitted to the current parameters."""
     return [view if view.room is None else _even(view, numbers) for view in views]
 
 

@@ -2,7 +2,7 @@
 
 Texels stay the first photograph's, and more of them lie around its own. What photographs see of the
 plane is rarely a rectangle: the piece is the box around it, without sides that hardly anything is
-seen along, and what nobody saw within it is left out as what a mask leaves out.
+seen along, and unseen texels within it are masked out.
 """
 
 from __future__ import annotations
@@ -263,10 +263,10 @@ def scatter(maps: MapSet, doubt: Tensor) -> Tensor:
 
 
 def rounded_off(maps: MapSet, known: Tensor, slow: float) -> MapSet:
-    """Maps of a piece that go on smoothly where nobody saw it, without what is slow in heights.
+    """Maps continued smoothly over unseen texels, without low frequencies of height.
 
     Slopes that are a little off all along a photograph add up over a larger piece, and where none
-    are told a surface stands in cliffs.
+    are estimated a surface has cliffs.
 
     Args:
         maps: as solved.

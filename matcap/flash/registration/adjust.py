@@ -23,7 +23,7 @@ Doubles = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AdjustSettings:
-    """What is believed before anything is measured, and how long it is looked for."""
+    """Priors of the bundle adjustment, and its stopping rule."""
 
     huber: float = 1.0
     """Pixels beyond which a residual counts linearly."""
@@ -37,7 +37,7 @@ class AdjustSettings:
     """Of Levenberg and Marquardt."""
     known_focal: float = 0.01
     assumed_focal: float = 0.1
-    """Deviation of the logarithm of d where EXIF told the field of view, and where nobody did."""
+    """Deviations of log d where EXIF gives the field of view, and where it is unknown."""
     bent: tuple[float, float] = (0.03, 0.01)
     """Deviations of k1 and k2."""
     tilt: float = 0.15
@@ -54,7 +54,7 @@ class Pair:
     pixel: float
     """Of the second, in image coordinates."""
     focal: float = 1.0
-    """D of the second as its file or nobody tells it, over the first's."""
+    """Focal length of the second, by its file or assumed, over the first's."""
 
 
 _COMMON = 5  # log focal, k1, k2, the first camera's two tilts
@@ -83,9 +83,9 @@ def adjust(
     """Cameras of photographs that have something in common with the first.
 
     Args:
-        setup: of the first, as its coarse fit tells it.
+        setup: of the first, by its coarse fit.
         pairs: of every other one.
-        known: whether the field of view was told by EXIF.
+        known: whether the field of view is given by EXIF.
         settings: see AdjustSettings.
     """
     settings = settings or AdjustSettings()

@@ -1,4 +1,4 @@
-"""Photographs taken without the flash among flash photographs, told by their file or their light.
+"""Detection of photographs without flash, by their metadata or their light.
 
 A flash beside the lens is brightest about its foot and fades to the border; a room's light does
 not. What the file says counts first; light decides only where it says nothing.

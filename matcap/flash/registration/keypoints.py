@@ -228,7 +228,7 @@ def _voted(
 ) -> NDArray[np.bool_]:
     """(n,) matches that go along with the one that most go along with.
 
-    A match tells by its size and turn alone where others around it should be (Lowe 2004, section
+    A match predicts by its scale and rotation where others around it should be (Lowe 2004, section
     7.1): one in fifty that is right is found so, where sampling four of them never meets four.
 
     Args:

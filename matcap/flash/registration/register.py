@@ -80,7 +80,7 @@ class Registration:
     """Photographs of one piece."""
 
     setup: FlashSetup
-    """Of the first one, its field of view and tilt as all of them tell."""
+    """Of the first one, field of view and tilt estimated from all."""
     views: tuple[RegisteredView, ...]
     """Those that belong, the first one first; one without flash at most, last."""
     left_out: tuple[LeftOut, ...]
@@ -96,7 +96,7 @@ def register(
 
     Args:
         photos: two or more; any exposure, white balance and orientation.
-        setup: of the first, as its coarse fit tells it.
+        setup: of the first, by its coarse fit.
         settings: see RegisterSettings.
 
     Raises:
@@ -170,7 +170,7 @@ def _views(
         else:
             unlit[index] = view
     best = sorted(unlit, key=lambda index: -unlit[index].matches)
-    better = f"{unlit[best[0]].photo.name} tells the room's light better" if best else ""
+    better = f"{unlit[best[0]].photo.name} shows the ambient light better" if best else ""
     worse = {index: better for index in best[1:]}
     return (*lit, *(unlit[index] for index in best[:1])), worse
 

@@ -1,4 +1,4 @@
-"""Which photographs of a piece are blurred: all show the same texture, so the sharpest tell.
+"""Detection of blurred photographs: all show the same texture, so the sharpest are the reference.
 
 What a photograph shows of the finest waves over what it shows of waves four times as long goes with
 focus and shake; light changes both alike.

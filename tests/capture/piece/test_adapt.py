@@ -72,14 +72,14 @@ def test_an_interrupt_keeps_what_was_found(shot, scene) -> None:
         if share > 0.1:
             raise KeyboardInterrupt
 
-    found = adapt(shot.maps, SEEN, scene, 12, tell=interrupt)
+    found = adapt(shot.maps, SEEN, scene, 12, on_progress=interrupt)
     assert found.interrupted
     assert bool(torch.isfinite(found.maps.stacked()).all())
 
 
 def test_time_ends_it(shot, scene) -> None:
     shares: list[float] = []
-    adapt(shot.maps, SEEN, scene, 10_000, seconds=0.2, tell=shares.append)
+    adapt(shot.maps, SEEN, scene, 10_000, seconds=0.2, on_progress=shares.append)
     assert 1 <= len(shares) < 100
 
 

@@ -51,7 +51,7 @@ def photograph(metal: torch.Tensor, brightness: float = 1.0):
         linear=linear.clamp_max(1.0),
         measured=linear < 1.0,
         counts=torch.ones(HEIGHT, WIDTH, dtype=torch.bool),
-        away=torch.hypot(shot.points[0] - x, shot.points[1] - y),
+        distance=torch.hypot(shot.points[0] - x, shot.points[1] - y),
         flash=light.flash,
         normal=light.maps(read).normal,
         surface=light.uniform,

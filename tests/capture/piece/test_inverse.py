@@ -79,7 +79,7 @@ def test_matte_slopes_show_as_the_tangent_of_the_lights_direction(fov: float) ->
     light = camera_in_plane(setup)[1].float()[:, None, None]
     tangent = (light - points)[:2] / (light - points)[2:]
     assert torch.allclose(inputs.tangent, tangent, atol=0.01)
-    assert torch.allclose(inputs.shows_slope, -tangent, atol=0.02)
+    assert torch.allclose(inputs.slope_sensitivity, -tangent, atol=0.02)
 
 
 def test_reading_undoes_writing() -> None:

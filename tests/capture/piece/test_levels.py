@@ -40,7 +40,7 @@ def glossy(roughness: float, brightness: float = 1.0) -> tuple[RingTarget, Unifo
         linear=linear.clamp_max(1.0),
         measured=linear < 1.0,
         counts=torch.ones(HEIGHT, WIDTH, dtype=torch.bool),
-        away=torch.hypot(shot.points[0] - x, shot.points[1] - y),
+        distance=torch.hypot(shot.points[0] - x, shot.points[1] - y),
         flash=FlashLight.of(setup, shot.points),
         normal=maps.normal,
         surface=uniform.parameters(),

@@ -17,7 +17,9 @@ def _measured(slope: float, contrast: float, **kwargs: int):
     shot = photographed(slope, contrast, width=1024, height=768, **kwargs)
     valid = torch.ones(shot.linear.shape[-2:], dtype=torch.bool)
     inputs = network_inputs(shot.linear, valid, shot.uniform, shot.points)
-    found = measure_strengths(inputs.log.mean(0).numpy(), inputs.shows_slope.numpy(), valid.numpy())
+    found = measure_strengths(
+        inputs.log.mean(0).numpy(), inputs.slope_sensitivity.numpy(), valid.numpy()
+    )
     assert found is not None
     true = slope_strengths((shot.maps.height / shot.maps.texel_size)[0].numpy())
     return found, true
@@ -71,7 +73,7 @@ def test_what_another_response_tells_differently_is_doubted() -> None:
     shot = photographed(0.2, 0.1)
     valid = torch.ones(shot.linear.shape[-2:], dtype=torch.bool)
     inputs = network_inputs(shot.linear, valid, shot.uniform, shot.points)
-    log, shows = inputs.log.mean(0).numpy(), inputs.shows_slope.numpy()
+    log, shows = inputs.log.mean(0).numpy(), inputs.slope_sensitivity.numpy()
     alone, alike, apart = (
         measure_strengths(log, shows, valid.numpy(), also=other).doubt
         for other in (None, shows, 1.5 * shows)

@@ -11,8 +11,8 @@ import pytest
 from photographed import photographed
 from typer.testing import CliRunner
 
+from matcap.capture.piece.photographed_strengths import photographed_strengths
 from matcap.capture.piece.strengths import slope_strengths
-from matcap.capture.piece.told import photographed_strengths
 from matcap.cli.main import app
 from matcap.files.srgb import srgb_encode
 from matcap.flash.coarse import fit_coarse

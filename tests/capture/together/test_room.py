@@ -62,7 +62,7 @@ def test_what_the_room_added_is_taken_off(lit):
             np.abs(np.log(one.mean((0, 1)) / wanted.mean((0, 1)))).max() for one in (before, after)
         ]
         assert off[1] < 0.03 < 0.1 < off[0]
-        assert any("taken off" in note for note in view.photo.notes)
+        assert any("subtracted" in note for note in view.photo.notes)
     assert cleaned.views[-1].photo.name == "room" and not cleaned.views[-1].photo.notes
 
 
@@ -176,7 +176,7 @@ def test_one_with_flash_and_one_without_are_a_capture(lit, tmp_path):
         ("room.dng", False),
     ]
     assert told["photographs"][1]["predicted"] is None
-    assert any("taken off" in note for note in result.photo.notes)
+    assert any("subtracted" in note for note in result.photo.notes)
 
 
 def _smeared(photo):

@@ -56,13 +56,13 @@ def test_cameras_stand_where_they_stood_and_flashes_beside_them():
 
 def test_what_each_told_is_told():
     said = [line for line, _ in set_report_lines(report())]
-    assert said[0] == "1 oak_1.jpg: re-rendered within 2.0 %, foretold within 4.0 %"
+    assert said[0] == "1 oak_1.jpg: re-rendered within 2.0 %, predicted by the others within 4.0 %"
     assert said[2] == "left out: cat.jpg, it shows something else"
     assert said[3].startswith("measured, not guessed: diffuse 90 %, specular 30 %")
 
 
-def test_an_interrupted_set_has_foretold_nothing():
-    assert "foretold" not in next(set_report_lines(report(predicted=())))[0]
+def test_an_interrupted_set_has_predicted_nothing():
+    assert "predicted" not in next(set_report_lines(report(predicted=())))[0]
 
 
 def test_a_photograph_without_flash_has_a_camera_and_no_spark():
@@ -72,4 +72,4 @@ def test_a_photograph_without_flash_has_a_camera_and_no_spark():
     sparks = [int((picture == SPARK).all(-1).sum()) for picture in drawn]
     assert 0 < sparks[1] < sparks[0]
     said = [line for line, _ in set_report_lines(dark)]
-    assert said[1].endswith("without flash") and "foretold" not in said[1]
+    assert said[1].endswith("without flash") and "predicted" not in said[1]

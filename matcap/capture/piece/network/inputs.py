@@ -1,8 +1,8 @@
-"""What the inverse network is told of a photograph.
+"""Inputs of the inverse network.
 
 The photograph enters as the logarithm of its radiance over that of a uniform material in the same
-setup (the coarse fit), beside the setup itself, told as what it *shows*: how log radiance changes
-with slope and with roughness at every texel. So one network serves every field of view, flash and
+setup (the coarse fit), and the setup as its sensitivities: the derivatives of log radiance
+by slope and by roughness at every texel. So one network serves every field of view, flash and
 tilt. Heights are in texels, slopes therefore physical at any detail.
 """
 
@@ -24,7 +24,7 @@ from matcap.flash.uniform import Uniform, uniform_radiance
 def network_inputs(
     linear: Tensor, valid: Tensor, uniform: Uniform, points: Tensor
 ) -> NetworkInputs:
-    """What the network is told of a picture on the plane's grid.
+    """Compute the network's inputs for a picture on the plane's grid.
 
     Args:
         linear: (3, H, W) scene-linear radiance.
@@ -50,10 +50,10 @@ def network_inputs(
     planes = _resized(torch.cat(list(smooth.values())), (height, width)).split(channels)
     everywhere = dict(zip(smooth, planes, strict=True))
     log = (linear.clamp_min(1e-6).log() - everywhere["flat"]).clamp(-READ.farthest, READ.farthest)
-    shows = everywhere["slope"]
-    # To first order: the slope along what shows that this departure in brightness would mean.
-    steep = shows.square().sum(0, keepdim=True) + READ.damping**2
-    relief = log.mean(0, keepdim=True) * shows / steep
+    sensitivity = everywhere["slope"]
+    # To first order: the slope along the gradient that this residual of log radiance implies.
+    steep = sensitivity.square().sum(0, keepdim=True) + READ.damping**2
+    relief = log.mean(0, keepdim=True) * sensitivity / steep
     constants = torch.tensor(
         [
             float(uniform.parameters().roughness) / 2.0,
@@ -65,8 +65,8 @@ def network_inputs(
         log=log,
         valid=valid[None].to(log),
         tangent=everywhere["tangent"],
-        shows_slope=shows.clamp(-4.0, 4.0),
-        shows_roughness=everywhere["roughness"].clamp(-2.0, 2.0),
+        slope_sensitivity=sensitivity.clamp(-4.0, 4.0),
+        roughness_sensitivity=everywhere["roughness"].clamp(-2.0, 2.0),
         gloss=everywhere["gloss"],
         uniform=constants[:, None, None].expand(3, height, width),
         relief=relief.clamp(-3.0, 3.0) * 0.5,
@@ -74,7 +74,7 @@ def network_inputs(
 
 
 def _shown_of_slope(uniform: Uniform, light: FlashLight) -> Tensor:
-    """(2, h, w) what log radiance changes by with slope along x and y."""
+    """(2, h, w) d log L / d slope along x and y, by central differences."""
     # All at once: small tensors cost by the call.
     moves = torch.tensor([[READ.step, 0.0], [-READ.step, 0.0], [0.0, READ.step], [0.0, -READ.step]])
     flat = torch.zeros_like(light.to_light[:1])
@@ -85,7 +85,7 @@ def _shown_of_slope(uniform: Uniform, light: FlashLight) -> Tensor:
 
 
 def _shown_of_roughness(uniform: Uniform, light: FlashLight, flat: Tensor) -> Tensor:
-    """(1, h, w) likewise with logit roughness, beyond the flat plane's radiance (3, h, w)."""
+    """(1, h, w) d log L / d logit(roughness), by a forward difference from `flat` (3, h, w)."""
     duller = uniform_radiance(uniform, light, duller=READ.step)[0]
     return (duller.mean(0, keepdim=True).log() - flat.mean(0, keepdim=True).log()) / READ.step
 

@@ -1,10 +1,10 @@
-"""A U-Net from a flash photograph to departures of its maps from a uniform material.
+"""A U-Net from a flash photograph to log-parameter residuals from a uniform material.
 
 Half the picture's resolution at its finest, by rearranging 2 x 2 texels into channels: at full
-resolution only a thin head works. Fully convolutional; what must be told across the picture (gloss
-to the rim, relief to the middle) goes through pooled context: means of every level's features,
-plain and weighted by how much the light shows of relief and of gloss there, which scale and shift
-the features of the way up.
+resolution only a thin head works. Fully convolutional; information needed across the whole picture
+(gloss at the rim, relief in the middle) goes through pooled context: means of every level's
+features, plain and weighted by the sensitivity to slope and by gloss, scale and shift the features
+of the decoder (FiLM, Perez et al. 2018).
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from matcap.brdf.maps import CHANNELS
 from matcap.brdf.parameters import SurfaceParameters
 
 # Channels of the input by name, in this order.
-_TOLD = {
-    "log": 3, "valid": 1, "tangent": 2, "shows_slope": 2, "shows_roughness": 1, "gloss": 1,
-    "uniform": 3, "relief": 2,
+_INPUT_CHANNELS = {
+    "log": 3, "valid": 1, "tangent": 2, "slope_sensitivity": 2,
+    "roughness_sensitivity": 1, "gloss": 1, "uniform": 3, "relief": 2,
 }  # fmt: skip
 _DOUBTED = {"albedo": 1, "specular": 1, "roughness": 1, "slope": 1}
-INPUTS, ERRORS = sum(_TOLD.values()), len(_DOUBTED)
+INPUTS, ERRORS = sum(_INPUT_CHANNELS.values()), len(_DOUBTED)
 OUTPUTS = sum(CHANNELS.values())
 ANSWERS = OUTPUTS + ERRORS + 1  # metal's last
 _WEIGHTINGS = 3  # of the context's means: even, by what shows of relief, by gloss
@@ -40,7 +40,7 @@ class InverseConfig:
     widths: tuple[int, ...] = (32, 48, 64, 96, 128)
     """Channels at 1/2, 1/4, ... of the picture's resolution."""
     context: int = 96
-    """Channels of what is told across the picture."""
+    """Channels of the pooled context."""
 
     @property
     def multiple(self) -> int:
@@ -50,7 +50,7 @@ class InverseConfig:
 
 @dataclass(frozen=True)
 class NetworkInputs:
-    """What the network is told, (..., C, H, W) each (inputs.py)."""
+    """Inputs of the network, (..., C, H, W) each (inputs.py)."""
 
     log: Tensor
     """Log radiance over the uniform material's, 3 channels."""
@@ -58,25 +58,25 @@ class NetworkInputs:
     """1 where it was seen and not clipped."""
     tangent: Tensor
     """X and y of the way to the light over z."""
-    shows_slope: Tensor
-    """What log radiance changes by with slope along x and y."""
-    shows_roughness: Tensor
-    """Likewise with the logit of roughness."""
+    slope_sensitivity: Tensor
+    """d log L / d slope along x and y."""
+    roughness_sensitivity: Tensor
+    """d log L / d logit(roughness)."""
     gloss: Tensor
-    """Share of the uniform material's radiance that is mirrored."""
+    """Specular fraction of the uniform material's radiance, in [0, 1]."""
     uniform: Tensor
     """Logit of its roughness, log F0, log albedo, scaled; the same everywhere."""
     relief: Tensor
-    """Slope along x and y that log radiance would mean."""
+    """First-order estimate of the slope along x and y from log radiance."""
 
     def stacked(self) -> Tensor:
         """(..., INPUTS, H, W)."""
-        return torch.cat([getattr(self, name) for name in _TOLD], dim=-3)
+        return torch.cat([getattr(self, name) for name in _INPUT_CHANNELS], dim=-3)
 
     @staticmethod
     def from_stacked(stacked: Tensor) -> NetworkInputs:
         """The inverse of stacked()."""
-        return NetworkInputs(*stacked.split(list(_TOLD.values()), dim=-3))
+        return NetworkInputs(*stacked.split(list(_INPUT_CHANNELS.values()), dim=-3))
 
 
 @dataclass(frozen=True)
@@ -150,14 +150,16 @@ class Inverse(nn.Module):
             for width, above in zip(widths[:-1], widths[1:], strict=True)
         )
         self.up = nn.ModuleList(_ResidualBlock(width, width) for width in widths[:-1])
-        self.told = nn.ModuleList(nn.Linear(config.context, 2 * width) for width in widths[:-1])
+        self.modulation = nn.ModuleList(
+            nn.Linear(config.context, 2 * width) for width in widths[:-1]
+        )
         self.heights = nn.ModuleList(nn.Conv2d(width, 1, 3, padding=1) for width in widths[:-1])
         fine = 16
         self.head = nn.Conv2d(widths[0], 4 * fine, 3, padding=1)
         self.fine = nn.Conv2d(fine + INPUTS, fine, 3, padding=1)
         self.out = nn.Conv2d(fine, ANSWERS, 3, padding=1)
         with torch.no_grad():
-            for layer in (self.out, *self.heights, *self.told):
+            for layer in (self.out, *self.heights, *self.modulation):
                 layer.weight.mul_(0.1)
                 assert layer.bias is not None
                 layer.bias.zero_()
@@ -173,8 +175,8 @@ class Inverse(nn.Module):
         Returns:
             (B, ANSWERS, H, W), as NetworkAnswer reads them.
         """
-        told = NetworkInputs.from_stacked(inputs)
-        weights = _weightings(told)
+        parts = NetworkInputs.from_stacked(inputs)
+        weights = _weightings(parts)
         x = self.stem(F.pixel_unshuffle(inputs, 2))
         levels, context = [], 0.0
         for index, (block, pooled) in enumerate(zip(self.down, self.pooled, strict=True)):
@@ -188,7 +190,7 @@ class Inverse(nn.Module):
         for index in reversed(range(len(levels) - 1)):
             x = F.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
             x = self.merge[index](torch.cat([levels[index], x], dim=1))
-            scale, shift = self.told[index](context)[..., None, None].chunk(2, dim=1)
+            scale, shift = self.modulation[index](context)[..., None, None].chunk(2, dim=1)
             x = self.up[index](x * (1.0 + scale) + shift)
             # A wave twice as long is as steep at twice the height.
             here = self.heights[index](x) * 2.0**index
@@ -204,7 +206,7 @@ class Inverse(nn.Module):
         coarse = F.interpolate(height, scale_factor=2.0, mode="bilinear", align_corners=False)
         # The photograph's own departure is the first guess of albedo's.
         first = answer.departures
-        departures = replace(first, diffuse=first.diffuse + told.log, height=first.height + coarse)
+        departures = replace(first, diffuse=first.diffuse + parts.log, height=first.height + coarse)
         return replace(answer, departures=departures).stacked()
 
 
@@ -227,11 +229,11 @@ class _ResidualBlock(nn.Module):
         return self.shortcut(x) + y
 
 
-def _weightings(told: NetworkInputs) -> Tensor:
-    """(B, _WEIGHTINGS, H, W): even, by what shows of relief, by gloss; of valid texels."""
-    valid = told.valid + 1e-3
-    relief = told.shows_slope.square().sum(1, keepdim=True)
-    return torch.cat([valid, valid * relief, valid * told.gloss], dim=1)
+def _weightings(parts: NetworkInputs) -> Tensor:
+    """(B, _WEIGHTINGS, H, W): uniform, by squared slope sensitivity, by gloss; of valid texels."""
+    valid = parts.valid + 1e-3
+    relief = parts.slope_sensitivity.square().sum(1, keepdim=True)
+    return torch.cat([valid, valid * relief, valid * parts.gloss], dim=1)
 
 
 def _means(features: Tensor, weights: Tensor) -> Tensor:

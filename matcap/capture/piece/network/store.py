@@ -17,7 +17,7 @@ from matcap.files.tensors import write_tensors
 
 FORMAT = "matcap-inverse"
 VERSION = 2  # of the file
-_NO_METAL = 1  # files of networks that could not tell metal
+_NO_METAL = 1  # files of networks without a metal output
 SHIPPED = Path(__file__).parent / "weights" / "inverse.safetensors"
 _WIDEST, _DEEPEST = 512, 8
 _REMEDY = "install matcap again, or give another file"

@@ -1,4 +1,4 @@
-"""What a photograph says of its piece before anything is made of it."""
+"""Relief and albedo energies of a photograph, before its maps are estimated."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ def photographed_strengths(photo: Photo, coarse: CoarseFit, detail: int) -> Stre
 def plane_strengths(
     plane: Plane, inputs: NetworkInputs, read: Tensor | None = None
 ) -> Strengths | None:
-    """The same of a photograph on its plane and what the network is told of it.
+    """The same of a photograph on its plane, given the network's inputs.
 
-    What slope changes of log radiance is taken from the coarse fit, which is nearer to the truth
-    than the maps that were read (docs/notes/capture.md); where both differ, less is believed.
+    The sensitivity to slope is the coarse fit's, which is nearer to the truth than that of the
+    predicted maps (docs/notes/capture.md); the difference of both adds to the deviation.
 
     Args:
         plane: the photograph.
-        inputs: what the network is told.
-        read: (2, H, W) what slope changes of log radiance, of the maps that were read. Between rust
-            bare metal shows slopes three times as strongly as both do together.
+        inputs: of the network.
+        read: (2, H, W) d log L / d slope of the predicted maps. Bare metal between rust has three
+            times the sensitivity of both together.
     """
     use = plane.measured.numpy()
     channels = inputs.log.numpy()
@@ -55,7 +55,7 @@ def plane_strengths(
     whole = [np.maximum(filled(c, u), c) for c, u in zip(channels, use, strict=True)]
     return measure_strengths(
         np.asarray((channel_weights(channel_noise(plane)).numpy() * whole).sum(0), np.float32),
-        _even(inputs.shows_slope),
+        _even(inputs.slope_sensitivity),
         use.mean(0, dtype=np.float32),
         noise_level(plane),
         matte=(1.0 - inputs.gloss[0]).clamp(0.0, 1.0).numpy(),
