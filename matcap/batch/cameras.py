@@ -42,7 +42,7 @@ def with_profiles(
         shoot: its folder.
         out: the output, where profiles may be already; nothing is written.
         settings: of the captures.
-        note: told what is done, and what was found.
+        note: called with what is done, and with each profile estimated.
         again: estimate even what is there.
 
     Raises:

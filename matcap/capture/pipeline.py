@@ -1,6 +1,6 @@
 """The whole way from a photograph to a material. This file reads as its data flow.
 
-read, coarse fit, piece, strengths, refine, adapt, lend, index, verdict, write.
+read, coarse fit, piece, strengths, refine, adapt, inpaint, index, verdict, write.
 The stages from piece to index are in piece/find.py. The paper's network goes another way
 (by_decoder.py), where it is asked for.
 """

@@ -247,7 +247,7 @@ def find_piece(
                 for each in legs(steps, seconds, seed, doubt, on_progress):
                     explained.adapt(sight, wanted, each)
     whole = plane if fine is None else fine
-    with stage("lend"):
+    with stage("inpaint"):
         tried = INPAINT.tried if steps and not explained.interrupted else INPAINT.tried_at_once
         exemplar = _in_detail(sight, inpainted(sight, explained.reading, tried), whole)
         scale = 1.0 if absolute else most_probable_scale(exemplar, explained.reading.metal)

@@ -3,7 +3,8 @@
 To first order the logarithm of radiance is log albedo + g . grad h, where g is how log radiance
 changes with slope (inputs.py): nothing at the flash's mirror point, more the further the light
 slants, more again where gloss shows. A stationary sample has the same spectra
-everywhere, so in a window whose mean g along a direction is s, the energy of the band's waves in that direction is
+everywhere, so in a window whose mean g along a direction is s, the energy of the band's waves in
+that direction is
 
     E(s) = A m + 2 C s + S s^2,
 

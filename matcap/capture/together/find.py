@@ -161,7 +161,7 @@ def find_together(
         ahead: Predictions | None = None
         if not interrupted and readings is not None:
             ahead = predictions(poses, readings, solved, radiometric, hue)
-    with stage("lend"):
+    with stage("inpaint"):
         reach, whole, solved = _whole(plane, poses, reach, solved)
         exemplar = _inpainted(Sight.of(whole, coarse), solved, hue, views)
     with stage("index"):
