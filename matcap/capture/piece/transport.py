@@ -1,4 +1,4 @@
-"""Inpainting under the highlight by blocks of the exemplar (reflectance transport, Aittala 2015).
+"""Inpainting under the highlight by blocks of the exemplar (reflectance transport [aittala2015]).
 
 Near the flash's mirror point a highlight lies over albedo, and where it clips nothing is seen at
 all. The material is stationary, so blocks of maps from where it is well seen are copied there. Of

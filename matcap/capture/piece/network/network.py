@@ -4,7 +4,7 @@ Half the picture's resolution at its finest, by rearranging 2 x 2 texels into ch
 resolution only a thin head works. Fully convolutional; information needed across the whole picture
 (gloss at the rim, relief in the middle) goes through pooled context: means of every level's
 features, plain and weighted by the sensitivity to slope and by gloss, scale and shift the features
-of the decoder (FiLM, Perez et al. 2018).
+of the decoder (FiLM [perez2018]).
 """
 
 from __future__ import annotations
