@@ -1,1 +1,1 @@
-"""From a photograph to a piece to a material to a folder: one named stage after another."""
+"""Capture: photograph to exemplar to material to folder, in named stages."""

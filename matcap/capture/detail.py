@@ -1,4 +1,4 @@
-"""How many texels across a photograph's piece has, and on how many it is read.
+"""Resolution of the exemplar, and of the grid on which the network reads it.
 
 The piece has as many as are asked for. The network joins what lies within some hundred texels, and
 windows of 160 are compared. What is coarser comes out as grain of the right colours, wood as

@@ -1,4 +1,4 @@
-"""What can be said of a photograph before it is captured."""
+"""Quality of a photograph before capture."""
 
 from __future__ import annotations
 

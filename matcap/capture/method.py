@@ -1,4 +1,4 @@
-"""How a capture is done: nothing that users decide, but what the laboratory measures."""
+"""Switches of a capture's method for experiments; not user settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a capture is: its stages, each with its share of the time."""
+"""Progress of a capture: its stages, each with its share of the time."""
 
 from __future__ import annotations
 

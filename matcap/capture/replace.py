@@ -1,4 +1,4 @@
-"""Whether a capture may replace what an earlier one left: never a longer one unasked."""
+"""Overwrite rule: an existing capture is replaced only by the same or a higher preset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a material is compared with: windows of the photograph, or of several."""
+"""The target of fits: windows of one photograph, or of several."""
 
 from __future__ import annotations
 

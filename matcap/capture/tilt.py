@@ -1,4 +1,4 @@
-"""A photograph's coarse fit, with the tilt that the alignment branch measures beside its own."""
+"""The coarse fit with the alignment branch's tilt as a prior."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A portrait photograph's material, turned upright: as it is looked at.
+"""Rotation of a portrait photograph's material to upright.
 
 A capture works on the picture lying, its long side along x, as networks and coarse fit know it.
 What it hands on is turned back a quarter clockwise: the exemplar, indexed again so that its field

@@ -1,1 +1,1 @@
-"""What a flash photograph of a flat material looks like: its geometry and its rendering."""
+"""Flash photographs of a flat material: geometry, rendering and the coarse fit."""

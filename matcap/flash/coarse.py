@@ -1,4 +1,4 @@
-"""The coarse fit: a handful of numbers for a photograph's smooth part.
+"""The coarse fit: uniform reflectance, camera and flash from a photograph's low frequencies.
 
 How far it is off is measured in docs/notes/capture.md.
 

@@ -1,4 +1,4 @@
-"""What of the plane a piece covers: the first photograph's own rectangle, or more.
+"""Extent of the exemplar on the plane: the first photograph's rectangle, or larger.
 
 Plane units are the first photograph's whatever the rectangle: half of its long side.
 """

@@ -1,4 +1,4 @@
-"""Where camera, flash and plane are when a flash photograph is taken.
+"""Geometry of a flash photograph: camera, flash and plane.
 
 Two frames share the origin, the point of the plane on the optical axis:
 

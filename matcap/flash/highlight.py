@@ -1,4 +1,4 @@
-"""Where a flash's highlight is in a picture, how wide, and how far it stands out.
+"""Detection of the flash's highlight: place, width and contrast.
 
 Measured alike in a photograph and in a re-rendering of it, so that the two can be compared: on a
 grid of cells, with medians over rings, which texture and glints do not move, and without a model.

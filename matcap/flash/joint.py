@@ -1,4 +1,4 @@
-"""Several photographs of one sample: one decoder is tuned to the windows of all of them.
+"""Joint target of several photographs: one decoder is tuned to the windows of all.
 
 Every photograph keeps its own tilt, flash offset and vignetting, as its coarse fit finds them. Its
 gain is its own, too: it is brought to the first one's, so that both are of the same albedo. The

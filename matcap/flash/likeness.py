@@ -1,4 +1,4 @@
-"""How like a photograph a material looks: its windows under the photograph's light, compared.
+"""Texture distance of a material to a photograph: windows rendered under its light.
 
 The loss of every generator: the decoder (space/tuning) and the photographed
 piece (capture/piece/adapt.py) alike (paper, 4.3 and 4.6).

@@ -1,4 +1,4 @@
-"""What a plane shows where something is left out: the mirror of what is beside it, lit as there.
+"""Fill of masked texels of a plane: mirrored neighbours, relit for their new place.
 
 A mirror alone would bring the light of another place with it, which everything smooth that is then
 found beside it, by a network or by filters, would be bent by.

@@ -1,4 +1,4 @@
-"""Plane: a photograph as its plane looks from straight above, ready to be compared with."""
+"""Plane: a photograph rectified to the sample's plane, with validity and noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A tilted photograph as it would look from straight above: resampled on the plane's own grid.
+"""Rectification: a photograph resampled on the plane's grid, as seen from straight above.
 
 A texel is the mean of what the photograph shows of it. To be as sharp as the photograph is, the
 plane is seen by homography at a finer grid first, cubic, and averaged over texels then: shrinking

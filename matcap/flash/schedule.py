@@ -1,4 +1,4 @@
-"""When a run of fine-tuning ends, when it freezes, and how fast it learns."""
+"""Schedule of fine-tuning: end, freezing and learning rate."""
 
 from __future__ import annotations
 

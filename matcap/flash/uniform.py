@@ -1,4 +1,4 @@
-"""A uniform material under a photograph's flash: what a coarse fit finds, and how it would look."""
+"""A uniform material under a flash: the coarse fit's parameters, and their rendering."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The places of the photograph where a rendering is compared with it.
+"""Windows of a photograph at which renderings are compared with it.
 
 Windows keep their place: a rendering is lit and seen as where its window was cut. A bump's shading
 turns with the direction to the flash, a dark spot's does not; comparing place by place is what

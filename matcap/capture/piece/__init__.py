@@ -1,1 +1,1 @@
-"""The maps of the photographed piece itself: network, strength, refinement, confidence."""
+"""Estimation of the exemplar: network, relief spectrum, refinement, confidence, inpainting."""

@@ -1,4 +1,4 @@
-"""Evenness of albedo: its contrast is the same in every neighbourhood of a stationary sample.
+"""Local contrast normalisation of albedo: a stationary sample has the same contrast everywhere.
 
 Where a highlight lies over it, albedo hardly shows, and the network's answer fades. What is left of
 every band is given the contrast that the band has where albedo is seen.

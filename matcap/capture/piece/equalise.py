@@ -1,4 +1,4 @@
-"""Relief of one strength everywhere: a stationary sample's slopes do not know where the flash was.
+"""Directional normalisation of relief: equal slope energy everywhere, in every direction.
 
 One flash shows the slope along its own light and hardly the other, and under its foot neither; a
 network shrinks what it cannot see. Relit, such relief shows a bull's-eye: weak in the middle,

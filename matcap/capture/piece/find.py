@@ -1,4 +1,4 @@
-"""From a photograph on its plane to the photographed piece: named stages, from values to values.
+"""Estimate the exemplar from a rectified photograph: named stages, from values to values.
 
 The network reads the whole picture; what the photograph says outright of relief's strength holds
 its answer to the truth; levels and texels are then moved until the maps re-render to the

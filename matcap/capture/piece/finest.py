@@ -1,4 +1,4 @@
-"""The finest bands, carried over from the photograph to maps that were read on fewer texels.
+"""Detail transfer: finest bands from the photograph to maps predicted at a lower resolution.
 
 Network, spectra and statistics work at the scale they were made for (detail.py);
 the photograph resolves more. What its finest bands show beyond the enlarged maps' re-rendering, and

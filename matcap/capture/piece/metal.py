@@ -1,4 +1,4 @@
-"""Metal in the photographed piece: what mirrors with a colour of its own.
+"""Metal in the exemplar: its share of each texel and its specular tint.
 
 What is no metal mirrors white, whatever its own colour. Of metal nothing is diffuse, so that all
 that is seen of it under a white flash has the colour of its F0. The network says how far each

@@ -1,4 +1,4 @@
-"""Bands of a plane, and wide blurs on fewer texels, which of what is smooth say as much."""
+"""Octave bands of a plane, and wide Gaussian blurs computed at reduced resolution."""
 
 from __future__ import annotations
 

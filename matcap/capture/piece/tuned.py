@@ -1,4 +1,4 @@
-"""What is tuned in finding the piece: one frozen dataclass a stage.
+"""Constants of the exemplar's estimation: one frozen dataclass a stage.
 
 Each number with its unit and what it trades. Measured on simulated and on artists' materials:
 docs/notes/capture.md, unless another note is named. Bands are strengths.BANDS, longest first.

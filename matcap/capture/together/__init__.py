@@ -1,1 +1,1 @@
-"""Several photographs of one piece: what one flash leaves open, several close."""
+"""Multi-view estimation of the exemplar from several photographs of one sample."""

@@ -1,4 +1,4 @@
-"""Photographs brought over each other to a tenth of a texel, by what the maps look like in each.
+"""Registration to a tenth of a texel, by rendering the maps for each photograph.
 
 Features are found to half a pixel, and shift with relief and light. So maps are solved coarsely
 and, texels answering, every photograph but the first is moved until all explain it best

@@ -1,4 +1,4 @@
-"""From several photographs to the photographed piece: named stages, from values to values.
+"""Estimate the exemplar from several photographs: named stages, from values to values.
 
 The first photograph is read as one alone would be; cameras are found, and photographs brought over
 each other; then each is read, and together they decide what one left open.

@@ -1,4 +1,4 @@
-"""Metal's colour in a set: taken off photographs and maps while they are solved, and put back.
+"""Specular tint of metal in a set: divided out while solving, and multiplied back.
 
 Radiance is E (diffuse / pi + hue lobe) by channel, F0 being its mean times a hue. That is hue times
 what a grey F0 under the same light shows of an albedo of diffuse / hue. So photographs less the

@@ -1,4 +1,4 @@
-"""What several photographs of one piece show and lack, before anything is made of them.
+"""Coverage checks of several photographs before capture: views, light directions, overlap.
 
 Cameras are found as a capture finds them, and nothing is solved. Directions are those of the first
 photograph as it is looked at, upright.

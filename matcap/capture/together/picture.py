@@ -1,4 +1,4 @@
-"""Cameras and lights drawn over the piece: from above, from the side, and what each has told."""
+"""Diagram of cameras and lights over the sample, with each photograph's residuals."""
 
 from __future__ import annotations
 

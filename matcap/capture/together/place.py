@@ -1,4 +1,4 @@
-"""Where the cameras of a set stood: the first sharp photograph with flash gives the frame."""
+"""Camera poses of a set: the first sharp photograph with flash gives the frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The honest error of a set: each photograph predicted from all the others.
+"""Leave-one-out error of a set: each photograph predicted from all the others.
 
 It needs no truth: what no photograph shows but one, the others cannot have been bent to.
 """

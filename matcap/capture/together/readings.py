@@ -1,4 +1,4 @@
-"""What the network reads from each photograph, and all of it joined in the first one's frame.
+"""Network predictions of each photograph, fused in the first one's frame.
 
 Each is read on a plane of its own, upright before its own camera, as one alone would be, under the
 light that alignment found. Brought over the first, what they say of a texel is joined by what each

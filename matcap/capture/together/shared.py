@@ -1,4 +1,4 @@
-"""What all texels share: gains, the flash's place, vignetting, and where photographs lie.
+"""Shared parameters: gains, flash position, vignetting and photograph registration.
 
 A photograph that is looked up beside its place is explained by slopes that are not there, and then
 nothing seems wrong. So texels may answer to every step (variable projection, Golub and Pereyra

@@ -1,4 +1,4 @@
-"""All maps of a piece under all its photographs' lights at once.
+"""Joint estimation of all maps from all photographs (photometric multi-view).
 
 Per texel Gauss-Newton steps on log radiance, robust against shadows, parallax and what no
 reflectance explains (Geman and McClure's weights), held by what the network read from the first

@@ -1,4 +1,4 @@
-"""Numbers of every texel, and a step of them towards what all photographs show.
+"""Per-texel parameters, and their Gauss-Newton step on all photographs.
 
 Seven a texel: logarithms of albedo by channel and of F0, logit of roughness, two slopes.
 """

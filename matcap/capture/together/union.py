@@ -1,4 +1,4 @@
-"""The piece is all that photographs show, not the first one's rectangle alone, when asked.
+"""Mosaic: maps of all that the photographs show, not the first one's rectangle alone.
 
 Texels stay the first photograph's, and more of them lie around its own. What photographs see of the
 plane is rarely a rectangle: the piece is the box around it, without sides that hardly anything is

@@ -1,4 +1,4 @@
-"""Photographs of one piece on its own grid, each with its camera and its light at every texel."""
+"""Photographs resampled on the exemplar's grid, each with camera and light at every texel."""
 
 from __future__ import annotations
 

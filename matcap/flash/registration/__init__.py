@@ -1,1 +1,1 @@
-"""Where the cameras of several photographs of one flat piece stood."""
+"""Registration: camera poses of several photographs of one flat sample."""

@@ -1,4 +1,4 @@
-"""How far cameras may be off that features were matched for.
+"""Covariance of the bundle-adjusted cameras.
 
 Features scatter, which many of them take care of. What they cannot take care of is shading: a
 bump's light side goes with the flash, like a point in the depth (a highlight like the bump's centre

@@ -1,4 +1,4 @@
-"""What two photographs of a piece have in common: keypoints by SIFT (Lowe 2004) on even contrast.
+"""Feature matches of two photographs: keypoints by SIFT (Lowe 2004) on even contrast.
 
 The flash moves with the camera, so light differs and texture does not: contrast is made even
 before anything is looked for, by its mean size around, or where that finds little by histograms.

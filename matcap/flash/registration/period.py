@@ -1,4 +1,4 @@
-"""Whether a photograph shows a pattern that repeats itself, whose features lie as well one further.
+"""Test for periodic patterns, whose matches are ambiguous by whole periods.
 
 What decides between places a period apart is what no period repeats: clouds, flaws, a border.
 Where there is too little of that, matches agree with none.

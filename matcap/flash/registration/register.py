@@ -1,4 +1,4 @@
-"""Photographs of one piece, each with its camera; those that do not belong are named."""
+"""Register photographs of one sample: a camera for each; unrelated ones are named."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The network that reads one flash photograph as maps of the photographed piece."""
+"""The inverse network: one flash photograph to maps of the exemplar."""
