@@ -99,7 +99,7 @@ class RingTarget:
         def thin(plane: Tensor) -> Tensor:
             return plane[..., every, every] if plane.shape[-2:] == size else plane
 
-        planes = ("linear", "measured", "counts", "away", "normal")
+        planes = ("linear", "measured", "counts", "distance", "normal")
         parts = (getattr(self.surface, each.name) for each in fields(SurfaceParameters))
         return replace(
             self,
