@@ -17,7 +17,7 @@ from matcap.files.memory import free_bytes
 
 _LIBRARIES = 1_150_000_000  # and one window being tuned
 _BY_PIXEL = {"raw": 22, "other": 12}  # bytes a pixel of the file
-_BY_TEXEL = 250  # of the photograph as it is used, detail x 3/4 detail
+_BY_TEXEL = 400  # of the photograph as it is used, detail x 3/4 detail
 _BY_MAP_TEXEL = 110  # bytes
 _USUAL_PIXELS = 12_000_000  # where a file does not say
 _SPARE = 0.85  # of what is free: the rest is for everybody else

@@ -16,6 +16,7 @@ from matcap.batch.record import write_record
 from matcap.batch.settings import BatchSettings
 from matcap.batch.workspace import Run
 from matcap.errors import MatcapError
+from matcap.files.memory import keep_memory
 from matcap.files.progress import OnProgress, Progress
 from matcap.files.staging import write_error
 from matcap.photo.calibrate import Calibration, calibrated
@@ -215,13 +216,15 @@ def _peak_bytes() -> int:
 
 
 def settle_threads() -> None:
-    """One thread a worker.
+    """One thread a worker, whose buffers are kept.
 
     Workers are many where cores are; and results do not depend on how many there were.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     import cv2
     import torch
+
+    keep_memory()
 
     torch.set_num_threads(1)
     cv2.setNumThreads(1)

@@ -62,8 +62,10 @@ def capture(
     Henzler et al. 2021 instead. Both take the tilt that its alignment branch measures.
     """
     from matcap.cli.capture_display import display
+    from matcap.files.memory import keep_memory
     from matcap.files.staging import check_writable
 
+    keep_memory()  # this process is matcap's own
     settings = chosen(CaptureSettings, given)
     outputs = chosen(OutputSettings, {**given, "seed": settings.seed})
     jobs = _jobs(photos, out)

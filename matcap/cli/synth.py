@@ -114,9 +114,9 @@ def synth(
     """
     import os
 
+    from matcap.files.memory import keep_memory
     from matcap.synth.synthesise import synthesise
     from matcap.synth.unfinished import unfinished_bytes
-    from matcap.synth.workers import keep_memory
 
     keep_memory()  # this process is matcap's own
     targets = exported.get("targets", ())

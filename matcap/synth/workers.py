@@ -5,7 +5,6 @@ Read next: field/single.py (why one thread a block), stream.py (what becomes of 
 
 from __future__ import annotations
 
-import ctypes
 import os
 import threading
 from collections.abc import Iterator
@@ -14,11 +13,12 @@ from contextlib import contextmanager
 from functools import partial
 from multiprocessing import get_context, parent_process
 from multiprocessing.process import BaseProcess
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from matcap.field.single import compute_alone, single_threaded
 from matcap.files.cluster import Cluster
 from matcap.files.interrupts import settle_child, starting_children
+from matcap.files.memory import keep_memory
 from matcap.synth.jobs import Future, Job, WorkerPool, pack, render_packed, rendered, unpacked
 from matcap.synth.pictures import Rendered
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 _AHEAD = 2  # blocks in flight for each worker: one computed, one waiting
 _FEW = 24  # blocks that are done before processes have started
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # malloc.h
 
 
 @contextmanager
@@ -102,17 +101,3 @@ def _follow(parent: BaseProcess) -> None:
     """End with the parent process, even one that was killed."""
     parent.join()
     os._exit(1)
-
-
-def keep_memory() -> None:
-    """Tell glibc to reuse large buffers rather than to fetch them fresh from the system.
-
-    For a process of its own: it holds for all of it, and for threads that are yet to come.
-    Elsewhere than on glibc nothing happens.
-    """
-    library: Any = ctypes.CDLL(None)
-    if hasattr(library, "mallopt"):
-        library.mallopt(_M_MMAP_THRESHOLD, 1 << 30)
-        library.mallopt(_M_TRIM_THRESHOLD, 1 << 30)
-        # A thread's own heap holds 64 MB at most: larger buffers would be fetched fresh again.
-        library.mallopt(_M_ARENA_MAX, 1)

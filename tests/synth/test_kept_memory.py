@@ -12,7 +12,7 @@ from matcap.lab.bench.synth import material
 from matcap.space.decoder import DecoderConfig
 from matcap.space.patch import Rectangle
 from matcap.field.single import single_threaded
-from matcap.synth.workers import keep_memory
+from matcap.files.memory import keep_memory
 
 if sys.argv[1] == "kept":
     keep_memory()

@@ -34,6 +34,7 @@ from matcap.field.blocks import Grid
 from matcap.field.field import read_source
 from matcap.field.plane import Rectangle, Span
 from matcap.field.single import single_threaded
+from matcap.files.memory import keep_memory
 from matcap.lab.bench.methods import true_exemplar
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
@@ -52,7 +53,6 @@ from matcap.space.regular_order import WAVE_CHANNELS
 from matcap.space.source import BlockSpans, DecoderSource, spans_of_block
 from matcap.space.tuned import TunedDecoder
 from matcap.synth.precision import multiplies_bfloat16
-from matcap.synth.workers import keep_memory
 
 ABOUT = (
     "Seconds by the wall, processor: of all cores; paper: the paper's form beside it, ratio: how "
