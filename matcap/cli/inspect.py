@@ -171,8 +171,10 @@ def _material(path: Path) -> tuple[dict[str, Any], str]:
         f"     {name:<13} {says}" for name, says in about.lines(known_scale(exemplified.provenance))
     ]
     document: dict[str, Any] = {"exemplar": about.document()}
-    verdict = read_report(path.parent / REPORT).get("verdict")
-    if isinstance(verdict, dict) and "sentence" in verdict:
+    report = read_report(path.parent / REPORT)
+    verdict, photographed = report.get("verdict"), report.get("photograph", {}).get("name")
+    own = photographed == exemplified.provenance.get("photograph")
+    if own and isinstance(verdict, dict) and "sentence" in verdict:
         checks = verdict.get("checks", {})
         document["verdict"] = verdict
         lines.append(f"     {'verdict':<13} {verdict['sentence']}")
