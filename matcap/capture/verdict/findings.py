@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from matcap.capture.verdict.causes import more_photographs
-from matcap.capture.verdict.highlight import GLOSSY, UNSEEN, HighlightProfile
+from matcap.capture.verdict.highlight import UNSEEN
 from matcap.capture.verdict.measurements import Measurements
-from matcap.flash.highlight import Highlight
+from matcap.flash.highlight import HIGHLIGHT, Highlight
 from matcap.photo.checks import CHECKS, Finding
 
 PHOTOGRAPHED = ("flash", "clipped", "tilt", "stationarity")
@@ -72,7 +72,7 @@ def plain(highlight: Highlight | None) -> bool:
 
 def _highlight(seen: Measurements) -> Iterator[Finding]:
     """Strength, glints, place and width."""
-    yield highlight_contrast(seen.profile)
+    yield highlight_contrast(seen)
     glints = math.nan if seen.profile is None else seen.profile.glint_ratio
     yield (
         CHECKS["glint_contrast"].finding(glints, more=more_photographs(seen.causes.photographs))
@@ -88,19 +88,33 @@ def _highlight(seen: Measurements) -> Iterator[Finding]:
     yield CHECKS["highlight_width"].finding(after.width / before.width)
 
 
-def highlight_contrast(profile: HighlightProfile | None) -> Finding:
-    """Strength of the highlight, re-rendered over photographed."""
-    check = CHECKS["highlight_contrast"]
-    if profile is None:
-        return check.not_judged("the highlight's mirror point is not in the photograph")
-    if not profile.glossy:
+def highlight_contrast(seen: Measurements) -> Finding:
+    """Strength of the highlight, re-rendered over photographed: of its rings or of its peak.
+
+    A spike of a few texels is nothing in rings, and a wide one off its mirror point is none there.
+    """
+    check, profile = CHECKS["highlight_contrast"], seen.profile
+    ratios = [_peak_ratio(*seen.highlights), math.nan if profile is None else profile.ratio]
+    known = [ratio for ratio in ratios if math.isfinite(ratio)]
+    if not known:
         return check.not_judged("nothing is glossy in the photograph or in its re-rendering")
-    bound = f", as far as is seen: {profile.clipped[0]:.0%} of its core is clipped"
-    found = check.finding(profile.ratio, bound=bound if profile.bound else "")
-    if profile.contrast[0] < GLOSSY and found.severity > 1.0:
-        says = f"{found.says}, which is matte"
-        return replace(found, says=says)
-    return found
+    ratio = max(known, key=check.severity)
+    clipped = 0.0 if profile is None or not profile.bound else profile.clipped[0]
+    bound = f", as far as is seen: {clipped:.0%} of its core is clipped" if clipped else ""
+    return check.finding(ratio, bound=bound)
+
+
+def _peak_ratio(before: Highlight | None, after: Highlight | None) -> float:
+    """Peak over surroundings, re-rendered over photographed; NaN where neither is plain to see.
+
+    What is not found stands out by less than the faintest that is looked for.
+    """
+    if not plain(before) and not plain(after):
+        return math.nan
+    first, second = (
+        HIGHLIGHT.faintest if each is None else each.contrast for each in (before, after)
+    )
+    return second / first
 
 
 def _contrast(seen: Measurements, more: str) -> Finding:

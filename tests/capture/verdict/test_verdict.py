@@ -119,6 +119,9 @@ BAD = [
     ({"profile": profile(5.0, 2.2)}, "highlight_contrast", "doubtful"),
     ({"profile": profile(2.0, 4.4)}, "highlight_contrast", "doubtful"),
     ({"profile": profile(5.0, 5.0, glints=((0.2, 0.08),))}, "glint_contrast", "doubtful"),
+    ({"highlights": (SPOT, None)}, "highlight_contrast", "failed"),
+    ({"highlights": (None, SPOT)}, "highlight_contrast", "failed"),
+    ({"highlights": (SPOT, replace(SPOT, peak=0.2))}, "highlight_contrast", "failed"),
     ({"highlights": (SPOT, replace(SPOT, centre=(0.3, 0.0)))}, "highlight_place", "failed"),
     ({"highlights": (SPOT, replace(SPOT, width=0.5))}, "highlight_width", "failed"),
     (shot_with("flash", 1.05), "flash", "failed"),
@@ -349,8 +352,32 @@ def test_both_pictures_are_clipped_where_the_photograph_is(glossy):
     assert weaker.profile.contrast[1] > 1.3 * weaker.profile.contrast[0]  # that of its true core
 
 
+def test_a_faint_highlight_that_is_lost_is_missed_and_a_strong_one_is_another_material():
+    def severity_of(contrast):
+        before = replace(SPOT, peak=contrast * SPOT.surroundings)
+        return named(replace(FINE, highlights=(before, None)))["highlight_contrast"].severity
+
+    assert 1.0 < severity_of(2.1) < 2.0
+    assert severity_of(6.0) > 3.0
+
+
+def test_a_highlight_just_plain_beside_one_just_not_is_the_same_highlight():
+    """Contrast 1.99 beside 2.01 is nothing; beside 7 it is a highlight that was not there."""
+    faint = replace(SPOT, peak=1.99 * SPOT.surroundings)
+
+    def severity_of(contrast):
+        after = replace(SPOT, peak=contrast * SPOT.surroundings)
+        seen = replace(FINE, highlights=(faint, after), profile=None)
+        return named(seen)["highlight_contrast"].severity
+
+    assert severity_of(2.01) < 0.1
+    assert severity_of(2.3) < severity_of(2.6) < severity_of(3.2)
+    assert severity_of(7.0) > 3.0
+
+
 def test_where_nothing_is_glossy_no_highlight_is_judged():
-    found = named(replace(FINE, profile=profile(1.1, 0.9, glints=())))
+    matte = replace(FINE, profile=profile(1.1, 0.9, glints=()), highlights=(None, None))
+    found = named(matte)
     assert found["highlight_contrast"].rating is Rating.NOT_JUDGED
     assert found["glint_contrast"].rating is Rating.NOT_JUDGED
 
