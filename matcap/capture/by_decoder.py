@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from matcap.capture.ending import judged, provenance
 from matcap.capture.method import Method
-from matcap.capture.piece.find import FoundPiece, find_piece
+from matcap.capture.piece.find import ExemplarEstimate, find_piece
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning
@@ -54,8 +54,8 @@ def capture_by_decoder(
         own = self_difference(target.windows, target.weights)
         tune = _tune(settings, effort, method, own, photo.name)
 
-    tell = _told(clock, own)
-    decoder, tuned = _tuned_decoder(shot, settings, method, target, tune, clock, tell)
+    on_step = _on_step(clock, own)
+    decoder, tuned = _tuned_decoder(shot, settings, method, target, tune, clock, on_step)
     about = provenance(photo, settings, coarse, effort, joined)
     material = decoder.material(photo.stem, coarse.setup, about)
     if tuned.history and effort.matched:
@@ -64,9 +64,9 @@ def capture_by_decoder(
             material = match_photograph(material, plane, settings.seed)
         clock.interrupted |= stopped()
 
-    found = _piece(shot, target, settings, effort, clock) if settings.aligned else None
+    estimate = _piece(shot, target, settings, effort, clock) if settings.aligned else None
     went = Tuning(tuned.history, own)
-    return judged(photo, material, plane, shot.waves, settings, clock, found, went)
+    return judged(photo, material, plane, shot.waves, settings, clock, estimate, went)
 
 
 def _tuned_decoder(
@@ -76,7 +76,7 @@ def _tuned_decoder(
     target: PhotographTarget,
     tune: TuneSettings,
     clock: CaptureClock,
-    tell: OnStep,
+    on_step: OnStep,
 ) -> tuple[TunedDecoder, Tuned]:
     """The decoder from where it starts to how it was tuned."""
     with clock.stage("start"):
@@ -94,7 +94,7 @@ def _tuned_decoder(
         limit = clock.left_for("fine-tuning")
         seconds = limit if math.isfinite(limit) else None
         tune = replace(tune, seconds=seconds, learning_rate=start.rate)
-        tuned = finetune(start.decoder, start.code, target, tune, tell)
+        tuned = finetune(start.decoder, start.code, target, tune, on_step)
     clock.interrupted |= tuned.interrupted
     network = tuned.decoder.eval().requires_grad_(False)
     decoder = TunedDecoder(network, start.code, tuned.moments, shot.waves, shot.plane.texel_size)
@@ -114,7 +114,7 @@ def _tune(
     )
 
 
-def _told(clock: CaptureClock, own: float) -> OnStep:
+def _on_step(clock: CaptureClock, own: float) -> OnStep:
     """What tells a step of fine-tuning."""
     ahead = Forecaster(own)
     return lambda share, error, seconds: clock.tuning(share, *ahead.after(error, seconds))
@@ -126,10 +126,10 @@ def _piece(
     settings: CaptureSettings,
     effort: Effort,
     clock: CaptureClock,
-) -> FoundPiece:
+) -> ExemplarEstimate:
     """The photographed piece's own maps, beside the decoder's; in a hurry after an interrupt."""
     with postponed() as stopped:
-        found = find_piece(
+        estimate = find_piece(
             shot.plane,
             shot.coarse,
             load_inverse(),
@@ -138,7 +138,7 @@ def _piece(
             steps=0 if clock.interrupted else effort.adapted,
             seed=settings.seed,
         )
-    return replace(found, interrupted=stopped())
+    return replace(estimate, interrupted=stopped())
 
 
 def _target(settings: CaptureSettings, own: float, name: str) -> float | None:

@@ -102,11 +102,11 @@ def read_report(file: Path) -> dict[str, Any]:
 
 
 def _verdict(report: dict[str, Any]) -> dict[str, Any] | None:
-    told = report.get("verdict")
-    return told if isinstance(told, dict) and "sentence" in told else None
+    verdict = report.get("verdict")
+    return verdict if isinstance(verdict, dict) and "sentence" in verdict else None
 
 
 def _photograph(report: dict[str, Any]) -> Path | None:
-    told = report.get("photograph")
-    path = told.get("path") if isinstance(told, dict) else None
+    photograph = report.get("photograph")
+    path = photograph.get("path") if isinstance(photograph, dict) else None
     return Path(path) if isinstance(path, str) else None

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.piece.find import FoundPiece, piece_maps
+from matcap.capture.piece.find import ExemplarEstimate, piece_maps
 from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import CaptureSettings, Effort
@@ -33,11 +33,11 @@ def judged(
     waves: tuple[Wave, ...],
     settings: CaptureSettings,
     clock: CaptureClock,
-    found: FoundPiece | None = None,
+    estimate: ExemplarEstimate | None = None,
     tuning: Tuning | None = None,
 ) -> CaptureResult:
     """The material beside its photograph, and the verdict on it; the last stage but writing."""
-    interrupted = clock.interrupted or (found is not None and found.interrupted)
+    interrupted = clock.interrupted or (estimate is not None and estimate.interrupted)
     with clock.stage("verdict"), postponed() as stopped:
         maps = material.maps(*plane.size, seed=settings.seed)
         with torch.inference_mode():
@@ -47,7 +47,7 @@ def judged(
             left_out = plane.left_out.numpy()[..., None]
             compared = np.where(left_out, rerendered, rectified)  # nothing is said of it
             rectified = np.where(left_out, np.float32(0.0), rectified)
-        about = None if found is None else _piece_measurements(found, photo, material, waves)
+        about = None if estimate is None else _piece_measurements(estimate, photo, material, waves)
         seen = measured(photo, material.setup, compared, rerendered, waves, about)
         verdict = judge(seen)
     return CaptureResult(
@@ -61,7 +61,7 @@ def judged(
         stage_seconds=clock.seconds,
         settings=settings,
         interrupted=interrupted or stopped(),
-        found=found,
+        estimate=estimate,
         tuning=tuning,
     )
 
@@ -74,7 +74,7 @@ def provenance(
     joined: list[dict[str, Any]],
 ) -> dict[str, Any]:
     """How a material was made; JSON."""
-    told: dict[str, Any] = {
+    document: dict[str, Any] = {
         "photograph": photo.name,
         "settings": settings.named(),
         "millimetres_per_unit": settings.millimetres_per_unit,
@@ -88,27 +88,27 @@ def provenance(
             "tilt_degrees": tilt_document(coarse),
         },
     }
-    return told | ({"others": joined} if joined else {})
+    return document | ({"others": joined} if joined else {})
 
 
 def _piece_measurements(
-    found: FoundPiece, photo: Photo, material: Material, waves: tuple[Wave, ...]
+    estimate: ExemplarEstimate, photo: Photo, material: Material, waves: tuple[Wave, ...]
 ) -> PieceMeasurements:
     """What is measured of a piece for its verdict."""
-    confidence = found.mean_confidence(photo.kept_share)
+    confidence = estimate.mean_confidence(photo.kept_share)
     return PieceMeasurements(
-        maps={"error": found.error, "slow": found.slow, **confidence},
-        residue=highlight_residue(found.framed, material.setup),
-        tilt=_mean_tilt(found),
+        maps={"error": estimate.error, "slow": estimate.slow, **confidence},
+        residue=highlight_residue(estimate.framed, material.setup),
+        tilt=_mean_tilt(estimate),
         # A regular order keeps its pieces together, however small its periods.
-        variety=1.0 if waves else found.example.variety,
-        photographs=1 if found.several is None else len(found.several.views),
+        variety=1.0 if waves else estimate.example.variety,
+        photographs=1 if estimate.several is None else len(estimate.several.views),
     )
 
 
-def _mean_tilt(found: FoundPiece) -> float:
+def _mean_tilt(estimate: ExemplarEstimate) -> float:
     """Degrees."""
-    upright = piece_maps(found.exemplar).normal[2].clamp(-1.0, 1.0)
+    upright = piece_maps(estimate.exemplar).normal[2].clamp(-1.0, 1.0)
     return float(upright.acos().rad2deg().mean())
 
 

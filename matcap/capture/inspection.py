@@ -64,11 +64,11 @@ def photograph_quality(photo: Photo, coarse: CoarseFit | None = None) -> Inspect
 
     Args:
         photo: read at the detail it is captured at.
-        coarse: its fit, or None to find it.
+        coarse: its fit, or None to compute it.
     """
     coarse = coarse or fitted(photo)
-    found = inspect_photo(photo, coarse.setup.tilt)
-    return replace(found, findings=(*found.findings, *_gloss(photo, coarse)))
+    inspected = inspect_photo(photo, coarse.setup.tilt)
+    return replace(inspected, findings=(*inspected.findings, *_gloss(photo, coarse)))
 
 
 def _gloss(photo: Photo, coarse: CoarseFit) -> tuple[Finding, ...]:
@@ -83,9 +83,9 @@ def _gloss(photo: Photo, coarse: CoarseFit) -> tuple[Finding, ...]:
     says = f"the highlight is {contrast:.1f} times as bright as a matte surface would be there"
     if profile.bound:
         says += f", or more: {profile.clipped[0]:.0%} of its core is clipped"
-    found = [Finding("highlight", round(contrast, 3), Rating.NOT_JUDGED, says)]
+    findings = [Finding("highlight", round(contrast, 3), Rating.NOT_JUDGED, says)]
     if profile.glints:
         deviation = math.hypot(*(before for before, _ in profile.glints))
         says = f"glints in the highlight vary by {math.expm1(deviation):.0%}"
-        found.append(Finding("glints", round(deviation, 4), Rating.NOT_JUDGED, says))
-    return tuple(found)
+        findings.append(Finding("glints", round(deviation, 4), Rating.NOT_JUDGED, says))
+    return tuple(findings)

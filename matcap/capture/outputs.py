@@ -15,7 +15,7 @@ from matcap.files.exr import write_exr_channels
 from matcap.files.staging import staged
 
 if TYPE_CHECKING:
-    from matcap.capture.piece.find import FoundPiece
+    from matcap.capture.piece.find import ExemplarEstimate
     from matcap.capture.result import CaptureResult
     from matcap.flash.geometry import FlashSetup
 
@@ -65,8 +65,8 @@ def _write_material(
     info = MapSetInfo(name, settings.seed, provenance=dict(material.provenance))
     write_mapset(maps, stage, info, png=settings.png, normal=settings.normal)
     material.save(stage / f"{name}.matcap")
-    if result.found is not None and result.settings.aligned:
-        _write_piece(result.found, material.setup, stage, name, settings)
+    if result.estimate is not None and result.settings.aligned:
+        _write_piece(result.estimate, material.setup, stage, name, settings)
 
 
 def no_repeat(size: tuple[int, int], alignment: int) -> str:
@@ -86,14 +86,14 @@ def output_files(name: str) -> list[str]:
 
 
 def _write_piece(
-    found: FoundPiece, setup: FlashSetup, stage: Path, name: str, settings: OutputSettings
+    estimate: ExemplarEstimate, setup: FlashSetup, stage: Path, name: str, settings: OutputSettings
 ) -> None:
     """Maps of the photographed piece, and how far each is trusted."""
     from matcap.capture.piece.find import piece_maps
 
-    exemplar = found.exemplar
-    about: dict[str, Any] = {"of": "the photographed piece", "error": found.error}
-    if found.framed is exemplar:  # else its middle is not the photograph's
+    exemplar = estimate.exemplar
+    about: dict[str, Any] = {"of": "the photographed piece", "error": estimate.error}
+    if estimate.framed is exemplar:  # else its middle is not the photograph's
         about[SETUP] = asdict(setup)
     info = MapSetInfo(name + PIECE, None, provenance=about)
     write_mapset(piece_maps(exemplar), stage, info, png=settings.png, normal=settings.normal)

@@ -50,7 +50,7 @@ from matcap.photo.refusals import SHORTEST_SIDE
 _MATCHED = 1600  # pixels along the long side that photographs of one piece are matched on
 _WINDOW_STEP = 16  # texels that windows' sides are multiples of: a decoder's alignment
 
-TellCapture = Callable[[CaptureProgress], None]
+OnCapture = Callable[[CaptureProgress], None]
 
 
 def read_photograph(
@@ -92,7 +92,7 @@ def read_photograph(
 def capture_file(
     path: str | Path,
     settings: CaptureSettings,
-    progress: TellCapture | None = None,
+    progress: OnCapture | None = None,
     others: Sequence[str | Path] = (),
 ) -> CaptureResult:
     """A photograph's file to a material; or those of several photographs of one sample.
@@ -109,7 +109,7 @@ def capture_into(
     paths: Sequence[str | Path],
     settings: CaptureSettings,
     outputs: OutputSettings,
-    progress: TellCapture | None = None,
+    progress: OnCapture | None = None,
     spent: float = 0.0,
 ) -> CaptureResult:
     """The whole way: photographs of one sample to a folder with everything that is left of it.
@@ -147,7 +147,7 @@ def _read_and_captured(
 def capture_photo(
     photo: Photo,
     settings: CaptureSettings,
-    progress: TellCapture | None = None,
+    progress: OnCapture | None = None,
     method: Method | None = None,
     others: Sequence[Photo] = (),
 ) -> CaptureResult:
@@ -171,7 +171,7 @@ def capture_photo(
 
 def clock_of(
     settings: CaptureSettings,
-    progress: TellCapture | None,
+    progress: OnCapture | None,
     photographs: int = 1,
     spent: float = 0.0,
 ) -> CaptureClock:
@@ -210,7 +210,7 @@ def capture_under(
     def target() -> PhotographTarget:
         return photograph_target(shot, settings, method)[0]
 
-    found = find_piece(
+    estimate = find_piece(
         read,
         coarse,
         load_inverse(),
@@ -226,12 +226,12 @@ def capture_under(
     )
     material = Material(
         name=photo.stem,
-        generators={"example": found.example},
+        generators={"example": estimate.example},
         texel_size=plane.texel_size,
-        setup=coarse.setup.dimmed(found.scale),
+        setup=coarse.setup.dimmed(estimate.scale),
         provenance=provenance(photo, settings, coarse, effort, []),
     )
-    result = judged(photo, material, plane, lattice.waves, settings, clock, found)
+    result = judged(photo, material, plane, lattice.waves, settings, clock, estimate)
     return upright(result, lattice.waves)
 
 
@@ -239,9 +239,9 @@ def _captured_together(
     photos: Sequence[Photo], settings: CaptureSettings, clock: CaptureClock
 ) -> CaptureResult:
     """Several photographs of one piece to a material; see capture_photo."""
-    from matcap.capture.together.find import find_together
+    from matcap.capture.together.find import estimate_together
 
-    together = find_together(
+    together = estimate_together(
         photos,
         load_inverse(),
         settings.detail or _less_detail(settings),
@@ -249,13 +249,13 @@ def _captured_together(
         stage=clock.stage,
         on_progress=clock.within,
     )
-    found, coarse, plane = together.found, together.coarse, together.plane
-    several = found.several
+    estimate, coarse, plane = together.estimate, together.coarse, together.plane
+    several = estimate.several
     material = Material(
         name=photos[0].stem,
-        generators={"example": found.example},
+        generators={"example": estimate.example},
         texel_size=plane.texel_size,
-        setup=coarse.setup.dimmed(found.scale),
+        setup=coarse.setup.dimmed(estimate.scale),
         provenance=provenance(
             together.photo,
             settings,
@@ -264,7 +264,7 @@ def _captured_together(
             [] if several is None else several.document()["photographs"][1:],
         ),
     )
-    result = judged(together.photo, material, plane, together.waves, settings, clock, found)
+    result = judged(together.photo, material, plane, together.waves, settings, clock, estimate)
     return upright(result, together.waves)
 
 

@@ -25,7 +25,7 @@ from matcap.files.staging import staged_file
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
-    from matcap.capture.piece.find import FoundPiece
+    from matcap.capture.piece.find import ExemplarEstimate
     from matcap.capture.result import CaptureResult
     from matcap.flash.geometry import FlashSetup
 from matcap.photo.checks import Rating
@@ -71,27 +71,27 @@ def write_preview(result: CaptureResult, path: Path) -> None:
 def draw_sheet(result: CaptureResult) -> Image.Image:
     """The sheet as an RGB picture."""
     blocks = [block(list(panels(result)))]
-    if result.found is not None:
+    if result.estimate is not None:
         from matcap.capture.piece.find import piece_maps
 
         made = result.material.generators
         generator = "by example" if "example" in made else "by the decoder"
-        piece = block(list(piece_panels(result, result.found)))
+        piece = block(list(piece_panels(result, result.estimate)))
         blocks = [
             titled(blocks[0], f"The material, {generator}"),
             titled(piece, "The photographed piece itself"),
         ]
-        if result.found.several is not None:
+        if result.estimate.several is not None:
             from matcap.capture.together.picture import draw_set
 
-            seen = srgb_picture(_picture(piece_maps(result.found.exemplar), "diffuse"))
-            several = result.found.several
+            seen = srgb_picture(_picture(piece_maps(result.estimate.exemplar), "diffuse"))
+            several = result.estimate.several
             # Cameras are drawn over the piece as they were found, lying.
-            lying = np.ascontiguousarray(np.rot90(seen)) if result.found.turned else seen
+            lying = np.ascontiguousarray(np.rot90(seen)) if result.estimate.turned else seen
             drawn = draw_set(several, lying, blocks[0].width)
             blocks.append(titled(drawn, "Cameras and flashes"))
             if several.reach is not None:
-                whole = block(list(whole_panels(result, result.found)))
+                whole = block(list(whole_panels(result, result.estimate)))
                 blocks.insert(2, titled(whole, several.reach.says()))
     blocks.insert(0, _headline(result, blocks[0].width))
     return stacked(blocks)
@@ -131,7 +131,7 @@ def panels(result: CaptureResult) -> Iterable[Panel]:
     yield Panel("normal", 0.5 + 0.5 * _picture(result.maps, "normal"))
 
 
-def piece_panels(result: CaptureResult, found: FoundPiece) -> Iterable[Panel]:
+def piece_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[Panel]:
     """The photographed piece beside its photograph, lit from two sides, and its maps.
 
     Without normals, which are the height's and show in the light.
@@ -141,7 +141,7 @@ def piece_panels(result: CaptureResult, found: FoundPiece) -> Iterable[Panel]:
     from matcap.capture.piece.find import piece_maps
     from matcap.flash.render import render_rectified
 
-    maps, setup = piece_maps(found.framed), result.material.setup
+    maps, setup = piece_maps(estimate.framed), result.material.setup
     with torch.inference_mode():
         rerendered = render_rectified(maps, setup).movedim(0, -1).numpy()
     yield Panel("photograph", srgb_picture(result.rectified))
@@ -151,11 +151,11 @@ def piece_panels(result: CaptureResult, found: FoundPiece) -> Iterable[Panel]:
     yield from each_map(maps)
 
 
-def whole_panels(result: CaptureResult, found: FoundPiece) -> Iterable[Panel]:
+def whole_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[Panel]:
     """All of a piece that reaches beyond the first photograph, lit from two sides, and its maps."""
     from matcap.capture.piece.find import piece_maps
 
-    maps = piece_maps(found.exemplar)
+    maps = piece_maps(estimate.exemplar)
     for side in _LIGHTS:
         yield relit(side, maps, result.rerendered, result.material.setup)
     yield from each_map(maps)

@@ -81,7 +81,7 @@ from matcap.files.staging import staged
 from matcap.photo.checks import Rating
 
 if TYPE_CHECKING:
-    from matcap.capture.piece.find import FoundPiece
+    from matcap.capture.piece.find import ExemplarEstimate
     from matcap.capture.result import CaptureResult, Tuning
     from matcap.capture.together.set_report import SetReport
 
@@ -119,7 +119,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "warnings": list(warnings(result)),
         "notes": [
             *photo.notes,
-            *_grown(result.found),
+            *_grown(result.estimate),
             *_rules(result.settings, result.photographs),
         ],
         "photograph": {
@@ -152,7 +152,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "stage_seconds": dict(result.stage_seconds),
         "tuning": _tuning(result.tuning),
         "exemplar": _exemplar(result),
-        "several": _several(result.found),
+        "several": _several(result.estimate),
         "provenance": result.material.provenance,
         "versions": {
             "matcap": MAKER_VERSION,
@@ -163,8 +163,8 @@ def report(result: CaptureResult) -> dict[str, Any]:
     }
 
 
-def _several(found: FoundPiece | None) -> dict[str, Any] | None:
-    return None if found is None or found.several is None else found.several.document()
+def _several(estimate: ExemplarEstimate | None) -> dict[str, Any] | None:
+    return None if estimate is None or estimate.several is None else estimate.several.document()
 
 
 def _tuning(tuning: Tuning | None) -> dict[str, Any] | None:
@@ -185,20 +185,20 @@ def _tuning(tuning: Tuning | None) -> dict[str, Any] | None:
 
 
 def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
-    found = result.found
-    if found is None:
+    estimate = result.estimate
+    if estimate is None:
         return None
     return {
-        "error": found.error,
-        "slow": found.slow,
-        "left_out": found.example.index.left_out,
-        "variety": found.example.variety,
-        "pieces": summary(found.example).pieces_text(),
-        "strengths": None if found.strengths is None else found.strengths.document(),
-        "sharpness": found.sharpness,
-        "adaptation": [asdict(change) for change in found.adaptation],
-        "confidence": found.mean_confidence(result.photo.kept_share),
-        "specular_channels": len(found.exemplar.specular),
+        "error": estimate.error,
+        "slow": estimate.slow,
+        "left_out": estimate.example.index.left_out,
+        "variety": estimate.example.variety,
+        "pieces": summary(estimate.example).pieces_text(),
+        "strengths": None if estimate.strengths is None else estimate.strengths.document(),
+        "sharpness": estimate.sharpness,
+        "adaptation": [asdict(change) for change in estimate.adaptation],
+        "confidence": estimate.mean_confidence(result.photo.kept_share),
+        "specular_channels": len(estimate.exemplar.specular),
         "highlight_residue": result.measurements.residue,
     }
 
@@ -212,15 +212,15 @@ def warnings(result: CaptureResult) -> Iterable[str]:
         ("flash", "clipped", "tilt") if result.photo.flash_fired is False else ("clipped", "tilt")
     )
     shot = (result.measurements.photograph[key] for key in keys)
-    yield from (found.line() for found in shot if found.rating is not Rating.GOOD)
-    if result.found is not None and result.found.several is not None:
-        for one in result.found.several.left_out:
+    yield from (finding.line() for finding in shot if finding.rating is not Rating.GOOD)
+    if result.estimate is not None and result.estimate.several is not None:
+        for one in result.estimate.several.left_out:
             yield f"{one.name} was left out: {one.why}."
-        doubted = result.found.several.doubted()
+        doubted = result.estimate.several.doubted()
         if doubted:
             yield doubted
-        yield from _union(result.found.several, result.settings)
-    if result.found is not None and result.found.strengths is None:
+        yield from _union(result.estimate.several, result.settings)
+    if result.estimate is not None and result.estimate.strengths is None:
         yield (
             "The photograph is too small or too much of it unseen to tell relief's strength: it is "
             "as the network reads it. Photograph again a stop darker, or from further away."
@@ -239,10 +239,10 @@ def _union(several: SetReport, settings: CaptureSettings) -> Iterable[str]:
         yield limited
 
 
-def _grown(found: FoundPiece | None) -> Iterable[str]:
+def _grown(estimate: ExemplarEstimate | None) -> Iterable[str]:
     """How large a piece is that reaches beyond the first photograph."""
-    if found is not None and found.several is not None and found.several.reach is not None:
-        yield found.several.reach.says()
+    if estimate is not None and estimate.several is not None and estimate.several.reach is not None:
+        yield estimate.several.reach.says()
 
 
 def _rules(settings: CaptureSettings, photographs: int) -> Iterable[str]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.find import FoundPiece
+from matcap.capture.piece.find import ExemplarEstimate
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.verdict.judge import CaptureVerdict
 from matcap.capture.verdict.measurements import Measurements
@@ -54,7 +54,7 @@ class CaptureResult:
         stage_seconds: per stage.
         settings: as given.
         interrupted: ended by Ctrl-C, with the best so far.
-        found: the photographed piece; None where only a decoder was asked for.
+        estimate: the photographed piece; None where only a decoder was asked for.
         tuning: of the decoder, where one was asked for.
     """
 
@@ -68,7 +68,7 @@ class CaptureResult:
     stage_seconds: Mapping[str, float]
     settings: CaptureSettings
     interrupted: bool
-    found: FoundPiece | None = None
+    estimate: ExemplarEstimate | None = None
     tuning: Tuning | None = None
 
     @property
@@ -90,6 +90,6 @@ class CaptureResult:
         """
         field = self.measurements.texture
         return {
-            "piece": None if self.found is None else self.found.error,
+            "piece": None if self.estimate is None else self.estimate.error,
             "field": field if math.isfinite(field) else None,
         }

@@ -30,14 +30,14 @@ def upright(result: CaptureResult, waves: Sequence[Wave]) -> CaptureResult:
         result: of a photograph; what is judged of it stays as it is.
         waves: of the photograph's regular order, lying.
     """
-    photo, found = result.photo, result.found
+    photo, estimate = result.photo, result.estimate
     if not photo.turned:
         return result
-    if found is None or "example" not in result.material.generators:
+    if estimate is None or "example" not in result.material.generators:
         return replace(result, photo=replace(photo, notes=(*photo.notes, LIES)))
     # Columns of the upright picture are rows of the lying one from below, rows are its columns.
     stood = tuple((-wave.fy, wave.fx) for wave in waves)
-    example = Example.of(found.exemplar.turned(), stood).varied(found.example.variety)
+    example = Example.of(estimate.exemplar.turned(), stood).varied(estimate.example.variety)
     material = replace(
         result.material,
         generators={**result.material.generators, "example": example},
@@ -52,7 +52,7 @@ def upright(result: CaptureResult, waves: Sequence[Wave]) -> CaptureResult:
         maps=maps,
         rectified=standing(result.rectified),
         rerendered=rerendered,
-        found=replace(found, example=example, turned=True),
+        estimate=replace(estimate, example=example, turned=True),
     )
 
 

@@ -285,8 +285,8 @@ def camera(
     from matcap.lab.bench.cameras import ABOUT, camera_experiment
     from matcap.lab.simulate.specimen import subjects
 
-    found = find_samples(photographs) if photographs else []
-    real = [one.photos[0] for one in found if one.photos[0].name.startswith(begins)]
+    samples = find_samples(photographs) if photographs else []
+    real = [one.photos[0] for one in samples if one.photos[0].name.startswith(begins)]
     specimens = [] if photographs else subjects(material or (), sets)
     _print(camera_experiment(real, specimens, falloff, developed=jpeg), out, ABOUT)
 

@@ -51,7 +51,7 @@ def captures(tmp_path_factory):
 
 
 def test_the_piece_is_the_lying_one_turned(captures):
-    lying, standing = (captures[name].found.exemplar for name in ("lying", "standing"))
+    lying, standing = (captures[name].estimate.exemplar for name in ("lying", "standing"))
     assert standing.size == lying.size[::-1] and standing.size[0] < standing.size[1]
     for name in ("diffuse", "roughness", "height", "confidence"):
         expected = np.rot90(getattr(lying, name), -1, (1, 2))
@@ -101,7 +101,7 @@ def test_by_its_own_flash_it_looks_like_the_photograph(captures, written, of):
     known = open_photographed(written / of)
     assert known.size == (144, 192)
     scene = photographed_scene(known.setup, Film(144, 192), endless=False)
-    seen = relight(captures["standing"].found.example.piece(), scene).mean(-1)
+    seen = relight(captures["standing"].estimate.example.piece(), scene).mean(-1)
     lying = captures["standing"].photo.pixels
     photograph = cv2.resize(np.rot90(lying, -1), (144, 192), interpolation=cv2.INTER_AREA).mean(-1)
     assert alike(seen, photograph) > 0.9

@@ -61,8 +61,8 @@ Stage = Callable[[str], AbstractContextManager[None]]
 
 
 @dataclass(frozen=True)
-class FoundPiece:
-    """The photographed piece and how it was found.
+class ExemplarEstimate:
+    """The estimate of an exemplar: its maps, and how well they explain the photograph.
 
     Attributes:
         example: its maps, indexed to be rearranged.
@@ -73,7 +73,7 @@ class FoundPiece:
         sharpness: strength of the finest octave of log radiance, re-rendering over photograph.
         adaptation: what every leg of it came to; none where it was not asked for.
         interrupted: ended by Ctrl-C.
-        several: what was found of several photographs, where there were.
+        several: report on several photographs, where there were.
         scale: of albedo and F0, by which the flash is weaker than the coarse fit has it
             (absolute.py).
         turned: its maps stand upright, as a portrait photograph is looked at (upright.py).
@@ -210,7 +210,7 @@ def find_piece(
     seed: int = 0,
     stage: Stage = lambda name: nullcontext(),
     on_progress: Callable[[float], None] | None = None,
-) -> FoundPiece:
+) -> ExemplarEstimate:
     """Maps of the photographed piece, stage by stage.
 
     An interrupt while it is refined or adapted ends with the best so far; one before that goes on.
@@ -297,11 +297,11 @@ def _estimate(
     explained: _Explained,
     strengths: Strengths | None,
     example: Example,
-) -> FoundPiece:
+) -> ExemplarEstimate:
     """The piece, and what its re-rendering leaves of the photograph."""
     departures, plane = explained.reading.departures, sight.plane
     left = remaining(departures, plane.linear, plane.measured, sight.light)
-    return FoundPiece(
+    return ExemplarEstimate(
         example=example,
         strengths=strengths,
         error=_median(left, sight),

@@ -22,7 +22,7 @@ from matcap.capture.detail import plane_in_detail, to_be_read
 from matcap.capture.piece.absolute import most_probable_scale, scaled
 from matcap.capture.piece.classes import Classes
 from matcap.capture.piece.find import (
-    FoundPiece,
+    ExemplarEstimate,
     Reading,
     Sight,
     classified,
@@ -77,18 +77,18 @@ OnStage = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
-class FoundTogether:
-    """A piece that several photographs show.
+class MultiViewEstimate:
+    """The exemplar estimated from several photographs of one sample.
 
     Attributes:
-        found: the piece.
+        estimate: of the exemplar.
         coarse: fit of the first photograph, its camera estimated from all.
         plane: the first photograph on it.
         waves: of its regular order.
         photo: the first photograph, without what the room added to its light.
     """
 
-    found: FoundPiece
+    estimate: ExemplarEstimate
     coarse: CoarseFit
     plane: Plane
     waves: tuple[Wave, ...]
@@ -113,7 +113,7 @@ class _Single:
 
 
 @torch.no_grad()
-def find_together(
+def estimate_together(
     photos: Sequence[Photo],
     network: Inverse,
     detail: int | None,
@@ -121,7 +121,7 @@ def find_together(
     union: bool = False,
     stage: Stage,
     on_progress: OnStage,
-) -> FoundTogether:
+) -> MultiViewEstimate:
     """The piece of several photographs; an interrupt ends with the best so far.
 
     Args:
@@ -167,11 +167,11 @@ def find_together(
     with stage("index"):
         example, scale = _indexed(first, exemplar, single.metal, lattice.waves, reach)
     report = SetReport.of(registration, poses, solved, ahead, reach)
-    piece = FoundPiece(
+    piece = ExemplarEstimate(
         example, single.strengths, solved.residual[0], 0.0, 1.0, (), interrupted, report, scale
     )
     sharp = sharpness(piece_maps(piece.framed), plane, coarse)
-    return FoundTogether(replace(piece, sharpness=sharp), coarse, plane, lattice.waves, first)
+    return MultiViewEstimate(replace(piece, sharpness=sharp), coarse, plane, lattice.waves, first)
 
 
 def _whole(

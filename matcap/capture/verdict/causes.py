@@ -92,14 +92,14 @@ class CauseMeasurements:
     photographs: int = 1
     """That the piece was made of."""
 
-    def beside(
+    def with_photograph(
         self,
         pixels: Picture,
         smooth: tuple[SmoothLight, SmoothLight],
         pictures: tuple[Picture, Picture],
         highlights: tuple[Highlight | None, Highlight | None],
     ) -> CauseMeasurements:
-        """With what the photograph beside its re-rendering shows.
+        """Add measurements from the photograph and its re-rendering.
 
         Args:
             pixels: (H, W, 3) the photograph, linear, 1 at clipping.
@@ -145,8 +145,8 @@ def more_photographs(given: int) -> str:
 
 def causes(measured: CauseMeasurements) -> tuple[Cause, ...]:
     """All that show, the strongest first."""
-    found = [cause for cause in _all(measured) if cause.strength >= 1.0]
-    return tuple(sorted(found, key=lambda cause: -cause.strength))
+    visible = [cause for cause in _all(measured) if cause.strength >= 1.0]
+    return tuple(sorted(visible, key=lambda cause: -cause.strength))
 
 
 def _all(measured: CauseMeasurements) -> Iterator[Cause]:
@@ -223,8 +223,8 @@ def _brightest_side(light: SmoothLight) -> float:
     height, width = light.shape
     rows, columns = (max(1, round(CAUSES.strip * side)) for side in (height, width))
     sides = (light[:rows], light[-rows:], light[:, :columns], light[:, -columns:])
-    away = np.hypot(*_from_middle(light.shape)) * 2.0
-    around = light[(away > CAUSES.around[0]) & (away < CAUSES.around[1])]
+    distance = np.hypot(*_from_middle(light.shape)) * 2.0
+    around = light[(distance > CAUSES.around[0]) & (distance < CAUSES.around[1])]
     brightest = max(float(np.median(side)) for side in sides)
     return float(np.log((brightest + 1e-6) / (np.median(around) + 1e-6)))
 
@@ -256,23 +256,25 @@ def _streak(
     pictures: tuple[Picture, Picture], highlights: tuple[Highlight | None, Highlight | None]
 ) -> float:
     first, second = (
-        None if found is None else _elongation(light_of(picture), found)
-        for picture, found in zip(pictures, highlights, strict=True)
+        None if highlight is None else _elongation(light_of(picture), highlight)
+        for picture, highlight in zip(pictures, highlights, strict=True)
     )
     if first is None:
         return 1.0
     return max(first / (second or 1.0), 1.0)
 
 
-def _elongation(light: SmoothLight, found: Highlight) -> float | None:
+def _elongation(light: SmoothLight, highlight: Highlight) -> float | None:
     """A highlight's length over its width."""
     height, width = light.shape
     blurred = cv2.GaussianBlur(light, (0, 0), CAUSES.streak_blur * width / 2.0)
     v, u = np.mgrid[:height, :width].astype(np.float64)
     u, v = (u + 0.5) * 2.0 / width - 1.0, (height - 2.0 * (v + 0.5)) / width
-    u, v = u - found.centre[0], v - found.centre[1]
-    half = 0.5 * (found.peak + found.surroundings)
-    over = np.clip(blurred - half, 0.0, found.peak - half) * (np.hypot(u, v) < 3.0 * found.width)
+    u, v = u - highlight.centre[0], v - highlight.centre[1]
+    half = 0.5 * (highlight.peak + highlight.surroundings)
+    over = np.clip(blurred - half, 0.0, highlight.peak - half) * (
+        np.hypot(u, v) < 3.0 * highlight.width
+    )
     if over.sum() <= 0.0:
         return None
     spread = np.cov(np.stack([u.ravel(), v.ravel()]), aweights=over.ravel())
@@ -288,8 +290,8 @@ def _plane(shape: Sequence[int]) -> SmoothLight:
 
 def _rings(shape: Sequence[int]) -> SmoothLight:
     """(rings, h, w) shares of rings around the middle, which add up to 1."""
-    away = np.hypot(*_from_middle(shape))
-    at = away / away.max() * (CAUSES.rings - 1)
+    distance = np.hypot(*_from_middle(shape))
+    at = distance / distance.max() * (CAUSES.rings - 1)
     return np.stack([np.clip(1.0 - np.abs(at - ring), 0.0, 1.0) for ring in range(CAUSES.rings)])
 
 

@@ -24,7 +24,7 @@ class FindingSettings:
     """Plane units, half width: a highlight plain to see is narrower than the falloff, ..."""
     faintest: float = 2.0
     """... and so many times brighter than its surroundings."""
-    apart: tuple[float, float] = (0.03, 0.1)
+    place_tolerance: tuple[float, float] = (0.03, 0.1)
     """Tolerance of a highlight's place: plane units, and shares of its width more."""
     plain_order: float = 0.15
     """Likeness of a photograph whose order is plain to see."""
@@ -82,9 +82,9 @@ def _highlight(seen: Measurements) -> Iterator[Finding]:
     before, after = seen.highlights
     if before is None or after is None or not (plain(before) or plain(after)):
         return
-    apart = math.dist(before.centre, after.centre)
-    tolerance = FINDINGS.apart[0] + FINDINGS.apart[1] * before.width
-    yield CHECKS["highlight_place"].finding(apart / tolerance, off=50.0 * apart)
+    distance = math.dist(before.centre, after.centre)
+    tolerance = FINDINGS.place_tolerance[0] + FINDINGS.place_tolerance[1] * before.width
+    yield CHECKS["highlight_place"].finding(distance / tolerance, off=50.0 * distance)
     yield CHECKS["highlight_width"].finding(after.width / before.width)
 
 
@@ -150,11 +150,11 @@ def _piece(seen: Measurements, more: str) -> Iterator[Finding]:
     yield CHECKS["confidence"].finding(guessed, least=least)
 
 
-def _residue(found: Mapping[str, float], more: str) -> Finding:
+def _residue(residue: Mapping[str, float], more: str) -> Finding:
     """Of the map in which it is most visible."""
-    name = max(RESIDUES, key=lambda one: found[one] / RESIDUES[one][0])
+    name = max(RESIDUES, key=lambda one: residue[one] / RESIDUES[one][0])
     visible, says = RESIDUES[name]
-    amount = found[name] if name == "roughness" else math.exp(found[name])
+    amount = residue[name] if name == "roughness" else math.exp(residue[name])
     return CHECKS["highlight_residue"].finding(
-        found[name] / visible, more=more, found=says.format(amount)
+        residue[name] / visible, more=more, estimate=says.format(amount)
     )

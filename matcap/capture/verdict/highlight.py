@@ -120,9 +120,9 @@ def highlight_profile(
         setup: camera and flash.
     """
     lights = [picture.mean(axis=2) for picture in pictures]
-    away, matte = from_mirror_point(setup, seen.shape), _matte(setup, seen.shape)
+    distance, matte = from_mirror_point(setup, seen.shape), _matte(setup, seen.shape)
     rings = [
-        seen & (away >= inner) & (away < outer)
+        seen & (distance >= inner) & (distance < outer)
         for inner, outer in zip(_EDGES, _EDGES[1:], strict=False)
     ]
     if not all(ring.any() for ring in rings):
@@ -130,7 +130,7 @@ def highlight_profile(
     levels = np.array([[each[ring].sum() / matte[ring].sum() for each in lights] for ring in rings])
     levels /= np.maximum(levels[-1], 1e-9)
     reach = _reach(levels[:, 0])
-    region = seen & measured & (lights[1] < 1.0) & (away < reach)
+    region = seen & measured & (lights[1] < 1.0) & (distance < reach)
     glints = [_octaves(each, region) for each in lights] if region.mean() >= _LEAST else [[], []]
     return HighlightProfile(
         tuple((float(before), float(after)) for before, after in levels),

@@ -29,7 +29,7 @@ class CaptureVerdict:
     @property
     def severity(self) -> float:
         """Of all findings together, on their scale."""
-        return float(sum(found.severity**NORM for found in self.findings) ** (1.0 / NORM))
+        return float(sum(finding.severity**NORM for finding in self.findings) ** (1.0 / NORM))
 
     @property
     def rating(self) -> Rating:
@@ -44,7 +44,7 @@ class CaptureVerdict:
     @property
     def worst(self) -> Finding:
         """The largest difference."""
-        return max(self.findings, key=lambda found: found.severity)
+        return max(self.findings, key=lambda finding: finding.severity)
 
     def sentence(self) -> str:
         """The verdict in one line: the word, the largest difference, its cause and what to do."""
@@ -74,7 +74,7 @@ class CaptureVerdict:
             "causes": [
                 {"name": one.name, "says": one.says, "remedy": one.remedy} for one in self.causes
             ],
-            "checks": {found.name: found.document() for found in self.findings},
+            "checks": {finding.name: finding.document() for finding in self.findings},
         }
 
 

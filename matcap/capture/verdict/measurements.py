@@ -152,7 +152,7 @@ def measured(
         offset=math.hypot(*setup.offset[:2]),
         piece=piece.maps,
         residue=piece.residue,
-        causes=causes.beside(photo.pixels, smooth, pictures, highlights),
+        causes=causes.with_photograph(photo.pixels, smooth, pictures, highlights),
     )
 
 
@@ -258,9 +258,9 @@ def texture_difference(plane: Plane, rendering: Tensor) -> float:
         return describe(torch.stack(cut), plane.encoding, bank)
 
     with torch.inference_mode():
-        here, beside = described(plane.linear, 0), described(plane.linear, MEASURED.window)
+        here, neighbour = described(plane.linear, 0), described(plane.linear, MEASURED.window)
         there = described(rendering, 0)
-        own = float(distance(beside, here, weights).median())
+        own = float(distance(neighbour, here, weights).median())
         return float(distance(there, here, weights).median()) / max(own, 1e-6)
 
 

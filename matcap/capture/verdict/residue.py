@@ -41,7 +41,7 @@ def highlight_residue(piece: Exemplar, setup: FlashSetup) -> dict[str, float]:
         `albedo` and `specular` (logarithm), `roughness`, and `grain`: the logarithm of slopes'
         strength.
     """
-    away = from_mirror_point(setup, piece.size[::-1])
+    distance = from_mirror_point(setup, piece.size[::-1])
     step = piece.texel_size
     slopes = np.gradient(piece.height[0].astype(np.float64) / step)
     steep = _blocks(np.square(slopes[0]) + np.square(slopes[1]))
@@ -52,7 +52,7 @@ def highlight_residue(piece: Exemplar, setup: FlashSetup) -> dict[str, float]:
         # A flat piece has slopes of a thousandth, from rounding.
         "grain": 0.5 * np.log(steep + 1e-4),
     }
-    distances = _blocks(away)
+    distances = _blocks(distance)
     return {name: in_rings(plane, distances) for name, plane in planes.items()}
 
 

@@ -77,10 +77,10 @@ def camera_experiment(
 
     @cache
     def profile() -> CameraProfile:
-        found = camera_profile("bench", [fitted(one().photo) for one in prepared.values()])
-        if found is None:
+        profiled = camera_profile("bench", [fitted(one().photo) for one in prepared.values()])
+        if profiled is None:
             raise MatcapError("there are too few photographs", remedy="give five or more")
-        return found
+        return profiled
 
     def under_profile(subject: CameraSubject, _seed: int) -> CoarseFit:
         return fitted(replace(subject.photo, profile=profile()))
@@ -92,13 +92,13 @@ def camera_experiment(
             "alone": Configuration(lambda subject, _seed: fitted(subject.photo)),
             "one camera": Configuration(under_profile),
         },
-        (found_of,),
+        (fit_errors,),
         settings=(falloff, developed, list(prepared)),
     )
 
 
-def found_of(subject: CameraSubject, fit: CoarseFit) -> Mapping[str, Value]:
-    """What a fit says, and beside the truth how far it is off."""
+def fit_errors(subject: CameraSubject, fit: CoarseFit) -> Mapping[str, Value]:
+    """Parameters of a coarse fit, and their errors against the truth."""
     lost = fit.setup.vignetting + fit.setup.vignetting_quartic
     said = {"lost": lost, "metal": float(fit.conductor), "roughness": fit.roughness}
     names = ("lost off", "roughness off", "F0 off", "albedo off", "F0 over albedo off")

@@ -142,6 +142,6 @@ def _capture_gloss(
         fit = fit_coarse(photo)
         return Gloss(fit.roughness, fit.specular, clipped)
     result = capture_photo(photo, CaptureSettings(preset="instant", detail=512))
-    assert result.found is not None
-    maps = result.found.exemplar
+    assert result.estimate is not None
+    maps = result.estimate.exemplar
     return Gloss(float(maps.roughness.mean()), float(maps.specular.mean()), clipped)

@@ -73,8 +73,8 @@ def metals_experiment(
         if known:
             photo = replace(photo, flash_intensity=metal.shot.setup.intensity[1])
         result = capture_photo(photo, settings)
-        assert result.found is not None
-        return piece_maps(result.found.exemplar)
+        assert result.estimate is not None
+        return piece_maps(result.estimate.exemplar)
 
     return Experiment(
         "metals",

@@ -15,7 +15,7 @@ import torch
 
 from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.capture.method import Method
-from matcap.capture.piece.find import FoundPiece, piece_maps
+from matcap.capture.piece.find import ExemplarEstimate, piece_maps
 from matcap.capture.pipeline import capture_photo, read_photograph
 from matcap.capture.settings import PRESETS, CaptureSettings
 from matcap.errors import UsageError
@@ -102,14 +102,14 @@ class Rearranged:
         return MapSet.from_stacked(stacked, self.texel_size)
 
 
-def capture_exemplar(path: Path, detail: int) -> tuple[FoundPiece, FlashSetup]:
+def capture_exemplar(path: Path, detail: int) -> tuple[ExemplarEstimate, FlashSetup]:
     """The exemplar of a photograph's file, and its setup as fitted."""
     settings = CaptureSettings(steps=0, detail=detail, aligned=True)  # no decoder is asked for
     method = Method(adapted=PRESETS["standard"].adapted)
     photo = read_photograph(path, settings, method)
     result = capture_photo(photo, settings, method=method)
-    assert result.found is not None
-    return result.found, result.material.setup
+    assert result.estimate is not None
+    return result.estimate, result.material.setup
 
 
 def photographed_exemplar(path: Path, detail: int) -> Fixed:

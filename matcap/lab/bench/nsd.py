@@ -127,8 +127,8 @@ def flash_imprint(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Valu
     """Imprint of the flash by map, in [-1, 1]; 0 is none."""
     whole = maps[0]
     if (
-        captured.result.found is None
-        or whole.size != piece_maps(captured.result.found.exemplar).size
+        captured.result.estimate is None
+        or whole.size != piece_maps(captured.result.estimate.exemplar).size
     ):
         return {}
     towards = highlight_foot(captured.result.material.setup)
@@ -163,8 +163,8 @@ def _albedo(captured: CapturedSubject, seed: int) -> LitMaps:
 
 def _exemplar(captured: CapturedSubject, seed: int) -> LitMaps:
     del seed
-    assert captured.result.found is not None
-    maps = piece_maps(captured.result.found.exemplar)
+    assert captured.result.estimate is not None
+    maps = piece_maps(captured.result.estimate.exemplar)
     return maps, captured.result.material.setup.intensity
 
 

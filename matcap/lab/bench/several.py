@@ -77,7 +77,7 @@ class TakenSubject:
 
     def true_on(self, result: CaptureResult) -> Callable[[int, int], MapSet]:
         """True maps on the plane that was found."""
-        several = None if result.found is None else result.found.several
+        several = None if result.estimate is None else result.estimate.several
         bent = (0.0, 0.0) if several is None else several.bent
         realise = self.subject.pieces(self.subject.seed)
         phone = self.evaluator.settings.camera
@@ -141,8 +141,8 @@ def several_experiment(
 
 def nsd(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """Normalised style distance of the exemplar, tilts, and seconds of the capture."""
-    assert result.found is not None
-    maps, evaluator = piece_maps(result.found.framed), taken.evaluator
+    assert result.estimate is not None
+    maps, evaluator = piece_maps(result.estimate.framed), taken.evaluator
     middle = evaluator.middle(maps)
     numbers = compared_numbers(middle, evaluator.truths)
     return {
@@ -155,15 +155,15 @@ def nsd(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
 
 def off(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """What the first photograph's rectangle is off by."""
-    assert result.found is not None
-    maps = piece_maps(result.found.framed)
+    assert result.estimate is not None
+    maps = piece_maps(result.estimate.framed)
     return asdict(MapsOff.of(maps, taken.true_on(result)(*maps.size)))
 
 
 def residuals(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """Photographs used, and what they are off by from re-renderings."""
     del taken
-    several = None if result.found is None else result.found.several
+    several = None if result.estimate is None else result.estimate.several
     if several is None:
         return {"used": 1.0, "residual": math.nan, "predicted": math.nan}
     return {
@@ -179,7 +179,7 @@ def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     A texel that one photograph drew lies where that one was registered, which is beside its place
     by more the farther it is from the first: truth is looked up along its rays.
     """
-    piece = result.found
+    piece = result.estimate
     reach = None if piece is None or piece.several is None else piece.several.reach
     if piece is None or piece.several is None or reach is None:
         return {}

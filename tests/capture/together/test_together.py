@@ -202,7 +202,7 @@ def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
     fractions = [now.fraction for now in told]
     assert fractions == sorted(fractions)
     assert any("leather_9 was left out" in warning for warning in warnings(result))
-    assert result.found is not None and result.found.error < 0.1
+    assert result.estimate is not None and result.estimate.error < 0.1
 
     write_outputs(result, tmp_path / "plaster", OutputSettings((32, 32)))
     report = json.loads((tmp_path / "plaster/report.json").read_text())
@@ -222,7 +222,7 @@ def test_boards_are_kept_whole_as_of_one_photograph():
     photos = [as_photo(one.shot, n, f"planks_{n}") for n, one in enumerate(shots)]
     settings = CaptureSettings(preset="instant", detail=192)
     result = capture_photo(photos[0], settings, others=photos[1:])
-    assert result.found is not None and result.found.example.variety < 1.0
+    assert result.estimate is not None and result.estimate.example.variety < 1.0
 
 
 def test_nothing_in_common_is_refused(held, foreign):

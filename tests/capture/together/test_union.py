@@ -198,18 +198,18 @@ def captured():
 
 def test_two_photographs_that_share_a_half_are_one_larger_piece(captured):
     cameras, leather, result = captured
-    reach = result.found.several.reach
+    reach = result.estimate.several.reach
     assert 1.35 < reach.times < 1.75
-    piece = piece_maps(result.found.exemplar)
+    piece = piece_maps(result.estimate.exemplar)
     assert piece.size == reach.margins.around((192, 144))
     assert piece.texel_size == pytest.approx(2.0 / 192)
-    assert result.found.framed.size == (192, 144)
+    assert result.estimate.framed.size == (192, 144)
     # What nobody saw is believed by nobody.
-    known = seen_by_any(result.found.several.views, reach).numpy()
-    trusted = result.found.exemplar.confidence
+    known = seen_by_any(result.estimate.several.views, reach).numpy()
+    trusted = result.estimate.exemplar.confidence
     assert (trusted[:, ~known] == 0.0).all() and trusted[0][known].mean() > 0.3
 
-    other = result.found.several.views[1].camera
+    other = result.estimate.several.views[1].camera
     points = grid_points(*piece.size, reach.extent)
     beyond = torch.from_numpy(sees(other, points, 0.75, UNION.steepest))
     beyond &= ~reach.margins.own(reach.size)
@@ -226,14 +226,14 @@ def test_a_union_is_written_and_told(captured, tmp_path):
     result = replace(result, settings=replace(result.settings, aligned=True, preset="high"))
     write_outputs(result, tmp_path / "leather", OutputSettings((32, 32)))
     told = json.loads((tmp_path / "leather/report.json").read_text())
-    assert told["several"]["union"]["times"] == pytest.approx(result.found.several.reach.times)
+    assert told["several"]["union"]["times"] == pytest.approx(result.estimate.several.reach.times)
     assert any("all that the photographs show" in note for note in told["notes"])
     assert told["settings"]["union"] is True
     assert told["effort"]["preset"] == "high" and told["effort"]["adapted"] == 0  # none was run
     assert not any("its rectangle" in warning for warning in told["warnings"])
     # Maps of all of the piece, whose middle is not the photograph's.
     piece, _ = read_mapset(tmp_path / "leather/leather_photo.json")
-    assert piece.size == result.found.exemplar.size
+    assert piece.size == result.estimate.exemplar.size
     assert open_photographed(tmp_path / "leather/leather_photo.json") is None
     assert open_photographed(tmp_path / "leather/leather.matcap").size is None
 

@@ -11,7 +11,7 @@ from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.flash.coarse import CoarseFit
 from matcap.lab.bench import cameras
-from matcap.lab.bench.cameras import CameraSubject, camera_experiment, found_of
+from matcap.lab.bench.cameras import CameraSubject, camera_experiment, fit_errors
 from matcap.lab.simulate.specimen import subjects
 
 
@@ -28,11 +28,11 @@ def test_errors_are_of_what_was_simulated_and_only_of_that(subject):
     setup = replace(a_setup(), vignetting=0.4, vignetting_quartic=0.6)
     mean = float(true.diffuse.mean())
     fit = CoarseFit((mean,) * 3, 2.0 * float(true.specular.mean()), 0.5, setup, residual=0.0)
-    found = found_of(subject, fit)
+    found = fit_errors(subject, fit)
     assert found["lost off"] == pytest.approx(0.1)
     assert found["F0 over albedo off"] == pytest.approx(math.log(2.0))
     assert found["albedo off"] == pytest.approx(0.0, abs=1e-6)
-    alone = found_of(replace(subject, truth=None), fit)
+    alone = fit_errors(replace(subject, truth=None), fit)
     assert alone["lost"] == pytest.approx(1.0) and math.isnan(alone["lost off"])
 
 

@@ -64,7 +64,7 @@ def test_the_others_end_in_finite_maps(name):
     asked = settings(prior=prior, preset=preset, aligned=True, generator="decoder")
     result = capture_array(made(name), asked, name)
     assert finite(result)
-    assert within_ranges(result.found, seed=1)
+    assert within_ranges(result.estimate, seed=1)
     assert len(result.tuning.history) == 2
     maps = result.maps.stacked()
     assert maps[:5].min() >= 0 and maps[:5].max() <= 1
@@ -100,7 +100,7 @@ def test_half_the_exposure_gives_the_same_maps():
         capture_array(gain * textured(WIDTH, HEIGHT, 3), settings(), "exposed")
         for gain in (0.5, 0.25)
     )
-    pieces = [result.found.exemplar for result in (bright, dark)]
+    pieces = [result.estimate.exemplar for result in (bright, dark)]
     seen = torch.from_numpy(np.minimum(*(p.confidence[0] for p in pieces)) > 0.0)
     seen = -torch.nn.functional.max_pool2d(-seen[None].float(), 41, 1, 20)[0] > 0.0
     assert seen.float().mean() > 0.2

@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.capture.method import Method
-from matcap.capture.piece.find import FoundPiece
+from matcap.capture.piece.find import ExemplarEstimate
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
@@ -171,9 +171,9 @@ def finite(result: CaptureResult) -> bool:
         tensors += [moment for pair in tuned.moments for moment in pair]
         tensors += list(tuned.decoder.state_dict().values())
     numbers = [*material.setup.offset, *material.setup.tilt, *material.setup.intensity]
-    if result.found is not None:
-        tensors += _piece(result.found, result.settings.seed)
-        numbers += [result.found.error, result.found.slow]
+    if result.estimate is not None:
+        tensors += _piece(result.estimate, result.settings.seed)
+        numbers += [result.estimate.error, result.estimate.slow]
     return (
         all(bool(torch.isfinite(tensor).all()) for tensor in tensors)
         and bool(np.isfinite(result.rerendered).all())
@@ -181,7 +181,7 @@ def finite(result: CaptureResult) -> bool:
     )
 
 
-def within_ranges(found: FoundPiece, seed: int) -> bool:
+def within_ranges(found: ExemplarEstimate, seed: int) -> bool:
     """Whether albedo, F0 and roughness of the piece and of a field made of it are in [0, 1]."""
     return all(
         bool((maps[:5] >= 0.0).all() and (maps[:5] <= 1.0).all())
@@ -189,7 +189,7 @@ def within_ranges(found: FoundPiece, seed: int) -> bool:
     )
 
 
-def _piece(found: FoundPiece, seed: int) -> list[torch.Tensor]:
+def _piece(found: ExemplarEstimate, seed: int) -> list[torch.Tensor]:
     """The piece's maps, small fields that rearrange them, and what the photograph told."""
     area = Rectangle(0, 0, _FIELD, _FIELD)
     fields = [found.example.varied(variety).maps(seed, area, None) for variety in _VARIETIES]
@@ -244,11 +244,11 @@ def _photograph_row(name: str, count: int, settings: StabilitySettings) -> Row:
         history = result.tuning.history if result.tuning else ()
         taken_back = settings.steps - len(history)
         row = replace(row, gradients=row.gradients + taken_back)
-        assert result.found is not None
-        if not (finite(result) and within_ranges(result.found, asked.seed)):
+        assert result.estimate is not None
+        if not (finite(result) and within_ranges(result.estimate, asked.seed)):
             row = replace(row, values=row.values + 1, where=f"seed {asked.seed}, {asked.prior}")
         worst = max([worst, *(error for _, _, error in history[-1:])])
-        of_piece = max(of_piece, result.found.error)
+        of_piece = max(of_piece, result.estimate.error)
     return replace(row, worst=f"style {worst:.2g}, piece {of_piece:.2g}" if worst else "")
 
 
@@ -301,10 +301,10 @@ def _whole_row(name: str, count: int, settings: StabilitySettings) -> Row:
         row, result = _attempted(replace(row, draws=row.draws + 1), captured)
         if result is None:
             continue
-        assert result.found is not None
-        if not (finite(result) and within_ranges(result.found, seed)):
+        assert result.estimate is not None
+        if not (finite(result) and within_ranges(result.estimate, seed)):
             row = replace(row, values=row.values + 1, where=f"seed {seed}")
-        worst = max(worst, result.found.error)
+        worst = max(worst, result.estimate.error)
     return replace(row, worst=f"piece {worst:.2g}" if worst else "")
 
 
