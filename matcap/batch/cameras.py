@@ -20,7 +20,7 @@ from matcap.photo.camera import LEAST, CameraProfile, read_camera_profile
 from matcap.photo.exif import read_exif
 
 FILE = "camera.json"  # in the output; of more cameras camera-2.json, ...
-_MOST = 48  # photographs that are fitted: more hardly tell more
+_MOST = 48  # photographs that are fitted: more add hardly anything
 _PIXELS = 512  # across, of which the coarse fit sees blurred ones alone
 
 
@@ -81,7 +81,7 @@ def camera_of(photo: Path, shoot: Path) -> str:
     """The name of a photograph's camera, or what else its photographs have in common."""
     try:
         said = read_exif(photo).camera
-    except OSError:  # whoever captures it will say so
+    except OSError:  # the capture reports it
         said = ""
     pixels, raw = photo_pixels(photo)
     if not said:

@@ -40,7 +40,7 @@ def identity(
         settings: how it is captured and written.
         prior: prior_hash of its prior.
         card: hash of the calibration that is applied, or "".
-        profile: of the camera that the shoot tells, if it does.
+        profile: of the camera, estimated from the shoot, or None.
         version: of matcap.
 
     Raises:

@@ -65,7 +65,7 @@ class Run:
     def publish(self, stage: Path) -> Path:
         """Give a finished stage its name in the output; what stood there makes room.
 
-        Files that nobody remembers writing move to the new folder. The name is missing for a
+        Files of unknown origin move to the new folder. The name is missing for a
         moment, and never holds part of a material. Of two runs at once, the last one stays.
 
         Raises:

@@ -115,7 +115,7 @@ def _tune(
 
 
 def _on_step(clock: CaptureClock, own: float) -> OnStep:
-    """What tells a step of fine-tuning."""
+    """Progress callback of fine-tuning, with a forecast."""
     ahead = Forecaster(own)
     return lambda share, error, seconds: clock.tuning(share, *ahead.after(error, seconds))
 

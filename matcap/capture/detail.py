@@ -27,7 +27,7 @@ UNION_TIMES = 4  # a piece of several photographs over the first one's texels, a
 
 @dataclass(frozen=True)
 class DetailSettings:
-    """What is tuned of telling coarse textures; docs/notes/capture.md."""
+    """Detection of coarse textures; docs/notes/capture.md."""
 
     scales: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
     """Texels: deviations of the blurs between the bands."""
@@ -107,7 +107,7 @@ def to_be_read(plane: Plane, waves: tuple[Wave, ...] = ()) -> tuple[Plane, tuple
 
     Args:
         plane: of at least as many; one of fewer than DETAIL is read as it is.
-        waves: of its regular order, which is told to the network outright, however long its period.
+        waves: of its regular order, which the network receives as input, however long its period.
 
     Returns:
         The same plane, if it suits.

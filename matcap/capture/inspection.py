@@ -29,7 +29,7 @@ class InspectedPhotograph:
 
     Attributes:
         quality: how good it is, and what to do at the next shot.
-        strengths: of relief and albedo, where they are told outright.
+        strengths: of relief and albedo, where they can be measured.
         tilt: what the branch and what the picture says of it (capture/tilt.py).
     """
 

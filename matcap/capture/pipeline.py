@@ -157,7 +157,7 @@ def capture_photo(
         photo: as read_photograph gives it.
         settings: what the user decides.
         progress: called as the work goes on.
-        method: how to do it; the best known way unless told otherwise.
+        method: how to do it; the best known way by default.
         others: more photographs of the same sample (flash/joint.py); the result shows the first.
 
     Raises:

@@ -239,13 +239,13 @@ def _picture(maps: MapSet, kind: str) -> NDArray[np.float32]:
 
 
 def _coloured(kind: str, values: NDArray[np.float32]) -> Panel:
-    """A map with a colour as it is; the label tells its mean."""
+    """A map with a colour as it is; its mean in the label."""
     mean = " ".join(f"{value:.2f}" for value in values.mean(axis=(0, 1)))
     return Panel(f"{kind}: {mean} on average", srgb_picture(values))
 
 
 def _stretched(kind: str, values: NDArray[np.float32]) -> Panel:
-    """Grey between the map's own ends, which the label tells."""
+    """Grey between the map's own ends, printed in the label."""
     low, high = (float(v) for v in np.quantile(values, (0.002, 0.998)))
     label = f"{kind}: {low:.3g} to {high:.3g}"
     short = max(_LEAST_SPAN[kind] - (high - low), 0.0)

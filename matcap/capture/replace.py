@@ -73,7 +73,7 @@ def _longer(old: dict[str, Any], settings: CaptureSettings, photographs: int) ->
         return [f"one of {before} photographs"]
     work = "steps" if settings.generator == "decoder" else "adapted"
     spent = old.get("effort", {})
-    # Several photographs are not adapted, and tell more than one that is.
+    # Several photographs are not adapted, and rank above one that is.
     solved = photographs > 1 and settings.generator == "example"
     if solved or spent.get(work, 0) <= getattr(resolve(settings), work):
         return []

@@ -43,7 +43,7 @@ Keys:
         radiance between photograph and re-rendering), `slow` (its slow part, not the
         material's), `left_out` (share that matches nothing else in it, and is not rearranged),
         `variety` (how far its field takes it apart, from 0 to 1), `pieces` (how large, in words),
-        `strengths` (root-mean-square slope and log albedo that the photograph tells outright, by
+        `strengths` (root-mean-square slope and log albedo measured by the photograph, by
         band; see capture/piece/strengths.py; or null), `sharpness` (power of the finest octave,
         re-rendering over photograph), `adaptation` (of each leg: what it changed, how near it was
         before and after on windows held back, and whether it was kept), `confidence` (mean, by
@@ -54,7 +54,7 @@ Keys:
         one by the room's light, `matches` with the first, `likeness`, `place` in plane units, tilt,
         `doubt`, what that place may be off by over its distance, one deviation, `residual` of its
         re-rendering, and `predicted`, the same where all others alone decided, or null),
-        `left_out` (name and why), `measured_share` (by map: what photographs tell rather than the
+        `left_out` (name and why), `measured_share` (by map: measured by photographs rather than the
         network), flash offset and lens distortion;
         of a union `union`: `margins` (texels around the first photograph's own), `times` (its
         texels over those), `covered_share` (of what photographs show, in it), `seen_share` (of it,
@@ -222,7 +222,7 @@ def warnings(result: CaptureResult) -> Iterable[str]:
         yield from _union(result.estimate.several, result.settings)
     if result.estimate is not None and result.estimate.strengths is None:
         yield (
-            "The photograph is too small or too much of it unseen to tell relief's strength: it is "
+            "The photograph is too small or too much of it unseen to measure its relief: it is "
             "as the network reads it. Photograph again a stop darker, or from further away."
         )
 
@@ -262,7 +262,7 @@ def _rules(settings: CaptureSettings, photographs: int) -> Iterable[str]:
         )
     if settings.width_cm is None:
         yield (
-            "Nobody said how large the sample is: lengths are in plane units, halves of the "
+            "The size of the sample is unknown: lengths are in plane units, halves of the "
             "photograph's long side. --width-cm says how much that spans."
         )
 

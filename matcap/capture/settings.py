@@ -1,6 +1,6 @@
 """What the user decides of a capture and of what it writes, and what follows from it.
 
-Every setting is told once, here: options, matcap.toml and the reference pages read its range, its
+Each setting is defined once, here: options, matcap.toml and the reference pages read its range, its
 default and its docstring from its field (files/settings.py). How captures are done beyond what
 users decide: method.py.
 """
@@ -179,7 +179,7 @@ class CaptureSettings:
         return CaptureSettings(**typed_settings(CaptureSettings, named))
 
     def named(self) -> dict[str, Any]:
-        """All settings by name, as files tell of them: numbers, words and None."""
+        """All settings by name, as files record them: numbers, words and None."""
         document = asdict(self) | {"statistics": str(self.statistics), "union": self.union or None}
         # Unsaid where there is none, as in files of before there were any.
         document |= {
@@ -191,7 +191,7 @@ class CaptureSettings:
 
     @property
     def millimetres_per_unit(self) -> float | None:
-        """How long a plane unit is, half of the long side; None where nobody measured it."""
+        """How long a plane unit is, half of the long side; None where it was not measured."""
         return None if self.width_cm is None else 10.0 * self.width_cm / 2.0
 
     @property

@@ -2,8 +2,8 @@
 
 A capture works on the picture lying, its long side along x, as networks and coarse fit know it.
 What it hands on is turned back a quarter clockwise: the exemplar, indexed again so that its field
-stands, and the pictures beside it. Camera and flash stay as they were told of the lying picture;
-FlashSetup.turned says so, and whoever renders by them turns with it. A decoder's field stays lying.
+stands, and the pictures beside it. Camera and flash stay those of the lying picture;
+FlashSetup.turned says so, and renderers turn with it. A decoder's field stays lying.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ def camera(
 ) -> None:
     """Estimate how much light a camera and its flash lose towards the corners.
 
-    Takes five photographs or more of different materials, by one camera; matte ones tell most. Give
+    Takes five photographs or more of different materials, by one camera; matte ones are best. Give
     the file to matcap capture and matcap batch with --camera. A batch of five photographs or more
     makes one by itself.
     """
@@ -46,7 +46,7 @@ def camera(
     profile = estimated_profile(cameras[0], photos, CaptureSettings(fov=fov))
     if profile is None:
         raise MatcapError(
-            f"{len(photos)} photographs tell no profile",
+            f"{len(photos)} photographs determine no profile",
             where=str(shoot),
             remedy="give five or more that can be used, of different materials",
         )

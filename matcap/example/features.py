@@ -6,8 +6,8 @@ scale have the same features on every machine.
 Eight planes: square roots of the diffuse albedo's three channels and of F0 (steps that look alike
 are numbers alike), roughness, both slopes of the height, and the height itself. Where F0 has a
 colour, the first three are of diffuse albedo and F0 together, and the fourth of F0's luminance:
-a metal has its colour in F0 alone and what is no metal in its albedo alone, so that these four tell
-both, in as many numbers.
+a metal has its colour in F0 alone and what is no metal in its albedo alone, so that these four
+distinguish both, in as many numbers.
 """
 
 from __future__ import annotations

@@ -317,7 +317,7 @@ def _joined(local: NDArray[np.complexfloating], lag: int) -> NDArray[np.complexf
     """(H, W) of a wave in planes (C, H, W), which carry it in phases of their own.
 
     Each is turned to the steadiest one, and weighted by how steady it is: what differs from cell
-    to cell at random, as colours of tiles do, tells no phase. A bend hardly changes it `lag` places
+    to cell at random, as colours of tiles do, has no phase. A bend hardly changes it `lag` places
     on.
     """
     power = (np.abs(local) ** 2).mean(axis=(1, 2)) + ORDER.faint

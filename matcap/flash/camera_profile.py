@@ -9,7 +9,7 @@ hides the falloff. With e_i integrated out and one prior N(m, P) of x,
     C = (P^-1 + sum w_i (I + tau^2 L_i)^-1 L_i)^-1,
 
 a random-effects meta-analysis. The weights are Student's t's, w_i = (nu + 2) / (nu + d_i^2), where
-d_i is Mahalanobis' distance between x_i and x: a photograph of which the wrong thing is believed
+d_i is Mahalanobis' distance between x_i and x: a photograph that is misinterpreted
 hardly counts. tau is the likeliest of some, by that t distribution of d_i.
 """
 
@@ -46,7 +46,7 @@ PROFILE = ProfileSettings()
 
 
 def camera_profile(camera: str, fits: Sequence[CoarseFit]) -> CameraProfile | None:
-    """The profile of a camera, or None of fewer photographs than tell one.
+    """The profile of a camera, or None of fewer photographs than determine one.
 
     Args:
         camera: its name.

@@ -39,7 +39,7 @@ class Falloff:
     deviation: tuple[float, float] = (0.35, 0.7)
     """Standard, of each."""
     correlation: float = 0.0
-    """Of the two: photographs tell their sum better than either."""
+    """Of the two: photographs determine their sum better than either."""
 
     @property
     def covariance(self) -> NDArray[np.float64]:
@@ -96,7 +96,7 @@ def write_camera_profile(path: Path, profile: CameraProfile) -> None:
 
 
 def read_camera_profile(path: Path) -> CameraProfile:
-    """A profile's file, whoever wrote it.
+    """Read a profile's file, with checks.
 
     Raises:
         UsageError: it cannot be read, is none, or says what no camera does.

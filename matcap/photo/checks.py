@@ -1,7 +1,7 @@
 """The one table of checks: what `inspect`, report.json and the verdict measure, and their limits.
 
 Photographs are judged by photo/inspect.py, captures by capture/verdict; both take limits, words,
-causes and remedies from here. Severity is one scale: up to 1 nobody minds, up to 2 one sees it
+causes and remedies from here. Severity is one scale: up to 1 is acceptable, up to 2 one sees it
 beside the photograph, up to 3 one sees it without, and beyond it is another material. Limits are
 what a person notices, not what captures reach; where each comes from is in docs/notes/verdict.md.
 """
@@ -25,7 +25,7 @@ class Rating(Enum):
     DOUBTFUL = "doubtful"
     """One sees that something is wrong; look before using it, or photograph again."""
     FAILED = "failed"
-    """Another material than the photographed one; a photograph that tells another."""
+    """Another material than the photographed one; a photograph that suggests another."""
     NOT_JUDGED = "not judged"
     """Worth knowing; nothing to be rated."""
 
@@ -48,7 +48,7 @@ class Finding:
     """One thing looked at."""
 
     name: str
-    """A key of CHECKS, or what is only told."""
+    """A key of CHECKS, or of a note."""
     value: Any
     """JSON: the measurement, or None where it is not known."""
     rating: Rating
@@ -248,11 +248,11 @@ _TABLE = (
     QualityCheck(
         "confidence", "mean of what the maps' confidence lacks", "share", (0.6, 0.75, 0.9),
         "{percent:.0f} % of the maps is guessed, most of {least}",
-        "clipped, dark or dull parts tell little", _SHOOT,
+        "clipped, dark or dull parts show little", _SHOOT,
     ),
     QualityCheck(
         "highlight_residue", "radial variation of a map about the mirror point", "just visible",
-        (1.0, 2.0, 4.0), "the highlight's residue is in the maps: {found}",
+        (1.0, 2.0, 4.0), "the highlight's residue is in the maps: {amount}",
         "the highlight was taken for the material's own", "{more}",
     ),
     QualityCheck(

@@ -193,7 +193,7 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
 
 
 def _flash(photo: Photo, falloff: float) -> Finding:
-    # Files err, and a matte material under a flash far away has little falloff; both together tell.
+    # Files err, and a matte material far from the flash has little falloff: both are needed.
     fired = photo.flash_fired
     severity = CHECKS["flash"].severity(falloff) + {None: 0.0, True: -0.5, False: 2.5}[fired]
     says = {

@@ -89,7 +89,7 @@ def scaled_by_glints(
     diluted = np.square(1.0 - glare).clip(1e-8)
     share = diluted[region].mean() / diluted[matte].mean()
     whole = _energies(rendered, region, around)
-    # Where both regions show relief alike, they hardly tell it from albedo.
+    # Where both regions are equally sensitive to slope, relief and albedo are hardly separable.
     relief = (whole - share * _energies(rendered, matte, around)).clip(0.5 * whole)
     excess = (energies(region) - share * energies(matte)).clip(0.0)
     gains = np.sqrt(excess / relief.clip(1e-12))

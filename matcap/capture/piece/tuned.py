@@ -134,7 +134,7 @@ class KindSettings:
 
     Attributes:
         around: the long side over the deviation of a neighbourhood that a texel is compared with.
-        drawn: logit of metal for a deviation of what goes with the network's. More believes its
+        drawn: logit of metal for a deviation of what goes with the network's. More follows its
             borders, and less the photograph.
         texels: along the short side that kinds are fitted on.
         rounds: of fitting mean parameters and classifying texels.

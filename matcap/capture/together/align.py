@@ -57,7 +57,7 @@ class AlignSettings:
         pixel: plane units that photographs are expected to lie beside their places.
         doubtful: of what cameras may be off by for their features, what is left: shading is known
             now (docs/notes/several.md).
-        surer: texels: a photograph whose features leave it less far astray than that is not moved
+        surer: texels: a photograph with a smaller registration error by features is not moved
             on a grid.
     """
 

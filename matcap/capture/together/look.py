@@ -37,7 +37,7 @@ class LookSettings:
     same_place: float = 0.08
     """Of the distance, below which two cameras count as the same place."""
     steep: float = 50.0
-    """Degrees of tilt, beyond which the far side is told by few pixels."""
+    """Degrees of tilt, beyond which the far side is covered by few pixels."""
     alone: float = 0.25
     """Share of the piece that one photograph alone may see."""
     grid: int = 64
@@ -159,7 +159,7 @@ def _places(views: Sequence[RegisteredView]) -> Finding:
     if not said:
         return Finding("places", value, Rating.GOOD, "All were taken from different places.")
     remedy = "Move the phone by a third of its distance from one to the next." if same else ""
-    remedy += " Stay within 45 degrees: the far side is told by few pixels." if steep else ""
+    remedy += " Stay within 45 degrees: the far side is covered by few pixels." if steep else ""
     return Finding("places", value, Rating.DOUBTFUL, " ".join(said), remedy.strip())
 
 

@@ -168,7 +168,7 @@ def _from_the_side(views: list[_View], rim: Doubles, width: int, height: int) ->
 
 
 def _words(report: SetReport, width: int, height: int) -> Image.Image:
-    sheet, ink = _blank(width, height, "what each told")
+    sheet, ink = _blank(width, height, "what each adds")
     font = ImageFont.load_default(size=14)
     y = 2 * _LINE
     for said, number in set_report_lines(report):

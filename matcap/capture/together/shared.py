@@ -49,7 +49,7 @@ class SharedSettings:
         gloss: deviations of the mean of log F0 and of logit roughness from what was read.
         gain: deviation of a photograph's gain, log.
         separate_gain: the same where no texel of a larger exemplar is in two photographs.
-        astray: deviation of a photograph's place, plane units.
+        astray: deviation of a photograph's registration, plane units.
         farthest: of a step, texels.
     """
 
@@ -194,7 +194,7 @@ def _gradient(log: Tensor, texel: float) -> tuple[Tensor, Tensor]:
     """(3, H, W) each: what log radiance gains by plane units to the right, and up.
 
     To fourth order: central differences halve what a weave of four texels gains, and photographs
-    are then moved twice as far as they lie astray, to and fro.
+    are then moved twice as far as they are misregistered, to and fro.
     """
     right = _FOURTH / texel
     gradients: tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]] = ([], [])

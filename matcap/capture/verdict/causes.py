@@ -135,11 +135,11 @@ class Cause:
 
 
 def more_photographs(given: int) -> str:
-    """What to photograph where so many did not tell enough."""
+    """Advice where so many photographs are not enough."""
     if given < 2:
-        return "take five photographs and give them with --together, which tells more than one can"
+        return "take five photographs and give them with --together, which measure more than one"
     if given < 5:
-        return f"add photographs from other sides to these {given}: five tell more"
+        return f"add photographs from other sides to these {given}: five measure more"
     return "photograph again with the phone moved further to each side (see matcap inspect)"
 
 
@@ -154,7 +154,7 @@ def _all(measured: CauseMeasurements) -> Iterator[Cause]:
         "anisotropic highlight",
         (measured.streak - 1.0) / (CAUSES.streak - 1.0),
         f"the highlight is a streak, {measured.streak:.1f} times as long as a round one would be: "
-        "gloss depends on direction, which the maps cannot tell",
+        "gloss depends on direction, which the maps cannot represent",
         "shade it as anisotropic where you use it",
         _HIGHLIGHT | {"light", "piece"},
     )
@@ -198,7 +198,7 @@ def _all(measured: CauseMeasurements) -> Iterator[Cause]:
     yield Cause(
         "steep relief",
         measured.tilt / CAUSES.tilt,
-        f"relief leans by {measured.tilt:.0f} degrees on the mean, which one flash hardly tells",
+        f"relief leans by {measured.tilt:.0f} degrees on the mean, which one flash hardly measures",
         more_photographs(measured.photographs),
         _RELIEF,
     )

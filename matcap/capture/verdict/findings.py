@@ -156,5 +156,5 @@ def _residue(residue: Mapping[str, float], more: str) -> Finding:
     visible, says = RESIDUES[name]
     amount = residue[name] if name == "roughness" else math.exp(residue[name])
     return CHECKS["highlight_residue"].finding(
-        residue[name] / visible, more=more, estimate=says.format(amount)
+        residue[name] / visible, more=more, amount=says.format(amount)
     )

@@ -88,7 +88,7 @@ class HighlightProfile:
     def glint_ratio(self) -> float:
         """Glint contrast of all octaves, re-rendered over photographed; NaN without a highlight.
 
-        UNSEEN is added to both in quadrature: what nobody sees is no difference.
+        UNSEEN is added to both in quadrature: what is invisible is no difference.
         """
         if not self.glints:
             return math.nan

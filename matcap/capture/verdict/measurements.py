@@ -50,7 +50,7 @@ class MeasurementSettings:
     bright: float = 0.2
     """Share of tiles that are looked at by themselves, the brightest."""
     window: int = 160
-    """Texels a side that tell texture."""
+    """Texels a side of the windows whose texture is compared."""
     places: tuple[int, int] = (4, 3)
     """Windows across and down."""
     least_seen: float = 0.5

@@ -17,7 +17,7 @@ def levelled(maps: Floats) -> Floats:
 
     Albedo and F0 are divided by theirs, and roughness is moved; means stay. Medians, so that what
     stands in one place alone, a stain, is not taken for a slope. Where F0 has a colour, metal and
-    what is none are each told from their own median: a part with a little more rust than metal is
+    what is none are each taken from their own median: a part with a little more rust than metal is
     no darker for that.
     """
     flattened = maps.copy()

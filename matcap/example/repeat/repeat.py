@@ -108,8 +108,8 @@ def _places(seen: Planes, along: int, below: int) -> tuple[PieceTexels, PieceTex
 def _usual_line(maps: Floats, axis: int) -> int:
     """By how much to roll maps so that they meet themselves at a line like any other.
 
-    Where the piece began may be a joint, which is right, and takes whoever looks at steps across
-    the border alone for a seam.
+    Where the piece began may be a joint, which is right, and a test of steps across
+    the border alone takes it for a seam.
     """
     steps = np.abs(np.roll(maps, -1, axis) - maps).mean(axis=3 - axis)
     usual = steps.mean(axis=1, keepdims=True)

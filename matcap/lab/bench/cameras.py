@@ -28,7 +28,7 @@ from matcap.photo.photo import Photo
 ABOUT = (
     "lost: log of the light that corners lose, as fitted; metal: 1 where taken for it. Errors of "
     "simulated ones: of lost and of roughness, and of log F0, log albedo and their difference, "
-    "which alone a photograph tells without knowing its flash."
+    "which alone a photograph determines without knowing its flash."
 )
 _PHONE = PhoneCamera(width=512, height=384)
 _WIDTH = 512  # pixels across of real ones

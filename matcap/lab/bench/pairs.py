@@ -63,8 +63,8 @@ def write_pairs(fronts: Path, out: Path, count: int, seed: int) -> Path:
 def agreement(table: Path) -> list[str]:
     """How often each measure says what was written of pairs; nothing where none is known.
 
-    Lines of Markdown: of all pairs in which one was nearer, and of those that a measure tells
-    apart by 10 % and more.
+    Lines of Markdown: of all pairs in which one was nearer, and of those that a measure separates
+    by 10 % and more.
     """
     path = table.with_name("pairs.csv")
     if not path.exists():

@@ -38,8 +38,8 @@ class Presentation:
     """Columns whose Pareto front is sought: cost, error."""
 
     base: str | None = None
-    """The configuration that those of fewer subjects are paired with, and that subjects are told
-    by; see results.means."""
+    """The configuration that those of fewer subjects are paired with, and whose subjects are
+    listed; see results.means."""
 
     listed_with: tuple[str, ...] = ()
     """Configurations that stand beside it in the table by subject."""

@@ -56,7 +56,7 @@ class TrainSettings:
         workers: processes that make samples.
         device: "cpu" or "cuda".
         style_every: steps, in one of which statistics of relit pictures are compared.
-        compiled: losses are compiled, which takes minutes once and pays in a leg of an hour.
+        compiled: losses are compiled, which takes minutes once and is faster over an hour.
         maps: packed real materials (packed.py), of which those not held out are shown; or none.
         real: share of photographs of them.
     """
