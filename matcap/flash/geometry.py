@@ -88,7 +88,7 @@ def camera_in_plane(setup: FlashSetup) -> tuple[Tensor, Tensor]:
     return turn.T @ camera, turn.T @ light
 
 
-def highlight_foot(setup: FlashSetup) -> tuple[float, float]:
+def flash_mirror_point(setup: FlashSetup) -> tuple[float, float]:
     """Where a mirror in the plane shows the flash, plane units."""
     camera, light = camera_in_plane(setup)
     share = camera[2] / (camera[2] + light[2])

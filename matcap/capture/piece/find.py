@@ -48,7 +48,7 @@ from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.variety import chosen
 from matcap.flash.coarse import CoarseFit
-from matcap.flash.geometry import highlight_foot, plane_points
+from matcap.flash.geometry import flash_mirror_point, plane_points
 from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import Plane
 from matcap.flash.rectify import inside
@@ -115,7 +115,7 @@ class ExemplarEstimate:
 
 
 @dataclass(frozen=True)
-class Sight:
+class Observation:
     """A photograph of a piece, and its light.
 
     Attributes:
@@ -126,7 +126,7 @@ class Sight:
         seen: (H, W) share of each place that was seen, in [0, 1].
         inputs: of the network.
         light: the photograph's, at every texel.
-        glare: (H, W) specular fraction of the uniform material's radiance.
+        specular_fraction: (H, W) specular fraction of the uniform material's radiance.
         noise: (3, H, W) of log radiance, the sensor's or the codes'.
     """
 
@@ -137,11 +137,11 @@ class Sight:
     seen: NDArray[np.float32]
     inputs: NetworkInputs
     light: PieceLight
-    glare: NDArray[np.float32]
+    specular_fraction: NDArray[np.float32]
     noise: Tensor
 
     @staticmethod
-    def of(plane: Plane, coarse: CoarseFit) -> Sight:
+    def of(plane: Plane, coarse: CoarseFit) -> Observation:
         """Work out what every stage looks at."""
         width, height = plane.size
         points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
@@ -156,16 +156,24 @@ class Sight:
         measured = plane.measured & bright
         shown = (plane.measured | mirrors) & bright
         plane = replace(plane, valid=plane.valid & bright, channels=measured)
-        glare = inputs.gloss[0].clamp(0.0, 1.0).numpy()
+        specular_fraction = inputs.gloss[0].clamp(0.0, 1.0).numpy()
         light = PieceLight.of(coarse, points)
         seen = seen_share(measured)
-        return Sight(
-            plane, coarse, shown, ~mirrors, seen, inputs, light, glare, channel_noise(plane)
+        return Observation(
+            plane,
+            coarse,
+            shown,
+            ~mirrors,
+            seen,
+            inputs,
+            light,
+            specular_fraction,
+            channel_noise(plane),
         )
 
 
 @dataclass(frozen=True)
-class Reading:
+class NetworkPrediction:
     """Maps of the piece on their way.
 
     Attributes:
@@ -231,29 +239,29 @@ def find_piece(
         on_progress: called as the texture-statistics fit goes on with the share that is done.
     """
     with stage("piece"):
-        sight = Sight.of(plane, coarse)
-        sight, reading = read_piece(sight, network)
+        observed = Observation.of(plane, coarse)
+        observed, prediction = read_piece(observed, network)
     with stage("strengths"):
-        strengths = measured_relief(sight, reading)
-        sight, reading = classified(sight, strengthened(sight, reading, strengths))
-    explained = _Explained(reading)
+        strengths = measured_relief(observed, prediction)
+        observed, prediction = classified(observed, strengthened(observed, prediction, strengths))
+    explained = _Explained(prediction)
     with explained.until_interrupted():
         with stage("refine"):
-            explained.reading = levelled(sight, reading)
+            explained.prediction = levelled(observed, prediction)
         if target is not None and steps:
             with stage("adapt"):
                 doubt = strengths.doubts() if strengths else ()
                 wanted = target()
                 for each in legs(steps, seconds, seed, doubt, on_progress):
-                    explained.adapt(sight, wanted, each)
+                    explained.adapt(observed, wanted, each)
     whole = plane if fine is None else fine
     with stage("inpaint"):
         tried = INPAINT.tried if steps and not explained.interrupted else INPAINT.tried_at_once
-        exemplar = _in_detail(sight, inpainted(sight, explained.reading, tried), whole)
-        scale = 1.0 if absolute else most_probable_scale(exemplar, explained.reading.metal)
+        exemplar = _in_detail(observed, inpainted(observed, explained.prediction, tried), whole)
+        scale = 1.0 if absolute else most_probable_scale(exemplar, explained.prediction.metal)
     with stage("index"):
         example = indexed(scaled(exemplar, scale), waves, whole.size[0] / plane.size[0])
-    return replace(_estimate(sight, whole, explained, strengths, example), scale=scale)
+    return replace(_estimate(observed, whole, explained, strengths, example), scale=scale)
 
 
 def indexed(exemplar: Exemplar, waves: Sequence[Wave], longer: float = 1.0) -> Example:
@@ -271,7 +279,7 @@ def indexed(exemplar: Exemplar, waves: Sequence[Wave], longer: float = 1.0) -> E
 class _Explained:
     """What was reached when re-rendering and adaptation end, or are interrupted."""
 
-    reading: Reading
+    prediction: NetworkPrediction
     changes: list[Change] = field(default_factory=list)
     interrupted: bool = False
 
@@ -283,118 +291,132 @@ class _Explained:
         except KeyboardInterrupt:
             self.interrupted = True
 
-    def adapt(self, sight: Sight, target: PhotographTarget, leg: Leg) -> None:
+    def adapt(self, observed: Observation, target: PhotographTarget, leg: Leg) -> None:
         """One leg more; interrupts with what it reached."""
-        self.reading, result = adapted(sight, self.reading, target, leg)
+        self.prediction, result = adapted(observed, self.prediction, target, leg)
         self.changes += [result.change] if result.change else []
         if result.interrupted:
             raise KeyboardInterrupt
 
 
 def _estimate(
-    sight: Sight,
+    observed: Observation,
     fine: Plane,
     explained: _Explained,
     strengths: Strengths | None,
     example: Example,
 ) -> ExemplarEstimate:
     """The piece, and what its re-rendering leaves of the photograph."""
-    departures, plane = explained.reading.departures, sight.plane
-    left = remaining(departures, plane.linear, plane.measured, sight.light)
+    departures, plane = explained.prediction.departures, observed.plane
+    left = remaining(departures, plane.linear, plane.measured, observed.light)
     return ExemplarEstimate(
         example=example,
         strengths=strengths,
-        error=_median(left, sight),
+        error=_median(left, observed),
         slow=float(left.slow.abs().mean()),
-        sharpness=sharpness(piece_maps(example.exemplar), fine, sight.coarse),
+        sharpness=sharpness(piece_maps(example.exemplar), fine, observed.coarse),
         adaptation=tuple(explained.changes),
         interrupted=explained.interrupted,
     )
 
 
-def unexplained(sight: Sight, reading: Reading) -> float:
+def unexplained(observed: Observation, prediction: NetworkPrediction) -> float:
     """Median difference of log radiance between photograph and re-rendering, where it was seen."""
-    plane = sight.plane
-    return _median(remaining(reading.departures, plane.linear, plane.measured, sight.light), sight)
+    plane = observed.plane
+    return _median(
+        remaining(prediction.departures, plane.linear, plane.measured, observed.light), observed
+    )
 
 
-def _median(left: Refined, sight: Sight) -> float:
-    seen = left.residual[:, sight.plane.valid]
+def _median(left: Refined, observed: Observation) -> float:
+    seen = left.residual[:, observed.plane.valid]
     return float(seen.abs().median()) if seen.numel() else 0.0
 
 
-def read_piece(sight: Sight, network: Inverse) -> tuple[Sight, Reading]:
-    """What the network reads; and the sight of it, which has metal's colour."""
-    answer = NetworkAnswer.from_stacked(_read(network, sight.inputs.stacked()))
-    trusted = confidence(answer.errors, sight.seen)
-    trusted[0] *= 1.0 - sight.glare
+def read_piece(observed: Observation, network: Inverse) -> tuple[Observation, NetworkPrediction]:
+    """Predict the maps; the observation's light gets the specular tint of metal."""
+    answer = NetworkAnswer.from_stacked(_read(network, observed.inputs.stacked()))
+    trusted = confidence(answer.errors, observed.seen)
+    trusted[0] *= 1.0 - observed.specular_fraction
     some = metal_share(answer.metal)
-    classes = Classes.whole(sight.glare.shape, metal=sight.coarse.conductor)
-    if sight.coarse.conductor:
-        sight = tinted(sight, classes.metal_share)
+    classes = Classes.whole(observed.specular_fraction.shape, metal=observed.coarse.conductor)
+    if observed.coarse.conductor:
+        observed = tinted(observed, classes.metal_share)
     logit = None if some is None else answer.metal
-    return sight, Reading(answer.departures, answer.errors, trusted, logit, classes)
+    return observed, NetworkPrediction(answer.departures, answer.errors, trusted, logit, classes)
 
 
-def tinted(sight: Sight, metal: Tensor) -> Sight:
-    """The sight of a piece of which shares (1, H, W) are metal of the colour that is seen there."""
-    seen = seen_colour(sight.plane.linear, metal * sight.shown.all(0, keepdim=True))
-    return replace(sight, light=replace(sight.light, hue=tint(metal, seen)))
+def tinted(observed: Observation, metal: Tensor) -> Observation:
+    """The observation with the specular tint seen where shares (1, H, W) are metal."""
+    seen = seen_colour(observed.plane.linear, metal * observed.shown.all(0, keepdim=True))
+    return replace(observed, light=replace(observed.light, hue=tint(metal, seen)))
 
 
-def measured_relief(sight: Sight, reading: Reading) -> Strengths | None:
+def measured_relief(observed: Observation, prediction: NetworkPrediction) -> Strengths | None:
     """Relief and albedo energies measured by the photograph; None where too little can be used."""
-    shown = sight.light.slope_sensitivity(sight.light.maps(reading.departures))
-    return plane_strengths(sight.plane, sight.inputs, shown)
+    shown = observed.light.slope_sensitivity(observed.light.maps(prediction.departures))
+    return plane_strengths(observed.plane, observed.inputs, shown)
 
 
-def strengthened(sight: Sight, reading: Reading, strengths: Strengths | None) -> Reading:
+def strengthened(
+    observed: Observation, prediction: NetworkPrediction, strengths: Strengths | None
+) -> NetworkPrediction:
     """Relief as strong as the photograph says, everywhere and in all directions."""
-    drawn, sensitivity = reading.departures, sight.inputs.slope_sensitivity.numpy()
+    drawn, sensitivity = prediction.departures, observed.inputs.slope_sensitivity.numpy()
     height = torch.from_numpy(equalise(drawn.height[0].numpy(), strengths, sensitivity))[None]
-    return replace(reading, departures=replace(drawn, height=height))
+    return replace(prediction, departures=replace(drawn, height=height))
 
 
-def classified(sight: Sight, reading: Reading) -> tuple[Sight, Reading]:
+def classified(
+    observed: Observation, prediction: NetworkPrediction
+) -> tuple[Observation, NetworkPrediction]:
     """Texels in material classes; what is their own is albedo (a metal's: F0) and relief."""
-    classes = reading.classes
-    if reading.logit is not None:
+    classes = prediction.classes
+    if prediction.logit is not None:
         target = replace(
-            _ring_target(sight, reading.departures, Classes.whole(sight.glare.shape, metal=False)),
-            surface=sight.light.uniform,
+            _ring_target(
+                observed,
+                prediction.departures,
+                Classes.whole(observed.specular_fraction.shape, metal=False),
+            ),
+            surface=observed.light.uniform,
         )
-        mixture = find_mixture(reading.departures, reading.logit, target)
-        if mixture.likely(sight.light.uniform):
+        mixture = find_mixture(prediction.departures, prediction.logit, target)
+        if mixture.likely(observed.light.uniform):
             classes = mixture.classes
-            sight = tinted(sight, classes.metal_share)
-    settled = classes.settled(reading.departures)
-    return sight, replace(reading, departures=settled, classes=classes)
+            observed = tinted(observed, classes.metal_share)
+    settled = classes.settled(prediction.departures)
+    return observed, replace(prediction, departures=settled, classes=classes)
 
 
-def _ring_target(sight: Sight, departures: SurfaceParameters, classes: Classes) -> RingTarget:
+def _ring_target(
+    observed: Observation, departures: SurfaceParameters, classes: Classes
+) -> RingTarget:
     """The photograph around its mirror point, of a surface that departs so from the coarse fit."""
-    plane = sight.plane
+    plane = observed.plane
     width, height = plane.size
-    x, y = highlight_foot(sight.coarse.setup)
+    x, y = flash_mirror_point(observed.coarse.setup)
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     points = plane.extent.placed(points)
-    hue = 1.0 if sight.light.hue is None else sight.light.hue
+    hue = 1.0 if observed.light.hue is None else observed.light.hue
     return RingTarget(
         linear=plane.linear,
-        measured=sight.shown,
-        counts=sight.within,
+        measured=observed.shown,
+        counts=observed.within,
         distance=torch.hypot(points[0] - x, points[1] - y),
-        flash=sight.light.flash,
-        normal=sight.light.maps(departures).normal,
-        surface=sight.light.uniform + departures,
+        flash=observed.light.flash,
+        normal=observed.light.maps(departures).normal,
+        surface=observed.light.uniform + departures,
         hues=tuple(hue if metal else 1.0 for metal in classes.metal),
     )
 
 
-def with_levels(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Reading:
-    """The reading with levels of its classes fitted to how the highlight falls off."""
-    classes = reading.classes
-    target = _ring_target(sight, departures, classes)
+def with_levels(
+    observed: Observation, prediction: NetworkPrediction, departures: SurfaceParameters
+) -> NetworkPrediction:
+    """The prediction with levels of its classes fitted to how the highlight falls off."""
+    classes = prediction.classes
+    target = _ring_target(observed, departures, classes)
     size = target.distance.shape
     target = target.thinned(LEVEL_TEXELS)
     step = max(1, min(size) // LEVEL_TEXELS)
@@ -403,8 +425,8 @@ def with_levels(sight: Sight, reading: Reading, departures: SurfaceParameters) -
     start = torch.zeros_like(classes.levels)
     moved, _ = fit_levels(target, shares, start, LevelPrior(start, deviation))
     classes = replace(classes, levels=classes.levels + moved)
-    changed = departures + reading.classes.flat(moved)
-    return replace(reading, departures=changed, classes=classes)
+    changed = departures + prediction.classes.flat(moved)
+    return replace(prediction, departures=changed, classes=classes)
 
 
 LEVEL_TEXELS = 384
@@ -413,16 +435,16 @@ _PLAIN_LEVELS = [1.0, 1.0, 1.0, 0.15, 0.3]
 _METAL_LEVELS = [0.05, 0.05, 0.05, 0.5, 0.3]
 
 
-def levelled(sight: Sight, reading: Reading) -> Reading:
+def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
     """Levels of the classes, then albedo of every texel, as the photograph has them."""
-    flat = evened(sight, reading, reading.departures)
-    reading = with_levels(sight, reading, flat)
-    plane = sight.plane
+    flat = evened(observed, prediction, prediction.departures)
+    prediction = with_levels(observed, prediction, flat)
+    plane = observed.plane
     steep = scaled_by_glints(
-        reading.departures, plane.linear, plane.measured, sight.light, sight.noise
+        prediction.departures, plane.linear, plane.measured, observed.light, observed.noise
     )
-    reading = with_levels(sight, reading, steep)
-    return _rerendered(sight, reading, reading.departures)
+    prediction = with_levels(observed, prediction, steep)
+    return _rerendered(observed, prediction, prediction.departures)
 
 
 @dataclass(frozen=True)
@@ -458,19 +480,19 @@ def legs(
 
 
 def adapted(
-    sight: Sight, reading: Reading, target: PhotographTarget, leg: Leg
-) -> tuple[Reading, Adapted]:
+    observed: Observation, prediction: NetworkPrediction, target: PhotographTarget, leg: Leg
+) -> tuple[NetworkPrediction, Adapted]:
     """A leg of adaptation, if it earns its place, and what it came to.
 
     Statistics may come nearer while the piece itself no longer looks like the photograph: bare iron
     beside rust, predicted as paint, gains a likeness from rings. Such a leg is not taken.
     """
-    plane = sight.plane
-    departures = reading.departures
-    weight = np.square(reading.confidence["diffuse"])
+    plane = observed.plane
+    departures = prediction.departures
+    weight = np.square(prediction.confidence["diffuse"])
     albedo = torch.from_numpy(even_contrast(departures.diffuse.numpy(), weight))
     fitted = adapt(
-        sight.light.maps(replace(departures, diffuse=albedo), plane.texel_size),
+        observed.light.maps(replace(departures, diffuse=albedo), plane.texel_size),
         plane.valid.numpy(),
         target,
         leg.steps,
@@ -481,68 +503,76 @@ def adapted(
         on_progress=leg.on_progress,
     )
     if fitted.change is None or not fitted.change.kept:
-        return reading, fitted
-    tried = _rerendered(sight, reading, sight.light.departures(fitted.maps))
-    before = max(unexplained(sight, reading), ADAPT.unexplained)
-    if unexplained(sight, tried) > ADAPT.more_unexplained * before:
-        return reading, replace(fitted, change=replace(fitted.change, kept=False))
+        return prediction, fitted
+    tried = _rerendered(observed, prediction, observed.light.departures(fitted.maps))
+    before = max(unexplained(observed, prediction), ADAPT.unexplained)
+    if unexplained(observed, tried) > ADAPT.more_unexplained * before:
+        return prediction, replace(fitted, change=replace(fitted.change, kept=False))
     return tried, fitted
 
 
-def exemplar_of(sight: Sight, reading: Reading) -> Exemplar:
+def exemplar_of(observed: Observation, prediction: NetworkPrediction) -> Exemplar:
     """The maps as they are, and how far they are trusted."""
-    maps = sight.light.maps(reading.departures, sight.plane.texel_size)
+    maps = observed.light.maps(prediction.departures, observed.plane.texel_size)
     return Exemplar(
         diffuse=maps.diffuse.numpy(),
         specular=maps.specular.numpy(),
         roughness=maps.roughness.numpy(),
         height=maps.height.numpy(),
-        confidence=reading.trusted,
-        texel_size=sight.plane.texel_size,
+        confidence=prediction.trusted,
+        texel_size=observed.plane.texel_size,
     )
 
 
-def inpainted(sight: Sight, reading: Reading, tried: int) -> Exemplar:
+def inpainted(observed: Observation, prediction: NetworkPrediction, tried: int) -> Exemplar:
     """The exemplar, inpainted where specular light hides albedo; `tried` blocks for a place."""
-    plane = sight.plane
-    exemplar = exemplar_of(sight, reading)
+    plane = observed.plane
+    exemplar = exemplar_of(observed, prediction)
     left_out = None if plane.left_out is None else plane.left_out.numpy()
     return transport(
         exemplar,
         plane.linear,
         plane.valid,
-        sight.light,
+        observed.light,
         tried=tried,
         left_out=left_out,
     )
 
 
-def _in_detail(sight: Sight, exemplar: Exemplar, whole: Plane) -> Exemplar:
+def _in_detail(observed: Observation, exemplar: Exemplar, whole: Plane) -> Exemplar:
     """The exemplar on as many texels as the photograph is to have."""
-    return exemplar if whole.size == sight.plane.size else finest(exemplar, whole, sight.coarse)
+    return (
+        exemplar if whole.size == observed.plane.size else finest(exemplar, whole, observed.coarse)
+    )
 
 
-def evened(sight: Sight, reading: Reading, departures: SurfaceParameters) -> SurfaceParameters:
+def evened(
+    observed: Observation, prediction: NetworkPrediction, departures: SurfaceParameters
+) -> SurfaceParameters:
     """Departures whose albedo does not drift over the exemplar, beyond what its classes do."""
-    across = sight.plane.extent.unit(sight.plane.size[0]) if sight.plane.margins.any else None
-    levels = reading.classes.flat()
-    trusted = reading.confidence["diffuse"]
-    return flatten(departures - levels, trusted, sight.glare, across=across) + levels
+    across = (
+        observed.plane.extent.unit(observed.plane.size[0]) if observed.plane.margins.any else None
+    )
+    levels = prediction.classes.flat()
+    trusted = prediction.confidence["diffuse"]
+    return flatten(departures - levels, trusted, observed.specular_fraction, across=across) + levels
 
 
-def _rerendered(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Reading:
+def _rerendered(
+    observed: Observation, prediction: NetworkPrediction, departures: SurfaceParameters
+) -> NetworkPrediction:
     """Albedo moved until it re-renders to the photograph."""
-    metal = reading.classes.metal_share if any(reading.classes.metal) else None
+    metal = prediction.classes.metal_share if any(prediction.classes.metal) else None
     refined = refine(
         departures,
-        reading.errors,
-        sight.plane.linear,
-        sight.shown,
-        sight.light,
+        prediction.errors,
+        observed.plane.linear,
+        observed.shown,
+        observed.light,
         metal=metal,
-        noise=sight.noise,
+        noise=observed.noise,
     )
-    return replace(reading, departures=evened(sight, reading, refined.departures))
+    return replace(prediction, departures=evened(observed, prediction, refined.departures))
 
 
 def _shared(on_progress: Callable[[float], None], leg: int) -> Callable[[float], None]:

@@ -108,7 +108,7 @@ class PieceLight:
 def flatten(
     departures: SurfaceParameters,
     confidence: NDArray[np.float32],
-    glare: NDArray[np.float32],
+    specular_fraction: NDArray[np.float32],
     *,
     across: float | None = None,
 ) -> SurfaceParameters:
@@ -120,10 +120,12 @@ def flatten(
     Args:
         departures: of the exemplar, from its classes' levels.
         confidence: (H, W) of albedo, in [0, 1].
-        glare: (H, W) specular fraction of the radiance.
+        specular_fraction: (H, W) specular fraction of the radiance.
         across: texels of the photograph's long side, where the exemplar reaches beyond it.
     """
-    shape = np.stack([np.ones_like(glare), glare, np.square(glare)])
+    shape = np.stack(
+        [np.ones_like(specular_fraction), specular_fraction, np.square(specular_fraction)]
+    )
     weight = torch.from_numpy(confidence).square() + 1e-3
 
     def even(channel: Tensor) -> Tensor:

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import smoothed
-from matcap.capture.together.hue import uncoloured
+from matcap.capture.together.hue import achromatic
 from matcap.capture.together.shared import shared_light, shared_step
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
@@ -125,7 +125,7 @@ def aligned(
         on_progress: called with the share that is done.
     """
     settings, solving = settings or AlignSettings(), SolveSettings()
-    prior, hue = uncoloured(prior)
+    prior, hue = achromatic(prior)
     views, setup = list(registration.views), registration.setup
     # Maps were read on the plane of a lens without distortion.
     start = PosedCamera.of(setup)

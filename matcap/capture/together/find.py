@@ -23,8 +23,8 @@ from matcap.capture.piece.absolute import most_probable_scale, scaled
 from matcap.capture.piece.classes import Classes
 from matcap.capture.piece.find import (
     ExemplarEstimate,
-    Reading,
-    Sight,
+    NetworkPrediction,
+    Observation,
     classified,
     confidence,
     evened,
@@ -42,7 +42,7 @@ from matcap.capture.piece.network.network import ExpectedErrors, Inverse
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.tuned import INPAINT
 from matcap.capture.together.align import Aligned, aligned, reframed, shrunk
-from matcap.capture.together.hue import coloured, on_grid, uncoloured
+from matcap.capture.together.hue import achromatic, coloured, on_grid
 from matcap.capture.together.place import fitted, placed
 from matcap.capture.together.predict import Predictions, predictions
 from matcap.capture.together.readings import ReadView, read_views, with_others
@@ -144,7 +144,7 @@ def estimate_together(
     poses, interrupted = _laid_over(start, read, reach.extent, radiometric, stage, on_progress)
     plane, lattice = plane_in_detail(first, poses.setup, detail)
     posed = PosedCamera.of(registration.setup), poses.views[0].camera
-    prior, hue = uncoloured(reframed(read[0], *posed, reach.extent))
+    prior, hue = achromatic(reframed(read[0], *posed, reach.extent))
     doubt, readings = unread(read[1], reach), None
     if not interrupted:
         with stage("join"):
@@ -163,7 +163,7 @@ def estimate_together(
             ahead = predictions(poses, readings, solved, radiometric, hue)
     with stage("inpaint"):
         reach, whole, solved = _whole(plane, poses, reach, solved)
-        exemplar = _inpainted(Sight.of(whole, coarse), solved, hue, views)
+        exemplar = _inpainted(Observation.of(whole, coarse), solved, hue, views)
     with stage("index"):
         example, scale = _indexed(first, exemplar, single.metal, lattice.waves, reach)
     report = SetReport.of(registration, poses, solved, ahead, reach)
@@ -314,19 +314,19 @@ def _read_alone(plane: Plane, coarse: CoarseFit, network: Inverse, stage: Stage)
     """The first photograph read alone, on the plane's texels."""
     with stage("piece"):
         read, _ = to_be_read(plane)
-        sight = Sight.of(read, coarse)
-        sight, reading = read_piece(sight, network)
+        observed = Observation.of(read, coarse)
+        observed, prediction = read_piece(observed, network)
     with stage("strengths"):
-        strengths = measured_relief(sight, reading)
-        sight, reading = classified(sight, strengthened(sight, reading, strengths))
+        strengths = measured_relief(observed, prediction)
+        observed, prediction = classified(observed, strengthened(observed, prediction, strengths))
     with stage("refine"), torch.no_grad():
-        reading = levelled(sight, reading)
-        exemplar = exemplar_of(sight, reading)
+        prediction = levelled(observed, prediction)
+        exemplar = exemplar_of(observed, prediction)
         if plane.size != read.size:
             exemplar = finest(exemplar, plane, coarse)
-    errors = reading.errors.stacked()
+    errors = prediction.errors.stacked()
     wide = F.interpolate(errors[None], size=plane.size[::-1], mode="bilinear")[0]
-    return _Single(piece_maps(exemplar), wide, strengths, reading.metal)
+    return _Single(piece_maps(exemplar), wide, strengths, prediction.metal)
 
 
 def _laid_over(
@@ -378,20 +378,22 @@ def _read_plainly(network: Inverse, plane: Plane, coarse: CoarseFit) -> tuple[Ma
 
 
 def _inpainted(
-    sight: Sight, solved: Solved, hue: Tensor | None, views: Sequence[PieceView]
+    observed: Observation, solved: Solved, hue: Tensor | None, views: Sequence[PieceView]
 ) -> Exemplar:
     """The solved maps with the specular tint of metal, inpainted under the highlight."""
     if hue is not None:
-        sight = replace(sight, light=replace(sight.light, hue=on_grid(hue, solved.maps.size)))
+        observed = replace(
+            observed, light=replace(observed.light, hue=on_grid(hue, solved.maps.size))
+        )
     maps = coloured(solved.maps, hue)
     seen = torch.stack([view.seen.float().mean(0) for view in views]).amax(0)
     errors = ExpectedErrors.from_stacked(solved.errors)
     unit = None
-    if sight.plane.margins.any and sight.plane.left_out is not None:
-        seen = seen * ~sight.plane.left_out  # unseen, or from too oblique a view
-        unit = sight.plane.extent.unit(sight.plane.size[0])
+    if observed.plane.margins.any and observed.plane.left_out is not None:
+        seen = seen * ~observed.plane.left_out  # unseen, or from too oblique a view
+        unit = observed.plane.extent.unit(observed.plane.size[0])
     trusted = confidence(errors, np.asarray(seen.numpy(), np.float32), unit)
-    classes = Classes.whole(sight.glare.shape, metal=False)
-    reading = Reading(sight.light.departures(maps), errors, trusted, None, classes)
-    reading = replace(reading, departures=evened(sight, reading, reading.departures))
-    return inpainted(sight, reading, INPAINT.tried_at_once)
+    classes = Classes.whole(observed.specular_fraction.shape, metal=False)
+    prediction = NetworkPrediction(observed.light.departures(maps), errors, trusted, None, classes)
+    prediction = replace(prediction, departures=evened(observed, prediction, prediction.departures))
+    return inpainted(observed, prediction, INPAINT.tried_at_once)

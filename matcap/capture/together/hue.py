@@ -17,7 +17,7 @@ from matcap.brdf.maps import COLOURED, MapSet
 from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS
 
 
-def uncoloured(maps: MapSet) -> tuple[MapSet, Tensor | None]:
+def achromatic(maps: MapSet) -> tuple[MapSet, Tensor | None]:
     """Maps as they are solved, and the hue (3, H, W) that was taken off; None where F0 is grey."""
     if maps.specular.shape[-3] < COLOURED:
         return maps, None

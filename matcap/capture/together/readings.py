@@ -21,7 +21,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.together.align import Aligned, shrunk
-from matcap.capture.together.hue import uncoloured
+from matcap.capture.together.hue import achromatic
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, maps_of, numbers_of
 from matcap.capture.together.views import SetLight, ViewPlace
@@ -171,7 +171,7 @@ def brought_over(
         resampled = cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
         return torch.from_numpy(resampled)
 
-    maps, hue = uncoloured(maps)
+    maps, hue = achromatic(maps)
     logs = torch.cat([maps.diffuse.clamp_min(1e-3).log(), maps.specular.clamp_min(5e-3).log()])
     stacked = torch.stack([there(c) for c in torch.cat([logs, maps.roughness, maps.height])])
     over = MapSet(

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import filled
-from matcap.flash.geometry import FlashSetup, highlight_foot
+from matcap.flash.geometry import FlashSetup, flash_mirror_point
 from matcap.flash.render import render_rectified
 
 Picture = NDArray[np.float32]
@@ -153,7 +153,7 @@ def _octaves(picture: Picture, region: TexelMask) -> list[float]:
 
 def from_mirror_point(setup: FlashSetup, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """(H, W) plane units from the mirror point."""
-    (x, y), (height, width) = highlight_foot(setup), shape
+    (x, y), (height, width) = flash_mirror_point(setup), shape
     v, u = np.mgrid[:height, :width] + 0.5
     return np.hypot(2.0 * u / width - 1.0 - x, (height - 2.0 * v) / width - y)
 

@@ -17,7 +17,7 @@ from matcap.capture.piece.find import piece_maps
 from matcap.capture.pipeline import capture_file
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
-from matcap.flash.geometry import highlight_foot
+from matcap.flash.geometry import flash_mirror_point
 from matcap.lab.bench.methods import photo_as_albedo
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
@@ -131,7 +131,7 @@ def flash_imprint(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Valu
         or whole.size != piece_maps(captured.result.estimate.exemplar).size
     ):
         return {}
-    towards = highlight_foot(captured.result.material.setup)
+    towards = flash_mirror_point(captured.result.material.setup)
     logs = {
         "albedo": whole.diffuse.mean(0).clamp_min(1e-3).log(),
         "F0": whole.specular.mean(0).clamp_min(1e-3).log(),

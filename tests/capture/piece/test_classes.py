@@ -12,7 +12,7 @@ from matcap.brdf.metals import METAL_F0
 from matcap.capture.piece.classes import Classes, Mixture, find_mixture, goes_with_metal
 from matcap.capture.piece.levels import RingTarget
 from matcap.capture.piece.refine import PieceLight
-from matcap.flash.geometry import highlight_foot
+from matcap.flash.geometry import flash_mirror_point
 from matcap.flash.render import render_flash
 
 HEIGHT, WIDTH = 96, 128
@@ -46,7 +46,7 @@ def photograph(metal: torch.Tensor, brightness: float = 1.0):
         specular=light.departures(replace(grey, specular=0.1 * one)).specular,
         roughness=light.departures(replace(grey, roughness=0.45 * one)).roughness,
     )
-    x, y = highlight_foot(shot.uniform.setup)
+    x, y = flash_mirror_point(shot.uniform.setup)
     shown = RingTarget(
         linear=linear.clamp_max(1.0),
         measured=linear < 1.0,

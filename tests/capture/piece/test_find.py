@@ -16,7 +16,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.piece.adapt import Adapted, Change
 from matcap.capture.piece.find import (
     Leg,
-    Sight,
+    Observation,
     _read,
     adapted,
     confidence,
@@ -71,7 +71,7 @@ def test_a_leg_after_which_the_piece_looks_otherwise_is_not_taken(
 ) -> None:
     """However much nearer the statistics came: here relief is as strong as it may be told."""
     plane, coarse, _ = _plane()
-    sight, read = read_piece(Sight.of(plane, coarse), load_inverse())
+    sight, read = read_piece(Observation.of(plane, coarse), load_inverse())
     reading = levelled(sight, read)
     before = unexplained(sight, reading)
 

@@ -10,7 +10,7 @@ from photographed import photographed
 
 from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.piece.levels import LevelPrior, RingTarget, fit_levels
-from matcap.flash.geometry import highlight_foot
+from matcap.flash.geometry import flash_mirror_point
 from matcap.flash.light import FlashLight
 from matcap.flash.render import render_flash
 from matcap.flash.uniform import Uniform
@@ -35,7 +35,7 @@ def glossy(roughness: float, brightness: float = 1.0) -> tuple[RingTarget, Unifo
     intensity = tuple(gain * power for power in shot.uniform.setup.intensity)
     setup = shot.uniform.setup.with_intensity(intensity)
     uniform = Uniform((0.3, 0.3, 0.3), 0.04, 0.5, setup)
-    x, y = highlight_foot(setup)
+    x, y = flash_mirror_point(setup)
     target = RingTarget(
         linear=linear.clamp_max(1.0),
         measured=linear < 1.0,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.together.hue import coloured, on_grid, uncoloured
+from matcap.capture.together.hue import achromatic, coloured, on_grid
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_rectified
 
@@ -31,7 +31,7 @@ def rusty() -> MapSet:
 
 def test_what_is_taken_off_is_put_back() -> None:
     maps = rusty()
-    grey, hue = uncoloured(maps)
+    grey, hue = achromatic(maps)
     assert hue is not None and len(grey.specular) == 1
     back = coloured(grey, hue)
     assert torch.allclose(back.stacked(), maps.stacked(), rtol=1e-3, atol=1e-5)
@@ -40,13 +40,13 @@ def test_what_is_taken_off_is_put_back() -> None:
 def test_grey_maps_are_left_alone() -> None:
     maps = rusty()
     grey = replace(maps, specular=maps.specular[:1])
-    same, hue = uncoloured(grey)
+    same, hue = achromatic(grey)
     assert same is grey and hue is None and coloured(grey, None) is grey
 
 
 def test_a_photograph_less_its_hue_is_one_of_grey_metal() -> None:
     maps = rusty()
-    grey, hue = uncoloured(maps)
+    grey, hue = achromatic(maps)
     assert hue is not None
     setup = FlashSetup(fov=45.0)
     off = render_rectified(maps, setup).log() - hue.log() - render_rectified(grey, setup).log()
@@ -54,7 +54,7 @@ def test_a_photograph_less_its_hue_is_one_of_grey_metal() -> None:
 
 
 def test_hue_follows_the_grid() -> None:
-    _, hue = uncoloured(rusty())
+    _, hue = achromatic(rusty())
     assert hue is not None
     fine = on_grid(hue, (64, 48))
     assert fine.shape == (3, 48, 64)

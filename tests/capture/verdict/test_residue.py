@@ -5,7 +5,7 @@ import pytest
 
 from matcap.capture.verdict.residue import highlight_residue, in_rings
 from matcap.example.exemplar import Exemplar
-from matcap.flash.geometry import FlashSetup, camera_in_plane, highlight_foot
+from matcap.flash.geometry import FlashSetup, camera_in_plane, flash_mirror_point
 
 SETUP = FlashSetup(offset=(0.2, -0.1, 0.0), tilt=(0.05, -0.03))
 SIZE = (192, 144)
@@ -28,13 +28,13 @@ def piece(**changes):
 
 
 def away():
-    x, y = highlight_foot(SETUP)
+    x, y = flash_mirror_point(SETUP)
     v, u = np.mgrid[: SIZE[1], : SIZE[0]] + 0.5
     return np.hypot(2.0 * u / SIZE[0] - 1.0 - x, (SIZE[1] - 2.0 * v) / SIZE[0] - y)
 
 
 def test_the_foot_is_where_a_mirror_shows_the_flash():
-    x, y = highlight_foot(SETUP)
+    x, y = flash_mirror_point(SETUP)
     camera, light = camera_in_plane(SETUP)
     beams = [np.array([x, y, 0.0]) - place.numpy() for place in (camera, light)]
     first, second = (beam / np.linalg.norm(beam) for beam in beams)
