@@ -56,6 +56,6 @@ def test_it_comes_last_and_gives_no_frame(pair):
     found = register([flash, flash, ambient, replace(ambient, name="again")], setup)
     assert [view.flash for view in found.views] == [True, True, False]
     (worse,) = found.left_out
-    assert "did not fire" in worse.why and "tells the room's light better" in worse.why
+    assert "did not fire" in worse.why and "shows the ambient light better" in worse.why
     with pytest.raises(MatcapError, match="with flash first"):
         register([ambient, flash], setup)
