@@ -7,21 +7,14 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli.options import QuietOption, in_range
+from matcap.cli.options import FovOption, QuietOption
 from matcap.errors import MatcapError
 
 
 def camera(
     shoot: Annotated[Path, typer.Argument(metavar="SHOOT", help="A folder of photographs.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="The profile.")] = Path("camera.json"),
-    fov: Annotated[
-        float | None,
-        typer.Option(
-            parser=in_range(1.0, 170.0),
-            metavar="1..170",
-            help="Field of view along the long side, degrees.",
-        ),
-    ] = None,
+    fov: FovOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Estimate how much light a camera and its flash lose towards the corners.

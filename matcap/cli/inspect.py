@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.cli.options import JsonOption, in_range
+from matcap.cli.options import FovOption, JsonOption
 from matcap.errors import ExitCode, MatcapError, UsageError
 
 if TYPE_CHECKING:
@@ -30,14 +30,7 @@ def inspect(
     detail: Annotated[
         int, typer.Option(min=64, max=8192, help="Pixels across that a capture would look at.")
     ] = 1024,
-    fov: Annotated[
-        float | None,
-        typer.Option(
-            parser=in_range(1.0, 170.0),
-            metavar="1..170",
-            help="Field of view along the long side, degrees.",
-        ),
-    ] = None,
+    fov: FovOption = None,
     camera: Annotated[
         Path | None,
         typer.Option(metavar="FILE.json", help="Profile of the camera, as of matcap camera."),

@@ -58,6 +58,14 @@ ReplaceOption = Annotated[
     bool,
     typer.Option("--overwrite", help="Replace a file that another program or command wrote."),
 ]
+FovOption = Annotated[
+    float | None,
+    typer.Option(
+        parser=in_range(1.0, 170.0),
+        metavar="1..170",
+        help="Field of view along the long side, degrees.",
+    ),
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but failures.")]
 LikeOption = Annotated[
     Path | None,
