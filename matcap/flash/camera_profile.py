@@ -58,14 +58,13 @@ def camera_profile(camera: str, fits: Sequence[CoarseFit]) -> CameraProfile | No
     return CameraProfile(camera, shared_falloff(seen), len(seen))
 
 
-def shared_falloff(seen: Sequence[FalloffEvidence], prior: Falloff | None = None) -> Falloff:
-    """What photographs say together of the next one's falloff; fewer than LEAST the prior.
+def shared_falloff(seen: Sequence[FalloffEvidence]) -> Falloff:
+    """What photographs say together of the next one's falloff; of fewer than LEAST any camera's.
 
     Args:
         seen: what each says; their order does not matter.
-        prior: any camera's by default.
     """
-    prior = prior or Falloff()
+    prior = Falloff()
     if len(seen) < LEAST:
         return prior
     # Sums of floats depend on their order.

@@ -32,18 +32,21 @@ def test_a_profile_is_read_as_it_was_written(file):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda told: "{", "this is no camera's profile"),
-        (lambda told: "[]", "it is none"),
-        (lambda told: json.dumps({**told, "format": "matcap report"}), "it is none"),
-        (lambda told: json.dumps({**told, "version": 9}), "version is 9, not 1"),
-        (lambda told: json.dumps({**told, "falloff": [0.1]}), "falloff is not two numbers"),
-        (lambda told: json.dumps({**told, "falloff": [0.1, 1e9]}), "falloff"),
-        (lambda told: json.dumps({**told, "deviation": [0.1, 0.0]}), "deviation"),
-        (lambda told: json.dumps({**told, "deviation": [0.1, "x"]}), "deviation"),
-        (lambda told: json.dumps({**told, "correlation": 1.0}), "correlation"),
-        (lambda told: json.dumps({**told, "photographs": 0}), "photographs"),
-        (lambda told: json.dumps({k: v for k, v in told.items() if k != "camera"}), "'camera' is"),
-        (lambda told: " " * 200_000, "too large"),
+        (lambda document: "{", "this is no camera's profile"),
+        (lambda document: "[]", "it is none"),
+        (lambda document: json.dumps({**document, "format": "matcap report"}), "it is none"),
+        (lambda document: json.dumps({**document, "version": 9}), "version is 9, not 1"),
+        (lambda document: json.dumps({**document, "falloff": [0.1]}), "falloff is not two numbers"),
+        (lambda document: json.dumps({**document, "falloff": [0.1, 1e9]}), "falloff"),
+        (lambda document: json.dumps({**document, "deviation": [0.1, 0.0]}), "deviation"),
+        (lambda document: json.dumps({**document, "deviation": [0.1, "x"]}), "deviation"),
+        (lambda document: json.dumps({**document, "correlation": 1.0}), "correlation"),
+        (lambda document: json.dumps({**document, "photographs": 0}), "photographs"),
+        (
+            lambda document: json.dumps({k: v for k, v in document.items() if k != "camera"}),
+            "'camera' is",
+        ),
+        (lambda document: " " * 200_000, "too large"),
     ],
 )
 def test_a_bad_profile_is_refused_in_one_sentence(file, change, said):

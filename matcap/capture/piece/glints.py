@@ -64,16 +64,15 @@ def scaled_by_glints(
     """
     settings = settings or GlintSettings()
     maps = light.maps(departures)
-    incidence = light.flash.onto(maps.normal)
-    log, diffuse_share = light.logs(maps, incidence)
+    _, diffuse_share = light.logs(maps, light.flash.onto(maps.normal))
     around = max(linear.shape) / settings.around
     glare = 1.0 - smoothed(diffuse_share.mean(0).numpy(), around / 4.0)
     seen = measured.all(0).numpy()
     region = (glare > settings.mirrored) & seen
     if float(region.mean()) < settings.least_share:
         return departures
-    even = replace(departures, diffuse=departures.diffuse.mean((1, 2), keepdim=True) + 0 * log)
-    maps = light.maps(even)
+    mean = departures.diffuse.mean((1, 2), keepdim=True)
+    maps = light.maps(replace(departures, diffuse=mean.expand_as(linear)))
     rendered = light.logs(maps, light.flash.onto(maps.normal))[0].mean(0).numpy()
     photograph = linear.clamp_min(1e-5).log().mean(0).numpy()
     variance = (noise.square().mean(0) / 3.0).numpy()

@@ -22,6 +22,8 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.piece.glints import GlintSettings
+from matcap.capture.piece.levels import LevelSettings
 from matcap.capture.piece.smooth import filled
 from matcap.flash.geometry import FlashSetup, flash_mirror_point
 from matcap.flash.render import render_rectified
@@ -32,10 +34,10 @@ TexelMask = NDArray[np.bool_]
 NEAR, FAR = 0.06, 0.3  # plane units from the mirror point
 _EDGES = (0.0, NEAR, 0.085, 0.12, 0.17, 0.24, FAR, 9.0)  # plane units; an octave is two rings
 GLOSSY = 1.3  # contrast from which a highlight is looked for, as in flash/highlight.py
-MIRRORED = 0.4  # specular fraction from which contrast is taken for slope, as in piece/glints.py
-BOUND = 0.05  # clipped share from which a ring is a lower bound, as in piece/levels.py
+MIRRORED = GlintSettings.mirrored  # specular fraction from which contrast is slope's
+BOUND = LevelSettings.clipped  # share from which a ring is a lower bound
 UNSEEN = 0.01  # log radiance, standard deviation, that the eye does not see in a surface
-_LEAST = 0.01  # share of the picture that glints are measured in, as in piece/glints.py
+_LEAST = GlintSettings.least_share  # of the picture, that glints are measured in
 _OCTAVES = 3  # from 1 texel on
 _DARKEST = 1e-4  # radiance
 
