@@ -1,1 +1,1 @@
-"""The contract of endless maps: blocks, the field, and the material with its file."""
+"""Endless maps: their blocks, Field, Material and its file, and what generators implement."""

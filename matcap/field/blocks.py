@@ -1,4 +1,4 @@
-"""The fixed grid of blocks of the plane, and the blocks that a rectangle needs."""
+"""The fixed grid of blocks that the plane is cut into, and the blocks that a rectangle covers."""
 
 from __future__ import annotations
 
@@ -10,34 +10,40 @@ from matcap.field.plane import COORDINATE_LIMIT, Period, Rectangle
 
 BLOCK = 512  # texels along x; docs/notes/field.md has the measurement
 BLOCK_HEIGHT = 256
-RING = 1  # texels around a block that its normals look at
+RING = 1  # texels around a block from which its border's slopes are computed
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Blocks of so many texels, both multiples of ALIGNMENT, one of them beginning at (0, 0)."""
+    """Blocks of width x height texels; one has its upper left texel at (0, 0)."""
 
     width: int = BLOCK
     height: int = BLOCK_HEIGHT
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A part of a rectangle that lies in one block; slices are (rows, columns)."""
+class BlockPart:
+    """The part of a requested rectangle that lies in one block."""
 
     block: Rectangle
     source: tuple[slice, slice]
+    """Rows and columns of the block."""
     target: tuple[slice, slice]
+    """Rows and columns of the rectangle."""
 
     @property
     def texels(self) -> int:
-        """How many."""
+        """Number of texels."""
         rows, columns = self.target
         return (rows.stop - rows.start) * (columns.stop - columns.start)
 
 
 def check_rectangle(wanted: Rectangle) -> Rectangle:
-    """The rectangle, or a UsageError when it is empty or beyond the coordinate limit."""
+    """Return the rectangle.
+
+    Raises:
+        UsageError: it is empty, or reaches beyond COORDINATE_LIMIT.
+    """
     if wanted.width <= 0 or wanted.height <= 0:
         raise UsageError(
             f"the size {wanted.width}x{wanted.height} is empty",
@@ -51,16 +57,16 @@ def check_rectangle(wanted: Rectangle) -> Rectangle:
     return wanted
 
 
-def pieces_of(wanted: Rectangle, grid: Grid, period: Period | None) -> Iterator[Piece]:
-    """What each block of the grid contributes to a rectangle, row by row.
+def block_parts(wanted: Rectangle, grid: Grid, period: Period | None) -> Iterator[BlockPart]:
+    """Cut a rectangle into its parts by block, row by row.
 
-    A periodic field has blocks in its first cell only: a repeat is the same block read again, and
-    so the same bits.
+    Coordinates of a periodic field are taken modulo the period, so that every repeat reads the
+    same blocks and gets the same bits.
     """
     along_x, along_y = period or (None, None)
     for rows in _runs(wanted.y, wanted.height, grid.height, along_y):
         for columns in _runs(wanted.x, wanted.width, grid.width, along_x):
-            yield Piece(
+            yield BlockPart(
                 block=Rectangle(columns.block, rows.block, grid.width, grid.height),
                 source=(rows.source, columns.source),
                 target=(rows.target, columns.target),
@@ -69,7 +75,7 @@ def pieces_of(wanted: Rectangle, grid: Grid, period: Period | None) -> Iterator[
 
 @dataclass(frozen=True)
 class _Run:
-    """A piece along one axis."""
+    """A part along one axis: the block's first texel, and slices of block and rectangle."""
 
     block: int
     source: slice

@@ -1,7 +1,7 @@
-"""Where blocks are computed: on the processor, or on a CUDA device.
+"""The device that computes blocks: the processor or CUDA.
 
-The two round differently, by about 1e-6: what is begun on one is not gone on with on the other
-(request.py), and a field stays where it was made.
+Their results differ by about 1e-6. An output that was begun on one is therefore never continued on
+the other (synth/request.py).
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from matcap.errors import UsageError
 
 DeviceName = Literal["auto", "cpu", "cuda"]
 
-_ALONE = threading.Lock()
+_SETTINGS_LOCK = threading.Lock()
 
 
 def find_device(name: DeviceName) -> torch.device:
-    """The device of a name; "auto" is CUDA where torch sees such a device, else the processor.
+    """Return the torch device; "auto" is CUDA where available, else the processor.
 
-    Of several CUDA devices it is torch's current one; CUDA_VISIBLE_DEVICES chooses another.
+    Of several CUDA devices torch's current one is used; set CUDA_VISIBLE_DEVICES for another.
 
     Raises:
-        UsageError: CUDA was asked for and torch sees no such device.
+        UsageError: "cuda", and torch sees no such device.
     """
     there = torch.cuda.is_available()
     if name == "cuda" and not there:
@@ -40,17 +40,16 @@ def find_device(name: DeviceName) -> torch.device:
 
 @contextmanager
 def repeatable(device: torch.device) -> Iterator[None]:
-    """Within, convolutions on CUDA are true float32 ones and the same bits every time.
+    """Context in which convolutions on CUDA are float32 and deterministic; no-op on the processor.
 
-    As it comes, cuDNN rounds float32 to the ten bits of TF32, and may choose among algorithms by
-    how fast they happened to be. These are settings of the whole process, hence one thread at a
-    time; a device has no use for more. On the processor nothing happens.
+    By default cuDNN rounds float32 to TF32, and may choose its algorithm by timing. The settings
+    belong to the process, hence one thread at a time holds the context.
     """
     if device.type != "cuda":
         yield
         return
     settings: Any = torch.backends.cudnn
-    with _ALONE:
+    with _SETTINGS_LOCK:
         before = settings.conv.fp32_precision, settings.deterministic, settings.benchmark
         try:
             # Not `allow_tf32`: it does not hold where torch.backends.fp32_precision says TF32.

@@ -1,8 +1,8 @@
 """Field: random access to the endless material.
 
-The plane is cut into a fixed grid of blocks. A block is always computed whole, on the same grid,
-from the same true noise around it, on one thread: its texels are the same bits for every caller, in
-whatever order, whatever rectangle, and however many blocks are computed side by side.
+The plane is cut into a fixed grid of blocks. A block is always computed whole, from the same
+inputs, on one thread. Its texels therefore have the same bits whatever rectangle is read, in
+whatever order, and however many blocks are computed in parallel.
 
 Read next: source.py (one block), synth/stream.py (rectangles of any size, to files).
 """
@@ -14,7 +14,7 @@ import os
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.field.blocks import BLOCK, Piece, check_rectangle, pieces_of
+from matcap.field.blocks import BLOCK, BlockPart, block_parts, check_rectangle
 from matcap.field.device import DeviceName, find_device
 from matcap.field.plane import Period, Rectangle
 from matcap.field.single import single_threaded
@@ -27,18 +27,17 @@ class Field:
     """The endless field of one material and seed.
 
     Args:
-        material: what to read.
-        seed: which realisation, in [-2^63, 2^63).
-        period: repeat in texels along (x, y), multiples of the material's
-            alignment; None, for both or for one of them, is endless.
-        device: where to compute: "cpu", "cuda", or "auto" for CUDA where it is there. The maps
-            come back to the processor. Devices differ in the last bits. By example always on
-            the processor.
-        generator: "example" or "decoder"; by default by example where there is an exemplar.
+        material: the material to synthesise.
+        seed: of the realisation, in [-2^63, 2^63).
+        period: repeat in texels along (x, y), multiples of the material's alignment; None, for
+            both axes or for one, is endless.
+        device: "cpu", "cuda", or "auto" for CUDA where available. Devices differ in the last bits.
+            Maps are returned on the processor. The example generator always uses the processor.
+        generator: "example" or "decoder"; None is "example" where there is an exemplar.
 
     Raises:
-        UsageError: a seed or period out of range, or no CUDA device or exemplar where one was
-            asked for.
+        UsageError: a seed or period out of range, no CUDA device, or a generator that the material
+            does not have.
     """
 
     def __init__(
@@ -56,32 +55,36 @@ class Field:
     def read(
         self, x: int, y: int, width: int, height: int, *, workers: int | None = None
     ) -> MapSet:
-        """Maps of a rectangle; texel (x, y) is left top, y grows downwards.
+        """Compute the maps of a rectangle.
 
-        `workers` blocks are computed side by side (default: one a core); their number changes no
-        bit. The height is finite-differenced inside the rectangle; a rectangle that is the whole
-        period is marked periodic.
+        Normals of the result are finite differences of the height inside the rectangle. A rectangle
+        of exactly one period is marked periodic.
+
+        Args:
+            x, y: upper left texel; y grows downwards.
+            width, height: in texels.
+            workers: blocks computed in parallel, by default one a core; changes no bit.
 
         Raises:
-            UsageError: an empty rectangle, or one beyond 2^40.
+            UsageError: an empty rectangle, or coordinates beyond 2^40.
         """
         wanted = check_rectangle(Rectangle(x, y, width, height))
         return read_source(self.source, wanted, workers or os.cpu_count() or 1)
 
 
 def read_source(source: Source, wanted: Rectangle, workers: int) -> MapSet:
-    """Maps of a rectangle of any source, with so many threads."""
+    """Compute the maps of a rectangle with so many threads; see Field.read."""
     channels = MAP_CHANNELS + source.specular_channels
     stacked = torch.empty(channels, wanted.height, wanted.width)
-    pieces = list(pieces_of(wanted, source.grid, source.period))
+    parts = list(block_parts(wanted, source.grid, source.period))
 
-    def fill(piece: Piece) -> None:
-        # Whether the caller's tensors are for inference only or not, they are so here.
+    def fill(part: BlockPart) -> None:
+        # Threads do not inherit the caller's inference mode.
         with torch.inference_mode():
-            planes = inner(source.maps(piece.block))[(..., *piece.source)]
-            stacked[(..., *piece.target)] = planes.cpu()
+            planes = inner(source.maps(part.block))[(..., *part.source)]
+            stacked[(..., *part.target)] = planes.cpu()
 
-    with single_threaded(min(workers, len(pieces))) as pool:
-        list(pool.map(fill, pieces))
+    with single_threaded(min(workers, len(parts))) as pool:
+        list(pool.map(fill, parts))
     whole = source.period == (wanted.width, wanted.height)
     return MapSet.from_stacked(stacked, source.texel_size, periodic=whole)

@@ -22,7 +22,7 @@ from matcap.files.values import bounded
 FORMAT = "matcap-material"
 VERSION = 5  # of the file
 REMEDY = "capture the photograph again, or fetch the file again"
-# What reading JSON raises that is not as it should be.
+# Exceptions that reading malformed JSON values can raise.
 DAMAGED = (
     KeyError,
     IndexError,
@@ -36,11 +36,13 @@ DAMAGED = (
 
 @contextmanager
 def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """A material's file and its description; what is wrong with either becomes a MatcapError.
+    """Open a material's file; yield the safetensors handle and the description.
+
+    Errors raised inside the context that mean damaged data become a MatcapError.
 
     Args:
         path: of the file.
-        framework: what tensors are read for: "pt" or "np".
+        framework: of the tensors that the handle returns, "pt" or "np".
 
     Raises:
         MatcapError: missing, not a material, of another version, or damaged.
@@ -74,7 +76,7 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
 
 
 def provenance_says(entry: str, path: Path) -> bool:
-    """Whether a file is a material whose provenance has an entry: how a command knows its own."""
+    """Whether the file is a material whose provenance has an entry of this name."""
     try:
         with opened(path, "np") as (_, about):
             return entry in about["provenance"]
@@ -106,10 +108,10 @@ def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
 
 
 def _checked(about: dict[str, Any]) -> dict[str, Any]:
-    """The entries that every material has, each of its type and in its range.
+    """Convert and check the entries that every material has.
 
     Raises:
-        What DAMAGED names: one of them is not.
+        DAMAGED: an entry is missing, of a wrong type or out of range.
     """
     return about | {
         "name": made_plain(str(about["name"])),
@@ -120,10 +122,10 @@ def _checked(about: dict[str, Any]) -> dict[str, Any]:
 
 
 def stated_setup(stated: Mapping[str, Any]) -> dict[str, Any]:
-    """The numbers of a FlashSetup that a file states, by name.
+    """Arguments of FlashSetup from a file's JSON.
 
     Raises:
-        What DAMAGED names: something is missing, of another kind or out of range.
+        DAMAGED: an entry is missing, of a wrong type or out of range.
     """
 
     def several(key: str, count: int, least: float, most: float) -> tuple[float, ...]:

@@ -1,30 +1,30 @@
 """Material: a captured material and its file, `.matcap`.
 
 One safetensors file of tensors, whose metadata has two entries: `matcap`, which is JSON, and
-`digest`, SHA-256 of that text and all tensors' bytes, checked on loading. Nothing in it is
-executed, and every shape is checked against the stated configuration before anything is read.
+`digest`, the SHA-256 of that text and of all tensors' bytes, checked on loading. Nothing in it is
+executed, and every shape is checked against the description before a tensor is read.
 
 Tensors:
-    example.exemplar.*: bytes, one map of the photographed piece each; see example/exemplar.py.
-    example.index.*: bytes, what rearranging it looks up; see example/index.py.
-    decoder.*: the fine-tuned network, where one was asked for; shapes as its description says.
-    code: (64,), the code it was tuned at.
+    example.exemplar.*: bytes, one map of the exemplar each; see example/exemplar.py.
+    example.index.*: bytes of the exemplar's index; see example/index.py.
+    decoder.*: weights of the fine-tuned decoder, where there is one.
+    code: (64,), the latent vector it was fine-tuned at.
     moments.*.mean: (channels of layer *,), frozen mean of its AdaIN's input.
-    moments.*.deviation: (channels of layer *,), frozen deviation of it.
+    moments.*.deviation: (channels of layer *,), frozen standard deviation of it.
 
 Metadata:
     format: "matcap-material".
     version: 5.
     name: of the photograph.
-    texel_size: plane units.
+    texel_size: in plane units.
     setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`,
-        `vignetting_quartic`, `turned` (of a portrait: both are of the picture lying, maps stand).
+        `vignetting_quartic`, and `turned`: true where setup is of the photograph in landscape
+        orientation and the maps are in portrait.
     provenance: how it was made.
-    example: `exemplar` and `index`, what their tensors mean; absent where there is none.
-    decoder: `noise_channels`, `widths` (five), `convolutions` (down, up) and `cells` (channels of
-        the noise of cells, 0 for none) and `grains` (of structured noise, likewise);
-        absent where there is none.
-    waves: at most two of `{fx, fy}`, cycles a texel; the plane waves of a decoder's regular order.
+    example: `exemplar` and `index`, descriptions of their tensors; absent without an exemplar.
+    decoder: `noise_channels`, `widths` (five), `convolutions` (down, up), `cells` and `grains`
+        (channels of cellular and of anisotropic noise); absent without a decoder.
+    waves: at most two `{fx, fy}`, cycles per texel: the decoder's lattice.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ from matcap.field.source import FieldGenerator, Generator
 from matcap.files.tensors import write_tensors
 from matcap.flash.geometry import FlashSetup
 
-# Who reads each generator from a file, imported where a file holds one; the first that a material
-# has makes its maps.
+# Modules that read each generator from a file, imported on demand. A material's maps are made by
+# the first of these generators that it has.
 GENERATORS: Mapping[Generator, str] = {
     "example": "matcap.example.stored",
     "decoder": "matcap.space.tuned",
 }
-_CODES = "matcap.space.code"  # who works out a code, imported when one is asked for
+_CODES = "matcap.space.code"  # computes latent vectors; imported on demand
 
 
 PartKind = TypeVar("PartKind")
@@ -67,26 +67,25 @@ class Material:
     name: str
     """Of the photograph it came from."""
     generators: Mapping[Generator, FieldGenerator]
-    """What makes its maps, by name: "example" for the photographed piece, rearranged; "decoder" for
-    the paper's network, where it was asked for."""
+    """By name: "example" rearranges the exemplar, "decoder" is the fine-tuned network."""
     texel_size: float
     """In plane units (half the photograph's long side)."""
     setup: FlashSetup
     """Camera and flash of the photograph."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    """Anything worth knowing about how it was made; JSON."""
+    """How it was made; JSON."""
 
     def part(self, kind: type[PartKind]) -> PartKind | None:
-        """Its generator of a class, if it has one."""
+        """The generator of this class, or None."""
         return next((g for g in self.generators.values() if isinstance(g, kind)), None)
 
     @property
     def generator(self) -> FieldGenerator:
-        """The one that makes its maps: by example, unless it only has a decoder."""
+        """The generator that makes its maps: "example", unless it has only a decoder."""
         return next(self.generators[name] for name in GENERATORS if name in self.generators)
 
     def by(self, generator: Generator | None) -> Material:
-        """The same with one generator alone; with all where none is named.
+        """Return a copy with only this generator; the material itself for None.
 
         Raises:
             UsageError: it has no such generator.
@@ -98,10 +97,10 @@ class Material:
         return replace(self, generators={generator: self.generators[generator]})
 
     def varied(self, variety: float | None) -> Material:
-        """The same, its piece rearranged with another variety; itself where none is named.
+        """Return a copy whose field has another variety; the material itself for None.
 
         Args:
-            variety: from 0, the piece itself repeated, to 1, of many small pieces.
+            variety: patch size, from 0, the whole exemplar, to 1, the smallest patches.
 
         Raises:
             UsageError: it has no exemplar, or a variety out of range.
@@ -113,21 +112,21 @@ class Material:
         return replace(self, generators={**self.generators, name: varied})
 
     def repeating(self) -> MapSet:
-        """Maps of the photographed piece itself, made to repeat, at about its own size.
+        """Maps of the exemplar as a seamless tile; see example/repeat.
 
         Raises:
-            UsageError: it holds no piece, or too small a one.
+            UsageError: there is no exemplar, or it is too small.
         """
         return self.generator.repeating()
 
     @property
     def alignment(self) -> int:
-        """What periods of its field are multiples of, in texels."""
+        """Texels: periods of its field are multiples of this."""
         return self.generator.alignment
 
     @cached_property
     def code(self) -> Tensor:
-        """(64,) where it lies in the paper's space; worked out when it is first asked for."""
+        """(64,) latent vector in the prior's space; computed at the first access."""
         latent: Tensor = import_module(_CODES).code_of(self)
         return latent
 
@@ -142,21 +141,21 @@ class Material:
         period: tuple[int, int] | None = None,
         generator: Generator | None = None,
     ) -> MapSet:
-        """Maps of a rectangle of the endless field; see field.field.Field.read.
+        """Compute maps of a rectangle of the endless field; see field.field.Field.
 
         Args:
             width: in texels.
             height: in texels.
-            seed: which realisation.
-            x: of the left top texel.
-            y: of the left top texel, downwards.
-            period: repeat of the field in texels, or None for an endless one.
-            generator: "example" or "decoder"; by default by example where there is an exemplar.
+            seed: of the realisation.
+            x: column of the upper left texel.
+            y: row of the upper left texel, downwards.
+            period: (x, y) repeat of the field in texels, or None for an endless field.
+            generator: "example" or "decoder"; None is "example" where there is an exemplar.
         """
         return Field(self, seed, period, generator=generator).read(x, y, width, height)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file; whole or not at all.
+        """Write the file atomically.
 
         Raises:
             MatcapError: the folder cannot be written, or the disk is full.
@@ -202,7 +201,7 @@ class Material:
 
 
 def lacking(generator: Generator) -> UsageError:
-    """What a material cannot do that lacks a generator."""
+    """The error for a material without this generator."""
     if generator == "decoder":
         return UsageError(
             "this material has no decoder of its own",

@@ -1,7 +1,6 @@
-"""Maps from whatever a user points at: a material, a map set, or a folder with either.
+"""Open what a user names: a material, a map set, or a folder with either.
 
-A folder means its one material, of which there is more than the map set beside it; without one, or
-with several, its map set.
+A folder stands for its only material; without one, or with several, for its map set.
 """
 
 from __future__ import annotations
@@ -23,18 +22,18 @@ if TYPE_CHECKING:
     from matcap.flash.geometry import FlashSetup
 
 
-# What the provenance of maps says that are the photographed piece itself.
+# Provenance entry of maps that are the exemplar itself, made to repeat.
 REPEATS = {"tile": "piece"}
 
 
 @dataclass(frozen=True)
 class OpenedMaps:
-    """Maps with what is known of them."""
+    """Maps with their name and provenance."""
 
     maps: MapSet
     """Without batch dimensions."""
     name: str
-    """Of the map set or the material."""
+    """Name of the map set or the material."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """How the material was made; any JSON."""
 
@@ -49,19 +48,19 @@ def open_tile(
 ) -> OpenedMaps:
     """Maps of a material file, a map set's JSON file, or a folder.
 
-    A material's maps repeat without a seam where both sides are multiples of its alignment, 16 for
-    most.
+    A material's maps are periodic where both sides are multiples of its alignment, in general 16
+    texels.
 
     Args:
-        path: what to open.
-        read: which of its maps; changes are recorded in the provenance.
-        size: (width, height) in texels of a material's maps, 1024 x 1024 by default.
-        seed: the realisation of a material, 0 by default.
-        piece: the photographed piece itself, made to repeat, at its own size.
+        path: of the file or folder.
+        read: options of reading; adjustments are recorded in the provenance.
+        size: (width, height) in texels of a material's maps; None is 1024 x 1024.
+        seed: of a material's realisation; None is 0.
+        piece: return the exemplar itself as a seamless tile.
 
     Raises:
-        UsageError: a material's normals are asked for; a size, seed, generator or variety is asked
-            of a map set, which has its own.
+        UsageError: `normals` with a material; size, seed, generator, variety or piece with a map
+            set.
         MatcapError: nothing to open, more than one thing, or a broken file.
     """
     path = _resolved(path)
@@ -120,16 +119,15 @@ class PhotographedAs:
     setup: FlashSetup
     """Camera and flash."""
     size: tuple[int, int] | None
-    """(width, height) in texels of the photographed piece, whose sides are the photograph's; None
-    where a material has no piece."""
+    """(width, height) in texels of the exemplar if it covers exactly the photograph, else None."""
     endless: bool
-    """There is material beyond the piece."""
+    """Whether maps of other places exist: true for a material, false for a map set."""
 
 
 def open_photographed(path: Path) -> PhotographedAs | None:
-    """How what open_source opens was photographed; None where nothing says so.
+    """How the material or map set at a path was photographed.
 
-    A material says so, and the map set of the photographed piece itself.
+    None for a map set whose provenance has no setup: only the exemplar's own has one.
 
     Raises:
         MatcapError: as open_source.
@@ -141,7 +139,7 @@ def open_photographed(path: Path) -> PhotographedAs | None:
     if path.suffix.lower() == ".matcap":
         material = _material(path)
         size = material.generator.piece_size
-        # A piece that reaches beyond the photograph has other sides.
+        # A mosaic of several photographs is larger than one of them.
         long = 1 if material.setup.turned else 0
         own = size is not None and size[long] == round(2.0 / material.texel_size)
         return PhotographedAs(material.setup, size if own else None, endless=True)
@@ -154,7 +152,7 @@ def open_photographed(path: Path) -> PhotographedAs | None:
 
 
 def material_file(path: Path) -> Path:
-    """A material's file: the path itself, or the one material of a folder.
+    """Path of a material's file: the path itself, or the only material of a folder.
 
     Raises:
         MatcapError: no material there, or several.
@@ -170,7 +168,7 @@ def material_file(path: Path) -> Path:
 
 
 def open_material(path: Path) -> tuple[Path, Material]:
-    """A material, from its file or the folder that holds it, with the file's path.
+    """Load a material from its file or folder; return the file's path, too.
 
     Raises:
         MatcapError: no material there, several, or a broken one.
@@ -197,7 +195,7 @@ class AdjustedMaterial:
 
 
 def open_source(path: Path, read: ReadOptions = AS_IT_IS) -> MapSet | Material | AdjustedMaterial:
-    """A map set's maps, or a material to read rectangles from; both with the read options.
+    """Open a map set's maps or a material, with the read options applied.
 
     Raises:
         UsageError: as open_tile.
@@ -214,7 +212,7 @@ def open_source(path: Path, read: ReadOptions = AS_IT_IS) -> MapSet | Material |
 
 
 def _resolved(path: Path) -> Path:
-    """The path itself, or the one material of a folder; its map set where that is not enough."""
+    """The path of a file; of a folder its only material, else the folder if it has a map set."""
     if not path.is_dir():
         return path
     materials = sorted(path.glob("*.matcap"))

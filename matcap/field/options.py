@@ -1,4 +1,4 @@
-"""How maps are read of a material or a map set: options that several commands share."""
+"""Options of reading maps from a material or a map set, shared by several commands."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def _adjustments(text: str | Adjustments) -> Adjustments:
-    """As parse_adjustments, which needs NumPy."""
+    """parse_adjustments, imported on demand as it needs NumPy."""
     from matcap.brdf.adjust import parse_adjustments
 
     return parse_adjustments(text) if isinstance(text, str) else text
@@ -22,10 +22,10 @@ def _adjustments(text: str | Adjustments) -> Adjustments:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Which of a material's maps are read, and what is changed of them on their way.
+    """Options of reading maps.
 
     Raises:
-        UsageError: a word or a number that there is not.
+        UsageError: an unknown word, or a number out of range.
     """
 
     generator: Generator | None = setting(
@@ -33,7 +33,7 @@ class ReadOptions:
         words=("example", "decoder"),
         otherwise="example, where the material has an exemplar",
     )
-    """Rearrange the photographed piece (example), or ask the network (decoder)."""
+    """Rearrange the photographed piece (example), or run the fine-tuned network (decoder)."""
     adjust: Adjustments | None = setting(None, metavar="NAME=VALUE,...", parse=_adjustments)
     """Change relief (factor), roughness (added), saturation, brightness (factors) or tint (#rrggbb)
     of the maps, not of the material: relief=1.3,roughness=-0.1. Or a sidecar (.json) that records
@@ -41,17 +41,17 @@ class ReadOptions:
     variety: float | None = setting(
         None, least=0.0, most=1.0, metavar="0..1", otherwise="what capture chose"
     )
-    """How far the photographed piece is taken apart: 0 repeats it whole, its borders healed; 1
-    makes many small pieces of it."""
+    """Size of the patches that the photographed piece is cut into: 0 is one patch, the whole piece;
+    1 is the smallest patches."""
     normals: NormalSource | None = setting(None, words=("height", "file"), otherwise="height")
-    """Of a map set: normals of its height, or of its normal file, where you painted on it."""
+    """Normals of a map set: computed from its height, or read from its normal file."""
 
     def __post_init__(self) -> None:
         check_settings(self)
 
     @property
     def adjustments(self) -> Adjustments:
-        """What is changed; NONE where nothing is."""
+        """The adjustments; NONE where there are none."""
         from matcap.brdf.adjust import NONE
 
         return self.adjust or NONE

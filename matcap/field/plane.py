@@ -1,6 +1,6 @@
-"""Addresses on the endless plane: rectangles, periods and seeds, with their limits.
+"""Coordinates on the endless plane: rectangles, periods and seeds, with their limits.
 
-Without PyTorch, so that what needs none can start without it.
+Imports no PyTorch, for a fast start.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from matcap.errors import UsageError
 COORDINATE_LIMIT = 2**40  # texels either way
 SEED_LIMIT = 2**63
 
-# What repeats: texels along x and along y, None for an axis that never does.
+# Period of a field in texels along x and y; None for an axis along which it never repeats.
 Period = tuple[int | None, int | None]
 
 
 @dataclass(frozen=True)
 class Rectangle:
-    """Texels x to x + width, y (downwards) to y + height."""
+    """Texels [x, x + width) by [y, y + height); y points down."""
 
     x: int
     y: int
@@ -26,37 +26,37 @@ class Rectangle:
     height: int
 
     def grown(self, by: int) -> Rectangle:
-        """With so many texels more on every side."""
+        """The rectangle extended by so many texels on every side."""
         return Rectangle(self.x - by, self.y - by, self.width + 2 * by, self.height + 2 * by)
 
     def coarser(self, bits: int) -> Rectangle:
-        """On a grid 2^bits times as coarse: every texel that it has a part of."""
+        """The texels of a grid 2^bits times as coarse that the rectangle overlaps."""
         x, y = self.x >> bits, self.y >> bits
         right, bottom = -(-(self.x + self.width) >> bits), -(-(self.y + self.height) >> bits)
         return Rectangle(x, y, right - x, bottom - y)
 
     def united(self, other: Rectangle) -> Rectangle:
-        """The smallest that has both."""
+        """The bounding rectangle of both."""
         x, y = min(self.x, other.x), min(self.y, other.y)
         right = max(self.x + self.width, other.x + other.width)
         bottom = max(self.y + self.height, other.y + other.height)
         return Rectangle(x, y, right - x, bottom - y)
 
     def within(self, outer: Rectangle) -> tuple[slice, slice]:
-        """Where it lies in an array (rows, columns) that covers another that has it."""
+        """Slices (rows, columns) of this rectangle in an array that covers `outer`."""
         x, y = self.x - outer.x, self.y - outer.y
         return slice(y, y + self.height), slice(x, x + self.width)
 
 
 def check_seed(seed: int) -> int:
-    """The seed, or a UsageError when it is out of range."""
+    """Return the seed; raise UsageError outside [-2^63, 2^63)."""
     if not -SEED_LIMIT <= seed < SEED_LIMIT:
         raise UsageError(f"the seed {seed} is out of range", remedy="give one in [-2^63, 2^63)")
     return seed
 
 
 def check_variety(variety: float) -> float:
-    """The variety, or a UsageError when it is out of range."""
+    """Return the variety; raise UsageError outside [0, 1]."""
     if not 0.0 <= variety <= 1.0:
         raise UsageError(
             f"a variety of {variety:g}", where="--variety", remedy="give a number from 0 to 1"
@@ -65,7 +65,7 @@ def check_variety(variety: float) -> float:
 
 
 def check_period(period: Period | None, alignment: int) -> Period | None:
-    """The period, or a UsageError when an axis is no positive multiple of the alignment."""
+    """Return the period; raise UsageError unless each is a positive multiple of the alignment."""
     for length in period or ():
         if length is not None and (length <= 0 or length % alignment):
             raise UsageError(
@@ -77,13 +77,13 @@ def check_period(period: Period | None, alignment: int) -> Period | None:
 
 @dataclass(frozen=True)
 class Span:
-    """Texels start to stop along one axis."""
+    """Texels [start, stop) along one axis."""
 
     start: int
     stop: int
 
     def grown(self, margin: int) -> Span:
-        """With `margin` texels more at both ends."""
+        """The span extended by `margin` texels at both ends."""
         return Span(self.start - margin, self.stop + margin)
 
     def doubled(self) -> Span:
@@ -92,9 +92,9 @@ class Span:
 
     @property
     def size(self) -> int:
-        """How many texels."""
+        """Number of texels."""
         return self.stop - self.start
 
     def within(self, outer: Span) -> slice:
-        """Where this span lies in an array that covers `outer`."""
+        """Slice of this span in an array that covers `outer`."""
         return slice(self.start - outer.start, self.stop - outer.start)

@@ -1,11 +1,10 @@
-"""Thread pool whose threads compute on one core each.
+"""Thread pool whose threads run PyTorch operators on one core each.
 
-A block is computed on one thread, so that the machine's count of cores changes no bit. How many
-threads PyTorch's operators use is a setting of the calling thread (OpenMP's), beside a number for
-threads yet to come that `torch.set_num_threads` writes too; the caller writes that back before
-any work begins.
+A block is computed on one thread, so that the number of cores changes no bit.
+`torch.set_num_threads` sets OpenMP's number for the calling thread, and the default of threads that
+are started later. The pool's threads set theirs to 1; then the caller restores the default.
 
-Where PyTorch is not loaded there is no such setting, and nothing here loads it.
+Does not import PyTorch; where it is not loaded nothing needs to be set.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def single_threaded(workers: int) -> Iterator[ThreadPoolExecutor]:
-    """A pool of so many threads, each of which computes on one core."""
+    """Context of a pool of so many threads, each of which computes on one core."""
     torch = sys.modules.get("torch")
     if torch is None:
         with ThreadPoolExecutor(workers) as pool:
@@ -29,8 +28,8 @@ def single_threaded(workers: int) -> Iterator[ThreadPoolExecutor]:
     ready = threading.Barrier(workers + 1)
 
     def prepare() -> None:
-        # The first question makes PyTorch adopt the number for new threads; unasked, it would do
-        # so at the first operator, after that number has been written back.
+        # The first call makes PyTorch read the default for new threads; otherwise it would do so at
+        # the first operator, and overwrite the 1 that is set here.
         torch.get_num_threads()
         torch.set_num_threads(1)
         ready.wait()
@@ -44,11 +43,11 @@ def single_threaded(workers: int) -> Iterator[ThreadPoolExecutor]:
 
 
 def compute_alone() -> None:
-    """Let this thread, and those it starts, compute on one core each."""
+    """Set PyTorch to one core for this thread and for those it starts."""
     torch = sys.modules.get("torch")
     if torch is not None:
         torch.set_num_threads(1)
 
 
 def _nothing() -> None:
-    """A task whose submission starts a thread."""
+    """Empty task, submitted so that the pool starts a thread."""

@@ -1,4 +1,4 @@
-"""Sources that blocks of a field are read from, one interface for all generators."""
+"""Protocols of generators, and of the sources that blocks of a field are read from."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
     from matcap.brdf.maps import MapSet
 
-# How a field is made: by rearranging the photographed piece, or by the paper's network.
+# "example" rearranges the exemplar; "decoder" is the paper's network.
 Generator = Literal["example", "decoder"]
-MAP_CHANNELS = 5  # diffuse (3), roughness, height; and as many as F0 has
+MAP_CHANNELS = 5  # diffuse (3), roughness, height; F0 adds 1 or 3
 
 
 class Source(Protocol):
-    """Anything that blocks can be read from; picklable."""
+    """A field that blocks can be read from; picklable."""
 
     @property
     def texel_size(self) -> float:
@@ -32,22 +32,22 @@ class Source(Protocol):
 
     @property
     def grid(self) -> Grid:
-        """The blocks that the plane is cut into."""
+        """The grid of blocks."""
         ...
 
     @property
     def period(self) -> Period | None:
-        """What repeats."""
+        """In texels; None if the field never repeats."""
         ...
 
     @property
     def specular_channels(self) -> int:
-        """Of F0: 1, or 3 where it has a colour."""
+        """Channels of F0: 1, or 3 where it has a colour."""
         ...
 
     @property
     def device_type(self) -> str:
-        """Where it is computed: "cpu" or "cuda"."""
+        """Device that computes it: "cpu" or "cuda"."""
         ...
 
     def maps(self, block: Rectangle) -> Tensor:
@@ -55,51 +55,51 @@ class Source(Protocol):
         ...
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-        """(9 or 11, height, width) of a block: its maps and the normal."""
+        """(9 or 11, height, width) maps and normal of a block."""
         ...
 
 
 @runtime_checkable
 class Network(Source, Protocol):
-    """A source that a network computes, in a precision that can be chosen."""
+    """A source computed by a network, whose precision can be lowered."""
 
     @property
     def device(self) -> torch.device:
-        """Where it is computed."""
+        """Device that computes it."""
         ...
 
     def lowered(self, finest: int) -> Network:
-        """The same in bfloat16 from level `finest` on to the coarser ones."""
+        """A copy that computes level `finest` and all coarser levels in bfloat16."""
         ...
 
 
 class FieldGenerator(Protocol):
-    """What makes a material's endless maps."""
+    """A generator of endless maps, as a material holds it."""
 
     @property
     def alignment(self) -> int:
-        """What periods of its field are multiples of, in texels."""
+        """Texels: periods of its field are multiples of this."""
         ...
 
     @property
     def piece_size(self) -> tuple[int, int] | None:
-        """(width, height) in texels of the photographed piece, where it holds that."""
+        """(width, height) of its exemplar in texels, or None."""
         ...
 
     def piece(self) -> MapSet | None:
-        """Maps of the photographed piece, where it holds that."""
+        """Maps of its exemplar, or None."""
         ...
 
     def varied(self, variety: float) -> FieldGenerator:
-        """The same with pieces of another size, from 0, the whole one repeated, to 1.
+        """A copy of another variety (ReadOptions.variety).
 
         Raises:
-            UsageError: out of range, or it has no pieces.
+            UsageError: out of range, or it has no exemplar.
         """
         ...
 
     def source(self, seed: int, period: Period | None, device: torch.device) -> Source:
-        """Its field.
+        """The field of a seed and period, computed on a device.
 
         Raises:
             UsageError: a seed or period out of range.
@@ -107,33 +107,33 @@ class FieldGenerator(Protocol):
         ...
 
     def repeating(self) -> MapSet:
-        """Maps of the photographed piece itself, made to repeat, at about its own size.
+        """Maps of its exemplar as a seamless tile, each side about three quarters of its own.
 
         Raises:
-            UsageError: it holds no piece, or too small a one.
+            UsageError: it has no exemplar, or too small a one.
         """
         ...
 
     def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Tensors by name, and entries of the material's description."""
+        """Tensors by name, and entries of the JSON description, for the material's file."""
         ...
 
 
 class Generated(Protocol):
-    """What a field is read from: a material (material.py)."""
+    """What Field needs of a Material (material.py)."""
 
     def by(self, generator: Generator | None) -> Generated:
-        """The same with one generator alone; with all where none is named."""
+        """A copy with only this generator; itself for None."""
         ...
 
     @property
     def generator(self) -> FieldGenerator:
-        """The one that makes its maps."""
+        """The generator that makes its maps."""
         ...
 
 
 def planes_of(source: Source, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-    """(9 or 11, height, width) of a block, on the processor: its maps and the normal."""
+    """(9 or 11, height, width) maps and normal of a block, on the processor."""
     import torch
 
     from matcap.brdf.normals import normals_from_slopes
@@ -151,5 +151,5 @@ def planes_of(source: Source, block: Rectangle, normal: NormalStyle) -> NDArray[
 
 
 def inner(maps: Tensor) -> Tensor:
-    """A block's maps without their ring."""
+    """(..., h, w) of maps (..., h + 2 RING, w + 2 RING)."""
     return maps[..., RING:-RING, RING:-RING]

@@ -1,13 +1,12 @@
 """Descriptors of texture windows and the distance between them (paper, section 4.3).
 
 A descriptor holds, per pyramid level, the Gram matrix of the features, their covariance with those
-of the next coarser level, the autocorrelation of the colours (the power spectrum's transform) and
-the colours' distribution; and the window's mean colour. The distance is a sum of L1 differences,
-each relative to the target's own size, so that no level and no kind of statistic drowns the others.
+of the next coarser level, the autocorrelation of the colours and their quantiles; and the window's
+mean colour. The distance is a weighted sum of L1 differences, each divided by the target's L1 norm,
+so that no level and no statistic dominates.
 
-Gram matrices of single levels do not capture where fine structure sits in coarse structure, as in
-an edge: its levels rise at the same places. Covariances between levels do (Portilla and Simoncelli
-2000 hold parent and child bands together for the same reason).
+Covariances between levels describe structure that spans scales, such as edges, which Gram matrices
+of single levels do not [portilla2000].
 """
 
 from __future__ import annotations
@@ -28,45 +27,49 @@ from matcap.statistics.spectrum import autocorrelation
 
 @dataclass(frozen=True)
 class CompareSettings:
-    """What is tuned of descriptors; docs/notes/prior.md."""
+    """Tuned constants of descriptors; docs/notes/prior.md."""
 
-    reach: int = 12
-    """Lags of the autocorrelation at every level, in that level's texels."""
+    lags: int = 12
+    """Largest lag of the autocorrelation, in texels of its pyramid level."""
     quantiles: int = 64
-    """Of each channel's values."""
+    """Number of quantiles per colour channel."""
     largest: int = 144
-    """Texels a side of what is looked at on one level."""
+    """Texels: a larger pyramid level is cropped to a central square of this side."""
 
 
 COMPARE = CompareSettings()
 
-# Mean size below which a target's statistic cannot be seen, and is not what others are measured
-# by: a tenth of the faintest found in photographs of textures. Without it a plain photograph's
-# error is a division by nothing.
+# Lower limit of the L1 norm that differences are divided by: a tenth of the least in photographs of
+# textures. Without it the distance to a uniform photograph would divide by zero.
 UNSEEN = 1e-3
 
 
 class Features(Protocol):
-    """What textures are compared by: a FilterBank, or a trained network (vgg.py)."""
+    """Feature extractor: a FilterBank or a trained network (vgg.py)."""
 
     @property
     def levels(self) -> int:
-        """Of the pyramid of colours."""
+        """Number of levels of the colour pyramid."""
         ...
 
     @property
     def crossed(self) -> bool:
-        """Whether maps, each half the size of the one before, are compared across levels, too."""
+        """Whether covariances between successive feature maps, each half as large, are used."""
         ...
 
     def maps(self, linear: Tensor, colours: Sequence[Tensor]) -> list[Tensor]:
-        """Responses (B, C, h, w), several, to radiance (B, 3, H, W) and its pyramid of colours."""
+        """Feature maps, each (B, C, h, w).
+
+        Args:
+            linear: (B, 3, H, W) scene-linear radiance.
+            colours: pyramid of its encoded colours, finest first, (B, 3, h, w) each.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class Weights:
-    """How much each kind of statistic counts."""
+    """Weights of the statistics in distance()."""
 
     gram: float = 1.0
     cross: float = 1.0
@@ -80,20 +83,20 @@ class Descriptor:
     """Statistics of B windows."""
 
     mean: Tensor
-    """(B, 6) mean log colour, and log of the mean colour: where contrast is strong, dark parts
-    outweigh the bright ones in the one, and bright ones in the other."""
+    """(B, 6) mean of the log colour, then log of the mean colour. At strong contrast the first is
+    dominated by dark texels, the second by bright ones."""
     grams: tuple[Tensor, ...]
-    """Per map of the features (B, F + 1, F + 1); the last feature is the constant 1, so the last
-    column holds the features' means."""
+    """Per feature map (B, F + 1, F + 1); the last feature is the constant 1, so the last column
+    holds the features' means."""
     crosses: tuple[Tensor, ...]
-    """Per pair of neighbouring maps (B, F, F) covariances of their features."""
+    """Per pair of successive feature maps (B, F, F) covariances."""
     spectra: tuple[Tensor, ...]
-    """Per level (B, 3, lags, lags)."""
+    """Per pyramid level (B, 3, lags + 1, 2 lags + 1) autocorrelations of the colours."""
     quantiles: tuple[Tensor, ...]
-    """Per level (B, 3, Q) of the colours about their mean."""
+    """Per pyramid level (B, 3, Q) quantiles of the colours less their mean."""
 
     def select(self, index: Tensor | Sequence[int]) -> Descriptor:
-        """The descriptors of some windows."""
+        """Descriptors of the windows of these indices."""
         return Descriptor(
             self.mean[index],
             tuple(g[index] for g in self.grams),
@@ -104,7 +107,7 @@ class Descriptor:
 
     @staticmethod
     def joined(parts: Sequence[Descriptor]) -> Descriptor:
-        """Descriptors of all windows of several."""
+        """Concatenation along the window axis."""
         return Descriptor(
             torch.cat([part.mean for part in parts]),
             tuple(torch.cat(level) for level in zip(*(p.grams for p in parts), strict=True)),
@@ -127,7 +130,7 @@ def describe(linear: Tensor, encoding: Encoding, bank: Features) -> Descriptor:
         grams=grams,
         crosses=crosses,
         spectra=tuple(
-            autocorrelation(level, min(COMPARE.reach, min(level.shape[-2:]) // 2 - 1))
+            autocorrelation(level, min(COMPARE.lags, min(level.shape[-2:]) // 2 - 1))
             for level in levels
         ),
         quantiles=tuple(_quantiles(level) for level in levels),
@@ -135,7 +138,7 @@ def describe(linear: Tensor, encoding: Encoding, bank: Features) -> Descriptor:
 
 
 def distance(sample: Descriptor, target: Descriptor, weights: Weights) -> Tensor:
-    """(B,) how far apart windows look; 0 for the same statistics, about 1 for unlike textures."""
+    """(B,) weighted relative L1 distance: 0 for equal statistics, about 1 for unlike textures."""
     total = weights.mean * (sample.mean - target.mean).abs().mean(dim=1)
     for weight, ours, theirs in (
         (weights.gram, sample.grams, target.grams),
@@ -149,20 +152,20 @@ def distance(sample: Descriptor, target: Descriptor, weights: Weights) -> Tensor
 
 
 def _middle(level: Tensor) -> Tensor:
-    """The middle of a pyramid level: fine levels hold more texels than their statistics need."""
+    """Central crop of a pyramid level, at most COMPARE.largest texels a side, to save time."""
     height, width = level.shape[-2:]
     y, x = max(0, height - COMPARE.largest) // 2, max(0, width - COMPARE.largest) // 2
     return level[..., y : y + min(height, COMPARE.largest), x : x + min(width, COMPARE.largest)]
 
 
 def _relative(sample: Tensor, target: Tensor) -> Tensor:
-    """(B,) L1 difference as a share of the target's L1 size."""
+    """(B,) L1 norm of the difference over that of the target."""
     size = target.abs().flatten(1).mean(dim=1)
     return (sample - target).abs().flatten(1).mean(dim=1) / size.clamp_min(UNSEEN)
 
 
 def _quantiles(level: Tensor) -> Tensor:
-    """(B, 3, Q) evenly spaced quantiles of the colours about their mean."""
+    """(B, 3, Q) evenly spaced quantiles of the colours less their mean."""
     flat = level.flatten(2)
     count = min(COMPARE.quantiles, flat.shape[2])
     chunk = flat.shape[2] // count
@@ -171,5 +174,5 @@ def _quantiles(level: Tensor) -> Tensor:
 
 
 def _order(flat: Tensor) -> Tensor:
-    """(B, C, n) places of values (B, C, n), the least one's first: NumPy's, five times as fast."""
+    """Sorting indices of (B, C, n) along n, by NumPy, which is five times as fast as torch."""
     return torch.from_numpy(np.argsort(flat.detach().cpu().float().numpy(), axis=2)).to(flat.device)

@@ -1,8 +1,9 @@
 """The colour space in which photographs are compared: decorrelated logarithms of radiance.
 
-A logarithm turns shading times albedo into a sum, so a dark corner's texture weighs like a bright
-middle's. Turning and scaling the colours by the photograph's own covariance (of what is left when
-the smooth shading is taken off) puts faint and strong, grey and colourful textures on one scale.
+The logarithm turns the product of shading and albedo into a sum, so that texture has the same
+contrast in a dark corner as in the bright middle. The log colours are then whitened, approximately,
+by their covariance after the smooth shading is subtracted, so that the descriptors of faint,
+strong, grey and colourful textures have about the same scale.
 """
 
 from __future__ import annotations
@@ -16,20 +17,20 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class EncodingSettings:
-    """What is tuned of the colours textures are compared in; docs/notes/prior.md."""
+    """Tuned constants of the encoding; docs/notes/prior.md."""
 
     toe: float = 0.05
-    """Of the photograph's median: radiances so far below it all look black."""
+    """Added inside the logarithm, as a share of the median radiance; it bounds the log of black."""
     faintest: float = 0.2
-    """Colour directions fainter than this share of the strongest are not amplified further."""
+    """Lower limit of a colour direction's deviation, as a share of the strongest direction's."""
     least_contrast: float = 0.02
-    """Log: a texture of less is noise, and not amplified to full scale."""
+    """Lower limit of the strongest direction's standard deviation, log radiance; below is noise."""
     least_signal: float = 0.05
-    """Share of a colour direction's variance that counts as signal at least."""
+    """Lower limit of the signal's share of a colour direction's variance."""
     least_texels: int = 64
-    """Fewer have no covariance worth the name."""
+    """With fewer valid texels the covariance is taken over all texels."""
     shading_scale: int = 48
-    """Texels: what varies more slowly is shading, not texture."""
+    """Texels: side of the box average that separates shading from texture."""
 
 
 ENCODING = EncodingSettings()
@@ -37,33 +38,33 @@ ENCODING = EncodingSettings()
 
 @dataclass(frozen=True)
 class Encoding:
-    """Linear radiance (B, 3, H, W) to texture colour of about unit variance."""
+    """Map from linear radiance to decorrelated log colours of about unit variance."""
 
     median: float
-    """Radiance that counts as middle grey."""
+    """Radiance that is mapped to log 0."""
     matrix: Tensor
     """(3, 3) from log colour to decorrelated colour."""
 
     def __call__(self, linear: Tensor) -> Tensor:
-        """Encode; radiance above the clip level 1 counts as 1, like in the photograph."""
+        """(B, 3, H, W) encoded colours of linear radiance (B, 3, H, W)."""
         return torch.einsum("ij,bjhw->bihw", self.matrix.to(linear), self.log(linear))
 
     def log(self, linear: Tensor) -> Tensor:
-        """(B, 3, H, W) bounded logarithm of radiance: 0 at the median, slope bounded at 0."""
+        """Logarithm ln((L / median + toe) / (1 + toe)) of radiance L (B, 3, H, W) in [0, 1]."""
         return torch.log(
             (linear.clamp(0.0, 1.0) / self.median + ENCODING.toe) / (1.0 + ENCODING.toe)
         )
 
 
 def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> Encoding:
-    """The encoding of a photograph.
+    """Fit the encoding of a photograph: whitening by the eigenvectors of its log colours.
 
     Args:
-        linear: (3, H, W) scene-linear picture.
-        valid: (H, W) bool, texels that were seen and not clipped; where there are hardly any, all
-            are looked at.
-        noise: (3, H, W) another draw of what the picture holds of it; colour directions that
-            hold little else count for little.
+        linear: (3, H, W) scene-linear radiance.
+        valid: (H, W) bool, texels inside the photograph and not clipped; all texels are used where
+            fewer than ENCODING.least_texels are valid.
+        noise: (3, H, W) an independent sample of the photograph's noise; each colour direction is
+            scaled by the square root of its signal's share of the variance.
     """
     if int(valid.sum()) < ENCODING.least_texels:
         valid = torch.ones_like(valid)
@@ -85,7 +86,7 @@ def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> 
 
 
 def shading(image: Tensor) -> Tensor:
-    """What of an image (B, C, H, W) varies slower than texture does."""
+    """(B, C, H, W) smooth part of an image: box averages of ENCODING.shading_scale, upsampled."""
     size = min(ENCODING.shading_scale, *image.shape[-2:])
     small = F.avg_pool2d(image, size, stride=max(1, size // 2))
     return F.interpolate(small, size=image.shape[-2:], mode="bilinear", align_corners=False)

@@ -1,8 +1,7 @@
 """Features without learnt weights: random filters on a pyramid.
 
-One layer of random zero-mean unit-norm filters of a few sizes, with ReLU, at every level of a
-pyramid. Gram matrices of such features already describe a texture well (Ustyuzhaninov et al.
-2016, "Texture Synthesis Using Shallow Convolutional Networks with Random Filters").
+One layer of random zero-mean unit-norm filters of several sizes, with ReLU, at every level of a
+pyramid. Gram matrices of such features suffice for texture synthesis [ustyuzhaninov2016].
 """
 
 from __future__ import annotations
@@ -18,22 +17,22 @@ from torch.autograd.function import BackwardCFunction, FunctionCtx, once_differe
 
 @dataclass(frozen=True)
 class FilterBankConfig:
-    """Which random filters."""
+    """Sizes and number of the random filters."""
 
     sizes: tuple[int, ...] = (3, 5, 9)
     """Filter sizes in texels, odd."""
     filters: int = 32
-    """How many of each size."""
+    """Number of filters of each size."""
     levels: int = 5
     """Pyramid levels, each half the size of the one before."""
     crossed: bool = True
-    """Features of neighbouring levels are compared together, too."""
+    """Whether covariances between successive levels are used."""
     seed: int = 20210
-    """Of the filters; the same seed gives the same filters everywhere."""
+    """Of the random generator."""
 
 
 class FilterBank:
-    """Random filters, made once; apply them to images with `features`."""
+    """Random filters for images of so many channels; implements compare.Features."""
 
     def __init__(self, config: FilterBankConfig, *, channels: int = 3) -> None:
         self.config = config
@@ -47,16 +46,16 @@ class FilterBank:
 
     @property
     def levels(self) -> int:
-        """Of the pyramid."""
+        """Number of pyramid levels."""
         return self.config.levels
 
     @property
     def crossed(self) -> bool:
-        """Whether features of neighbouring levels are compared together, too."""
+        """Whether covariances between successive levels are used."""
         return self.config.crossed
 
     def maps(self, linear: Tensor, colours: Sequence[Tensor]) -> list[Tensor]:
-        """Features of every level of a pyramid of colours."""
+        """features() of every level of a colour pyramid."""
         del linear
         return [
             self.features(level.contiguous(memory_format=torch.channels_last)) for level in colours
@@ -65,12 +64,12 @@ class FilterBank:
     def features(self, image: Tensor) -> Tensor:
         """(B, filters * sizes, h, w) rectified responses of one pyramid level (B, C, H, W).
 
-        Only where every filter lies inside, so nothing is invented at the border.
+        Without padding: (h, w) is (H, W) less the largest filter size plus 1.
         """
-        reach = max(self.config.sizes) // 2
+        radius = max(self.config.sizes) // 2
         responses = []
         for size, weight in zip(self.config.sizes, self.weights, strict=True):
-            cut = reach - size // 2
+            cut = radius - size // 2
             inner = image[..., cut : image.shape[-2] - cut, cut : image.shape[-1] - cut]
             responses.append(_rectified(inner, weight.to(image)))
         return responses[0] if len(responses) == 1 else torch.cat(responses, dim=1)
@@ -83,10 +82,10 @@ def _rectified(image: Tensor, weight: Tensor) -> Tensor:
 
 
 class _Rectified(torch.autograd.Function):
-    """ReLU of a picture's convolution with filters that stay as they are.
+    """ReLU of a convolution, differentiable by the image but not by the filters.
 
-    It goes back to the few channels of a picture as one product of matrices and sums of its
-    shifts, in a quarter of the time that the convolution's own gradient takes.
+    The gradient is one matrix product and a sum of shifted planes; for the few channels of an image
+    that takes a quarter of the time of the convolution's own gradient.
     """
 
     @staticmethod

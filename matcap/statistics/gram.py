@@ -1,7 +1,7 @@
-"""Gram matrices of features (Gatys et al. 2015; paper, equation 3), and across two levels.
+"""Gram matrices of features [gatys2015] [henzler2021, eq. 3], and covariances between levels.
 
-All levels are one step of differentiation: their gradients are a few products of matrices, added
-where they lie. Differentiated one by one they take twice as long to go back.
+One autograd function computes the gradients of all levels, as matrix products added in place; that
+takes half the time of one function per level.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ def gram(features: Tensor) -> Tensor:
 
 
 def moments(features: Sequence[Tensor], *, crossed: bool) -> tuple[Matrices, Matrices]:
-    """Gram matrices of several features, and covariances of neighbours.
+    """Gram matrices of feature maps, and covariances of successive ones.
 
     Args:
-        features: (B, C, H, W) each; quickest with channels last in memory.
-        crossed: each but the first is half as fine as the one before it, and compared with that.
+        features: (B, C, H, W) each; fastest in channels_last memory format.
+        crossed: compute covariances; each map must have half the resolution of the one before.
 
     Returns:
-        gram() of each; and, if crossed, of each but the last the (B, C, D) covariances with the
-        next one's features, float32, over where both are known: they are maps of one picture, so
-        their middles meet.
+        gram() of each map; and, if crossed, for each but the last, the (B, C, D) covariances of its
+        features, averaged over 2 x 2 texels, with those of the next map, float32. Maps of one image
+        are aligned at their centres; the covariance is over the rectangle that both cover.
     """
     # torch leaves apply untyped.
     matrices: Matrices = _Moments.apply(crossed, *features)  # type: ignore[no-untyped-call]
@@ -43,7 +43,7 @@ def moments(features: Sequence[Tensor], *, crossed: bool) -> tuple[Matrices, Mat
 
 
 class _Moments(torch.autograd.Function):
-    """X'X / n of texels in rows X (B, n, C), and X'Y / n of what is left without X's mean."""
+    """X^T X / n of texels as rows X (B, n, C), and (X - mean X)^T Y / n of successive maps."""
 
     @staticmethod
     def forward(ctx: FunctionCtx, crossed: bool, *features: Tensor) -> Matrices:
@@ -92,7 +92,7 @@ def _gram(features: Tensor) -> Tensor:
 
 
 def _gram_back(features: Tensor, gradient: Tensor) -> Tensor:
-    """The gradient of features by that of their gram(), the symmetric product it is."""
+    """Gradient by the features from the gradient by their gram(), which is symmetric in them."""
     rows = _rows(features)
     symmetric = ((gradient + gradient.transpose(1, 2)) / rows.shape[1]).to(rows)
     slopes = torch.baddbmm(symmetric[:, -1:, :-1], rows, symmetric[:, :-1, :-1])
@@ -100,30 +100,30 @@ def _gram_back(features: Tensor, gradient: Tensor) -> Tensor:
 
 
 def _middles(halved: Tensor, coarse: Tensor) -> tuple[_Part, _Part]:
-    """The largest rectangles of two planes of one texel size whose middles meet."""
+    """Rows and columns of the largest common rectangle, for planes aligned at their centres."""
     (y, v), (x, u) = (_middle(halved.shape[axis], coarse.shape[axis]) for axis in (2, 3))
     return (y, x), (v, u)
 
 
 def _middle(one: int, other: int) -> tuple[slice, slice]:
-    """The middles of two sides, as long as the shorter one."""
+    """Central slices of two axes, both as long as the shorter axis."""
     side = min(one, other)
     first, second = (one - side) // 2, (other - side) // 2
     return slice(first, first + side), slice(second, second + side)
 
 
 def _rows(features: Tensor) -> Tensor:
-    """(B, n, C) texels of (B, C, H, W); no copy where channels are last in memory."""
+    """(B, H W, C) of (B, C, H, W); a view in channels_last memory format."""
     return features.permute(0, 2, 3, 1).flatten(1, 2)
 
 
 def _planes(rows: Tensor, like: Tensor) -> Tensor:
-    """(B, C, H, W) of texels in rows (B, n, C)."""
+    """Inverse of _rows: (B, C, H, W) of (B, H W, C)."""
     return rows.unflatten(1, like.shape[-2:]).permute(0, 3, 1, 2)
 
 
 def _fours(planes: Tensor) -> Tensor:
-    """(B, C, h, 2, w, 2) of (B, C, H, W): what is one texel of half the size; the same memory."""
+    """View (B, C, H / 2, 2, W / 2, 2) of (B, C, H, W): 2 x 2 texels per texel of half the size."""
     height, width = (side // 2 for side in planes.shape[-2:])
     even = planes[..., : 2 * height, : 2 * width]
     return even.unflatten(-2, (height, 2)).unflatten(-1, (width, 2))

@@ -1,8 +1,7 @@
-"""Finds the regular order of a texture: the plane waves a weave, knit, tile or stripe is made of.
+"""Lattice of a regular texture (weave, knit, tiles, stripes): one or two frequency vectors.
 
-The averaged power spectrum of a regular texture has sharp peaks on a lattice. The two shortest
-waves that generate all of them are the decoder's input (space/regular_order.py);
-everything else about the pattern it learns.
+The averaged power spectrum of a regular texture has sharp peaks at integer combinations of one or
+two frequency vectors. These vectors are inputs of the decoder (space/regular_order.py).
 """
 
 from __future__ import annotations
@@ -21,34 +20,34 @@ from matcap.statistics.spectrum import power_spectrum
 
 @dataclass(frozen=True)
 class LatticeSettings:
-    """What is tuned of finding regular order; docs/notes/prior.md."""
+    """Tuned constants of the lattice's detection; docs/notes/prior.md."""
 
     window: int = 256
-    """Texels a side: what spectra are taken of."""
+    """Texels: side of the windows whose spectra are averaged."""
     peak_ratio: float = 8.0
-    """A peak stands this far above the median of its surroundings, ..."""
+    """Least ratio of a peak to the median power of the 15 x 15 bins around it."""
     least_share: float = 0.004
-    """... and holds this share of the texture's power."""
+    """Least share of the texture's power in a peak."""
     most_peaks: int = 12
-    """Of the spectrum, the strongest."""
+    """Only so many of the strongest peaks are used."""
     longest: float = 80.0
-    """Texels: longer periods repeat too few times to be called regular."""
+    """Texels: longest period that counts as regular."""
     tolerance: float = 0.9
-    """Spectral bins by which a peak may miss its lattice point."""
+    """Spectral bins: largest distance of a peak from its lattice point."""
     least_variance: float = 1e-4
-    """Of the encoded picture; what is fainter is rounding."""
+    """Of a window of the encoded picture; windows of less are skipped."""
     multiples: tuple[int, ...] = (1, 2, 3, 4)
-    """Of a peak's period that the texture's own may be."""
+    """Multiples of a peak's period that are tried as the texture's period."""
     clearly: float = 0.05
-    """By how much more the texture must be like itself after a longer shift."""
+    """Gain in autocorrelation that a multiple needs to replace the single period."""
     reach: float = 0.4
-    """Of the picture's sides: longer shifts have too little left to compare."""
+    """Largest shift, as a share of the picture's side."""
     near: int = 2
-    """Texels that a shift may miss, as lattices bend."""
+    """Texels around a shift over which the autocorrelation's maximum is taken."""
     shading: int = 255
-    """Texels: what varies more slowly is shading."""
+    """Texels: side of the local mean that is subtracted as shading."""
     least_explained: float = 0.05
-    """Of the texture's power, or there is no order worth keeping."""
+    """Share of the texture's power on the lattice below which there is no lattice."""
 
 
 LATTICE = LatticeSettings()
@@ -66,20 +65,23 @@ class Wave:
 
 @dataclass(frozen=True)
 class Lattice:
-    """What was found."""
+    """Frequency vectors that generate a texture's spectral peaks."""
 
     waves: tuple[Wave, ...]
-    """None, one (stripes) or two (weaves, knits, tiles)."""
+    """Empty, one (stripes) or two (weaves, knits, tiles)."""
     share: float
-    """Of the texture's power that lies in the lattice's peaks."""
+    """Share of the texture's power in peaks on the lattice."""
 
 
 def find_lattice(colour: Tensor, valid: Tensor) -> Lattice:
-    """The lattice of a texture.
+    """Detect the lattice of a texture.
+
+    Of all bases of one or two candidate vectors, choose the one whose lattice holds most of the
+    peaks' power, less a small cost for a second vector and for short vectors.
 
     Args:
         colour: (C, H, W) encoded picture of the plane, shading included.
-        valid: (H, W) bool, texels seen and not clipped.
+        valid: (H, W) bool, texels inside the photograph and not clipped.
     """
     spectrum = _mean_spectrum(colour, valid)
     if spectrum is None:
@@ -95,8 +97,7 @@ def find_lattice(colour: Tensor, valid: Tensor) -> Lattice:
     ]
     for basis, power in zip(bases, _explained(bases, peaks), strict=True):
         explained = power / total
-        # Prefer the coarser lattice in frequency (the smaller cell in space) among equals, and
-        # one wave to two.
+        # Among equals, prefer one vector to two and the smaller cell in space.
         cost = 0.02 * (len(basis) - 1) + 0.01 / _cell(basis)
         if explained - cost > best[0]:
             best = (explained - cost, basis, explained)
@@ -106,35 +107,35 @@ def find_lattice(colour: Tensor, valid: Tensor) -> Lattice:
     return Lattice(_whole_periods(waves, colour, valid), best[2])
 
 
-def likeness_after_a_period(colour: Tensor, valid: Tensor, waves: tuple[Wave, ...]) -> float:
-    """How well a texture correlates with itself one period of its order further, at most 1.
+def periodicity(colour: Tensor, valid: Tensor, waves: tuple[Wave, ...]) -> float:
+    """Normalised autocorrelation of a texture at one period of its lattice, at most 1.
 
     Args:
         colour: (C, H, W) encoded picture of the plane, shading included.
-        valid: (H, W) bool, texels seen and not clipped.
-        waves: of the order, at least one; the period that is kept worst counts.
+        valid: (H, W) bool, texels inside the photograph and not clipped.
+        waves: at least one; of two periods the smaller correlation is returned.
     """
-    alike = _alike(colour, valid)
-    return min(alike(x, y) for x, y in _periods(waves))
+    correlation = _autocorrelation_of(colour, valid)
+    return min(correlation(x, y) for x, y in _periods(waves))
 
 
 def _whole_periods(waves: tuple[Wave, ...], colour: Tensor, valid: Tensor) -> tuple[Wave, ...]:
-    """Waves as long as the texture's periods, which may be several times those of its peaks.
+    """Divide each frequency vector that is a harmonic by its order: the fundamentals.
 
-    A check of 87 texels whose third harmonic is the strongest, or whose fundamental is too long
-    for the windows, has its peaks at 29. Moved by 29 texels it is less like itself than by 87.
+    A check of period 87 whose third harmonic is strongest, or whose fundamental is too long for the
+    windows, has its peak at period 29; its autocorrelation is higher at 87 texels than at 29.
     """
-    alike = _alike(colour, valid)
+    correlation = _autocorrelation_of(colour, valid)
     fundamentals = []
     for wave, (x, y) in zip(waves, _periods(waves), strict=True):
-        likeness = {m: alike(m * x, m * y) for m in LATTICE.multiples}
-        times = max(LATTICE.multiples, key=lambda m: likeness[m] - LATTICE.clearly * (m > 1))
+        at = {m: correlation(m * x, m * y) for m in LATTICE.multiples}
+        times = max(LATTICE.multiples, key=lambda m: at[m] - LATTICE.clearly * (m > 1))
         fundamentals.append(Wave(wave.fx / times, wave.fy / times))
     return tuple(fundamentals)
 
 
 def _periods(waves: tuple[Wave, ...]) -> list[tuple[float, float]]:
-    """For each wave the shift, in texels, that turns it once and the other one not at all."""
+    """For each wave the shift (x, y) in texels that turns it once, the other not at all."""
     if len(waves) == 1:
         square = waves[0].fx ** 2 + waves[0].fy ** 2
         return [(waves[0].fx / square, waves[0].fy / square)]
@@ -143,13 +144,15 @@ def _periods(waves: tuple[Wave, ...]) -> list[tuple[float, float]]:
     return [(b.fy / area, -b.fx / area), (-a.fy / area, a.fx / area)]
 
 
-def _alike(colour: Tensor, valid: Tensor) -> Callable[[float, float], float]:
-    """How well a texture correlates with itself moved by (x, y) texels, at most 1."""
+def _autocorrelation_of(colour: Tensor, valid: Tensor) -> Callable[[float, float], float]:
+    """Normalised autocorrelation of a texture by shift (x, y) in texels; -1 at too large shifts.
+
+    Over valid texels, after the local mean, which is shading, is subtracted.
+    """
     height, width = valid.shape
     seen = valid.to(colour.dtype)
-    # Shading is the same after any shift.
-    share = _around(seen[None]).clamp_min(1e-6)
-    texture = (colour - _around(colour * seen) / share) * seen
+    share = _local_means(seen[None]).clamp_min(1e-6)
+    texture = (colour - _local_means(colour * seen) / share) * seen
     size = (2 * height, 2 * width)
 
     def correlated(planes: Tensor) -> Tensor:
@@ -160,25 +163,25 @@ def _alike(colour: Tensor, valid: Tensor) -> Callable[[float, float], float]:
     correlation = correlated(texture) / both.clamp_min(1.0)
     variance = float(correlation[0, 0].clamp_min(1e-12))
 
-    def likeness(x: float, y: float) -> float:
+    def at(x: float, y: float) -> float:
         if abs(x) > width * LATTICE.reach or abs(y) > height * LATTICE.reach:
             return -1.0
         rows = torch.arange(round(y) - LATTICE.near, round(y) + LATTICE.near + 1) % size[0]
         columns = torch.arange(round(x) - LATTICE.near, round(x) + LATTICE.near + 1) % size[1]
         return float(correlation[rows[:, None], columns].max()) / variance
 
-    return likeness
+    return at
 
 
-def _around(planes: Tensor) -> Tensor:
-    """Means over squares of LATTICE.shading texels; beyond the border lies nothing."""
+def _local_means(planes: Tensor) -> Tensor:
+    """Box averages over squares of LATTICE.shading texels, padded with zeros."""
     half = LATTICE.shading // 2
     rows = F.avg_pool2d(planes, (LATTICE.shading, 1), stride=1, padding=(half, 0))
     return F.avg_pool2d(rows, (1, LATTICE.shading), stride=1, padding=(0, half))
 
 
 def _mean_spectrum(colour: Tensor, valid: Tensor) -> Tensor | None:
-    """(W, W // 2 + 1) mean power over windows, or None if the picture is too small."""
+    """(W, W // 2 + 1) mean of windows' power spectra, each of unit mean; None without a window."""
     height, width = colour.shape[-2:]
     if min(height, width) < LATTICE.window:
         return None
@@ -197,8 +200,8 @@ def _mean_spectrum(colour: Tensor, valid: Tensor) -> Tensor | None:
 
 
 def _peaks(spectrum: Tensor) -> tuple[list[tuple[float, float, float]], float]:
-    """Peaks (fx, fy, power), in cycles per window, strongest first; and the whole power."""
-    # Full plane, zero frequency in the middle, so that neighbourhoods are whole.
+    """Peaks (fx, fy, power) in cycles per window, strongest first; and the texture's power."""
+    # The full plane with zero frequency at the centre, so that no neighbourhood crosses a border.
     full = torch.cat([spectrum, _mirror(spectrum)], dim=1)
     full = torch.fft.fftshift(full)
     middle = LATTICE.window // 2
@@ -214,7 +217,7 @@ def _peaks(spectrum: Tensor) -> tuple[list[tuple[float, float, float]], float]:
     sums = F.avg_pool2d(full[None, None], 3, stride=1, padding=1)[0, 0] * 9.0
     half = (columns > 0) | ((columns == 0) & (rows > 0))
     row, column = ((full == highest) & texture & half).nonzero(as_tuple=True)
-    # A median is expensive: only where there is a maximum.
+    # Only at local maxima, as the median is expensive.
     background = patches[:, row, column].median(dim=0).values
     mass = sums[row, column] - 9.0 * background
     is_peak = (full[row, column] > LATTICE.peak_ratio * background) & (
@@ -229,13 +232,13 @@ def _peaks(spectrum: Tensor) -> tuple[list[tuple[float, float, float]], float]:
 
 
 def _mirror(spectrum: Tensor) -> Tensor:
-    """The columns a real transform leaves out: S(-f) = S(f)."""
+    """The negative frequencies that rfft2 omits, by S(-f) = S(f)."""
     inner = spectrum[:, 1:-1].flip(1)
     return torch.cat([inner[:1], inner[1:].flip(0)], dim=0)
 
 
 def _refine(full: Tensor, row: int, column: int) -> tuple[float, float]:
-    """Centre of a peak to a fraction of a bin, by a parabola through its neighbours."""
+    """Peak position (row, column) in bins, by a parabola through the log power of neighbours."""
 
     def vertex(before: float, at: float, after: float) -> float:
         bend = before - 2.0 * at + after
@@ -250,7 +253,7 @@ def _refine(full: Tensor, row: int, column: int) -> tuple[float, float]:
 
 
 def _candidates(peaks: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Waves that may generate the lattice: peaks, their halves, half sums and differences."""
+    """Candidate basis vectors: peaks, their halves, differences, half sums and half differences."""
     candidates = list(peaks)
     for fx, fy in peaks[:6]:
         candidates.append((fx / 2.0, fy / 2.0))
@@ -262,7 +265,7 @@ def _candidates(peaks: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def _cell(basis: tuple[tuple[float, float], ...]) -> float:
-    """Size of the lattice's cell in frequency: the longer, the fewer lattice points."""
+    """Size of the lattice's cell in bins: a vector's length, or the square root of the area."""
     if len(basis) == 1:
         return (basis[0][0] ** 2 + basis[0][1] ** 2) ** 0.5
     (ax, ay), (bx, by) = basis
@@ -272,20 +275,25 @@ def _cell(basis: tuple[tuple[float, float], ...]) -> float:
 def _explained(
     bases: Sequence[tuple[tuple[float, float], ...]], peaks: list[tuple[float, float, float]]
 ) -> list[float]:
-    """Power of the peaks that lie on the lattice each basis generates; 0 for those too skew."""
+    """For each basis the power of the peaks on its lattice; 0 where its vectors are near parallel.
+
+    Args:
+        bases: one or two vectors each, in bins.
+        peaks: (fx, fy, power), in bins.
+    """
     nothing = (0.0, 0.0)
     waves = torch.tensor([(*basis, nothing)[:2] for basis in bases], dtype=torch.float64)
     orders = torch.tensor([o for o in itertools.product(_ORDERS, repeat=2) if any(o)]).double()
     places = torch.tensor([peak[:2] for peak in peaks], dtype=torch.float64)
     mass = torch.tensor([peak[2] for peak in peaks], dtype=torch.float64)
     points = torch.einsum("om,nmc->noc", orders, waves)
-    # One wave has only its own orders, and not the origin.
+    # A basis of one vector generates only its own multiples, without the origin.
     lonely = waves[:, 1].abs().sum(dim=1) == 0
     points[lonely[:, None] & (orders[:, 0] == 0)] = math.inf
     hit = torch.zeros(len(bases), len(peaks), dtype=torch.bool)
     for index, place in enumerate(places):
         hit[:, index] = ((points - place).square().sum(dim=2) < LATTICE.tolerance**2).any(dim=1)
-    # Nearly one direction: two waves would beat, not weave.
+    # Nearly parallel vectors are two close frequencies, not a lattice.
     (ax, ay), (bx, by) = waves[:, 0].T, waves[:, 1].T
     lengths = waves[:, 0].norm(dim=1) * waves[:, 1].norm(dim=1)
     skew = ~lonely & ((ax * by - ay * bx).abs() < 0.3 * lengths)

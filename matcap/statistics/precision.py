@@ -6,5 +6,5 @@ import torch
 
 
 def computes_bfloat16() -> bool:
-    """Whether the processor computes with bfloat16; where it is emulated, float32 is quicker."""
+    """Whether the processor has bfloat16 instructions; emulated ones are slower than float32."""
     return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())

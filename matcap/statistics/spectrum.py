@@ -1,9 +1,8 @@
-"""Power spectra of image windows, and their inverse transform, autocorrelations.
+"""Power spectra of image windows, and autocorrelations.
 
-Gram matrices do not see order: a spectrum does (Liu et al. 2016; paper, section 4.3). By the
-Wiener-Khinchin theorem the autocorrelation is the spectrum's Fourier transform, so comparing
-autocorrelations out to a lag compares spectra smoothed to the resolution that lag allows, which
-keeps the noise of a single window out of the comparison.
+Spectra describe regular structure, which Gram matrices do not [liu2016] [henzler2021, sec. 4.3].
+The autocorrelation is the inverse Fourier transform of the power spectrum (Wiener-Khinchin);
+truncating it at a lag smooths the spectrum, which reduces the noise of a single window's estimate.
 """
 
 from __future__ import annotations
@@ -13,9 +12,9 @@ from torch import Tensor
 
 
 def power_spectrum(image: Tensor) -> Tensor:
-    """(B, C, H, W // 2 + 1) power of (B, C, H, W) under a Hann window, mean taken off.
+    """(B, C, H, W // 2 + 1) power of (B, C, H, W) less its mean, under a Hann window.
 
-    Scaled so that white noise of unit variance has unit power at every frequency.
+    White noise of unit variance has unit expected power at every frequency.
     """
     height, width = image.shape[-2:]
     window = _hann(height, image)[:, None] * _hann(width, image)
@@ -23,16 +22,16 @@ def power_spectrum(image: Tensor) -> Tensor:
     return torch.fft.rfft2(centred * window).abs().square() / window.square().sum()
 
 
-def autocorrelation(image: Tensor, reach: int) -> Tensor:
-    """(B, C, reach + 1, 2 reach + 1) covariance of (B, C, H, W) with itself at every lag.
+def autocorrelation(image: Tensor, lags: int) -> Tensor:
+    """(B, C, lags + 1, 2 lags + 1) autocovariance of (B, C, H, W).
 
-    Row r, column reach + c: lag (r, c) texels; the other half plane is the mirror image. Lag
-    (0, 0) is the variance. Biased by the Hann window alone, equally for all images of a size.
+    Row r, column lags + c holds lag (r, c) in texels; the other half plane is its mirror image. Lag
+    (0, 0) is the variance. The Hann window attenuates each lag, equally for all images of a size.
     """
     height, width = image.shape[-2:]
     correlation = torch.fft.irfft2(power_spectrum(image), s=(height, width))
-    rows = correlation[..., : reach + 1, :]
-    return torch.cat([rows[..., -reach:], rows[..., : reach + 1]], dim=-1)
+    rows = correlation[..., : lags + 1, :]
+    return torch.cat([rows[..., -lags:], rows[..., : lags + 1]], dim=-1)
 
 
 def _hann(size: int, like: Tensor) -> Tensor:

@@ -1,8 +1,8 @@
-"""VGG-19's features, as the paper compares textures by [simonyan2015].
+"""VGG-19 features [simonyan2015], by which the paper compares textures [henzler2021].
 
-The first convolution of each of five blocks [gatys2015], rectified, of the picture as a
-display shows it. The network is defined here, under torchvision's names of its parameters; its
-weights are not matcap's to give (capture/vgg_weights.py reads them). Never needed otherwise.
+The rectified first convolution of each of five blocks [gatys2015], of the sRGB-encoded image. The
+parameters have torchvision's names. The weights are not distributed with matcap; an optional file
+of the user's is read by capture/vgg_weights.py.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from torch import Tensor, nn
 
 from matcap.files.srgb import srgb_encode_tensor
 
-# Channels of the convolutions, "M" a max-pooling (configuration E), up to the last one looked at.
+# Output channels of the convolutions, "M" for max-pooling (configuration E), up to the last used.
 _LAYERS: tuple[int | str, ...] = (
     64, 64, "M", 128, 128, "M", 256, 256, 256, 256, "M", 512, 512, 512, 512, "M", 512,
 )  # fmt: skip
-_LOOKED_AT = (0, 2, 4, 8, 12)  # of the convolutions: the first of each block
+_USED = (0, 2, 4, 8, 12)  # indices of convolutions: the first of each block
 _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet, in code values
 
 
 class Vgg19(nn.Module):
-    """Features for describe(), in place of a filter bank.
+    """VGG-19 features; implements compare.Features in place of a FilterBank.
 
     Attributes:
-        levels: of the pyramid of the colours, whose spectra and distributions go with the features.
-        crossed: False, as in the paper: deep features see several scales at once.
+        levels: of the colour pyramid, whose spectra and quantiles are in the descriptor, too.
+        crossed: False, as in the paper: deep features span several scales.
     """
 
     crossed = False
@@ -49,9 +49,9 @@ class Vgg19(nn.Module):
     def maps(self, linear: Tensor, colours: Sequence[Tensor]) -> list[Tensor]:
         """Five rectified responses, (B, C, H / 2^k, W / 2^k), of radiance (B, 3, H, W).
 
-        Borders are padded with zeros, which colours the outermost few texels of every layer.
+        Zero padding affects the outermost few texels of every layer.
         """
-        del colours  # the network halves on its own
+        del colours  # the network has its own pyramid
         mean, deviation = (
             torch.tensor(v, dtype=linear.dtype)[:, None, None] for v in (_MEAN, _DEVIATION)
         )
@@ -63,6 +63,6 @@ class Vgg19(nn.Module):
             features = layer(features)
             if isinstance(layer, nn.Conv2d):
                 convolution += 1
-            elif isinstance(layer, nn.ReLU) and convolution in _LOOKED_AT:
+            elif isinstance(layer, nn.ReLU) and convolution in _USED:
                 activations.append(features)
         return activations

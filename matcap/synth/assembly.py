@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.field.blocks import Piece
+from matcap.field.blocks import BlockPart
 from matcap.synth.exr_tiles import Tile, TileFile, encode_tile
 from matcap.synth.pictures import Fragment, PictureFile, Rendered, tiles_of
 
@@ -27,7 +27,7 @@ class Assembly:
         self.files = files
         self._started: list[dict[Tile, _Started]] = [{} for _ in files]
 
-    def lacks(self, piece: Piece) -> bool:
+    def lacks(self, piece: BlockPart) -> bool:
         """Whether a tile is missing that the piece has a part in."""
         return any(tile not in file for tile in tiles_of(piece) for file in self.files)
 

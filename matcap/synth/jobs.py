@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from matcap.field.blocks import Piece
+from matcap.field.blocks import BlockPart
 from matcap.files.cluster import WorkerLost
 from matcap.synth.pictures import Rendered, render
 from matcap.synth.plan import PlannedMapSet
@@ -34,7 +34,7 @@ class Future(Protocol[T_co]):
 
 
 # A piece of the field, and the map set that it goes into.
-Job = tuple[Piece, PlannedMapSet]
+Job = tuple[BlockPart, PlannedMapSet]
 Submit = Callable[[Job], Future[list[Rendered]]]
 
 

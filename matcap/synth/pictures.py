@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from matcap.brdf.heights import check_heights
 from matcap.brdf.stated import NormalStyle
-from matcap.field.blocks import Piece
+from matcap.field.blocks import BlockPart
 from matcap.synth.exr_tiles import TILE, Channel, Layout, Tile, encode_tile, stored
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def channels_of(kind: str, *, specular: int, single: bool) -> tuple[str, ...]:
 
 
 def render(
-    source: Source, piece: Piece, pictures: Sequence[PictureFile], normal: NormalStyle
+    source: Source, piece: BlockPart, pictures: Sequence[PictureFile], normal: NormalStyle
 ) -> list[Rendered]:
     """Compute a piece and encode what of it makes whole tiles, for each picture.
 
@@ -125,7 +125,7 @@ def render(
     return [_render(picture, piece, wanted) for picture in pictures]
 
 
-def _render(picture: PictureFile, piece: Piece, planes: NDArray[np.float32]) -> Rendered:
+def _render(picture: PictureFile, piece: BlockPart, planes: NDArray[np.float32]) -> Rendered:
     layout, (rows, columns) = picture.layout, piece.target
     values = [
         stored(channel, planes[plane], picture.file)
@@ -153,7 +153,7 @@ def _render(picture: PictureFile, piece: Piece, planes: NDArray[np.float32]) -> 
     return Rendered(tiles, fragments)
 
 
-def tiles_of(piece: Piece) -> Iterator[Tile]:
+def tiles_of(piece: BlockPart) -> Iterator[Tile]:
     """All tiles that a piece has a part in, row by row."""
     rows, columns = piece.target
     for row in range(rows.start // TILE, (rows.stop - 1) // TILE + 1):

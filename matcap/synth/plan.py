@@ -21,7 +21,7 @@ from matcap.brdf.folder import (
 )
 from matcap.brdf.stated import NormalStyle
 from matcap.errors import UsageError
-from matcap.field.blocks import Piece, check_rectangle, pieces_of
+from matcap.field.blocks import BlockPart, block_parts, check_rectangle
 from matcap.field.plane import Rectangle
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.names import plain_name
@@ -46,9 +46,9 @@ class PlannedMapSet:
     pictures: tuple[PictureFile, ...]
     normal: NormalStyle
 
-    def pieces(self, source: Source) -> Iterator[Piece]:
+    def pieces(self, source: Source) -> Iterator[BlockPart]:
         """What every block gives to it, in order."""
-        return pieces_of(self.area, source.grid, source.period)
+        return block_parts(self.area, source.grid, source.period)
 
 
 def check_request(asked: SynthRequest, name: str) -> None:

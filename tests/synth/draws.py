@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 
-from matcap.field.blocks import Grid, pieces_of
+from matcap.field.blocks import Grid, block_parts
 from matcap.field.field import inner, read_source
 from matcap.field.plane import Rectangle
 from matcap.field.single import single_threaded
@@ -43,7 +43,7 @@ def draw(source, area, whole, generator):
 def shuffled(source, part, generator):
     """The maps of a rectangle whose blocks come in any order."""
     stacked = torch.empty(6, part.height, part.width)
-    pieces = list(pieces_of(part, source.grid, source.period))
+    pieces = list(block_parts(part, source.grid, source.period))
     generator.shuffle(pieces)
     with single_threaded(generator.randint(1, 3)) as pool:
         maps = list(pool.map(source.maps, [piece.block for piece in pieces]))

@@ -26,7 +26,7 @@ from matcap.photo.inspect import Inspection, inspect_photo
 from matcap.photo.photo import Photo
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank
-from matcap.statistics.lattice import Wave, likeness_after_a_period
+from matcap.statistics.lattice import Wave, periodicity
 
 Picture = NDArray[np.float32]
 
@@ -276,6 +276,6 @@ def _planes(picture: Picture) -> Tensor:
 def _order(plane: Plane, rendering: Tensor, waves: tuple[Wave, ...]) -> tuple[float, float]:
     """How alike photograph and re-rendering are to themselves one period further."""
     return (
-        likeness_after_a_period(plane.encoded(), plane.valid, waves),
-        likeness_after_a_period(plane.encoding(rendering[None])[0], plane.valid, waves),
+        periodicity(plane.encoded(), plane.valid, waves),
+        periodicity(plane.encoding(rendering[None])[0], plane.valid, waves),
     )
