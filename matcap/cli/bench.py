@@ -90,16 +90,18 @@ def quality(
     """
     from matcap.capture import pipeline
     from matcap.capture.settings import CaptureSettings
+    from matcap.lab.bench.methods import field_maps
     from matcap.lab.bench.quality import ABOUT, METHODS, quality_experiment
     from matcap.lab.measures.evaluator import EvaluationSettings
 
     captured = CaptureSettings(preset, steps, time_limit, detail=detail, generator="decoder")
+    evaluation = EvaluationSettings(detail=detail, size=384)
     experiment = quality_experiment(
-        lambda photo: pipeline.capture_file(photo, captured).material,
+        lambda photo: field_maps(pipeline.capture_file(photo, captured).material, evaluation.width),
         out,
         materials=material or (),
         methods=method or METHODS,
-        settings=EvaluationSettings(detail=detail, size=384),
+        settings=evaluation,
         captured=captured,
     )
     _print(experiment, out, ABOUT)

@@ -20,7 +20,7 @@ from matcap.brdf.maps import MapSet
 from matcap.files.srgb import srgb_decode_tensor
 from matcap.flash.coarse import CoarseFit, fit_coarse
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points
-from matcap.lab.bench.methods import photo_as_albedo, photographed_exemplar
+from matcap.lab.bench.methods import CapturedMaps, capture_exemplar, exemplar_maps, photo_as_albedo
 from matcap.lab.experiment.runner import Configuration, Experiment, choose
 from matcap.lab.measures.lights import BenchScene, bench_scene, relight_all
 from matcap.lab.measures.maps import shrunk_to
@@ -155,14 +155,13 @@ def aligned_experiment(
         @cache
         def errors(method: str) -> Mapping[str, AlignedErrors]:
             if method == "exemplar":
-                piece = photographed_exemplar(path, detail)
-                return aligned_errors(piece.whole, piece.setup, truth, shot.setup, scene)
-            if method == "coarse fit":
+                made = exemplar_maps(capture_exemplar(path, detail))
+            elif method == "coarse fit":
                 coarse = fit_coarse(photo)
-                maps = _uniform(coarse, truth)
-                return aligned_errors(maps, coarse.setup, truth, shot.setup, scene)
-            albedo = photo_as_albedo(photo, shot.setup, detail)
-            return aligned_errors(albedo.whole, albedo.setup, truth, shot.setup, scene)
+                made = CapturedMaps(_uniform(coarse, truth), coarse.setup)
+            else:
+                made = photo_as_albedo(photo, shot.setup, detail)
+            return aligned_errors(made.maps, made.setup, truth, shot.setup, scene)
 
         return AlignedSubject(errors)
 

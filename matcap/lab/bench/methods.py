@@ -15,13 +15,12 @@ import torch
 
 from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.capture.method import Method
-from matcap.capture.piece.find import ExemplarEstimate, piece_maps
+from matcap.capture.piece.find import piece_maps
 from matcap.capture.pipeline import capture_photo, read_photograph
+from matcap.capture.result import CaptureResult
 from matcap.capture.settings import PRESETS, CaptureSettings
-from matcap.errors import UsageError
-from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
-from matcap.field.plane import Rectangle
+from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
@@ -32,35 +31,17 @@ _SPECULAR, _ROUGHNESS = 0.04, 0.5
 
 
 @dataclass(frozen=True)
-class Fixed:
-    """Maps that are all there is: asked for less, the middle is given.
+class CapturedMaps:
+    """Maps that a method makes of a photograph."""
 
-    Attributes:
-        whole: the maps.
-        setup: camera and flash they go with.
-    """
+    maps: MapSet
+    """Of the photographed rectangle, or a square of an endless field."""
 
-    whole: MapSet
     setup: FlashSetup
-
-    @property
-    def texel_size(self) -> float:
-        """A texel's side in plane units."""
-        return self.whole.texel_size
-
-    def maps(self, width: int, height: int, *, seed: int = 0) -> MapSet:
-        """The middle of the maps; `seed` cannot make more of them."""
-        have_width, have_height = self.whole.size
-        if width > have_width or height > have_height:
-            raise UsageError(
-                f"the photograph gives {have_width} x {have_height} texels of map, "
-                f"{width} x {height} were asked for"
-            )
-        x, y = (have_width - width) // 2, (have_height - height) // 2
-        return self.whole.crop(x, y, width, height)
+    """Camera and flash they go with."""
 
 
-def photo_as_albedo(photo: Photo, setup: FlashSetup, detail: int) -> Fixed:
+def photo_as_albedo(photo: Photo, setup: FlashSetup, detail: int) -> CapturedMaps:
     """The photograph itself as diffuse albedo; constant F0 and roughness; flat.
 
     The flash's intensity is the one that gives the photograph's mean back.
@@ -76,52 +57,27 @@ def photo_as_albedo(photo: Photo, setup: FlashSetup, detail: int) -> Fixed:
     maps = MapSet(diffuse, flat + _SPECULAR, flat + _ROUGHNESS, flat, texel_size=2.0 / detail)
     again = render_rectified(maps, setup.with_intensity((1.0, 1.0, 1.0))).clamp_min(0.0)
     gain = float(linear.mean() / again.mean())
-    return Fixed(maps, setup.with_intensity((gain, gain, gain)))
+    return CapturedMaps(maps, setup.with_intensity((gain, gain, gain)))
 
 
-@dataclass(frozen=True)
-class Rearranged:
-    """An example as an endless field.
-
-    Attributes:
-        example: what is rearranged.
-        setup: camera and flash it goes with.
-    """
-
-    example: Example
-    setup: FlashSetup
-
-    @property
-    def texel_size(self) -> float:
-        """A texel's side in plane units."""
-        return self.example.exemplar.texel_size
-
-    def maps(self, width: int, height: int, *, seed: int = 0) -> MapSet:
-        """One realisation."""
-        stacked = torch.from_numpy(self.example.maps(seed, Rectangle(0, 0, width, height), None))
-        return MapSet.from_stacked(stacked, self.texel_size)
-
-
-def capture_exemplar(path: Path, detail: int) -> tuple[ExemplarEstimate, FlashSetup]:
-    """The exemplar of a photograph's file, and its setup as fitted."""
+def capture_exemplar(path: Path, detail: int) -> CaptureResult:
+    """Capture a photograph's file by example, without a decoder."""
     settings = CaptureSettings(steps=0, detail=detail, aligned=True)  # no decoder is asked for
     method = Method(adapted=PRESETS["standard"].adapted)
     photo = read_photograph(path, settings, method)
-    result = capture_photo(photo, settings, method=method)
+    return capture_photo(photo, settings, method=method)
+
+
+def exemplar_maps(result: CaptureResult) -> CapturedMaps:
+    """The exemplar of a capture by example."""
     assert result.estimate is not None
-    return result.estimate, result.material.setup
+    return CapturedMaps(piece_maps(result.estimate.exemplar), result.material.setup)
 
 
-def photographed_exemplar(path: Path, detail: int) -> Fixed:
-    """The maps themselves."""
-    piece, setup = capture_exemplar(path, detail)
-    return Fixed(piece_maps(piece.exemplar), setup)
-
-
-def rearranged_exemplar(path: Path, detail: int) -> Rearranged:
-    """More of them."""
-    piece, setup = capture_exemplar(path, detail)
-    return Rearranged(piece.example, setup)
+def field_maps(material: Material, width: float, seed: int = 0) -> CapturedMaps:
+    """A square of a material's endless field, so many plane units wide."""
+    side = round(width / material.texel_size)
+    return CapturedMaps(material.maps(side, side, seed=seed), material.setup)
 
 
 def true_exemplar(

@@ -12,16 +12,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from matcap.brdf.maps import MapSet
 from matcap.capture.piece.find import piece_maps
 from matcap.capture.pipeline import capture_file
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
 from matcap.flash.geometry import flash_mirror_point
-from matcap.lab.bench.methods import photo_as_albedo
+from matcap.lab.bench.methods import CapturedMaps, exemplar_maps, field_maps, photo_as_albedo
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
-from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator, Intensity
+from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
 from matcap.lab.measures.gloss import highlight_contrast, imprint
 from matcap.lab.measures.lights import mirrored_scene
 from matcap.lab.measures.maps import compared_numbers
@@ -62,15 +61,12 @@ class CapturedSubject:
     evaluator: Evaluator
 
 
-LitMaps = tuple[MapSet, Intensity]  # and the flash that goes with them
-
-
 def nsd_experiment(
     subjects: Sequence[Specimen],
     out: Path,
     settings: PhotographSettings,
     evaluation: EvaluationSettings,
-) -> Experiment[CapturedSubject, LitMaps]:
+) -> Experiment[CapturedSubject, CapturedMaps]:
     """Photograph and capture each subject once; what is found of it three ways.
 
     Args:
@@ -105,27 +101,27 @@ def nsd_experiment(
     )
 
 
-def nsd(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:
+def nsd(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, Value]:
     """Normalised style distance."""
-    return {"NSD": captured.evaluator.nsd_of(*maps)}
+    return {"NSD": captured.evaluator.nsd_of(maps.maps, maps.setup.intensity)}
 
 
-def under_mirrored_lights(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:
+def under_mirrored_lights(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, Value]:
     """NSD under mirrored lights; contrast of the highlight under them, found over true."""
     evaluator, scene = captured.evaluator, mirrored_scene(captured.evaluator.flash)
-    middle = evaluator.middle(maps[0])
+    middle = evaluator.middle(maps.maps)
     true = [math.log(highlight_contrast(one, scene)) for one in evaluator.truths]
     log_contrast = math.log(highlight_contrast(middle, scene))
-    pictures = evaluator.relit(middle, maps[1], scene)
+    pictures = evaluator.relit(middle, maps.setup.intensity, scene)
     return {
         "NSD mirrored": evaluator.nsd(pictures, scene=scene),
         "highlight": math.exp(log_contrast - sum(true) / len(true)),
     }
 
 
-def flash_imprint(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:
+def flash_imprint(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, Value]:
     """Imprint of the flash by map, in [-1, 1]; 0 is none."""
-    whole = maps[0]
+    whole = maps.maps
     if (
         captured.result.estimate is None
         or whole.size != piece_maps(captured.result.estimate.exemplar).size
@@ -141,34 +137,28 @@ def flash_imprint(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Valu
     return {f"imprint {name}": imprint(plane, towards) for name, plane in logs.items()}
 
 
-def map_numbers(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:
+def map_numbers(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, Value]:
     """Contrast and tilt of the maps and of the truth."""
     evaluator = captured.evaluator
-    return compared_numbers(evaluator.middle(maps[0]), evaluator.truths)
+    return compared_numbers(evaluator.middle(maps.maps), evaluator.truths)
 
 
-def capture_seconds(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:
+def capture_seconds(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, Value]:
     """That the capture took, in place of the configuration's own."""
     del maps
     return {"seconds": sum(captured.result.stage_seconds.values())}
 
 
-def _albedo(captured: CapturedSubject, seed: int) -> LitMaps:
+def _albedo(captured: CapturedSubject, seed: int) -> CapturedMaps:
     del seed
     photo = as_photo(captured.shot, captured.subject.seed, captured.subject.name)
-    detail = captured.evaluator.settings.detail
-    albedo = photo_as_albedo(photo, captured.shot.setup, detail)
-    return albedo.whole, albedo.setup.intensity
+    return photo_as_albedo(photo, captured.shot.setup, captured.evaluator.settings.detail)
 
 
-def _exemplar(captured: CapturedSubject, seed: int) -> LitMaps:
+def _exemplar(captured: CapturedSubject, seed: int) -> CapturedMaps:
     del seed
-    assert captured.result.estimate is not None
-    maps = piece_maps(captured.result.estimate.exemplar)
-    return maps, captured.result.material.setup.intensity
+    return exemplar_maps(captured.result)
 
 
-def _field(captured: CapturedSubject, seed: int) -> LitMaps:
-    material = captured.result.material
-    side = captured.evaluator.side(material.texel_size)
-    return material.maps(side, side, seed=seed), material.setup.intensity
+def _field(captured: CapturedSubject, seed: int) -> CapturedMaps:
+    return field_maps(captured.result.material, captured.evaluator.settings.width, seed)

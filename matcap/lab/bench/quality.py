@@ -10,17 +10,20 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 import torch
 from torch import Tensor
 
-from matcap.brdf.maps import MapSet
-from matcap.errors import UsageError
 from matcap.files.picture import write_picture
 from matcap.files.srgb import srgb_decode_tensor
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.bench.methods import photo_as_albedo, photographed_exemplar, rearranged_exemplar
+from matcap.lab.bench.methods import (
+    CapturedMaps,
+    capture_exemplar,
+    exemplar_maps,
+    field_maps,
+    photo_as_albedo,
+)
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment, choose
 from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
@@ -38,24 +41,6 @@ ABOUT = (
 DECODER, ALBEDO = "decoder", "photo-as-albedo"
 EXEMPLAR, BY_EXAMPLE = "exemplar", "by-example"
 METHODS = (DECODER, EXEMPLAR, BY_EXAMPLE, ALBEDO)
-
-
-class Captured(Protocol):
-    """What a method makes of a photograph."""
-
-    @property
-    def setup(self) -> FlashSetup:
-        """Camera and flash, as the method found them."""
-        ...
-
-    @property
-    def texel_size(self) -> float:
-        """A texel's side in plane units."""
-        ...
-
-    def maps(self, width: int, height: int, *, seed: int) -> MapSet:
-        """One realisation."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -77,7 +62,7 @@ class Judged:
 
 
 def quality_experiment(
-    capture: Callable[[Path], Captured],
+    capture: Callable[[Path], CapturedMaps],
     out: Path,
     *,
     materials: Sequence[str] = (),
@@ -88,8 +73,7 @@ def quality_experiment(
     """Every method on every material; photographs and sheets go to `out`.
 
     Args:
-        capture: path of a DNG to an object with maps(width, height, seed=...), setup (its own
-            estimate of camera and flash) and texel_size 2 / detail: the method DECODER.
+        capture: of a DNG: the method DECODER.
         out: folder for the photographs (DNG) and for the relit pictures side by side (PNG).
         materials: names in EXAMPLES; all by default.
         methods: names in METHODS.
@@ -102,10 +86,12 @@ def quality_experiment(
     wanted = settings or EvaluationSettings(detail=1024, size=384)
     evaluation = replace(wanted, finer=2, every=1, first=1001)
     detail = evaluation.detail
-    makers: Mapping[str, Callable[[Judged], Captured]] = {
+    makers: Mapping[str, Callable[[Judged], CapturedMaps]] = {
         DECODER: lambda judged: capture(judged.path),
-        EXEMPLAR: lambda judged: photographed_exemplar(judged.path, detail),
-        BY_EXAMPLE: lambda judged: rearranged_exemplar(judged.path, detail),
+        EXEMPLAR: lambda judged: exemplar_maps(capture_exemplar(judged.path, detail)),
+        BY_EXAMPLE: lambda judged: field_maps(
+            capture_exemplar(judged.path, detail).material, evaluation.width
+        ),
         ALBEDO: lambda judged: photo_as_albedo(judged.photo, judged.setup, detail),
     }
     chosen = choose(makers, methods)
@@ -123,7 +109,8 @@ def quality_experiment(
         return Judged(path, photo, shot.setup, evaluator, truth)
 
     def run(method: str, judged: Judged, _seed: int) -> Tensor:
-        pictures = _relit(chosen[method](judged), judged.evaluator)
+        made, evaluator = chosen[method](judged), judged.evaluator
+        pictures = evaluator.relit(evaluator.middle(made.maps), made.setup.intensity)
         judged.columns[method] = pictures
         return pictures
 
@@ -149,14 +136,3 @@ def sheet(judged: Judged, _pictures: Tensor) -> Mapping[str, Value]:
     path = judged.path.with_suffix(".png")
     write_picture(linear.permute(1, 2, 0).contiguous().numpy(), path)
     return {}
-
-
-def _relit(captured: Captured, evaluator: Evaluator) -> Tensor:
-    detail, size = evaluator.settings.detail, evaluator.settings.size
-    expected = 2.0 / detail
-    if abs(captured.texel_size / expected - 1.0) > 1e-3:
-        raise UsageError(
-            f"the maps have texels of {captured.texel_size:.6g} plane units, not {expected:.6g}",
-            remedy=f"capture with a detail of {detail}",
-        )
-    return evaluator.relit(captured.maps(size, size, seed=0), captured.setup.intensity)

@@ -202,7 +202,7 @@ def albedo(shown: Photographed) -> Made:
     began = time.perf_counter()
     fixed = photo_as_albedo(shown.photo, shown.scene.setup, DETAIL)
     seconds = time.perf_counter() - began
-    corner = fixed.whole.crop(0, 0, SIZE, SIZE)
+    corner = fixed.maps.crop(0, 0, SIZE, SIZE)
     return Made(shown.lit(corner, fixed.setup)[None], seconds)
 
 
