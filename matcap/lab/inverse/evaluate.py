@@ -29,7 +29,6 @@ from matcap.lab.inverse.samples import (
     RealiseAt,
     Sample,
     draw_sample,
-    is_held_out,
 )
 from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.varied import random_material
@@ -196,7 +195,7 @@ def _left_out(rng: np.random.Generator) -> RealiseAt:
     if rng.random() < 0.5:
         name = str(rng.choice(HELD_OUT))
         return lambda width, height, seed, texel: realise(name, width, height, seed, texel)
-    while not is_held_out(material := random_material(rng)):
+    while not (material := random_material(rng)).is_held_out:
         pass
     made: Callable[[int, int, int, float], MapSet] = material.realise
     return made

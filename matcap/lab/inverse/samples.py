@@ -27,13 +27,13 @@ from matcap.flash.uniform import Uniform, uniform_radiance
 from matcap.lab.inverse.packed import PackedSet
 from matcap.lab.inverse.pieces import real_piece
 from matcap.lab.inverse.recoloured_metals import coloured_metal
+from matcap.lab.simulate.develop import contrast, drift, exposure, noisy, shoulder
 from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.kinds import random_kind
-from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
+from matcap.lab.simulate.materials.varied import random_material
 
 # Kinds never trained on: capture is judged by them.
 HELD_OUT = ("leather", "granite", "tile")
-HELD_OUT_PATTERNS = ("creases", "woven")
 _NAMED = ("cloth", "rust", "plaster")
 _NAMED_SHARE, _KIND_SHARE = 0.05, 0.6
 _MARGIN = 2  # texels realised around, so that blur and normals see no border
@@ -89,12 +89,6 @@ class Sample:
         )
 
 
-def is_held_out(material: RandomMaterial) -> bool:
-    """Whether a random material shows a pattern that is left out of training."""
-    layers = [material.base, *([material.cover] if material.cover else [])]
-    return any(layer.pattern in HELD_OUT_PATTERNS for layer in layers)
-
-
 def training_material(rng: np.random.Generator) -> RealiseAt:
     """A material that may be trained on."""
     which = rng.random()
@@ -103,7 +97,7 @@ def training_material(rng: np.random.Generator) -> RealiseAt:
         return lambda width, height, seed, texel: realise(name, width, height, seed, texel)
     if which < _NAMED_SHARE + _KIND_SHARE:
         return random_kind(rng).realise
-    while is_held_out(material := random_material(rng)):
+    while (material := random_material(rng)).is_held_out:
         pass
     return material.realise
 
@@ -221,29 +215,16 @@ def _blurred(radiance: Tensor, deviation: float) -> Tensor:
 
 def _exposed(radiance: Tensor, rng: np.random.Generator) -> tuple[Tensor, float]:
     """Exposure, noise, tone and clipping; and the gain between radiance and picture."""
-    clipped = rng.choice([0.0, 0.002, 0.01, 0.04], p=[0.4, 0.3, 0.2, 0.1])
-    bright = float(torch.quantile(radiance.amax(0)[::2, ::2].flatten(), 1.0 - clipped))
-    gain = min(rng.uniform(0.15, 0.4) / float(radiance.mean()), rng.uniform(0.7, 1.0) / bright)
-    if clipped:
-        gain = max(gain, 1.0 / bright)
+    gain = exposure(radiance, rng)
     linear = radiance * gain
     if rng.random() < 0.4:  # a developed picture: contrast of its own, falloff not quite undone
-        middle = float(linear.median().clamp_min(1e-4))
-        linear = middle * (linear / middle).clamp_min(1e-4) ** rng.uniform(0.8, 1.25)
-        linear = linear * _drift(linear.shape[-2], linear.shape[-1], rng)
-        linear = _shouldered(linear, rng.uniform(0.0, 0.5))
-    level = rng.uniform(0.0, 1.0) ** 2
-    noise = torch.from_numpy(rng.standard_normal(tuple(linear.shape)).astype(np.float32))
-    deviation = (linear.clamp_min(0.0) * (0.03 * level) ** 2 + (0.004 * level) ** 2).sqrt()
-    linear = (linear + deviation * noise).clamp(0.0, 1.0)
+        linear = contrast(linear, rng.uniform(0.8, 1.25))
+        linear = linear * drift(linear.shape[-2], linear.shape[-1], rng, 0.05, 0.02)
+        linear = shoulder(linear, rng.uniform(0.0, 0.5))
+    linear = noisy(linear, rng.uniform(0.0, 1.0) ** 2, rng)
     if rng.random() < _JPEGS:
         linear = _compressed(linear, int(rng.integers(70, 97)))
     return linear, gain
-
-
-def _shouldered(linear: Tensor, bend: float) -> Tensor:
-    """Highlights rolled off as phones do, 0 and 1 kept and what is beyond it still clipped."""
-    return torch.where(linear < 1.0, linear * (1.0 + bend) / (1.0 + bend * linear), linear)
 
 
 def _compressed(linear: Tensor, quality: int) -> Tensor:
@@ -253,13 +234,6 @@ def _compressed(linear: Tensor, quality: int) -> Tensor:
     _, written = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
     back = torch.from_numpy(cv2.imdecode(written, cv2.IMREAD_COLOR)).permute(2, 0, 1).flip(0)
     return torch.where(linear >= 0.98, linear, (back.float() / 255.0).pow(2.2))
-
-
-def _drift(height: int, width: int, rng: np.random.Generator) -> Tensor:
-    """(3, H, W) slow changes of colour and brightness that are not the material's."""
-    coarse = np.exp(rng.normal(0.0, 0.05, (2, 3, 1)) + rng.normal(0.0, 0.02, (2, 3, 3)))
-    smooth = cv2.resize(coarse.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)
-    return torch.from_numpy(smooth).permute(2, 0, 1)
 
 
 def _fitted(

@@ -26,11 +26,11 @@ from matcap.lab.inverse.losses import Compare, LossWeights, compared, loss_parts
 from matcap.lab.inverse.packed import training_sets
 from matcap.lab.inverse.samples import (
     HELD_OUT,
-    HELD_OUT_PATTERNS,
     REAL_SHARE,
     Sample,
     draw_sample,
 )
+from matcap.lab.simulate.materials.varied import HELD_OUT_PATTERNS
 from matcap.lab.train.trainer import CHECKPOINT, RateSchedule, Reporting, Training, fit
 
 _AHEAD = 4  # samples made before they are wanted

@@ -14,6 +14,7 @@ from matcap.brdf.maps import MapSet
 from matcap.files.srgb import srgb_encode_tensor
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import shade
+from matcap.lab.simulate.photograph import in_strips
 
 LIGHTS = 10
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
@@ -120,16 +121,12 @@ def relight(
     power = torch.tensor(intensity) * light.strength
     # plane_points counts in half widths of its grid.
     half_width = maps.texel_size * width / 2.0
-    strips = []
-    for top in range(0, height, _ROWS):
-        first, last = max(0, top - 1), min(height, top + _ROWS + 1)
-        strip = maps.crop(0, first, width, last - first).map(lambda m: m.float())
-        points = half_width * plane_points(
-            0, first, width, last - first, (width, height), dtype=torch.float32
-        )
-        shaded = shade(strip, points, camera, place, power)
-        strips.append(shaded[:, top - first : min(height, top + _ROWS) - first])
-    linear = torch.cat(strips, dim=1)
+
+    def shaded(strip: MapSet, first: int) -> Tensor:
+        grid = plane_points(0, first, *strip.size, (width, height), dtype=torch.float32)
+        return shade(strip.map(lambda m: m.float()), half_width * grid, camera, place, power)
+
+    linear = in_strips(maps, shaded, _ROWS)
     if blur:
         linear = torch.from_numpy(
             cv2.GaussianBlur(linear.permute(1, 2, 0).contiguous().numpy(), (0, 0), blur)

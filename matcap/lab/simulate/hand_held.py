@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.extent import OWN, Extent
@@ -22,11 +24,10 @@ from matcap.flash.light import CORNER_SQUARED
 from matcap.flash.registration.camera import Lens, PosedCamera
 from matcap.flash.registration.grid import grid_points
 from matcap.flash.render import shade
-from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, sensor_exposure
+from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, in_strips, sensor_exposure
 
 Doubles = NDArray[np.float64]
 
-_ROWS = 64  # shaded at a time: float64 of a whole picture would take gigabytes
 _MEETINGS = 3  # rounds in which a ray finds the relief; slopes are below 1 nearly everywhere
 
 
@@ -236,32 +237,17 @@ def true_maps_along(
     """
     maps = _piece(realise, phone, cameras)
     first = cameras[number]
-    texel, side = maps.texel_size, maps.size[0]
 
     def on(columns: int, rows: int) -> MapSet:
-        blur = 0.4 * extent.texel(columns) / texel
+        blur = 0.4 * extent.texel(columns) / maps.texel_size
         stacked = [
             np.asarray(cv2.GaussianBlur(channel, (0, 0), blur), np.float32)
             for channel in maps.stacked().float().numpy()
         ]
         points = first.on_plane(estimated.sees(grid_points(columns, rows, extent)))
-        ray = points - first.place[:, None, None]
-
-        def looked_up(channel: NDArray[np.float32]) -> NDArray[np.float32]:
-            x, y = points[0] / texel + side / 2.0 - 0.5, side / 2.0 - 0.5 - points[1] / texel
-            there = cv2.remap(
-                channel,
-                x.astype(np.float32),
-                y.astype(np.float32),
-                cv2.INTER_LINEAR,
-                borderMode=cv2.BORDER_REFLECT,
-            )
-            return np.asarray(there, np.float32)
-
-        for _ in range(_MEETINGS):
-            share = (looked_up(stacked[-1]) - first.place[2]) / ray[2]
-            points = first.place[:, None, None] + share * ray
-        planes = np.stack([looked_up(channel) for channel in stacked])
+        looked_up = partial(_looked_up, texel=maps.texel_size, border=cv2.BORDER_REFLECT)
+        points = _met(points, first.place, partial(looked_up, stacked[-1]))
+        planes = np.stack([looked_up(channel, points) for channel in stacked])
         return MapSet.from_stacked(torch.from_numpy(planes), extent.texel(columns))
 
     return on
@@ -288,20 +274,9 @@ def _picture(
     half = size[0] / 2.0
     image = np.stack([columns - half, size[1] / 2.0 - rows]) / half
     points = camera.on_plane(image)
-    ray = points - camera.place[:, None, None]
-    height = maps.height[0].numpy().astype(np.float32)
-    side = height.shape[0]
-
-    def texels(p: Doubles) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        texel = maps.texel_size
-        x, y = p[0] / texel + side / 2.0 - 0.5, side / 2.0 - 0.5 - p[1] / texel
-        return x.astype(np.float32), y.astype(np.float32)
-
-    for _ in range(_MEETINGS):
-        there = cv2.remap(height, *texels(points), cv2.INTER_LINEAR)
-        share = (there - camera.place[2]) / ray[2]
-        points = camera.place[:, None, None] + share * ray
-    seen = cv2.remap(radiance, *texels(points), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    height, texel = maps.height[0].numpy().astype(np.float32), maps.texel_size
+    points = _met(points, camera.place, partial(_looked_up, height, texel=texel))
+    seen = _looked_up(radiance, points, texel=texel, border=cv2.BORDER_REFLECT)
     squared = np.square(image).sum(0) / CORNER_SQUARED
     seen = seen * np.exp(-hand.vignetting * squared)[..., None]
     blurred = cv2.GaussianBlur(seen, (0, 0), phone.blur * fine)
@@ -309,23 +284,45 @@ def _picture(
     return np.asarray(shrunk, np.float64)
 
 
+def _looked_up(
+    channel: NDArray[np.float32],
+    points: Doubles,
+    *,
+    texel: float,
+    border: int = cv2.BORDER_CONSTANT,
+) -> NDArray[np.float32]:
+    """A square channel around the origin at points (2 or 3, H, W) of the plane."""
+    side = channel.shape[0]
+    x, y = points[0] / texel + side / 2.0 - 0.5, side / 2.0 - 0.5 - points[1] / texel
+    places = x.astype(np.float32), y.astype(np.float32)
+    return np.asarray(cv2.remap(channel, *places, cv2.INTER_LINEAR, borderMode=border), np.float32)
+
+
+def _met(
+    points: Doubles, eye: Doubles, height: Callable[[Doubles], NDArray[np.float32]]
+) -> Doubles:
+    """(3, H, W) where rays from an eye to points of the plane meet the relief."""
+    start = eye[:, None, None]
+    ray = points - start
+    for _ in range(_MEETINGS):
+        points = start + (height(points) - eye[2]) / ray[2] * ray
+    return points
+
+
 def _shaded(maps: MapSet, camera: PosedCamera, hand: Hand) -> NDArray[np.float32]:
     """(H, W, 3) radiance of the whole plane towards a camera."""
     width, height = maps.size
     texel = maps.texel_size
-    light = torch.from_numpy(camera.flash(hand.flash))
-    strips = []
-    for top in range(0, height, _ROWS):
-        first, last = max(0, top - 1), min(height, top + _ROWS + 1)
-        strip = maps.crop(0, first, width, last - first)
+    light, eye = torch.from_numpy(camera.flash(hand.flash)), torch.from_numpy(camera.place)
+
+    def shaded(strip: MapSet, first: int) -> Tensor:
+        rows = strip.size[1]
         x = (torch.arange(width, dtype=torch.float64) + 0.5 - width / 2.0) * texel
-        y = (height / 2.0 - torch.arange(first, last, dtype=torch.float64) - 0.5) * texel
-        points = torch.stack(
-            [x.expand(last - first, -1), y[:, None].expand(-1, width), strip.height[0].double()]
-        )
-        lit = shade(strip, points, torch.from_numpy(camera.place), light, torch.ones(3))
-        strips.append(lit[:, top - first : min(height, top + _ROWS) - first].float())
-    return np.ascontiguousarray(torch.cat(strips, 1).permute(1, 2, 0).numpy())
+        y = (height / 2.0 - torch.arange(first, first + rows, dtype=torch.float64) - 0.5) * texel
+        points = [x.expand(rows, -1), y[:, None].expand(-1, width), strip.height[0].double()]
+        return shade(strip, torch.stack(points), eye, light, torch.ones(3)).float()
+
+    return np.ascontiguousarray(in_strips(maps, shaded).permute(1, 2, 0).numpy())
 
 
 def _reach(camera: PosedCamera, phone: PhoneCamera) -> float:

@@ -160,19 +160,27 @@ def _shade(
     maps: MapSet, setup: FlashSetup, origin: tuple[int, int], extent: tuple[int, int]
 ) -> NDArray[np.float64]:
     """(h, w, 3) radiance of maps whose left top texel is `origin` of the picture's grid."""
+
+    def shaded(strip: MapSet, first: int) -> Tensor:
+        place = (origin[0], origin[1] + first)
+        points = plane_points(*place, *strip.size, extent, dtype=maps.height.dtype)
+        return render_flash(strip, setup, points)
+
+    return np.ascontiguousarray(in_strips(maps, shaded).permute(1, 2, 0).numpy())
+
+
+def in_strips(maps: MapSet, shaded: Callable[[MapSet, int], Tensor], rows: int = _ROWS) -> Tensor:
+    """(C, H, W) what a function makes of strips of maps, given each strip's first row.
+
+    A strip has one row more on either side, so that normals are the same as of the whole.
+    """
     width, height = maps.size
     strips = []
-    for top in range(0, height, _ROWS):
-        # One row more on either side, so that normals are the same as of the whole.
-        first, last = max(0, top - 1), min(height, top + _ROWS + 1)
-        strip = maps.crop(0, first, width, last - first)
-        points = plane_points(
-            origin[0], origin[1] + first, width, last - first, extent, dtype=maps.height.dtype
-        )
-        shaded = render_flash(strip, setup, points)
-        strips.append(shaded[:, top - first : min(height, top + _ROWS) - first])
-    joined: Tensor = torch.cat(strips, dim=1)
-    return np.ascontiguousarray(joined.permute(1, 2, 0).numpy())
+    for top in range(0, height, rows):
+        first, last = max(0, top - 1), min(height, top + rows + 1)
+        strip = shaded(maps.crop(0, first, width, last - first), first)
+        strips.append(strip[:, top - first : min(height, top + rows) - first])
+    return torch.cat(strips, dim=1)
 
 
 def _through_lens(

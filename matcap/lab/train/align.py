@@ -28,6 +28,7 @@ from matcap.brdf.maps import MapSet
 from matcap.files.srgb import srgb_encode
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import CORNER_SQUARED
+from matcap.lab.simulate.develop import contrast, drift, exposure, noisy, shoulder
 from matcap.lab.simulate.materials.kinds import KINDS, RandomKind, kind_of
 from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
 from matcap.lab.simulate.photograph import PhoneCamera, take
@@ -39,7 +40,6 @@ from matcap.space.picture import log_colour, picture_coordinates
 
 # Kinds and patterns that are never trained on: the branch is judged by them.
 HELD_OUT_KINDS = ("gravel", "weave", "planks", "hammered", "plates")
-HELD_OUT_PATTERNS = ("creases", "woven")
 UNSEEN = 1_000_000  # seeds from here on show what is held out
 SHOTS = 5  # of a material
 _MOST_TILT = math.radians(15.0)
@@ -120,8 +120,7 @@ def material_of(seed: int) -> RandomMaterial | RandomKind:
         return kind_of(names[rng.integers(len(names))], int(rng.integers(2**32)))
     while True:
         material = random_material(rng)
-        layers = [material.base, *([material.cover] if material.cover else [])]
-        if any(layer.pattern in HELD_OUT_PATTERNS for layer in layers) == held_out:
+        if material.is_held_out == held_out:
             return material
 
 
@@ -230,33 +229,18 @@ def _exposed(
     ramp = rng.normal(0.0, 0.1, 2) + ([0.0, 0.0] if radiometric else [0.0, _ramp_up(rng)])
     falloff = falloff - ramp[0] * place[0] - ramp[1] * place[1]
     linear = radiance * (-falloff).exp()
-    share = rng.choice([0.0, 0.002, 0.01, 0.04], p=[0.4, 0.3, 0.2, 0.1])
-    bright = float(torch.quantile(linear.amax(0)[::2, ::2].flatten(), 1.0 - share))
-    gain = min(rng.uniform(0.15, 0.4) / float(linear.mean()), rng.uniform(0.7, 1.0) / bright)
-    linear = linear * (max(gain, 1.0 / bright) if share else gain)
+    linear = linear * exposure(linear, rng)
     if not radiometric:
-        middle = float(linear.median().clamp_min(1e-4))
-        linear = middle * (linear / middle).clamp_min(1e-4) ** rng.uniform(0.75, 1.3)
+        linear = contrast(linear, rng.uniform(0.75, 1.3))
         if rng.random() < 0.5:
-            linear = linear * _drift(height, width, rng)
-        bend = rng.uniform(0.0, 0.8)
-        linear = torch.where(linear < 1.0, linear * (1.0 + bend) / (1.0 + bend * linear), linear)
-    level = rng.uniform(0.0, 1.0) ** 2 * width / 1024.0
-    noise = torch.from_numpy(rng.standard_normal(tuple(linear.shape)).astype(np.float32))
-    deviation = (linear.clamp_min(0.0) * (0.03 * level) ** 2 + (0.004 * level) ** 2).sqrt()
-    return (linear + deviation * noise).clamp(0.0, 1.0)
+            linear = linear * drift(height, width, rng, 0.03, 0.01)
+        linear = shoulder(linear, rng.uniform(0.0, 0.8))
+    return noisy(linear, rng.uniform(0.0, 1.0) ** 2 * width / 1024.0, rng)
 
 
 def _ramp_up(rng: np.random.Generator) -> float:
     """Logarithm of brightness to a plane unit upwards: of six in ten phones, as for the offset."""
     return float(rng.uniform(0.0, 1.0)) if rng.random() < 0.6 else float(rng.normal(0.0, 0.2))
-
-
-def _drift(height: int, width: int, rng: np.random.Generator) -> Tensor:
-    """(3, h, w) slow changes of brightness and colour that are not the material's."""
-    coarse = np.exp(rng.normal(0.0, 0.03, (2, 3, 1)) + rng.normal(0.0, 0.01, (2, 3, 3)))
-    smooth = cv2.resize(coarse.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)
-    return torch.from_numpy(smooth).permute(2, 0, 1)
 
 
 def tilted_photo(

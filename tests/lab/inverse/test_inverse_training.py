@@ -13,7 +13,7 @@ from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import ANSWERS, ERRORS, Inverse, InverseConfig
 from matcap.capture.piece.network.store import read_inverse, save_inverse
 from matcap.lab.inverse.losses import loss_parts, total, wanted
-from matcap.lab.inverse.samples import draw_sample, is_held_out, training_material
+from matcap.lab.inverse.samples import draw_sample, training_material
 from matcap.lab.inverse.train import TrainSettings, ship, train
 from matcap.lab.simulate.materials import random_material
 
@@ -41,11 +41,11 @@ def test_samples_are_finite_and_within_range() -> None:
 
 def test_held_out_patterns_are_never_trained_on() -> None:
     shown = [random_material(np.random.default_rng(seed)) for seed in range(200)]
-    assert any(is_held_out(material) for material in shown)
+    assert any(material.is_held_out for material in shown)
     for seed in range(40):
         realise = training_material(np.random.default_rng(seed))
         owner = getattr(realise, "__self__", None)
-        assert owner is None or not hasattr(owner, "base") or not is_held_out(owner)
+        assert owner is None or not hasattr(owner, "base") or not owner.is_held_out
 
 
 def test_the_truth_has_no_loss_but_doubt() -> None:

@@ -19,6 +19,9 @@ from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, colour, mix
 
 Colour = tuple[float, float, float]
 
+# Never shown in training: networks are evaluated on them.
+HELD_OUT_PATTERNS = ("creases", "woven")
+
 
 @dataclass(frozen=True)
 class Finish:
@@ -74,6 +77,12 @@ class RandomMaterial:
     covered: float
     edge: float
     thickness: float
+
+    @property
+    def is_held_out(self) -> bool:
+        """Whether it shows a pattern of HELD_OUT_PATTERNS."""
+        layers = (self.base, self.cover)
+        return any(one is not None and one.pattern in HELD_OUT_PATTERNS for one in layers)
 
     def realise(self, width: int, height: int, seed: int, texel_size: float) -> MapSet:
         """One realisation, float64 (C, height, width); see materials.realise."""

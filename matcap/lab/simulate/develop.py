@@ -1,0 +1,52 @@
+"""What a phone does to light after the lens, drawn at random: exposure, noise, tone, slow drifts.
+
+For photographs by the thousand, which training shows (inverse/samples.py, train/align.py).
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+
+def exposure(radiance: Tensor, rng: np.random.Generator) -> float:
+    """Gain that brings radiance (3, H, W) to a mean of 0.15 to 0.4, or some of it beyond 1."""
+    share = rng.choice([0.0, 0.002, 0.01, 0.04], p=[0.4, 0.3, 0.2, 0.1])  # that is clipped
+    bright = float(torch.quantile(radiance.amax(0)[::2, ::2].flatten(), 1.0 - share))
+    gain = min(rng.uniform(0.15, 0.4) / float(radiance.mean()), rng.uniform(0.7, 1.0) / bright)
+    return max(gain, 1.0 / bright) if share else gain
+
+
+def contrast(linear: Tensor, power: float) -> Tensor:
+    """A developed picture's own contrast: a power law about its median."""
+    middle = float(linear.median().clamp_min(1e-4))
+    return middle * (linear / middle).clamp_min(1e-4) ** power
+
+
+def drift(
+    height: int, width: int, rng: np.random.Generator, even: float, coloured: float
+) -> Tensor:
+    """(3, H, W) slow changes of brightness and colour that are not the material's.
+
+    Args:
+        height, width: pixels.
+        rng: draws.
+        even, coloured: deviations of their logarithms.
+    """
+    coarse = np.exp(rng.normal(0.0, even, (2, 3, 1)) + rng.normal(0.0, coloured, (2, 3, 3)))
+    smooth = cv2.resize(coarse.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)
+    return torch.from_numpy(smooth).permute(2, 0, 1)
+
+
+def shoulder(linear: Tensor, bend: float) -> Tensor:
+    """Highlights rolled off as phones do, 0 and 1 kept and what is beyond it still clipped."""
+    return torch.where(linear < 1.0, linear * (1.0 + bend) / (1.0 + bend * linear), linear)
+
+
+def noisy(linear: Tensor, level: float, rng: np.random.Generator) -> Tensor:
+    """With shot and read noise, in [0, 1]; 1 is the level of a small sensor in dim light."""
+    noise = torch.from_numpy(rng.standard_normal(tuple(linear.shape)).astype(np.float32))
+    deviation = (linear.clamp_min(0.0) * (0.03 * level) ** 2 + (0.004 * level) ** 2).sqrt()
+    return (linear + deviation * noise).clamp(0.0, 1.0)
