@@ -124,7 +124,8 @@ def predict(prepared: Prepared) -> Prediction:
 def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
     earlier = []
     capture = prepared.settings.capture
-    steps = resolve(capture).work(capture.generator)
+    photographs = len(prepared.todo[0].sample.photos)
+    steps = resolve(capture, photographs=photographs).work(capture.generator)
     for file in sorted(prepared.out.glob(f"*/{FILE}")):
         record = read_record(file.parent)
         if record and (record.get("steps"), record.get("detail")) == (
@@ -149,7 +150,7 @@ def _trial(photos: Sequence[Path], settings: BatchSettings) -> tuple[float, int]
     settle_threads()
     began = time.perf_counter()
     wanted = settings.capture
-    work = resolve(wanted).work(wanted.generator)
+    work = resolve(wanted, photographs=len(photos)).work(wanted.generator)
     steps = min(work, _TRIAL_STEPS)
     ticks: list[float] = []  # when each step of the longest stage was done
 
@@ -158,6 +159,7 @@ def _trial(photos: Sequence[Path], settings: BatchSettings) -> tuple[float, int]
             ticks.append(now.seconds)
 
     short = replace(wanted, steps=steps, time_limit=None, target=None)
+    short = short.of_sample(len(photos))
     result = capture_file(photos[0], short, on_progress, others=photos[1:])
     with tempfile.TemporaryDirectory(prefix="matcap-") as folder:
         write_outputs(result, Path(folder) / "trial", settings.outputs)

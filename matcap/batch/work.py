@@ -109,6 +109,7 @@ def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
     chosen = measured(settings.capture, job.card)
     if job.detail != chosen.most_detail:
         chosen = replace(chosen, detail=job.detail)
+    chosen = chosen.of_sample(len(job.photos))
     photos = []
     for path in job.photos:
         photo = read_photograph(path, chosen, several=len(job.photos) > 1)
@@ -140,7 +141,6 @@ def measured(settings: CaptureSettings, card: Calibration | None) -> CaptureSett
 def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult) -> dict[str, Any]:
     """The entry of a material in the index."""
     from matcap.capture.report import warnings
-    from matcap.capture.settings import resolve
 
     verdict = result.verdict
     said = [*([] if verdict.rating.value == "good" else [f"Verdict {verdict.sentence()}"])]
@@ -169,7 +169,7 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         "card": job.card.document() if job.card else None,
         "camera": result.photo.profile and result.photo.profile.document(),
         "stage_seconds": {name: round(s, 3) for name, s in result.stage_seconds.items()},
-        "steps": resolve(result.settings).work(result.settings.generator),
+        "steps": result.effort.work(result.settings.generator),
     }
 
 

@@ -29,7 +29,7 @@ from matcap.capture.settings import (
     DETAIL,
     CaptureSettings,
     OutputSettings,
-    check_union,
+    check_photographs,
     resolve,
 )
 from matcap.capture.target import CaptureStart, photograph_target
@@ -135,7 +135,7 @@ def capture_into(
 def _read_and_captured(
     paths: Sequence[str | Path], settings: CaptureSettings, clock: CaptureClock
 ) -> CaptureResult:
-    check_union(settings, len(paths))  # before anything is read
+    check_photographs(settings, len(paths))  # before anything is read
     with clock.stage("read"):
         several = len(paths) > 1
         photo, *more = (read_photograph(path, settings, several=several) for path in paths)
@@ -189,8 +189,8 @@ def capture_under(
     others: Sequence[Photo],
 ) -> CaptureResult:
     """The stages between reading and writing; see capture_photo."""
-    check_union(settings, 1 + len(others))
-    if others and settings.generator == "example":
+    check_photographs(settings, 1 + len(others))
+    if settings.solves(1 + len(others)):
         return _captured_together([photo, *others], settings, clock)
     effort = resolve(settings, method)
     with clock.stage("coarse fit"):

@@ -74,8 +74,7 @@ def _longer(old: dict[str, Any], settings: CaptureSettings, photographs: int) ->
     work = "steps" if settings.generator == "decoder" else "adapted"
     spent = old.get("effort", {})
     # Several photographs are not adapted, and rank above one that is.
-    solved = photographs > 1 and settings.generator == "example"
-    if solved or spent.get(work, 0) <= getattr(resolve(settings), work):
+    if settings.solves(photographs) or spent.get(work, 0) <= getattr(resolve(settings), work):
         return []
     return [f"a longer one, of preset {spent.get('preset')}"]
 

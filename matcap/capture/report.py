@@ -74,7 +74,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matcap.capture.settings import CaptureSettings, resolve
 from matcap.example.summary import summary
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.staging import staged
@@ -83,6 +82,7 @@ from matcap.photo.checks import Rating
 if TYPE_CHECKING:
     from matcap.capture.piece.find import ExemplarEstimate
     from matcap.capture.result import CaptureResult, Tuning
+    from matcap.capture.settings import CaptureSettings
     from matcap.capture.together.set_report import SetReport
 
 CURVE = "error.png"
@@ -120,7 +120,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "notes": [
             *photo.notes,
             *_grown(result.estimate),
-            *_rules(result.settings, result.photographs),
+            *_rules(result),
         ],
         "photograph": {
             "name": photo.name,
@@ -147,7 +147,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         },
         "texel_size": result.material.texel_size,
         "settings": result.settings.named(),
-        "effort": asdict(resolve(result.settings, photographs=result.photographs)),
+        "effort": asdict(result.effort),
         "seconds": sum(result.stage_seconds.values()),
         "stage_seconds": dict(result.stage_seconds),
         "tuning": _tuning(result.tuning),
@@ -245,15 +245,12 @@ def _grown(estimate: ExemplarEstimate | None) -> Iterable[str]:
         yield estimate.several.reach.says()
 
 
-def _rules(settings: CaptureSettings, photographs: int) -> Iterable[str]:
+def _rules(result: CaptureResult) -> Iterable[str]:
     """What follows from the settings and is not what it was called."""
-    effort = resolve(settings)
-    if photographs > 1 and settings.generator == "example":
-        if settings.steps is not None or settings.time_limit is not None:
-            yield (
-                "Several photographs are solved, not adapted: steps decide nothing, and a time "
-                "limit only the detail."
-            )
+    settings, effort = result.settings, result.effort
+    if settings.solves(result.photographs):
+        if settings.time_limit is not None:
+            yield "Several photographs are solved, not adapted: a time limit decides their detail."
     elif effort.preset != settings.preset:
         yield (
             "A time limit or a target decided when to stop, so the preset was "

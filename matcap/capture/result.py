@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.find import ExemplarEstimate
-from matcap.capture.settings import CaptureSettings
+from matcap.capture.settings import CaptureSettings, Effort, resolve
 from matcap.capture.verdict.judge import CaptureVerdict
 from matcap.capture.verdict.measurements import Measurements
 from matcap.field.material import Material
@@ -75,6 +75,11 @@ class CaptureResult:
     def photographs(self) -> int:
         """That the material was made of."""
         return self.measurements.causes.photographs
+
+    @property
+    def effort(self) -> Effort:
+        """What the settings came to."""
+        return resolve(self.settings, photographs=self.photographs)
 
     @property
     def tilt_sources(self) -> Mapping[str, Any] | None:

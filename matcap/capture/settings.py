@@ -124,7 +124,8 @@ class CaptureSettings:
     standard (what one photograph gives), high (held to it three times as long) or reference (on all
     texels of 12 megapixels)."""
     steps: int | None = setting(None, least=0, most=10_000_000)
-    """Steps instead of the preset's: of adapting the piece, or of fine-tuning a decoder."""
+    """Steps instead of the preset's: of adapting the piece, or of fine-tuning a decoder. Several
+    photographs of one piece are solved, and have none."""
     time_limit: float | None = setting(
         None, least=0.001, most=1e7, option="time", metavar="TIME", parse=values.duration
     )
@@ -177,6 +178,14 @@ class CaptureSettings:
             UsageError: words that mean none.
         """
         return CaptureSettings(**typed_settings(CaptureSettings, named))
+
+    def solves(self, photographs: int) -> bool:
+        """Whether so many photographs of one piece are solved together: nothing is adapted."""
+        return photographs > 1 and self.generator == "example"
+
+    def of_sample(self, photographs: int) -> CaptureSettings:
+        """Those of a sample of so many photographs in a batch, whose steps are of single ones."""
+        return replace(self, steps=None) if self.solves(photographs) else self
 
     def named(self) -> dict[str, Any]:
         """All settings by name, as files record them: numbers, words and None."""
@@ -271,13 +280,23 @@ class OutputSettings:
         return mapset_bytes(*self.size, png=self.png) + exports + _BESIDES
 
 
-def check_union(settings: CaptureSettings, photographs: int) -> None:
-    """Raise UsageError where one photograph alone is to be a union."""
+def check_photographs(settings: CaptureSettings, photographs: int) -> None:
+    """Refuse what a capture of so many photographs of one piece cannot honour.
+
+    Raises:
+        UsageError: a union of one photograph, or steps of several.
+    """
     if settings.union and photographs < 2:
         raise UsageError(
             "one photograph alone is no union",
             where="--union",
             remedy="give two or more of one piece, and --together",
+        )
+    if settings.steps is not None and settings.solves(photographs):
+        raise UsageError(
+            "several photographs of one piece are solved, not adapted step by step",
+            where="--steps",
+            remedy="leave it out, or give --generator decoder",
         )
 
 
@@ -324,6 +343,6 @@ def resolve(
         effort = replace(effort, matched=method.matched)
     if method is not None and method.adapted is not None:
         effort = replace(effort, adapted=method.adapted)
-    if photographs > 1 and settings.generator == "example":
+    if settings.solves(photographs):
         effort = replace(effort, adapted=0)
     return effort

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.capture.settings import CaptureSettings, OutputSettings, check_union
+from matcap.capture.settings import CaptureSettings, OutputSettings, check_photographs
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
 from matcap.cli.options import JsonOption, OverwriteOption, QuietOption, StrictOption
 from matcap.errors import ExitCode, MatcapError, UsageError
@@ -69,7 +69,7 @@ def capture(
     settings = chosen(CaptureSettings, given)
     outputs = chosen(OutputSettings, {**given, "seed": settings.seed})
     jobs = _jobs(photos, out)
-    check_union(settings, len(photos) if together else 1)
+    check_photographs(settings, len(photos) if together else 1)
     if together:
         jobs = [replace(jobs[0], others=tuple(photos[1:]))]
     check_writable(out, outputs.room)

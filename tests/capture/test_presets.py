@@ -1,9 +1,11 @@
 """Presets: what each spends, and what settings make of it."""
 
+from dataclasses import replace
+
 import pytest
 
 from matcap.capture.method import Method
-from matcap.capture.settings import PRESETS, CaptureSettings, resolve
+from matcap.capture.settings import PRESETS, CaptureSettings, check_photographs, resolve
 from matcap.errors import UsageError
 
 
@@ -14,6 +16,16 @@ def test_several_photographs_are_not_adapted(preset):
     assert several.adapted == 0 and several.detail == resolve(settings).detail
     decoder = CaptureSettings(preset=preset, generator="decoder")
     assert resolve(decoder, photographs=3) == resolve(decoder)
+
+
+def test_steps_of_several_photographs_are_refused_but_in_a_batch_of_single_ones():
+    settings = CaptureSettings(steps=7)
+    check_photographs(settings, 1)
+    check_photographs(replace(settings, generator="decoder"), 3)
+    with pytest.raises(UsageError, match="--steps: several photographs of one piece are solved"):
+        check_photographs(settings, 3)
+    assert settings.of_sample(1) is settings
+    check_photographs(settings.of_sample(3), 3)
 
 
 @pytest.mark.parametrize("generator", ["example", "decoder"])
