@@ -48,7 +48,8 @@ def judged(
             compared = np.where(left_out, rerendered, rectified)  # nothing is said of it
             rectified = np.where(left_out, np.float32(0.0), rectified)
         about = None if estimate is None else _piece_measurements(estimate, photo, material, waves)
-        seen = measured(photo, material.setup, compared, rerendered, waves, about)
+        valid = plane.valid.numpy()
+        seen = measured(photo, material.setup, compared, rerendered, valid, waves, about)
         verdict = judge(seen)
     return CaptureResult(
         photo=photo,

@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from matcap.capture.piece.photographed_strengths import photographed_strengths
+from matcap.capture.piece.find import Observation
+from matcap.capture.piece.photographed_strengths import plane_strengths
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.tilt import fitted, tilt_document
 from matcap.capture.verdict.highlight import highlight_profile
 from matcap.flash.coarse import CoarseFit
-from matcap.flash.rectify import CLIPPING, rectify
+from matcap.flash.plane import Plane, read_plane
+from matcap.flash.rectify import CLIPPING
 from matcap.photo.camera import CameraProfile
 from matcap.photo.checks import Finding, Rating
 from matcap.photo.inspect import Inspection, inspect_photo
@@ -54,29 +56,35 @@ def inspect_file(
     """
     photo = load_photo(path, long_side=detail, fov=fov, noise=False)
     photo = photo if profile is None else photo.known_by(profile)
+    coarse, plane = _rectified(photo)
+    observed = Observation.of(plane, coarse)
+    return InspectedPhotograph(
+        _quality(photo, coarse, plane),
+        plane_strengths(observed.plane, observed.inputs),
+        tilt_document(coarse),
+    )
+
+
+def photograph_quality(photo: Photo) -> Inspection:
+    """How good a photograph is, read at the detail it is captured at."""
+    return _quality(photo, *_rectified(photo))
+
+
+def _rectified(photo: Photo) -> tuple[CoarseFit, Plane]:
     coarse = fitted(photo)
-    strengths = photographed_strengths(photo, coarse, photo.pixels.shape[1])
-    return InspectedPhotograph(photograph_quality(photo, coarse), strengths, tilt_document(coarse))
+    return coarse, read_plane(photo, coarse.setup, photo.pixels.shape[1])
 
 
-def photograph_quality(photo: Photo, coarse: CoarseFit | None = None) -> Inspection:
-    """How good a photograph is.
-
-    Args:
-        photo: read at the detail it is captured at.
-        coarse: its fit, or None to compute it.
-    """
-    coarse = coarse or fitted(photo)
+def _quality(photo: Photo, coarse: CoarseFit, plane: Plane) -> Inspection:
     inspected = inspect_photo(photo, coarse.setup.tilt)
-    return replace(inspected, findings=(*inspected.findings, *_gloss(photo, coarse)))
+    return replace(inspected, findings=(*inspected.findings, *_gloss(coarse, plane)))
 
 
-def _gloss(photo: Photo, coarse: CoarseFit) -> tuple[Finding, ...]:
+def _gloss(coarse: CoarseFit, plane: Plane) -> tuple[Finding, ...]:
     """How strong and how lively the photographed highlight is: what a capture must reach."""
-    linear, valid = rectify(photo, coarse.setup, photo.pixels.shape[1])
-    picture = np.minimum(linear.movedim(0, -1).numpy(), 1.0)
-    inside = valid.numpy() | (picture.max(axis=2) > CLIPPING)
-    profile = highlight_profile((picture, picture), inside, valid.numpy(), coarse.setup)
+    picture, valid = np.minimum(plane.linear.movedim(0, -1).numpy(), 1.0), plane.valid.numpy()
+    inside = valid | (picture.max(axis=2) > CLIPPING)
+    profile = highlight_profile((picture, picture), inside, valid, coarse.setup)
     if profile is None or not profile.glossy:
         return (Finding("highlight", None, Rating.NOT_JUDGED, "nothing glossy shows in it"),)
     contrast = profile.contrast[0]

@@ -84,7 +84,7 @@ class FakePipeline:
             clock.within(longest, 0.5)
         material = FakeMaterial(Path(photo.name).stem)
         again = photo.pixels * 0.9
-        seen = measured(photo, material.setup, photo.pixels, again)
+        seen = measured(photo, material.setup, photo.pixels, again, ~photo.clipped)
         tuned = Tuning(((0.5, 1, 0.9), (1.0, 2, 0.5)), self_difference=0.25)
         return CaptureResult(
             photo=photo,

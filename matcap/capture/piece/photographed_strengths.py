@@ -3,48 +3,27 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import NetworkInputs
 from matcap.capture.piece.noise import channel_noise, channel_weights, noise_level
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.piece.strengths import Strengths, measure_strengths
 from matcap.capture.piece.tuned import STRENGTH
-from matcap.flash.coarse import CoarseFit
-from matcap.flash.geometry import plane_points
-from matcap.flash.plane import Plane, read_plane
-from matcap.photo.photo import Photo
-
-
-@torch.no_grad()
-def photographed_strengths(photo: Photo, coarse: CoarseFit, detail: int) -> Strengths | None:
-    """Strengths of relief and albedo; None where too little of the photograph can be used.
-
-    Args:
-        photo: the photograph.
-        coarse: its fit.
-        detail: texels across its long side, in which bands are counted.
-    """
-    plane = read_plane(photo, coarse.setup, detail)
-    width, height = plane.size
-    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    inputs = network_inputs(plane.linear, plane.valid, coarse, points)
-    return plane_strengths(plane, inputs)
+from matcap.flash.plane import Plane
 
 
 def plane_strengths(
     plane: Plane, inputs: NetworkInputs, read: Tensor | None = None
 ) -> Strengths | None:
-    """The same of a photograph on its plane, given the network's inputs.
+    """Strengths of relief and albedo; None where too little of the photograph can be used.
 
     The sensitivity to slope is the coarse fit's, which is nearer to the truth than that of the
     predicted maps (docs/notes/capture.md); the difference of both adds to the deviation.
 
     Args:
-        plane: the photograph.
+        plane: the photograph; bands are counted in its texels.
         inputs: of the network.
         read: (2, H, W) d log L / d slope of the predicted maps. Bare metal between rust has three
             times the sensitivity of both together.

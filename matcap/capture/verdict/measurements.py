@@ -21,7 +21,7 @@ from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.plane import Plane, plane_of
-from matcap.flash.rectify import CLIPPING, rectify
+from matcap.flash.rectify import CLIPPING
 from matcap.photo.inspect import Inspection, inspect_photo
 from matcap.photo.photo import Photo
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
@@ -29,6 +29,7 @@ from matcap.statistics.filterbank import FilterBank
 from matcap.statistics.lattice import Wave, periodicity
 
 Picture = NDArray[np.float32]
+TexelMask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,7 @@ def measured(
     setup: FlashSetup,
     rectified: Picture,
     rerendered: Picture,
+    valid: TexelMask,
     waves: tuple[Wave, ...] = (),
     piece: PieceMeasurements | None = None,
 ) -> Measurements:
@@ -121,6 +123,7 @@ def measured(
         setup: its camera and flash, as fitted.
         rectified: (H, W, 3) the photograph on the plane's grid, linear.
         rerendered: (H, W, 3) the material under that flash, linear.
+        valid: (H, W) bool, texels seen by the camera and not clipped.
         waves: the plane waves of its regular order, cycles a texel.
         piece: of the photographed piece's own maps.
     """
@@ -130,9 +133,9 @@ def measured(
     smooth = _smooth(pictures[0]), _smooth(pictures[1])
     colour, light = smooth_difference(*smooth)
     highlights = find_highlight(light_of(pictures[0])), find_highlight(light_of(pictures[1]))
-    valid = rectify(photo, setup, rectified.shape[1])[1]
-    inside = valid.numpy() | (rectified.max(axis=2) > CLIPPING)
-    plane, rendering = plane_of(_planes(pictures[0]), valid), _planes(pictures[1])
+    inside = valid | (rectified.max(axis=2) > CLIPPING)
+    plane = plane_of(_planes(pictures[0]), torch.from_numpy(valid))
+    rendering = _planes(pictures[1])
     causes = CauseMeasurements(
         tilt=piece.tilt,
         variety=piece.variety,
@@ -143,7 +146,7 @@ def measured(
     return Measurements(
         photograph=inspect_photo(photo, setup.tilt),
         highlights=highlights,
-        profile=highlight_profile(pictures, inside, valid.numpy(), setup),
+        profile=highlight_profile(pictures, inside, valid, setup),
         colour=colour,
         light=light,
         texture=texture_difference(plane, rendering),

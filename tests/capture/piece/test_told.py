@@ -11,11 +11,13 @@ import pytest
 from photographed import photographed
 from typer.testing import CliRunner
 
-from matcap.capture.piece.photographed_strengths import photographed_strengths
+from matcap.capture.piece.find import Observation
+from matcap.capture.piece.photographed_strengths import plane_strengths
 from matcap.capture.piece.strengths import slope_strengths
 from matcap.cli.main import app
 from matcap.files.srgb import srgb_encode
 from matcap.flash.coarse import fit_coarse
+from matcap.flash.plane import read_plane
 from matcap.photo.load import photo_from_array
 
 
@@ -38,7 +40,9 @@ def _inspected(path: Path, linear: np.ndarray, *options: str) -> str:
 def test_relief_is_told_without_knowing_anything_but_the_photograph() -> None:
     linear, true = _shot(768, 576)
     photo = photo_from_array(linear, long_side=768, fov=65.0, radiometric=True, name="bumps")
-    told = photographed_strengths(photo, fit_coarse(photo), 768)
+    coarse = fit_coarse(photo)
+    observed = Observation.of(read_plane(photo, coarse.setup, 768), coarse)
+    told = plane_strengths(observed.plane, observed.inputs)
     assert told is not None
     assert told.relief == pytest.approx(true, rel=0.1)
 

@@ -15,6 +15,7 @@ from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
 from matcap.capture.verdict.judge import judge
 from matcap.capture.verdict.measurements import Measurements, measured, smooth_difference
 from matcap.flash.highlight import Highlight
+from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
 from matcap.photo.checks import CHECKS, Rating
 from matcap.photo.inspect import Inspection, inspect_photo
@@ -215,7 +216,13 @@ def _seen(photo, seen, again):
     """What is measured of a capture."""
     picture = seen.movedim(0, -1).contiguous().numpy()
     rendering = again.movedim(0, -1).contiguous().numpy()
-    return measured(photo, shots.shot("leather").setup, picture, rendering)
+    setup = shots.shot("leather").setup
+    return measured(photo, setup, picture, rendering, _valid(photo, setup, picture))
+
+
+def _valid(photo, setup, picture):
+    """(H, W) where the photograph was seen and not clipped, on a picture's grid."""
+    return rectify(photo, setup, picture.shape[1])[1].numpy()
 
 
 @pytest.fixture(scope="module")
@@ -316,7 +323,7 @@ def highlight_of(glossy, **factors):
     maps = shots.maps("granite", seed=4)
     maps = replace(maps, **{name: getattr(maps, name) * by for name, by in factors.items()})
     again = render_rectified(maps, setup).movedim(0, -1).contiguous().numpy()
-    return measured(photo, setup, picture, again)
+    return measured(photo, setup, picture, again, _valid(photo, setup, picture))
 
 
 def test_a_capture_with_the_photographed_gloss_is_usable(glossy):
@@ -346,9 +353,10 @@ def test_both_pictures_are_clipped_where_the_photograph_is(glossy):
     photo, setup, picture = glossy
     bright = picture / np.quantile(picture, 0.9)
     clipped = replace(photo_from_array(bright.clip(0, 1)), clipped=(bright >= 1.0).any(axis=-1))
-    seen = measured(clipped, setup, bright.clip(0, 1), bright)
+    valid = _valid(clipped, setup, bright)
+    seen = measured(clipped, setup, bright.clip(0, 1), bright, valid)
     assert seen.profile.bound and seen.profile.ratio == pytest.approx(1.0)
-    weaker = measured(clipped, setup, bright.clip(0, 1), 0.2 * bright)
+    weaker = measured(clipped, setup, bright.clip(0, 1), 0.2 * bright, valid)
     assert weaker.profile.contrast[1] > 1.3 * weaker.profile.contrast[0]  # that of its true core
 
 
