@@ -23,7 +23,7 @@ from matcap.cli.plain_command import PlainCommand
 from matcap.errors import ExitCode, UsageError
 from matcap.field.options import ReadOptions
 from matcap.files import values
-from matcap.synth.request import Growth, SynthRequest, Work
+from matcap.synth.request import MaskedBlend, SynthRequest, Work
 
 if TYPE_CHECKING:
     from matcap.field.material import Material
@@ -124,7 +124,7 @@ def synth(
         raise UsageError(
             "only plain map sets are exported", where="--export", remedy="leave --single or --udim"
         )
-    growth = _growth(blend, mask, mask_over)
+    masked_blend = _masked_blend(blend, mask, mask_over)
     if size is not None and region is not None:
         raise UsageError(
             "a rectangle has a size of its own", where="--region", remedy="leave --size out"
@@ -140,7 +140,7 @@ def synth(
     area = _rectangle(region or values.Region(0, 0, sides.width, sides.height))
     subject, name = _subject(material, given.get("seed", 0), like, spread)
     read = chosen(ReadOptions, reading)
-    asked = SynthRequest(subject, area, name=name, read=read, growth=growth, **given)
+    asked = SynthRequest(subject, area, name=name, read=read, blend=masked_blend, **given)
     slug = _slug(asked)
     which = "" if is_piece else f"_{area.width}x{area.height}_seed{asked.seed}"
     folder = out or Path(f"{name}{which}{slug}")
@@ -159,8 +159,8 @@ def synth(
     try:
         with _progress(quiet=quiet) as on_progress:
             inputs = tuple(file for file in (subject, blend, mask) if isinstance(file, Path))
-            crew = {"workers": os.cpu_count() or 1, **working}
-            work = Work(progress=on_progress, overwrite=overwrite, inputs=inputs, **crew)
+            working = {"workers": os.cpu_count() or 1, **working}
+            work = Work(progress=on_progress, overwrite=overwrite, inputs=inputs, **working)
             document = synthesise(asked, folder, work, on_precision)
     except KeyboardInterrupt:
         typer.echo("matcap: interrupted; the same command with --resume goes on.", err=True)
@@ -178,12 +178,12 @@ def synth(
 
 def _slug(asked: SynthRequest) -> str:
     """Part of the default folder's name that says what differs from the defaults."""
-    area, growth, read = asked.area, asked.growth, asked.read
+    area, blend, read = asked.area, asked.blend, asked.read
     parts = {
         f"x{area.x}_y{area.y}": (area.x, area.y) != (0, 0),
         f"tile-{asked.tile}": asked.tile is not None,
         f"udim{asked.udim and '{}x{}'.format(*asked.udim)}": asked.udim is not None,
-        f"into-{growth and Path(str(growth.material)).stem}": growth is not None,
+        f"into-{blend and Path(str(blend.material)).stem}": blend is not None,
         f"{read.generator}": read.generator is not None,
         f"{asked.precision}": asked.precision != "fp32",
         read.adjustments.file_part: read.adjustments.changes,
@@ -219,8 +219,10 @@ def _subject(
     return drawn, drawn.name
 
 
-def _growth(blend: Path | None, mask: Path | None, over: values.Region | None) -> Growth | None:
-    """What to grow into: a blend needs a mask, and the mask's options a blend."""
+def _masked_blend(
+    blend: Path | None, mask: Path | None, over: values.Region | None
+) -> MaskedBlend | None:
+    """The blend of the options, if any; a blend needs a mask, and the mask's options a blend."""
     for name, option in (("--mask", mask), ("--mask-over", over)):
         if blend is None and option is not None:
             raise UsageError("there is nothing to blend with", where=name, remedy="give --blend")
@@ -228,7 +230,7 @@ def _growth(blend: Path | None, mask: Path | None, over: values.Region | None) -
         return None
     if mask is None:
         raise UsageError("there is no mask", where="--blend", remedy="give a picture with --mask")
-    return Growth(blend, mask, None if over is None else _rectangle(over))
+    return MaskedBlend(blend, mask, None if over is None else _rectangle(over))
 
 
 def _rectangle(region: values.Region) -> Rectangle:

@@ -1,1 +1,1 @@
-"""A material's field to files of any size."""
+"""Writes rectangles of a material's field, of any size, to files."""

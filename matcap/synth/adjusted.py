@@ -1,4 +1,4 @@
-"""A field as it is adjusted: every block of another source, changed on its way."""
+"""A source whose blocks are those of another source with adjustments applied."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class AdjustedSource:
-    """A source, and what is changed of it; picklable where that one is."""
+    """A source with adjustments; picklable if the inner source is."""
 
     source: Source
     adjustments: Adjustments
@@ -33,22 +33,22 @@ class AdjustedSource:
 
     @property
     def grid(self) -> Grid:
-        """The blocks that the plane is cut into."""
+        """The grid of blocks."""
         return self.source.grid
 
     @property
     def period(self) -> Period | None:
-        """What repeats."""
+        """In texels; None if the field never repeats."""
         return self.source.period
 
     @property
     def specular_channels(self) -> int:
-        """Of F0: 1, or 3 where it has a colour."""
+        """Channels of F0: 1, or 3 where it has a colour."""
         return self.source.specular_channels
 
     @property
     def device_type(self) -> str:
-        """Where it is computed."""
+        """Device that computes it: "cpu" or "cuda"."""
         return self.source.device_type
 
     def maps(self, block: Rectangle) -> Tensor:
@@ -59,10 +59,10 @@ class AdjustedSource:
         return torch.from_numpy(adjusted_planes(maps.cpu().numpy(), self.adjustments))
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-        """(9 or 11, height, width) of a block: its maps and the normal."""
+        """(9 or 11, height, width) maps and normal of a block."""
         return adjusted_planes(self.source.planes(block, normal), self.adjustments)
 
 
 def adjusted_source(source: Source, adjustments: Adjustments) -> Source:
-    """The source itself where there is nothing to change."""
+    """The source with adjustments; the source itself where there are none."""
     return AdjustedSource(source, adjustments) if adjustments.changes else source

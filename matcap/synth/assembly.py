@@ -1,4 +1,4 @@
-"""The files of one map set while they grow."""
+"""Assembles the tiled files of one map set from rendered parts of blocks."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from matcap.synth.pictures import Fragment, PictureFile, Rendered, tiles_of
 
 
 class Assembly:
-    """Puts rendered pieces into files, joining the tiles that several pieces have a part in.
+    """Writes rendered parts to files; joins the fragments of tiles that several blocks overlap.
 
     Args:
-        pictures: what is written.
-        files: where to, one for each picture; tiles that are there already stay.
+        pictures: the pictures to write.
+        files: one for each picture; tiles that a file already has are kept.
     """
 
     def __init__(self, pictures: Sequence[PictureFile], files: Sequence[TileFile]) -> None:
@@ -27,12 +27,12 @@ class Assembly:
         self.files = files
         self._started: list[dict[Tile, _Started]] = [{} for _ in files]
 
-    def lacks(self, piece: BlockPart) -> bool:
-        """Whether a tile is missing that the piece has a part in."""
-        return any(tile not in file for tile in tiles_of(piece) for file in self.files)
+    def lacks(self, part: BlockPart) -> bool:
+        """Whether any file lacks a tile that the part overlaps."""
+        return any(tile not in file for tile in tiles_of(part) for file in self.files)
 
     def add(self, rendered: Sequence[Rendered]) -> None:
-        """Write what a piece gave to every picture."""
+        """Write the tiles of a rendered part, one Rendered for each picture."""
         for file, started, one in zip(self.files, self._started, rendered, strict=True):
             for tile, chunk in one.tiles:
                 if tile not in file:
@@ -48,7 +48,7 @@ class Assembly:
 
 
 class _Started:
-    """A tile of which some parts are there."""
+    """A tile of which some fragments have arrived."""
 
     def __init__(self, file: TileFile, tile: Tile) -> None:
         shape = file.layout.shape(tile)
@@ -58,16 +58,16 @@ class _Started:
         ]
 
     def fill(self, fragment: Fragment) -> bool:
-        """Take in a part; True when it was the last one."""
-        for plane, part in zip(self.planes, fragment.planes, strict=True):
-            plane[fragment.place] = part
+        """Copy a fragment into the tile; return whether the tile is complete."""
+        for plane, values in zip(self.planes, fragment.planes, strict=True):
+            plane[fragment.place] = values
         self._missing -= fragment.planes[0].size
         return self._missing == 0
 
 
 @contextmanager
 def assembly(stage: Path, pictures: Sequence[PictureFile]) -> Iterator[Assembly]:
-    """The files of some pictures in a folder, new or as an earlier run left them."""
+    """Open the pictures' files in a folder, new or as an interrupted run left them."""
     with ExitStack() as stack:
         files = []
         for picture in pictures:

@@ -1,14 +1,20 @@
-"""A field that grows from one material into another across the plane.
+"""Height-based blending of two materials by a mask.
 
-The two surfaces lie over each other, and the share of the way says how far the second has risen
-through the first: whichever is higher at a texel is seen there. So the border runs along the
-relief of both, sharp and without a step in height; two maps that are faded into each other would
-lose their contrast where both are half there.
+The second surface is raised through the first as the mask's share s goes from 0 to 1; each texel
+shows the higher of the two. The border follows the relief of both, is sharp, and has no step in
+height. Linear interpolation of the maps would lose contrast where s is about 1/2.
 
-The share is a function of the texel alone: blocks, order and workers change no bit. Where it is 0
-or 1 the texels are those of the one material.
+With heights h1, h2 less their means m1, m2, and the sum d of their standard deviations:
 
-Not here: space/between.py, which makes one material between two others.
+    r = 2.5 d (2 s - 1)                               offset of the second surface
+    w = sigmoid((h2 + r - h1) / (0.2 d))              weight of the second material
+    maps = lerp(maps1, maps2, w)
+    height = lerp(h1, h2 + r, w) - r s + lerp(m1, m2, s)
+
+w is limited so that it is exactly 0 at s = 0 and 1 at s = 1. s depends on the texel alone, so that
+blocks and workers change no bit.
+
+space/between.py is something else: it interpolates two decoders to a single material.
 """
 
 from __future__ import annotations
@@ -29,27 +35,27 @@ from matcap.field.plane import Period, Rectangle, Span
 from matcap.field.source import Generator, Network, Source, planes_of
 from matcap.synth.mask import Mask
 
-_HEIGHT = -1  # among the stacked maps
-_RISE = 2.5  # deviations that one surface lies below the other at the ends
-_SOFT = 0.2  # deviations within which both are seen
-_ENDS = 8.0  # within an eighth of the way from its end a material cannot be hidden altogether
+_HEIGHT = -1  # channel of the stacked maps
+_RISE = 2.5  # offset of the second surface at s = 1, in units of d
+_SOFT = 0.2  # width of the transition, in units of d
+_ENDS = 8.0  # w is limited to [1 - 8 (1 - s), 8 s]
 _SAMPLE = Rectangle(0, 0, 256, 256)
 _CPU = torch.device("cpu")
 
 
 @dataclass(frozen=True)
 class BlendSource:
-    """Between two materials; picklable."""
+    """The blended field of two materials; picklable."""
 
     first: Source
     second: Source
-    """Their fields; one seed, period, grid and texel size."""
+    """Fields of the same seed, period, grid and texel size."""
     means: tuple[float, float]
-    """Of their heights."""
+    """Mean heights of both, in plane units."""
     deviation: float
-    """Of their heights, together."""
+    """Sum of the standard deviations of their heights, in plane units."""
     mask: Mask
-    """The second one's share of every texel."""
+    """Share of the second material by texel."""
 
     @property
     def texel_size(self) -> float:
@@ -58,31 +64,31 @@ class BlendSource:
 
     @property
     def grid(self) -> Grid:
-        """The blocks that the plane is cut into."""
+        """The grid of blocks."""
         return self.first.grid
 
     @property
     def period(self) -> Period | None:
-        """What repeats."""
+        """In texels; None if the field never repeats."""
         return self.first.period
 
     @property
     def specular_channels(self) -> int:
-        """Of F0: 3 where one of both has a colour."""
+        """Channels of F0: 3 if that of either material has a colour, else 1."""
         return max(self.first.specular_channels, self.second.specular_channels)
 
     @property
     def device(self) -> torch.device:
-        """Where it is computed."""
+        """Device that computes it."""
         return self.first.device if isinstance(self.first, Network) else _CPU
 
     @property
     def device_type(self) -> str:
-        """Where it is computed."""
+        """Device that computes it: "cpu" or "cuda"."""
         return self.device.type
 
     def lowered(self, finest: int) -> BlendSource:
-        """The same in bfloat16 from level `finest` on to the coarser ones."""
+        """A copy whose networks compute level `finest` and all coarser levels in bfloat16."""
         first, second = (
             source.lowered(finest) if isinstance(source, Network) else source
             for source in (self.first, self.second)
@@ -90,7 +96,7 @@ class BlendSource:
         return replace(self, first=first, second=second)
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-        """(9 or 11, height, width) of a block: its maps and the normal."""
+        """(9 or 11, height, width) maps and normal of a block."""
         return planes_of(self, block, normal)
 
     def maps(self, block: Rectangle) -> Tensor:
@@ -104,21 +110,19 @@ class BlendSource:
             return self._mix(self._of(self.first, block), self._of(self.second, block), share)
 
     def _of(self, source: Source, block: Rectangle) -> Tensor:
-        """Maps of one of both, its F0 with as many channels as the other's."""
+        """Maps of one material, F0 expanded to as many channels as the blend has."""
         maps = source.maps(block)
         return maps if self.specular_channels == 1 else with_colour(maps)
 
     def _mix(self, first: Tensor, second: Tensor, share: Tensor) -> Tensor:
-        """Maps of both where they lie at a share (H, W) of the way."""
+        """Blend stacked maps of both by shares (H, W); see the module's equations."""
         below = first[_HEIGHT] - self.means[0]
-        # How far the second surface has risen above the first one's mean.
         rise = _RISE * self.deviation * (2.0 * share - 1.0)
         above = second[_HEIGHT] - self.means[1] + rise
         seen = torch.sigmoid((above - below) / (_SOFT * self.deviation))
-        # At its ends each material is alone, also where a peak of the other would reach through.
+        # Otherwise a high peak of the hidden material would show at s = 0 or 1.
         seen = seen.clamp(1.0 - _ENDS * (1.0 - share), _ENDS * share)
         mixed = torch.lerp(first, second, seen)
-        # Where they meet they are as high: no step. What has risen is taken back slowly.
         level = self.means[0] + (self.means[1] - self.means[0]) * share
         mixed[_HEIGHT] = torch.lerp(below, above, seen) + level - rise * share
         return mixed
@@ -133,13 +137,20 @@ def blend_source(
     device: torch.device = _CPU,
     generator: Generator | None = None,
 ) -> BlendSource:
-    """The field that is `first` where the mask is black and `second` where it is white.
+    """The field that shows `first` where the mask is black and `second` where it is white.
 
-    The texel size is the first one's: the second material is drawn at as many texels as it has.
-    By example, if both have an exemplar and nothing else is asked for; otherwise by both decoders.
+    The result has the first material's texel size; the second is not resampled to it.
+
+    Args:
+        first, second: the materials.
+        mask: share of the second.
+        seed: of both fields, in [-2^63, 2^63).
+        period: in texels, or None.
+        device: that networks compute on.
+        generator: of both; None is "example" if both have an exemplar, else "decoder".
 
     Raises:
-        UsageError: a seed or period out of range, or generator of which a material has none.
+        UsageError: a seed or period out of range, or a generator that a material does not have.
     """
     if generator is None and not all("example" in m.generators for m in (first, second)):
         generator = "decoder"
@@ -157,6 +168,6 @@ def blend_source(
 
 
 def _changed(source: Source, **fields: Any) -> Source:  # noqa: ANN401
-    """A source with other fields: all of them are frozen dataclasses."""
+    """dataclasses.replace on a source: every source is a frozen dataclass."""
     changed: Source = replace(cast(Any, source), **fields)
     return changed

@@ -1,11 +1,11 @@
 """Tiled OpenEXR files, written tile by tile ("OpenEXR File Layout", openexr.com).
 
-A file is a header, a table of where every tile is, and the tiles, each of which says what it is.
-Tiles are encoded apart from the file, so that many processes can do it, and come in any order. A
-file that was cut off is read up to its last whole tile: that is how a run is resumed.
+A file is a header, a table of tile offsets, and the tiles, each with its coordinates. Tiles are
+encoded independently of the file, in several processes, and appended in any order. A truncated file
+is read up to its last whole tile, so that an interrupted run can be resumed.
 
-OpenEXR's own Python writer wants the whole picture at once, and OpenImageIO's cannot go on with a
-file. Both read these files (tests/synth).
+OpenEXR's Python writer needs the whole picture at once, and OpenImageIO's cannot resume a file.
+Both read these files (tests/synth).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Channel:
 
     @property
     def dtype(self) -> np.dtype[np.generic]:
-        """As stored."""
+        """NumPy type of the stored values."""
         return np.dtype("<f2" if self.half else "<f4")
 
 
@@ -55,7 +55,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class Layout:
-    """What a file looks like before any texel is in it."""
+    """Size, channels and options of a file."""
 
     width: int
     height: int
@@ -63,13 +63,13 @@ class Layout:
     channels: tuple[Channel, ...]
     """In alphabetical order of their names."""
     mipmap: bool = False
-    """With all smaller levels, down to one texel."""
+    """Whether the file has all mip levels, down to one texel."""
     wrap: str = ""
     """OpenImageIO's texture wrap modes, such as "periodic,black"; "" for none."""
 
     @property
     def levels(self) -> int:
-        """How many levels there are."""
+        """Number of mip levels, 1 without mipmap."""
         return max(self.width, self.height).bit_length() if self.mipmap else 1
 
     def size(self, level: int) -> tuple[int, int]:
@@ -83,11 +83,11 @@ class Layout:
 
     @property
     def count(self) -> int:
-        """How many tiles there are on all levels."""
+        """Number of tiles on all levels."""
         return self.index(Tile(0, 0, self.levels))
 
     def index(self, tile: Tile) -> int:
-        """The tile's place in the file's table."""
+        """The tile's index in the offset table."""
         before = [self.tiles(level) for level in range(tile.level)]
         return (
             sum(columns * rows for columns, rows in before)
@@ -102,12 +102,12 @@ class Layout:
         return slice(y, min(y + TILE, height)), slice(x, min(x + TILE, width))
 
     def shape(self, tile: Tile) -> tuple[int, int]:
-        """(rows, columns): how many."""
+        """(rows, columns) of texels in a tile; less than TILE at the right and lower border."""
         rows, columns = self.area(tile)
         return rows.stop - rows.start, columns.stop - columns.start
 
     def header(self) -> bytes:
-        """Everything before the table."""
+        """The bytes before the offset table."""
         window = struct.pack("<4i", 0, 0, self.width - 1, self.height - 1)
         listed = b"".join(
             channel.name.encode() + b"\0" + struct.pack("<iB3x2i", kind, 0, 1, 1)
@@ -146,24 +146,24 @@ class Layout:
 
 
 def encode_tile(layout: Layout, tile: Tile, planes: Sequence[NDArray[np.generic]]) -> bytes:
-    """A tile as it stands in the file.
+    """Encode a tile's chunk: coordinates, size and ZIP-compressed data.
 
     Args:
         layout: of the file.
-        tile: which.
+        tile: coordinates.
         planes: (rows, columns) of each channel, in the channels' types.
     """
     rows, columns = layout.shape(tile)
     raw = np.concatenate(
         [np.ascontiguousarray(p).view(np.uint8).reshape(rows, -1) for p in planes], axis=1
     ).ravel()
-    # ZIP: even bytes before odd ones (high bytes are alike), differences, deflate. Runs and
-    # Huffman codes only: matches cost twice the time and find little in what looks like noise.
+    # ZIP: even bytes, then odd bytes (high bytes are alike), differences, deflate. Z_RLE omits
+    # string matching, which takes twice the time and gains little on textures.
     half = (raw.size + 1) // 2
-    parted = np.empty_like(raw)
-    parted[:half], parted[half:] = raw[::2], raw[1::2]
-    differences = parted.copy()
-    differences[1:] -= parted[:-1]
+    split = np.empty_like(raw)
+    split[:half], split[half:] = raw[::2], raw[1::2]
+    differences = split.copy()
+    differences[1:] -= split[:-1]
     differences[1:] += np.uint8(128)
     deflate = zlib.compressobj(1, zlib.DEFLATED, 15, 9, zlib.Z_RLE)
     packed = deflate.compress(differences.tobytes()) + deflate.flush()
@@ -172,10 +172,10 @@ def encode_tile(layout: Layout, tile: Tile, planes: Sequence[NDArray[np.generic]
 
 
 def decode_tile(layout: Layout, tile: Tile, data: bytes) -> list[NDArray[np.generic]]:
-    """The inverse of encode_tile, without the chunk's five numbers before.
+    """Inverse of encode_tile, given the data after the chunk's five integers.
 
     Raises:
-        ValueError: not what encode_tile writes.
+        ValueError: the data are not of this tile.
     """
     rows, columns = layout.shape(tile)
     bytes_wanted = rows * columns * sum(channel.dtype.itemsize for channel in layout.channels)
@@ -188,12 +188,12 @@ def decode_tile(layout: Layout, tile: Tile, data: bytes) -> list[NDArray[np.gene
             raise ValueError(str(error)) from error
         if differences.size != bytes_wanted:
             raise ValueError(f"{differences.size} bytes instead of {bytes_wanted}")
-        # Differences add up modulo 256; every one but the first has 128 too much.
-        parted = np.cumsum(differences, dtype=np.uint8)
-        parted[1::2] += np.uint8(128)
-        half = (parted.size + 1) // 2
-        raw = np.empty_like(parted)
-        raw[::2], raw[1::2] = parted[:half], parted[half:]
+        # Sums modulo 256; each difference but the first is stored with 128 added.
+        split = np.cumsum(differences, dtype=np.uint8)
+        split[1::2] += np.uint8(128)
+        half = (split.size + 1) // 2
+        raw = np.empty_like(split)
+        raw[::2], raw[1::2] = split[:half], split[half:]
     lines = raw.reshape(rows, -1)
     planes, start = [], 0
     for channel in layout.channels:
@@ -204,7 +204,7 @@ def decode_tile(layout: Layout, tile: Tile, data: bytes) -> list[NDArray[np.gene
 
 
 def stored(channel: Channel, values: NDArray[np.float32], name: str) -> NDArray[np.generic]:
-    """Values in the channel's type.
+    """Convert values to the channel's type; `name` is the file that errors name.
 
     Raises:
         MatcapError: a value is not finite, or too large for half float.
@@ -223,11 +223,11 @@ def stored(channel: Channel, values: NDArray[np.float32], name: str) -> NDArray[
 
 
 class TileFile:
-    """A file that grows by one tile after the other, and may have been cut off.
+    """A file to which tiles are appended.
 
     Args:
-        stream: open for reading and writing; an empty one gets its header, another is read up to
-            its last whole tile.
+        stream: open for reading and writing; whole tiles of an earlier run are kept, an incomplete
+            last one is dropped.
         layout: of the file.
     """
 
@@ -251,29 +251,29 @@ class TileFile:
 
     @property
     def written(self) -> int:
-        """How many tiles are there."""
+        """Number of tiles in the file."""
         return int(np.count_nonzero(self._places))
 
     def append(self, tile: Tile, chunk: bytes) -> None:
-        """Add a tile, as encode_tile gave it."""
+        """Append a tile's chunk from encode_tile."""
         self._stream.seek(self._end)
         self._stream.write(chunk)
         self._places[self.layout.index(tile)] = self._end
         self._end += len(chunk)
 
     def read(self, tile: Tile) -> list[NDArray[np.generic]]:
-        """The planes of a tile that is there and flushed; from any thread."""
+        """Read the planes of a tile that was appended and flushed; thread-safe."""
         place = int(self._places[self.layout.index(tile)])
         *_, size = _CHUNK.unpack(os.pread(self._stream.fileno(), _CHUNK.size, place))
         data = os.pread(self._stream.fileno(), size, place + _CHUNK.size)
         return decode_tile(self.layout, tile, data)
 
     def flush(self) -> None:
-        """Let what was appended be read."""
+        """Flush, so that appended tiles can be read."""
         self._stream.flush()
 
     def finish(self) -> None:
-        """Write the table: from here on the file is one that other programs read."""
+        """Write the offset table, which makes the file readable by other programs."""
         if self.written != self.layout.count:
             raise ValueError(f"{self.layout.count - self.written} tiles are missing")
         self._stream.seek(self._table)
@@ -281,7 +281,7 @@ class TileFile:
         self._stream.flush()
 
     def _recover(self) -> None:
-        """Find the whole tiles of a file that was cut off; the first broken one ends it."""
+        """Register the tiles of a truncated file, up to the first one that is incomplete."""
         self._stream.seek(self._end)
         while len(numbers := self._stream.read(_CHUNK.size)) == _CHUNK.size:
             column, row, level, _, size = _CHUNK.unpack(numbers)

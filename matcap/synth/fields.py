@@ -1,7 +1,7 @@
-"""The field of a request: of one material or between two, by example or by the network.
+"""Opens the field of a request: one material or a blend of two, by example or decoder.
 
-By example without PyTorch, which alone takes longer to start than a map takes to make: so its
-modules are imported where they are needed.
+Modules that need PyTorch are imported on demand: fields by example do not, and importing it takes
+longer than synthesising a map.
 """
 
 from __future__ import annotations
@@ -22,39 +22,38 @@ if TYPE_CHECKING:
     from matcap.field.material import Material
     from matcap.field.source import Source
     from matcap.synth.precision import ChosenPrecision
-    from matcap.synth.request import Growth, SynthRequest
+    from matcap.synth.request import MaskedBlend, SynthRequest
 
 
 @dataclass(frozen=True)
 class OpenedField:
-    """The opened field of a request, with its name, provenance and precision."""
+    """The field of a request, with what its JSON document says."""
 
     source: Source
-    """Of its blocks."""
     info: MapSetInfo
-    """Name, seed, place and provenance."""
+    """Name, seed, position and provenance."""
     choice: ChosenPrecision | None = None
-    """A network's precision."""
+    """Precision of a network; None by example."""
 
 
 def open_field(asked: SynthRequest) -> tuple[SynthRequest, OpenedField]:
-    """The field of a request, and the request itself with the size of a piece that repeats.
+    """Open the field of a request; with `tile` "piece" the returned request has the tile's area.
 
     Raises:
-        MatcapError: a file is missing, damaged, or no material; the mask is no picture; the device
-            is not there, or does not compute in this precision.
-        UsageError: a period out of range, no exemplar where one was asked for, or a network's
-            option where there is none.
+        MatcapError: a file is missing, damaged, or not a material; the mask is not an image; the
+            device does not support the precision.
+        UsageError: a period out of range, no CUDA device, a generator that the material does not
+            have, or a network's option with an exemplar.
     """
     if asked.tile == "piece":
         _check_piece(asked)
     exemplified = None
-    if isinstance(asked.material, Path) and asked.growth is None:
+    if isinstance(asked.material, Path) and asked.blend is None:
         exemplified = (
             None if asked.read.generator == "decoder" else read_exemplified(asked.material)
         )
-    if asked.growth is not None:
-        source, name, provenance, choice = _blend(asked, asked.growth)
+    if asked.blend is not None:
+        source, name, provenance, choice = _blend(asked, asked.blend)
     elif exemplified is not None:
         source, name, provenance, choice = _of_exemplar(asked, exemplified)
     else:
@@ -73,7 +72,7 @@ def open_field(asked: SynthRequest) -> tuple[SynthRequest, OpenedField]:
 
 
 def _refuse_networks_options(asked: SynthRequest) -> None:
-    """A photographed piece is rearranged in whole numbers, on the processor."""
+    """Raise UsageError for precision and device of an exemplar, which has neither choice."""
     given = {"--precision": asked.precision != "fp32", "--device": asked.device == "cuda"}
     for option in (option for option, holds in given.items() if holds):
         raise UsageError(
@@ -87,7 +86,7 @@ _FieldParts = tuple["Source", str, dict[str, Any], "ChosenPrecision | None"]
 
 
 def _of_exemplar(asked: SynthRequest, exemplified: Exemplified) -> _FieldParts:
-    """Without PyTorch."""
+    """The field of an exemplar; imports no PyTorch."""
     example = exemplified.example
     if asked.tile == "piece":
         return example.repeating_source(), exemplified.name, dict(exemplified.provenance), None
@@ -116,17 +115,17 @@ def _of_material(asked: SynthRequest) -> _FieldParts:
     return choice.source, name, provenance, choice
 
 
-def _blend(asked: SynthRequest, growth: Growth) -> _FieldParts:
-    """The first material where the mask is black, the second where it is white."""
+def _blend(asked: SynthRequest, blend: MaskedBlend) -> _FieldParts:
+    """The request's material where the mask is black, the blend's where it is white."""
     from matcap.field.device import find_device
     from matcap.synth.blend import blend_source
     from matcap.synth.mask import read_mask
     from matcap.synth.precision import choose
 
-    start, end = _loaded(asked.material, asked), _loaded(growth.material, asked)
-    over = growth.over or asked.whole
+    start, end = _loaded(asked.material, asked), _loaded(blend.material, asked)
+    over = blend.over or asked.whole
     between = blend_source(
-        start, end, read_mask(growth.mask, over, asked.period), asked.seed, asked.period,
+        start, end, read_mask(blend.mask, over, asked.period), asked.seed, asked.period,
         find_device(asked.device), asked.read.generator,
     )  # fmt: skip
     choice = choose(between, asked.precision)
@@ -142,10 +141,10 @@ def _loaded(material: Path | Material, asked: SynthRequest) -> Material:
 
 
 def _check_piece(asked: SynthRequest) -> None:
-    """Raise UsageError for what cannot be asked of the photographed piece itself."""
+    """Raise UsageError for options that do not apply to the exemplar as a tile."""
     refused = {
         "--udim": asked.udim is not None,
-        "--blend": asked.growth is not None,
+        "--blend": asked.blend is not None,
         "--variety": asked.read.variety is not None,
         "--seed": asked.seed != 0,
     }

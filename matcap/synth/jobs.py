@@ -1,4 +1,4 @@
-"""Rectangles of a field as jobs for a worker pool; in order, a bounded number at a time."""
+"""Runs blocks of a field as jobs of a worker pool, in order, a bounded number at a time."""
 
 from __future__ import annotations
 
@@ -22,36 +22,37 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 class Future(Protocol[T_co]):
-    """A future, of whatever library."""
+    """A future of concurrent.futures or of Dask."""
 
     def result(self) -> T_co:
-        """The value, when it is there."""
+        """Wait for the value and return it."""
         ...
 
     def cancel(self) -> object:
-        """Forget about it."""
+        """Cancel it if it has not started."""
         ...
 
 
-# A piece of the field, and the map set that it goes into.
+# A part of a block, and the map set that it is written to.
 Job = tuple[BlockPart, PlannedMapSet]
 Submit = Callable[[Job], Future[list[Rendered]]]
 
 
 @dataclass(frozen=True)
 class WorkerPool:
-    """Workers that stand ready."""
+    """Running workers."""
 
     submit: Submit
-    """Gives them a job."""
+    """Submits a job."""
     ahead: int
-    """How many jobs are in flight at most."""
+    """Most jobs in flight."""
 
     def run(self, jobs: Iterable[Job]) -> Iterator[tuple[Job, list[Rendered]]]:
-        """Results in the order of their jobs.
+        """Run the jobs; yield each with its result, in order.
 
         Raises:
-            MatcapError: of the jobs; a worker process was killed.
+            MatcapError: raised by a job.
+            WorkerLost: a worker process was killed.
         """
         pending: deque[tuple[Job, Future[list[Rendered]]]] = deque()
         try:
@@ -72,24 +73,24 @@ class WorkerPool:
 
 
 def rendered(source: Source, job: Job) -> list[Rendered]:
-    """The job's piece, computed and encoded for each picture."""
-    piece, mapset = job
-    return render(source, piece, mapset.pictures, mapset.normal)
+    """Compute and encode the job's part of a block for each picture."""
+    part, mapset = job
+    return render(source, part, mapset.pictures, mapset.normal)
 
 
 def pack(source: Source) -> bytes:
-    """A source to be sent elsewhere."""
+    """Pickle a source for other processes."""
     return pickle.dumps(source)
 
 
 def render_packed(packed: bytes, job: Job) -> list[Rendered]:
-    """The job, wherever this runs."""
+    """Run a job on a pickled source."""
     return rendered(unpacked(packed), job)
 
 
 @lru_cache(maxsize=2)
 def unpacked(packed: bytes) -> Source:
-    """The source that was packed."""
+    """Unpickle a source; the last two are cached."""
     source: Source = pickle.loads(packed)
     return source
 

@@ -1,7 +1,7 @@
-"""The smaller levels of a mip-mapped file: plain averages of the next larger one.
+"""Mip levels of a file: box averages of the next larger level.
 
-Normals are averaged and brought back to unit length. Roughness is averaged as it is: what the
-slopes lose in a smaller level is not added to it.
+Normals are averaged and normalised. Roughness is averaged; the variance of the normals that is lost
+is not added to it.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from matcap.synth.exr_tiles import TILE, Layout, Tile, TileFile, encode_tile, stored
 from matcap.synth.pictures import PictureFile
 
-_TOGETHER = 64  # tiles
+_TOGETHER = 64  # tiles computed before they are appended
 
 
 def write_levels(picture: PictureFile, file: TileFile, workers: int) -> None:
-    """Add all levels but the first, which is there; levels that are there stay."""
+    """Append the missing tiles of all levels but the first, which must be complete."""
     with ThreadPoolExecutor(workers) as pool:
         for level in range(1, file.layout.levels):
             file.flush()
@@ -49,7 +49,16 @@ def _average(picture: PictureFile, file: TileFile, tile: Tile) -> bytes:
 
 
 def _weights(wanted: slice, size: int, larger: int) -> tuple[NDArray[np.float32], slice]:
-    """Shares of the larger level's texels in each wanted one, and which texels those are."""
+    """Box-filter weights along one axis.
+
+    Args:
+        wanted: texels of the smaller level.
+        size: texels of the smaller level along the axis.
+        larger: texels of the larger level along the axis.
+
+    Returns:
+        (wanted, source) weights, each row of sum 1, and the slice of source texels.
+    """
     ratio = larger / size
     edges = np.arange(wanted.start, wanted.stop + 1) * ratio
     first, last = int(edges[0]), min(int(np.ceil(edges[-1])), larger)
@@ -62,7 +71,7 @@ def _weights(wanted: slice, size: int, larger: int) -> tuple[NDArray[np.float32]
 def read_planes(
     file: TileFile, level: int, area: tuple[slice, slice]
 ) -> Sequence[NDArray[np.generic]]:
-    """The planes of an area (rows, columns) of a level whose tiles are there."""
+    """Read the planes of an area (rows, columns) of a level whose tiles are complete."""
     rows, columns = area
     shape = (rows.stop - rows.start, columns.stop - columns.start)
     planes = [np.empty(shape, channel.dtype) for channel in file.layout.channels]

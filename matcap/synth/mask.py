@@ -1,4 +1,4 @@
-"""Where one material grows into another: a grey picture spread over the plane."""
+"""Blend mask: a grey image stretched over a rectangle of the plane."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from matcap.files.mask import read_mask as read_shares
 
 @dataclass(frozen=True)
 class Mask:
-    """A share in [0, 1] for every texel of the plane, between pixels bilinear."""
+    """A share in [0, 1] for every texel of the plane, bilinear between pixels."""
 
     pixels: NDArray[Any]
-    """(H, W) uint8 or uint16; black is 0, the largest number 1."""
+    """(H, W) uint8 or uint16; 0 is share 0, the type's maximum is share 1."""
     over: Rectangle
-    """The rectangle of the plane that the picture is stretched over. Beyond it the border goes on,
-    or, along an axis that repeats, the picture does."""
+    """Rectangle of the plane that the image is stretched over. Outside, the border pixels are
+    extended; along an axis with a period the image repeats."""
     period: Period | None = None
-    """What repeats; where it does, `over` is as long."""
+    """In texels; along an axis with a period `over` is exactly as long."""
 
     def shares(self, x: int, y: int, rows: Span, columns: Span) -> Tensor:
         """(rows, columns) float32 shares at texel centres.
 
         Args:
-            x, y: texel of the plane that spans are counted from.
-            rows, columns: which texels.
+            x, y: texel of the plane at which the spans have their zero.
+            rows, columns: spans of texels.
         """
         along_x, along_y = self.period or (None, None)
         height, width = self.pixels.shape
@@ -55,11 +55,11 @@ class Mask:
 
 
 def read_mask(path: Path, over: Rectangle, period: Period | None = None) -> Mask:
-    """A mask from a picture file; see files/mask.py for what its colours and its alpha mean.
+    """Read a mask from an image file; files/mask.py defines how colours and alpha become shares.
 
     Raises:
-        MatcapError: the file is missing, or no picture that is a mask.
-        UsageError: an empty rectangle, or one that a repeating field does not repeat with.
+        MatcapError: the file is missing or cannot be read as a mask.
+        UsageError: an empty rectangle, or a side other than the period.
     """
     check_rectangle(over)
     for length, side in zip(period or (), (over.width, over.height), strict=False):
@@ -75,8 +75,15 @@ def read_mask(path: Path, over: Rectangle, period: Period | None = None) -> Mask
 def _neighbours(
     start: int, span: Span, pixels: int, length: int, period: int | None
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
-    """Pixels before and after every texel's centre, and the share of the one after."""
-    # Twice the centre is a whole number: exact wherever in the plane, and where it repeats.
+    """For bilinear interpolation along one axis: both pixels and the second one's weight.
+
+    Args:
+        start, span: texels, from the rectangle's first.
+        pixels: of the image along the axis.
+        length: texels that the image is stretched over.
+        period: in texels, or None.
+    """
+    # Twice a texel's centre is an integer, so that positions are exact anywhere.
     twice = 2 * (start + np.arange(span.start, span.stop, dtype=np.int64)) + 1
     if period is not None:
         twice %= 2 * period

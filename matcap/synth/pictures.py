@@ -1,4 +1,4 @@
-"""From a block's maps to tiles of the files they are stored in."""
+"""Files of a map set, and the encoding of a block's maps as their tiles."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from matcap.synth.exr_tiles import TILE, Channel, Layout, Tile, encode_tile, sto
 if TYPE_CHECKING:
     from matcap.field.source import Source
 
-# Every stored map's channels, as they are called in a file of their own and in one of all maps; of
-# an F0 with a colour, those of a diffuse albedo.
+# Channel names of each map, in a file of its own and in one file of all maps. An F0 with a colour
+# has those of diffuse.
 _OWN = {"diffuse": "RGB", "specular": "Y", "roughness": "Y", "height": "Y", "normal": "RGB"}
 _JOINED = _OWN | {"height": "Z", "normal": "XYZ"}
 _COLOUR = ("specular", 3)
 
 
 def kind_planes(specular: int) -> dict[str, tuple[int, ...]]:
-    """Where each map lies among the stored planes, by how many of them are F0's."""
+    """Indices of each map's planes among the stored planes, for F0 of so many channels."""
     counts = {"diffuse": 3, "specular": specular, "roughness": 1, "height": 1, "normal": 3}
     ends = accumulate(counts.values())
     return {
@@ -37,38 +37,36 @@ def kind_planes(specular: int) -> dict[str, tuple[int, ...]]:
 
 @dataclass(frozen=True)
 class PictureFile:
-    """One file."""
+    """A file of a map set."""
 
     file: str
-    """Its name."""
+    """File name."""
     layout: Layout
-    """Of its tiles."""
     planes: tuple[int, ...]
-    """For each channel of the layout, which of the stored planes it holds, ..."""
+    """For each channel of the layout, the index of the stored plane."""
     kinds: tuple[str, ...]
-    """... and of which map."""
+    """For each channel of the layout, the name of its map."""
 
     def places(self, kind: str) -> list[int]:
-        """Which channels of the layout a map has, in its own order; none of another file's."""
+        """Indices of a map's channels in the layout, in the map's own order."""
         own = [place for place, stored in enumerate(self.kinds) if stored == kind]
         return sorted(own, key=lambda place: self.planes[place])
 
 
 @dataclass(frozen=True)
 class Fragment:
-    """A part of a tile that reaches beyond a piece."""
+    """The part of a tile that one block covers."""
 
     tile: Tile
-    """Which."""
     place: tuple[slice, slice]
-    """(rows, columns) of the tile."""
+    """Rows and columns within the tile."""
     planes: list[NDArray[np.generic]]
-    """Of each channel."""
+    """Values of each channel."""
 
 
 @dataclass(frozen=True)
 class Rendered:
-    """What a piece gives to one picture: whole tiles, encoded, and parts of others."""
+    """One block's contribution to one picture: whole tiles, encoded, and fragments of others."""
 
     tiles: list[tuple[Tile, bytes]]
     fragments: list[Fragment]
@@ -80,11 +78,11 @@ def pictures_of(
     """The files of a map set.
 
     Args:
-        name: what they begin with; `{kind}` in it stands for the map's name.
+        name: prefix of the file names; `{kind}` is replaced by the map's name.
         size: (width, height) in texels.
         specular: channels of F0.
         single: all maps in one file.
-        mipmap, wrap: of the layout.
+        mipmap, wrap: see Layout.
     """
     places: dict[str, list[tuple[str, int, str]]] = {}
     for kind, planes in kind_planes(specular).items():
@@ -107,32 +105,32 @@ def pictures_of(
 
 
 def channels_of(kind: str, *, specular: int, single: bool) -> tuple[str, ...]:
-    """A map's channels as its file calls them, where F0 has so many."""
+    """Names of a map's channels in its file, for F0 of `specular` channels."""
     letters = (_JOINED if single else _OWN)["diffuse" if (kind, specular) == _COLOUR else kind]
     return tuple(f"{kind}.{letter}" for letter in letters) if single else tuple(letters)
 
 
 def render(
-    source: Source, piece: BlockPart, pictures: Sequence[PictureFile], normal: NormalStyle
+    source: Source, part: BlockPart, pictures: Sequence[PictureFile], normal: NormalStyle
 ) -> list[Rendered]:
-    """Compute a piece and encode what of it makes whole tiles, for each picture.
+    """Compute a part of a block, and encode its whole tiles for each picture.
 
     Raises:
         MatcapError: a value is not finite, or too large for half float.
     """
-    wanted = source.planes(piece.block, normal)[(..., *piece.source)]
+    wanted = source.planes(part.block, normal)[(..., *part.source)]
     check_heights(wanted[kind_planes(source.specular_channels)["height"][0]], "the material")
-    return [_render(picture, piece, wanted) for picture in pictures]
+    return [_render(picture, part, wanted) for picture in pictures]
 
 
-def _render(picture: PictureFile, piece: BlockPart, planes: NDArray[np.float32]) -> Rendered:
-    layout, (rows, columns) = picture.layout, piece.target
+def _render(picture: PictureFile, part: BlockPart, planes: NDArray[np.float32]) -> Rendered:
+    layout, (rows, columns) = picture.layout, part.target
     values = [
         stored(channel, planes[plane], picture.file)
         for channel, plane in zip(layout.channels, picture.planes, strict=True)
     ]
     tiles, fragments = [], []
-    for tile in tiles_of(piece):
+    for tile in tiles_of(part):
         area = layout.area(tile)
         inner = tuple(
             slice(max(a.start, b.start), min(a.stop, b.stop))
@@ -140,7 +138,7 @@ def _render(picture: PictureFile, piece: BlockPart, planes: NDArray[np.float32])
         )
         y, x = (
             slice(i.start - t.start, i.stop - t.start)
-            for i, t in zip(inner, piece.target, strict=True)
+            for i, t in zip(inner, part.target, strict=True)
         )
         cut = [plane[y, x] for plane in values]
         if inner == area:
@@ -153,9 +151,9 @@ def _render(picture: PictureFile, piece: BlockPart, planes: NDArray[np.float32])
     return Rendered(tiles, fragments)
 
 
-def tiles_of(piece: BlockPart) -> Iterator[Tile]:
-    """All tiles that a piece has a part in, row by row."""
-    rows, columns = piece.target
+def tiles_of(part: BlockPart) -> Iterator[Tile]:
+    """The tiles that a part of a block overlaps, row by row."""
+    rows, columns = part.target
     for row in range(rows.start // TILE, (rows.stop - 1) // TILE + 1):
         for column in range(columns.start // TILE, (columns.stop - 1) // TILE + 1):
             yield Tile(column, row)

@@ -35,19 +35,19 @@ if TYPE_CHECKING:
 _UDIM_COLUMNS = 10
 _UDIM_ROWS = 900
 _LARGEST_SIDE = 2**31 - 1  # texels, of an OpenEXR file
-_SPARE = 1_000_000  # bytes, for headers and the JSON file
+_SPARE = 1_000_000  # bytes for headers and the JSON file
 
 
 @dataclass(frozen=True)
 class PlannedMapSet:
-    """One map set's worth of a request: the whole of it, or one tile of a texture set."""
+    """A map set to write: the whole request, or one tile of a texture set."""
 
     area: Rectangle
     pictures: tuple[PictureFile, ...]
     normal: NormalStyle
 
-    def pieces(self, source: Source) -> Iterator[BlockPart]:
-        """What every block gives to it, in order."""
+    def parts(self, source: Source) -> Iterator[BlockPart]:
+        """Its parts by block, in the order in which they are computed."""
         return block_parts(self.area, source.grid, source.period)
 
 
@@ -71,14 +71,17 @@ def check_request(asked: SynthRequest, name: str) -> None:
 
 
 def bytes_of(asked: SynthRequest) -> int:
-    """Bytes of disk that the files take at most."""
+    """Upper bound of the files' size in bytes."""
     each = EXR_BYTES * (4 / 3 if asked.mipmap else 1)
     each += PNG_BYTES if asked.png else 0
     return int(asked.whole.width * asked.whole.height * each) + _SPARE
 
 
 def key_of(asked: SynthRequest, field: OpenedField) -> str:
-    """The same for requests whose files have the same bytes: a digest, and the device."""
+    """Key that decides whether an interrupted run can be resumed: a digest, and the device.
+
+    Requests of equal keys write files of the same bytes.
+    """
     digest = hashlib.sha256()
     versions = (MAKER_VERSION, version("torch"))
     stored = (asked.area, field.info.name, asked.png, asked.normal, asked.single, asked.mipmap)
@@ -87,7 +90,7 @@ def key_of(asked: SynthRequest, field: OpenedField) -> str:
 
 
 def mapsets_of(asked: SynthRequest, field: OpenedField) -> list[PlannedMapSet]:
-    """The map sets to write, left to right, the lowest row of a texture set first."""
+    """The map sets to write: left to right, the lowest row of a texture set first."""
     area, columns, rows = asked.area, *(asked.udim or (1, 1))
     wrap, specular = _wrap(asked, field.source), field.source.specular_channels
     sets = []
@@ -112,12 +115,12 @@ def mapsets_of(asked: SynthRequest, field: OpenedField) -> list[PlannedMapSet]:
 def document_of(
     asked: SynthRequest, field: OpenedField, heights: tuple[float, float] | None
 ) -> dict[str, Any]:
-    """The JSON document.
+    """The JSON document of a map set or texture set.
 
     Args:
-        asked: what it is of.
-        field: likewise.
-        heights: scale and midlevel of height PNGs, where there are any.
+        asked: the request.
+        field: its field.
+        heights: (scale, midlevel) of height PNGs, or None without PNGs.
     """
     source, whole, name = field.source, asked.whole, field.info.name
     period, specular = source.period, source.specular_channels
@@ -149,7 +152,7 @@ def document_of(
 
 
 def _wrap(asked: SynthRequest, source: Source) -> str:
-    """How a texture reader continues the picture beyond its borders."""
+    """OpenImageIO's wrap modes along x and y, for mip-mapped files; "" for others."""
     if not asked.mipmap:
         return ""
     whole, period = asked.whole, source.period or (None, None)
@@ -159,10 +162,10 @@ def _wrap(asked: SynthRequest, source: Source) -> str:
 
 
 def _feed(update: Callable[[bytes], object], value: object) -> None:
-    """Feed a digest with everything that a value is made of."""
+    """Update a digest with a value: dataclasses and tuples recursively, arrays by their bytes."""
     if is_dataclass(value):
         value = (type(value).__name__, *(getattr(value, part.name) for part in fields(value)))
-    torch = sys.modules.get("torch")  # a value made without it holds none of its tensors
+    torch = sys.modules.get("torch")  # if it is not loaded, the value holds no tensor
     if torch is not None and isinstance(value, torch.Tensor):
         update(repr((value.dtype, tuple(value.shape))).encode())
         update(value.detach().cpu().contiguous().view(torch.uint8).numpy().tobytes())
@@ -178,5 +181,5 @@ def _feed(update: Callable[[bytes], object], value: object) -> None:
 
 
 def udim_number(column: int, row: int) -> int:
-    """The number of a texture set's tile: 1001 is the left bottom one."""
+    """UDIM number of a texture set's tile: 1001 is the lower left one."""
     return 1001 + column + 10 * row

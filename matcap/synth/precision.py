@@ -1,8 +1,8 @@
 """Choice of precision: float32, bfloat16, or bfloat16 where the error is invisible.
 
-bfloat16 takes half the time where the device multiplies it, and keeps eight bits of every
-feature. What that does to the maps depends on the material: it is measured on a few blocks, in
-8-bit steps of what is looked at (diffuse as sRGB, height in 255ths of its range).
+bfloat16 takes half the time on devices that support it, and keeps eight significant bits of every
+feature. The error it causes depends on the material. It is measured on two blocks, in 8-bit steps
+of the encoded maps (diffuse as sRGB, height over its range).
 """
 
 from __future__ import annotations
@@ -23,25 +23,24 @@ from matcap.synth.pictures import kind_planes
 
 Precision = Literal["fp32", "bf16", "auto"]
 HALF_STEP = 0.5
-# Blocks that are looked at, in blocks from the first one.
+# (column, row) of the sample blocks.
 _SAMPLES = ((0, 0), (1001, -77))
-# How many of the finest levels stay in float32, the fastest first.
+# By how many of the finest levels stay in float32, the fastest first.
 _CHOICES = {0: "bf16", 1: "bf16 below full resolution", 2: "bf16 below half resolution"}
 
 
 @dataclass(frozen=True)
 class ChosenPrecision:
-    """A precision."""
+    """A source in the chosen precision."""
 
     source: Source
-    """That computes in it."""
     name: str
-    """Either "fp32", "bf16" or something between."""
+    """"fp32", "bf16" or one of _CHOICES."""
     steps: dict[str, float]
-    """Largest error against fp32 in 8-bit steps for each map, where it was measured."""
+    """Largest difference from fp32 in 8-bit steps by map; empty where it was not measured."""
 
     def sentence(self) -> str:
-        """For people."""
+        """The precision and its largest error, as a phrase."""
         if not self.steps:
             return f"precision {self.name}"
         worst = max(self.steps, key=lambda kind: self.steps[kind])
@@ -49,7 +48,7 @@ class ChosenPrecision:
 
 
 def choose(source: Network, precision: Precision) -> ChosenPrecision:
-    """The source in a precision.
+    """Choose the precision of a source.
 
     Args:
         source: in float32.
@@ -57,7 +56,7 @@ def choose(source: Network, precision: Precision) -> ChosenPrecision:
             map of the sample blocks; on devices without bfloat16 that is float32.
 
     Raises:
-        MatcapError: bfloat16 was asked for and the device does not multiply it.
+        MatcapError: "bf16", and the device does not support it.
     """
     if precision == "fp32":
         return ChosenPrecision(source, "fp32", {})
@@ -79,7 +78,7 @@ def choose(source: Network, precision: Precision) -> ChosenPrecision:
 
 
 def multiplies_bfloat16(device: torch.device) -> bool:
-    """Whether a device is faster in bfloat16 than in float32."""
+    """Whether a device has bfloat16 instructions; emulated ones are slower than float32."""
     if device.type == "cpu":
         if not torch.backends.mkldnn.is_available():
             return False
@@ -99,7 +98,7 @@ def _samples(source: Network) -> Iterator[Tensor]:
 def _largest(
     exact: list[Tensor], rough: Iterator[Tensor], kinds: Mapping[str, tuple[int, ...]]
 ) -> dict[str, float]:
-    """Largest difference over all samples, in 8-bit steps, for each map."""
+    """Largest absolute difference over all samples, in 8-bit steps, by map."""
     heights = torch.cat([planes[list(kinds["height"])].flatten() for planes in exact])
     span = max(float(heights.max() - heights.min()), 1e-12)
     steps = dict.fromkeys(kinds, 0.0)
@@ -111,7 +110,7 @@ def _largest(
 
 
 def _coded(kind: str, values: Tensor, span: float) -> Tensor:
-    """Values as an 8-bit picture would scale them."""
+    """Values scaled so that a difference of 1/255 is one step of an 8-bit image."""
     if kind == "diffuse":
         return torch.from_numpy(srgb_picture(values.numpy()))
     if kind == "height":

@@ -1,4 +1,4 @@
-"""A request for a rectangle of a material's field as files, and the workers for it.
+"""Request for a rectangle of a material's field as files, and how it is computed.
 
 Read next: fields.py (the field), plan.py (which files), stream.py (how they are written).
 """
@@ -28,15 +28,15 @@ _ADDRESS = re.compile(r"[a-z]+://\S+|[^\s/:]+:\d{1,5}")
 
 
 @dataclass(frozen=True)
-class Growth:
-    """What a material grows into."""
+class MaskedBlend:
+    """A second material, and the mask by which it replaces the first; see synth/blend.py."""
 
     material: Material | Path
-    """The other one, or its file."""
+    """The second material, or its file."""
     mask: Path
-    """A grey picture; where it is white the other one is."""
+    """Grey image: black shows the first material, white the second."""
     over: Rectangle | None = None
-    """The rectangle that the mask is stretched over, or None for all that is written."""
+    """Rectangle of the field that the mask is stretched over; None is the whole output."""
 
 
 @dataclass(frozen=True)
@@ -44,42 +44,42 @@ class SynthRequest:
     """A rectangle of a material's field, as files.
 
     Raises:
-        UsageError: a seed, word or number that there is not.
+        UsageError: an unknown word, or a number out of range.
     """
 
     material: Material | Path
-    """To make more of, or its file."""
+    """The material, or its file."""
     area: Rectangle
-    """Of the one map set, or of a texture set's left top tile, in texels of the field; not read
+    """Texels of the field that the map set covers, or a texture set's upper left tile; ignored
     where `tile` is "piece"."""
     seed: int = setting(0, parse=values.seed, metavar="SEED")
-    """Which piece of the material, in [-2^63, 2^63)."""
+    """Seed of the realisation, in [-2^63, 2^63)."""
     name: str = ""
-    """Of the files; the material's unless given."""
+    """Name of the map set, by default the material's."""
     read: ReadOptions = AS_IT_IS
-    """Generator, variety and adjustments, as recorded in the sidecar's provenance."""
+    """Generator, variety and adjustments; recorded in the document's provenance."""
     tile: Literal["both", "x", "y", "piece"] | None = setting(
         None, words=("both", "x", "y", "piece")
     )
-    """Repeat exactly along both axes, or along x or y alone; piece: the photographed piece itself,
-    made to repeat, at about its own size."""
+    """Make the maps seamless along both axes, or along x or y alone; piece: the photographed piece
+    itself as a seamless tile, a little smaller than it is."""
     udim: tuple[int, int] | None = setting(None, metavar="CxR", parse=values.sides_of)
     """A texture set of C columns (at most 10) and R rows (at most 900), each tile of the given
     size."""
     single: bool = setting(False)
     """All maps in one EXR file."""
     mipmap: bool = setting(False, option="mip")
-    """Mip-mapped EXR files, as texture readers like them."""
+    """Mip-mapped EXR files."""
     png: bool = setting(False)
-    """16-bit PNGs beside the EXR files."""
+    """Also write 16-bit PNGs."""
     normal: NormalStyle = setting("gl", words=("gl", "dx"))
     """Normals with +Y up (gl) or down (dx)."""
-    growth: Growth | None = None
-    """What it grows into."""
+    blend: MaskedBlend | None = None
+    """Second material, blended in by a mask."""
     precision: Precision = setting("fp32", words=("fp32", "bf16", "auto"))
-    """Of the network. auto: as much bf16 as changes no map by half an 8-bit step."""
+    """Of the network. auto: the fastest that changes no map by half an 8-bit step."""
     device: DeviceName = setting("auto", words=("auto", "cpu", "cuda"))
-    """Where the network computes. auto: a CUDA device where PyTorch sees one."""
+    """Device that runs the network. auto: CUDA where PyTorch sees such a device."""
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -87,14 +87,14 @@ class SynthRequest:
 
     @property
     def whole(self) -> Rectangle:
-        """All of the texture set, or of the one map set."""
+        """Rectangle of the whole texture set, or of the only map set."""
         columns, rows = self.udim or (1, 1)
         area = self.area
         return Rectangle(area.x, area.y, area.width * columns, area.height * rows)
 
     @property
     def period(self) -> Period | None:
-        """What repeats: the whole of what is written."""
+        """Period of the field along (x, y): the sides of `whole` where `tile` asks for it."""
         if self.tile is None:
             return None
         area = self.whole
@@ -103,33 +103,33 @@ class SynthRequest:
 
 @dataclass(frozen=True)
 class SynthProgress(Progress):
-    """How far a run has come."""
+    """Progress of a run."""
 
     rate: float = 0.0
-    """Texels a second, what was resumed left out."""
+    """Texels per second, without those of a resumed run."""
     resumed: float = 0.0
-    """Share of the whole that was there before."""
+    """Share of the texels that an interrupted run had written."""
 
 
 @dataclass(frozen=True)
 class Work:
-    """Who makes it."""
+    """How a request is computed and written."""
 
     workers: int = setting(1, least=1, most=1024, short="-j", otherwise="one a core")
     """Processes (threads for a few blocks, and on CUDA); their number changes no bit."""
     scheduler: str | None = setting(None, metavar="tcp://HOST:PORT")
     """Send blocks to this dask scheduler."""
     resume: bool = setting(False)
-    """Go on with what an interrupted run of the same request left."""
+    """Continue an interrupted run of the same request."""
     progress: Callable[[SynthProgress], None] = nobody
     """Called after every block."""
     overwrite: bool = True
-    """Replace what stands in the way, another map set of the same name too."""
+    """Replace existing files, also those of another map set of the same name."""
     inputs: tuple[Path, ...] = ()
-    """Files that are read, and never replaced."""
+    """Input files, which are never replaced."""
 
     def check(self, device_type: str) -> None:
-        """Raise UsageError for what is no address, or a device that a cluster may not have."""
+        """Raise UsageError for an invalid scheduler address, or a scheduler with CUDA."""
         if self.scheduler is not None and not _ADDRESS.fullmatch(self.scheduler):
             raise UsageError(
                 f"'{self.scheduler}' is no address",

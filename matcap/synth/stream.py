@@ -1,10 +1,10 @@
-"""Rectangles of any size to files, in memory that does not grow with them.
+"""Writes a rectangle of any size to files, in memory that does not grow with its size.
 
-    blocks -> tiles (in the workers) -> one file a map, tile by tile -> smaller levels, PNGs
+    blocks -> tiles (in the workers) -> one file a map, tile by tile -> mip levels, PNGs
            -> published together
 
-The order in which tiles are written follows from the request alone. So a run that was cut off
-goes on after its last whole tile, and the file it ends with has the same bytes.
+The request alone determines the order of the tiles. An interrupted run is resumed after its last
+whole tile, and its files have the same bytes as those of an uninterrupted one.
 
 Read next: plan.py, workers.py, exr_tiles.py.
 """
@@ -35,7 +35,7 @@ from matcap.synth.plan import (
 from matcap.synth.request import SynthProgress, SynthRequest, Work
 from matcap.synth.strips import height_coding, write_pngs
 from matcap.synth.unfinished import files_of, unfinished, unfinished_bytes
-from matcap.synth.workers import crew
+from matcap.synth.workers import worker_pool
 
 if TYPE_CHECKING:
     from matcap.field.source import Source
@@ -45,17 +45,17 @@ if TYPE_CHECKING:
 def write_field(
     asked: SynthRequest, field: OpenedField, folder: str | Path, work: Work | None = None
 ) -> Path:
-    """Write a rectangle of a field as a map set or a texture set; returns its JSON file.
+    """Write a rectangle of a field as a map set or a texture set; return the path of its JSON file.
 
-    All files appear together, or none. Of a run that is interrupted, or fails for want of room or
-    memory, the finished part stays in a hidden folder, for `work.resume`.
+    All files appear together, or none. If the run is interrupted, or the disk is full, or a worker
+    is killed, the finished tiles stay in a hidden folder for `work.resume`.
 
     Raises:
-        UsageError: an empty or too large rectangle, a bad name, an impossible texture set, a
-            cluster for a source on CUDA.
-        MatcapError: another map set that is not to be overwritten, a full disk, an unwritable
-            folder, another run at work in it, an unfinished run of other settings to resume, a
-            worker that died, values that are not finite.
+        UsageError: an empty or too large rectangle, a bad name, a texture set out of range, or a
+            cluster with a source on CUDA.
+        MatcapError: files that must not be overwritten, a full disk, an unwritable folder, another
+            run writing there, a run of other settings to resume, a killed worker, values that are
+            not finite.
     """
     name, source = field.info.name, field.source
     check_request(asked, name)
@@ -75,12 +75,12 @@ def write_field(
         ExitStack() as stack,
     ):
         clock = _Clock(asked.whole.width * asked.whole.height, work.progress)
-        blocks = sum(1 for mapset in mapsets for _ in mapset.pieces(source))
-        ready = stack.enter_context(crew(source, work.workers, blocks, work.scheduler))
+        blocks = sum(1 for mapset in mapsets for _ in mapset.parts(source))
+        pool = stack.enter_context(worker_pool(source, work.workers, blocks, work.scheduler))
         sets = []
         for mapset in mapsets:
             files = stack.enter_context(assembly(stage, mapset.pictures))
-            _fill(source, mapset, files, ready, clock)
+            _fill(source, mapset, files, pool, clock)
             for picture, file in zip(mapset.pictures, files.files, strict=True):
                 write_levels(picture, file, work.workers)
                 file.finish()
@@ -96,20 +96,20 @@ def write_field(
 
 
 def _fill(
-    source: Source, mapset: PlannedMapSet, files: Assembly, ready: WorkerPool, clock: _Clock
+    source: Source, mapset: PlannedMapSet, files: Assembly, pool: WorkerPool, clock: _Clock
 ) -> None:
-    """Compute all blocks of a map set whose tiles are not there yet."""
+    """Compute and write the blocks of a map set that a resumed run lacks."""
 
     def missing() -> Iterator[Job]:
-        for piece in mapset.pieces(source):
-            if files.lacks(piece):
-                yield piece, mapset
+        for part in mapset.parts(source):
+            if files.lacks(part):
+                yield part, mapset
             else:
-                clock.skip(piece.texels)
+                clock.skip(part.texels)
 
-    for (piece, _), rendered in ready.run(missing()):
+    for (part, _), rendered in pool.run(missing()):
         files.add(rendered)
-        clock.done(piece.texels)
+        clock.done(part.texels)
 
 
 class _Clock:
@@ -121,12 +121,12 @@ class _Clock:
         self._start = time.monotonic()
 
     def skip(self, texels: int) -> None:
-        """These were there."""
+        """Count texels that an interrupted run had written."""
         self._resumed += texels
         self.done(texels)
 
     def done(self, texels: int) -> None:
-        """These are there now."""
+        """Count texels that are written now, and report."""
         self._texels += texels
         seconds = time.monotonic() - self._start
         rate = (self._texels - self._resumed) / max(seconds, 1e-9)

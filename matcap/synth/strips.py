@@ -1,6 +1,6 @@
-"""16-bit PNGs from finished tile files, a row of tiles at a time.
+"""Converts finished EXR files to 16-bit PNGs, a row of tiles at a time.
 
-They hold what the EXR files hold: half floats, and a height scaled by its own range.
+Values are those of the EXR files, rounded to half floats there; height is scaled by its range.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from matcap.synth.pictures import PictureFile
 
 
 def height_coding(assemblies: Sequence[Assembly]) -> tuple[float, float]:
-    """(scale, midlevel) such that height = (value - midlevel) * scale fills [0, 1] over all."""
+    """(scale, midlevel) with height = (value - midlevel) scale and values from 0 to 1 over all."""
     low, high = np.inf, -np.inf
     for assembly in assemblies:
         picture, file = _holding("height", assembly)
@@ -34,7 +34,7 @@ def height_coding(assemblies: Sequence[Assembly]) -> tuple[float, float]:
 
 
 def write_pngs(stage: Path, assembly: Assembly, heights: tuple[float, float]) -> None:
-    """Write a PNG of every map beside its EXR file.
+    """Write a PNG of every map into the folder of the EXR files.
 
     Raises:
         OSError: a file cannot be written.
@@ -69,7 +69,7 @@ def _write_png(
 
 
 def _holding(kind: str, assembly: Assembly) -> tuple[PictureFile, TileFile]:
-    """The picture with a map, and its file."""
+    """The picture that has the map, and its file."""
     for picture, file in zip(assembly.pictures, assembly.files, strict=True):
         if kind in picture.kinds:
             return picture, file

@@ -1,7 +1,7 @@
-"""More of a material, as files: what `matcap synth` does, for Python too.
+"""Synthesise a rectangle of a material's field to files: `matcap synth`, for Python.
 
-Without PyTorch until it is needed: a material's file with an exemplar needs none, and it takes
-longer to start than such a map takes to make.
+PyTorch is imported only where it is needed: a material with an exemplar does not need it, and
+importing it takes longer than synthesising a map.
 """
 
 from __future__ import annotations
@@ -25,24 +25,25 @@ def synthesise(
     work: Work | None = None,
     on_precision: Callable[[ChosenPrecision], None] = lambda choice: None,
 ) -> Path:
-    """Write it into a folder, all of its files or none; returns the JSON file.
+    """Write a request's map set into a folder, all files or none; return the path of its JSON file.
 
     Args:
-        asked: what.
-        folder: where to; made when missing.
-        work: workers, and the progress callback.
-        on_precision: called with a network's precision, once it is chosen.
+        asked: the request.
+        folder: created if missing.
+        work: workers, progress callback and overwriting.
+        on_precision: called with a network's precision once it is chosen.
 
     Raises:
-        UsageError: a size or repeat out of range, a device that is not there.
-        MatcapError: a mask that cannot be read, precisions too rough, and what write_field raises.
+        UsageError: a size or period out of range, no CUDA device.
+        MatcapError: a mask that cannot be read, a precision that the device does not support, and
+            what write_field raises.
 
     Example:
         synthesise(SynthRequest(material, Rectangle(0, 0, 4096, 256), seed=7), "more")
     """
     work = work or Work()
     if work.scheduler and asked.device == "auto":
-        # A cluster's machines may have no CUDA device, and their blocks must be alike.
+        # A cluster's machines may have no CUDA device, and all blocks must come from one kind.
         asked = replace(asked, device="cpu")
     asked, opened = open_field(asked)
     if opened.choice is not None:

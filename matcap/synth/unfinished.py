@@ -1,11 +1,11 @@
-"""Files of a run until all of them are complete: in a hidden folder, then in their place.
+"""Staging folder of a run that can be resumed.
 
-Unlike files/staging.py, what an interrupted run leaves is kept and gone on with. Both publish
-alike (files/publish.py).
+Files are written to a hidden folder and published together (files/publish.py). Unlike with
+files/staging.py, an interrupted run's folder is kept.
 
-After a power cut, what the run had written may lack parts: a tile's checksum says whether it
-is whole, and the first that is not ends what is gone on with (exr_tiles.py). A tile of pure noise,
-which does not pack, has none.
+After a power cut, written data may be missing. The zlib checksum of a compressed tile shows that;
+the run is resumed before the first damaged tile (exr_tiles.py). Tiles that do not compress have no
+checksum.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ _KEY, _LOCK = ".request", ".lock"
 
 @contextmanager
 def unfinished(folder: Path, name: str, key: str, *, resume: bool) -> Iterator[StagedFolder]:
-    """A folder to write into; when the block ends, its files stand in `folder`.
+    """Context of a folder to write into, whose files are moved to `folder` on exit.
 
-    After an interruption, a full disk or a killed worker the files stay where they are; after
-    another failure they go.
+    After an interruption, a full disk or a killed worker the staging folder is kept; after any
+    other error it is removed.
 
     Args:
-        folder: where the files belong; made when missing.
+        folder: destination; created if missing.
         name: of the map set.
-        key: of the request: a digest, a space, the device. Other settings have another.
-        resume: begin with what an earlier run left, if it had the same key; otherwise with none.
+        key: plan.key_of of the request: a digest, a space, the device.
+        resume: keep the files of an interrupted run; otherwise remove them.
 
     Raises:
-        MatcapError: another run is at work here, an earlier run had other settings, the disk is
-            full, the folder cannot be written.
+        MatcapError: another run is writing these maps, the interrupted run had another key, the
+            disk is full, or the folder cannot be written.
     """
     stage = _stage(folder, name)
     keep = False
@@ -68,7 +68,7 @@ def unfinished(folder: Path, name: str, key: str, *, resume: bool) -> Iterator[S
 
 
 def unfinished_bytes(folder: Path, name: str) -> int:
-    """What an earlier run left, on disk."""
+    """Bytes that an interrupted run left in its staging folder."""
     return sum(file.stat().st_size for file in _stage(folder, name).glob("*") if file.is_file())
 
 
@@ -94,7 +94,7 @@ def _locked(stage: Path) -> Iterator[None]:
 
 
 def _open(stage: Path, key: str, *, resume: bool) -> None:
-    """Make sure that what lies in the folder is of this request, or nothing does."""
+    """Check that the staged files belong to this request; without `resume` remove them."""
     file = stage / _KEY
     begun = file.read_text() if resume and file.exists() else key
     before, now = (one.partition(" ")[2] for one in (begun, key))
@@ -118,13 +118,13 @@ def _open(stage: Path, key: str, *, resume: bool) -> None:
 
 
 def _publish(stage: Path, folder: Path, name: str) -> None:
-    """Put everything in its place; what it replaces and is no more, goes."""
+    """Publish the staged files; older files of the map set that are not replaced are removed."""
     fresh = [file.name for file in stage.iterdir() if file.name not in (_KEY, _LOCK)]
     publish(stage, fresh, folder, replacing=files_of(folder, name))
 
 
 def files_of(folder: Path, name: str) -> list[str]:
-    """Names that files of an older map set or texture set of this name may have."""
+    """Possible file names of a map set or texture set of this name; UDIM tiles by what exists."""
     kinds = (*MEANINGS, "maps")
     tiles = [
         file.name for kind in kinds for file in folder.glob(f"{name}_{kind}.1[0-9][0-9][0-9].*")

@@ -1,6 +1,6 @@
-"""Workers that compute blocks: threads, processes, or a cluster.
+"""Worker pool that computes blocks: threads, processes, or a Dask cluster.
 
-Read next: field/single.py (why one thread a block), stream.py (what becomes of the results).
+Read next: field/single.py (why one thread a block), stream.py (which uses the results).
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ if TYPE_CHECKING:
     from matcap.field.source import Source
 
 _AHEAD = 2  # blocks in flight for each worker: one computed, one waiting
-_FEW = 24  # blocks that are done before processes have started
+_FEW = 24  # up to so many blocks, threads are done before processes have started
 
 
 @contextmanager
-def crew(
+def worker_pool(
     source: Source, workers: int, jobs: int, scheduler: str | None = None
 ) -> Iterator[WorkerPool]:
-    """Workers for so many jobs: a cluster's, processes, or threads where that is faster.
+    """Context of a worker pool: a cluster, processes, or threads for few jobs and on CUDA.
 
-    A CUDA device serves one process: threads take turns at it and encode tiles side by side.
+    Threads share a CUDA device, and encode tiles in parallel.
 
     Args:
-        source: what they compute.
-        workers: how many processes or threads.
-        jobs: how many jobs there will be, at most.
-        scheduler: a dask scheduler's address instead.
+        source: the field.
+        workers: number of processes or threads.
+        jobs: upper bound of the number of jobs.
+        scheduler: address of a Dask scheduler, whose workers are used instead.
 
     Raises:
-        MatcapError: there is no such scheduler, or the extra is missing.
+        MatcapError: no scheduler answers, or Dask is not installed.
     """
     if scheduler is not None:
         with Cluster(scheduler) as machines:
@@ -66,28 +66,28 @@ def crew(
 
 
 def _submit(processes: ProcessPoolExecutor, job: Job) -> Future[list[Rendered]]:
-    """Give a job to a pool, which may start a process for it."""
+    """Submit a job to a pool, which may start a process for it."""
     with starting_children():
         return processes.submit(_render_here, job)
 
 
 def _render_alone(packed: bytes, job: Job) -> list[Rendered]:
-    """The job on one thread, whatever kind of worker this is."""
+    """Run a job on one thread of a cluster's worker."""
     with single_threaded(1) as pool:
         return pool.submit(render_packed, packed, job).result()
 
 
 def _render_here(job: Job) -> list[Rendered]:
-    """The job, in a worker process."""
+    """Run a job in a worker process."""
     return rendered(_task[0], job)
 
 
-# What a worker process was started for; empty in every other.
+# The source, in a worker process; empty in any other.
 _task: list[Source] = []
 
 
 def _prepare(packed: bytes) -> None:
-    """Settle a worker process: one thread, kept memory, and no life after its parent."""
+    """Set up a worker process: one thread, kept memory, and exit with its parent."""
     _task.append(unpacked(packed))
     compute_alone()
     keep_memory()
@@ -98,6 +98,6 @@ def _prepare(packed: bytes) -> None:
 
 
 def _follow(parent: BaseProcess) -> None:
-    """End with the parent process, even one that was killed."""
+    """Exit when the parent process ends, even if it was killed."""
     parent.join()
     os._exit(1)

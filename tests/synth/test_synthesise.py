@@ -10,7 +10,7 @@ from matcap.brdf.folder import read_mapset
 from matcap.errors import UsageError
 from matcap.field.plane import Rectangle
 from matcap.files.png import write_png
-from matcap.synth.request import Growth, SynthRequest
+from matcap.synth.request import MaskedBlend, SynthRequest
 from matcap.synth.synthesise import synthesise
 
 
@@ -41,7 +41,7 @@ def test_it_grows_where_the_mask_is_white(material, make_material, tmp_path):
     write_png(mask, np.repeat(np.array([[0.0, 1.0]], dtype=np.float32), 2, axis=0), bits=8)
     other = make_material("other", seed=4)
     area = Rectangle(0, 0, 96, 32)
-    asked = SynthRequest(material, area, growth=Growth(other, mask, Rectangle(0, 0, 96, 32)))
+    asked = SynthRequest(material, area, blend=MaskedBlend(other, mask, Rectangle(0, 0, 96, 32)))
     maps, document = read_mapset(synthesise(asked, tmp_path / "set"))
     assert document["provenance"]["blend"] == [material.name, "other"]
     assert document["provenance"]["mask_over"] == [0, 0, 96, 32]
