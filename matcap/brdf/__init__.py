@@ -1,1 +1,1 @@
-"""Reflectance: the maps and their files, their normals and the Cook-Torrance model."""
+"""SVBRDF maps, their files and normals, and the Cook-Torrance reflectance model."""

@@ -1,18 +1,19 @@
-"""Adjustments of maps on output (brightness, roughness, relief, tint); the material is unchanged.
+"""Adjustments of maps on output (relief, roughness, saturation, tint, brightness).
 
-One short text, shared by `synth`, `export`, `relight` and the page, and kept in sidecars:
+The material itself is unchanged. One text, shared by `synth`, `export`, `relight` and the page, and
+stored in sidecars:
 
     relief=1.3,roughness=-0.1,saturation=0.8,brightness=1.1,tint=#ffe8d0
 
 Keys:
-    relief: factor on heights, and so on slopes.
-    roughness: added to perceptual roughness, which stays within 0 and 1.
-    saturation: factor on what colours differ from grey of their luminance by, of F0's too where
-        it has one; 0 is grey.
-    tint: a colour that diffuse albedo is multiplied by, brought to luminance 1.
-    brightness: factor on diffuse albedo, which stays within 0 and 1.
+    relief: factor on heights, and thus on slopes.
+    roughness: added to perceptual roughness, clipped to [0, 1].
+    saturation: factor on the difference between a colour and grey of its luminance, of diffuse
+        albedo and of coloured F0; 0 is grey.
+    tint: colour that multiplies diffuse albedo, scaled to luminance 1.
+    brightness: factor on diffuse albedo, clipped to [0, 1].
 
-In this order: saturation, tint, brightness. NumPy alone: what reads a field by example needs no
+Applied in this order: saturation, tint, brightness. NumPy only: reading a field by example needs no
 PyTorch.
 """
 
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 Planes = NDArray[np.float32]
 
 WHERE = "--adjust"
-KEY = "adjust"  # of sidecars
+KEY = "adjust"  # in sidecars
 RANGES = {
     "relief": (0.0, 10.0),
     "roughness": (-1.0, 1.0),
@@ -46,27 +47,27 @@ RANGES = {
 }
 _WHITE = "#ffffff"
 _LUMINANCE = np.array(LUMINANCE, np.float32)
-_LONGEST = 10_000  # bytes of a file of adjustments
+_LONGEST = 10_000  # largest sidecar, in bytes
 
 
 @dataclass(frozen=True)
 class Adjustments:
-    """What is changed; by default nothing. See the module for each.
+    """Values of all adjustments; by default none changes anything.
 
     Raises:
         UsageError: a value out of range.
     """
 
     relief: float = 1.0
-    """Factor, 0 to 10."""
+    """Factor on heights, 0 to 10."""
     roughness: float = 0.0
-    """What is added, -1 to 1."""
+    """Added to perceptual roughness, -1 to 1."""
     saturation: float = 1.0
-    """Factor, 0 to 4."""
+    """Factor on the difference from grey, 0 to 4."""
     brightness: float = 1.0
-    """Factor, 0 to 8."""
+    """Factor on diffuse albedo, 0 to 8."""
     tint: str = _WHITE
-    """sRGB colour, "#rrggbb"."""
+    """sRGB colour that multiplies diffuse albedo, "#rrggbb"."""
 
     def __post_init__(self) -> None:
         for name, (least, most) in RANGES.items():
@@ -86,12 +87,12 @@ class Adjustments:
 
     @property
     def changes(self) -> bool:
-        """Whether there is anything to do."""
+        """Whether any value differs from its default."""
         return bool(self.text)
 
     @property
     def text(self) -> str:
-        """What parse_adjustments takes; "" for none."""
+        """The text that parse_adjustments reads; "" for none."""
         changed = (
             (name, value) for name, value in asdict(self).items() if value != getattr(NONE, name)
         )
@@ -101,18 +102,18 @@ class Adjustments:
 
     @property
     def file_part(self) -> str:
-        """The text as a part of a file's name."""
+        """The text in a form fit for file names."""
         return self.text.replace("=", "").replace(",", "_")
 
     @property
     def mixing(self) -> NDArray[np.float32]:
-        """(3, 3) what saturation alone multiplies a colour by."""
+        """(3, 3) matrix of saturation alone, linear Rec.709."""
         grey = np.tile(_LUMINANCE, (3, 1))
         return grey + np.float32(self.saturation) * (np.eye(3, dtype=np.float32) - grey)
 
     @property
     def colour(self) -> NDArray[np.float32]:
-        """(3, 3) what diffuse albedo (red, green, blue) is multiplied by."""
+        """(3, 3) matrix of saturation, tint and brightness on diffuse albedo, linear Rec.709."""
         saturated = self.mixing
         linear = srgb_decode(
             np.array([int(self.tint[at : at + 2], 16) for at in (1, 3, 5)], np.float64) / 255.0
@@ -128,11 +129,11 @@ NONE = Adjustments()
 
 
 def parse_adjustments(text: str | None) -> Adjustments:
-    """Adjustments from a text, or from a sidecar that has one (a file's name in .json).
+    """Parse a text, or the text in a sidecar (a file name ending in .json).
 
     Raises:
-        UsageError: an unknown name, one given twice, a value that is none or out of range; a file
-            without adjustments.
+        UsageError: an unknown or repeated name, a value that is no number or out of range; a
+            sidecar without adjustments.
     """
     if not text:
         return NONE
@@ -155,9 +156,9 @@ def parse_adjustments(text: str | None) -> Adjustments:
 
 
 def adjusted_planes(planes: Planes, adjustments: Adjustments) -> Planes:
-    """Stacked maps (6 or 8, H, W), or with their normal (9 or 11, H, W), adjusted.
+    """Adjust stacked maps, (6 or 8, H, W), or with their normal (9 or 11, H, W).
 
-    Slopes become exactly `relief` times as steep. Nothing to do gives the planes themselves.
+    Returns `planes` itself where nothing changes.
     """
     if not adjustments.changes:
         return planes
@@ -182,7 +183,7 @@ def adjusted_planes(planes: Planes, adjustments: Adjustments) -> Planes:
 
 
 def adjusted(maps: MapSet, adjustments: Adjustments) -> MapSet:
-    """Maps without batch dimensions, adjusted; the same maps where there is nothing to do."""
+    """Adjust maps without batch dimensions; returns `maps` itself where nothing changes."""
     if not adjustments.changes:
         return maps
     import torch

@@ -1,14 +1,14 @@
-"""The Cook-Torrance microfacet reflectance matcap uses everywhere.
+"""The Cook-Torrance microfacet BRDF [cook1982] that all of matcap uses.
 
-f = diffuse / pi + D G F / (4 (n.l)(n.v)), with GGX for D [walter2007, eq. 33], the
-height-correlated Smith G [heitz2014, eq. 99] and Schlick's Fresnel from F0 to 1 [schlick1994,
-eq. 15]; alpha = roughness squared. Multiple scattering between microfacets is left out here.
+f = diffuse / pi + D G F / (4 (n.l)(n.v)): D is GGX [walter2007, eq. 33], G height-correlated Smith
+[heitz2014, eq. 99], F Schlick's Fresnel [schlick1994, eq. 15]; alpha = roughness^2. No multiple
+scattering between microfacets (relight adds it).
 
-Two forms matter for stability in float32:
+Stable in float32:
 
 - D's denominator 1 - (n.h)^2 (1 - alpha^2) cancels near n.h = 1 for small alpha; it is computed as
-  |n x h|^2 + (n.h)^2 alpha^2, two sums of non-negative terms.
-- G / (4 (n.l)(n.v)) is computed as one term [heitz2014], so nothing divides by a grazing cosine.
+  |n x h|^2 + (n.h)^2 alpha^2.
+- G / (4 (n.l)(n.v)) is one term [heitz2014], which divides by no grazing cosine.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-# Roughness below this shows as this: alpha = 1e-6, whose square and whose peak D = 1 / (pi
-# alpha^2) both stay far inside float32, and which no photograph or picture can distinguish from 0.
+# Roughness is clamped to this: alpha = 1e-6, whose square and whose peak D = 1 / (pi alpha^2) are
+# well inside float32, and which no picture can distinguish from 0.
 MIN_ROUGHNESS = 1e-3
-SINGLE_ROUGHNESS = 0.05  # likewise of quick angles: a tenth of a per cent of alpha is float32's
-LEAST_COSINE = 1e-3  # of quick angles
+SINGLE_ROUGHNESS = 0.05  # the same for Angles.quick, whose rounding is 1e-3 of alpha there
+LEAST_COSINE = 1e-3  # smallest cosine of Angles.quick
 
-# Smallest denominator of the visibility term, reached only when both cosines are grazing.
+# Smallest denominator of the visibility term: reached where both cosines are grazing.
 _TINY = 1e-7
 
-# Smallest denominator of D: below alpha^2 at MIN_ROUGHNESS, so reached only where there is no half
-# vector, light and view being opposed.
+# Smallest denominator of D, below alpha^2 at MIN_ROUGHNESS: reached only where light and view are
+# opposed and there is no half vector.
 _LEAST_SPREAD = 1e-14
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
-    """(..., 1, H, W): scalar product along the channel dimension of (..., 3, H, W) vectors."""
+    """(..., 1, H, W) scalar product of (..., 3, H, W) vectors."""
     return (a * b).sum(dim=-3, keepdim=True)
 
 
 def normalize(vector: Tensor) -> Tensor:
-    """(..., 3, H, W) of unit length; a zero vector stays zero, with a zero gradient."""
+    """(..., 3, H, W) unit vectors; a zero vector stays zero, with gradient zero."""
     squared = dot(vector, vector)
     safe = torch.where(squared > 0, squared, torch.ones_like(squared))
     return vector * torch.where(squared > 0, torch.rsqrt(safe), torch.zeros_like(squared))
 
 
 def ggx(n_dot_h: Tensor, n_cross_h_squared: Tensor, alpha: Tensor) -> Tensor:
-    """GGX distribution of normals [walter2007, eq. 33], in 1/sr.
+    """GGX distribution of normals D [walter2007, eq. 33], in 1/sr.
 
     Args:
         n_dot_h: cosine between normal and half vector.
-        n_cross_h_squared: |n x h|^2, the squared sine, computed without cancellation.
-        alpha: roughness squared, positive.
+        n_cross_h_squared: its squared sine, computed without cancellation.
+        alpha: roughness^2, positive.
     """
     alpha_squared = alpha.square()
     spread = n_cross_h_squared + n_dot_h.square() * alpha_squared
@@ -77,27 +77,25 @@ def schlick(specular: Tensor, l_dot_h: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Angles:
-    """What a specular lobe knows of directions, (..., 1, H, W) each."""
+    """Cosines between normal n, light l, view v and half vector h, (..., 1, H, W) each."""
 
     n_dot_l: Tensor
     n_dot_v: Tensor
-    """Cosines of light and view, never negative."""
+    """Clamped to 0, or in quick() to LEAST_COSINE."""
     n_dot_h: Tensor
     l_dot_h: Tensor
-    """Of the half vector with normal and light."""
     n_cross_h_squared: Tensor
-    """The squared sine between normal and half vector."""
+    """|n x h|^2, the squared sine."""
     least_roughness: float
-    """What is smoother shows as this."""
+    """Roughness is clamped to this."""
     above: Tensor | None = None
-    """Where both light and view are above the surface; None: never quite below it."""
+    """bool, light and view are above the surface; None in quick(), which ignores the horizon."""
 
     @staticmethod
     def exact(normal: Tensor, to_light: Tensor, to_view: Tensor) -> Angles:
-        """Angles of unit vectors (..., 3, H, W), for highlights of any width; dark below."""
-        # In float64: where the half vector nearly is the normal, their cross product is a
-        # difference of nearly equal products, and an error of 1e-7 is a tenth of the narrowest
-        # highlight.
+        """Of unit vectors (..., 3, H, W); accurate for highlights of any width."""
+        # float64: where h is nearly n, the cross product is a difference of nearly equal products,
+        # and an error of 1e-7 is a tenth of the narrowest highlight.
         half = normalize(to_light.double() + to_view.double())
         n_dot_l, n_dot_v = dot(normal, to_light), dot(normal, to_view)
         n_cross_h = torch.linalg.cross(*torch.broadcast_tensors(normal.double(), half), dim=-3)
@@ -115,14 +113,14 @@ class Angles:
 
     @staticmethod
     def quick(normal: Tensor, to_light: Tensor, to_view: Tensor) -> Angles:
-        """Angles in the vectors' own precision, for fits: quicker, and never quite dark.
+        """Of unit vectors (..., 3, H, W), in their own precision: for fits.
 
-        Lobes within 1 % of exact ones in float32 from roughness SINGLE_ROUGHNESS up; cosines below
-        LEAST_COSINE count as that, so that gradients do not end at the horizon.
+        In float32 lobes are within 1 % of exact() from roughness SINGLE_ROUGHNESS up. Cosines are
+        clamped to LEAST_COSINE, so that gradients do not vanish at the horizon.
         """
         half = normalize(to_light + to_view)
-        # Of unit vectors a chord d apart the squared sine is d^2 (1 - d^2 / 4): as exact as their
-        # cross product where they nearly meet, at a fraction of its cost.
+        # |n x h|^2 = d^2 (1 - d^2 / 4) with the chord d = |n - h|: as accurate as the cross product
+        # where they nearly coincide, at a fraction of its cost.
         difference = normal - half
         chord = dot(difference, difference)
         return Angles(
@@ -135,12 +133,12 @@ class Angles:
         )
 
     def lit(self, value: Tensor) -> Tensor:
-        """A value where light and view are above the surface, 0 elsewhere."""
+        """`value` where light and view are above the surface, 0 elsewhere."""
         return value if self.above is None else torch.where(self.above, value, 0.0)
 
 
 def specular_lobe(specular: Tensor, roughness: Tensor, angles: Angles) -> Tensor:
-    """D G F / (4 (n.l)(n.v)) in 1/sr, as many channels as F0 has.
+    """D G F / (4 (n.l)(n.v)) in 1/sr, with the channels of F0.
 
     Args:
         specular: (..., 1 or 3, H, W) F0 in [0, 1].
@@ -163,7 +161,7 @@ def cook_torrance(
     to_light: Tensor,
     to_view: Tensor,
 ) -> Tensor:
-    """Reflectance f in 1/sr, (..., 3, H, W); 0 where light or view is below the surface.
+    """BRDF f in 1/sr, (..., 3, H, W); 0 where light or view is below the surface.
 
     Args:
         diffuse: (..., 3, H, W) diffuse albedo, linear, in [0, 1].

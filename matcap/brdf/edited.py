@@ -1,6 +1,4 @@
-"""Maps that another program opened and saved: with an alpha, with grey as three channels, or with
-primaries of its own.
-"""
+"""Maps that another program saved: with alpha, grey as three channels, or other primaries."""
 
 from __future__ import annotations
 
@@ -13,17 +11,17 @@ from matcap.files.note import note
 from matcap.files.rec709 import rec709_from
 
 COLOURS = ("diffuse", "specular")  # maps whose three channels are a colour
-_GREY = 2.0**-9  # of the largest value: two roundings to half float
+_GREY = 2.0**-9  # largest difference of grey channels over the largest value: half-float rounding
 _ALPHA = "A"
 
 MapPixels = NDArray[np.float32]
 
 
 def as_saved(stored: NamedChannels, channels: int, where: str) -> MapPixels:
-    """(H, W, channels) of a map where its file holds the same in another number of channels.
+    """(H, W, channels) of a map whose file has another number of channels.
 
-    Alpha is left out, with a note where it is not opaque; one channel stands for three, and three
-    equal ones for one. Others come back as they are, for who reads them to refuse.
+    Drops alpha, with a note where it is not opaque; repeats one channel to three; reduces three
+    equal ones to one. Anything else is returned as stored, for the caller to refuse.
     """
     pixels = without_alpha(stored)
     if pixels.shape[2] != stored.pixels.shape[2]:
@@ -40,7 +38,7 @@ def as_saved(stored: NamedChannels, channels: int, where: str) -> MapPixels:
 
 
 def without_alpha(stored: NamedChannels) -> MapPixels:
-    """(H, W, C) without an alpha channel."""
+    """(H, W, C) without the alpha channel."""
     kept = [place for place, name in enumerate(stored.names) if name != _ALPHA]
     if not kept or len(kept) == len(stored.names):
         return stored.pixels
@@ -48,10 +46,10 @@ def without_alpha(stored: NamedChannels) -> MapPixels:
 
 
 def in_rec709(colours: MapPixels, primaries: tuple[float, ...] | None, where: str) -> MapPixels:
-    """(H, W, 3) linear colours converted from the primaries that their file states.
+    """(H, W, 3) linear colours, converted from the primaries that the file states.
 
     Raises:
-        MatcapError: these are no colour space.
+        MatcapError: the primaries are degenerate.
     """
     try:
         matrix = None if primaries is None else rec709_from(primaries)

@@ -1,33 +1,33 @@
-"""A map set as a folder of pictures with one JSON file.
+"""A map set as a folder: EXR pictures and one JSON document.
 
 `<name>_diffuse.exr`, `_specular`, `_roughness` and `_normal` in half float, `_height` in 32-bit
-float, and `<name>.json`, which says what the numbers mean. On request also 16-bit PNGs. The folder
-is read back from the EXR files; the normal is derived from the height again. Where the file says
-something else, a note says so, and `--normals file` reads it (other_normals.py).
+float; `<name>.json` states what the numbers mean; 16-bit PNGs on request. Reading takes the EXR
+files and derives normals from the height. If the normal file disagrees a note says so, and
+`--normals file` reads it instead (other_normals.py).
 
 Keys:
     format: "matcap map set".
     version: 1.
     matcap: version of the program that wrote it.
-    name: what the files are called.
+    name: beginning of the files' names.
     width: texels.
     height: texels.
-    x: of the left top texel in the endless field.
-    y: of the left top texel in the endless field, downwards.
+    x: column of the left top texel in the endless field.
+    y: row of the left top texel in the endless field, downwards.
     seed: realisation of the material, or null.
-    periodic: whether the right border continues at the left one, and the bottom at the top.
-    seam: where it was measured, step across the border over steps inside (brdf/seam.py): about 1
-        or less without a seam.
+    periodic: whether the maps tile seamlessly.
+    seam: step across the border over steps inside (brdf/seam.py), about 1 or less without a seam;
+        absent where it was not measured.
     texel_size: a texel's side in plane units.
-    height_scale: what one unit of the EXR height is, in plane units.
+    height_scale: one unit of the EXR height, in plane units.
     normal: "gl" (+Y up) or "dx" (+Y down).
-    specular_channels: 3 where F0 has a colour: red, green, blue; 1, or absent, where it has none.
+    specular_channels: 3 if F0 is coloured (red, green, blue); 1, or absent, if not.
     maps: for each map its `file` and `meaning`, and with PNGs `png` and `png_encoding`.
     png: with PNGs, `height_scale` and `height_midlevel`: height = (value - midlevel) * scale.
-    conventions: what axes, unit, reflectance and normals are, in words.
-    provenance: how the material was made; its `millimetres_per_unit` is how long a plane unit is,
-        or null where it was not measured; of the photographed piece, `setup` is its camera and
-        flash, as in the material file.
+    conventions: axes, unit, reflectance and normals, in words.
+    provenance: how the material was made. `millimetres_per_unit` is the length of a plane unit, or
+        null if it was not measured; of the exemplar, `setup` is the photograph's camera and flash,
+        as in the material file.
 """
 
 from __future__ import annotations
@@ -59,17 +59,17 @@ from matcap.files.staging import staged
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
-# Entries of a document that identify a map set among others of the same name.
+# Entries of a document in which two different map sets of one name differ.
 _WHAT_IT_IS = (
     "format", "width", "height", "x", "y", "seed", "periodic", "period", "udim", "normal",
     "texel_size", SPECULAR_CHANNELS, "provenance",
 )  # fmt: skip
 
 FORMAT = "matcap map set"
-PIECE = "_photo"  # after a material's name: the maps of the photographed piece itself
+PIECE = "_photo"  # suffix of the exemplar's map set, after the material's name
 SETUP = "setup"  # in its provenance: camera and flash of the photograph
 VERSION = 1  # of the document
-# Bytes a texel takes at most, for all maps: what is asked of the disk beforehand.
+# Largest size of all maps, in bytes a texel, to check free disk space.
 EXR_BYTES = 2 * (3 + 3 + 1 + 3) + 4
 PNG_BYTES = 2 * (3 + 3 + 1 + 1 + 3)
 
@@ -98,12 +98,12 @@ _CONVENTIONS = {
 
 @dataclass(frozen=True)
 class MapSetInfo:
-    """Where a map set comes from: what its JSON file says in addition to sizes and conventions.
+    """Name and origin of a map set, for its JSON document.
 
     Attributes:
-        name: what the files are called; a plain file name.
-        seed: the realisation of the material, or None when there is no such thing.
-        origin: (x, y) of the left top texel in the material's endless field.
+        name: beginning of the files' names; a plain file name.
+        seed: realisation of the material; None where there are no realisations.
+        origin: (column, row) of the left top texel in the material's endless field.
         provenance: how the material was made; any JSON.
     """
 
@@ -121,15 +121,15 @@ def write_mapset(
     png: bool = False,
     normal: NormalStyle = "gl",
 ) -> Path:
-    """Write a map set into a folder, all of its files or none; returns the JSON file's path.
+    """Write a map set into a folder, all files or none; returns the JSON document's path.
 
-    A set of the same name is replaced, PNGs included.
+    Replaces a set of the same name, PNGs included.
 
     Args:
-        maps: one map set without batch dimensions.
-        folder: made when missing.
+        maps: without batch dimensions.
+        folder: created if missing.
         info: name, seed, origin and provenance.
-        png: write 16-bit PNGs beside the EXR files.
+        png: also write 16-bit PNGs.
         normal: "gl" for +Y up (OpenGL), "dx" for +Y down (DirectX).
 
     Raises:
@@ -163,14 +163,15 @@ def write_mapset(
 def read_mapset(
     path: str | Path, normals: NormalSource = "height"
 ) -> tuple[MapSet, dict[str, Any]]:
-    """Read a map set back: (maps as float32 on the CPU, the JSON document).
+    """Read a map set: (maps as float32 on the CPU, the JSON document).
 
     Args:
-        path: the set's JSON file, or a folder that holds exactly one set.
-        normals: derived from the "height", or read from their "file", where somebody painted.
+        path: the JSON document, or a folder with exactly one set.
+        normals: "height" derives them; "file" reads the normal map, which may have been edited.
 
     Raises:
-        MatcapError: no set or several in the folder, a missing, corrupt or misfitting map.
+        MatcapError: no set or several in the folder; a map that is missing, corrupt, or of another
+            size or number of channels.
     """
     import torch
 
@@ -213,30 +214,29 @@ def read_mapset(
 
 
 def _recount(kind: str, count: int) -> str:
-    """What to do about a map of another number of channels: an editor may have added a colour."""
+    """The remedy for a map with another number of channels."""
     if kind == "specular" and count in (1, 3):
-        return f'save it as it was, or say "{SPECULAR_CHANNELS}": {count} in the JSON file'
+        return f'save it as it was, or set "{SPECULAR_CHANNELS}": {count} in the JSON file'
     return "write the map set again"
 
 
 def refuse_to_replace(folder: Path, new: dict[str, Any], names: Iterable[str]) -> None:
-    """Refuse to put a map set where another one of its name stands; the same one may come again.
+    """Refuse to overwrite another map set of the same name; the same set may be written again.
 
     Args:
         folder: where it is to be written.
-        new: its document, with or without what PNGs add.
+        new: its document.
         names: of all files that it may have.
 
     Raises:
-        MatcapError: there is a set of that name that differs, with what it differs in; or a file
-            that belongs to no set.
+        MatcapError: a set of that name that differs, naming the entries; or a file of no set.
     """
     old = _load_any(folder / f"{new['name']}.json")
     if old is None:
         foreign = [name for name in names if (folder / name).exists()]
         if foreign:
             raise MatcapError(
-                "another file stands here, which is of no map set",
+                "a file of this name exists, and belongs to no map set",
                 where=str(folder / foreign[0]),
                 remedy="choose another folder with -o, or give --overwrite",
             )
@@ -246,27 +246,27 @@ def refuse_to_replace(folder: Path, new: dict[str, Any], names: Iterable[str]) -
         differs.append("PNGs")
     if differs:
         raise MatcapError(
-            f"another map set stands here (it differs in {', '.join(differs)})",
+            f"another map set of this name exists (with another {', '.join(differs)})",
             where=str(folder / f"{new['name']}.json"),
             remedy="choose another folder with -o, or give --overwrite",
         )
 
 
 def mapset_files(name: str) -> list[str]:
-    """Names of all the files that a map set of this name may have."""
+    """Names of all files that a map set may have."""
     maps = [f"{name}_{kind}.{suffix}" for kind in MEANINGS for suffix in ("exr", "png")]
     return [*maps, f"{name}.json"]
 
 
 def mapset_bytes(width: int, height: int, *, png: bool) -> int:
-    """Disk space that a map set of this size takes at most."""
+    """Upper bound of the disk space of a map set, in bytes."""
     return width * height * (EXR_BYTES + (PNG_BYTES if png else 0)) + 1_000_000
 
 
 def find_mapsets(folder: Path) -> list[Path]:
-    """The JSON files of the map sets in a folder, sorted.
+    """The JSON documents of the map sets in a folder, sorted.
 
-    A photographed piece beside its material's own set is that one's companion, and not listed.
+    Without an exemplar's set (NAME_photo) where its material's own (NAME) is there.
     """
     documents = [file for file in sorted(folder.glob("*.json")) if _load_document(file) is not None]
     names = {file.stem for file in documents}
@@ -274,11 +274,11 @@ def find_mapsets(folder: Path) -> list[Path]:
 
 
 def _arrays(maps: MapSet, normal: NormalStyle) -> dict[str, NDArray[np.float32]]:
-    """Every map as the picture that is stored: (H, W, 3) or (H, W) float32."""
+    """Every map as it is stored: (H, W, 3) or (H, W) float32."""
     from matcap.brdf.maps import MAP_NAMES
 
     if maps.height.ndim != 3:
-        raise ValueError("a map set is written without batch dimensions")
+        raise ValueError("maps with batch dimensions cannot be written: pass one map set")
     arrays = {}
     for kind in MAP_NAMES:
         tensor = getattr(maps, kind).detach().cpu().float()
@@ -298,7 +298,7 @@ def mapset_document(
     normal: NormalStyle,
     specular: int = 1,
 ) -> dict[str, Any]:
-    """The JSON document of a map set of so many channels of F0, its `maps` still empty."""
+    """The JSON document of a map set, with `maps` empty; `specular` is F0's channel count."""
     width, height = size
     up = "up (OpenGL)" if normal == "gl" else "down (DirectX)"
     return {
@@ -313,7 +313,6 @@ def mapset_document(
         "seed": info.seed,
         "periodic": periodic,
         "texel_size": texel_size,
-        # What one unit of the EXR height is in plane units.
         "height_scale": 1.0,
         "normal": normal,
         **({} if specular == 1 else {SPECULAR_CHANNELS: specular}),
@@ -324,7 +323,7 @@ def mapset_document(
 
 
 def meaning_of(kind: str, specular: int) -> str:
-    """What a map's numbers are, in words, where F0 has so many channels."""
+    """Meaning of a map's numbers, in words; `specular` is F0's channel count."""
     coloured = kind == "specular" and specular > 1
     return MEANINGS[kind] + (", linear Rec.709, D65" if coloured else "")
 
@@ -340,7 +339,7 @@ def height_range(height: NDArray[np.float32]) -> tuple[float, float]:
 def coded(
     kind: str, pixels: NDArray[np.float32], scale: float, midlevel: float
 ) -> NDArray[np.float32]:
-    """What a PNG stores of a map, in [0, 1]."""
+    """Code values of a map in a PNG, [0, 1]; scale and midlevel as height_range returns them."""
     if kind == "diffuse":
         return srgb_picture(pixels)
     if kind == "normal":
@@ -351,12 +350,12 @@ def coded(
 
 
 def _find_document(path: Path) -> Path:
-    with suppress(OSError):  # only to be read, it can be what it is
+    with suppress(OSError):  # a read-only folder cannot be repaired, but can be read
         recover(path if path.is_dir() else path.parent)
     if path.is_file():
         return path
     if not path.is_dir():
-        what = "no such file or folder" if not path.exists() else "this is no ordinary file"
+        what = "no such file or folder" if not path.exists() else "is no regular file"
         raise MatcapError(what, where=str(path), remedy="check the path")
     documents = find_mapsets(path)
     if not documents:
@@ -376,7 +375,7 @@ def _find_document(path: Path) -> Path:
 
 
 def _load_any(file: Path) -> dict[str, Any] | None:
-    """A document of matcap's, of whatever version; None for any other file."""
+    """A JSON document of matcap, of any version; None for any other file."""
     try:
         document = json.loads(file.read_bytes())
     except (OSError, ValueError, RecursionError):
@@ -389,7 +388,7 @@ def _load_document(file: Path) -> dict[str, Any] | None:
     """A map set's JSON document; None for any other file.
 
     Raises:
-        MatcapError: the set was written by a later version.
+        MatcapError: a map set of another version.
     """
     try:
         document = json.loads(file.read_bytes())

@@ -7,14 +7,15 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 
-# Plane units. Slopes of such heights still have squares in single precision, and so normals.
+# Plane units. Squares of the slopes of such heights do not overflow single precision.
 TALLEST = 1e6
 
 
 def check_heights(height: NDArray[np.floating], where: str = "") -> None:
-    """Raise MatcapError if heights, in plane units, are none of a surface.
+    """Refuse heights above TALLEST, in plane units; NaN and infinity are checked elsewhere.
 
-    NaN and infinity are checked for every map elsewhere.
+    Raises:
+        MatcapError: naming `where`.
     """
     most = float(np.abs(height).max(initial=0.0))
     if TALLEST < most < float("inf"):

@@ -1,4 +1,4 @@
-"""Height from slopes by integration, for normal maps without a height map."""
+"""Height from slopes by integration [frankot1988], for normal maps without a height map."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 
 def integrated(slopes: NDArray[np.floating], texel_size: float = 1.0) -> NDArray[np.float32]:
-    """(1, H, W) the repeating height of mean 0 whose slopes come nearest to given ones.
+    """(1, H, W) periodic height of mean 0 whose slopes fit given ones by least squares.
 
-    Frankot and Chellappa 1988: least squares over all waves, H = -i (w . S) / |w|^2. What no
-    repeating surface has, the slopes' means and their curl, is left out.
+    In the Fourier domain H = -i (w . S) / |w|^2. The slopes' means and curl, which no periodic
+    surface has, do not contribute.
 
     Args:
         slopes: (2, H, W) dh/dx and dh/dy, y upwards, row 0 at the top.
-        texel_size: a texel's side, in the unit that the height is to have.
+        texel_size: a texel's side, in the unit of the height.
     """
     rows, columns = slopes.shape[1:]
     wx = 2.0 * np.pi * np.fft.fftfreq(columns)[None, :] / texel_size

@@ -1,4 +1,4 @@
-"""MapSet: the spatially varying reflectance that matcap produces."""
+"""MapSet: SVBRDF maps (diffuse albedo, F0, roughness, height) of a rectangle of material."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from torch import Tensor
 
 from matcap.brdf.normals import normals_from_height
 
-# Order and channel counts of the stored maps; the normal is derived from the height. Specular
-# albedo has three channels where it has a colour: where some of the material is metal.
+# Order and channel counts of the stored maps; the normal is derived from the height. F0 has three
+# channels where it is coloured, that is, where some of the material is metal.
 CHANNELS: dict[str, int] = {"diffuse": 3, "specular": 1, "roughness": 1, "height": 1}
-COLOURED = 3  # channels of a specular albedo that has a colour
-# Where they lie in what is stacked, and in NumPy's arrays of that, coloured or not.
+COLOURED = 3  # channels of a coloured F0
+# Channels of stacked maps, with F0 coloured or not.
 DIFFUSE, SPECULAR, ROUGHNESS, HEIGHT = (
     slice(0, 3), slice(3, -2), slice(-2, -1), slice(-1, None),
 )  # fmt: skip
@@ -32,7 +32,7 @@ class MapSet:
     diffuse: Tensor
     """(3, H, W) diffuse albedo, linear Rec.709, in [0, 1]."""
     specular: Tensor
-    """(1, H, W) specular albedo F0, in [0, 1]; (3, H, W), linear Rec.709, where it has a colour."""
+    """(1, H, W) F0, in [0, 1]; (3, H, W), linear Rec.709, where it is coloured."""
     roughness: Tensor
     """(1, H, W) perceptual roughness in [0, 1]; alpha is its square."""
     height: Tensor
@@ -40,10 +40,10 @@ class MapSet:
     texel_size: float
     """A texel's side in plane units."""
     periodic: bool = False
-    """The right border continues at the left one and the bottom at the top one."""
+    """The maps tile seamlessly."""
     painted: Tensor | None = None
-    """(3, H, W) unit normals that stand instead of the height's, where somebody gave them
-    (other_normals.py); stacked() leaves them out."""
+    """(3, H, W) unit normals that replace the height's, read from an edited normal map
+    (other_normals.py); not in stacked()."""
 
     def __post_init__(self) -> None:
         shape = self.height.shape
@@ -58,7 +58,7 @@ class MapSet:
 
     @property
     def normal(self) -> Tensor:
-        """(3, H, W) unit normals, +Y up (OpenGL): derived from the height, unless painted."""
+        """(3, H, W) unit normals, +Y up (OpenGL): `painted`, else derived from the height."""
         if self.painted is not None:
             return self.painted
         return normals_from_height(self.height, self.texel_size, periodic=self.periodic)
@@ -69,7 +69,7 @@ class MapSet:
         return self.height.shape[-1], self.height.shape[-2]
 
     def stacked(self) -> Tensor:
-        """(..., 6, H, W): diffuse, specular, roughness, height; 8 where F0 has a colour."""
+        """(..., 6, H, W): diffuse, specular, roughness, height; 8 channels if F0 is coloured."""
         return torch.cat([self.diffuse, self.specular, self.roughness, self.height], dim=-3)
 
     @staticmethod
@@ -91,7 +91,7 @@ class MapSet:
         )
 
     def turned(self, quarters: int) -> MapSet:
-        """The same set turned by so many quarters anticlockwise, painted normals too."""
+        """The set rotated by `quarters` quarter turns anticlockwise, painted normals included."""
 
         def turn(planes: Tensor) -> Tensor:
             return planes.rot90(quarters, (-2, -1)).contiguous()
@@ -105,18 +105,18 @@ class MapSet:
         return replace(rotated, painted=torch.stack([x, y, z], dim=-3))
 
     def crop(self, x: int, y: int, width: int, height: int) -> MapSet:
-        """The rectangle whose left top texel is (x, y), rows counted from the top."""
+        """The rectangle whose left top texel is column x, row y."""
         cut = self.map(lambda m: m[..., y : y + height, x : x + width])
         return replace(cut, periodic=False)
 
 
 def specular_channels(stacked: int) -> int:
-    """How many channels F0 has in so many stacked ones."""
+    """Number of F0's channels, of the number of stacked channels."""
     return stacked - sum(CHANNELS.values()) + CHANNELS["specular"]
 
 
 def with_colour(stacked: Tensor) -> Tensor:
-    """Stacked maps (..., 8, H, W) whose F0 has three channels: equal ones where it had one."""
+    """Stacked maps with F0 in three channels, (..., 8, H, W): one channel is repeated."""
     if specular_channels(stacked.shape[-3]) == COLOURED:
         return stacked
     grey = stacked[..., SPECULAR, :, :]
@@ -125,7 +125,7 @@ def with_colour(stacked: Tensor) -> Tensor:
 
 
 def split_stacked(stacked: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Diffuse, specular, roughness and height of what was stacked, (..., 6 or 8, H, W)."""
+    """Diffuse, specular, roughness and height of stacked maps, (..., 6 or 8, H, W)."""
     sizes = {**CHANNELS, "specular": specular_channels(stacked.shape[-3])}
     diffuse, specular, roughness, height = stacked.split(list(sizes.values()), dim=-3)
     return diffuse, specular, roughness, height

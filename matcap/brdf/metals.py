@@ -1,8 +1,7 @@
 """F0 of clean metals at normal incidence, linear Rec.709.
 
-All but brass: Lagarde, "Feeding a physically based shading model" (2011), from measured refractive
-indices; Akenine-Moeller et al., Real-Time Rendering (4th edition, 2018), table 9.2, has the same
-within a few hundredths. Brass is an alloy, and tables of it differ by as much. Steel is its iron.
+From measured refractive indices [lagarde2011]; [akenine2018, table 9.2] agrees within a few
+hundredths. Brass is an alloy, of which tables differ by as much. Steel is iron.
 """
 
 from __future__ import annotations

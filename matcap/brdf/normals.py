@@ -11,8 +11,8 @@ def normals_from_height(height: Tensor, texel_size: float, *, periodic: bool = F
 
     Args:
         height: (..., 1, H, W), in plane units. Row 0 is the top of the picture (largest y).
-        texel_size: a texel's side in plane units, so that slopes are physical.
-        periodic: wrap around the borders; otherwise the border uses one-sided differences.
+        texel_size: a texel's side in plane units.
+        periodic: wrap around at borders; else differences there are one-sided.
 
     Returns:
         (..., 3, H, W) unit normals, +x right, +y up, +z towards the camera.
@@ -32,11 +32,11 @@ def normals_from_height(height: Tensor, texel_size: float, *, periodic: bool = F
 def normals_of_rows(
     height: Tensor, texel_size: float, rows: slice, *, periodic: bool = False
 ) -> Tensor:
-    """(..., 3, rows, W): some rows of normals_from_height, for fields too large for it at once.
+    """(..., 3, rows, W) some rows of normals_from_height, without computing the others.
 
     Args:
-        height, texel_size, periodic: as normals_from_height takes them.
-        rows: with a start and a stop inside the field.
+        height, texel_size, periodic: as normals_from_height.
+        rows: slice with start and stop inside the field.
     """
     first, last = rows.start - 1, rows.stop + 1
     if periodic:

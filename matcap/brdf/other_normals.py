@@ -1,7 +1,7 @@
-"""A map set's normal file, where it disagrees with the height.
+"""Normal maps of a map set that were edited, so that they disagree with the height.
 
-Normals follow from the height. Their file may have been edited: a note says so, and it is
-read where it is asked for (`--normals file`).
+matcap derives normals from the height. If the file differs a note says so; `--normals file` reads
+it instead.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
 
     from matcap.brdf.maps import MapSet
 
-_TEXELS = 1_000_000  # about so many are compared, evenly spread rows
-_OFF = math.cos(math.radians(2.0))  # what rounding to half float explains is far less
-_SHARE = 1e-3  # of the texels: fewer are no painting
+_TEXELS = 1_000_000  # number of texels compared, in evenly spaced rows
+_OFF = math.cos(math.radians(2.0))  # angle of an edit; rounding to half float is far less
+_SHARE = 1e-3  # share of differing texels above which a map counts as edited
 _STEEPEST = 0.02  # least z of a unit normal: 89 degrees, whose slope half floats still hold
 _ANSWER = (
-    "it is not read, for normals follow from the height; relight and export read it with "
+    "it is not read: normals are derived from the height; relight and export use it with "
     "--normals file"
 )
-_WITHOUT = "mend the file, or leave out --normals file"
+_WITHOUT = "correct the file, or leave out --normals file"
 
 
 def note_other_normals(maps: MapSet, document: dict[str, Any], folder: Path) -> None:
-    """Note if the normal file disagrees with the height, or cannot be used.
+    """Note if the normal file disagrees with the height, or cannot be read.
 
     Args:
-        maps: as they were read.
-        document: the map set's.
-        folder: where its files stand.
+        maps: the map set.
+        document: its JSON document.
+        folder: of its files.
     """
     about = document["maps"].get("normal")
     name = about.get("file") if isinstance(about, dict) else None
@@ -61,12 +61,12 @@ def painted_normals(document: dict[str, Any], folder: Path, size: tuple[int, int
     """(3, H, W) unit normals of the file, +Y up.
 
     Args:
-        document: the map set's.
-        folder: where its files stand.
-        size: (width, height) in texels that it must have.
+        document: the map set's JSON document.
+        folder: of its files.
+        size: (width, height) of the maps, in texels.
 
     Raises:
-        MatcapError: no such file, of another size, or with what is no normal.
+        MatcapError: no such file, another size, or normals that do not face upwards.
     """
     import torch
 
@@ -87,7 +87,7 @@ def painted_normals(document: dict[str, Any], folder: Path, size: tuple[int, int
     turned = int((unit[..., 2] < _STEEPEST).sum())
     if turned:
         raise MatcapError(
-            f"{turned} texels have no normal that faces upwards", where=where, remedy=_WITHOUT
+            f"the normals of {turned} texels do not face upwards", where=where, remedy=_WITHOUT
         )
     if document.get("normal") == "dx":
         unit = unit * np.array([1.0, -1.0, 1.0], np.float32)
@@ -95,7 +95,10 @@ def painted_normals(document: dict[str, Any], folder: Path, size: tuple[int, int
 
 
 def _differing(pixels: np.ndarray[Any, Any], maps: MapSet, *, down: bool) -> float:
-    """The share of texels inside whose normal is another one; borders may know more than these."""
+    """Share of inner texels whose normal differs from the height's by more than 2 degrees.
+
+    Border texels may have been computed from neighbours outside of the maps.
+    """
     from matcap.brdf.normals import normals_of_rows
 
     width, height = maps.size

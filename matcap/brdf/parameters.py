@@ -1,8 +1,7 @@
-"""Unconstrained reflectance parameters (logs and logits), for networks and optimisers.
+"""Unconstrained parameters of a surface, for networks and optimisers.
 
-Logarithms of diffuse albedo and F0, the logit of roughness, heights in texels. One way in and one
-way out, and here stand the limits of what a surface is taken for. Channels go by their names; in a
-tensor they lie as in a stacked MapSet.
+log diffuse albedo, log F0, logit roughness, height in texels; with the limits that reflectance is
+clamped to. Stacked channels are ordered as in MapSet.stacked.
 """
 
 from __future__ import annotations
@@ -17,19 +16,19 @@ from matcap.brdf.maps import CHANNELS, MapSet, split_stacked
 
 REFLECTANCE = {name: count for name, count in CHANNELS.items() if name != "height"}
 
-ALBEDO_LIMITS = (0.001, 0.99)  # least and most of a diffuse channel
+ALBEDO_LIMITS = (0.001, 0.99)  # of a diffuse channel
 F0_LIMITS = (0.005, 0.99)
 ROUGHNESS_LIMITS = (0.001, 0.999)
-_ROUGHNESS_LOGITS = 7.0  # either way: a little beyond ROUGHNESS_LIMITS, so that its ends come back
+_ROUGHNESS_LOGITS = 7.0  # largest |logit|: slightly beyond ROUGHNESS_LIMITS, which thus round-trip
 
 
 class Reflectance(NamedTuple):
-    """What a surface reflects, without its relief; a MapSet's maps of these names.
+    """Reflectance maps, a MapSet's without the height.
 
     Attributes:
         diffuse: (..., 3, H, W) diffuse albedo.
-        specular: (..., 1, H, W) F0; 3 channels where it has a colour.
-        roughness: (..., 1, H, W).
+        specular: (..., 1, H, W) F0; 3 channels if coloured.
+        roughness: (..., 1, H, W) perceptual roughness.
     """
 
     diffuse: Tensor
@@ -39,12 +38,15 @@ class Reflectance(NamedTuple):
 
 @dataclass(frozen=True)
 class SurfaceParameters:
-    """A surface, or what two surfaces differ by; any shapes that broadcast with each other."""
+    """Parameters of a surface, or differences of two surfaces' parameters.
+
+    Shapes need only broadcast with each other.
+    """
 
     diffuse: Tensor
     """(..., 3, H, W) log of diffuse albedo."""
     specular: Tensor
-    """(..., 1, H, W) log of F0; 3 channels where it has a colour."""
+    """(..., 1, H, W) log of F0; 3 channels if coloured."""
     roughness: Tensor
     """(..., 1, H, W) logit of perceptual roughness."""
     height: Tensor
@@ -52,7 +54,7 @@ class SurfaceParameters:
 
     @staticmethod
     def of(maps: MapSet) -> SurfaceParameters:
-        """Of maps, brought within the limits."""
+        """Parameters of maps, whose reflectance is clamped to the limits."""
         return SurfaceParameters(
             maps.diffuse.clamp(*ALBEDO_LIMITS).log(),
             maps.specular.clamp(*F0_LIMITS).log(),
@@ -64,7 +66,7 @@ class SurfaceParameters:
     def uniform(
         diffuse: tuple[float, float, float], specular: float, roughness: float
     ) -> SurfaceParameters:
-        """Of a flat, uniform surface, (..., 1, 1) each; only roughness is kept off its ends."""
+        """Parameters of a flat, uniform surface, (..., 1, 1) each; only roughness is clamped."""
         gloss = torch.tensor([specular, roughness], dtype=torch.float64)[:, None, None, None]
         return SurfaceParameters(
             torch.tensor(diffuse).log()[:, None, None],
@@ -74,7 +76,7 @@ class SurfaceParameters:
         )
 
     def reflectance(self) -> Reflectance:
-        """Within the limits."""
+        """The reflectance, clamped to the limits."""
         return Reflectance(
             self.diffuse.exp().clamp(*ALBEDO_LIMITS),
             self.specular.exp().clamp(*F0_LIMITS),
@@ -82,7 +84,7 @@ class SurfaceParameters:
         )
 
     def maps(self, texel_size: float) -> MapSet:
-        """Maps within the limits, of texels of a size in plane units."""
+        """Maps, clamped to the limits; texel_size in plane units."""
         return MapSet(*self.reflectance(), self.height * texel_size, texel_size)
 
     def __add__(self, other: SurfaceParameters) -> SurfaceParameters:
@@ -96,11 +98,11 @@ class SurfaceParameters:
         )
 
     def to(self, like: Tensor) -> SurfaceParameters:
-        """On a tensor's device, in its precision."""
+        """Converted to a tensor's device and dtype."""
         return SurfaceParameters(*(getattr(self, f.name).to(like) for f in fields(self)))
 
     def levels(self) -> Tensor:
-        """(5,) diffuse, specular and roughness of a flat, uniform surface."""
+        """(5,) diffuse (3), specular and roughness parameters of a flat, uniform surface."""
         return torch.cat([self.diffuse, self.specular, self.roughness]).flatten()
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""Whether maps repeat without a seam: the step across the border compared with those inside."""
+"""Visibility of the seam of repeating maps: the step across the border over steps inside."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ if TYPE_CHECKING:
 
     from matcap.brdf.maps import MapSet
 
-SEAMLESS = 1.15  # an invisible ratio: single lines of a texture scatter by as much
-_LINES = 0.9  # of the lines inside
+_LINES = 0.9  # quantile of the lines inside
 
 
 def seam_ratio(maps: MapSet) -> float:
-    """How much larger steps are where maps meet themselves than anywhere else in them.
+    """Ratio of the step across the wrap to the steps inside, mean over maps, of the worse axis.
 
-    The mean absolute difference of neighbouring texels across the wrap over that of lines inside,
-    mean over the maps, of the worse axis. Not the mean line inside but one that nine of ten do not
-    exceed: threads and planks have edges, and the wrap may fall on one. About 1 or less where there
-    is no seam; 1 for maps that hold nothing.
+    A step is the mean absolute difference of two adjacent lines of texels. The wrap is compared
+    with the 0.9 quantile of the lines inside: threads and planks have edges, and the wrap may fall
+    on one. About 1 or less without a seam, 1 for constant maps; up to 1.15 is invisible, since
+    single lines of a texture scatter by as much.
     """
     return max(
         sum(_ratio(channels, axis) for channels in _each(maps)) / len(_each(maps))
@@ -32,11 +31,11 @@ def _each(maps: MapSet) -> tuple[Tensor, ...]:
 
 
 def _ratio(channels: Tensor, axis: int) -> float:
-    """Of one map along one axis."""
+    """The ratio of one map (C, H, W) along one axis."""
     if channels.shape[axis] < 3:
         return 1.0
     values, other = channels.detach(), -3 - axis
-    # One channel at a time: large maps have no room beside them for copies of their own size.
+    # One channel at a time: no copy as large as a whole map.
     across = sum(one.diff(dim=axis).abs_().mean(dim=other).double() for one in values)
     inside = float(across.quantile(_LINES)) / len(values)
     wrap = float((values.select(axis, 0) - values.select(axis, -1)).abs().mean())

@@ -1,10 +1,8 @@
-"""What the JSON file of a map set may say: one schema for every reader.
+"""Validation of a map set's JSON document, for every reader.
 
-A stranger may have written it: every entry has a type, a range and, where it names a file, a plain
-name. Errors name the key and the value. Provenance is free-form, but for what
-commands compute with; see known_provenance, which materials' files go through, too.
-
-Read next: folder.py, which writes and reads what is stated.
+The file is not trusted: every entry has a type and a range, and file names must be plain. Errors
+name key and value. Provenance is free-form, but for the lengths that commands compute with
+(known_provenance, also used for material files). folder.py reads and writes the documents.
 """
 
 from __future__ import annotations
@@ -23,43 +21,43 @@ NormalStyle = Literal["gl", "dx"]
 NormalSource = Literal["height", "file"]
 _STYLES: tuple[NormalStyle, ...] = ("gl", "dx")
 _LONGEST_SIDE = 2**31 - 1  # texels, of an OpenEXR file
-_MOST_UNIT = 1e9  # millimetres of a plane unit
+_MOST_UNIT = 1e9  # largest plane unit, in millimetres
 SCALE = "millimetres_per_unit"
-# In a document, how many channels F0 has where it has a colour; absent where it has one.
+# Key of the number of F0's channels, 3 if coloured; absent for 1.
 SPECULAR_CHANNELS = "specular_channels"
 
 
 @dataclass(frozen=True)
 class StatedMaps:
-    """What a map set's document says, checked."""
+    """The checked entries of a map set's document."""
 
     name: str
     """Of the set, a plain file name."""
     size: tuple[int, int]
     """(width, height) in texels."""
     texel_size: float
-    """Plane units."""
+    """A texel's side in plane units."""
     height_scale: float
-    """What one unit of the height's file is, in plane units."""
+    """One unit of the height file, in plane units."""
     periodic: bool
-    """Whether it repeats without a seam."""
+    """Whether the maps tile seamlessly."""
     normal: NormalStyle
-    """Which way green points in its normals."""
+    """Direction of green in the normal map: "gl" up, "dx" down."""
     channels: Mapping[str, int]
-    """Of each map."""
+    """Number of channels by map."""
     files: Mapping[str, tuple[str, tuple[str, ...] | None]]
-    """By map, its file's name, and its channels where several maps share a file."""
+    """File name by map, with its channels' names where several maps share a file."""
     provenance: dict[str, Any]
-    """How the material was made; finite numbers alone."""
+    """How the material was made; its numbers are finite."""
 
 
 def stated_maps(document: Mapping[str, Any], kinds: Mapping[str, int], file: Path) -> StatedMaps:
-    """The document of a map set, checked.
+    """Check the document of a map set.
 
     Args:
-        document: as JSON gives it, its format and version known.
-        kinds: channels by map, where F0 has no colour.
-        file: it was read from.
+        document: parsed JSON, of known format and version.
+        kinds: number of channels by map, with F0 not coloured.
+        file: path of the document, for errors.
 
     Raises:
         MatcapError: an entry is missing, of another type or out of range.
@@ -102,10 +100,10 @@ def stated_maps(document: Mapping[str, Any], kinds: Mapping[str, int], file: Pat
 
 
 def stated_specular(document: Mapping[str, Any]) -> int:
-    """How many channels of F0 a document states: 1 or 3; 1 where it says nothing, as before.
+    """Number of F0's channels that a document states: 1 or 3, by default 1.
 
     Raises:
-        ValueError: another number, or none.
+        ValueError: anything else.
     """
     count = document.get(SPECULAR_CHANNELS, 1)
     if isinstance(count, bool) or count not in (1, 3):
@@ -114,10 +112,10 @@ def stated_specular(document: Mapping[str, Any]) -> int:
 
 
 def known_provenance(stated: object) -> dict[str, Any]:
-    """Provenance that a file states; numbers that are not finite become None, unknown.
+    """Check a file's provenance; numbers that are not finite become None.
 
     Raises:
-        ValueError: it is no object, or a scale in it is no length.
+        ValueError: not a JSON object, or a `millimetres_per_unit` out of range.
     """
     if not isinstance(stated, dict):
         raise ValueError(f"'provenance' is {shown(stated)}, no object")

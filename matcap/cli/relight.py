@@ -154,7 +154,7 @@ def relight(
         write_still,
         write_tiles,
     )
-    from matcap.relight.plan import parse_choice
+    from matcap.relight.planning import parse_choice
     from matcap.relight.sequence import ANIMATIONS, light_sheet
     from matcap.relight.sequence import animate as animated
 

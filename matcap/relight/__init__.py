@@ -1,4 +1,4 @@
-"""Maps in a scene: camera, lights and a surface to a picture.
+"""Renderer of SVBRDF maps: camera, lights and a surface to a picture.
 
-Read scene.py for what a scene is, plan.py for which effects run, render.py for the way through.
+scene.py defines a scene, planning.py decides which effects run, render.py is the pipeline.
 """

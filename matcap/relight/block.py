@@ -1,4 +1,7 @@
-"""A block of pixels shaded together: its inputs and its accumulated radiance."""
+"""A block of pixels shaded together: its inputs and its accumulated radiance.
+
+N is the number of pixels; arrays are (N,) float32 unless stated otherwise.
+"""
 
 from __future__ import annotations
 
@@ -26,46 +29,48 @@ from matcap.relight.vectors import Array, dot
 
 @dataclass(frozen=True)
 class ShadingContext:
-    """What all blocks share."""
+    """Inputs that all blocks of a picture share."""
 
     scene: Scene
     """Lights and surface."""
     sampler: Sampler
-    """The material on the surface."""
+    """Filtered lookups of the material."""
     relief: Relief
-    """Its height."""
+    """Its height field."""
     plan: Plan
     """Which effects run."""
-    skies: tuple[Environment, ...]
-    """The environments, in the order of their lights."""
+    environments: tuple[Environment, ...]
+    """One for each environment light, in their order."""
     horizons: Horizons | None
-    """Of the relief, where ambient visibility or interreflection run."""
+    """Horizon maps, where ambient visibility or interreflection run."""
     clock: Clock
-    """Of the effects."""
+    """Sums seconds by effect."""
     samples: int
-    """Directions in which surroundings are mirrored."""
+    """Sampled directions of the specular lobe under environments."""
     budget: Budget | None
-    """What single pixels may leave out; None where everything runs everywhere."""
+    """Error each pixel may spend on leaving effects out; None runs every effect in every pixel."""
     tally: Tally
-    """Which tiles effects run in."""
+    """Notes the tiles in which effects run."""
 
 
 class Block:
-    """Pixels, and their radiance while lights and effects add to it.
+    """Pixels, and the radiance that lights and effects have added so far.
 
     Attributes:
-        context: what all blocks share, and
-        plan: its plan.
-        hits: where the pixels are, (N,) arrays.
-        column, row: the same on the material, in texels.
-        height: of the relief there, where rays are cast from.
+        context: inputs shared by all blocks.
+        plan: the context's.
+        hits: intersections of the pixels' rays with the surface.
+        column, row: the same on the material, in texels, float64.
+        height: of the relief there, where shadow rays start; None without parallax and shadows.
         sample: the material there.
-        tiles: of the picture that each pixel is in.
-        n_dot_v: cosines of the view, not negative.
-        facing: which pixels face the camera.
+        tiles: index of the picture's tile of each pixel.
+        n_dot_v: cosine between shading normal and view, clamped to 0.
+        facing: bool, whether shading normal and surface face the camera.
         total: (3, N) radiance.
-        flow: (9, N) vector irradiance of each colour; None if not needed.
-        strength, share: of multiple scattering, (N,) a channel; empty without it.
+        vector_irradiance: (9, N) integral of radiance times unit direction, x, y, z of each colour
+            in turn, in the material's frame; None without interreflection.
+        strength, share: factors of multiple scattering (multiscatter.terms), one array a channel
+            of F0; empty without it.
     """
 
     def __init__(
@@ -84,7 +89,7 @@ class Block:
         self.facing: Array = (self.n_dot_v > 0.0) & (hits.to_view[2] > 0.0)
         self.total = np.zeros((3, tiles.size), dtype=np.float32)
         bounces = self.plan.on("interreflection")
-        self.flow = np.zeros((9, tiles.size), dtype=np.float32) if bounces else None
+        self.vector_irradiance = np.zeros((9, tiles.size), dtype=np.float32) if bounces else None
         self.strength: list[Array] = []
         self.share: list[Array] = []
         if self.plan.on("multiscatter"):
@@ -95,28 +100,28 @@ class Block:
 
     @property
     def adaptive(self) -> bool:
-        """Whether single pixels may leave out what would not show."""
+        """Whether effects may be left out pixel by pixel."""
         return self.context.budget is not None
 
     @cached_property
     def open(self) -> Array:
-        """(2, N) what of the surroundings is open, and how much of neighbours is seen."""
+        """(2, N) sky view factor, and share of directions that meet relief (Horizons.open)."""
         horizons = self.context.horizons
         assert horizons is not None
         if self.plan.on("interreflection"):
-            # What will be asked for anyway is walked to together.
-            horizons.send(self.column, self.row, None, fine=not self.adaptive)
+            # Interreflection needs the same texels: one walk computes both.
+            horizons.transfer(self.column, self.row, None, fine=not self.adaptive)
         else:
-            horizons.see(self.column, self.row)
+            horizons.compute(self.column, self.row)
         return between(horizons.open, self.context.relief.texture.size, self.column, self.row)
 
     def ran(self, effect: str, where: Array | None = None) -> None:
-        """Note that an effect ran, in all pixels or in some."""
+        """Note that an effect ran in all pixels, or in those that `where` indexes."""
         self.context.tally.ran(effect, self._all_tiles if where is None else self.tiles[where])
 
     @cached_property
     def _all_tiles(self) -> Array:
-        """The tiles, once for each run of pixels in a tile."""
+        """Tile indices without immediate repetitions."""
         return self.tiles[np.flatnonzero(np.diff(self.tiles, prepend=-1))]
 
     @cached_property
@@ -146,8 +151,8 @@ class Block:
             pixels.wide = kept.of(self.context.sampler.covered(hits.footprint))
         if hits.frame is not None:
             pixels.frame = tuple(kept.of(one) for axis in hits.frame for one in axis)
-        if self.flow is not None:
-            pixels.flow = tuple(one.ctypes.data for one in self.flow)
+        if self.vector_irradiance is not None:
+            pixels.vector_irradiance = tuple(one.ctypes.data for one in self.vector_irradiance)
         if self.strength:
             lost = albedo().lost
             pixels.strength, pixels.near = vector(self.strength), kept.of(self._near)

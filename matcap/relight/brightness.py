@@ -13,19 +13,23 @@ from matcap.relight.scene import (
     PointLight,
 )
 
-# The sun's luminance is 2e9 cd/m2. Squares of larger numbers than this are none any more.
+# Squares of larger numbers overflow float32. The sun's luminance is 2e9 cd/m2.
 BRIGHTEST = 1e18
 
 
 def check_lights(lights: Sequence[Light]) -> None:
-    """Raise MatcapError, with its number and kind, for a light that no sum could hold."""
+    """Refuse lights above BRIGHTEST.
+
+    Raises:
+        MatcapError: with the light's number and type.
+    """
     for index, light in enumerate(lights):
         if max(_colour(light)) > BRIGHTEST:
             raise too_bright(lights, index)
 
 
 def too_bright(lights: Sequence[Light], index: int | None = None) -> MatcapError:
-    """The sentence for a light, or for the brightest, when a picture has overflowed."""
+    """The error that names a light: `index`, or the brightest where a picture has overflowed."""
     if index is None:
         index = max(range(len(lights)), key=lambda i: max(_colour(lights[i])))
     light = lights[index]

@@ -1,9 +1,9 @@
-"""Per-tile error budget: the tolerance left by the plan, shared among effects.
+"""Error budget of single pixels: the tolerance that the plan has left, shared among effects.
 
-The tolerance is in code values, and what is known of a pixel's radiance already, all of which
-adds up, says how much more of it such a step of code is: at code 0.5 eight times as much as at
-black, where the curve is steepest. The curve is concave, so a change of radiance anywhere above
-what is known changes the code by no more than its slope there says.
+The tolerance is in code values. Radiance only adds up, so the radiance L of a pixel so far is a
+lower bound of the final one. The sRGB curve f is concave: a change d anywhere above L changes the
+code by no more than f'(L) d. A pixel may thus lose tolerance / f'(L), eight times as much at code
+0.5 as at black.
 """
 
 from __future__ import annotations
@@ -17,29 +17,28 @@ from matcap.files.srgb import srgb_slope
 from matcap.relight.scene import Film
 from matcap.relight.vectors import Array
 
-# How what is left is shared among those effects that are decided tile by tile and run. Area lights'
-# is what their rules were measured to be off; hardly a pixel mirrors so little of its surroundings
-# that any share would let it leave them out.
+# Shares of the budget. That of area lights is the measured error of their quadrature. Hardly a
+# pixel mirrors so little of an environment that a larger share would let it leave that out.
 SHARES: Mapping[str, float] = {"area": 0.4, "environment": 0.05, "interreflection": 0.55}
 
 
 @dataclass(frozen=True)
 class Budget:
-    """What may be left out in any one pixel."""
+    """Error that each pixel may have."""
 
     codes: float
-    """Code values from 0 to 1."""
+    """In code values, [0, 1]."""
     film: Film
-    """Of the picture."""
+    """Exposure and transfer of the picture."""
     running: frozenset[str]
-    """The effects that run."""
+    """Names of the effects that run."""
 
     def radiance(self, effect: str, known: Array) -> Array:
-        """(3, ...) what an effect may change, where pixels are known to be as bright at least.
+        """(3, ...) radiance that leaving an effect out may change.
 
         Args:
             effect: a name in SHARES.
-            known: (3, ...) radiance.
+            known: (3, ...) radiance of the pixels so far.
         """
         share = SHARES[effect] / sum(SHARES[one] for one in {effect, *self.running} & set(SHARES))
         allowed = np.float32(share * self.codes / self.film.gain)

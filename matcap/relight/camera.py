@@ -1,4 +1,4 @@
-"""Rays of a camera: pixel centres to lines through the scene."""
+"""Camera rays through pixel centres, and the lens's vignetting."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 from matcap.relight.scene import Camera, Film
 from matcap.relight.vectors import Array, unit3
 
-Points = Array
-# Of a 4:3 picture's corner, whose long side is in [-1, 1]: where vignetting is stated.
+# Squared radius of a 4:3 picture's corner, with its long side in [-1, 1]: vignetting's r = 1.
 _CORNER_SQUARED = 1.25**2
 
 
@@ -19,38 +18,41 @@ _CORNER_SQUARED = 1.25**2
 class View:
     """A camera and the picture it takes."""
 
-    position: Points
-    """(3,) place of a perspective camera."""
-    axes: Points
-    """(3, 3) rows right, up and forward."""
+    position: Array
+    """(3,) in plane units."""
+    axes: Array
+    """(3, 3) unit rows right, up and forward."""
     reach: float
-    """Half the picture's long side at distance 1 (perspective) or in plane units."""
+    """Half the picture's long side: at distance 1 (perspective), or in plane units."""
     size: tuple[int, int]
     """(width, height) in pixels."""
     perspective: bool
-    """Whether rays meet in `position`."""
+    """Rays start in `position`; else they are parallel."""
     columns: tuple[int, int] | None = None
-    """Half open range of those that rays are asked for; None is all."""
+    """Half-open range of columns that rays are generated for; None is all."""
     vignetting: float = 0.0
     vignetting_quartic: float = 0.0
-    """See Camera."""
+    """Exponents at r = 1, see Camera."""
 
     @property
     def across(self) -> tuple[int, int]:
-        """Half open range of the columns that rays are asked for."""
+        """Half-open range of columns that rays are generated for."""
         return self.columns or (0, self.size[0])
 
     @property
     def pixel(self) -> float:
-        """A pixel's side: at distance 1 (perspective) or in plane units."""
+        """A pixel's side: at distance 1 (perspective), or in plane units."""
         return 2.0 * self.reach / max(self.size)
 
     def part(self, left: int, right: int) -> View:
-        """The view of some columns, half open, of the same picture."""
+        """The same view with rays for a half-open range of columns."""
         return replace(self, columns=(left, right))
 
     def screen(self, top: int, bottom: int) -> tuple[Array, Array]:
-        """(1, W) and (bottom - top, 1): places of pixel centres, in units of `reach`."""
+        """(1, W) and (bottom - top, 1) offsets of pixel centres along right and up.
+
+        The picture's long side spans [-reach, reach].
+        """
         width, height = self.size
         half = max(width, height) / 2.0
         across = (np.arange(*self.across) + 0.5 - width / 2.0) / half * self.reach
@@ -58,7 +60,7 @@ class View:
         return across[None, :], down[:, None]
 
     def share(self, top: int, bottom: int) -> Array:
-        """(bottom - top, W) share of the light of rows of pixels that the lens lets through."""
+        """(bottom - top, W) vignetting: exp(-(v r^2 + q r^4)), r = 1 in a 4:3 picture's corner."""
         across, down = (c / self.reach for c in self.screen(top, bottom))
         squared = (across * across + down * down) / _CORNER_SQUARED
         exponent = squared * (self.vignetting + self.vignetting_quartic * squared)
@@ -72,17 +74,17 @@ class View:
 
     @property
     def brightest(self) -> float:
-        """By how much at most the lens brightens a picture."""
+        """Largest factor of the vignetting in the picture, above 1 where the lens brightens."""
         width, height = self.size
         corner = (1.0 + (min(width, height) / max(width, height)) ** 2) / _CORNER_SQUARED
         first, second = self.vignetting, self.vignetting_quartic
-        # Of a parabola between the middle and a corner: at one of them, or at its turn.
+        # The exponent is a parabola in r^2: extreme at centre, corner, or its vertex.
         turn = -0.5 * first / second if second else 0.0
         places = (0.0, corner, min(max(turn, 0.0), corner))
         return max(math.exp(-s * (first + second * s)) for s in places)
 
     def rays(self, top: int, bottom: int) -> tuple[Array, Array]:
-        """Origins and unit directions of the rows' rays, (3, bottom - top, W) each."""
+        """Origins and unit directions of the rays of rows, (3, bottom - top, W) each."""
         across, down = self.screen(top, bottom)
         across, down = np.broadcast_arrays(across, down)
         right, up, forward = (axis[:, None, None] for axis in self.axes)
@@ -96,9 +98,10 @@ class View:
 
 
 def view_of(camera: Camera | None, film: Film, long_side: float) -> View:
-    """The view of a camera, or of the photograph's where there is none.
+    """The view of a camera.
 
-    The photograph's camera looks straight down from where its 45 degrees frame `long_side`.
+    None stands for the photograph's: it looks straight down, 45 degrees across the long side, from
+    the distance at which that spans `long_side` plane units.
     """
     size = (film.width, film.height)
     if camera is None:
@@ -108,7 +111,7 @@ def view_of(camera: Camera | None, film: Film, long_side: float) -> View:
     place = np.asarray(camera.position, dtype=np.float64)
     forward = unit3(tuple(np.asarray(camera.target) - place))
     upright = unit3(camera.up)
-    # Looking along `up`, the picture's top is where the scene's front is.
+    # A camera that looks along `up` has -z at the top of its picture.
     if abs(forward @ upright) >= 1.0 - 1e-9:
         upright = np.array([0.0, 0.0, -1.0])
     right = np.cross(forward, upright)

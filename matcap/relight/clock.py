@@ -1,4 +1,4 @@
-"""Seconds that each effect takes, all threads together."""
+"""Seconds spent by effect, summed over threads."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from time import perf_counter
 
 
 class Clock:
-    """Adds up what is spent under each name."""
+    """Adds up wall-clock seconds by name; threads may share one."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
@@ -18,7 +18,7 @@ class Clock:
 
     @contextmanager
     def on(self, name: str) -> Iterator[None]:
-        """Count the time inside the block for `name`."""
+        """Add the time spent inside the `with` block to `name`."""
         start = perf_counter()
         yield
         spent = perf_counter() - start

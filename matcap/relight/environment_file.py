@@ -1,8 +1,8 @@
-"""Pictures of surroundings: latitude by longitude in EXR or Radiance HDR, or cube maps in EXR.
+"""Read environment maps: latitude-longitude EXR or Radiance HDR, or cube maps in EXR.
 
-Linear Rec.709 radiance, whatever primaries the file states. What lies outside of an EXR file's data
-window is black. A cube map is one that says so (OpenEXR's envmap); it is looked up by
-latitude and longitude. A picture of code values (PNG, JPEG) is decoded by its curve, with a note.
+The result is latitude-longitude, linear Rec.709 radiance, converted from the primaries that the
+file states. Pixels outside of an EXR file's data window are black. An EXR file is a cube map if its
+`envmap` attribute says so; it is resampled. Code values (PNG, JPEG) are decoded, with a note.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from matcap.relight.brightness import BRIGHTEST
 
 _REMEDY = "give a latitude-longitude EXR or HDR picture"
 _CUBE = "CubeFace Environment"
-_SHAPE = 0.05  # by which a picture's sides may be off 2 : 1
-_DARK = 0.5  # of all light: what is below zero by more is no radiance
-_SMALLEST = 4  # pixels a side below which a picture's shape says nothing
+_SHAPE = 0.05  # largest relative deviation of the sides from 2 : 1
+_DARK = 0.5  # largest sum of negative values over that of positive ones
+_SMALLEST = 4  # pixels: smaller pictures may have any shape
 
 EnvironmentPicture = NDArray[np.float32]
 
 
 def read_picture(path: Path) -> EnvironmentPicture:
-    """(H, W, 3) linear radiance by latitude (top: +y) and longitude (middle: +z, right: -x).
+    """Read (H, W, 3) linear radiance: top row +y, middle column +z, right half towards -x.
 
     Raises:
         MatcapError: missing, unreadable, of another projection, not finite, mostly negative, or too
@@ -60,7 +60,11 @@ def read_picture(path: Path) -> EnvironmentPicture:
 
 
 def _radiance(picture: EnvironmentPicture, where: str) -> EnvironmentPicture:
-    """What light there is: a little below zero is rounding, or a colour outside of Rec.709."""
+    """Radiance clamped to 0, with a note; small negative values are rounding or out of gamut.
+
+    Raises:
+        MatcapError: values above BRIGHTEST, or negative ones that add up to half of the light.
+    """
     if picture.max() > BRIGHTEST:
         raise MatcapError(
             f"has a value of {picture.max():.2g}, too bright for single precision",
@@ -72,14 +76,14 @@ def _radiance(picture: EnvironmentPicture, where: str) -> EnvironmentPicture:
         return picture
     dark, light = (float(np.abs(picture[part]).sum(dtype=np.float64)) for part in (below, ~below))
     if dark > _DARK * light:
-        raise MatcapError("has values that are no radiance", where=where, remedy=_REMEDY)
+        raise MatcapError("is mostly negative, which no radiance is", where=where, remedy=_REMEDY)
     pixels = int(below.any(axis=2).sum())
-    note(f"{where}: {pixels} pixels reach down to {picture.min():.3g} and are taken as 0 there")
+    note(f"{where}: {pixels} pixels are negative, down to {picture.min():.3g}, and set to 0")
     return np.maximum(picture, np.float32(0.0))
 
 
 def _looks_like(width: int, height: int) -> str:
-    """A word on what a shape is usual for."""
+    """The projection for which a picture's shape is usual, as a clause; "" for none."""
     ratio = width / height
     for usual, what in (
         (1.0, ", as a mirror ball or an angular map"),
@@ -94,9 +98,10 @@ def _looks_like(width: int, height: int) -> str:
 
 
 def _from_cube(cube: EnvironmentPicture, where: str) -> EnvironmentPicture:
-    """(2 n, 4 n, 3) by latitude and longitude, of six faces of n pixels one below the other.
+    """Resample a cube map, (6 n, n, 3), to latitude-longitude, (2 n, 4 n, 3).
 
-    OpenEXR's ImfEnvmap: +X, -X, +Y, -Y, +Z, -Z; pixels at a face's border lie on the cube's edge.
+    Faces stand one below the other as OpenEXR's ImfEnvmap has them: +X, -X, +Y, -Y, +Z, -Z. Centres
+    of border pixels lie on the cube's edges.
     """
     import cv2
 
@@ -113,7 +118,8 @@ def _from_cube(cube: EnvironmentPicture, where: str) -> EnvironmentPicture:
     z = np.cos(azimuth) * np.sin(polar)
     ax, ay, az = np.abs(x), np.abs(y), np.abs(z)
     on_x, on_y = (ax >= ay) & (ax >= az), (ay >= az) & ~((ax >= ay) & (ax >= az))
-    # Of each face: where it is looked at, and the pixel's column and row in [-1, 1] on it.
+    # For each face: directions that meet it, the place on it (column, row in [-1, 1], scaled by
+    # the last entry).
     faces = (
         (on_x & (x > 0.0), z, -y, ax),
         (on_x & (x <= 0.0), -z, -y, ax),

@@ -1,7 +1,7 @@
-"""Environment map lookups: radiance along a direction, and irradiance.
+"""Environment maps: radiance along a direction, irradiance, vector irradiance.
 
-A picture is kept as latitude by longitude, as it came, with a pyramid of averages for wide lobes.
-Directions are turned by the light's rotation on the way in.
+The map stays latitude-longitude, with a mip pyramid; a lookup turns its direction by the light's
+rotation.
 """
 
 from __future__ import annotations
@@ -18,23 +18,26 @@ from matcap.relight.octahedron import Octahedra, octahedra
 from matcap.relight.scene import EnvironmentLight
 from matcap.relight.vectors import Array, Vec
 
-# Wider pictures are averaged down: a texel of 2048 is 0.18 degrees.
+# Wider maps are downsampled; a texel of 2048 is 0.18 degrees.
 _WIDEST = 2048
-# Directions that an irradiance is summed over, across.
+# Columns of the latitude-longitude grid that integrals sum over; it has half as many rows.
 _SUMMED = 256
-# Normals that irradiance is tabulated for, along each axis of their octahedron.
+# Side of the octahedral table of irradiance by normal.
 _NORMALS = 64
 
-# Suns are gathered in cells of 5.6 degrees, and there are no more than so many.
+# Bright texels are gathered into suns in cells of 180 / _PLACES = 5.6 degrees, _SUNS at most.
 _PLACES, _SUNS = 32, 16
-# Of the brightest texel: surroundings that are darker but for their suns are black.
+# Over the brightest texel: a map whose remainder is darker than this holds suns alone.
 _BLACK = 1e-9
-
-SkyPicture = Array
 
 
 class Sun(NamedTuple):
-    """A small bright spot: direction in the scene, and irradiance on a surface facing it."""
+    """A small bright spot of an environment, shaded as a directional light.
+
+    Attributes:
+        direction: unit vector of the scene.
+        irradiance: on a surface facing it.
+    """
 
     direction: tuple[float, float, float]
     irradiance: tuple[float, float, float]
@@ -42,12 +45,12 @@ class Sun(NamedTuple):
 
 @dataclass(frozen=True)
 class Environment:
-    """One environment light, ready to shade with."""
+    """One environment light, prepared for shading."""
 
-    levels: tuple[SkyPicture, ...]
-    """(h, w, 3) radiance pictures, each half as large as the one before."""
+    levels: tuple[Array, ...]
+    """Mip pyramid of radiance: (h, w, 3), each level half the size of the one before."""
     rotation: float
-    """Radians."""
+    """About +y, in radians, anticlockwise from above."""
 
     @cached_property
     def brightest(self) -> float:
@@ -66,12 +69,16 @@ class Environment:
 
     @cached_property
     def varying(self) -> float:
-        """By how much the radiance differs from its mean, at most."""
+        """Largest difference of a texel's radiance from the mean."""
         return float(np.abs(self.levels[0] - self.mean).max())
 
     @cached_property
-    def _parted(self) -> tuple[Environment, tuple[Sun, ...]]:
-        """What is left without suns, and these."""
+    def _split(self) -> tuple[Environment, tuple[Sun, ...]]:
+        """The map clamped to a limit, and what is above it, gathered in suns.
+
+        The limit is four times the mean of the clamped map, or higher where more than _SUNS cells
+        would be above it.
+        """
         top = self.levels[0]
         height, width = top.shape[:2]
         rows = np.minimum(np.arange(height) * _PLACES // height, _PLACES - 1)
@@ -81,21 +88,21 @@ class Environment:
         while True:
             over = (top > limit).any(axis=2)
             if len(np.unique(cell[over])) <= _SUNS:
-                # A sun may be so bright that it is the mean.
+                # A sun may dominate the mean: iterate with the mean of the clamped map.
                 lower = 4.0 * Environment((np.minimum(top, limit),), 0.0).mean.max()
                 if raised or lower > limit / 100.0 or limit <= _BLACK * self.brightest:
                     break
                 limit = lower
             else:
-                # Too many for suns, whatever is lower: as of a sky full of stars.
+                # Too many bright cells, such as stars: raise the limit, for good.
                 limit, raised = 1.5 * limit, True
         if not over.any():
             return self, ()
-        calm = np.minimum(top, np.float32(limit))
+        without_suns = np.minimum(top, np.float32(limit))
         towards = self.texel_directions(*np.nonzero(over))
         edges = np.cos(np.arange(height + 1) * math.pi / height)
         solid = (edges[:-1] - edges[1:]) * 2.0 * math.pi / width
-        power = (top - calm)[over] * solid[np.nonzero(over)[0]][:, None]
+        power = (top - without_suns)[over] * solid[np.nonzero(over)[0]][:, None]
         suns = []
         for one in np.unique(cell[over]):
             part = cell[over] == one
@@ -103,22 +110,23 @@ class Environment:
             x, y, z = (float(c) for c in middle / np.linalg.norm(middle))
             r, g, b = (float(c) for c in power[part].sum(axis=0))
             suns.append(Sun((x, y, z), (r, g, b)))
-        return Environment(_pyramid(calm), self.rotation), tuple(suns)
+        return Environment(_pyramid(without_suns), self.rotation), tuple(suns)
 
     @property
-    def calm(self) -> Environment:
-        """The surroundings without their suns: no texel brighter than a few times the mean."""
-        return self._parted[0]
+    def without_suns(self) -> Environment:
+        """The environment clamped to a few times its mean: without the light of `suns`."""
+        return self._split[0]
 
     @property
     def suns(self) -> tuple[Sun, ...]:
-        """Small bright spots, 16 at most, that `calm` lacks."""
-        return self._parted[1]
+        """Small bright spots that `without_suns` lacks; 16 at most."""
+        return self._split[1]
 
     def above_plane(self) -> Environment:
-        """What a plane z = 0 can see of them; all below is as bright as that on average.
+        """The environment with all directions below z = 0 set to the mean of those above.
 
-        What no sum needs must not cancel in it either.
+        A plane sees the upper half only. Its own radiance below would enter the mean, and then have
+        to cancel in single precision.
         """
         import cv2
 
@@ -126,7 +134,7 @@ class Environment:
         height, width = top.shape[:2]
         rows, columns = np.divmod(np.arange(height * width), width)
         z = self.texel_directions(rows, columns)[:, 2].reshape(height, width)
-        # Texels are interpolated with their neighbours: those of seen ones stay.
+        # Bilinear lookups above the plane also read the first texels below it: keep those.
         padded = np.pad((z > 0.0).astype(np.uint8), ((1, 1), (1, 1)), "wrap")
         near = cv2.dilate(padded, np.ones((3, 3), np.uint8))[1:-1, 1:-1] > 0
         if near.all() or (top == top[0, 0]).all():
@@ -137,7 +145,7 @@ class Environment:
         return Environment(_pyramid(picture), self.rotation)
 
     def texel_directions(self, rows: Array, columns: Array) -> Array:
-        """(N, 3) directions of the scene of texels' centres."""
+        """(N, 3) unit vectors of the scene to the centres of texels of the finest level."""
         height, width = self.levels[0].shape[:2]
         azimuth = ((columns + 0.5) / width - 0.5) * 2.0 * math.pi - self.rotation
         polar = (rows + 0.5) * math.pi / height
@@ -146,19 +154,19 @@ class Environment:
 
     @cached_property
     def octahedra(self) -> Octahedra:
-        """The same, to be looked up quickly."""
+        """The same radiance in octahedral maps, prefiltered for lobes."""
         return octahedra(self.radiance, len(self.levels[0]))
 
     @cached_property
-    def _texels(self) -> tuple[SkyPicture, Array, Array]:
-        """All levels' texels (N, 3), where each level starts, and (2, levels) heights, widths."""
+    def _texels(self) -> tuple[Array, Array, Array]:
+        """(N, 3) texels of all levels, (levels,) first texel of each, (2, levels) sizes."""
         flat = np.concatenate([level.reshape(-1, 3) for level in self.levels])
         sizes = np.array([level.shape[:2] for level in self.levels], dtype=np.int32).T
         starts = np.concatenate([[0], np.cumsum(sizes[0] * sizes[1])[:-1]]).astype(np.int32)
         return flat, starts, sizes
 
     def radiance(self, direction: Vec, level: Array | int = 0) -> Array:
-        """(3, ...) radiance along unit directions of the scene, bilinear within a level."""
+        """(3, ...) radiance along unit vectors of the scene, bilinear within a level."""
         if self.varying == 0.0:
             shape = np.broadcast_shapes(*(c.shape for c in direction))
             return np.broadcast_to(
@@ -186,9 +194,9 @@ class Environment:
 
     @cached_property
     def directions(self) -> tuple[Array, Array]:
-        """(N, 3) directions of the scene, and (N, 3) what differs from the mean radiance there.
+        """(N, 3) unit vectors of the scene, and (N, 3) (radiance - mean) times solid angle.
 
-        Times solid angle, to sum over; the mean itself is added in closed form.
+        The quadrature of all integrals; the mean's part has a closed form.
         """
         width, height = _SUMMED, _SUMMED // 2
         azimuth = ((np.arange(width) + 0.5) / width - 0.5) * 2.0 * math.pi - self.rotation
@@ -199,7 +207,7 @@ class Environment:
             np.broadcast_arrays(-np.sin(azimuth) * ring, y, np.cos(azimuth) * ring), axis=-1
         ).reshape(-1, 3)
         solid = np.repeat((edges[:-1] - edges[1:]) * 2.0 * math.pi / width, width)
-        # A level no finer than the sum, so that no texel falls between its directions.
+        # A level no finer than the grid: every texel counts.
         level = max(0, math.ceil(math.log2(self.levels[0].shape[1] / width)))
         seen = self.radiance(tuple(towards.T), level)  # type: ignore[arg-type]
         return towards.astype(np.float32), ((seen.T - self.mean) * solid[:, None]).astype(
@@ -207,9 +215,10 @@ class Environment:
         )
 
     def vector(self, *, above: bool) -> Array:
-        """(3, 3) sum of radiance times direction of what shines from above the plane, or of all.
+        """(3, 3) integral of (radiance - mean) times direction: rows are axes, columns colours.
 
-        A row for each axis of the scene, a column for each colour.
+        Args:
+            above: over directions with z > 0; else over all.
         """
         return self._vectors[0 if above else 1]
 
@@ -220,17 +229,17 @@ class Environment:
         return towards[up].T @ power[up], towards.T @ power
 
     @cached_property
-    def _above(self) -> SkyPicture:
-        """(n, n, 3) what differs from the mean's irradiance, upper half on upper normals."""
+    def _above(self) -> Array:
+        """(n, n, 3) irradiance of (radiance - mean) with z > 0, on normals with z > 0."""
         grid = np.linspace(-1.0, 1.0, _NORMALS)
         a, b = np.meshgrid(grid, grid)
-        # Half an octahedron, turned by 45 degrees to fill a square.
+        # Half an octahedron, turned by 45 degrees, fills the square.
         x, y = (a + b) / 2.0, (a - b) / 2.0
         return self._irradiance(x, y, 1.0 - np.abs(x) - np.abs(y), clip=True)
 
     @cached_property
-    def _around(self) -> SkyPicture:
-        """(n, n, 3) what differs from the mean's irradiance, on all normals, octahedral."""
+    def _around(self) -> Array:
+        """(n, n, 3) irradiance of (radiance - mean) on all normals, octahedral."""
         grid = np.linspace(-1.0, 1.0, _NORMALS)
         x, y = np.meshgrid(grid, grid)
         z = 1.0 - np.abs(x) - np.abs(y)
@@ -238,7 +247,7 @@ class Environment:
         x, y = x - np.copysign(fold, x), y - np.copysign(fold, y)
         return self._irradiance(x, y, z, clip=False)
 
-    def _irradiance(self, x: Array, y: Array, z: Array, *, clip: bool) -> SkyPicture:
+    def _irradiance(self, x: Array, y: Array, z: Array, *, clip: bool) -> Array:
         if self.varying == 0.0:
             return np.zeros((*x.shape, 3), dtype=np.float32)
         normal = np.stack([x, y, z], axis=-1).reshape(-1, 3)
@@ -253,7 +262,7 @@ class Environment:
         return total.reshape(*x.shape, 3)
 
     def irradiance_above(self, normal: Vec) -> Array:
-        """(3, ...) irradiance on normals with z > 0 of what shines from above the plane."""
+        """(3, ...) irradiance of directions with z > 0, on normals with z > 0."""
         x, y, z = normal
         norm = 1.0 / (np.abs(x) + np.abs(y) + z)
         x, y = x * norm, y * norm
@@ -262,7 +271,7 @@ class Environment:
         return np.maximum(_table(self._above, x + y, x - y) + whole * share, np.float32(0.0))
 
     def irradiance(self, normal: Vec) -> Array:
-        """(3, ...) irradiance on any normals of the scene."""
+        """(3, ...) irradiance of all directions, on any unit normals of the scene."""
         x, y, z = normal
         norm = 1.0 / (np.abs(x) + np.abs(y) + np.abs(z))
         x, y, z = x * norm, y * norm, z * norm
@@ -274,10 +283,10 @@ class Environment:
 
 
 def environment_of(light: EnvironmentLight) -> Environment:
-    """The environment of a light; reads its picture.
+    """Read and prepare the environment of a light.
 
     Raises:
-        MatcapError: the picture is missing, broken, or has values that are no radiance.
+        MatcapError: as read_picture.
     """
     if light.file is None:
         picture = np.asarray(light.radiance, dtype=np.float32)[None, None] * np.float32(light.scale)
@@ -286,7 +295,7 @@ def environment_of(light: EnvironmentLight) -> Environment:
     return Environment(_pyramid(picture), math.radians(light.rotation))
 
 
-def _pyramid(picture: SkyPicture) -> tuple[SkyPicture, ...]:
+def _pyramid(picture: Array) -> tuple[Array, ...]:
     import cv2
 
     height, width = picture.shape[:2]
@@ -303,8 +312,8 @@ def _pyramid(picture: SkyPicture) -> tuple[SkyPicture, ...]:
     return tuple(levels)
 
 
-def _table(table: SkyPicture, u: Array, v: Array) -> Array:
-    """(3, ...) bilinear values at u (columns) and v (rows) in [-1, 1]."""
+def _table(table: Array, u: Array, v: Array) -> Array:
+    """(3, ...) bilinear values of a table at u (columns) and v (rows) in [-1, 1]."""
     last = _NORMALS - 1
     x = np.clip((u + 1.0) * np.float32(last / 2.0), 0.0, last)
     y = np.clip((v + 1.0) * np.float32(last / 2.0), 0.0, last)

@@ -1,4 +1,4 @@
-"""Scenes and lights that have names."""
+"""Named scenes, and the scenes of animations and light sheets."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _STUDIO = Scene(
     ),
 )
 
-# A floor under a low warm sun and a blue sky, seen at a slant.
+# A floor under a low warm sun and a blue sky, from eye level.
 _SUNSET = Scene(
     film=Film(1200, 800, exposure=0.5),
     camera=Camera(position=(0.0, -2.4, 1.3), target=(0.0, -0.1, 0.0), fov=42.0),
@@ -43,7 +43,7 @@ _SUNSET = Scene(
     ),
 )
 
-# A cylinder under two lamps, to be turned.
+# A cylinder under two lamps, for the animation `turntable`.
 _TURNTABLE = Scene(
     film=Film(640, 640, exposure=0.5),
     camera=Camera(position=(0.0, 1.2, 5.2), fov=28.0),
@@ -60,10 +60,10 @@ PRESETS = (*NAMED_LIGHTS, *SCENES)
 
 
 def preset(name: str) -> Scene:
-    """The scene of a name.
+    """The scene of a name in PRESETS.
 
     Raises:
-        UsageError: there is none.
+        UsageError: an unknown name.
     """
     if name in NAMED_LIGHTS:
         return scene_from_light(name)
@@ -77,7 +77,7 @@ def preset(name: str) -> Scene:
 
 
 def light_orbit(scene: Scene, frames: int) -> list[Scene]:
-    """The scene with its lights going once around the z axis; surroundings stay."""
+    """Scenes whose lights, but for environments, turn once about the z axis."""
     angles = [2.0 * math.pi * index / frames for index in range(frames)]
     return [
         replace(scene, lights=tuple(_turned(light, angle, 2) for light in scene.lights))
@@ -86,10 +86,7 @@ def light_orbit(scene: Scene, frames: int) -> list[Scene]:
 
 
 def turntable(scene: Scene, frames: int) -> list[Scene]:
-    """The scene with its surface turning once about the y axis.
-
-    Camera and lights turn the other way instead, which looks the same.
-    """
+    """Scenes whose surface turns once about the y axis: camera and lights turn the other way."""
     camera = scene.camera or Camera(position=(0.0, 0.0, 5.0))
     scenes = []
     for index in range(frames):
@@ -106,7 +103,11 @@ def turntable(scene: Scene, frames: int) -> list[Scene]:
 
 
 def sheet_lights(columns: int, rows: int) -> list[PointLight]:
-    """Point lights for a sheet, row by row: azimuths along it, each row lower than the last."""
+    """Point lights of a light sheet, row by row, 2.5 plane units from the origin.
+
+    Azimuths begin at the top and turn clockwise along a row; elevations go from 75 to 15 degrees,
+    each row in the middle of its share.
+    """
     lights = []
     for row in range(rows):
         elevation = math.radians(75.0 - 60.0 * (row + 0.5) / rows)
@@ -118,14 +119,14 @@ def sheet_lights(columns: int, rows: int) -> list[PointLight]:
                 flat * math.sin(azimuth),
                 2.5 * math.sin(elevation),
             )
-            # As bright on white as the named lights.
+            # exposing_intensity(place): white at the origin has radiance 1.
             strength = math.pi * 2.5**2 / math.sin(elevation)
             lights.append(PointLight(place, (strength, strength, strength)))
     return lights
 
 
 def _turned(light: Light, angle: float, axis: int) -> Light:
-    """A light turned about an axis through the origin."""
+    """A light turned about the y (1) or z (2) axis; environments turn about y only."""
     if isinstance(light, EnvironmentLight):
         turn = math.degrees(angle) if axis == 1 else 0.0
         return replace(light, rotation=light.rotation + turn)
@@ -145,7 +146,7 @@ def _turned(light: Light, angle: float, axis: int) -> Light:
 def _rotated(
     vector: tuple[float, float, float], angle: float, axis: int
 ) -> tuple[float, float, float]:
-    """Anticlockwise about y (1) or z (2), seen from its tip."""
+    """A vector turned about y (1) or z (2), anticlockwise seen from the axis's tip."""
     c, s = math.cos(angle), math.sin(angle)
     x, y, z = vector
     if axis == 1:

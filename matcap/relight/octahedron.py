@@ -1,72 +1,54 @@
-"""Prefiltered environment maps in octahedral parametrisation, one for each lobe width.
+"""Environment maps prefiltered by lobe width, in octahedral parametrisation [engelhardt2008].
 
-A direction's place on the unfolded octahedron takes a few divisions (Engelhardt and Dachsbacher
-2008), no angles. Each level is half as large as the one before; a lookup reads between four of its
-texels. Averaging over texels and reading between them widens what is looked up by a quarter of a
-texel's square along each axis, which blunts a smooth light's top; each level is sharpened by just
-that, so that a lookup is exact for what is quadratic nearby and still misses no small sun.
+A mip pyramid; a lookup is bilinear within one level. Box filter and bilinear kernel together add
+1/4 texel^2 of variance along each axis, which blunts smooth maxima. Each level is therefore
+sharpened by 3/2 - 1/8 (sum of four neighbours): lookups are then exact for radiance that is
+quadratic over a few texels, and small bright spots still count in full.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from ctypes import byref, c_int64
 from dataclasses import dataclass
 
 import numpy as np
 
-from matcap.relight.loops.library import KeptArrays, Pointer, address, loops
-from matcap.relight.loops.structures import CSky
+from matcap.relight.loops.library import KeptArrays
+from matcap.relight.loops.structures import CEnvironment
 from matcap.relight.vectors import Array, Vec
 
 _FINEST, _COARSEST = 1024, 4
-# Rays a texel's side when the finest level is averaged.
+# Samples along a texel's side of the finest level.
 _RAYS = 2
-
-SkyPicture = Array
 
 
 @dataclass(frozen=True)
 class Octahedra:
-    """The levels one above the other, each with a border that goes on around its edges."""
+    """All levels in one picture, each with a border of one texel that continues it."""
 
-    atlas: SkyPicture
-    """(h, w, 3) float32."""
+    atlas: Array
+    """(h, w, 3) float32 radiance, levels from the finest at the top."""
     tops: Array
-    """The row where each level begins, and."""
+    """(levels,) first row of each level in the atlas."""
     sides: Array
-    """How many texels it has along a side."""
+    """(levels,) texels along a side of each level, border excluded."""
 
     @property
     def finest(self) -> float:
-        """Side of a texel of the finest level, in radians, on average."""
+        """Square root of the mean solid angle of a texel of the finest level, in radians."""
         return math.sqrt(4.0 * math.pi) / float(self.sides[0])
 
-    def radiance(self, direction: Vec, wide: Array) -> SkyPicture:
-        """(3, N) radiance along unit directions of the scene, averaged over `wide` radians.
-
-        Args:
-            direction: (N,) arrays.
-            wide: (N,) square root of a solid angle.
-        """
-        kept, looked_up = KeptArrays(), np.empty((3, wide.size), dtype=np.float32)
-        places = (Pointer(kept.of(one)) for one in (*direction, wide))
-        loops().matcap_relight_radiance(
-            byref(self.as_c(kept)), c_int64(wide.size), *places, address(looked_up)
-        )
-        return looked_up
-
-    def as_c(self, kept: KeptArrays) -> CSky:
+    def as_c(self, kept: KeptArrays) -> CEnvironment:
         """As a C structure (loops/structures.py)."""
-        return CSky(
+        return CEnvironment(
             kept.of(self.atlas), kept.of(self.tops), kept.of(self.sides),
             self.atlas.shape[1], len(self.sides), self.finest,
         )  # fmt: skip
 
 
 def unfolded(u: Array, v: Array) -> Vec:
-    """Unit directions of places on the unfolded octahedron."""
+    """Unit vectors of places (u, v) in [-1, 1]^2 on the octahedral map; z > 0 in its middle."""
     z = 1.0 - np.abs(u) - np.abs(v)
     fold = np.maximum(-z, 0.0)
     x, y = u - np.copysign(fold, u), v - np.copysign(fold, v)
@@ -74,12 +56,12 @@ def unfolded(u: Array, v: Array) -> Vec:
     return x * inverse, y * inverse, z * inverse
 
 
-def octahedra(radiance: Callable[[Vec], SkyPicture], rows: int) -> Octahedra:
-    """The octahedra of surroundings.
+def octahedra(radiance: Callable[[Vec], Array], rows: int) -> Octahedra:
+    """Sample a radiance function into a pyramid of octahedral maps.
 
     Args:
-        radiance: (3, ...) radiance along unit directions.
-        rows: of the latitude-longitude picture behind it: the finest level is about as fine.
+        radiance: (3, ...) radiance along unit vectors.
+        rows: of the latitude-longitude map behind it: the finest level is about as fine.
     """
     side = min(max(2 ** math.ceil(math.log2(1.13 * rows)), 2 * _COARSEST), _FINEST)
     level = np.zeros((side, side, 3), dtype=np.float32)
@@ -101,14 +83,14 @@ def octahedra(radiance: Callable[[Vec], SkyPicture], rows: int) -> Octahedra:
     return Octahedra(atlas, tops, sides)
 
 
-def _bordered(level: SkyPicture) -> SkyPicture:
-    """A level sharpened, with a border."""
+def _bordered(level: Array) -> Array:
+    """A level, sharpened, with its border."""
     around = _wrapped(level)
     near = around[:-2, 1:-1] + around[2:, 1:-1] + around[1:-1, :-2] + around[1:-1, 2:]
     return _wrapped(np.float32(1.5) * level - np.float32(0.125) * near)
 
 
-def _wrapped(level: SkyPicture) -> SkyPicture:
-    """One more texel around: across an edge lies the same edge, the other way round."""
+def _wrapped(level: Array) -> Array:
+    """Add a border of one texel: beyond an edge, the octahedron continues with it reversed."""
     wide = np.concatenate([level[::-1, :1], level, level[::-1, -1:]], axis=1)
     return np.concatenate([wide[:1, ::-1], wide, wide[-1:, ::-1]], axis=0)

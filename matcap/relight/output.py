@@ -1,4 +1,4 @@
-"""Radiance to files: exposed and sRGB-encoded, or linear EXR."""
+"""Write radiance to files: exposed and encoded (PNG, GIF, MP4), or as it is (EXR)."""
 
 from __future__ import annotations
 
@@ -22,18 +22,22 @@ if TYPE_CHECKING:
     from matcap.relight.render import Rendering
 
 Radiance = NDArray[np.float32]
-MARK = "matcap relight"  # what its files say of who wrote them
+MARK = "matcap relight"  # the software named in the files' metadata
 STILLS = (".png", ".exr")
 MOVIES = (".gif", ".mp4", ".exr")
 _FRAMES_PER_SECOND = 24
-# Rows that are encoded together.
+# Rows encoded together, to bound memory.
 _STRIP = 256
-# Pixels of a panel's longer side in a map of tiles and of its caption, and panels side by side.
+# Map of tiles: a panel's longer side and its caption's height in pixels, and panels in a row.
 _PANEL, _CAPTION, _ACROSS = 320, 20, 4
 
 
 def check_path(path: Path, *, moving: bool) -> None:
-    """Raise UsageError unless the suffix is one that can hold a picture, or an animation."""
+    """Check a path's suffix.
+
+    Raises:
+        UsageError: it can hold no picture; or, if `moving`, no animation.
+    """
     known = MOVIES if moving else STILLS
     if path.suffix.lower() not in known:
         kind = "animation" if moving else "picture"
@@ -45,13 +49,17 @@ def check_path(path: Path, *, moving: bool) -> None:
 
 
 def check_tiles_path(path: Path) -> None:
-    """Raise UsageError unless a map of tiles can be written there."""
+    """Check the path of a map of tiles.
+
+    Raises:
+        UsageError: its suffix is not .png.
+    """
     if path.suffix.lower() != ".png":
         raise UsageError("a map of tiles is a PNG", where=str(path), remedy="name it .png")
 
 
 def encode(radiance: Radiance, film: Film) -> Radiance:
-    """Code values in [0, 1]: exposed, clipped, and through the film's transfer function."""
+    """Code values in [0, 1]: radiance times 2^exposure, clipped, through the transfer function."""
     light = radiance * np.float32(film.gain)
     return srgb_picture(light) if film.transfer == "srgb" else np.clip(light, 0.0, 1.0)
 
@@ -69,12 +77,16 @@ def write_still(radiance: Radiance, path: Path, film: Film) -> None:
             write_exr(file, radiance, half=False, mark=MARK)
         else:
             if not all(np.isfinite(part).all() for part in _strips(radiance)):
-                raise MatcapError("has values that are not finite", where=path.name)
+                raise MatcapError(
+                    "the picture has values that are not finite",
+                    where=path.name,
+                    remedy="write it as .exr to see where",
+                )
             file.write_bytes(png_bytes(_codes(radiance, film), MARK))
 
 
 def write_tiles(rendering: Rendering, path: Path) -> None:
-    """Write a PNG of where each effect ran: the picture once for each, dark where it did not.
+    """Write a PNG with a panel for each effect: the picture, darkened where it did not run.
 
     Raises:
         UsageError: another suffix than .png.
@@ -105,26 +117,26 @@ def write_tiles(rendering: Rendering, path: Path) -> None:
 
 
 def _strips(radiance: Radiance) -> list[Radiance]:
-    """A picture in strips of rows, so that what is made of it needs little memory."""
+    """The picture as views of _STRIP rows."""
     return [radiance[top : top + _STRIP] for top in range(0, len(radiance), _STRIP)]
 
 
 def files_of(path: Path, frames: int | None = None) -> list[Path]:
-    """The files that a picture, or an animation of so many frames, is written to."""
+    """Files of a picture, or of an animation of `frames` frames."""
     if frames is None or path.suffix.lower() != ".exr":
         return [path]
     return [path.with_name(frame_name(path, index)) for index in range(frames)]
 
 
 def frame_name(path: Path, index: int) -> str:
-    """Of one frame's file."""
+    """File name of one frame of an animation in EXR: STEM_0000.exr."""
     return f"{path.stem}_{index:04d}.exr"
 
 
 def write_movie(frames: Iterable[Radiance], path: Path, film: Film) -> None:
-    """Write an animation of 24 frames a second: .gif, .mp4, or numbered .exr of radiance.
+    """Write an animation, 24 frames a second: .gif, .mp4, or numbered .exr of radiance.
 
-    Frames are taken one at a time, and nothing appears until the last is there.
+    Consumes one frame at a time. Files appear when the last is written.
 
     Raises:
         UsageError: another suffix.
@@ -174,7 +186,7 @@ def _write_mp4(frames: Iterable[Radiance], path: Path, film: Film) -> None:
 
     writer = None
     for frame in frames:
-        # The codec wants even sides; a border pixel is repeated where they are odd.
+        # The codec needs even sides: repeat the last row or column.
         codes = _codes(frame, film)
         codes = np.pad(codes, ((0, codes.shape[0] % 2), (0, codes.shape[1] % 2), (0, 0)), "edge")
         if writer is None:

@@ -1,7 +1,7 @@
-"""The scene of a photograph: its own camera, flash and exposure, so that both can be compared.
+"""The scene of a photograph: its camera and flash, for a picture to compare with it.
 
-matcap.flash.render says what the photograph showed; this is the same in the terms of a scene. What
-the capture calls the flash's intensity holds the exposure, so radiance 1 is the photograph's white.
+The same geometry as matcap.flash.render. FlashSetup's intensity includes the exposure, so radiance
+1 is the photograph's white.
 """
 
 from __future__ import annotations
@@ -13,16 +13,15 @@ from matcap.relight.scene import Camera, Film, PointLight, Scene, Surface, Vecto
 
 
 def photographed_scene(setup: FlashSetup, film: Film, *, endless: bool) -> Scene:
-    """The picture that the photograph's camera took by its flash.
+    """The scene with the photograph's camera and its flash as a point light.
 
     Args:
         setup: camera and flash.
-        film: of the picture; its sides should be to each other as the photograph's.
-        endless: the material goes on beyond what was photographed, so that all of the picture
-            can be filled where the plane was tilted.
+        film: of the picture, with the photograph's aspect ratio.
+        endless: extend the plane to all that the camera sees; else it is the maps' rectangle.
     """
     place, light = (_vector(stood(setup, one)) for one in camera_in_plane(setup))
-    # The upright picture's up is the lying one's left.
+    # `turned`: the photograph is a portrait, so its up is the landscape's left.
     above = [-1.0, 0.0, 0.0] if setup.turned else [0.0, 1.0, 0.0]
     up = _vector(stood(setup, setup_rotation(setup).T @ torch.tensor(above, dtype=torch.float64)))
     camera = Camera(
@@ -38,7 +37,7 @@ def photographed_scene(setup: FlashSetup, film: Film, *, endless: bool) -> Scene
 
 
 def _seen(setup: FlashSetup, film: Film) -> float:
-    """Side of a square of the plane, around its middle, that holds all of the picture."""
+    """Side of a square around the origin that holds all that the picture shows of the plane."""
     long = max(film.width, film.height)
     x, y = film.width / long, film.height / long
     if setup.turned:

@@ -1,4 +1,4 @@
-"""The height field that displaces a surface."""
+"""The height field that displaces a surface: bilinear between texel centres."""
 
 from __future__ import annotations
 
@@ -10,36 +10,34 @@ from typing import Literal
 
 import numpy as np
 
-from matcap.relight.horizons import Horizons
 from matcap.relight.loops.library import KeptArrays, Pointer, address, loops
 from matcap.relight.loops.structures import CField
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import Array
 
-# How far above the surface a ray must start, as a share of the relief, against rounding.
+# Offset of shadow rays above the surface, over the relief's height range, against rounding.
 _LIFT = 2e-6
-# Texels around one within which slopes bound what hides a ray; the outer rims of rings beyond.
+# clear_tangents bounds occluders by slope within _NEAR texels, by height in rings up to these.
 _NEAR, _RINGS = 2, (5, 10, 20, 40)
 _ROUNDING = 1.0 + 1e-5
 
 
 @dataclass(frozen=True)
 class Relief:
-    """The bilinear surface of a texture's height, as laid on a surface."""
+    """A texture's height, scaled to the surface it lies on."""
 
     texture: Texture
     """The material."""
     repeat: float
-    """How many times smaller it lies there; its height shrinks likewise."""
+    """Factor by which the material is shrunk on the surface, heights included."""
     displacement: float
-    """Factor on its height."""
+    """Factor on the heights."""
     endless: bool = True
-    """It repeats; else it goes on beyond its border as it is there, for what lies at the opposite
-    border would be a cliff."""
+    """It repeats; else border heights are continued outwards: opposite borders would not meet."""
 
     @cached_property
     def heights(self) -> Array:
-        """(H W,) heights of the texels on the surface."""
+        """(H W,) heights of the texels, scaled, in plane units."""
         factor = np.float32(self.displacement / self.repeat)
         flat: Array = np.ascontiguousarray(self.texture.height[0] * factor).ravel()
         return flat
@@ -56,29 +54,24 @@ class Relief:
 
     @property
     def texel_size(self) -> float:
-        """A texel's side on the surface."""
+        """A texel's side on the surface, in plane units."""
         return self.texture.texel_size / self.repeat
 
     def texels(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """Columns and rows, in texels, of places; texel centres are whole numbers."""
+        """Columns and rows of places in plane units; texel centres are whole numbers."""
         width, height = self.texture.size
         return u / self.texel_size + (width - 1) / 2.0, (height - 1) / 2.0 - v / self.texel_size
 
     @cached_property
-    def horizons(self) -> Horizons:
-        """Of its texels, as far as they have been asked for; they are the same under any light."""
-        return Horizons(self)
-
-    @cached_property
     def field(self) -> CField:
-        """As the loops know it; the heights live as long as this."""
+        """The C structure of the loops; valid while this object lives."""
         return self._field()
 
     @cached_property
-    def swift(self) -> CField:
-        """The same for loops that follow many rays from each place: none that are clear."""
+    def bounded_field(self) -> CField:
+        """`field` with clear_tangents: loops that cast many rays from a place skip clear ones."""
         c_field = self._field()
-        c_field.clear = self.clear.ctypes.data
+        c_field.clear = self.clear_tangents.ctypes.data
         return c_field
 
     def _field(self) -> CField:
@@ -102,22 +95,22 @@ class Relief:
 
     @property
     def around(self) -> Literal["wrap", "edge"]:
-        """What np.pad puts around its texels."""
+        """Mode of np.pad that continues the heights beyond their border."""
         return "wrap" if self.endless else "edge"
 
     @cached_property
-    def clear(self) -> Array:
-        """(H W,) tangents of elevation: no ray above them meets the surface.
+    def clear_tangents(self) -> Array:
+        """(H W,) tangent of elevation above which no ray meets the surface, an upper bound.
 
-        A texel's holds for rays that start on the surface within half a texel of it. Near by the
-        surface rises no faster than it is steep; farther away, within each ring, it is no higher
-        than the highest texel there and no nearer than the ring.
+        Valid for rays that start on the surface within half a texel of the texel's centre. Within
+        _NEAR texels the bound is the steepest slope; in each ring beyond, the highest texel's
+        height over the ring's inner radius.
         """
         width, height = self.texture.size
         field = self.heights.reshape(height, width) / np.float32(self.texel_size)
         wide = np.pad(field, 1, mode=self.around)
         across, down = np.abs(np.diff(wide, axis=1)), np.abs(np.diff(wide, axis=0))
-        # Of the cells between four texels, and then of the four cells around a texel.
+        # Steepest slope of each cell of four texels, then of the four cells around a texel.
         cells = np.hypot(np.maximum(across[:-1], across[1:]), np.maximum(down[:, :-1], down[:, 1:]))
         steep = np.maximum(cells[:-1], cells[1:])
         steep = np.maximum(steep[:, :-1], steep[:, 1:])
@@ -133,7 +126,7 @@ class Relief:
         return np.ascontiguousarray(upper, dtype=np.float32).ravel()
 
     def peaks(self, reach: int) -> Array:
-        """(H W,) the highest texel within so many texels of each, along either axis."""
+        """(H W,) maximum of the heights over a square of 2 reach + 1 texels."""
         if reach not in self._peaks:
             width, height = self.texture.size
             self._peaks[reach] = _highest(
@@ -147,7 +140,7 @@ class Relief:
 
 
 def _highest(field: Array, reach: int, mode: Literal["wrap", "edge"]) -> Array:
-    """The largest value within so many texels along either axis."""
+    """Maximum filter over a square of 2 reach + 1 texels (separable)."""
     import cv2
 
     for axis, size in enumerate(field.shape):

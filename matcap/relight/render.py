@@ -1,4 +1,4 @@
-"""Maps in a scene to a picture."""
+"""Render maps in a scene: plan, then blocks of pixels in parallel."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.effects.environment import samples_for
 from matcap.relight.environment_map import Environment, environment_of
 from matcap.relight.horizons import Horizons
-from matcap.relight.plan import EffectChoice, Plan, make_plan, parse_choice, radiance_tolerance
+from matcap.relight.plan import Plan
+from matcap.relight.planning import EffectChoice, make_plan, parse_choice, radiance_tolerance
 from matcap.relight.relief import Relief
 from matcap.relight.sampling import Sampler
 from matcap.relight.scene import EnvironmentLight, Film, Scene, Surface, scene_from_light
@@ -36,26 +37,26 @@ from matcap.relight.texture import Texture
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
-# Pixels shaded together: so many that what each block costs to begin with does not count.
+# Pixels shaded together: enough to make a block's fixed cost negligible.
 _BLOCK = 32768
-# Top, bottom, left and right; half open.
+# Top, bottom, left and right of a rectangle of pixels, half open.
 Cut = tuple[int, int, int, int]
 Item = TypeVar("Item")
 OnShare = Callable[[float], None]
-# Effects that are decided tile by tile.
+# Effects that may run in some tiles only.
 BY_TILES = ("area", "environment", "parallax", "shadows", "visibility", "interreflection")
-# Texels that a material is read across at most; beyond that it repeats.
+# Largest side of the rectangle read from a material, in texels; beyond that it repeats.
 _LARGEST_READ = 8192
-# How often the material's longer side its height may span: a ray crosses as many texels.
+# Largest height range over the material's longer side: rays cross proportionally many texels.
 _TALLEST = 10.0
 
 
 class MapSource(Protocol):
-    """A material: something that maps of any size can be read from."""
+    """A material: maps of any rectangle can be read from it."""
 
     @property
     def texel_size(self) -> float:
-        """In plane units."""
+        """A texel's side in plane units."""
         ...
 
     def maps(self, width: int, height: int, *, seed: int, x: int, y: int) -> MapSet:
@@ -65,18 +66,18 @@ class MapSource(Protocol):
 
 @dataclass(frozen=True)
 class Rendering:
-    """A picture and how it came about."""
+    """A picture, with the plan and the times of its rendering."""
 
     radiance: NDArray[np.float32]
     """(H, W, 3) float32, linear Rec.709; 0 where there is no surface."""
     plan: Plan
-    """Which effects ran, why, and what each took."""
+    """Which effects ran, why, and the milliseconds of each."""
     film: Film
-    """Of the picture."""
+    """Size, exposure and transfer of the picture."""
     seconds: float
-    """In all."""
+    """Wall-clock time of the rendering."""
     tally: Tally
-    """Which tiles each effect ran in."""
+    """Tiles in which each effect ran."""
 
 
 def relight(
@@ -87,16 +88,16 @@ def relight(
     tolerance: float = DEFAULT_TOLERANCE,
     effects: str = "auto",
 ) -> NDArray[np.float32]:
-    """A picture of a material in a scene.
+    """Render a material in a scene.
 
     Args:
         source: maps, or a material to read them from.
-        scene: the scene, or what scene_from_light takes.
+        scene: the scene, or a light as scene_from_light takes it: "top", "-1,1,2".
         seed: the realisation read from a material.
-        tolerance: what leaving out effects may change at most, in code values of the film from 0
-            to 1; half an 8-bit step by default. A smaller one also mirrors surroundings in more
+        tolerance: largest change that leaving out effects may make, in code values of the film,
+            [0, 1]; half an 8-bit step by default. A smaller one also samples environments in more
             directions.
-        effects: what parse_choice takes: auto, all, none, "+x,-y".
+        effects: "auto", "all", "none", or effects forced on and off: "+shadows,-parallax".
 
     Returns:
         (H, W, 3) float32 radiance, linear Rec.709; 0 where there is no surface. Exposure and
@@ -111,10 +112,10 @@ def relight(
 
 
 class Renderer:
-    """A material on a surface before a camera, ready for any lights.
+    """Renders one material on one surface, under any cameras and lights.
 
-    What does not depend on the lights (reading the material, its pyramid, its horizons) is kept
-    from one picture to the next, which is what animations and light sheets live on.
+    Keeps what does not depend on them from picture to picture: the maps, their mip pyramid, the
+    horizon maps. Animations and light sheets gain by it.
     """
 
     def __init__(
@@ -127,12 +128,13 @@ class Renderer:
         endless = self.texture.periodic or not _covers(self.texture, surface)
         self.sampler = Sampler(self.texture, surface.repeat, endless)
         self.relief = Relief(self.texture, surface.repeat, surface.displacement, endless)
-        self._skies: dict[EnvironmentLight, Environment] = {}
+        self._horizon_maps = Horizons(self.relief)
+        self._environments: dict[EnvironmentLight, Environment] = {}
         self._shapes: dict[tuple[object, Surface], tuple[View, Shape]] = {}
 
     @property
     def film(self) -> Film:
-        """The picture's."""
+        """Size, exposure and transfer of the picture, unless render() is given another scene."""
         assert self.scene.film is not None
         return self.scene.film
 
@@ -144,13 +146,13 @@ class Renderer:
         effects: str | EffectChoice = "auto",
         progress: OnShare = lambda _share: None,
     ) -> Rendering:
-        """One picture.
+        """Render one picture.
 
         Args:
-            scene: another camera, film or lights than the renderer was made for; its surface must
-                be the same.
+            scene: camera, film and lights, where not the renderer's own; the surface must be the
+                renderer's.
             tolerance, effects: see relight().
-            progress: hears of the share of the picture that is done, block by block.
+            progress: called with the finished share of the picture, (0, 1], after each block.
 
         Raises:
             MatcapError: a light too bright for single precision, or what relight() raises.
@@ -161,13 +163,14 @@ class Renderer:
         film = scene.film or self.film
         choice = parse_choice(effects) if isinstance(effects, str) else effects
         view, shape = self._seen(scene, film)
-        skies = tuple(self._sky(one) for one in scene.lights if isinstance(one, EnvironmentLight))
+        lights = (one for one in scene.lights if isinstance(one, EnvironmentLight))
+        environments = tuple(self._environment(light) for light in lights)
         region, footprint = shape.region(view, self.relief)
         footprint *= scene.surface.repeat / self.texture.texel_size
-        limits = gather(scene, self.texture, view, region, footprint, skies)
-        # A lens that brightens corners brightens what is left out there, too.
-        judged = replace(film, exposure=film.exposure + math.log2(view.brightest))
-        plan = make_plan(limits, radiance_tolerance(tolerance, judged), choice)
+        limits = gather(scene, self.texture, view, region, footprint, environments)
+        # Vignetting below 0 brightens corners, and with them the error of effects left out.
+        brightest = replace(film, exposure=film.exposure + math.log2(view.brightest))
+        plan = make_plan(limits, radiance_tolerance(tolerance, brightest), choice)
         clock, tally = Clock(), Tally(view.size)
         adaptive = choice.start != "all" and any(plan.on(effect) for effect in BY_TILES)
         context = ShadingContext(
@@ -175,11 +178,11 @@ class Renderer:
             self.sampler,
             self.relief,
             plan,
-            skies,
+            environments,
             self._horizons(plan, adaptive=adaptive),
             clock,
             samples_for(tolerance),
-            Budget(plan.left(tolerance, judged), judged, plan.running) if adaptive else None,
+            Budget(plan.left(tolerance, brightest), brightest, plan.running) if adaptive else None,
             tally,
         )
         picture = np.zeros((film.height, film.width, 3), dtype=np.float32)
@@ -208,19 +211,19 @@ class Renderer:
             self._shapes = {key: (view, shape.seen_by(view))}
         return self._shapes[key]
 
-    def _sky(self, light: EnvironmentLight) -> Environment:
-        if light not in self._skies:
+    def _environment(self, light: EnvironmentLight) -> Environment:
+        if light not in self._environments:
             flat = self.scene.surface.type == "plane"
-            sky = environment_of(light)
-            self._skies[light] = sky.above_plane() if flat else sky
-        return self._skies[light]
+            environment = environment_of(light)
+            self._environments[light] = environment.above_plane() if flat else environment
+        return self._environments[light]
 
     def _horizons(self, plan: Plan, *, adaptive: bool) -> Horizons | None:
-        sends = plan.on("interreflection")
-        if not sends and not plan.on("visibility"):
+        bounces = plan.on("interreflection")
+        if not bounces and not plan.on("visibility"):
             return None
-        self.relief.horizons.prepare(sends=sends and adaptive, fine=sends)
-        return self.relief.horizons
+        self._horizon_maps.prepare(coarse=bounces and adaptive, fine=bounces)
+        return self._horizon_maps
 
 
 def _texture(source: MapSet | MapSource | Texture, scene: Scene, seed: int) -> Texture:
@@ -238,35 +241,44 @@ def _texture(source: MapSet | MapSource | Texture, scene: Scene, seed: int) -> T
 
 
 def _check_relief(texture: Texture, surface: Surface) -> None:
-    """Raise MatcapError for heights that rays would have to be followed through for ever."""
+    """Refuse a relief so tall that a ray would cross it for minutes.
+
+    Raises:
+        MatcapError: its range is above _TALLEST times the material's longer side.
+    """
     relief, extent = texture.extremes.relief * surface.displacement, max(texture.extent)
     if not relief <= _TALLEST * extent:
         raise MatcapError(
-            f"the material's height spans {relief:.2g} plane units, over {extent:.2g} across",
+            f"the material's heights span {relief:.2g} plane units, and it is {extent:.2g} wide",
             remedy=f"give the surface a displacement below {_TALLEST * extent / relief:.1g}",
         )
 
 
 def _covers(texture: Texture, surface: Surface) -> bool:
-    """Whether one piece of the material covers the surface, so that no border meets another."""
+    """Whether the material covers the surface without repeating."""
     side = (surface.size or 0.0) * surface.repeat
     return surface.type == "plane" and side <= min(texture.extent) * (1.0 + 1e-6)
 
 
 def _needed(scene: Scene) -> tuple[float, float]:
-    """Width and height of material that the camera can see, in plane units of the surface."""
+    """Width and height of the material to read for a scene, in plane units of the surface."""
     size = scene.surface.size or 2.0
     film = scene.film or Film(1, 1)
     if scene.surface.type == "plane" and scene.camera is None:
         return size, size * min(1.0, film.height / film.width)
     if scene.surface.type in ("sphere", "cylinder"):
-        # Once around from the side that is seen; half of it upwards on a sphere.
+        # Circumference, pi d; a sphere's from pole to pole is half of it.
         return 3.1416 * size, size * (1.5708 if scene.surface.type == "sphere" else 1.0)
     return size, size
 
 
 def _blocks(size: tuple[int, int], *, whole_tiles: bool) -> Iterator[Cut]:
-    """Rectangles of a picture of some size, of about so many pixels."""
+    """Split a picture into rectangles of about _BLOCK pixels.
+
+    Args:
+        size: (width, height).
+        whole_tiles: no rectangle ends inside a tile.
+    """
     width, height = size
     columns = TILE * max(1, _BLOCK // TILE**2) if whole_tiles else width
     rows = TILE if whole_tiles else max(1, _BLOCK // width)
@@ -280,18 +292,18 @@ def _in_parallel(
     items: Iterable[Item],
     on_progress: Callable[[int], None] = lambda _done: None,
 ) -> None:
-    """Work on all items, on all cores; report how many are done, in order."""
+    """Call `work` on all items in threads; report the number finished, in the items' order."""
     pool = ThreadPoolExecutor(_workers())
     try:
         for index, _ in enumerate(pool.map(work, items)):
             on_progress(index + 1)
     finally:
-        # An interruption waits for no more than what has begun.
+        # After an interruption, wait for running items only.
         pool.shutdown(cancel_futures=True)
 
 
 def _workers() -> int:
-    """Cores this process may use."""
+    """Number of threads: OMP_NUM_THREADS, else the cores this process may use."""
     limit = os.environ.get("OMP_NUM_THREADS", "")
     if limit.isdigit() and int(limit) > 0:
         return int(limit)

@@ -1,4 +1,4 @@
-"""Reading a texture between its texels; it repeats endlessly."""
+"""Texture lookups: bilinear, or trilinear in a mip pyramid with slope variance [olano2010]."""
 
 from __future__ import annotations
 
@@ -14,37 +14,37 @@ from matcap.relight.loops.structures import CTexels
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import Array, Vec
 
-# Places this close to texel centres, in texels, are texel centres.
+# Distance from texel centres, in texels, within which lookups return the texels themselves.
 _ALIGNED = 1e-3
 
 
 @dataclass(frozen=True)
 class SurfaceSample:
-    """The material at a block of pixels, (rows, W) arrays."""
+    """The material at a block of pixels, arrays of one shape."""
 
     diffuse: tuple[Array, ...]
-    """One array a colour channel."""
+    """Albedo, one array a colour channel."""
     specular: tuple[Array, ...]
-    """One array, or one a colour channel."""
+    """F0, one array or one a colour channel."""
     alpha: Array
-    """GGX alpha."""
+    """GGX alpha, with the variance of unresolved slopes where lookups are filtered."""
     normal: Vec
     """Unit shading normal in the material's frame."""
 
 
 @dataclass(frozen=True)
 class Sampler:
-    """A texture laid on a surface, `repeat` times smaller than it is, its middle at (0, 0)."""
+    """A texture on a surface, its middle at (0, 0)."""
 
     texture: Texture
     """The material."""
     repeat: float
-    """How many times smaller."""
+    """Factor by which the material is shrunk on the surface."""
     endless: bool = True
-    """It repeats; else its border goes on."""
+    """It repeats; else lookups are clamped to its border."""
 
     def texels(self, place: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Columns and rows, in texels, of places; texel centres are whole numbers."""
+        """Columns and rows of places in plane units; texel centres are whole numbers."""
         width, height = self.texture.size
         step = self.repeat / self.texture.texel_size
         column = place[0] * step + (width - 1) / 2.0
@@ -54,16 +54,16 @@ class Sampler:
         return np.clip(column, 0.0, width - 1.0), np.clip(row, 0.0, height - 1.0)
 
     def covered(self, footprint: Array) -> Array:
-        """Texels that pixels cover, of what they cover in plane units."""
+        """Footprints in texels, of footprints in plane units."""
         return footprint * np.float32(self.repeat / self.texture.texel_size)
 
     def read(self, place: tuple[Array, Array], footprint: Array | None = None) -> SurfaceSample:
-        """The material at places (u, v) in plane units.
+        """Look up the material.
 
         Args:
-            place: on the surface.
-            footprint: what each pixel covers there, in plane units, to be averaged over; None
-                reads between the nearest texels.
+            place: (u, v) on the surface, in plane units.
+            footprint: side of each pixel's footprint in plane units, for a trilinear lookup; None
+                is bilinear in the finest level.
         """
         column, row = self.texels(place)
         if footprint is None:
@@ -75,7 +75,7 @@ class Sampler:
         return self._unpacked(read(*self._pyramid, column, row, wide))
 
     def _aligned(self, column: Array, row: Array) -> SurfaceSample | None:
-        """Texels themselves, where places are a grid of neighbouring texel centres."""
+        """Texels themselves, where places are a grid of adjacent texel centres; else None."""
         if column.shape[0] != 1 or row.shape[1] != 1:
             return None
         first, top = round(float(column[0, 0])), round(float(row[0, 0]))
@@ -112,7 +112,7 @@ class Sampler:
 
     @cached_property
     def _rows(self) -> Array:
-        """(H W, C) of each texel: diffuse, specular, alpha squared, slopes, their variance."""
+        """(H W, C) texels: diffuse, specular, alpha^2, slopes x and y, slope variance (0)."""
         maps = self.texture
         none = np.zeros_like(self._alpha)[None]
         squared = np.square(self._alpha)[None]
@@ -121,7 +121,10 @@ class Sampler:
 
     @cached_property
     def _pyramid(self) -> tuple[CTexels, KeptArrays]:
-        """All levels, as the loops read them, and what keeps them."""
+        """All levels as a C structure, and the arrays it points to.
+
+        Means, and as slope variance mean(s^2) - mean(s)^2, summed over x and y.
+        """
         import cv2
 
         width, height = self.texture.size
@@ -147,24 +150,26 @@ class Sampler:
 
 
 def between(rows: Array, size: tuple[int, int], column: Array, row: Array) -> Array:
-    """(C, ...) bilinear values of a repeating texture at columns and rows in texels.
+    """(C, ...) bilinear lookups in a repeating texture.
 
     Args:
         rows: (H W, C) texels, C at most 16.
-        size: (width, height).
-        column, row: texel centres are whole numbers.
+        size: (width, height) in texels.
+        column, row: places in texels; texel centres are whole numbers.
     """
     return read(*_texels(rows, [size]), column, row, None)
 
 
-def read(texels: CTexels, kept: KeptArrays, column: Array, row: Array, wide: Array | None) -> Array:
-    """(C, ...) values of a repeating texture, averaged over `wide` texels.
+def read(
+    texels: CTexels, _kept: KeptArrays, column: Array, row: Array, wide: Array | None
+) -> Array:
+    """(C, ...) trilinear lookups in a repeating texture.
 
     Args:
-        texels: its levels, each half as large as the one before.
-        _kept: what they point to, alive.
-        column, row: in texels of the first; texel centres are whole numbers.
-        wide: None reads between the four nearest.
+        texels: mip pyramid, as a C structure.
+        _kept: the arrays it points to: a reference, to keep them alive.
+        column, row: places in texels of the finest level; texel centres are whole numbers.
+        wide: side of the footprint in texels; None is bilinear in the finest level.
     """
     shape = np.broadcast_shapes(column.shape, row.shape)
     here = KeptArrays()

@@ -1,7 +1,7 @@
-"""What a scene is: film, camera, surface and lights, as plain values.
+"""Scenes: film, camera, surface and lights, as plain values.
 
-Lengths are plane units (half a photograph's long side), angles degrees, colours linear Rec.709.
-x is right, y up, z towards the camera; the plane is z = 0. Files are read in scenefile.py.
+Lengths are in plane units (half a photograph's long side), angles in degrees, colours linear
+Rec.709. x points right, y up, z towards the camera; the plane is z = 0. scenefile.py reads files.
 """
 
 from __future__ import annotations
@@ -21,129 +21,129 @@ WHITE: Colour = (1.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class Film:
-    """The picture."""
+    """Size and encoding of the picture."""
 
     width: int = 1024
     """Pixels."""
     height: int = 768
     """Pixels."""
     exposure: float = 0.0
-    """Stops by which encoded pictures are brightened; radiance is left as it is."""
+    """Exposure value, EV: encoded pictures are multiplied by 2^exposure; EXR radiance is not."""
     transfer: Literal["srgb", "linear"] = "srgb"
     """How encoded pictures (PNG, GIF, MP4) store light."""
 
     @property
     def gain(self) -> float:
-        """What radiance is multiplied by before it is encoded."""
+        """2^exposure: factor on radiance before encoding."""
         return 2.0**self.exposure
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Where the picture is taken from."""
+    """Position and lens of the camera."""
 
     type: Literal["perspective", "orthographic"] = "perspective"
     """Either "perspective" or "orthographic"."""
     position: Vector = (0.0, 0.0, 1.0 / math.tan(math.radians(22.5)))
-    """Its place."""
+    """In plane units."""
     target: Vector = (0.0, 0.0, 0.0)
     """The point in the middle of the picture."""
     fov: float = 45.0
     """Field of view across the long side, degrees; perspective only."""
     scale: float = 1.0
-    """Half of what the long side shows; orthographic only."""
+    """Half the width that the long side shows, in plane units; orthographic only."""
     up: Vector = (0.0, 1.0, 0.0)
-    """The direction whose picture points upwards."""
+    """Direction that points upwards in the picture."""
     vignetting: float = 0.0
-    """Share of light that a lens loses in the corners of a 4:3 picture, as an exponent:
-    exp(-vignetting) is left there, and more towards the middle, with r squared. May be negative."""
+    """Vignetting v: the lens transmits exp(-(v r^2 + q r^4)), r = 1 in the corners of a 4:3
+    picture. May be negative."""
     vignetting_quartic: float = 0.0
-    """Likewise, with r to the fourth."""
+    """Vignetting q, see `vignetting`."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """What the material lies on."""
+    """Geometry that the material covers."""
 
     type: Literal["plane", "sphere", "cylinder", "mesh"] = "plane"
-    """A plane or cylinder or sphere around the origin, or a mesh."""
+    """A plane, sphere or cylinder around the origin, or a mesh."""
     size: float | None = 2.0
-    """Long side of a plane, diameter of a sphere or cylinder (whose height it also is), longest
-    side of a mesh; None is the extent of the maps themselves."""
+    """Side of a plane, diameter of a sphere or cylinder (also the cylinder's height), longest side
+    of a mesh, in plane units; None is the maps' own extent."""
     file: Path | None = None
-    """The mesh, a Wavefront OBJ."""
+    """The mesh, a Wavefront OBJ file."""
     repeat: float = 1.0
-    """How many times smaller the material lies on the surface than it is."""
+    """Factor by which the material is shrunk on the surface: 2 fits twice as many texels along a
+    side."""
     displacement: float = 1.0
-    """Factor on the height where it moves the surface (parallax, shadows, visibility,
-    interreflection). Normals are the maps' own whatever it says: 0 keeps the shading of relief and
-    drops its geometry."""
+    """Factor on the height in parallax, shadows, visibility and interreflection. Shading normals
+    do not change: 0 keeps bump shading and drops the geometry of the relief."""
 
 
 @dataclass(frozen=True)
 class PointLight:
-    """Light from one point, falling off with distance squared."""
+    """A point light: irradiance falls off with distance squared."""
 
     position: Vector
-    """Its place."""
+    """In plane units."""
     intensity: Colour = WHITE
     """Radiant intensity."""
 
 
 @dataclass(frozen=True)
 class DirectionalLight:
-    """Light from infinitely far."""
+    """A light at infinite distance."""
 
     direction: Vector
-    """Towards the light."""
+    """Towards the light; any length."""
     irradiance: Colour = WHITE
-    """What a surface facing the light receives."""
+    """On a surface facing the light."""
 
 
 @dataclass(frozen=True)
 class SphereLight:
-    """A glowing sphere."""
+    """A sphere that emits the same radiance everywhere, in all directions."""
 
     position: Vector
-    """Its middle."""
+    """Of its centre, in plane units."""
     radius: float
-    """Of the sphere."""
+    """In plane units."""
     radiance: Colour = WHITE
-    """The same in all directions."""
+    """Emitted radiance."""
 
 
 @dataclass(frozen=True)
 class RectangleLight:
-    """A rectangle that glows on the side its normal points to."""
+    """A rectangle that emits the same radiance everywhere on its front."""
 
     position: Vector
-    """Its middle."""
+    """Of its centre, in plane units."""
     normal: Vector
-    """Where it shines."""
+    """Direction that its front faces; any length."""
     up: Vector = (0.0, 1.0, 0.0)
-    """Direction of its second side; made perpendicular to the normal."""
+    """Direction of its second side, made perpendicular to the normal."""
     size: tuple[float, float] = (1.0, 1.0)
-    """Its sides, across and along `up`."""
+    """Sides across and along `up`, in plane units."""
     radiance: Colour = WHITE
-    """The same in all directions."""
+    """Emitted radiance."""
 
 
 @dataclass(frozen=True)
 class EnvironmentLight:
-    """Light from everywhere: a picture of the surroundings, or the same radiance all around.
+    """An environment map, or the same radiance from all directions.
 
-    The picture is latitude by longitude, its top is +y, its middle is +z, which the plane faces,
-    and its right half is towards -x, as somebody standing inside sees it.
+    The map is latitude-longitude, seen from inside: top +y, middle +z (which the plane faces),
+    right half towards -x.
     """
 
     file: Path | None = None
-    """EXR or HDR; None for a constant."""
+    """EXR or HDR file; None for a constant."""
     scale: float = 1.0
-    """Factor on the picture."""
+    """Factor on the radiance."""
     rotation: float = 0.0
-    """Degrees by which the surroundings are turned about +y, anticlockwise from above."""
+    """Degrees about +y, anticlockwise from above."""
     radiance: Colour = WHITE
-    """Of a constant environment."""
+    """Radiance of a constant environment."""
 
 
 Light = PointLight | DirectionalLight | SphereLight | RectangleLight | EnvironmentLight
@@ -154,17 +154,17 @@ class Scene:
     """Film, camera, surface and lights."""
 
     film: Film | None = field(default_factory=Film)
-    """None takes one pixel a texel where the source is a map set, else Film()."""
+    """None is one pixel a texel of the maps."""
     camera: Camera | None = None
-    """None is the photograph's: straight above, 45 degrees across the long side, as far away as
-    frames the surface's long side."""
+    """None is a camera straight above, 45 degrees across the long side, at the distance that frames
+    the surface's long side."""
     surface: Surface = field(default_factory=Surface)
-    """What the material lies on."""
+    """Geometry that the material covers."""
     lights: tuple[Light, ...] = ()
-    """At least none; their light adds up."""
+    """Their light adds up."""
 
 
-# Places of the named lights: at the lens, and 2.3 units from the middle, 31 degrees above it.
+# Positions of named lights: at the lens; or 2.3 plane units from the origin, 31 degrees high.
 NAMED_LIGHTS: dict[str, Vector] = {
     "flash": Camera().position,
     "top": (0.0, 2.0, 1.2),
@@ -173,10 +173,9 @@ NAMED_LIGHTS: dict[str, Vector] = {
 
 
 def exposing_intensity(position: Vector) -> float:
-    """Radiant intensity with which a point light shows white as white.
+    """Radiant intensity of a point light under which a white diffuser at the origin has radiance 1.
 
-    A perfect white diffuser at the origin then has radiance 1, and one of mid-grey (18 %) 0.18,
-    which is code value 118 of 255 in sRGB: well exposed.
+    pi d^2 / cos, with distance d and cosine to +z. Mid-grey (18 %) is then code 118 of 255 in sRGB.
     """
     squared = sum(c * c for c in position)
     cosine = position[2] / math.sqrt(squared)
@@ -184,12 +183,12 @@ def exposing_intensity(position: Vector) -> float:
 
 
 def scene_from_light(text: str, *, film: Film | None = None) -> Scene:
-    """A scene of the maps themselves, seen as photographed, under one point light.
+    """A scene with the maps' own extent, from straight above, under one point light.
 
     Args:
-        text: a named light (flash, top, left) or "x,y,z" or "x,y,z,intensity" in plane units;
-            without an intensity the light is as strong as exposing_intensity says.
-        film: the picture; by default one pixel a texel.
+        text: a named light (flash, top, left), or "x,y,z" or "x,y,z,intensity" in plane units;
+            the default intensity is exposing_intensity.
+        film: of the picture; by default one pixel a texel.
 
     Raises:
         UsageError: neither a name nor three or four numbers; a light that is not above the plane.
@@ -203,7 +202,7 @@ def scene_from_light(text: str, *, film: Film | None = None) -> Scene:
     return Scene(film=film, surface=Surface(size=None), lights=(light,))
 
 
-# Of lights given on the command line: plane units, radiant intensity.
+# Limits of lights given on the command line: plane units, radiant intensity.
 _FARTHEST, _STRONGEST = 1e4, 1e9
 
 

@@ -1,7 +1,7 @@
-"""Bounds of a scene that the plan decides from: extremes of maps, geometry and lights.
+"""Scene bounds: extremes of maps, geometry and lights, from which effects compute their bounds.
 
-Everything here is a bound that holds for every point of the surface that the camera may see, and
-costs a few passes over the maps at most. Nothing looks at pixels.
+Each holds for every point of the surface that the camera may see. All together cost a few passes
+over the maps; no pixel is shaded.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from matcap.relight.scene import (
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import unit3
 
-# The specular lobe reflects no more than this share, tables' rounding included.
-WHOLE = 1.01
+# Upper bound of the specular lobe's directional albedo, with the error of the albedo tables.
+LARGEST_ALBEDO = 1.01
 
 
 @dataclass(frozen=True)
 class VisibleRegion:
-    """Where visible points of the surface can be."""
+    """Axis-aligned box around all visible points of the surface, relief included."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
-    """Corners of a box around them."""
+    """Corners of the box, in plane units."""
     flat: bool
-    """They lie on the plane z = 0 but for the relief."""
+    """The undisplaced surface is the plane z = 0."""
 
     def distances(self, place: Sequence[float]) -> tuple[float, float]:
-        """Smallest and largest distance of any point of the box from a place."""
+        """Smallest and largest distance between `place` and a point of the box."""
         nearest = farthest = 0.0
         for c, low, high in zip(place, self.low, self.high, strict=True):
             nearest += max(low - c, 0.0, c - high) ** 2
@@ -50,7 +50,10 @@ class VisibleRegion:
         return math.sqrt(nearest), math.sqrt(farthest)
 
     def tangent(self, place: Sequence[float]) -> float:
-        """Smallest tangent of a place's elevation above the plane, seen from any point."""
+        """Tangent of the lowest elevation at which a point of the box sees `place`.
+
+        0 on curved surfaces, where any elevation occurs.
+        """
         if not self.flat:
             return 0.0
         across = math.hypot(
@@ -60,29 +63,29 @@ class VisibleRegion:
 
 
 @dataclass(frozen=True)
-class LightFacts:
-    """One light as the surface meets it."""
+class LightBounds:
+    """Extremes of one light over the visible region."""
 
     irradiance: float
-    """At most, on a surface facing it, brightest channel."""
+    """Largest, on a surface facing the light, in its brightest channel."""
     tangent: float
-    """Of its lowest elevation above the plane; 0 on curved surfaces."""
+    """Tangent of the lowest elevation above the plane; 0 on curved surfaces."""
     varying: float
-    """By how much at most the irradiance differs from that at the origin."""
+    """Largest difference of the irradiance from that at the origin."""
     half_angle: float
-    """Radians from its middle to its border, at most; 0 for points."""
+    """Largest angular radius, radians; 0 for points."""
     angle_cosine: float
-    """Of half the angle between the directions to light and camera, at least."""
+    """Smallest l.h: cosine of half the angle between light and view."""
 
 
 @dataclass(frozen=True)
 class SceneBounds:
-    """Everything the bounds are made of."""
+    """Extremes of a scene, for the bounds of all effects."""
 
     diffuse: float
-    """Largest albedo."""
+    """Largest diffuse albedo of any channel."""
     specular: float
-    """Largest F0."""
+    """Largest F0 of any channel."""
     alpha: tuple[float, float]
     """(smallest, largest) GGX alpha."""
     slope: float
@@ -90,43 +93,46 @@ class SceneBounds:
     relief_slope: float
     """Largest slope of the displacing height; 0 without displacement."""
     relief: float
-    """Highest minus lowest displacing height."""
-    lights: tuple[LightFacts, ...]
-    """All but environments."""
-    sky: float
-    """Largest radiance of the environments together."""
-    sky_varying: float
-    """By how much at most they differ from their mean."""
+    """Highest minus lowest displacing height, in plane units."""
+    lights: tuple[LightBounds, ...]
+    """One for each light but environments."""
+    environment: float
+    """Largest radiance of the environments, added up."""
+    environment_variation: float
+    """Largest difference of an environment's radiance from its mean, added up."""
     footprint: float
-    """Texels that a pixel covers, at most."""
+    """Largest side of a pixel's footprint, in texels."""
 
     @property
     def lambert(self) -> float:
-        """Largest diffuse reflectance in 1/sr."""
+        """Largest diffuse BRDF, in 1/sr."""
         return self.diffuse / math.pi
 
-    def fresnel(self, light: LightFacts) -> float:
+    def fresnel(self, light: LightBounds) -> float:
         """Largest Fresnel reflectance for a light."""
         weight = max(1.0 - light.angle_cosine, 0.0) ** 5
         return self.specular + (1.0 - self.specular) * weight
 
-    def glossy(self, light: LightFacts) -> float:
-        """Largest specular reflectance times n.l, in 1/sr: D <= 1/(pi a^2), V n.l <= 1/(2 a)."""
+    def glossy(self, light: LightBounds) -> float:
+        """Largest specular BRDF times n.l, in 1/sr.
+
+        F D V n.l with D <= 1 / (pi alpha^2) and V n.l <= 1 / (2 alpha), V = G / (4 (n.l)(n.v)).
+        """
         return self.fresnel(light) / (2.0 * math.pi * self.alpha[0] ** 3)
 
-    def radiance(self, light: LightFacts) -> float:
-        """Largest radiance that a light can cause directly."""
+    def radiance(self, light: LightBounds) -> float:
+        """Largest radiance reflected directly from a light."""
         return light.irradiance * (self.lambert + self.glossy(light))
 
     @property
-    def everything(self) -> float:
-        """Largest radiance of the picture but for interreflection, lobes added up."""
-        return sum(self.radiance(light) for light in self.lights) + self.surroundings
+    def largest_radiance(self) -> float:
+        """Largest radiance of the picture without interreflection."""
+        return sum(self.radiance(light) for light in self.lights) + self.environment_radiance
 
     @property
-    def surroundings(self) -> float:
-        """Largest radiance that the environments can cause."""
-        return self.sky * (self.diffuse + WHOLE)
+    def environment_radiance(self) -> float:
+        """Largest radiance reflected from the environments."""
+        return self.environment * (self.diffuse + LARGEST_ALBEDO)
 
 
 def gather(
@@ -135,17 +141,17 @@ def gather(
     view: View,
     region: VisibleRegion,
     footprint: float,
-    skies: Sequence[Environment],
+    environments: Sequence[Environment],
 ) -> SceneBounds:
-    """Bounds of the quantities of a scene.
+    """Compute the bounds of a scene.
 
     Args:
         scene: its lights and surface.
         texture: the material.
         view: the camera.
-        region: where visible points can be.
-        footprint: what a pixel covers on the material at most, in texels.
-        skies: the scene's environments.
+        region: box around the visible points.
+        footprint: largest side of a pixel's footprint, in texels.
+        environments: one for each environment light.
     """
     extremes = texture.extremes
     lights = tuple(
@@ -166,8 +172,8 @@ def gather(
         relief_slope=extremes.relief_slope * lift,
         relief=extremes.relief * lift / scene.surface.repeat,
         lights=lights,
-        sky=sum(sky.brightest for sky in skies),
-        sky_varying=sum(sky.varying for sky in skies),
+        environment=sum(one.brightest for one in environments),
+        environment_variation=sum(one.varying for one in environments),
         footprint=footprint,
     )
 
@@ -176,33 +182,33 @@ def _light_bounds(
     light: PointLight | DirectionalLight | SphereLight | RectangleLight,
     region: VisibleRegion,
     view: View,
-) -> LightFacts:
+) -> LightBounds:
     if isinstance(light, DirectionalLight):
         direction = unit3(light.direction)
         across = math.hypot(direction[0], direction[1])
         tangent = max(float(direction[2]), 0.0) / max(across, 1e-12) if region.flat else 0.0
-        return LightFacts(max(light.irradiance), tangent, 0.0, 0.0, 0.0)
+        return LightBounds(max(light.irradiance), tangent, 0.0, 0.0, 0.0)
     near, far = region.distances(light.position)
-    intensity, half, tangent = _reach(light, near, region)
+    intensity, half, tangent = _extent(light, region)
     central = float(np.linalg.norm(light.position))
     gap = max(near - half, 1e-9)
     received = intensity / gap**2
     varying = max(received - intensity / central**2 if central else math.inf, 0.0)
     varying = max(varying, intensity / max(central, 1e-9) ** 2 - intensity / far**2)
     angle = math.asin(min(half / max(near, 1e-12), 1.0))
-    return LightFacts(received, tangent, varying, angle, _angle_cosine(light, near, region, view))
+    return LightBounds(received, tangent, varying, angle, _angle_cosine(light, near, region, view))
 
 
-def _reach(
-    light: PointLight | SphereLight | RectangleLight, near: float, region: VisibleRegion
+def _extent(
+    light: PointLight | SphereLight | RectangleLight, region: VisibleRegion
 ) -> tuple[float, float, float]:
-    """Largest radiant intensity, radius around the middle, and lowest elevation's tangent."""
+    """Largest radiant intensity, bounding radius, and tangent of the lowest elevation."""
     if isinstance(light, PointLight):
         return max(light.intensity), 0.0, region.tangent(light.position)
     x, y, z = light.position
     if isinstance(light, SphereLight):
         spot = math.pi * light.radius**2 * max(light.radiance)
-        # A sphere seen from near by shows less than its cross-section, from inside anything.
+        # Nearby points see less than the sphere's cross-section.
         half = light.radius
     else:
         spot = light.size[0] * light.size[1] * max(light.radiance)
@@ -212,10 +218,9 @@ def _reach(
 
 
 def _angle_cosine(light: Light, near: float, region: VisibleRegion, view: View) -> float:
-    """Cosine of half the angle under which camera and light are seen, at least.
+    """Smallest cosine of half the angle between the directions to camera and light.
 
-    In any triangle the side opposite to an angle g is at least the sum of the others times
-    sin(g / 2).
+    In a triangle with sides a, b around an angle g, the third side is at least (a + b) sin(g / 2).
     """
     if not view.perspective or not isinstance(light, PointLight):
         return 0.0

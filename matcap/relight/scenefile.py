@@ -1,11 +1,11 @@
-"""Scene files (TOML) to scenes: every key checked, every mistake named.
+"""Read scene files (TOML): every key is checked, and an error names the first that is wrong.
 
     [film]     width, height, exposure, transfer
     [camera]   type, position, target, fov, scale
     [surface]  type, size, file, repeat, displacement
     [[light]]  type and the keys of its kind (see docs/reference/file-formats.md)
 
-Files named inside are relative to the scene file. Presets are in named.py.
+Files that they name are relative to the scene file. Presets are in named.py.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _LARGEST_EXPONENT = 20.0  # of vignetting, as in material files
 
 
 class _Fault(Exception):
-    """What is wrong with one value; the reader adds where."""
+    """What a value should be, as "a number"; the reader adds the rest of the sentence."""
 
 
 Checked = Callable[[Any, Path], Any]
@@ -47,8 +47,8 @@ def read_scene(path: str | Path) -> Scene:
     """Read a scene file.
 
     Raises:
-        MatcapError: missing, not TOML, an unknown or a missing key, a value of the wrong kind or
-            out of range.
+        MatcapError: missing, not TOML, an unknown or missing key, a value of the wrong type or out
+            of range.
     """
     path = Path(path)
     try:
@@ -63,7 +63,7 @@ def read_scene(path: str | Path) -> Scene:
 
 
 def parse_scene(text: str, *, where: str = "scene", folder: Path = Path(".")) -> Scene:
-    """The scene that TOML text describes; `folder` is what its files are relative to.
+    """The scene of TOML text; `folder` is what its files are relative to.
 
     Raises:
         MatcapError: as read_scene.
@@ -116,7 +116,7 @@ class _Reader:
     def table(
         self, table: object, place: str, checks: Mapping[str, Checked], ignore: tuple[str, ...] = ()
     ) -> dict[str, Any]:
-        """The table's values, each checked by the function of its key."""
+        """The table's values, each through the check of its key, but for the keys in `ignore`."""
         if not isinstance(table, dict):
             raise self.fault(place, "this is not a table", "write its keys below its heading")
         self.only(table, (*ignore, *checks), place)
@@ -264,7 +264,7 @@ _SURFACE: dict[str, Checked] = {
     "repeat": _at_least(0.0, above=True),
     "displacement": _at_least(0.0),
 }
-# Of each kind of light: its class, its keys, and those it cannot do without.
+# For each type of light: its class, its keys with their checks, and the required ones.
 _LIGHTS: dict[str, tuple[Callable[..., Light], dict[str, Checked], tuple[str, ...]]] = {
     "point": (PointLight, {"position": _vector, "intensity": _colour}, ("position",)),
     "directional": (

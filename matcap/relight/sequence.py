@@ -1,4 +1,4 @@
-"""Many pictures of one material: animations and sheets of lights."""
+"""Many pictures of one material: animations and light sheets."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def animate(
     tolerance: float = DEFAULT_TOLERANCE,
     effects: str = "auto",
 ) -> Iterator[Rendering]:
-    """Each scene in turn; they share surface and film with the renderer's."""
+    """Render scenes one by one; surface and film must be the renderer's."""
     for scene in scenes:
         yield renderer.render(scene, tolerance=tolerance, effects=effects)
 
@@ -37,10 +37,10 @@ def light_sheet(
     tolerance: float = DEFAULT_TOLERANCE,
     effects: str = "auto",
 ) -> tuple[NDArray[np.float32], Plan]:
-    """The material under a grid of point lights: (rows H, columns W, 3) radiance; the last plan.
+    """Render the material under each of sheet_lights(), instead of the scene's own lights.
 
-    Lights go round from left to right, beginning at the top, and lower from row to row. The
-    scene's own lights are put out.
+    Returns:
+        (rows H, columns W, 3) radiance, and the last picture's plan.
     """
     scene = renderer.scene
     renderings = [

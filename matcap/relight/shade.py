@@ -1,7 +1,7 @@
-"""Radiance of a block of pixels: where they are, what is there, every light, every effect.
+"""Radiance of a block of pixels: displace hits, look up the material, add lights, add effects.
 
-There is one way: the loops of matcap.relight.loops, for the pixels that need them. With a budget
-these are the pixels whose own bound says so, without one they are all.
+The loops of matcap.relight.loops do the work. With a budget an effect runs in the pixels whose own
+bound exceeds it, without one in all.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from matcap.relight.scene import EnvironmentLight, RectangleLight, SphereLight
 from matcap.relight.surfaces.hits import Hits
 from matcap.relight.vectors import Array
 
-# What runs in every pixel where the plan has it.
+# Effects that run in every pixel if they run at all.
 _EVERYWHERE = ("diffuse", "specular", "falloff", "filtering", "parallax", "multiscatter")
 
 
 def shade(context: ShadingContext, hits: Hits, tiles: Array) -> Array:
-    """(3, rows, W) radiance of a block; 0 where nothing is seen.
+    """(3, rows, W) radiance of a block; 0 where rays miss the surface.
 
     Args:
-        context: what all blocks share.
-        hits: the block.
-        tiles: (rows, W) which tile of the picture each pixel is in.
+        context: inputs shared by all blocks.
+        hits: intersections of the block's rays, (rows, W).
+        tiles: (rows, W) index of the picture's tile of each pixel.
     """
     index = None if hits.seen is None else np.flatnonzero(hits.seen)
     with np.errstate(over="ignore", invalid="ignore"):  # render.py names the light
@@ -42,7 +42,7 @@ def shade(context: ShadingContext, hits: Hits, tiles: Array) -> Array:
 
 
 def _block(context: ShadingContext, hits: Hits, index: Array | None, tiles: Array) -> Block:
-    """The pixels that are seen, on the displaced surface, and the material there."""
+    """Hits on the displaced surface and the material there, of the pixels in `index`."""
     plan, clock, sampler = context.plan, context.clock, context.sampler
     flat = hits.flat(index, tiles.shape)
     height: Array | None = None
@@ -56,7 +56,7 @@ def _block(context: ShadingContext, hits: Hits, index: Array | None, tiles: Arra
         if plan.on("filtering"):
             sample = sampler.read(flat.place, flat.footprint)
         elif index is None and height is None:
-            # Where pixels are texels there is nothing to read between.
+            # Unflattened places let the sampler see that pixels are texels: no interpolation.
             sample = _flat(sampler.read(hits.place), tiles.shape)
         else:
             sample = sampler.read(flat.place)
@@ -79,19 +79,19 @@ def _flat(sample: SurfaceSample, shape: tuple[int, ...]) -> SurfaceSample:
 
 
 def _light(block: Block) -> None:
-    """Add every light, then every effect that follows from their sum."""
+    """Add every light, then the effects computed from their sum."""
     context, plan = block.context, block.plan
     for name in _EVERYWHERE:
         if plan.on(name):
             block.ran(name)
-    # Surroundings last: what is known by then says how much of them may be left out.
+    # Environments last: the budget allows more where a pixel is already bright.
     for light in context.scene.lights:
         if isinstance(light, SphereLight | RectangleLight) and plan.on("area"):
             area.add(block, light)
         elif not isinstance(light, EnvironmentLight):
             direct.add(block, light)
-    for sky in context.skies:
-        environment.add(block, sky)
+    for one in context.environments:
+        environment.add(block, one)
     for name, effect in EFFECTS.items():
         if effect.add is not None and plan.on(name):
             with context.clock.on(name):

@@ -1,8 +1,8 @@
-"""Directional albedo of the specular lobe, tabulated once a process.
+"""Tables of the specular lobe's directional albedo, computed once a process.
 
-E(mu, alpha) is the directional albedo of D G / (4 (n.l)(n.v)) with F = 1, and split in two for
-Schlick's Fresnel: albedo = F0 scale + bias (Karis 2013). Integrated over the lattice of visible
-normals, where the integrand is G2 / G1; values are within 2e-4 of exact.
+E(mu, alpha) is the albedo of D G / (4 (n.l)(n.v)), F = 1, at mu = n.v. With Schlick's Fresnel it is
+F0 scale + bias [karis2013]. Integrated over the lattice of visible normals, where the integrand is
+G2 / G1; errors are below 2e-4.
 """
 
 from __future__ import annotations
@@ -18,31 +18,31 @@ from matcap.relight.visible_normals import LatticePoint, lattice
 _SIZE = 64
 _POINTS = 987
 _FINE = 1024
-# Places where the energy that is lost is tabulated, for the nearest to be taken.
+# Grid of `lost`, for lookups of the nearest entry.
 _ALPHAS, _COSINES = 512, 1024
 
 
 @dataclass(frozen=True)
 class Albedo:
-    """Tables over x = sqrt(mu) (columns) and sqrt(alpha), the roughness (rows), both in [0, 1]."""
+    """Albedo tables: rows by perceptual roughness sqrt(alpha), columns by sqrt(mu), in [0, 1]."""
 
     bias: Array
-    """The part that goes with (1 - l.h)^5."""
+    """(64, 64) integral weighted by Schlick's (1 - l.h)^5."""
     total: Array
-    """With F = 1; scale = total - bias."""
+    """(64, 64) E; scale = total - bias."""
     average: Array
-    """(rows,) cosine-weighted mean of total over the hemisphere."""
+    """(64,) cosine-weighted mean of `total` over the hemisphere, Eavg."""
 
     def rows(self, alpha: Array) -> Array:
-        """Where the lookups below begin for alphas: the nearest of 1024 roughnesses.
+        """Index of the first entry of an alpha's row in fine_total and fine_bias.
 
-        Whole numbers kept as float32, which holds them exactly and adds fastest.
+        The nearest of 1024 roughnesses; integers as float32, exact, for fast sums with mu.
         """
         rough = np.sqrt(np.asarray(alpha, dtype=np.float32))
         return np.rint(rough * np.float32(_FINE - 1)) * np.float32(_SIZE)
 
     def lookup(self, fine: Array, mu: Array, rows: Array) -> Array:
-        """Values of fine_total or fine_bias at cosines, linear between those tabulated."""
+        """Values of fine_total or fine_bias at mu, linear in sqrt(mu); rows: of rows()."""
         x = np.sqrt(np.asarray(mu, dtype=np.float32)) * np.float32(_SIZE - 1)
         j = np.floor(x)
         value = np.take(fine, (rows + j).astype(np.intp), mode="clip")
@@ -51,35 +51,35 @@ class Albedo:
 
     @cached_property
     def fine_total(self) -> Array:
-        """Total at 1024 roughnesses: complex, the value and its step to the next."""
+        """`total` at 1024 roughnesses, flat: value + i (next value along mu - value)."""
         return _fine(self.total)
 
     @cached_property
     def fine_bias(self) -> Array:
-        """Bias likewise."""
+        """`bias` at 1024 roughnesses, as fine_total."""
         return _fine(self.bias)
 
     def near(self, alpha: Array) -> Array:
-        """Where missing() begins for alphas: the nearest of 512, whole numbers as float32."""
+        """Index of the first entry of an alpha's row in `lost`: the nearest of 512, as float32."""
         return np.rint(alpha * np.float32(_ALPHAS - 1)) * np.float32(_COSINES)
 
     def missing(self, near: Array, mu: Array) -> Array:
-        """1 - total at cosines, the nearest of those tabulated: within 1e-3, and quick."""
+        """1 - E(mu), the energy a single bounce loses: nearest entry of `lost`, within 1e-3."""
         index = mu * np.float32(_COSINES - 1) + (near + np.float32(0.5))
         return np.take(self.lost, index.astype(np.intp), mode="clip")
 
     @property
     def lost_step(self) -> float:
-        """How much further in `lost` the cosine 1 is than 0."""
+        """Offset in `lost` from mu = 0 to mu = 1."""
         return _COSINES - 1.0
 
     def average_at(self, near: Array) -> Array:
-        """The average for alphas."""
+        """Eavg; near: of near()."""
         return np.take(self._averages, (near * np.float32(1.0 / _COSINES)).astype(np.intp))
 
     @cached_property
     def lost(self) -> Array:
-        """What missing() looks up: a row for each of 512 alphas, over cosines."""
+        """1 - E, flat: 512 rows by alpha, 1024 columns by mu, both uniform in [0, 1]."""
         roughness = np.sqrt(np.linspace(0.0, 1.0, _ALPHAS))
         root_mu = np.sqrt(np.linspace(0.0, 1.0, _COSINES))
         total = _between(_between(self.total, roughness).T, root_mu).T
@@ -91,7 +91,7 @@ class Albedo:
 
 
 def _between(table: Array, places: Array) -> Array:
-    """The rows of a table, and straight lines between them, at places in [0, 1]."""
+    """Rows of a table at places in [0, 1], linearly interpolated."""
     y = places * (_SIZE - 1.0)
     i = np.minimum(y.astype(np.intp), _SIZE - 2)
     share = (y - i)[:, None]
@@ -107,7 +107,7 @@ def _fine(table: Array) -> Array:
 
 @lru_cache(maxsize=1)
 def albedo() -> Albedo:
-    """The tables."""
+    """Compute the tables."""
     root_mu = np.linspace(0.0, 1.0, _SIZE)
     mu = np.maximum(root_mu**2, 1e-6)[None, :]
     alpha = np.maximum(np.linspace(0.0, 1.0, _SIZE) ** 2, 1e-6)[:, None]
@@ -116,7 +116,7 @@ def albedo() -> Albedo:
         weight, cosine = _visible(mu, alpha, point)
         total += weight
         bias += weight * np.clip(1.0 - cosine, 0.0, 1.0) ** 5
-    # 2 E mu dmu with mu = x^2 is 4 E x^3 dx.
+    # Eavg = integral of 2 E mu dmu; with mu = x^2 that is 4 E x^3 dx.
     fine = np.linspace(0.0, 1.0, 2001)
     integrand = np.stack([np.interp(fine, root_mu, row) for row in total]) * 4.0 * fine**3
     average = np.trapezoid(integrand, fine, axis=1)
@@ -125,7 +125,7 @@ def albedo() -> Albedo:
 
 
 def _visible(mu: Array, alpha: Array, point: LatticePoint) -> tuple[Array, Array]:
-    """G2 / G1 times the weight, and the cosine v.h, of one visible normal."""
+    """G2 / G1 times the sample's weight, and v.h, of one sampled visible normal."""
     sine = np.sqrt(np.maximum(1.0 - mu * mu, 0.0))
     vx, vz = alpha * sine, mu
     length = np.sqrt(vx * vx + vz * vz)

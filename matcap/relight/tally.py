@@ -1,4 +1,4 @@
-"""Which tiles of the picture each effect ran in."""
+"""Record of the picture's tiles in which each effect ran."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TILE = 32  # pixels a side
 
 @dataclass(frozen=True)
 class Tally:
-    """Effects by tiles, filled while a picture is made."""
+    """Tiles by effect, filled during rendering."""
 
     size: tuple[int, int]
     """(width, height) of the picture in pixels."""
@@ -22,25 +22,25 @@ class Tally:
 
     @property
     def tiles(self) -> tuple[int, int]:
-        """How many tiles there are across and down."""
+        """Number of tiles across and down."""
         return -(-self.size[0] // TILE), -(-self.size[1] // TILE)
 
     def of(self, top: int, bottom: int, left: int, right: int) -> Array:
-        """(rows, columns) the tile that each pixel of a rectangle is in."""
+        """(rows, columns) index of the tile of each pixel of a rectangle."""
         row, column = np.arange(top, bottom) // TILE, np.arange(left, right) // TILE
         tiles: Array = row[:, None] * self.tiles[0] + column
         return tiles
 
     def ran(self, effect: str, tiles: Array) -> None:
-        """Note the tiles of pixels that an effect ran in."""
+        """Record an effect in tiles, given by index."""
         across, down = self.tiles
         self._ran.setdefault(effect, np.zeros(across * down, dtype=bool))[tiles] = True
 
     def shares(self) -> Mapping[str, float]:
-        """The share of all tiles that each effect ran in."""
+        """Share of all tiles, in [0, 1], in which each effect ran."""
         return {effect: float(ran.mean()) for effect, ran in self._ran.items()}
 
     def maps(self) -> Mapping[str, Array]:
-        """(down, across) whether each effect ran, for those that did anywhere."""
+        """(down, across) bool masks of tiles, of the effects that ran anywhere."""
         across, down = self.tiles
         return {effect: ran.reshape(down, across) for effect, ran in self._ran.items()}

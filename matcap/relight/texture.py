@@ -1,4 +1,4 @@
-"""A material as the renderer reads it: channels first, float32, with slopes of the height."""
+"""Maps of a material as the renderer reads them: channels first, float32, normals as slopes."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from matcap.relight.vectors import Array
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
-HorizonMap = Array
-
 
 @dataclass(frozen=True)
 class Extremes:
@@ -23,48 +21,53 @@ class Extremes:
     diffuse: float
     """Largest albedo of any channel."""
     specular: float
-    """Largest F0."""
+    """Largest F0 of any channel."""
     roughness: tuple[float, float]
     """(smallest, largest)."""
     slope: float
-    """Largest slope of the shading normals."""
+    """Largest |slope| of the shading normals."""
     relief_slope: float
-    """Largest slope of the bilinear surface through the heights, which repeats."""
+    """Largest |slope| of the bilinear surface through the heights, across repetitions, too."""
     relief: float
     """Highest minus lowest height, in plane units."""
 
 
 @dataclass(frozen=True)
 class Texture:
-    """One rectangle of material; row 0 is the top, y is up."""
+    """A rectangle of material; row 0 is the top, y points up."""
 
-    diffuse: HorizonMap
+    diffuse: Array
     """(3, H, W) albedo."""
-    specular: HorizonMap
-    """(1, H, W) F0, or (3, H, W) where it has a colour."""
-    roughness: HorizonMap
-    """(1, H, W) perceptual."""
-    height: HorizonMap
+    specular: Array
+    """(1, H, W) F0, or (3, H, W) where it is coloured."""
+    roughness: Array
+    """(1, H, W) perceptual roughness, sqrt of GGX alpha."""
+    height: Array
     """(1, H, W) in plane units."""
-    slopes: HorizonMap
-    """(2, H, W) of the shading normal (-sx, -sy, 1): dh/dx and dh/dy."""
+    slopes: Array
+    """(2, H, W) dh/dx and dh/dy of the shading normal (-dh/dx, -dh/dy, 1)."""
     texel_size: float
     """In plane units."""
     periodic: bool = True
-    """Whether opposite borders fit each other."""
+    """Whether the maps tile seamlessly."""
 
     @staticmethod
     def from_maps(maps: MapSet) -> Texture:
-        """The texture of a map set without batch dimensions."""
+        """The texture of a map set.
+
+        Raises:
+            ValueError: the maps have batch dimensions.
+            MatcapError: heights that single precision cannot hold (check_heights).
+        """
         from matcap.brdf.heights import check_heights
 
         if maps.height.ndim != 3:
-            raise ValueError("a map set is relit without batch dimensions")
+            raise ValueError("maps with batch dimensions cannot be rendered: pass one map set")
         normal = maps.normal
         slopes = -normal[:2] / normal[2:]
 
-        def array(tensor: object) -> HorizonMap:
-            plane: HorizonMap = tensor.detach().cpu().float().contiguous().numpy()  # type: ignore[attr-defined]
+        def array(tensor: object) -> Array:
+            plane: Array = tensor.detach().cpu().float().contiguous().numpy()  # type: ignore[attr-defined]
             return plane
 
         check_heights(array(maps.height), "the material")
@@ -89,7 +92,7 @@ class Texture:
         return self.size[0] * self.texel_size, self.size[1] * self.texel_size
 
     @cached_property
-    def normal(self) -> HorizonMap:
+    def normal(self) -> Array:
         """(3, H, W) unit shading normals."""
         x, y = self.slopes
         z = 1.0 / np.sqrt(1.0 + x * x + y * y)
@@ -103,9 +106,9 @@ class Texture:
 
     @cached_property
     def extremes(self) -> Extremes:
-        """Extremes, for the plan."""
+        """Extremes over all texels."""
         height = self.height[0]
-        # Inside a cell a bilinear surface is nowhere steeper than along its sides.
+        # A bilinear cell's derivatives are between those along its sides.
         across = np.abs(np.roll(height, -1, axis=1) - height)
         down = np.abs(np.roll(height, -1, axis=0) - height)
         across = np.maximum(across, np.roll(across, -1, axis=0))

@@ -90,8 +90,8 @@ def test_relief_that_is_adjusted_takes_the_painting_along(tmp_path, maps):
     [
         (lambda normals: normals[:10], "is 31 x 10 texels"),
         (lambda normals: normals[..., 0], "has 1 channels"),
-        (lambda normals: -normals, "620 texels have no normal that faces upwards"),
-        (lambda normals: 0.0 * normals, "620 texels have no normal"),
+        (lambda normals: -normals, "normals of 620 texels do not face upwards"),
+        (lambda normals: 0.0 * normals, "normals of 620 texels"),
     ],
 )
 def test_what_is_no_normal_is_refused_where_it_is_asked_for(tmp_path, maps, change, said):

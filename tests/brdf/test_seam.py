@@ -6,7 +6,9 @@ import torch.nn.functional as F
 
 from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
 from matcap.brdf.maps import MapSet
-from matcap.brdf.seam import SEAMLESS, seam_ratio
+from matcap.brdf.seam import seam_ratio
+
+SEAMLESS = 1.15  # invisible: single lines of a texture scatter by as much
 
 
 def smooth(*, circular: bool) -> MapSet:

@@ -88,7 +88,7 @@ def test_damaged_radiance_is_told(tmp_path, line, resolution):
 def test_a_little_below_zero_is_clipped_and_told(tmp_path):
     picture = PICTURE.copy()
     picture[2, 3:5, 1] = -0.003
-    with pytest.warns(Note, match=r"2 pixels reach down to -0.003"):
+    with pytest.warns(Note, match=r"2 pixels are negative, down to -0.003"):
         found = read_picture(exr(tmp_path / "a.exr", picture))
     np.testing.assert_array_equal(found, np.maximum(picture, 0.0))
 

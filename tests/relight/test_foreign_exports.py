@@ -70,7 +70,7 @@ def test_a_sidecar_of_another_version_or_none_at_all_is_told(tmp_path):
     with pytest.raises(MatcapError, match="version 3, this matcap reads 2"):
         read_foreign(tmp_path)
     sidecar.write_text(stated[:100])
-    with pytest.warns(Note, match="no readable JSON"):
+    with pytest.warns(Note, match="not readable as JSON"):
         by_names = read_foreign(tmp_path)
     assert by_names.files["roughness"] == "leather_orm.png"
 

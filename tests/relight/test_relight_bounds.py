@@ -3,10 +3,10 @@
 import pytest
 from bound_scenes import share, tries
 
-from matcap.relight import plan
+from matcap.relight import planning
 from matcap.relight.effects.bound import Bound
 from matcap.relight.effects.entries import Effect
-from matcap.relight.plan import EFFECTS, EffectChoice, make_plan
+from matcap.relight.planning import EFFECTS, EffectChoice, make_plan
 
 # What the scenes reach today, less a little: a bound that grows loose is found out, too. That of
 # area lights is loose: its lobes are taken to change as fast as the sharpest could.
@@ -33,7 +33,7 @@ def test_what_is_left_out_adds_up_to_no_more_than_the_tolerance(tolerance, monke
     """Each of these could be left out alone at most tolerances; all of them not."""
     bounds = {name: 0.25 + 0.05 * index for index, name in enumerate(EFFECTS)}
     made = {name: Effect(lambda _, b=bound: Bound(b, "")) for name, bound in bounds.items()}
-    monkeypatch.setattr(plan, "EFFECTS", made)
+    monkeypatch.setattr(planning, "EFFECTS", made)
     steps = make_plan(None, tolerance, EffectChoice()).steps
     off = sum(step.bound for step in steps if not step.on)
     assert off <= tolerance + 1e-12

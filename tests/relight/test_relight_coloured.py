@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import random_scenes
 import torch
+from loop_calls import lobe
 from relight_samples import bumpy, flat
 from test_relight_physics import mirrored_rule
 
@@ -14,7 +15,6 @@ from matcap.brdf import cook_torrance as reference
 from matcap.brdf.maps import MapSet
 from matcap.relight.effects import multiscatter
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
-from matcap.relight.lobes import lobe
 from matcap.relight.render import Renderer, relight
 from matcap.relight.scene import (
     Camera,

@@ -124,7 +124,7 @@ def test_heights_of_no_surface_are_refused_wherever_maps_leave(tmp_path, height)
 
 def test_heights_that_no_ray_gets_through_are_refused_with_a_displacement_that_does():
     scene = Scene(FILM, None, Surface(), (PointLight((1.0, 0.0, 2.0)),))
-    with pytest.raises(MatcapError, match="spans 1e.03 plane units.*displacement below 0.02"):
+    with pytest.raises(MatcapError, match="span 1e.03 plane units.*displacement below 0.02"):
         Renderer(tall(1e3), scene)
     lower = Scene(FILM, None, Surface(displacement=0.015), scene.lights)
     assert np.isfinite(Renderer(tall(1e3), lower).render(effects="all").radiance).all()

@@ -388,7 +388,7 @@ def test_a_bump_map_that_holds_normals_is_a_normal_map(plain):
     (folder / "a_NormalGL.png").rename(folder / "a_BumpMap.png")
     found = read_foreign(folder, normal="gl")
     same(found.texture, expected)
-    assert any("normal map by its colours" in note for note in found.notes)
+    assert any("normal map, by its colours" in note for note in found.notes)
 
 
 def test_a_height_alone_in_floats_spans_what_it_spans(plain):
@@ -401,7 +401,7 @@ def test_a_height_alone_in_floats_spans_what_it_spans(plain):
 def test_a_scalar_map_with_colours_is_told(plain):
     folder, pictures, _ = plain
     png(folder / "a_Roughness.png", pictures["base"])
-    assert any("has colours" in note for note in read_foreign(folder).notes)
+    assert any("is coloured" in note for note in read_foreign(folder).notes)
 
 
 def test_the_finest_of_the_maps_decides_the_size(plain):
@@ -410,7 +410,7 @@ def test_the_finest_of_the_maps_decides_the_size(plain):
     found = read_foreign(folder).texture
     np.testing.assert_allclose(found.slopes, expected.slopes)
     png(folder / "a_Color.png", np.full((64, 32, 3), 0.5, np.float32))
-    with pytest.raises(MatcapError, match="another shape"):
+    with pytest.raises(MatcapError, match="another aspect ratio"):
         read_foreign(folder)
 
 
@@ -479,7 +479,7 @@ def test_a_metal_without_a_metallic_map_is_told(plain):
     folder, _, _ = plain
     assert not any("metal" in note for note in read_foreign(folder).notes)
     (folder / "a_Color.png").rename(folder / "Rusty_Metal03_Color.png")
-    assert any("none of it is taken as metal" in note for note in read_foreign(folder).notes)
+    assert any("read as dielectric" in note for note in read_foreign(folder).notes)
 
 
 def test_a_name_goes_before_the_option_and_says_so(plain):

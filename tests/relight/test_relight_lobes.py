@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 import torch
+from loop_calls import lobe
 from plain.lobes import ggx_smith, schlick_weight
 
 from matcap.brdf import cook_torrance as reference
-from matcap.relight.lobes import alpha_of, lobe
+from matcap.relight.lobes import alpha_of
 from matcap.relight.vectors import dot
 
 

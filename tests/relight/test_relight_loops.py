@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import loop_calls
 import numpy as np
 import plain.area
 import plain.environment
@@ -20,7 +21,7 @@ from matcap.files.exr import write_exr
 from matcap.relight.block import Block, ShadingContext
 from matcap.relight.budget import Budget
 from matcap.relight.clock import Clock
-from matcap.relight.effects import area, direct, environment, parallax, shadows
+from matcap.relight.effects import area, direct, environment, parallax
 from matcap.relight.environment_map import environment_of
 from matcap.relight.horizons import COARSENESS, Horizons
 from matcap.relight.loops import library
@@ -40,7 +41,7 @@ from matcap.relight.surfaces.hits import Hits, to_frame
 from matcap.relight.tables import albedo
 from matcap.relight.tally import Tally
 from matcap.relight.texture import Texture
-from matcap.relight.vectors import dot, scale, subtract, unit, vec
+from matcap.relight.vectors import dot, scale, subtract, vec
 from matcap.relight.visible_normals import lattice
 
 LIGHTS = (
@@ -72,7 +73,7 @@ def scattered(count, seed=0):
 def directions(generator, count, *, tilt=1.0):
     towards = generator.normal(size=(3, count)).astype(np.float32)
     towards[2] = np.abs(towards[2]) * tilt
-    return unit(tuple(towards))
+    return loop_calls.unit(tuple(towards))
 
 
 def pixels(relief, generator, *, framed=False, effects=EVERY, count=COUNT, rough=(0.05, 1.0)):
@@ -87,7 +88,7 @@ def pixels(relief, generator, *, framed=False, effects=EVERY, count=COUNT, rough
     frame = None
     if framed:
         axis, other = directions(generator, count), directions(generator, count)
-        side = unit(tuple(np.cross(axis, other, axis=0)))
+        side = loop_calls.unit(tuple(np.cross(axis, other, axis=0)))
         frame = (side, tuple(np.cross(axis, side, axis=0)), axis)
     point = (u.astype(np.float32), v.astype(np.float32), height)
     hits = Hits(point, frame, (u, v), to_view, None, np.zeros(count, np.float32))
@@ -95,7 +96,7 @@ def pixels(relief, generator, *, framed=False, effects=EVERY, count=COUNT, rough
     sample = SurfaceSample(tuple(colours[:3]), tuple(colours[3:]), alpha, normal)
     plan = Plan(tuple(Step(one, True, 0.0, "") for one in effects), 1e-4)
     context = ShadingContext(
-        Scene(), Sampler(relief.texture, 1.0), relief, plan, (), relief.horizons, Clock(), 144,
+        Scene(), Sampler(relief.texture, 1.0), relief, plan, (), Horizons(relief), Clock(), 144,
         None, Tally((count, 1)),
     )  # fmt: skip
     return Block(context, hits, height, sample, np.zeros(count, dtype=int))
@@ -131,7 +132,7 @@ def test_shadows(relief, far):
     height, towards = relief.at(u, v), directions(generator, 4000, tilt=0.5)
     distance = None if far else generator.uniform(0.05, 1.0, u.shape).astype(np.float32)
     expected = plain.shadows.lit(relief, (u, v), height, towards, distance)
-    found = shadows.lit(relief, (u, v), height, towards, distance)
+    found = loop_calls.lit(relief, (u, v), height, towards, distance)
     assert 0.1 < expected.mean() < 0.9
     assert (found != expected).mean() <= 1e-3
 
@@ -144,12 +145,12 @@ def test_no_ray_is_hidden_above_a_clear_tangent(relief, endless):
     column, row = (np.rint(one).astype(int) for one in relief.texels(u, v))
     inside = (column >= 0) & (column < 44) & (row >= 0) & (row < 32)
     u, v, at = u[inside], v[inside], (row * 44 + column)[inside]
-    tangent, turn = relief.clear[at], generator.uniform(0.0, 2.0 * np.pi, u.size)
+    tangent, turn = relief.clear_tangents[at], generator.uniform(0.0, 2.0 * np.pi, u.size)
     hidden = []
     for share in (1.0001, 0.5):
-        towards = unit((np.cos(turn), np.sin(turn), share * tangent))
+        towards = loop_calls.unit((np.cos(turn), np.sin(turn), share * tangent))
         towards = tuple(one.astype(np.float32) for one in towards)
-        hidden.append(~shadows.lit(relief, (u, v), relief.at(u, v), towards, None))
+        hidden.append(~loop_calls.lit(relief, (u, v), relief.at(u, v), towards, None))
     assert not hidden[0].any()
     assert hidden[1].mean() > 0.03
 
@@ -183,7 +184,7 @@ def test_lights_that_are_points(relief, framed):
     total, flow = shone(block, [(towards, lit / distance**2)])
     direct.add(block, light)
     close(block.total, total)
-    close(block.flow, flow)
+    close(block.vector_irradiance, flow)
 
 
 @pytest.mark.parametrize("light", LIGHTS)
@@ -217,7 +218,7 @@ def test_lights_with_a_size(relief, light, framed, shaded):
         # A shadow ray that grazes a ridge may be on either side of it.
         off = np.abs(block.total[:, orders == order] / 2.0 - total).max(axis=0)
         assert np.quantile(off / np.abs(total).mean(), 0.97) <= 5e-4
-        off = np.abs(block.flow[:, orders == order] / 2.0 - flow).max(axis=0)
+        off = np.abs(block.vector_irradiance[:, orders == order] / 2.0 - flow).max(axis=0)
         assert np.quantile(off / np.abs(flow).mean(), 0.97) <= 5e-4
 
 
@@ -228,7 +229,10 @@ def test_lights_with_a_size_where_pixels_choose(relief, light):
     chosen.context = replace(chosen.context, budget=Budget(1e-3, Film(), frozenset()))
     area.add(plain, light)
     area.add(chosen, light)
-    for found, expected in ((chosen.total, plain.total), (chosen.flow, plain.flow)):
+    for found, expected in (
+        (chosen.total, plain.total),
+        (chosen.vector_irradiance, plain.vector_irradiance),
+    ):
         off = np.abs(found - expected).max(axis=0) / np.abs(expected).mean()
         assert np.quantile(off, 0.9) <= 2e-3
         assert off.max() <= 0.1
@@ -259,10 +263,10 @@ def test_a_light_too_large_for_rules_in_a_near_mirror_is_sampled(relief):
 def test_horizons_are_those_of_the_whole_to_the_last_bit(relief, whole, texels):
     near, (row, column) = Horizons(relief), np.divmod(texels, 44)
     place = column.astype(float), row.astype(float)
-    near.see(*place)
+    near.compute(*place)
     np.testing.assert_array_equal(near.tangents[texels], whole.tangents[texels])
     np.testing.assert_allclose(near.open[texels, :1], whole.open[texels], atol=1e-6)
-    sent = near.send(*place, None, fine=True)
+    sent = near.transfer(*place, None, fine=True)
     np.testing.assert_allclose(sent[texels], whole.bounced[texels], atol=1e-6)
     np.testing.assert_array_equal(near.tangents[texels], whole.tangents[texels])
 
@@ -270,7 +274,7 @@ def test_horizons_are_those_of_the_whole_to_the_last_bit(relief, whole, texels):
 def test_no_transfer_is_longer_than_its_bound_nor_a_coarse_sum_far_off(relief, whole):
     row, column = np.divmod(np.arange(44 * 32), 44)
     near = Horizons(relief)
-    coarse = near.send(column.astype(float), row.astype(float), None, fine=False)
+    coarse = near.transfer(column.astype(float), row.astype(float), None, fine=False)
     most = near.open[:, 1:] * np.array(relief.texture.brightest)
     vectors = whole.bounced.reshape(-1, 3, 3)
     assert (np.linalg.norm(vectors, axis=2) <= most + 1e-6).all()
@@ -302,8 +306,9 @@ def test_mirrored_surroundings(relief, whole, tmp_path, hides, even, adaptive):
         expected = [-np.stack([one] * 3) for one in plain.environment.hidden(lobe, 144, test)]
     else:
         expected = plain.environment.differing(sky, lobe, 144, test)
-    relief.horizons.see(block.column, block.row)
-    horizon = relief.horizons.as_c(adaptive=adaptive)
+    horizons = block.context.horizons
+    horizons.compute(block.column, block.row)
+    horizon = horizons.as_c(adaptive=adaptive)
     if not hides:
         horizon.tangents = None
     found = environment._sampled(block, sky, horizon, np.arange(200, dtype=np.int32))

@@ -2,13 +2,13 @@
 
 import math
 
+import loop_calls
 import numpy as np
 import pytest
 from relight_samples import bumpy, flat
 
-from matcap.relight.effects import multiscatter, parallax, shadows
+from matcap.relight.effects import multiscatter, parallax
 from matcap.relight.horizons import Horizons
-from matcap.relight.lobes import lobe
 from matcap.relight.relief import Relief
 from matcap.relight.render import Renderer, relight
 from matcap.relight.scene import (
@@ -51,7 +51,7 @@ def directional_albedo(mu, roughness, *, compensated):
     normal = tuple(np.asarray(c) for c in (0.0, 0.0, 1.0))
     alpha = np.full(solid.shape, roughness**2)
     every = (tuple(np.broadcast_to(c, solid.shape).ravel() for c in v) for v in (normal, view))
-    value, _ = lobe(*every, tuple(c.ravel() for c in to_light), alpha.ravel())
+    value, _ = loop_calls.lobe(*every, tuple(c.ravel() for c in to_light), alpha.ravel())
     total = (value.reshape(solid.shape) * to_light[2] * solid).sum()
     if compensated:
         # The other lobe is round: its integral is over the cosine alone.
@@ -185,7 +185,7 @@ def test_the_shadow_of_a_wall_is_as_long_as_geometry_says():
     for tangent in (0.25, 0.5, 1.0):
         length = math.hypot(1.0, tangent)
         light = vec((1.0 / length, 0.0, tangent / length))
-        lit = shadows.lit(relief, (u, v), relief.at(u, np.zeros_like(u)), light, None)[0]
+        lit = loop_calls.lit(relief, (u, v), relief.at(u, np.zeros_like(u)), light, None)[0]
         distance = wall - u[0]  # the light is to the right, shadows fall to the left
         inside = (distance > 2.0 / 64) & (distance < 0.1 / tangent)
         # Beyond the wall's own foot and tip, where its slopes are.
@@ -200,8 +200,8 @@ def test_a_light_between_wall_and_point_is_not_shadowed():
     light = vec((1.0 / math.hypot(1.0, 0.1), 0.0, 0.1 / math.hypot(1.0, 0.1)))
     zero = np.zeros((1, 1), dtype=np.float32)
     far, near = np.full((1, 1), 5.0), np.full((1, 1), 0.1)
-    assert not shadows.lit(relief, (u, v), zero, light, far).any()
-    assert shadows.lit(relief, (u, v), zero, light, near).all()
+    assert not loop_calls.lit(relief, (u, v), zero, light, far).any()
+    assert loop_calls.lit(relief, (u, v), zero, light, near).all()
 
 
 def test_shadows_agree_with_a_fine_march():
@@ -215,7 +215,7 @@ def test_shadows_agree_with_a_fine_march():
     direction /= np.linalg.norm(direction, axis=0)
     light = tuple(c[None].astype(np.float32) for c in direction)
     height = relief.at(u, v)
-    lit = shadows.lit(relief, (u, v), height, light, None)[0]
+    lit = loop_calls.lit(relief, (u, v), height, light, None)[0]
     margin = np.full(400, np.inf)
     for t in np.geomspace(1e-4, 3.0, 3000):
         surface = relief.at(u[0] + t * direction[0], v[0] + t * direction[1])
@@ -303,7 +303,7 @@ def horizons_of(texture):
     """Of all texels; what neighbours send them."""
     row, column = np.mgrid[: texture.size[1], : texture.size[0]].reshape(2, -1).astype(float)
     horizons = Horizons(Relief(texture, 1.0, 1.0))
-    return horizons.open[:, 0], horizons.send(column, row, None, fine=True)
+    return horizons.open[:, 0], horizons.transfer(column, row, None, fine=True)
 
 
 def test_a_flat_field_sees_the_whole_sky_and_no_neighbours():

@@ -10,7 +10,7 @@ from relight_samples import bumpy, flat
 
 from matcap.errors import UsageError
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
-from matcap.relight.plan import EFFECTS, parse_choice, radiance_tolerance
+from matcap.relight.planning import EFFECTS, parse_choice, radiance_tolerance
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     DirectionalLight,

@@ -5,6 +5,7 @@
 
 import numpy as np
 import pytest
+from loop_calls import unit
 from random_scenes import encoded
 from relight_samples import bumpy
 
@@ -26,7 +27,6 @@ from matcap.relight.scene import (
 )
 from matcap.relight.tally import TILE, Tally
 from matcap.relight.texture import Texture
-from matcap.relight.vectors import unit
 
 
 @pytest.fixture(scope="module")

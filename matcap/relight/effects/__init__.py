@@ -1,6 +1,6 @@
-"""The effects a picture may call for, one a file; direct.py has the three every light asks for.
+"""Effects of the renderer, one a file; direct.py has the three of every light.
 
-Each file says where its formula comes from, what it costs, and by how much at most a picture can
-change when it is left out: `bound(limits)`, rigorous for the renderer at hand, in units of
-radiance. What "left out" means is said there too. plan.py decides from the bounds.
+Each file states the formula with its source, the picture without the effect ("Left out"), the cost,
+and `bound(limits)`: a rigorous upper bound, in radiance, on the change from leaving it out.
+planning.py decides from the bounds.
 """

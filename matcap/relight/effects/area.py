@@ -1,17 +1,18 @@
-"""Area lights, integrated over what a point sees of them.
+"""Area lights, integrated by quadrature over the solid angle that a point sees.
 
-Rectangle: a Gauss-Legendre product rule over its area. Sphere: the cone it fills, Gauss-Legendre
-in the cosine and even in azimuth. The rule grows with the light's size against the sharpest lobe
-of each pixel, from 3 x 3 to 16 x 16 points. Where even that is too coarse (a large light in a
-near-mirror) the specular lobe is sampled instead, at 144 visible normals, each of which sees the
-light or does not. Where tiles are decided on their own, each pixel has the rule that its own lobe
-asks for, as far from its peak as the light is. Where relief hides a part of a light the rule is put
-together from rules for its 16 parts, each as dark as the rays to it find it; rays that are steeper
-than anything around are not followed (Relief.clear). A light that sets behind the horizon of a
-point makes the integrand bend, which costs accuracy there, and takes 12 x 12 points.
+- Rectangle: Gauss-Legendre product rule over its area. Sphere: over its cone of directions,
+  Gauss-Legendre in the cosine, uniform in azimuth.
+- Order: 3 x 3 to 16 x 16 points, by the light's angular size over the width of the pixel's specular
+  lobe; with a budget also by the light's distance from the lobe's peak.
+- If 16 x 16 is too coarse (a large light in a near-mirror), the specular lobe is sampled instead:
+  144 visible normals, whose mirrored directions meet the light or miss it.
+- Shadows: one ray to each point of a 4 x 4 rule gives the visible share of each of 16 parts of the
+  light; the quadrature is then composite, part by part. Rays above Relief.clear_tangents are not
+  cast.
+- A light that is partly below a point's horizon has a kink in its integrand: 12 x 12 points.
 
-Left out: all light comes from the light's middle, with the intensity of the whole. Cost: 9 to 256
-point lights.
+Left out: a point light in the middle of the light, with its radiant intensity. Cost: 9 to 256 point
+lights.
 """
 
 from __future__ import annotations
@@ -36,36 +37,33 @@ if TYPE_CHECKING:
 
 AreaLight = RectangleLight | SphereLight
 SAMPLES = 144
-# Points along a side of the rules that pixels choose from; what is beyond the last is sampled.
+# Orders (points along a side) of the rules; where the last is too coarse the lobe is sampled.
 ORDERS = (3, 4, 6, 8, 12, 16)
-# Points of the rule to the angle of a lobe, alpha: measured errors stay below 4e-4.
+# Points along a side for each angle alpha (radians) that the light spans; error below 4e-4.
 _DENSITY = 1.5
-# The same pixel by pixel, where errors may be as large as a share of the tolerance: points to a
-# lobe's width and to the angle of the light; how far the microfacet turns. Measured on leather
-# between softboxes, without shadows: with three quarters of these, no code is off by more than 0.4
-# of half a step.
+# With a budget: points for each lobe width at the light's distance from the peak, points for each
+# radian of the light, and turn of the microfacet for each radian of the light. With three quarters
+# of these values, leather between softboxes without shadows is off by 0.4 of half an 8-bit step.
 _RATE, _SPREAD, _TURN = 1.0, 2.0, 0.6
-# Where rays are clear takes 0.04 microseconds a texel to find, and saves 0.2 a pixel and more.
+# Relief.clear_tangents costs 0.04 us a texel and saves 0.2 us a pixel or more: worth it up to this.
 _TEXELS_A_PIXEL = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Rule:
-    """Points of a light, (N,) arrays."""
+    """A quadrature rule: N points of a light, (N,) arrays."""
 
     places: tuple[Array, Array, Array]
-    """Of a rectangle: x, y and z in the scene. Of a sphere: how far from the middle of the cap that
-    shows, in [0, 1] of what its height is, and cosine and sine of the turn."""
+    """Of a rectangle: x, y, z in the scene. Of a sphere: (1 - cosine) over that of the cone's edge,
+    [0, 1], and cosine and sine of the azimuth."""
     weights: Array
-    """Of a rectangle they add up to 1, of a sphere's cap to 2 pi."""
+    """Sum to 1 over a rectangle, to 2 pi over a sphere's cone."""
     cell: Array
-    """Which part of the light each is in: of 4 x 4, or of 2 rings of 8."""
-    cells: int = 16
-    """How many parts there are."""
+    """Part of the light that each point is in: 4 x 4 of a rectangle, 2 rings of 8 of a sphere."""
 
 
 def bound(limits: SceneBounds) -> Bound:
-    """The light's angular radius against how fast the lobes change with direction."""
+    """Irradiance times angular radius times the largest derivative of BRDF n.l by direction."""
     sized = [light for light in limits.lights if light.half_angle > 0.0]
     if not sized:
         return Bound(0.0, "no light has a size")
@@ -77,7 +75,7 @@ def bound(limits: SceneBounds) -> Bound:
             light.irradiance
             * min(light.half_angle, 1.0)
             * (4.0 * limits.lambert + steepness * limits.glossy(light)),
-            # Neither picture is darker than black, nor brighter than the light can make it.
+            # Both pictures are between 0 and the light's largest radiance.
             limits.radiance(light),
         )
         for light in sized
@@ -86,7 +84,7 @@ def bound(limits: SceneBounds) -> Bound:
 
 
 def add(block: Block, light: AreaLight) -> None:
-    """Add a light with a size."""
+    """Add the light's radiance to a block."""
     plan, relief = block.plan, block.context.relief
     c_light, _ = _as_c(
         light,
@@ -97,8 +95,8 @@ def add(block: Block, light: AreaLight) -> None:
     ran, field = np.zeros(block.tiles.size, dtype=np.uint8), None
     if plan.on("shadows"):
         pixels, texels = math.prod(block.context.tally.size), len(relief.heights)
-        swift = block.adaptive and texels <= _TEXELS_A_PIXEL * pixels
-        field = byref(relief.swift if swift else relief.field)
+        bounded = block.adaptive and texels <= _TEXELS_A_PIXEL * pixels
+        field = byref(relief.bounded_field if bounded else relief.field)
     with block.context.clock.on("area"):
         loops().matcap_relight_area(
             byref(block.as_c), byref(c_light), field,
@@ -112,7 +110,7 @@ def add(block: Block, light: AreaLight) -> None:
 def _as_c(
     light: AreaLight, *, falls: bool, diffuse: bool, specular: bool
 ) -> tuple[CAreaLight, KeptArrays]:
-    """The light as a C structure, with all quadrature rules a pixel may choose."""
+    """The light as a C structure, with the quadrature rules of all orders."""
     kept, central = KeptArrays(), max(sum(c * c for c in light.position), 1e-12)
     c_light = CAreaLight(
         place=light.position, colour=light.radiance, half=_half(light),
@@ -124,7 +122,7 @@ def _as_c(
     else:
         c_light.across, c_light.along, c_light.normal = (tuple(axis) for axis in _axes(light))
         c_light.size = light.size
-    # Beyond the last order the lobe is sampled, and this is for diffuse light.
+    # After the last order: for the diffuse lobe where the specular one is sampled.
     for number, order in enumerate((*ORDERS, 6), start=1):
         c_light.plain[number] = _rule(rule(light, order), order, kept)
         parted = 12 if number > len(ORDERS) else max(4 * math.ceil(order / 4), 8)
@@ -136,7 +134,7 @@ def _as_c(
 def _rule(rule: Rule, order: int, kept: KeptArrays) -> CRule:
     count = len(rule.weights)
     size = count + -count % LANES
-    # Points too many are the last one again, and weigh nothing.
+    # Padded to a multiple of LANES with points of weight 0.
     which = np.minimum(np.arange(size), count - 1)
     places = (kept.of(one[which]) for one in rule.places)
     weights = rule.weights[which] * (np.arange(size) < count)
@@ -144,19 +142,19 @@ def _rule(rule: Rule, order: int, kept: KeptArrays) -> CRule:
 
 
 def _half(light: AreaLight) -> float:
-    """Radius of a light around its middle."""
+    """Radius of the light's bounding sphere."""
     return light.radius if isinstance(light, SphereLight) else math.hypot(*light.size) / 2.0
 
 
 @lru_cache(maxsize=64)
 def rule(light: AreaLight, order: int, *, parts: bool = False) -> Rule:
-    """The points of a rule of some order.
+    """The quadrature rule of an order.
 
     Args:
         light: the light.
-        order: points along a side.
-        parts: make each of the 16 parts of which shadows are known weigh what it measures; the
-            order is then a multiple of 4.
+        order: points along a side; a multiple of 4 with `parts`.
+        parts: compose it of one rule for each of the 16 parts, so that shadows of parts weigh by
+            their solid angle.
     """
     first, second, weights, cell = _points(isinstance(light, SphereLight), order, parts)
     if isinstance(light, SphereLight):
@@ -169,7 +167,7 @@ def rule(light: AreaLight, order: int, *, parts: bool = False) -> Rule:
 
 @lru_cache(maxsize=32)
 def _points(around: bool, order: int, parts: bool) -> tuple[Array, Array, Array, Array]:
-    """Points of [0, 1] x [0, 1], or of [0, 1] and a turn, their weights and parts."""
+    """Points of [0, 1]^2, or if `around` of [0, 1] and an azimuth; their weights and parts."""
     pieces = 1 if not parts else 2 if around else 4
     x, weights = np.polynomial.legendre.leggauss(order // pieces)
     x = ((x + 1.0) / 2.0 + np.arange(pieces)[:, None]).ravel() / pieces
@@ -184,7 +182,7 @@ def _points(around: bool, order: int, parts: bool) -> tuple[Array, Array, Array,
 
 
 def _cells(first: Array, second: Array, rows: int, columns: int) -> Array:
-    """Which of the light's parts points of [0, 1] x [0, 1] belong to."""
+    """Index of the part of the light that each point of [0, 1]^2 is in."""
     row = np.minimum((first * rows).astype(np.intp), rows - 1)
     cell: Array = row * columns + np.minimum((second * columns).astype(np.intp), columns - 1)
     return cell
@@ -193,7 +191,7 @@ def _cells(first: Array, second: Array, rows: int, columns: int) -> Array:
 def _axes(
     light: RectangleLight,
 ) -> tuple[Array, Array, Array]:
-    """Unit vectors across, along `up`, and out of a rectangle."""
+    """Unit vectors across a rectangle, along its `up`, and along its normal."""
     normal = unit3(light.normal)
     up = np.asarray(light.up, dtype=np.float64)
     along = unit3(tuple(up - normal * (up @ normal)))

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-# Half a step of an 8-bit picture: what leaving effects out may change by default.
+# Largest change from leaving effects out, by default: half an 8-bit step, in code values [0, 1].
 DEFAULT_TOLERANCE = 0.5 / 255.0
 
 
 @dataclass(frozen=True)
 class Bound:
-    """An upper bound, anywhere in the picture."""
+    """An upper bound on the change of a picture."""
 
     radiance: float
-    """How much any channel of any pixel could change; may be infinite."""
+    """Largest change of any channel of any pixel; may be infinite."""
     reason: str
-    """Why, in a few words."""
+    """The quantity that decides it, in a few words, for the table of the plan."""

@@ -1,13 +1,12 @@
-"""Light straight from its source: the two lobes, and falloff with distance.
+"""Direct light: diffuse and specular lobe, and falloff with distance.
 
-- `diffuse`: albedo / pi [lambert1760]. Left out: no diffuse reflection at all. Cost: three
-  multiplications a light and pixel.
-- `specular`: the GGX lobe D G F / (4 (n.l)(n.v)) of matcap.relight.lobes (GGX: Walter et al. 2007,
-  eq. 33; G: Heitz 2014, eq. 99; F: Schlick 1994, eq. 15). Left out: no specular reflection at all.
-  Cost: about fifty operations a light and pixel.
-- `falloff`: irradiance is intensity over distance squared [lambert1760]. Left out: every point
-  receives what the scene's origin would; directions stay each point's own. Cost: one division a
-  light and pixel.
+- `diffuse`: albedo / pi [lambert1760]. Left out: no diffuse reflection. Cost: three multiplications
+  a light and pixel.
+- `specular`: D G F / (4 (n.l)(n.v)), D GGX [walter2007, eq. 33], G [heitz2014, eq. 99], F
+  [schlick1994, eq. 15]. Left out: no specular reflection. Cost: about fifty operations a light and
+  pixel.
+- `falloff`: irradiance = intensity / distance^2 [lambert1760]. Left out: the irradiance at the
+  origin everywhere, with each point's own direction. Cost: one division a light and pixel.
 """
 
 from __future__ import annotations
@@ -22,39 +21,40 @@ from matcap.relight.effects.bound import Bound
 from matcap.relight.loops.library import address, loops
 from matcap.relight.loops.structures import CHorizon, CLamp
 from matcap.relight.scene import DirectionalLight, PointLight, RectangleLight, SphereLight
-from matcap.relight.scene_bounds import WHOLE, SceneBounds
+from matcap.relight.scene_bounds import LARGEST_ALBEDO, SceneBounds
 from matcap.relight.vectors import Array, unit3
 
 if TYPE_CHECKING:
     from matcap.relight.block import Block
 
-# Of lights.c: what of a light is added.
-DIFFUSE, SPECULAR, LOST, FLOW = 1, 2, 4, 8
+# Terms that a light adds, as bits (lights.c); VECTOR is vector irradiance.
+DIFFUSE, SPECULAR, LOST, VECTOR = 1, 2, 4, 8
 
 
 def diffuse_bound(limits: SceneBounds) -> Bound:
-    """Largest albedo under all the light there is."""
+    """Largest albedo / pi times the irradiance of all lights, with the environments'."""
     light = sum(light.irradiance for light in limits.lights)
     if limits.diffuse == 0.0:
         return Bound(0.0, "the diffuse albedo is 0 everywhere")
-    if light == 0.0 and limits.sky == 0.0:
+    if light == 0.0 and limits.environment == 0.0:
         return Bound(0.0, "there is no light")
     return Bound(
-        limits.lambert * light + limits.diffuse * limits.sky, f"albedo up to {limits.diffuse:.2g}"
+        limits.lambert * light + limits.diffuse * limits.environment,
+        f"albedo up to {limits.diffuse:.2g}",
     )
 
 
 def specular_bound(limits: SceneBounds) -> Bound:
-    """D <= 1 / (pi alpha^2), V n.l <= 1 / (2 alpha), F from the angle between light and view."""
+    """Irradiance of each light times its SceneBounds.glossy, plus the environments' radiance."""
     direct = sum(light.irradiance * limits.glossy(light) for light in limits.lights)
-    total = direct + limits.sky * WHOLE
+    total = direct + limits.environment * LARGEST_ALBEDO
     if total == 0.0:
         return Bound(0.0, "there is no light to reflect")
     return Bound(total, f"F0 up to {limits.specular:.2g}, alpha down to {limits.alpha[0]:.2g}")
 
 
 def falloff_bound(limits: SceneBounds) -> Bound:
-    """The largest difference of irradiance from that at the origin, times the reflectance."""
+    """Largest difference of irradiance from that at the origin, times the largest BRDF n.l."""
     if not any(light.varying for light in limits.lights):
         return Bound(0.0, "no light is near enough to fall off")
     total = sum(
@@ -66,14 +66,14 @@ def falloff_bound(limits: SceneBounds) -> Bound:
 
 
 def add(block: Block, light: PointLight | DirectionalLight | SphereLight | RectangleLight) -> None:
-    """Add a light as a point: one with a size as if it were all in its middle."""
+    """Add a light as a point light; an area light as one in its middle."""
     plan, lit = block.plan, None
     lamp = _lamp(light, falls=plan.on("falloff"))
     lamp.parts = (
         DIFFUSE * plan.on("diffuse")
         + SPECULAR * plan.on("specular")
         + LOST * plan.on("multiscatter")
-        + FLOW * plan.on("interreflection")
+        + VECTOR * plan.on("interreflection")
     )
     if plan.on("shadows"):
         with block.context.clock.on("shadows"):
@@ -88,19 +88,25 @@ def add(block: Block, light: PointLight | DirectionalLight | SphereLight | Recta
 
 
 def shine(block: Block, lamp: CLamp, lit: Array | None) -> None:
-    """Add a lamp where its light arrives; all its parts take one loop, clocked as the costliest."""
+    """Add a point light. One loop adds all its terms; its time counts as the costliest's.
+
+    Args:
+        block: pixels to add to.
+        lamp: the light.
+        lit: (N,) share of the light that arrives, [0, 1]; None is 1.
+    """
     with block.context.clock.on("specular" if block.plan.on("specular") else "diffuse"):
         arrives = None if lit is None else address(lit)
         loops().matcap_relight_lamp(byref(block.as_c), byref(lamp), arrives)
 
 
 def sun(direction: tuple[float, float, float], irradiance: tuple[float, float, float]) -> CLamp:
-    """A light so far away that it has a direction and no place; it is mirrored alone."""
+    """A sun of an environment as a directional light with the specular term alone."""
     return CLamp(place=direction, colour=irradiance, far=1, power=1.0, parts=SPECULAR)
 
 
 def above(block: Block, lamp: CLamp, horizon: CHorizon) -> Array:
-    """(N,) 1 where a lamp is above the horizon of the relief."""
+    """(N,) 1 where a light is above the horizon map, else 0."""
     lit = np.ones(block.tiles.size, dtype=np.float32)
     loops().matcap_relight_past(
         byref(block.as_c), byref(lamp), None, byref(horizon), address(lit), None

@@ -1,8 +1,7 @@
-"""All effects, in the order in which plans list them.
+"""Table of all effects, in the order in which plans list them.
 
-A new one is a file in this folder and an entry here. What it may change is its bound; it acts by
-`move`, before the material is read, or `add`, after the lights. Effects with neither are asked for
-by the loops of the lights, through the plan.
+A new effect is a file in this folder and an entry here: its bound, and `move` (before the material
+is looked up) or `add` (after all lights). Effects with neither are terms of the lights' loops.
 """
 
 from __future__ import annotations
@@ -34,14 +33,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect."""
+    """One effect: its bound, and where it acts."""
 
     bound: Callable[[SceneBounds], Bound]
-    """On what leaving it out could change."""
+    """Upper bound on the change from leaving it out."""
     move: Callable[[Relief, Hits], tuple[Hits, Array]] | None = None
-    """Takes hits to where they truly are, and gives the height there."""
+    """Displaces hits; returns them and the height there."""
     add: Callable[[Block], None] | None = None
-    """Adds to pixels that all lights have been added to."""
+    """Adds radiance to a block after all lights."""
 
 
 EFFECTS: Mapping[str, Effect] = {

@@ -1,13 +1,12 @@
-"""Filtering of distant material: normals that a pixel cannot resolve become roughness.
+"""Texture filtering: maps averaged over a pixel, unresolved normals turned into roughness.
 
-Maps are averaged over a pixel's footprint (a pyramid, trilinear; Williams 1983); the variance of
-the slopes inside is added to alpha squared, 2 sigma^2 an axis, so that a far bumpy mirror looks
-rough instead of sparkling (LEAN mapping, Olano and Baker 2010; isotropic here, alpha^2 plus
-var(sx) + var(sy)). The footprint is its longer axis, which blurs grazing views rather than
-letting them flicker.
+Trilinear lookups in a mip pyramid [williams1983]. The variance of the slopes inside the footprint
+widens the lobe, alpha^2 + var(sx) + var(sy): LEAN mapping [olano2010], isotropic here. A distant
+bumpy mirror looks rough instead of sparkling. The footprint's longer axis counts, which blurs
+grazing views instead of aliasing them.
 
-Left out: the four texels around a pixel's centre. Cost: eight texels instead of four, and the
-pyramid, about two passes over the maps.
+Left out: bilinear lookups. Cost: eight texels instead of four, and the pyramid, about two passes
+over the maps.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from matcap.relight.scene_bounds import SceneBounds
 
 
 def bound(limits: SceneBounds) -> Bound:
-    """Nothing while no pixel covers more than a texel; else whatever the picture shows."""
+    """0 where no pixel covers more than a texel; else the picture's largest radiance."""
     if limits.footprint <= 1.0 + 1e-6:
         return Bound(0.0, "no pixel covers more than a texel")
     seen = "infinitely many" if math.isinf(limits.footprint) else f"{limits.footprint:.3g}"
-    return Bound(limits.everything, f"a pixel covers up to {seen} texels")
+    return Bound(limits.largest_radiance, f"a pixel covers up to {seen} texels")

@@ -1,14 +1,12 @@
-"""One diffuse bounce of light between neighbouring parts of the relief.
+"""One diffuse bounce between neighbouring parts of the relief, by precomputed transfer [sloan2002].
 
-From matcap.relight.horizons: for each texel and colour a vector t, so that light of irradiance e
-along l sends the texel t . (e l) by way of its neighbours: a precomputed transfer (Sloan et al.
-2002) of one bounce, so that another light costs one scalar product. It takes neighbours to be lit
-by the same light, not to shade each other, and lets those that face away from a light count
-negative where truly they count nothing; the sum is kept from going below 0. What is received is
-reflected diffusely.
+matcap.relight.horizons computes for each texel and colour a vector t: light of irradiance e from
+direction l sends the texel irradiance t . (e l) by way of its neighbours. All lights together are
+one scalar product with the vector irradiance. Approximations: neighbours receive the texel's own
+light, without shadows; neighbours that face away from it count negative instead of 0, and the sum
+is clamped to 0. The texel reflects diffusely.
 
-Left out: light goes from lamp to surface to camera only. Cost: some 8000 operations a texel, once;
-a lookup of nine numbers a pixel.
+Left out: no bounce. Cost: about 8000 operations a texel, once; a lookup of nine numbers a pixel.
 """
 
 from __future__ import annotations
@@ -28,17 +26,18 @@ from matcap.relight.vectors import Array
 if TYPE_CHECKING:
     from matcap.relight.block import Block
 
-# Radiance: with no tolerance at all, any change counts.
+# Radiance that stands for a tolerance of 0, in a denominator.
 _TINY: Any = np.float32(1e-30)
 
 
 def bound(limits: SceneBounds) -> Bound:
-    """What neighbours hide of an even sky, times what they reflect.
+    """(albedo / pi)^2 times irradiance times the projected solid angle that neighbours can fill.
 
-    Nothing hidden lies higher than the steepest slope's angle e, and a surface tilted by t <= e
-    receives pi cos(t) cos(e)^2 from above that, of pi in all: pi (1 - cos(e)^3) is left at most.
+    No neighbour is higher than e, the angle of the steepest slope. A normal tilted by t <= e has
+    projected solid angle pi cos(t) cos(e)^2 above e, of pi in all: neighbours fill at most
+    pi (1 - cos(e)^3).
     """
-    light = sum(one.irradiance for one in limits.lights) + math.pi * limits.sky
+    light = sum(one.irradiance for one in limits.lights) + math.pi * limits.environment
     if light == 0.0:
         return Bound(0.0, "there is no light")
     if limits.relief == 0.0:
@@ -50,13 +49,13 @@ def bound(limits: SceneBounds) -> Bound:
 
 
 def add(block: Block) -> None:
-    """Add what neighbours reflect: where it may matter, as finely as it may."""
+    """Add the bounce to a block, in the pixels and with the precision that the budget asks for."""
     horizons, size = block.context.horizons, block.context.relief.texture.size
     assert horizons is not None
     for fine, which in _parts(block):
         if not len(which):
             continue
-        transfer = horizons.send(block.column, block.row, which, fine=fine)
+        transfer = horizons.transfer(block.column, block.row, which, fine=fine)
         loops().matcap_relight_bounce(
             byref(block.as_c), Whole(size[0]), Whole(size[1]), address(transfer),
             c_int64(len(which)), address(which),
@@ -65,15 +64,15 @@ def add(block: Block) -> None:
 
 
 def _parts(block: Block) -> list[tuple[bool, Array]]:
-    """Which pixels need it finely, and which coarsely."""
+    """Indices of the pixels that need coarse transfer (False) and fine transfer (True)."""
     budget = block.context.budget
     if budget is None:
         return [(True, np.flatnonzero(block.facing).astype(np.int32))]
-    assert block.flow is not None and block.context.horizons is not None
+    assert block.vector_irradiance is not None and block.context.horizons is not None
     allowed = budget.radiance("interreflection", block.total)
     most: Any = np.float32(0.0)
     for channel in range(3):
-        x, y, z = block.flow[3 * channel : 3 * channel + 3]
+        x, y, z = block.vector_irradiance[3 * channel : 3 * channel + 3]
         largest = np.float32(block.context.relief.texture.brightest[channel] / math.pi)
         change = block.sample.diffuse[channel] * np.sqrt(x * x + y * y + z * z) * largest
         most = np.maximum(most, change * block.open[1] / np.maximum(allowed[channel], _TINY))

@@ -1,12 +1,12 @@
-"""Light that bounces between microfacets before it leaves: the energy a single bounce loses.
+"""Multiple scattering between microfacets: the energy that a single bounce loses [kulla2017].
 
-f_ms = Fms (1 - E(n.l)) (1 - E(n.v)) / (pi (1 - Eavg)), with Fms = Favg^2 Eavg /
-(1 - Favg (1 - Eavg)) and Favg = F0 + (1 - F0) / 21 for Schlick (Kulla and Conty 2017, with the
-tables of matcap.relight.tables). Reciprocal; a white metal reflects all it receives.
+f_ms = Fms (1 - E(n.l)) (1 - E(n.v)) / (pi (1 - Eavg)), Fms = Favg^2 Eavg / (1 - Favg (1 - Eavg)),
+Favg = F0 + (1 - F0) / 21 for Schlick's Fresnel; E and Eavg are tables (matcap.relight.tables).
+Reciprocal; with F0 = 1 all energy is reflected.
 
-Left out: rough metals lose up to half their light. Cost: two small table lookups a light and
-pixel. It is additional to the reflectance that captures are fitted with
-(brdf/cook_torrance.py), whose F0 of 0.04 makes it too small to see on anything but metal.
+Left out: rough metals lose up to half their light. Cost: two table lookups a light and pixel.
+Captures are fitted without it (brdf/cook_torrance.py): with the F0 of dielectrics, 0.04, it is too
+small to see.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from matcap.relight.vectors import Array
 
 
 def bound(limits: SceneBounds) -> Bound:
-    """The lobe's largest value for the roughnesses there are, under all the light there is."""
+    """Largest f_ms n.l for the scene's roughnesses, times the irradiance of all lights."""
     light = sum(light.irradiance for light in limits.lights)
-    if light == 0.0 and limits.sky == 0.0:
+    if light == 0.0 and limits.environment == 0.0:
         return Bound(0.0, "there is no light")
     tables = albedo()
     rows = np.linspace(0.0, 1.0, len(tables.average)) ** 2
-    # One row more on either side, because lookups interpolate.
+    # One more row on either side: lookups interpolate.
     first = max(int(np.searchsorted(rows, limits.alpha[0], side="right")) - 1, 0)
     last = min(int(np.searchsorted(rows, limits.alpha[1])), len(rows) - 1)
     missing = 1.0 - tables.total[first : last + 1].min(axis=1)
@@ -37,21 +37,21 @@ def bound(limits: SceneBounds) -> Bound:
     lobe = float((strength * missing**2 / np.maximum(1.0 - mean, 1e-6)).max())
     share = float((strength * missing).max())
     reason = f"F0 up to {limits.specular:.2g}, alpha up to {limits.alpha[1]:.2g}"
-    # n.l <= 1 bounds the cosine; an environment sees the lobe's albedo.
-    return Bound(1.02 * (lobe / math.pi * light + share * limits.sky), reason)
+    # n.l <= 1; an environment's radiance counts times the lobe's albedo.
+    return Bound(1.02 * (lobe / math.pi * light + share * limits.environment), reason)
 
 
 def terms(specular: Array, near: Array, n_dot_v: Array) -> tuple[Array, Array]:
-    """What a pixel needs for all its lights.
+    """Factors of the lobe that do not depend on the light.
 
     Args:
         specular: F0.
-        near: Albedo.near() of its alpha.
-        n_dot_v: cosine, not negative.
+        near: Albedo.near(alpha).
+        n_dot_v: clamped to 0.
 
     Returns:
-        Fms (1 - E(n.v)) / (pi (1 - Eavg)), which (1 - E(n.l)) n.l is multiplied by; and
-        Fms (1 - E(n.v)), the albedo of the lobe.
+        Fms (1 - E(n.v)) / (pi (1 - Eavg)), the factor of (1 - E(n.l)) n.l; and Fms (1 - E(n.v)),
+        the lobe's albedo.
     """
     tables = albedo()
     mean = tables.average_at(near)

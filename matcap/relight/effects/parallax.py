@@ -1,13 +1,11 @@
-"""Parallax and masking: the height moves what a camera sees, and hides what lies behind.
+"""Parallax and occlusion of the view by the height field: relief mapping [policarpo2005].
 
-A ray is followed through the height field from its top downwards in steps of at most half a texel
-until it is below the surface, then the crossing is found by the secant rule (relief mapping:
-Policarpo et al. 2005). A ridge thinner than half a texel of its path may be missed: the bilinear
-surface has none thinner than a texel. Curved surfaces are followed in their tangent plane; the
-outline of the surface stays that of the undisplaced one.
+A ray descends from the top of the height field in steps of at most half a texel until it is below
+the surface; the secant rule then gives the crossing. A ridge that the ray crosses in less than half
+a texel may be missed. On curved surfaces rays run in the tangent plane; outlines stay those of the
+undisplaced surface.
 
-Left out: the surface is shaded where its undisplaced form stands. Cost: four texels a step, two
-steps a texel of shift.
+Left out: the undisplaced surface. Cost: four texels a step, two steps a texel of displacement.
 """
 
 from __future__ import annotations
@@ -25,34 +23,31 @@ from matcap.relight.scene_bounds import SceneBounds
 from matcap.relight.surfaces.hits import Hits, to_scene
 from matcap.relight.vectors import Array, Vec, add
 
-# Texels around a place on a ray whose highest says how many steps can be left out.
+# Half side, in texels, of the maximum filter that lets rays skip empty space.
 _AROUND = 10
-# z of the flattest ray that is followed; steps of a ray at least, at most, and a texel of its path.
+# Smallest z of a ray's unit vector; least and largest number of steps, and steps a texel.
 _LOWEST, _LEAST, _MOST, _DENSITY = 0.05, 8.0, 512.0, 3.0
 
 
 def bound(limits: SceneBounds) -> Bound:
-    """Nothing on a flat surface; on another, whatever the picture shows."""
+    """0 on a flat surface; else the picture's largest radiance."""
     if limits.relief == 0.0:
         return Bound(0.0, "the surface is flat")
-    return Bound(limits.everything, f"relief of {limits.relief:.2g} moves what is seen")
+    return Bound(limits.largest_radiance, f"relief of {limits.relief:.2g} moves what is seen")
 
 
 def shift(
     relief: Relief, place: tuple[Array, Array], to_view: Vec
 ) -> tuple[tuple[Array, Array], Array]:
-    """Where rays through `place` on the undisplaced surface meet the displaced one.
-
-    Each takes as many steps as it needs itself, wherever in the picture it is, and leaves out
-    those on which it is above all texels around.
+    """Intersect view rays with the displaced surface.
 
     Args:
         relief: the height field.
-        place: (u, v) in plane units.
+        place: (u, v) of the rays on the undisplaced surface, in plane units.
         to_view: unit vectors to the camera in the material's frame.
 
     Returns:
-        (u, v) there and the height there, arrays of one shape.
+        (u, v) and height of the intersections, arrays of one shape.
     """
     shape = np.broadcast_shapes(place[0].shape, place[1].shape, to_view[2].shape)
     kept, height = KeptArrays(), np.empty(shape, dtype=np.float32)
@@ -71,7 +66,7 @@ def shift(
 
 
 def move(relief: Relief, hits: Hits) -> tuple[Hits, Array]:
-    """Hits on the displaced surface, and the height there."""
+    """Displace hits along their view rays; returns them and the height there."""
     (u, v), height = shift(relief, hits.place, hits.to_view)
     moved = (
         (u - hits.place[0]).astype(np.float32),

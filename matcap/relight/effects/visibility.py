@@ -1,11 +1,11 @@
-"""Ambient visibility: relief hides part of the surroundings (horizon mapping: Max 1988).
+"""Visibility of environments over the relief: horizon maps [max1988].
 
-Diffuse light of the surroundings is multiplied by the share of an even sky that a texel sees; each
-mirrored direction is compared with the horizon between the two nearest of 16 azimuths. Both from
-matcap.relight.horizons, once a material.
+Diffuse irradiance is multiplied by the texel's sky view factor. Each sampled direction of the
+specular lobe is compared with the horizon, interpolated between the two nearest of 16 azimuths
+(matcap.relight.horizons).
 
-Left out: every point sees all that stands above the plane. Cost: some 500 texels a texel that is
-seen, once a material; two lookups a mirrored direction.
+Left out: every point sees the whole upper hemisphere. Cost: about 500 texels a visible texel, once
+a material; two lookups a sampled direction.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from matcap.relight.scene_bounds import SceneBounds
 
 
 def bound(limits: SceneBounds) -> Bound:
-    """Whatever the surroundings cause, where there is any relief to hide them."""
-    if limits.sky == 0.0:
+    """0 on a flat surface; else the largest radiance reflected from the environments."""
+    if limits.environment == 0.0:
         return Bound(0.0, "there are no surroundings")
     if limits.relief == 0.0:
         return Bound(0.0, "the surface is flat")
     slope = math.degrees(math.atan(limits.relief_slope))
-    return Bound(limits.surroundings, f"horizons of up to {slope:.3g} degrees")
+    return Bound(limits.environment_radiance, f"horizons of up to {slope:.3g} degrees")

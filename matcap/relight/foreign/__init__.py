@@ -1,1 +1,1 @@
-"""Map sets of other programs, recognised by their files' names."""
+"""Map sets of other programs: which file is which map, and how each is encoded."""

@@ -1,7 +1,4 @@
-"""The channels of a set of others, read from its files and brought to one size.
-
-Nothing is made up here for what a set lacks: read.py does that.
-"""
+"""Read the maps of another program's set: decoded, one size, missing ones None (see read.py)."""
 
 from __future__ import annotations
 
@@ -25,31 +22,31 @@ from matcap.relight.foreign.normals import (
 )
 from matcap.relight.vectors import Array
 
-DIELECTRIC = 0.04  # F0 of what is no metal
-_COLOURED = 0.02  # mean difference of channels beyond which a picture is not grey
-_SHAPE = 0.02  # by which sides' ratios may differ, of maps of one set
+DIELECTRIC = 0.04  # F0 of dielectrics where a set states none
+_COLOURED = 0.02  # mean difference between channels above which a picture is coloured
+_SHAPE = 0.02  # largest relative difference of the maps' aspect ratios
 
 
 @dataclass(frozen=True)
 class SetChannels:
-    """What a set's files say, all of one size; None what they do not say.
+    """The maps of a set, float32 and all of one size; None where the set lacks one.
 
     Attributes:
-        base: (3, H, W) base colour, or diffuse albedo where F0 is there, linear Rec.709, [0, 1].
-        roughness: (1, H, W) perceptual, of its own map or 1 - gloss.
-        metallic: (1, H, W).
+        base: (3, H, W) base colour, or diffuse albedo in sets with F0; linear Rec.709, [0, 1].
+        roughness: (1, H, W) perceptual; of its own map, or 1 - gloss.
+        metallic: (1, H, W), [0, 1].
         specular: (3, H, W) F0, linear.
-        level: (1, H, W) F0 of what is no metal, over 0.08.
-        dielectric: F0 of what is no metal, without `level`.
-        height: (1, H, W) as stored; in plane units where `exact`.
-        whole: whether heights are whole numbers, [0, 1] of their range.
-        slopes: (2, H, W) of the normal map, y upwards.
-        texel: in plane units.
-        exact: unit and texel are stated, not assumed.
-        conserving: diffuse albedo is the base colour times 1 - F0.
-        periodic: whether opposite borders fit each other.
-        notes: what had to be guessed or left out, a sentence each.
-        files: names by map.
+        level: (1, H, W) specular level: F0 of dielectrics over 0.08.
+        dielectric: F0 of dielectrics where there is no `level`.
+        height: (1, H, W); in plane units if `exact`, else as stored.
+        whole: heights are stored as integers, here [0, 1] of their range.
+        slopes: (2, H, W) dh/dx and dh/dy of the normal map, y up.
+        texel: a texel's side in plane units.
+        exact: heights and texel have stated units, not assumed ones.
+        conserving: diffuse albedo is base (1 - F0).
+        periodic: whether the maps tile seamlessly.
+        notes: what was guessed or not used, a sentence each.
+        files: file names by map.
     """
 
     base: Array
@@ -75,15 +72,15 @@ class SetChannels:
 
 
 def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> SetChannels:
-    """Read the maps of a folder, recognised by their names or by the sidecar of matcap's export.
+    """Read the maps in a folder, by their file names or by the sidecar of matcap's export.
 
     Args:
         folder: holds the pictures of one set.
-        normal: which way green points, where no name says it.
+        normal: direction of the normal map's green where no name states it: "gl" up, "dx" down.
 
     Raises:
-        MatcapError: no folder, no map of colour in it, two files for one map, maps of different
-            shapes, a picture that cannot be read or used.
+        MatcapError: no folder, no base colour in it, two files for one map, maps of different
+            aspect ratios, a picture that cannot be read or used.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -112,13 +109,13 @@ def _read_folder(folder: Path, stated: Stated | None, normal: NormalStyle | None
 
 @dataclass
 class _Set:
-    """A set being read: files are opened once, and dropped with it.
+    """A set while it is read; each file is opened once.
 
     Attributes:
-        files: by map; what cannot be used is taken out.
-        grid: of tiles.
-        notes: gathered on the way.
-        left_out: files that turned out to be no use.
+        files: by map; maps that turn out unusable are removed.
+        grid: (columns, rows) of UDIM tiles; None for plain files.
+        notes: as SetChannels.
+        left_out: files that are not used, with the reason.
     """
 
     files: dict[str, NamedFile]
@@ -128,7 +125,7 @@ class _Set:
     _opened: dict[Path, Pixels] = field(default_factory=dict)
 
     def channels(self, stated: Stated | None, normal: NormalStyle | None) -> SetChannels:
-        """All of them, without notes and names."""
+        """All maps, without notes and file names."""
         self._leave_out_what_is_not_there()
         self._judge_height()
         sizes = [self._pixels(k).size for k in ("base", "normal", "height") if k in self.files]
@@ -161,17 +158,17 @@ class _Set:
         return self._opened[path]
 
     def _leave_out_what_is_not_there(self) -> None:
-        """A packed map whose file has fewer channels: MetallicSmoothness without alpha."""
+        """Remove packed maps whose channel the file lacks: MetallicSmoothness without alpha."""
         for kind, file in list(self.files.items()):
             role = file.channels[kind]
             if role != "RGB" and role not in self._pixels(kind).roles:
                 self.notes.append(
-                    f"{file.path.name}: has no channel {role}, that {kind} belongs in"
+                    f"{file.path.name}: has no channel {role}, which should hold {kind}"
                 )
                 del self.files[kind]
 
     def _judge_height(self) -> None:
-        """A bump map may be a normal map: Unity calls it so."""
+        """Take a file named as height for a normal map if its colours are: Unity's BumpMap."""
         if "height" not in self.files or not looks_like_normals(self._pixels("height")):
             return
         file = self.files.pop("height")
@@ -179,10 +176,10 @@ class _Set:
             self.left_out.append(f"{file.path.name} (a normal map by its colours)")
             return
         self.files["normal"] = NamedFile(file.path, {"normal": "RGB"})
-        self.notes.append(f"{file.path.name} is a normal map by its colours, and taken as one")
+        self.notes.append(f"{file.path.name} is read as a normal map, by its colours")
 
     def _colour(self, kind: str, size: tuple[int, int]) -> Array | None:
-        """(3, H, W) linear, clipped to [0, 1]."""
+        """(3, H, W) linear Rec.709, clipped to [0, 1]."""
         if kind not in self.files:
             return None
         pixels = self._pixels(kind)
@@ -195,7 +192,7 @@ class _Set:
         return self._fitted(self._clipped(np.moveaxis(colours, -1, 0), pixels), size, pixels)
 
     def _scalar(self, kind: str, size: tuple[int, int]) -> Array | None:
-        """(1, H, W) clipped to [0, 1]."""
+        """(1, H, W) of the map's channel, clipped to [0, 1]."""
         if kind not in self.files:
             return None
         pixels, role = self._pixels(kind), self.files[kind].channels[kind]
@@ -223,14 +220,16 @@ class _Set:
         self.notes += notes
         slopes = self._fitted(raw_slopes, size, pixels)
         if style is not None and file.style not in ("", style):
-            self.notes.append(f"{file.path.name}: its name says {file.style}, which goes first")
+            self.notes.append(
+                f"{file.path.name}: its name says {file.style}, so --normal {style} is not used"
+            )
         named: NormalStyle | None = "gl" if file.style == "gl" else "dx" if file.style else style
         if named is None:
             rise = None if height is None else gradient(height, texel)
             named = style_of(slopes, rise, usual_style(self.files.values()))
             self.notes.append(
-                f"{file.path.name} does not say which way green points: taken as +Y "
-                f"{'up (gl)' if named == 'gl' else 'down (dx)'}; say --normal if that is wrong"
+                f"{file.path.name} does not say which way green points: assumed +Y "
+                f"{'up (gl)' if named == 'gl' else 'down (dx)'}; --normal sets it"
             )
         return (
             slopes if named == "gl" else slopes * np.array([1.0, -1.0], np.float32)[:, None, None]
@@ -252,7 +251,7 @@ class _Set:
         return None if scalars["gloss"] is None else 1.0 - scalars["gloss"]
 
     def _is_packed_specular(self) -> bool:
-        """Whether F0 has gloss in its alpha, as Unity and glTF have it: these conserve energy."""
+        """Whether gloss is in the alpha of F0, as in Unity and glTF, which use base (1 - F0)."""
         return "specular" in self.files and "gloss" in self.files["specular"].channels
 
     def _note_colours(self, pixels: Pixels, file: NamedFile) -> None:
@@ -260,7 +259,7 @@ class _Set:
             return
         red, *others = (pixels.channel(role) for role in ("R", "G", "B"))
         if max(float(np.abs(red - one).mean()) for one in others) > _COLOURED:
-            self.notes.append(f"{pixels.path.name}: has colours, of which red is taken")
+            self.notes.append(f"{pixels.path.name}: is coloured; its red channel is used")
 
     def _clipped(self, values: Array, pixels: Pixels) -> Array:
         clipped: Array = np.clip(values, 0.0, 1.0).astype(np.float32, copy=False)
@@ -271,7 +270,7 @@ class _Set:
         return clipped
 
     def _fitted(self, values: Array, size: tuple[int, int], pixels: Pixels) -> Array:
-        """(C, H, W) at (width, height), for sets whose maps differ in size."""
+        """(C, H, W) resampled to the set's (width, height)."""
         import cv2
 
         width, height = values.shape[2], values.shape[1]
@@ -279,7 +278,8 @@ class _Set:
             return np.ascontiguousarray(values, dtype=np.float32)
         if min(width, height) > 1 and abs(width * size[1] / (height * size[0]) - 1.0) > _SHAPE:
             raise MatcapError(
-                f"is {width} x {height} pixels, another shape than the set's {size[0]} x {size[1]}",
+                f"is {width} x {height} pixels, another aspect ratio than {size[0]} x {size[1]}, "
+                "the largest map's",
                 where=str(pixels.path),
                 remedy="give maps of the same extent",
             )
@@ -289,7 +289,7 @@ class _Set:
 
 
 def _read(path: Path, grid: tuple[int, int] | None) -> Pixels:
-    """A picture, or the tiles of one put together."""
+    """Read a picture, or all UDIM tiles of one, joined."""
     if grid is None or TOKEN not in path.name:
         return read_pixels(path)
     columns, rows = grid

@@ -1,4 +1,4 @@
-"""What `matcap export` wrote, read by the sidecar that it leaves beside its textures."""
+"""Read exports of matcap by their sidecar, which states maps, units and encodings."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from matcap.files.values import bounded, whole
 from matcap.relight.foreign.glb import unpacked
 from matcap.relight.foreign.names import Assigned, NamedFile, Packing
 
-TOKEN = "<UDIM>"  # in names, for a tile's number: 1001 left bottom, one more to the right, ten up
+TOKEN = "<UDIM>"  # in file names, the tile's number: 1001 + column + 10 row, from the bottom left
 _FORMAT, _VERSION = "matcap export", 2
-# Of a texture's meaning its beginning, and what the texture holds.
+# Beginnings of a texture's `meaning` in the sidecar, and the maps that it holds.
 _MEANINGS: tuple[tuple[str, Packing], ...] = (
     ("diffuse albedo", {"base": "RGB"}),
     ("base colour", {"base": "RGB"}),
@@ -35,23 +35,23 @@ _MEANINGS: tuple[tuple[str, Packing], ...] = (
     ("unit normal", {"normal": "RGB"}),
     ("height", {"height": "R"}),
 )
-# Targets whose base colour is multiplied by 1 - F0 where F0 is a texture of its own.
-_INSIDE = ("gltf",)  # their textures are in their document
+_INSIDE = ("gltf",)  # targets whose textures are inside the document
+# Targets whose shader uses base (1 - F0) where F0 is a texture of its own.
 _CONSERVING = ("gltf", "unity-hdrp", "unity-urp", "usd")
 
 
 @dataclass(frozen=True)
 class Stated:
-    """What a sidecar says.
+    """Content of a sidecar.
 
     Attributes:
         files: the textures by map.
         texel: a texel's side in plane units.
         height: (scale, midlevel): height in plane units = (value - midlevel) scale.
-        conserving: diffuse albedo is the base colour times 1 - F0.
-        grid: (columns, rows) of tiles whose numbers stand in the names, see TOKEN.
-        periodic: whether opposite borders fit each other.
-        f0: of a .glb, F0 where its specular texture is 1, or of dielectrics where it has none.
+        conserving: diffuse albedo is base (1 - F0).
+        grid: (columns, rows) of UDIM tiles; None for plain files.
+        periodic: whether the maps tile seamlessly.
+        f0: of a .glb, F0 where its specular texture is 1; without such a texture, of dielectrics.
     """
 
     files: Assigned
@@ -64,14 +64,14 @@ class Stated:
 
 
 def stated_export(folder: Path, place: Path) -> Stated | None:
-    """What the sidecar of a folder's export says; None where there is none.
+    """Read the sidecar in a folder; None where there is none.
 
     Args:
         folder: of the export.
-        place: an empty folder, that textures inside of a .glb are unpacked into.
+        place: an empty folder for textures unpacked from a .glb.
 
     Raises:
-        MatcapError: several exports, one without textures of its own, or a damaged sidecar.
+        MatcapError: several exports, or a damaged sidecar.
     """
     sidecars = [(file, about) for file in sorted(folder.glob("*.json")) if (about := _read(file))]
     if not sidecars:
@@ -94,15 +94,15 @@ def stated_export(folder: Path, place: Path) -> Stated | None:
 
 
 def _read(file: Path) -> dict[str, Any] | None:
-    """A sidecar; None of any other JSON file.
+    """A sidecar's JSON; None where a file is something else.
 
     Raises:
-        MatcapError: it is of another version.
+        MatcapError: a sidecar of another version.
     """
     try:
         about = json.loads(file.read_bytes())
     except (OSError, ValueError, RecursionError):
-        note(f"{file}: no readable JSON; if it is an export's, its units and names are not heeded")
+        note(f"{file}: not readable as JSON, so no export's units and names are taken from it")
         return None
     if not isinstance(about, dict) or about.get("format") != _FORMAT:
         return None
@@ -126,7 +126,7 @@ def _stated(folder: Path, about: Mapping[str, Any], place: Path) -> Stated:
         named, f0 = unpacked(document, place)
     files: dict[str, NamedFile] = {}
     left_out = []
-    # Of normals in both directions the first; of colours made for one shader and others the maps.
+    # Prefer +Y normals to -Y ones, and the maps themselves to colours made for one shader.
     for one in sorted(named, key=lambda one: (one.style == "dx", one.rank)):
         taken = [kind for kind in one.channels if kind not in files]
         files |= {kind: one for kind in taken}
@@ -140,7 +140,7 @@ def _stated(folder: Path, about: Mapping[str, Any], place: Path) -> Stated:
             bounded(code["midlevel"], "the height's midlevel", -1e9, 1e9),
         )
     texel = bounded(about["texel"], "'texel'", 1e-9, 1e9) / unit
-    target = str(about["target"]).removesuffix("-specular")  # a form of an engine's
+    target = str(about["target"]).removesuffix("-specular")  # the specular workflow of an engine
     conserving = target in _CONSERVING and "specular" in files
     grid = about["udim"]
     if grid is not None:

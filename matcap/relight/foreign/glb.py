@@ -1,7 +1,6 @@
-"""The textures inside a .glb that `matcap export` wrote, unpacked into one folder.
+"""Unpack the textures of a .glb that `matcap export` wrote (glTF 2.0, section 4.4).
 
-A glTF 2.0 binary, section 4.4: a header, a chunk of JSON and one of bytes. Only what matcap writes
-is understood (export/gltf.py); other programs' textures are unpacked with any glTF tool.
+Reads only what export/gltf.py writes; for other programs' files use any glTF tool.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from matcap.files.values import bounded
 from matcap.relight.foreign.names import NamedFile, Packing
 
 _SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp"}
-# By the end of an image's name, what it holds.
+# Maps in an image, by the end of its name.
 _PACKINGS: dict[str, Packing] = {
     "_base_color": {"base": "RGB"},
     "_specular_color": {"specular": "RGB"},
@@ -25,10 +24,12 @@ _PACKINGS: dict[str, Packing] = {
 
 
 def unpacked(file: Path, place: Path) -> tuple[list[NamedFile], float]:
-    """The textures, written into a folder, and F0: of its dielectrics, or of specular colour 1.
+    """Write the textures into a folder; returns them, and F0 = ((ior - 1) / (ior + 1))^2 factor.
+
+    That is F0 where specular colour is 1, or of dielectrics without a specular texture.
 
     Raises:
-        ValueError, KeyError, TypeError, IndexError: it is damaged, or not matcap's.
+        ValueError, KeyError, TypeError, IndexError: the file is damaged, or not matcap's.
         OSError: it cannot be read.
     """
     data = file.read_bytes()

@@ -1,4 +1,4 @@
-"""Which map each file of a set is, by its name.
+"""Recognise the map of each file of a set by its name.
 
     Bricks066_1K-JPG_Color.jpg   _NormalGL  _Roughness  _Displacement  _Metalness    ambientCG
     rock_wall_08_diff_2k.jpg     _nor_gl    _rough      _disp          _arm          Poly Haven
@@ -7,10 +7,10 @@
     b_BaseMap.png                _MaskMap  _MetallicSmoothness  _Normal              Unity
     mat_metallicRoughness.png    _occlusionRoughnessMetallic  _specularGlossiness    glTF
 
-A name is cut into words at separators and capitals. Words that the folder's files begin or end
-with are the material's name or the resolution. Of what is left the last word that names a map
-decides; several in a row are a packed map (_channels). Words are those of the sources above, of
-Blender's Node Wrangler, and of Quixel, Substance, Textures.com and 3DTextures.
+A name is split into words at separators and capitals. Words that all files of the folder begin or
+end with are dropped: the material's name, the resolution. Of the rest the last word that names a
+map decides; several in a row are a packed map (_channels). The vocabulary is that of the sources
+above, of Blender's Node Wrangler, and of Quixel, Substance, Textures.com and 3DTextures.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from typing import Literal
 
 from matcap.errors import MatcapError
 
-# Read; of several files of one map that with the earlier suffix.
+# Formats that are read; of two files of one map, the one with the earlier suffix.
 READ_SUFFIXES = (
     ".exr", ".tif", ".tiff", ".tx", ".png", ".tga", ".bmp", ".webp", ".jpg", ".jpeg",
 )  # fmt: skip
-# Pictures that are not read: named where they lie beside those that are.
+# Pictures that are not read, and noted.
 _OTHER_SUFFIXES = (
     ".dds", ".ktx", ".ktx2", ".basis", ".psd", ".psb", ".xcf", ".kra", ".hdr", ".gif", ".jp2",
     ".jxl", ".avif", ".heic", ".svg", ".sbsar", ".pfm", ".rat",
@@ -39,7 +39,7 @@ _OTHER_SUFFIXES = (
 USED = (
     "base", "normal", "roughness", "gloss", "metallic", "height", "specular", "specular level",
 )  # fmt: skip
-# Of each map the words that name it, in lower case; of one set's files the earlier word is taken.
+# Words that name each map, in lower case; of two files of one map, the one with the earlier word.
 _WORDS: dict[str, tuple[str, ...]] = {
     "base": (
         "basecolor", "basecolour", "basemap", "base", "bc", "albedo", "alb", "maintex", "color",
@@ -77,13 +77,13 @@ _QUALIFIERS = (
     "tangent", "pbr",
 )  # fmt: skip
 _RESOLUTION = re.compile(r"\d+|\d+k|\d+x\d+|\d+px|jpe?g|png|exr|tiff?|tga|webp|lod\d|v\d+|bake\d*")
-# Where a name ends with one letter after others, as in T_Brick_N.
+# Maps by a single letter at the end of a name, as in T_Brick_N.
 _LETTERS = {
     "d": "base", "c": "base", "n": "normal", "r": "roughness", "g": "gloss", "m": "metallic",
     "h": "height", "s": "specular", "o": "ambient occlusion", "e": "emission",
 }  # fmt: skip
 
-# By map the channel of a picture that holds it: "R", "G", "B", "A", or "RGB".
+# Channel of a picture that holds a map, by map: "R", "G", "B", "A", or "RGB".
 Packing = Mapping[str, str]
 _LEVEL = {"a": "ambient occlusion", "o": "ambient occlusion", "r": "roughness", "m": "metallic"}
 # Packed maps by their short names.
@@ -100,7 +100,7 @@ SHORT: dict[str, Packing] = {
         for letters in permutations((occlusion, "r", "m"))
     },
 }
-# Packed maps by the maps that their name spells: glTF 2.0, 3.9.2; Unity.
+# Packed maps by the maps that their name lists: glTF 2.0, section 3.9.2; Unity.
 _SPELLED: dict[tuple[str, ...], Packing] = {
     ("metallic", "roughness"): {"roughness": "G", "metallic": "B"},
     ("metallic", "gloss"): {"metallic": "R", "gloss": "A"},
@@ -119,15 +119,15 @@ _STYLE = {word: style for style, words in _STYLES.items() for word in words}
 
 @dataclass(frozen=True)
 class NamedFile:
-    """A file and the maps that its name says it holds.
+    """A file, and the maps that its name says it holds.
 
     Attributes:
         path: of the file.
-        channels: of each map; empty where the name is not understood.
-        style: which way green points, where the name says so: "gl", "dx" or "".
-        rank: of the word: of two files of the same map the one of lower rank is taken.
-        stem: the name without the words that name a map: files of one set have the same.
-        light: its colours are light itself, whatever the file states.
+        channels: of each map; empty where the name names none.
+        style: direction of green that the name states: "gl" up, "dx" down, or "".
+        rank: of two files of the same map the one of lower rank is used.
+        stem: the name without the words that name a map: the same for all files of a set.
+        light: colours are linear, whatever the file states.
     """
 
     path: Path
@@ -144,7 +144,7 @@ class Assigned:
 
     Attributes:
         files: by map.
-        left_out: the other files, each with the reason.
+        left_out: files that are not used, each with the reason.
     """
 
     files: Mapping[str, NamedFile]
@@ -153,7 +153,7 @@ class Assigned:
 
 @dataclass(frozen=True)
 class _Word:
-    """A word of a name: in lower case, and which of the parts between separators it is of."""
+    """A word of a name, in lower case, and the index of the part between separators it is in."""
 
     text: str
     token: int
@@ -168,12 +168,12 @@ _VOCABULARY = frozenset((*_KIND, *_STYLE, *_QUALIFIERS, *SHORT))
 
 
 def assigned(folder: Path) -> Assigned:
-    """The file of each map of a folder.
+    """Choose the file of each map in a folder.
 
     Raises:
         MatcapError: two files are the same map, of two materials or of two sizes.
     """
-    # macOS leaves ._NAME beside files on other file systems.
+    # macOS writes ._NAME next to files on other file systems.
     paths = [p for p in sorted(folder.iterdir()) if not p.name.startswith(".") and p.is_file()]
     candidates = named([path for path in paths if path.suffix.lower() in READ_SUFFIXES])
     files: dict[str, NamedFile] = {}
@@ -201,10 +201,10 @@ def assigned(folder: Path) -> Assigned:
 
 
 def usual_style(files: Iterable[NamedFile]) -> Literal["gl", "dx"]:
-    """Which way green points where nothing says it: down in Unreal's and Substance's names.
+    """Direction of green that a set's naming suggests: down for Unreal and Substance, else up.
 
-    Unreal Engine calls textures T_NAME; Substance Painter's default project is DirectX, its default
-    texture set DefaultMaterial, and it spells OcclusionRoughnessMetallic. All others are +Y up.
+    Unreal Engine names textures T_NAME. Substance Painter's default project is DirectX, its default
+    texture set DefaultMaterial; its packed map is OcclusionRoughnessMetallic.
     """
     stems = [file.path.stem for file in files]
     down = ("T_", "DefaultMaterial")
@@ -213,18 +213,18 @@ def usual_style(files: Iterable[NamedFile]) -> Literal["gl", "dx"]:
 
 
 def named(paths: Sequence[Path]) -> list[NamedFile]:
-    """What the names of a folder's pictures say, in order."""
+    """The maps that the names of a folder's pictures state, in order."""
     cut = [_words(path.stem) for path in paths]
     before, after = _shared(cut), _shared([words[::-1] for words in cut])
     files = [_named(path, words, before, after) for path, words in zip(paths, cut, strict=True)]
     if not any("base" in file.channels for file in files):
-        # What all share was the map's own word: color.png beside color_ao.png.
+        # The shared words were a map's own: color.png and color_ao.png.
         files = [_named(path, words, (), ()) for path, words in zip(paths, cut, strict=True)]
     return files
 
 
 def _preference(file: NamedFile) -> tuple[int, int, int, int, str]:
-    """Of files of the same map the first is taken: one of its own before a packed one."""
+    """Sort key of files of the same map, best first: unpacked before packed, gl before dx."""
     maps = sum(kind in USED for kind in file.channels)
     suffix = READ_SUFFIXES.index(file.path.suffix.lower())
     return maps, ("gl", "", "dx").index(file.style), file.rank, suffix, file.path.name
@@ -236,7 +236,7 @@ def _words(stem: str) -> tuple[_Word, ...]:
 
 
 def _cut(token: str) -> tuple[str, ...]:
-    """Words of a token: those it is made of, or what stands between its capitals."""
+    """Words of a token: of the vocabulary if it is composed of them, else split at capitals."""
     plain = token.lower()
     if plain in SHORT:
         return (plain,)
@@ -246,7 +246,7 @@ def _cut(token: str) -> tuple[str, ...]:
 
 @cache
 def _segmented(text: str) -> tuple[str, ...]:
-    """The fewest words of the vocabulary that make up a text; none where they do not."""
+    """The fewest words of the vocabulary whose concatenation is `text`; () if there are none."""
     best: list[tuple[str, ...] | None] = [()]
     for end in range(1, len(text) + 1):
         ways = [
@@ -261,8 +261,8 @@ def _segmented(text: str) -> tuple[str, ...]:
 def _shared(cut: Sequence[Sequence[_Word]]) -> tuple[str, ...]:
     """Words that most names begin with.
 
-    The first is that of more than half of the files; each other one nearly all of these go on
-    with: normal_gl and normal_dx beside a colour share nothing.
+    More than half of the files share the first word, at least 4/5 of those each further one: so a
+    colour, normal_gl and normal_dx share none.
     """
     names = [tuple(word.text for word in words) for words in cut]
     least = len(names) if len(names) < 4 else max(3, len(names) // 2 + 1)
@@ -282,7 +282,7 @@ def _shared(cut: Sequence[Sequence[_Word]]) -> tuple[str, ...]:
 def _named(
     path: Path, words: tuple[_Word, ...], before: tuple[str, ...], after: tuple[str, ...]
 ) -> NamedFile:
-    """What one name says, without the words that it shares with others."""
+    """The maps that a name states, without the words `before` and `after` that all names share."""
     texts = tuple(word.text for word in words)
     first = len(before) if texts[: len(before)] == before else 0
     last = len(words) - (len(after) if texts[::-1][: len(after)] == after else 0)
@@ -302,11 +302,11 @@ def _named(
 
 
 def _said(rest: Sequence[_Word], *, alone: bool) -> list[tuple[str, _Word]]:
-    """The words at a name's end that say which map it is, each with what it names.
+    """The words at a name's end that state its map, each with the map or style it names.
 
     Args:
         rest: words of the name.
-        alone: there are no others, so that a single letter is no map's.
+        alone: the name has no other words: a single letter then names no map.
     """
     if rest and rest[-1].text in _LETTERS and not alone:
         return [(_LETTERS[rest[-1].text], rest[-1])]
@@ -315,7 +315,7 @@ def _said(rest: Sequence[_Word], *, alone: bool) -> list[tuple[str, _Word]]:
         end -= 1
     start = end
     while start and rest[start - 1].token == rest[end - 1].token and rest[start - 1].names:
-        start -= 1  # all of the part between separators
+        start -= 1  # the whole part between separators
     while start and _goes_with(rest[start - 1], rest[start:end]):
         start -= 1
     stop = end
@@ -325,9 +325,9 @@ def _said(rest: Sequence[_Word], *, alone: bool) -> list[tuple[str, _Word]]:
 
 
 def _goes_with(word: _Word, following: Sequence[_Word]) -> bool:
-    """Whether a word before a separator belongs to the map's words after it.
+    """Whether a word before a separator belongs to the map words after it.
 
-    An abbreviation does not make a packed map: metal_rough is a metal's roughness.
+    Abbreviations make no packed map: metal_rough is the roughness of a metal.
     """
     if word.text in _STYLE or word.text in _QUALIFIERS:
         return True
@@ -355,7 +355,7 @@ _JOINED = {
 
 
 def _channels(kinds: tuple[str, ...]) -> Packing:
-    """Where a picture holds the maps that its name spells; nothing where the name says nothing."""
+    """Channels of the maps that a name lists; {} where no packing is known for them."""
     if kinds in _SPELLED:
         return _SPELLED[kinds]
     if len(kinds) == 1:

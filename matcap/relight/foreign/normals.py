@@ -1,4 +1,4 @@
-"""Normal maps of others: which numbers are which vectors, and which way green points."""
+"""Decode normal maps of other programs, and determine which way their green points."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from matcap.relight.vectors import Array
 NormalStyle = Literal["gl", "dx"]
 
 _STEEPEST = 20.0  # largest slope that 8 bits resolve
-_STEP = 2.0 / 255.0  # a channel that varies by less is constant
-_UNIT = 0.05  # by which vectors' length may be off, on average
-_NEGATIVE = 0.01  # share of texels: fewer are what resampling leaves of a coded map
-_FACING_DOWN = 0.5  # share of texels of which a map is of no surface seen from above
-_CLEARLY = 0.9  # of the other direction's curl: above it the test is undecided
-_SAMPLE = 1_000_000  # texels that a map's coding is judged by
+_STEP = 2.0 / 255.0  # range below which a channel is constant
+_UNIT = 0.05  # largest mean deviation of vectors' length from 1
+_NEGATIVE = 0.01  # largest share of negative texels in a map stored as 0.5 + 0.5 n
+_FACING_DOWN = 0.5  # largest share of normals with z <= 0
+_CLEARLY = 0.9  # ratio of the curls above which the test is undecided
+_SAMPLE = 1_000_000  # texels from which a map's encoding is determined
 
 
 def slopes_of(pixels: Pixels) -> tuple[Array, tuple[str, ...]]:
-    """(2, H, W) dh/dx and dh/dy of a normal map, along its own green; and notes.
+    """(2, H, W) dh/dx and dh/dy of a normal map, y along its green; and notes.
 
-    Whole numbers are 0.5 + 0.5 n. Floats are that or n itself: whichever gives vectors of length 1.
-    Where blue is missing or constant, z = sqrt(1 - x^2 - y^2); where red is constant too and alpha
-    is not, x is in alpha (as DXT5 compression has it).
+    Integers are 0.5 + 0.5 n. Floats are that or n itself, whichever gives vectors of length 1. If
+    blue is missing or constant, z = sqrt(1 - x^2 - y^2). If red is constant and alpha is not, x is
+    in alpha (DXT5nm compression).
 
     Raises:
-        MatcapError: one channel, or most of its vectors point away from the viewer.
+        MatcapError: a single channel, or most vectors have z <= 0.
     """
     name = pixels.path.name
     if pixels.grey:
         raise MatcapError(
             "has one channel, and a normal map needs two",
             where=str(pixels.path),
-            remedy="leave it out, or call it height if that is what it is",
+            remedy="remove it, or name it as height if that is what it is",
         )
     x, y = pixels.channel("R"), pixels.channel("G")
     z = pixels.channel("B") if "B" in pixels.roles else None
@@ -63,16 +63,19 @@ def slopes_of(pixels: Pixels) -> tuple[Array, tuple[str, ...]]:
             remedy="bake it in tangent space",
         )
     if facing_down > 1e-3:
-        notes.append(f"{name}: {facing_down:.1%} of its normals point away and are taken as steep")
+        notes.append(
+            f"{name}: {facing_down:.1%} of its normals point away from the viewer; "
+            f"their slope is limited to {_STEEPEST:g}"
+        )
     z = np.maximum(z, 1.0 / _STEEPEST)
     slopes = np.stack([-x / z, -y / z])
-    # What is steeper is no normal of length 1.
+    # Limit the slope also where x and y are too large for a unit vector.
     length = np.sqrt((slopes * slopes).sum(0))
     return slopes * np.minimum(1.0, _STEEPEST / np.maximum(length, 1e-9)), tuple(notes)
 
 
 def looks_like_normals(pixels: Pixels) -> bool:
-    """Whether most of a picture's colours are those of a normal map: bluish, of length 1."""
+    """Whether a picture's median colour is that of a normal map: bluish, of length 1."""
     if pixels.grey or not pixels.whole or "B" not in pixels.roles:
         return False
     n = [2.0 * _sample(pixels.channel(role)) - 1.0 for role in ("R", "G", "B")]
@@ -82,20 +85,21 @@ def looks_like_normals(pixels: Pixels) -> bool:
 
 
 def style_of(slopes: Array, rise: Array | None, usual: NormalStyle) -> NormalStyle:
-    """Which way green points: the way the height rises, else the way that makes a surface.
+    """Determine which way green points: "gl" up, "dx" down.
 
-    Ridges along the axes, and sums of them, are surfaces both ways: then it is the usual one.
+    By correlation with the height map's slopes; without one by the curl, which is 0 for the
+    gradient of a surface. Reliefs f(x) + g(y) have no curl either way: then `usual`.
 
     Args:
-        slopes: (2, H, W) along green.
-        rise: (2, H, W) slopes of the height map, y upwards; None without one.
-        usual: of who names files so.
+        slopes: (2, H, W) dh/dx, and dh/dy along green.
+        rise: (2, H, W) slopes of the height map, y up; None without one.
+        usual: direction that the files' naming suggests.
     """
     if rise is not None and (rise[1] * slopes[1]).any():
         return "gl" if (rise[1] * slopes[1]).sum() >= 0.0 else "dx"
 
     def curl(sign: float) -> float:
-        # A surface's slopes have none: dsx/dy = dsy/dx; rows run downwards.
+        # d(dh/dx)/dy - d(dh/dy)/dx; rows run downwards.
         twist = np.roll(slopes[0], 1, 0) - np.roll(slopes[0], -1, 0)
         twist = twist - sign * (np.roll(slopes[1], -1, 1) - np.roll(slopes[1], 1, 1))
         return float((twist * twist).mean())
@@ -107,7 +111,7 @@ def style_of(slopes: Array, rise: Array | None, usual: NormalStyle) -> NormalSty
 
 
 def gradient(height: Array, texel: float) -> Array:
-    """(2, H, W) slopes of a repeating height (1, H, W), y up."""
+    """(2, H, W) dh/dx and dh/dy of a repeating height (1, H, W), y up: central differences."""
     field = height[0]
     across = (np.roll(field, -1, 1) - np.roll(field, 1, 1)) / (2.0 * texel)
     up = (np.roll(field, 1, 0) - np.roll(field, -1, 0)) / (2.0 * texel)
@@ -115,7 +119,7 @@ def gradient(height: Array, texel: float) -> Array:
 
 
 def _coded(x: Array, y: Array, z: Array | None) -> bool:
-    """Whether floats are 0.5 + 0.5 n, by what most texels are: single ones may be anything."""
+    """Whether floats are 0.5 + 0.5 n rather than n, by the median texel."""
     if z is None:
         return bool(max(float((one < 0.0).mean()) for one in (x, y)) < _NEGATIVE)
     n = np.stack([_sample(one) for one in (x, y, z)])

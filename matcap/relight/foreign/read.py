@@ -1,12 +1,12 @@
-"""Map sets that matcap did not make, as a texture to relight.
+"""Map sets of other programs as a texture to relight.
 
-Base colour and metallic become diffuse and (coloured) specular: diffuse = base (1 - metallic),
-F0 = 0.04 (1 - metallic) + base metallic. Where a set has specular and gloss and no metallic, its
-specular is F0. Height maps have no unit: theirs is the one whose slopes fit the normal map best.
-Without a height the normal map is integrated (brdf/integrate.py). The set spans two plane units
-from left to right, unless it is an export of matcap's, which says its size.
+- Metallic workflow: diffuse = base (1 - metallic), F0 = 0.04 (1 - metallic) + base metallic.
+- Specular workflow (specular and gloss without metallic): the specular map is F0.
+- Height maps have no unit: they are scaled to fit the normal map's slopes by least squares. Without
+  a height map the normal map is integrated (brdf/integrate.py).
+- A set is two plane units wide, unless it is matcap's export, whose sidecar states the size.
 
-Names are in names.py, the reading of pictures in channels.py.
+names.py recognises files, channels.py reads them.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from matcap.relight.texture import Texture
 from matcap.relight.vectors import Array
 
 _LEVEL = 0.08  # F0 of specular level 1 [burley2012]
-# Without a normal map nothing says how high a height map is: this much of its width.
+# Height range over width, assumed without a normal map.
 _ASSUMED_RELIEF = 0.02
 _METALS = frozenset(
     ("metal", "steel", "iron", "gold", "silver", "copper", "brass", "bronze", "chrome", "aluminium",
      "aluminum", "titanium", "zinc", "tin")
 )  # fmt: skip
-_FLAT = 1e-6  # of a height map's numbers: what varies by less is flat
+_FLAT = 1e-6  # relative range below which a height map is flat
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class Foreign:
 
     Attributes:
         texture: the material.
-        notes: what had to be guessed, a sentence each.
-        files: which file each map came from.
+        notes: what was guessed or not used, a sentence each.
+        files: file names by map.
     """
 
     texture: Texture
@@ -51,14 +51,14 @@ class Foreign:
 
 
 def read_foreign(folder: str | Path, *, normal: NormalStyle | None = None) -> Foreign:
-    """Read a map set by its files' names.
+    """Read a map set.
 
     Args:
         folder: holds the pictures of one set.
-        normal: which way green points, where the file's name does not say.
+        normal: direction of the normal map's green where no name states it: "gl" up, "dx" down.
 
     Raises:
-        MatcapError: as read_channels; heights that are none of a surface.
+        MatcapError: as read_channels and check_heights.
     """
     channels = read_channels(folder, normal=normal)
     notes = list(channels.notes)
@@ -87,17 +87,17 @@ def _reflectance(channels: SetChannels, notes: list[str]) -> tuple[Array, Array]
     stated = channels.exact or ("gloss" in channels.files and metallic is None)
     if specular is not None and stated:
         if not channels.exact:
-            notes.append(f"{channels.files['specular']} is F0, as gloss comes with it")
+            notes.append(f"{channels.files['specular']} is read as F0, since the set has gloss")
         if channels.conserving:
             base = base * (1.0 - specular.max(axis=0, keepdims=True))
         grey = np.ptp(specular, axis=0).max() < 1e-6
         return base, specular[:1] if grey else specular
     if specular is not None:
-        notes.append(f"not used: {channels.files['specular']} (F0 of what is no metal is 0.04)")
+        notes.append(f"not used: {channels.files['specular']} (F0 of dielectrics is 0.04)")
     plain = channels.dielectric if channels.level is None else _LEVEL * channels.level
     if metallic is None:
         if _METALS & set(re.findall("[a-z]+", channels.files["base"].lower())):
-            notes.append("no metallic map: none of it is taken as metal, though its name says so")
+            notes.append("no metallic map: read as dielectric, though its name is a metal's")
         metallic = np.zeros((1, *channels.shape), dtype=np.float32)
     both = metallic_of(base, metallic, plain)
     return both[:3], both[3:] if metallic.any() else both[3:4]
@@ -117,7 +117,9 @@ def _relief(channels: SetChannels, notes: list[str]) -> tuple[Array, Array]:
     if height is not None:
         span = 1.0 if channels.whole else float(np.ptp(height))
         height = height * np.float32(_ASSUMED_RELIEF * 2.0 / span)
-        notes.append(f"no normal map: the height is taken to span {_ASSUMED_RELIEF * 2.0:g} units")
+        notes.append(
+            f"no normal map: the heights are assumed to span {_ASSUMED_RELIEF:g} of the width"
+        )
         return height, gradient(height, texel)
     if slopes is not None:
         notes.append("no height map: the normal map was integrated")
@@ -127,12 +129,12 @@ def _relief(channels: SetChannels, notes: list[str]) -> tuple[Array, Array]:
 
 
 def _scale(height: Array, slopes: Array, texel: float, notes: list[str]) -> np.float32:
-    """The unit of a height map: least squares of its slopes on the normal map's."""
+    """Factor on a height map that fits its slopes to the normal map's by least squares."""
     own = gradient(height, texel)
     power = float((own * own).sum())
     scale = float((own * slopes).sum()) / power if power > 0.0 else 0.0
     if scale <= 0.0:
-        notes.append("the height map contradicts the normal map and was left out")
+        notes.append("the height map contradicts the normal map and is not used")
         return np.float32(0.0)
     notes.append(f"height scaled by {scale:.3g} to fit the normal map")
     return np.float32(scale)

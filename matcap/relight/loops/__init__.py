@@ -1,4 +1,4 @@
-"""The inner loops of relighting: C, built with the package. There is no other form of them here.
+"""Inner loops of the renderer in C, compiled when matcap is installed; there is no fallback.
 
-tests/relight/plain has each as plain NumPy, slowly, which the tests hold these to.
+Tests compare each with a plain NumPy form (tests/relight/plain).
 """

@@ -1,25 +1,25 @@
-/* Lights with a size: each pixel by the rule that its lobe asks for, with shadows of its parts. */
+/* Area lights by quadrature: the order by pixel, shadows by part of the light (effects/area.py). */
 
 #include "loops.h"
 
-/* The last number has no rule for the lobe; where a light sets its parts take so fine a one. */
+/* SAMPLED has no rule: the lobe is sampled. SETTING: the least rule where a light sets. */
 enum { RULES = 7, SAMPLED = 7, SETTING = 5 };
 
 typedef struct {
-    /* A rectangle's nodes: places x, y, z. A sphere's: height on the cap, cosine and sine of the
-       turn. Weights, and the part of the light that each node is in. */
+    /* Nodes of a rectangle: x, y, z in the scene. Of a sphere: height on its cap of directions,
+       cosine and sine of the azimuth. Weights; the part of the light that each node is in. */
     const float *a, *b, *c, *weight;
     const int32_t *cell;
-    int32_t nodes, order; /* nodes is a multiple of LANES; weights of those too many are 0 */
+    int32_t nodes, order; /* nodes is a multiple of LANES, padded with weights of 0 */
 } Rule;
 
 typedef struct {
     float place[3], colour[3];
     float normal[3], across[3], along[3], size[2]; /* of a rectangle */
     float radius;                                  /* of a sphere, else 0 */
-    float half;                                    /* radius around its middle */
-    float even; /* what distance squared is multiplied by where light does not fall off, else 0 */
-    /* How many points a lobe asks for: see effects/area.py. */
+    float half;                                    /* radius of its bounding sphere */
+    float even; /* without falloff 1 / (squared distance from the origin), else 0 */
+    /* Orders by lobe: see effects/area.py. */
     float density, rate, spread, turn;
     int32_t diffuse, specular, limits[RULES - 1];
     Rule plain[RULES + 1], parted[RULES + 1], probe;
@@ -29,7 +29,7 @@ typedef struct {
     float x[NODES], y[NODES], z[NODES], received[NODES], distance[NODES];
 } Seen;
 
-/* The light's nodes seen from a pixel: unit vectors in its frame, irradiance for radiance 1. */
+/* The nodes as seen from a pixel: unit vectors in its frame, irradiance of radiance 1, distance. */
 INLINE void look_at(const AreaLight *l, const Rule *r, const Pixels *p, int64_t i, Seen *s) {
     float px = p->point[0][i], py = p->point[1][i], pz = p->point[2][i];
     float m[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
@@ -74,15 +74,16 @@ INLINE void look_at(const AreaLight *l, const Rule *r, const Pixels *p, int64_t 
     }
 }
 
-/* ---- which rule ---- */
+/* ---- choice of the rule ---- */
 
+/* The first rule with at least `needed` points along a side, counted from 1; or SAMPLED. */
 INLINE int number(const AreaLight *l, float needed) {
     int one = 1;
     while (one < RULES && !(needed <= l->limits[one - 1])) one++;
     return one;
 }
 
-/* How far a light reaches along an axis of the material's frame, from its middle. */
+/* Half the extent of a light along an axis of the material's frame. */
 INLINE float extent(const AreaLight *l, const float side[2][3], const float axis[3]) {
     if (l->radius > 0.0f) return l->radius;
     float reach = 0.0f;
@@ -92,10 +93,12 @@ INLINE float extent(const AreaLight *l, const float side[2][3], const float axis
     return reach;
 }
 
-/* The rule that a pixel needs, 0 where the light is below; `sets` where it does. Wherever the lobe
-   points, as many points as the light is wide for it; where `adaptive`, as many as it needs as far
-   from its peak as the light is: GGX is (alpha^2 + t^2)^-2 in the tangent t between normal and
-   microfacet, whose nearest singularity is that far off the light's range of t. */
+/* The rule for a pixel, 0 where the light is below its horizon; `sets`: it is partly below.
+
+   Without `adaptive` the order follows from the light's angle over the lobe's width, wherever the
+   lobe points. With it, also from the distance of the light from the lobe's peak: GGX is
+   (alpha^2 + t^2)^-2 in the tangent t between normal and microfacet, and the convergence of
+   Gauss-Legendre depends on how far the singularity t = +-i alpha is from the light's range of t. */
 static int chosen(const AreaLight *l, const Pixels *p, int64_t i, int adaptive, int *sets) {
     float o[3], h[3], distance = 0.0f, nl = 0.0f, squared = 0.0f, alpha = p->alpha[i];
     for (int k = 0; k < 3; k++) o[k] = l->place[k] - p->point[k][i], distance += o[k] * o[k];
@@ -115,14 +118,14 @@ static int chosen(const AreaLight *l, const Pixels *p, int64_t i, int adaptive, 
     float tilted = extent(l, side, n), level = extent(l, side, up);
     if (o[2] + level < 0.0f) return 0;
     *sets = o[2] < level;
-    /* What the normal does not face lights neighbours. */
-    if (nl + tilted < 0.0f) return p->flow[0] ? 1 : 0;
+    /* A light behind the shading normal still lights neighbours. */
+    if (nl + tilted < 0.0f) return p->vector[0] ? 1 : 0;
     *sets |= nl < tilted;
     if (*sets || plain >= SAMPLED) return plain;
     for (int k = 0; k < 3; k++)
         h[k] = o[k] / distance + p->view[k][i], squared += h[k] * h[k];
     float cosine = larger(nl / distance + p->n_dot_v[i], 1e-6f);
-    /* The microfacet turns half as far as the light, and a little more at grazing views. */
+    /* The microfacet turns by half the light's angle, a little more at grazing views: `turn`. */
     float away = sqrtf(larger(squared - cosine * cosine, 0.0f)) / cosine;
     float near = tanf(angle * l->turn), clear = larger((away - near) / (1.0f + away * near), 0.0f);
     float sharp = sqrtf(alpha * alpha + clear * clear);
@@ -130,9 +133,9 @@ static int chosen(const AreaLight *l, const Pixels *p, int64_t i, int adaptive, 
     return fewer < plain ? fewer : plain;
 }
 
-/* ---- what it adds up to ---- */
+/* ---- integration ---- */
 
-/* Share that arrives of each part of a light; whether all of all does. */
+/* Visible share of each part of a light; returns whether all parts are fully visible. */
 INLINE int parts_lit(const AreaLight *l, const Pixels *p, int64_t i, const Field *f, Seen *s,
                      float *arriving) {
     int risen[CELLS] = {0}, lit[CELLS] = {0}, clear = 1;
@@ -143,7 +146,7 @@ INLINE int parts_lit(const AreaLight *l, const Pixels *p, int64_t i, const Field
     }
     look_at(l, &l->probe, p, i, s);
     for (int n = 0; n < l->probe.nodes; n++) {
-        /* What has set behind the surface itself is no matter of shadows. */
+        /* Nodes below the surface's own horizon are no matter of shadows. */
         if (!(s->z[n] > 0.0f) || l->probe.weight[n] == 0.0f) continue;
         int one = s->z[n] > above || arrives(f, p->column[i], p->row[i], p->height[i], s->x[n], s->y[n], s->z[n],
                           s->distance[n]);
@@ -154,7 +157,7 @@ INLINE int parts_lit(const AreaLight *l, const Pixels *p, int64_t i, const Field
     return clear;
 }
 
-/* Adds what a rule's nodes give, in shadow[cell] of each where there are shadows. */
+/* Adds the light of a rule's nodes, times the visible share of their parts (shadow, or NULL). */
 INLINE void integrate(const AreaLight *l, const Rule *r, const Pixels *p, int64_t i,
                       const float *shadow, int lobe, float fading, Seen *s) {
     float light[NODES], cosine[NODES], sums[3] = {0}; /* lobe, with Schlick's weight, lost */
@@ -190,16 +193,16 @@ INLINE void integrate(const AreaLight *l, const Rule *r, const Pixels *p, int64_
         if (p->near) value += p->strength[c][i] * sums[2];
         p->total[c][i] += value * fading * l->colour[c];
     }
-    if (!p->flow[0]) return;
+    if (!p->vector[0]) return;
     float *const towards[3] = {s->x, s->y, s->z};
     for (int axis = 0; axis < 3; axis++) {
         for (int k = 0; k < nodes; k++) towards[axis][k] *= s->received[k];
-        float flow = total(towards[axis], nodes) * fading;
-        for (int c = 0; c < 3; c++) p->flow[3 * c + axis][i] += flow * l->colour[c];
+        float vector = total(towards[axis], nodes) * fading;
+        for (int c = 0; c < 3; c++) p->vector[3 * c + axis][i] += vector * l->colour[c];
     }
 }
 
-/* Whether a direction of the scene meets the light. */
+/* Whether a ray from a pixel, direction d, meets the light; o: from the pixel to its middle. */
 INLINE int meets(const AreaLight *l, const float o[3], const float d[3]) {
     float along = d[0] * o[0] + d[1] * o[1] + d[2] * o[2];
     if (l->radius > 0.0f) {
@@ -218,7 +221,7 @@ INLINE int meets(const AreaLight *l, const float o[3], const float d[3]) {
            fabsf(b) <= 0.5f * l->size[1];
 }
 
-/* Adds the lobe of a pixel that mirrors a light too large for any rule: it is sampled. */
+/* Adds the specular lobe by sampling visible normals, for a light too large for any rule. */
 static void sampled(const AreaLight *l, const Lattice *at, const Pixels *p, int64_t i,
                     float seen) {
     Lobe b = lobe_of(p, i);
@@ -240,8 +243,8 @@ static void sampled(const AreaLight *l, const Lattice *at, const Pixels *p, int6
         p->total[c][i] += (p->specular[c][i] * plain + mixed) * l->colour[c];
 }
 
-/* Adds a light with a size. field: casts shadows, or NULL. ran: 1 where a rule ran, and 2 where
-   relief hides a part. */
+/* Adds an area light. field: casts shadows, or NULL. ran: bit 0 where the light was integrated,
+   bit 1 where relief hides a part of it. */
 WIDE void matcap_relight_area(const Pixels *p, const AreaLight *l, const Field *field,
                               const Lattice *at, int32_t adaptive, uint8_t *ran) {
     Seen s;

@@ -1,22 +1,22 @@
-/* Horizons of texels, and what their neighbours reflect: see horizons.py. Texels come in groups of
-   LANES beside each other in a row, so that what they look at lies beside each other, too. */
+/* Horizon maps and one-bounce transfer: see horizons.py. Works on groups of LANES adjacent texels
+   of a row, whose neighbours are adjacent as well. */
 
 #include "loops.h"
 
 typedef struct {
-    const float *padded; /* heights in texels, the repetition around */
-    const float *lit;    /* CHANNELS planes: what each texel reflects, padded likewise, or NULL */
+    const float *padded; /* heights in texels, padded by `reach` */
+    const float *lit;    /* CHANNELS planes of reflected light, padded likewise, or NULL */
     const float *cosine, *sine;     /* of each azimuth */
-    const int32_t *offset, *middle; /* azimuths x steps, azimuths x parts: in texels */
-    const float *inverse;           /* azimuths x steps: of the distance */
-    const int32_t *end;             /* of each part: the step after its last */
-    const float *nearest;           /* of each part: inverse of its least distance */
-    int64_t plane;
-    int32_t steps, parts, columns, reach, width; /* columns of the texels; width of what is padded */
-    float highest;
+    const int32_t *offset, *middle; /* index offsets: azimuths x steps, azimuths x parts */
+    const float *inverse;           /* azimuths x steps: 1 / distance */
+    const int32_t *end;             /* parts: one after the last step of each */
+    const float *nearest;           /* parts: 1 / least distance */
+    int64_t plane;                  /* floats in a padded plane */
+    int32_t steps, parts, columns, reach, width; /* columns: of the texture; width: padded */
+    float highest;                  /* largest height */
 } Walk;
 
-/* As a loop, which compilers keep in one register; taken apart it is eight sums. */
+/* Kept as a loop, which GCC vectorises; unrolled it becomes eight scalar sums. */
 #if defined(__GNUC__) && !defined(__clang__)
 #define EACH_LANE(k) _Pragma("GCC unroll 1") for (int k = 0; k < LANES; k++)
 #else
@@ -29,13 +29,13 @@ typedef struct {
     float faced[LANES], sum[CHANNELS][LANES];
 } Group;
 
-/* Integral of n . w cos(e) over elevations e from 0 to that of the tangent, at one azimuth. */
+/* Integral of (n.w) cos(e) over elevations e from 0 to atan(tangent), at one azimuth. */
 INLINE float strip(float tangent, float side, float nz) {
     float squared = tangent * tangent, share = 1.0f / (1.0f + squared);
     return 0.5f * (side * (arctangent(tangent) + tangent * share) + nz * squared * share);
 }
 
-/* The slope at which the surface itself ends, along each azimuth. */
+/* Initial horizon along each azimuth: the texel's own slope. */
 INLINE void begin(const Walk *w, const float *at, Group *g) {
     EACH_LANE(k) g->faced[k] = 0.0f;
     for (int c = 0; c < CHANNELS; c++)
@@ -53,7 +53,7 @@ INLINE void begin(const Walk *w, const float *at, Group *g) {
         }
 }
 
-/* An azimuth's horizons after a part's steps; whether any rose. */
+/* Raises an azimuth's horizons by the steps of a part; returns whether any rose. */
 INLINE int rose(const Walk *w, int part, int a, const float *at, Group *g) {
     const int32_t *offset = w->offset + a * w->steps;
     const float *inverse = w->inverse + a * w->steps;
@@ -73,7 +73,7 @@ INLINE int rose(const Walk *w, int part, int a, const float *at, Group *g) {
     return changed;
 }
 
-/* Adds what the strip between old and new horizons shows. */
+/* Adds the light of the strip between old and new horizons. */
 INLINE void receive(const Walk *w, int part, int a, int64_t spot, Group *g) {
     float share[LANES];
     EACH_LANE(k) {
@@ -86,7 +86,7 @@ INLINE void receive(const Walk *w, int part, int a, int64_t spot, Group *g) {
         EACH_LANE(k) g->sum[c][k] += share[k] * lit[k];
 }
 
-/* The walk of a group, as far as anything could show. */
+/* Walks outwards from a group until nothing farther could rise above its horizons. */
 INLINE void walk(const Walk *w, const float *at, int64_t spot, Group *g) {
     for (int part = 0, more = 1; part < w->parts && more; part++) {
         more = 0;
@@ -101,10 +101,8 @@ INLINE void walk(const Walk *w, const float *at, int64_t spot, Group *g) {
     }
 }
 
-/* Horizons of texels (AZIMUTHS each), what they leave open (2 each), and, where the walk has
-   light, transfer vectors (CHANNELS each), written to where each texel has them.
-
-   starts: the first texel of each group. */
+/* Fills, for groups of texels, horizons (AZIMUTHS a texel), view factors (2), and, if w->lit,
+   transfer vectors (CHANNELS). starts: the first texel of each group. */
 WIDE void matcap_relight_walk(const Walk *w, int64_t count, const int32_t *starts,
                               float *tangents, float *open, float *transfer) {
     Group g;
@@ -123,7 +121,7 @@ WIDE void matcap_relight_walk(const Walk *w, int64_t count, const int32_t *start
             }
         for (int k = 0; k < LANES && column + k < w->columns; k++) {
             int64_t to = i + k;
-            /* Of an even sky of radiance 1, what arrives, against what a slope alone lets through. */
+            /* Irradiance of uniform radiance 1 over that of the same normal without relief. */
             float part = seen[k] * (4.0f / AZIMUTHS) / (1.0f + g.nz[k]);
             open[2 * to] = part < 0.0f ? 0.0f : part > 1.0f ? 1.0f : part;
             open[2 * to + 1] = g.faced[k] * (2.0f / AZIMUTHS);

@@ -1,4 +1,4 @@
-"""The compiled loops, found where they were built."""
+"""Loads the compiled loops, and passes arrays to them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from matcap.errors import MatcapError
 from matcap.relight.vectors import Array
 
-# Of loops.h, as are the three below.
+# As in loops.h.
 _FORM = 3
 LANES, CHANNELS, AZIMUTHS = 8, 9, 16
 
@@ -23,7 +23,7 @@ Pointer, Whole, Real = ctypes.c_void_p, ctypes.c_int32, ctypes.c_float
 
 @cache
 def built() -> Any | None:  # noqa: ANN401
-    """The library, or None where it was not built, or from another form of its files."""
+    """The library; None where it was not built, or from another version of its sources (_FORM)."""
     for suffix in EXTENSION_SUFFIXES:
         path = Path(__file__).with_name(f"kernel{suffix}")
         if path.is_file():
@@ -40,7 +40,7 @@ def loops() -> Any:  # noqa: ANN401
     """The library.
 
     Raises:
-        MatcapError: it was not built.
+        MatcapError: it was not built from these sources.
     """
     library = built()
     if library is None:
@@ -58,13 +58,13 @@ class KeptArrays:
         self._arrays: list[Array] = []
 
     def of(self, values: Array | Sequence[float], dtype: type = np.float32) -> int:
-        """Address of values as a C-contiguous array; no copy where they are one already."""
+        """Address of values as a C-contiguous array of a dtype; copies only if they are not."""
         array: Array = np.ascontiguousarray(values, dtype=dtype)
         self._arrays.append(array)
         return array.ctypes.data
 
 
 def address(array: Array) -> Any:  # noqa: ANN401
-    """Of an array that is written to."""
+    """Pointer to a C-contiguous array that the loops write to."""
     assert array.flags.c_contiguous
     return Pointer(array.ctypes.data)

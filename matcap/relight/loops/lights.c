@@ -1,23 +1,24 @@
-/* Lights that are points: both lobes, falloff, lost energy, shadows. */
+/* Point and directional lights: lobes, falloff, multiple scattering, shadows. */
 
 #include "loops.h"
 
 int32_t matcap_relight_form(void) { return FORM; }
 
-enum { DIFFUSE = 1, SPECULAR = 2, LOST = 4, FLOW = 8 };
+enum { DIFFUSE = 1, SPECULAR = 2, LOST = 4, VECTOR = 8 };
 
 typedef struct {
-    /* A direction (far), or a place; a rectangle's middle shines along its normal. */
+    /* Direction to it if `far`, else position; `faces`: emits around `normal` only. */
     float place[3], normal[3], colour[3];
     int32_t far, faces, parts;
     float power; /* radiant intensity along the normal, for colour 1 */
-    float even;  /* irradiance of every point; 0 where light falls off with distance squared */
+    float even;  /* without falloff 1 / (squared distance from the origin), else 0 */
 } Lamp;
 
 typedef struct {
     float x[CHUNK], y[CHUNK], z[CHUNK], received[CHUNK], distance[CHUNK];
 } Rays;
 
+/* Directions to the light in the pixels' frames, irradiance facing it, distance. */
 INLINE void look_at(const Pixels *p, const Lamp *l, int64_t first, int count, Rays *r) {
     const float *px = p->point[0] + first, *py = p->point[1] + first, *pz = p->point[2] + first;
     for (int k = 0; k < count && l->far; k++) {
@@ -44,7 +45,7 @@ INLINE void look_at(const Pixels *p, const Lamp *l, int64_t first, int count, Ra
     }
 }
 
-/* Lobe times n.l received, with and without Schlick's weight; light received; lost energy. */
+/* Irradiance; lobe (F = 1) times it, and times Schlick's weight; multiple scattering's factor. */
 typedef struct {
     float light[CHUNK], mirror[CHUNK], weight[CHUNK], lost[CHUNK];
 } Reflected;
@@ -72,7 +73,7 @@ INLINE void reflect(const Pixels *p, int64_t first, int count, const Rays *r, in
 INLINE void add(const Pixels *p, const Lamp *l, int64_t first, int count, const Rays *r,
                 const Reflected *o) {
     for (int c = 0; c < 3; c++) {
-        /* Added at once, so that two equal lights are twice one to the last bit. */
+        /* One addition a light: two equal lights are exactly twice one. */
         float *restrict sum = p->total[c] + first, colour = l->colour[c], value[CHUNK] = {0};
         const float *albedo = p->diffuse[c] + first, *f0 = p->specular[c] + first;
         if (l->parts & SPECULAR)
@@ -85,17 +86,16 @@ INLINE void add(const Pixels *p, const Lamp *l, int64_t first, int count, const 
         if (l->parts & DIFFUSE)
             for (int k = 0; k < count; k++) value[k] += albedo[k] * (o->light[k] * INVERSE_PI);
         for (int k = 0; k < count; k++) sum[k] += value[k] * colour;
-        for (int axis = 0; axis < 3 && l->parts & FLOW; axis++) {
+        for (int axis = 0; axis < 3 && l->parts & VECTOR; axis++) {
             const float *towards = axis == 0 ? r->x : axis == 1 ? r->y : r->z;
-            float *restrict flow = p->flow[3 * c + axis] + first;
-            for (int k = 0; k < count; k++) flow[k] += towards[k] * r->received[k] * colour;
+            float *restrict vector = p->vector[3 * c + axis] + first;
+            for (int k = 0; k < count; k++) vector[k] += towards[k] * r->received[k] * colour;
         }
     }
 }
 
-/* Where in a pixel its shadow rays start, in shares of what it covers: one for each column and
-   each row of it. A pixel is as dark as its shadow is large; by the ray of its middle alone ten
-   times as many are black. */
+/* Starts of a pixel's shadow rays, in shares of its footprint: one in each row and column of 4 x 4
+   cells (a rotated grid), for partial shadows. */
 enum { STARTS = 4 };
 static const float START[STARTS][2] = {
     {-0.125f, -0.375f}, {0.375f, -0.125f}, {0.125f, 0.375f}, {-0.375f, 0.125f}};
@@ -111,8 +111,8 @@ INLINE float share_lit(const Pixels *p, const Field *f, int64_t i, const Rays *r
     return lit / STARTS;
 }
 
-/* The share of a lamp's light that arrives past the relief (field), or above the horizon of
-   texels; either may be NULL. cast: notes where rays were followed. */
+/* Share of a light that arrives: past the height field, or above horizon maps; either may be NULL.
+   cast: set to 1 where shadow rays were cast. */
 WIDE void matcap_relight_past(const Pixels *p, const Lamp *l, const Field *field,
                               const Horizon *horizon, float *lit, uint8_t *cast) {
     Rays r;
@@ -123,9 +123,9 @@ WIDE void matcap_relight_past(const Pixels *p, const Lamp *l, const Field *field
             int64_t i = first + k;
             float nl = p->normal[0][i] * r.x[k] + p->normal[1][i] * r.y[k] +
                        p->normal[2][i] * r.z[k];
-            /* Neighbours send light that a texel's own normal does not face, too. */
+            /* With interreflection, light behind the shading normal counts: for neighbours. */
             if (!p->facing[i] || !(r.z[k] > 0.0f) || !(r.received[k] > 0.0f) ||
-                (!(l->parts & FLOW) && !(nl > 0.0f)))
+                (!(l->parts & VECTOR) && !(nl > 0.0f)))
                 continue;
             if (field) lit[i] = share_lit(p, field, i, &r, k), cast[i] = 1;
             if (horizon)
@@ -135,7 +135,7 @@ WIDE void matcap_relight_past(const Pixels *p, const Lamp *l, const Field *field
     }
 }
 
-/* Adds a light that is a point, of which a share arrives (NULL: all). */
+/* Adds a point or directional light. lit: share that arrives; NULL is 1. */
 WIDE void matcap_relight_lamp(const Pixels *p, const Lamp *l, const float *lit) {
     Rays r;
     Reflected o;
@@ -150,7 +150,7 @@ WIDE void matcap_relight_lamp(const Pixels *p, const Lamp *l, const float *lit) 
     }
 }
 
-/* The lobe alone, D G / (4 n.l n.v), and Schlick's weight, of `count` pairs of directions. */
+/* D G / (4 n.l n.v) and Schlick's weight of `count` pairs of directions. */
 WIDE void matcap_relight_lobe(int64_t count, const float *normal, const float *view,
                               const float *light, const float *alpha, float *lobe,
                               float *weight) {

@@ -1,6 +1,6 @@
-/* What the loops of relighting share: pixels, the height field, lobes.
+/* Shared by the loops of relighting: pixels, the height field, lobes.
 
-   Python fills these structures in loops/structures.py, in the same order. */
+   structures.py declares these structures for Python, field by field. */
 
 #ifndef MATCAP_RELIGHT_LOOPS_H
 #define MATCAP_RELIGHT_LOOPS_H
@@ -15,56 +15,56 @@
 #define WIDE
 #endif
 #ifdef __GNUC__
-#define INLINE static inline __attribute__((always_inline)) /* as wide as what calls it */
+#define INLINE static inline __attribute__((always_inline)) /* compiled for the caller's target */
 #else
 #define INLINE static inline
 #endif
 
 enum {
-    /* Raised with every change of results or arguments, here and in loops/library.py. */
+    /* Version: raise with every change of results or arguments, here and in loops/library.py. */
     FORM = 3,
-    LANES = 8,     /* numbers added up side by side */
-    NODES = 512,   /* of a rule, at most: 16 rings of 32 */
-    POINTS = 4184, /* of a lattice, at most, and LANES - 1 more */
-    CELLS = 16,    /* parts of a light */
-    CHANNELS = 9,
-    AZIMUTHS = 16, /* of horizons */
-    CHUNK = 128,   /* pixels shaded side by side */
+    LANES = 8,     /* width of vectorised sums */
+    NODES = 512,   /* most nodes of a rule: 16 rings of 32 */
+    POINTS = 4184, /* most points of a lattice: 4181, padded to a multiple of LANES */
+    CELLS = 16,    /* parts of an area light */
+    CHANNELS = 9,  /* of a transfer vector: x, y, z for each colour */
+    AZIMUTHS = 16, /* of a horizon map */
+    CHUNK = 128,   /* pixels shaded together */
 };
 
 static const float HALF_PI = 1.57079632679f, INVERSE_PI = 0.31830988618f;
 
-/* The relief: rows x columns heights. */
+/* The height field, rows x columns. */
 typedef struct {
     const float *heights;
     int32_t columns, rows;
-    int32_t ends; /* beyond its border it goes on as it is there; else it repeats */
-    float lift;   /* how far above the surface rays start */
-    double high, low, texel;
-    const float *clear; /* of each texel, the tangent above which no ray is hidden; or NULL */
+    int32_t ends; /* border heights continue outwards; else the field repeats */
+    float lift;   /* offset of shadow rays above the surface */
+    double high, low, texel; /* extremes of the heights; a texel's side; plane units */
+    const float *clear; /* tangent above which no ray from a texel is hidden, or NULL */
 } Field;
 
-/* Pixels of a block, arrays of `count`; pointers that are NULL mean that nobody asks. */
+/* Pixels of a block, arrays of `count`; NULL where no effect needs an array. */
 typedef struct {
     int64_t count;
-    const double *column, *row; /* places on the material, in texels */
-    /* Place in the scene, the material's axes there (NULL: those of the scene), height. */
+    const double *column, *row; /* on the material, in texels */
+    /* Position in the scene; tangent, bitangent, normal there (NULL: x, y, z); height. */
     const float *point[3], *frame[9], *height;
-    /* View and shading normal in the material's frame, n.v, GGX alpha; which face the camera. */
+    /* Direction to the camera and shading normal in that frame; n.v; GGX alpha. */
     const float *view[3], *normal[3], *n_dot_v, *alpha;
-    const uint8_t *facing;
-    const float *wide; /* texels that each covers */
+    const uint8_t *facing; /* 1 where the surface faces the camera */
+    const float *wide;     /* side of the footprint, in texels */
     const float *diffuse[3], *specular[3];
-    /* Lost energy: what it is multiplied by, where its table begins for each pixel, the table. */
+    /* Multiple scattering: factor, index of the row in the table, the table (tables.py: lost). */
     const float *strength[3], *near, *lost;
     int32_t lost_size;
     float lost_step;
-    float *total[3], *flow[9]; /* radiance; for each colour irradiance times direction */
+    float *total[3], *vector[9]; /* radiance; vector irradiance, x, y, z for each colour */
 } Pixels;
 
 typedef struct {
     const float *u, *cosine, *sine, *weight;
-    int32_t points; /* a multiple of LANES; weights of those too many are 0 */
+    int32_t points; /* a multiple of LANES, padded with weights of 0 */
 } Lattice;
 
 INLINE float larger(float a, float b) { return a > b ? a : b; }
@@ -97,8 +97,8 @@ INLINE float arctangent(float x) {
     return x < 0.0f ? -p : p;
 }
 
-/* D G / (4 n.l n.v) of GGX with Smith's correlated term, from |n x h|^2 without cancellation, as
-   matcap.brdf; half is |l + v|^2, which is 4 (l.h)^2. */
+/* D G / (4 n.l n.v): GGX from |n x h|^2 without cancellation, height-correlated Smith, as in
+   matcap.brdf. h: l + v, not normalised. half: set to |l + v|^2 = 4 (l.h)^2. */
 INLINE float ggx(const float n[3], const float h[3], float nl, float nv, float alpha,
                  float *half) {
     float squared = alpha * alpha, rest = 1.0f - squared, cosine = nl + nv;
@@ -111,10 +111,10 @@ INLINE float ggx(const float n[3], const float h[3], float nl, float nv, float a
     return d * d * 0.15915494309f / larger(smith, 1e-7f);
 }
 
-/* Schlick's weight, of |l + v|^2. */
+/* Schlick's (1 - l.h)^5, from |l + v|^2. */
 INLINE float schlick(float half) { return fifth(larger(1.0f - sqrtf(half) * 0.5f, 0.0f)); }
 
-/* 1 - albedo of the lobe towards a cosine: the nearest of those tabulated. */
+/* 1 - E at a cosine: nearest entry of the table. */
 INLINE float lost_at(const Pixels *p, float near, float cosine) {
     int32_t k = (int32_t)(cosine * p->lost_step + (near + 0.5f));
     return p->lost[k < p->lost_size ? k : p->lost_size - 1];
@@ -142,7 +142,7 @@ INLINE int64_t nearest(int32_t columns, int32_t rows, double column, double row)
     return (int64_t)r * columns + c;
 }
 
-/* Where a line of the field or one beyond its border is, and the line after it. */
+/* Index of grid line i, which may be beyond the border; after(): of the next line. */
 INLINE int32_t within(const Field *f, int64_t i, int32_t size) {
     return !f->ends ? wrapped(i, size) : i < 0 ? 0 : i >= size ? size - 1 : (int32_t)i;
 }
@@ -165,8 +165,8 @@ INLINE float surface(const Field *f, double column, double row) {
     return upper + fy * (lower - upper);
 }
 
-/* Whether a ray passes below the surface on a grid line across `major`: on such a line the
-   bilinear surface is piecewise linear, so the test is exact there. */
+/* Whether a ray is below the surface on a grid line perpendicular to its axis `major`. There the
+   bilinear surface is piecewise linear, and the test exact. */
 INLINE int crossed(const Field *f, double major, double minor, double start, double other,
                    double height, double rise, double reach, int by_rows) {
     if (!(fabs(major) > 1e-9)) return 0;
@@ -191,7 +191,7 @@ INLINE int crossed(const Field *f, double major, double minor, double start, dou
     return 0;
 }
 
-/* Whether light from a unit vector arrives at a place (columns and rows) on the surface. */
+/* Whether light from direction (x, y, z), a unit vector, arrives at a place on the surface. */
 INLINE int arrives(const Field *f, double column, double row, float height, float x, float y,
                    float z, double distance) {
     double h = (double)height + f->lift, rise = (double)z * f->texel;
@@ -201,7 +201,7 @@ INLINE int arrives(const Field *f, double column, double row, float height, floa
            !crossed(f, -y, x, row, column, h, rise, reach, 1);
 }
 
-/* Whether a direction is above a texel's horizon, between the two nearest azimuths. */
+/* Whether a direction is above a texel's horizon, interpolated between the nearest azimuths. */
 INLINE int above_horizon(const float *tangents, float x, float y, float z) {
     float ax = fabsf(x), ay = fabsf(y), turn = ax > ay ? arctangent(ay / ax)
                                                : ay > 0.0f ? HALF_PI - arctangent(ax / ay) : 0.0f;
@@ -213,11 +213,11 @@ INLINE int above_horizon(const float *tangents, float x, float y, float z) {
     return z > tangent * sqrtf(x * x + y * y);
 }
 
-/* Horizons of the material's texels. */
+/* Horizon maps. */
 typedef struct {
-    const float *tangents; /* AZIMUTHS each */
+    const float *tangents; /* AZIMUTHS a texel */
     int32_t columns, rows;
-    int32_t adaptive; /* look at no direction above the highest */
+    int32_t adaptive; /* skip directions above the texel's highest horizon */
 } Horizon;
 
 INLINE const float *texel_horizon(const Horizon *h, const Pixels *p, int64_t i) {
@@ -227,16 +227,16 @@ INLINE const float *texel_horizon(const Horizon *h, const Pixels *p, int64_t i) 
 /* ---- visible normals [dupuy2023] ---- */
 
 typedef struct {
-    float n[3], v[3];    /* unit vectors in the material's frame */
-    float s[3], t[3];    /* tangents times alpha */
-    float m[3], vs[3];   /* middle of the cap, in the frame; the view, stretched */
-    float nv, squared, flat, view; /* n.v, alpha^2, 1 - alpha^2, Smith's root of n.v */
+    float n[3], v[3];    /* shading normal and view, unit vectors in the material's frame */
+    float s[3], t[3];    /* tangents of n, times alpha */
+    float m[3], vs[3];   /* middle of the spherical cap; view stretched to alpha = 1, unit */
+    float nv, squared, flat, view; /* n.v, alpha^2, 1 - alpha^2, sqrt(a^2 + (1 - a^2) n.v^2) */
 } Lobe;
 
 INLINE Lobe lobe_of(const Pixels *p, int64_t i) {
     Lobe b;
     float alpha = p->alpha[i], x = p->normal[0][i], y = p->normal[1][i], z = p->normal[2][i];
-    float sign = copysignf(1.0f, z), a = -1.0f / (sign + z), c = x * y * a; /* Duff et al. 2017 */
+    float sign = copysignf(1.0f, z), a = -1.0f / (sign + z), c = x * y * a; /* [duff2017] */
     float s[3] = {1.0f + sign * x * x * a, sign * c, -sign * x}, t[3] = {c, sign + y * y * a, -y};
     float vx = 0.0f, vy = 0.0f;
     b.nv = larger(p->n_dot_v[i], 1e-4f);
@@ -253,8 +253,9 @@ INLINE Lobe lobe_of(const Pixels *p, int64_t i) {
     return b;
 }
 
-/* Where a point of the lattice sends the view: the direction; returns G2 / G1, 0 below the
-   shading normal's horizon; Schlick's weight, and D's denominator over |cap + view|^2. */
+/* Mirrors the view at a sampled visible normal. l: the direction. fresnel: Schlick's weight.
+   spread: D's denominator (n.h)^2 (alpha^2 - 1) + 1; the root of the sample's solid angle is
+   proportional to it. Returns G2 / G1, 0 below the shading normal's horizon. */
 INLINE float mirrored(const Lobe *b, float u, float cosine, float sine, float l[3], float *fresnel,
                       float *spread) {
     float z = (1.0f + b->vs[2]) * (1.0f - u) - b->vs[2];

@@ -1,17 +1,17 @@
-/* Numbers of texels between them: maps at any width, what is known of some texels. */
+/* Lookups between texels: filtered maps, transfer vectors, and which horizons are still missing. */
 
 #include "loops.h"
 
 typedef struct {
-    const float *rows; /* texels of all levels, `channels` numbers each */
-    const int64_t *starts; /* where each level begins */
+    const float *rows;     /* texels of all levels, `channels` floats each */
+    const int64_t *starts; /* index of each level's first texel */
     const int32_t *widths, *heights;
     int32_t channels, levels;
 } Texels;
 
 enum { MOST = 16 }; /* channels */
 
-/* Where the four texels around a place begin, and what each weighs. */
+/* Indices and bilinear weights of the four texels around a place; the texture repeats. */
 INLINE void around(int32_t width, int32_t height, double column, double row, int64_t at[4],
                    float weight[4]) {
     double left = floor(column), above = floor(row);
@@ -24,6 +24,7 @@ INLINE void around(int32_t width, int32_t height, double column, double row, int
     weight[2] = (1.0f - fx) * fy, weight[3] = fx * fy;
 }
 
+/* Adds `share` times the bilinear value of one mip level. */
 INLINE void level(const Texels *t, int index, double column, double row, float share,
                   float sum[MOST]) {
     int64_t at[4];
@@ -41,7 +42,7 @@ INLINE void level(const Texels *t, int index, double column, double row, float s
     }
 }
 
-/* (channels, count) values at places, averaged over `wide` texels (NULL: between the nearest). */
+/* (channels, count) trilinear values, for footprints of `wide` texels; NULL: bilinear, level 0. */
 WIDE void matcap_relight_read(const Texels *t, int64_t count, const double *column,
                               const double *row, const float *wide, float *found) {
     int highest = t->levels > 2 ? t->levels - 2 : 0;
@@ -59,9 +60,9 @@ WIDE void matcap_relight_read(const Texels *t, int64_t count, const double *colu
     }
 }
 
-/* The groups of LANES texels in a row that reading needs at places and that are not known, each
-   once, by their first texels; returns how many. known and marks are of those, marks the last call
-   that asked. */
+/* Groups of LANES texels of a row that lookups at places need and that are not known yet, each
+   once, by its first texel; returns their number. known, marks: by first texel; marks holds the
+   number of the last call that listed the group. */
 int64_t matcap_relight_unknown(int32_t width, int32_t height, const uint8_t *known,
                                uint32_t *marks, uint32_t call, int64_t count,
                                const int32_t *which, const double *column, const double *row,
@@ -82,8 +83,7 @@ int64_t matcap_relight_unknown(int32_t width, int32_t height, const uint8_t *kno
     return size;
 }
 
-/* Adds what neighbours reflect, to listed pixels: transfer vectors of texels (CHANNELS each)
-   times the light that arrives, by way of the albedo. */
+/* Adds one bounce to the pixels `which`: albedo / pi times max(transfer . vector irradiance, 0). */
 WIDE void matcap_relight_bounce(const Pixels *p, int32_t width, int32_t height,
                                 const float *transfer, int64_t count, const int32_t *which) {
     for (int64_t k = 0; k < count; k++) {
@@ -95,7 +95,7 @@ WIDE void matcap_relight_bounce(const Pixels *p, int32_t width, int32_t height,
         for (int c = 0; c < 3; c++) {
             float arriving = 0.0f;
             for (int axis = 0; axis < 3; axis++)
-                arriving += sum[3 * c + axis] * p->flow[3 * c + axis][i];
+                arriving += sum[3 * c + axis] * p->vector[3 * c + axis][i];
             p->total[c][i] += p->diffuse[c][i] * INVERSE_PI * larger(arriving, 0.0f);
         }
     }

@@ -1,4 +1,4 @@
-/* Rays on a height field: shadows, parallax; and the field itself. */
+/* The height field: heights, shadow rays, view rays. */
 
 #include "loops.h"
 
@@ -7,7 +7,7 @@ void matcap_relight_heights(const Field *f, int64_t count, const double *column,
     for (int64_t i = 0; i < count; i++) found[i] = surface(f, column[i], row[i]);
 }
 
-/* Whether light from unit vectors (x, y, z) arrives at places on the surface. */
+/* Whether light from directions (x, y, z), unit vectors, arrives at places on the surface. */
 WIDE void matcap_relight_lit(const Field *f, int64_t count, const double *column,
                              const double *row, const float *height, const float *x,
                              const float *y, const float *z, const float *distance,
@@ -18,14 +18,14 @@ WIDE void matcap_relight_lit(const Field *f, int64_t count, const double *column
 }
 
 typedef struct {
-    const float *peaks; /* the highest texel within `around` of each */
+    const float *peaks; /* maximum of the heights within `around` texels of each */
     int32_t around;
-    float steepest; /* z of the lowest ray that is followed */
-    float most, least, density; /* steps of a ray: at most, at least, a texel of its path */
+    float steepest;             /* least z of a ray's unit vector */
+    float most, least, density; /* number of steps: largest, least, for each texel of the path */
 } Search;
 
-/* Places at which rays towards the camera leave the surface, and the height there. Columns and
-   rows come as places on the undisplaced surface, and are moved. */
+/* Moves columns and rows from the undisplaced surface to the intersections of view rays with the
+   displaced one; height: there. Linear search downwards, then one secant step [policarpo2005]. */
 WIDE void matcap_relight_met(const Field *f, const Search *s, int64_t count, double *column,
                              double *row, const float *vx, const float *vy, const float *vz,
                              float *height) {
@@ -35,7 +35,7 @@ WIDE void matcap_relight_met(const Field *f, const Search *s, int64_t count, dou
         float pace = sqrtf(du * du + dv * dv) * (float)(span / f->texel);
         double steps = ceil(s->density * pace);
         steps = steps < s->least ? s->least : steps > s->most ? s->most : steps;
-        /* So many steps stay where the highest texel is known. */
+        /* Largest number of steps that stay within `around` texels. */
         double near = floor((s->around - 2) * steps / (pace > 1e-6f ? pace : 1e-6f));
         near = near > 1.0 ? near : 1.0;
         double across = du / f->texel, down = -dv / f->texel, step = span / steps, index = 0.0;
@@ -53,14 +53,14 @@ WIDE void matcap_relight_met(const Field *f, const Search *s, int64_t count, dou
                 found = (float)(before - (before - level) * (over / apart));
                 break;
             }
-            /* Above the highest texel around there is nothing to meet. */
+            /* Skip the steps that are above the highest texel around. */
             double clear = level - s->peaks[nearest(f->columns, f->rows, x, y)];
             clear = floor(clear / (step > 1e-30 ? step : 1e-30)) - 1.0;
             clear = clear < near ? clear : near;
             index += clear > 1.0 ? clear : 1.0;
         }
         column[i] += across * found, row[i] += down * found;
-        /* The secant ends near the surface; shadows must start on it. */
+        /* The secant ends near the surface; shadow rays must start on it. */
         height[i] = surface(f, column[i], row[i]);
     }
 }

@@ -1,4 +1,4 @@
-"""C structures of the loops, as declared in loops.h and the other headers."""
+"""C structures of the loops, field by field as in loops.h and the .c files, which explain them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _Vector = Real * 3
 
 
 class CField(ctypes.Structure):
-    """The relief."""
+    """Field: the height field."""
 
     _fields_ = (
         ("heights", Pointer), ("columns", Whole), ("rows", Whole), ("ends", Whole), ("lift", Real),
@@ -25,7 +25,7 @@ class CField(ctypes.Structure):
 
 
 class CPixels(ctypes.Structure):
-    """Pixels of a block."""
+    """Pixels: a block."""
 
     _fields_ = (
         ("count", ctypes.c_int64), ("column", Pointer), ("row", Pointer), ("point", _Three),
@@ -33,12 +33,12 @@ class CPixels(ctypes.Structure):
         ("n_dot_v", Pointer), ("alpha", Pointer), ("facing", Pointer), ("wide", Pointer),
         ("diffuse", _Three),
         ("specular", _Three), ("strength", _Three), ("near", Pointer), ("lost", Pointer),
-        ("lost_size", Whole), ("lost_step", Real), ("total", _Three), ("flow", _Nine),
+        ("lost_size", Whole), ("lost_step", Real), ("total", _Three), ("vector_irradiance", _Nine),
     )  # fmt: skip
 
 
 class CLattice(ctypes.Structure):
-    """Directions of visible normals."""
+    """Lattice: samples of visible normals."""
 
     _fields_ = (
         ("u", Pointer), ("cosine", Pointer), ("sine", Pointer), ("weight", Pointer),
@@ -47,7 +47,7 @@ class CLattice(ctypes.Structure):
 
 
 class CLamp(ctypes.Structure):
-    """A light that is a point."""
+    """Lamp: a point or directional light."""
 
     _fields_ = (
         ("place", _Vector), ("normal", _Vector), ("colour", _Vector), ("far", Whole),
@@ -56,7 +56,7 @@ class CLamp(ctypes.Structure):
 
 
 class CRule(ctypes.Structure):
-    """Points of a light."""
+    """Rule: quadrature points of an area light."""
 
     _fields_ = (
         ("a", Pointer), ("b", Pointer), ("c", Pointer), ("weight", Pointer), ("cell", Pointer),
@@ -65,7 +65,7 @@ class CRule(ctypes.Structure):
 
 
 class CAreaLight(ctypes.Structure):
-    """A light with a size, and the rules that pixels choose from."""
+    """AreaLight: a sphere or rectangle, and its quadrature rules."""
 
     _fields_ = (
         ("place", _Vector), ("colour", _Vector), ("normal", _Vector), ("across", _Vector),
@@ -77,7 +77,7 @@ class CAreaLight(ctypes.Structure):
 
 
 class CSearch(ctypes.Structure):
-    """How rays are followed through relief."""
+    """Search: step sizes of view rays through the height field."""
 
     _fields_ = (
         ("peaks", Pointer), ("around", Whole), ("steepest", Real), ("most", Real),
@@ -86,7 +86,7 @@ class CSearch(ctypes.Structure):
 
 
 class CTexels(ctypes.Structure):
-    """Numbers of texels, on levels."""
+    """Texels: a mip pyramid."""
 
     _fields_ = (
         ("rows", Pointer), ("starts", Pointer), ("widths", Pointer), ("heights", Pointer),
@@ -94,8 +94,8 @@ class CTexels(ctypes.Structure):
     )  # fmt: skip
 
 
-class CSky(ctypes.Structure):
-    """Radiance of surroundings."""
+class CEnvironment(ctypes.Structure):
+    """Environment: prefiltered octahedral maps."""
 
     _fields_ = (
         ("atlas", Pointer), ("tops", Pointer), ("sides", Pointer), ("width", Whole),
@@ -104,7 +104,7 @@ class CSky(ctypes.Structure):
 
 
 class CHorizon(ctypes.Structure):
-    """Horizons of texels, as mirrored directions are compared with them."""
+    """Horizon: horizon maps that directions are compared with."""
 
     _fields_ = (
         ("tangents", Pointer), ("columns", Whole), ("rows", Whole), ("adaptive", Whole),
@@ -112,7 +112,7 @@ class CHorizon(ctypes.Structure):
 
 
 class CWalk(ctypes.Structure):
-    """How horizons are walked to."""
+    """Walk: steps of the horizon maps' computation."""
 
     _fields_ = (
         *((name, Pointer) for name in (
@@ -126,7 +126,7 @@ class CWalk(ctypes.Structure):
 
 @cache
 def directions(samples: int) -> tuple[CLattice, KeptArrays]:
-    """A lattice of so many directions, up to a multiple of what is read at once."""
+    """A lattice of at least `samples` visible normals, padded to a multiple of LANES."""
     rows, kept = np.array(lattice(samples), dtype=np.float32).T, KeptArrays()
     rows = np.pad(rows, ((0, 0), (0, -rows.shape[1] % LANES)))
     return CLattice(*(kept.of(row) for row in rows), rows.shape[1]), kept

@@ -1,17 +1,17 @@
-/* What a surface mirrors of its surroundings. */
+/* Specular reflection of environments: visible normals [dupuy2023] times prefiltered radiance. */
 
 #include "loops.h"
 
 typedef struct {
-    /* Radiance on octahedra, one above the other, each with a border: see octahedron.py. */
-    const float *atlas, *tops, *sides;
-    int32_t width, levels;
-    float finest, blur;
+    const float *atlas, *tops, *sides; /* levels, their first rows and sides: see octahedron.py */
+    int32_t width, levels;             /* of the atlas */
+    float finest; /* side of a texel of level 0, radians */
+    float blur;   /* side of the averaged solid angle over that of a sample */
     float mean[3];
-} Sky;
+} Environment;
 
-/* Radiance along a unit direction of the scene, averaged over `wide` radians. */
-INLINE void radiance(const Sky *s, const float d[3], float wide, float light[3]) {
+/* Radiance along a unit vector of the scene, from the level with texels of about `wide` radians. */
+INLINE void radiance(const Environment *s, const float d[3], float wide, float light[3]) {
     float u = fabsf(d[0]), v = fabsf(d[1]), inverse = 1.0f / (u + v + fabsf(d[2]));
     u *= inverse, v *= inverse;
     float x = d[2] < 0.0f ? 1.0f - v : u, y = d[2] < 0.0f ? 1.0f - u : v;
@@ -32,8 +32,8 @@ INLINE void radiance(const Sky *s, const float d[3], float wide, float light[3])
     }
 }
 
-/* (3, count) of the same for many. */
-void matcap_relight_radiance(const Sky *s, int64_t count, const float *x, const float *y,
+/* (3, count) radiance of many directions. */
+void matcap_relight_radiance(const Environment *s, int64_t count, const float *x, const float *y,
                              const float *z, const float *wide, float *found) {
     for (int64_t i = 0; i < count; i++) {
         float d[3] = {x[i], y[i], z[i]}, light[3];
@@ -42,10 +42,10 @@ void matcap_relight_radiance(const Sky *s, int64_t count, const float *x, const 
     }
 }
 
-/* Sums over the lattice of what differs from the mean, (6, count): red, green, blue to be
-   multiplied by F0, and on their own. which: the pixels. */
-WIDE void matcap_relight_sky(const Pixels *p, const Lattice *at, const Sky *s, const Horizon *h,
-                             int64_t count, const int32_t *which, float *sums) {
+/* Reflection of (radiance - mean) in the pixels `which`, (6, count): red, green, blue of the
+   scale on F0, then of the bias. */
+WIDE void matcap_relight_sky(const Pixels *p, const Lattice *at, const Environment *s,
+                             const Horizon *h, int64_t count, const int32_t *which, float *sums) {
     for (int64_t n = 0; n < count; n++) {
         int64_t i = which[n];
         Lobe b = lobe_of(p, i);
@@ -75,7 +75,8 @@ WIDE void matcap_relight_sky(const Pixels *p, const Lattice *at, const Sky *s, c
     }
 }
 
-/* Which points of the lattice are not above a sine, and may matter. */
+/* Flags the samples whose mirrored direction is above the shading normal's horizon, but has z below
+   `sine`: only these can be hidden. */
 INLINE void look_low(const Lobe *b, const Lattice *at, float sine, int32_t low[POINTS]) {
     float vx = b->vs[0], vy = b->vs[1], vz = b->vs[2], stretch = 2.0f * b->nv / vz;
     float limit = sine + b->v[2], least = b->nv * (1.0f - 1e-5f);
@@ -90,8 +91,8 @@ INLINE void look_low(const Lobe *b, const Lattice *at, float sine, int32_t low[P
     }
 }
 
-/* Share of even surroundings that surface and relief hide, (2, count): times F0, and on its
-   own. Most directions of most pixels are clear, and cost no more than finding that out. */
+/* Reflection of uniform radiance 1 that surface and relief hide, (2, count): scale on F0, and bias.
+   Samples above the pixel's highest horizon are skipped. */
 WIDE void matcap_relight_hidden(const Pixels *p, const Lattice *at, const Horizon *h,
                                 int64_t count, const int32_t *which, float *sums) {
     int32_t low[POINTS];

@@ -1,9 +1,8 @@
 """Sphere and cylinder around the origin, seen from outside.
 
-The material runs around them along x of the picture and upwards along y, its middle towards the
-camera's side (+z), true to size at the equator; towards a sphere's poles it is squeezed. The
-cylinder stands upright and has no lids. Displacement is followed in the tangent plane: outlines
-stay those of the smooth form.
+(u, v) = (radius longitude, radius latitude or y), with 0 at +z: true to size on the equator,
+squeezed towards a sphere's poles. The cylinder is upright and open. Displacement moves lookups in
+the tangent plane; outlines stay smooth.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from matcap.relight.vectors import Array, Vec
 
 
 def sphere_hits(view: View, top: int, bottom: int, radius: float) -> Hits:
-    """Where rows of pixels meet a sphere."""
+    """Intersect the rays of rows with a sphere."""
     origin, direction = view.rays(top, bottom)
     along, seen = _nearest(
         (direction * direction).sum(0),
@@ -38,7 +37,7 @@ def sphere_hits(view: View, top: int, bottom: int, radius: float) -> Hits:
 
 
 def cylinder_hits(view: View, top: int, bottom: int, radius: float, height: float) -> Hits:
-    """Where rows of pixels meet an upright cylinder's outside."""
+    """Intersect the rays of rows with an upright cylinder's outside."""
     origin, direction = view.rays(top, bottom)
     flat_o, flat_d = origin * [[[1.0]], [[0.0]], [[1.0]]], direction * [[[1.0]], [[0.0]], [[1.0]]]
     along, seen = _nearest(
@@ -65,18 +64,28 @@ def hits_of(
     along: Array,
     direction: Array,
 ) -> Hits:
-    """Hits of rays at a distance; arrays (3, rows, W) and (rows, W)."""
+    """Hits of rays on a curved surface.
+
+    Args:
+        view: the camera.
+        point: (3, rows, W) intersections.
+        frame: tangent, bitangent, normal.
+        place: (u, v) on the material, (rows, W).
+        seen: (rows, W) False where rays miss.
+        along: (rows, W) distances along the rays.
+        direction: (3, rows, W) unit vectors of the rays.
+    """
     to_view = to_frame(_vec(-direction), frame)
     pixel = view.pixel * (along if view.perspective else np.ones_like(along))
     footprint = (pixel / np.maximum(to_view[2], 1e-3)).astype(np.float32)
-    # What is not seen must not be read either: somewhere harmless.
+    # Rays that miss look up the middle of the material: any valid place.
     place = tuple(np.where(seen, p, 0.0) for p in place)  # type: ignore[assignment]
     footprint = np.where(seen, footprint, np.float32(0.0))
     return Hits(_vec(point), frame, place, to_view, np.asarray(seen), footprint)
 
 
 def _nearest(a: Array, half_b: Array, c: Array) -> tuple[Array, Any]:
-    """The nearer solution of a t^2 + 2 half_b t + c = 0, and where it is one ahead."""
+    """The smaller root of a t^2 + 2 half_b t + c = 0, and where it is real and positive."""
     inside = half_b * half_b - a * c
     seen = (inside > 0.0) & (a > 1e-12)
     safe = np.where(seen, a, 1.0)

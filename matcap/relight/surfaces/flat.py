@@ -13,7 +13,7 @@ from matcap.relight.vectors import Array, Vec, dot, scale, subtract, vec
 def plane_hits(
     view: View, top: int, bottom: int, extent: tuple[float, float] | None = None
 ) -> Hits:
-    """Where rows of pixels meet the plane.
+    """Intersect the rays of rows with the plane.
 
     Args:
         view: the camera.
@@ -34,7 +34,7 @@ def plane_hits(
         x, y = (np.where(ahead, origin[i] + along * direction[i], 0.0) for i in (0, 1))
     seen = np.asarray(ahead)
     if extent is not None:
-        # A border pixel whose centre lies on the border is in.
+        # Pixel centres on the border are inside.
         slack = 1.0 + 1e-9
         inside_x = np.abs(x) <= extent[0] / 2.0 * slack
         inside_y = np.abs(y) <= extent[1] / 2.0 * slack
@@ -50,7 +50,7 @@ def plane_hits(
         inverse = 1.0 / np.sqrt(squared)
         to_view = scale(offset, inverse)
         if _frontal(view):
-            # Parallel to the picture a pixel covers the same everywhere.
+            # The plane is parallel to the picture: one footprint for all pixels.
             footprint = np.full((1, 1), view.pixel * view.position[2], dtype=np.float32)
         else:
             footprint = view.pixel / inverse / np.maximum(to_view[2], np.float32(1e-6))
@@ -69,26 +69,26 @@ def plane_hits(
 
 
 def _frontal(view: View) -> bool:
-    """The camera looks straight down, the picture's sides along x and y."""
+    """Whether the camera looks straight down, with the picture's sides along x and y."""
     return bool(np.abs(view.axes - np.diag([1.0, 1.0, -1.0])).max() < 1e-12)
 
 
 def plane_region(
     view: View, extent: tuple[float, float], relief: tuple[float, float]
 ) -> tuple[VisibleRegion, float]:
-    """Where the camera may see the plane, and what a pixel covers there at most.
+    """Bounding box of the visible points, and the largest side of a pixel's footprint.
 
     Args:
         view: the camera.
-        extent: (width, height) outside which there is nothing.
-        relief: lowest and highest displacing height.
+        extent: (width, height) of the plane, in plane units.
+        relief: lowest and highest displacing height, in plane units.
     """
     low = [-extent[0] / 2.0, -extent[1] / 2.0]
     high = [extent[0] / 2.0, extent[1] / 2.0]
     height = view.size[1]
     corners = [plane_hits(view, row, row + 1) for row in (0, height - 1)]
     if all(hits.seen is None for hits in corners):
-        # The picture of a plane's rectangle is convex: its border is where its corners are.
+        # The picture's rays fill a convex part of the plane: its corners bound it.
         for axis in (0, 1):
             places = [float(h.place[axis].ravel()[i]) for h in corners for i in (0, -1)]
             slack = 1e-6 * (high[axis] - low[axis])

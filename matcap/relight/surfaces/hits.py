@@ -13,24 +13,29 @@ TangentFrame = tuple[Vec, Vec, Vec]
 
 @dataclass(frozen=True)
 class Hits:
-    """A block of pixels' places on a surface; arrays broadcast to (rows, W)."""
+    """Intersections of a block of pixels; arrays broadcast to (rows, W)."""
 
     point: Vec
-    """In the scene."""
+    """Position in the scene."""
     frame: TangentFrame | None
-    """Tangent, bitangent and normal of the material there, unit vectors of the scene; None where
-    the material lies in the scene's own plane, x right and y up."""
+    """Tangent, bitangent and normal of the undisplaced surface, unit vectors of the scene; None on
+    the plane, where they are x, y and z."""
     place: tuple[Array, Array]
-    """(u, v) on the material in plane units, the origin in its middle."""
+    """(u, v) on the material in plane units, (0, 0) in its middle."""
     to_view: Vec
     """Unit vector to the camera, in the material's frame."""
     seen: Array | None
     """(rows, W) False where the ray misses; None where all rays hit."""
     footprint: Array
-    """What a pixel covers, in plane units along the longer and the shorter axis."""
+    """Longer side of a pixel's footprint, in plane units."""
 
     def flat(self, index: Array | None, shape: tuple[int, ...]) -> Hits:
-        """Pixels of a block of some shape, all or some, row by row: (N,) arrays, all hit."""
+        """Flatten to (N,) arrays, row by row.
+
+        Args:
+            index: flat indices of the pixels to keep; None keeps all.
+            shape: (rows, W) of the block.
+        """
 
         def every(array: Array) -> Array:
             whole = np.broadcast_to(array, shape)
@@ -47,14 +52,14 @@ class Hits:
 
 
 def to_frame(vector: Vec, frame: TangentFrame | None) -> Vec:
-    """A vector of the scene in the material's frame."""
+    """A vector of the scene in the tangent frame."""
     if frame is None:
         return vector
     return dot(vector, frame[0]), dot(vector, frame[1]), dot(vector, frame[2])
 
 
 def to_scene(vector: Vec, frame: TangentFrame | None) -> Vec:
-    """A vector of the material's frame in the scene."""
+    """A vector of the tangent frame in the scene."""
     if frame is None:
         return vector
     x, y, z = (scale(axis, c) for axis, c in zip(frame, vector, strict=True))

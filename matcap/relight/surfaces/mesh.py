@@ -1,11 +1,12 @@
-"""A triangle mesh from a Wavefront OBJ file.
+"""A triangle mesh from a Wavefront OBJ file, centred on the origin and scaled to its size.
 
-Faces of more than three corners are fanned. Normals are the file's, or averaged over the faces
-that share a vertex where it has none. The material lies along the file's texture coordinates,
-scaled so that it is true to size on average; without any, along x and y, seen from the front. The
-mesh is moved to the origin and scaled to its size. Visible triangles are found by comparing depths
-at pixel centres; triangles that reach behind the camera are left out, and back faces are not drawn.
-The mesh shades itself only by facing away from a light: it casts no shadows.
+- Faces of more than three corners are split into triangle fans.
+- Normals are the file's; where it has none, averages over a vertex's faces, weighted by area.
+- (u, v) are the file's texture coordinates, scaled so that the material is true to size on average;
+  without any, x and y.
+- Visibility is a depth buffer at pixel centres. Back faces, and triangles that reach behind the
+  camera, are not drawn.
+- The mesh casts no shadows on itself; surfaces that face away from a light are dark.
 """
 
 from __future__ import annotations
@@ -25,33 +26,33 @@ from matcap.relight.surfaces.curved import hits_of
 from matcap.relight.surfaces.hits import Hits
 from matcap.relight.vectors import Array
 
-# Pairs of a triangle and a pixel that are looked at together.
+# Pairs of a triangle and a pixel that are rasterised together, to bound memory.
 _PAIRS = 4_000_000
-_ROOM = 1.1
-_SMALLEST = 1e-12  # of the size squared: twice the area of a triangle that may be seen
-_NOWHERE = 2**62  # an index that no table has
-_FARTHEST_SPOT = 1e6  # repeats of the texture; beyond, single precision cannot resolve texels
+_MARGIN = 1.1  # picture's short side over the mesh's longest
+_SMALLEST = 1e-12  # least area of a triangle, over half the size squared
+_NOWHERE = 2**62  # an index beyond any table
+_FARTHEST_SPOT = 1e6  # largest texture coordinate: single precision resolves no texels beyond
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles with what their corners carry."""
+    """Triangles with attributes of their corners."""
 
     corners: Array
-    """(F, 3, 3) places in the scene."""
+    """(F, 3, 3) positions in the scene."""
     normals: Array
     """(F, 3, 3) unit vectors."""
     places: Array
     """(F, 3, 2) (u, v) on the material in plane units."""
     seen: Array = field(default_factory=lambda: np.full((0, 0), -1))
-    """(rows, W) index of the triangle at each pixel or -1, once seen_by() has run."""
+    """(rows, W) index of the visible triangle of each pixel, or -1; filled by seen_by()."""
 
     def framed(self, film: Film) -> float:
         """See Shape."""
         size = np.ptp(self.corners.reshape(-1, 3), axis=0)
         long, short = max(film.width, film.height), min(film.width, film.height)
-        # Whatever side is the longest, it fits the picture's short side.
-        return float(size.max() * _ROOM * long / short + size[2])
+        # The longest side fits the picture's short side; + depth, for perspective.
+        return float(size.max() * _MARGIN * long / short + size[2])
 
     def seen_by(self, view: View) -> Mesh:
         """See Shape."""
@@ -73,7 +74,7 @@ class Mesh:
         tangent = tangent - normal * (normal * tangent).sum(0)
         length = np.sqrt((tangent * tangent).sum(0))
         tangent = np.where(length > 1e-9, tangent / np.maximum(length, 1e-9), _aside(normal))
-        # Mirrored texture coordinates turn the bitangent round.
+        # Mirrored texture coordinates reverse the bitangent.
         bitangent = np.cross(normal, tangent, axis=0) * self._handedness[face]
         frame = tuple(
             (x.astype(np.float32), y.astype(np.float32), z.astype(np.float32))
@@ -93,7 +94,7 @@ class Mesh:
 
     @property
     def _tangents(self) -> Array:
-        """(F, 3) direction in which u grows; zero where there is none."""
+        """(F, 3) dP/du of each triangle, not normalised; 0 where (u, v) are degenerate."""
         edge1, edge2 = (self.corners[:, i] - self.corners[:, 0] for i in (1, 2))
         d1, d2 = (self.places[:, i] - self.places[:, 0] for i in (1, 2))
         area = d1[:, 0] * d2[:, 1] - d2[:, 0] * d1[:, 1]
@@ -103,17 +104,16 @@ class Mesh:
 
     @property
     def _handedness(self) -> Array:
-        """(F,) -1 where texture coordinates are mirrored, else 1."""
+        """(F,) -1 where (u, v) are mirrored, else 1."""
         d1, d2 = (self.places[:, i] - self.places[:, 0] for i in (1, 2))
         return np.where(d1[:, 0] * d2[:, 1] - d2[:, 0] * d1[:, 1] < 0.0, -1.0, 1.0)
 
 
 def load_mesh(path: Path, size: float) -> Mesh:
-    """A mesh whose longest side is `size`, its middle at the origin.
+    """Read a mesh; its bounding box is centred on the origin, with `size` as longest side.
 
     Raises:
-        MatcapError: missing, no triangles, none of any area, or a face that names a vertex that
-            is not there.
+        MatcapError: missing, no triangles, none with an area, or a face whose vertex is missing.
     """
     where = str(path)
     try:
@@ -121,7 +121,9 @@ def load_mesh(path: Path, size: float) -> Mesh:
     except FileNotFoundError as error:
         raise MatcapError("no such file", where=where, remedy="check the path") from error
     except OSError as error:
-        raise MatcapError("the file cannot be read", where=where, remedy="check it") from error
+        raise MatcapError(
+            f"the file cannot be read ({error.strerror})", where=where, remedy="check its rights"
+        ) from error
     points, spots, normals, faces = _parse(lines, where)
     corners = points[faces[..., 0]]
     middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
@@ -142,7 +144,9 @@ def load_mesh(path: Path, size: float) -> Mesh:
         places = spots[faces[..., 1]]
         if not (np.abs(places) < _FARTHEST_SPOT).all():
             raise MatcapError(
-                "texture coordinates are out of range", where=where, remedy="export it again"
+                f"has texture coordinates beyond {_FARTHEST_SPOT:g}",
+                where=where,
+                remedy="export it again",
             )
         d1, d2 = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
         spread = np.abs(d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]).sum()
@@ -153,13 +157,13 @@ def load_mesh(path: Path, size: float) -> Mesh:
 
 
 def _normals(points: Array, normals: Array, faces: Array, flat: Array) -> Array:
-    """(F, 3, 3) unit normals of corners: the file's, or averages where it has none of any length.
+    """(F, 3, 3) unit normals of corners: the file's; averages where it has none or 0.
 
     Args:
         points: (V, 3) vertices.
-        normals: (N, 3) the file's.
-        faces: (F, 3, 3) indices.
-        flat: (F, 3) of each face, twice as long as its area: large ones count more.
+        normals: (N, 3) of the file.
+        faces: (F, 3, 3) indices of vertex, texture coordinates and normal of each corner.
+        flat: (F, 3) face normals times twice the area: large faces weigh more.
     """
     total = np.zeros_like(points)
     for corner in range(3):
@@ -181,8 +185,8 @@ def _normals(points: Array, normals: Array, faces: Array, flat: Array) -> Array:
 def _parse(lines: list[str], where: str) -> tuple[Array, Array, Array, Array]:
     """Vertices (V, 3), texture coordinates (T, 2), normals (N, 3), and faces (F, 3, 3).
 
-    A face's corner is three indices into them; -1 where there is none, of texture coordinates and
-    normals also where a face names one that is not there: the geometry is whole without it.
+    faces[f, c] are the indices of corner c into these three. -1 is none; also texture coordinates
+    or normals that the file lacks, with a note, since the geometry is complete without.
     """
     tables: dict[str, list[list[float]]] = {"v": [], "vt": [], "vn": []}
     faces: list[list[list[int]]] = []
@@ -221,7 +225,7 @@ def _parse(lines: list[str], where: str) -> tuple[Array, Array, Array, Array]:
     return points, spots, normals, indices
 
 
-# Of a corner's indices those that geometry does without.
+# Indices of a corner that may be missing: table, name, and what takes their place.
 _OPTIONAL = {
     1: ("vt", "texture coordinates", "the material lies along x and y"),
     2: ("vn", "normals", "averages of faces are taken there"),
@@ -240,13 +244,13 @@ def _corner(word: str, tables: dict[str, list[list[float]]]) -> list[int]:
         index = index - 1 if index > 0 else len(table) + index if index < 0 else -1
         if name == "v" and not 0 <= index < len(table):
             raise IndexError(f"there is no element {part}")
-        # Others may stand further down, or nowhere: judged when all is read.
+        # Texture coordinates and normals may follow later: checked after the last line.
         indices.append(min(index, _NOWHERE) if index >= 0 else _NOWHERE)
     return indices
 
 
 def _visible(corners: Array, view: View) -> Array:
-    """(H, W) index of the nearest triangle that faces the camera at each pixel's centre, or -1."""
+    """(H, W) index of the nearest front-facing triangle at each pixel's centre, or -1."""
     width, height = view.size
     flat = corners.reshape(-1, 3) - view.position
     right, up, ahead = (flat @ axis for axis in view.axes)
@@ -257,7 +261,7 @@ def _visible(corners: Array, view: View) -> Array:
         x = (right / depth * scale + width / 2.0 - 0.5).reshape(-1, 3)
         y = (height / 2.0 - 0.5 - up / depth * scale).reshape(-1, 3)
     area = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
-    kept = np.flatnonzero(near & (area < 0.0))  # rows run downwards
+    kept = np.flatnonzero(near & (area < 0.0))  # front faces: rows run downwards
     low_x = np.clip(np.ceil(x[kept].min(axis=1)), 0, width).astype(np.int64)
     high_x = np.clip(np.floor(x[kept].max(axis=1)), -1, width - 1).astype(np.int64)
     low_y = np.clip(np.ceil(y[kept].min(axis=1)), 0, height).astype(np.int64)
@@ -269,7 +273,7 @@ def _visible(corners: Array, view: View) -> Array:
     ends = np.cumsum(counts)
     start = 0
     while start < len(kept):
-        # As many triangles as fit, one at least.
+        # As many triangles as make _PAIRS, at least one.
         base = ends[start - 1] if start else 0
         stop = max(start + 1, int(np.searchsorted(ends, base + _PAIRS)))
         part = slice(start, stop)
@@ -296,7 +300,10 @@ def _nearer(
     depths: Array,
     nearest: Array,
 ) -> None:
-    """Enter the triangles that cover pixels nearer than what is there."""
+    """Depth test: enter pairs of `face` and pixel (px, py) into `depths` and `nearest`.
+
+    x, y, ahead: (F, 3) corners in pixels, and their depths. area: (F,) twice the signed area.
+    """
 
     def edge(i: int, j: int) -> Array:
         covered: Array = (x[face, i] - px) * (y[face, j] - py) - (x[face, j] - px) * (
@@ -308,7 +315,7 @@ def _nearer(
     inside = (weights >= -1e-9).all(axis=0)
     face, pixel, weights = face[inside], (py * width + px)[inside], weights[:, inside]
     corner = ahead[face].T
-    # Depth is linear in the picture for parallel rays, its inverse for rays from a point.
+    # In screen space depth is linear (orthographic), or its inverse is (perspective).
     depth = 1.0 / (weights / corner).sum(0) if view.perspective else (weights * corner).sum(0)
     order = np.lexsort((depth, pixel))
     pixel, depth, face = pixel[order], depth[order], face[order]
@@ -323,7 +330,7 @@ def _nearer(
 def _meet(
     origin: Array, direction: Array, a: Array, b: Array, c: Array
 ) -> tuple[Array, Array, Array]:
-    """Distance and barycentric coordinates of rays in triangles [moeller1997]."""
+    """Distance and two barycentric coordinates (of b, c) of rays on triangles [moeller1997]."""
     edge1, edge2 = b - a, c - a
     p = np.cross(direction, edge2, axis=0)
     determinant = (edge1 * p).sum(0)
@@ -336,7 +343,7 @@ def _meet(
 
 
 def _aside(normal: Array) -> Array:
-    """Some unit vector across each of (3, ...) unit vectors."""
+    """A unit vector perpendicular to each of (3, ...) unit vectors."""
     x, y, z = normal
     flat = np.where(np.abs(z) < 0.9, np.stack([-y, x, 0 * z]), np.stack([z, 0 * y, -x]))
     aside: Array = flat / np.maximum(np.sqrt((flat * flat).sum(0)), 1e-12)

@@ -1,4 +1,4 @@
-"""Interface of surfaces: intersections of a camera's rays and the visible region."""
+"""Interface of surfaces: ray intersections, and bounds of the visible region."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from matcap.relight.surfaces.flat import plane_hits, plane_region
 from matcap.relight.surfaces.hits import Hits
 from matcap.relight.texture import Texture
 
-# How much room the photograph's camera leaves around a curved surface.
-_ROOM = 1.25
+# Picture's short side over a curved surface's diameter, with the default camera.
+_MARGIN = 1.25
 
 
 class Shape(Protocol):
-    """A surface in its place."""
+    """A surface in the scene."""
 
     def framed(self, film: Film) -> float:
-        """What the picture's long side must span at the origin for the whole to be seen."""
+        """Span of the picture's long side at the origin that shows all of it, in plane units."""
         ...
 
     def seen_by(self, view: View) -> Shape:
-        """The shape, prepared for a view."""
+        """The shape with what it precomputes for a view."""
         ...
 
     def hits(self, view: View, top: int, bottom: int) -> Hits:
-        """Where rows of pixels meet it."""
+        """Intersections of the rays of rows."""
         ...
 
     def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
-        """Where visible points can be, and what a pixel covers at most, in plane units."""
+        """Box around the visible points, and the largest side of a pixel's footprint."""
         ...
 
 
@@ -72,7 +72,7 @@ class Round:
     def framed(self, film: Film) -> float:
         """See Shape."""
         sides = max(film.width, film.height) / min(film.width, film.height)
-        return 2.0 * self.radius * _ROOM * sides
+        return 2.0 * self.radius * _MARGIN * sides
 
     def seen_by(self, view: View) -> Shape:
         """See Shape."""
@@ -85,16 +85,16 @@ class Round:
         return sphere_hits(view, top, bottom, self.radius)
 
     def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
-        """See Shape; towards the outline a pixel covers ever more."""
+        """See Shape; footprints are unbounded towards the outline."""
         r = self.radius + max(abs(relief.low), abs(relief.high))
         return VisibleRegion((-r, -r, -r), (r, r, r), flat=False), math.inf
 
 
 def shape_of(surface: Surface, texture: Texture) -> Shape:
-    """The shape of a surface.
+    """The shape of a surface; reads a mesh's file.
 
     Raises:
-        MatcapError: the mesh file is missing or broken.
+        MatcapError: as load_mesh.
     """
     width, height = (side / surface.repeat for side in texture.extent)
     if surface.type == "plane":

@@ -85,7 +85,7 @@ def test_folders_are_listed_and_broken_ones_told(tmp_path, waves):
     write_set(tmp_path / "again")
     assert [f.name for f in map_set_folders(tmp_path)] == ["again", "waves"]
     save(waves / "roughness.png", np.zeros((8, 16)))
-    with pytest.raises(MatcapError, match="another shape"):
+    with pytest.raises(MatcapError, match="another aspect ratio"):
         read_map_set(waves)
     (waves / "roughness.png").unlink()
     with pytest.raises(MatcapError, match="can be read"):

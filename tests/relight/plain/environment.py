@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import loop_calls
 import numpy as np
 
 from matcap.relight.environment_map import Environment
@@ -37,7 +38,7 @@ def differing(
     for point in lattice(samples):
         one = lobe.mirrored(point)
         clear = one.above if horizon is None else one.above & horizon(one.to_light)
-        light = sky.octahedra.radiance(one.to_light, one.wide * _BLUR) * clear - mean
+        light = loop_calls.radiance(sky.octahedra, one.to_light, one.wide * _BLUR) * clear - mean
         light *= one.weight
         mixed = light * one.fresnel
         bias += mixed

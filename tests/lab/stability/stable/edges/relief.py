@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
+import loop_calls
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.relight.effects import parallax, shadows
+from matcap.relight.effects import parallax
 from matcap.relight.lobes import alpha_of
 from matcap.relight.relief import Relief
 from matcap.relight.sampling import Sampler
@@ -122,7 +123,7 @@ def shadowed(g: np.random.Generator) -> Swept:
     relief, (u, v), lift = _field(g)
     height = relief.at(u, v)
     direction = _directions(g, 0.05)
-    lit = shadows.lit(relief, (u, v), height, direction, None)
+    lit = loop_calls.lit(relief, (u, v), height, direction, None)
     x, y, z = (c.astype(np.float64) for c in direction)
     run = np.hypot(x, y)
     reach = float(((relief.high - height) / z * run).max()) / relief.texel_size

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from loop_calls import lobe
 from numpy.typing import NDArray
 
 from matcap.brdf.cook_torrance import cook_torrance
 from matcap.files.exr import write_exr
 from matcap.relight.camera import view_of
 from matcap.relight.effects import multiscatter
-from matcap.relight.lobes import alpha_of, lobe
+from matcap.relight.lobes import alpha_of
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     Camera,
