@@ -53,9 +53,9 @@ def samples_for(tolerance: float) -> int:
 def bound(limits: SceneBounds) -> Bound:
     """Albedo times largest difference from the mean, plus what tilted normals see below z = 0."""
     if limits.environment == 0.0:
-        return Bound(0.0, "there are no surroundings")
+        return Bound(0.0, "there is no environment light")
     if limits.environment_variation == 0.0 and limits.slope == 0.0:
-        return Bound(0.0, "the surroundings are the same everywhere")
+        return Bound(0.0, "the environment is the same everywhere")
     both = limits.diffuse + LARGEST_ALBEDO
     # Share of a tilted normal's hemisphere below the plane, bounded by all of it.
     tilt = 1.0 if limits.slope > 0.0 else 0.0

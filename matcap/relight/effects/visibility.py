@@ -19,7 +19,7 @@ from matcap.relight.scene_bounds import SceneBounds
 def bound(limits: SceneBounds) -> Bound:
     """0 on a flat surface; else the largest radiance reflected from the environments."""
     if limits.environment == 0.0:
-        return Bound(0.0, "there are no surroundings")
+        return Bound(0.0, "there is no environment light")
     if limits.relief == 0.0:
         return Bound(0.0, "the surface is flat")
     slope = math.degrees(math.atan(limits.relief_slope))
