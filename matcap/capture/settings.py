@@ -137,7 +137,9 @@ class CaptureSettings:
     detail: int | None = setting(None, least=64, most=8192, otherwise="the preset's")
     """Texels along the photograph's long side; by default as the preset has it where the photograph
     has so many pixels, and 1024 where it has not or a decoder is made."""
-    fov: float | None = setting(None, least=1.0, most=170.0, otherwise="the photograph's")
+    fov: float | None = setting(
+        None, least=1.0, most=170.0, metavar="1..170", otherwise="the photograph's"
+    )
     """Field of view along the long side, degrees."""
     width_cm: float | None = setting(None, least=0.01, most=1e5)
     """What the photograph's long side spans, in centimetres: exports are true to scale."""
@@ -218,6 +220,23 @@ class CaptureSettings:
         most = self.most_detail
         has = (texels for texels in DETAILS if texels <= min(most, pixels))
         return self.detail or max((min(most, DETAIL), *has))
+
+
+@dataclass(frozen=True)
+class InspectSettings:
+    """How photographs are inspected, before they are captured.
+
+    Raises:
+        UsageError: a number that is out of range.
+    """
+
+    detail: int = setting(DETAIL, least=64, most=8192)
+    """Pixels across that a capture would look at."""
+    together: bool | None = setting(None, otherwise="where the names are a set's: oak_1, oak_2")
+    """All photographs show the same piece: say also what they show and lack together."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 def _known_targets(names: Sequence[str]) -> tuple[str, ...]:

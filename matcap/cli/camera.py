@@ -7,14 +7,17 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli.options import FovOption, QuietOption
+from matcap.capture.settings import CaptureSettings
+from matcap.cli.fields import NOTHING, Fields, Given, with_settings
+from matcap.cli.options import QuietOption
 from matcap.errors import MatcapError
 
 
+@with_settings
 def camera(
     shoot: Annotated[Path, typer.Argument(metavar="SHOOT", help="A folder of photographs.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="The profile.")] = Path("camera.json"),
-    fov: FovOption = None,
+    given: Annotated[Given, Fields(CaptureSettings, only=("fov",))] = NOTHING,
     quiet: QuietOption = False,
 ) -> None:
     """Estimate how much light a camera and its flash lose towards the corners.
@@ -25,7 +28,6 @@ def camera(
     """
     from matcap.batch.cameras import camera_of, estimated_profile
     from matcap.batch.shoot import find_samples
-    from matcap.capture.settings import CaptureSettings
     from matcap.photo.camera import write_camera_profile
 
     photos = [sample.photos[0] for sample in find_samples(shoot, group="name")]
@@ -36,7 +38,7 @@ def camera(
             where=str(shoot),
             remedy="give a folder of one camera's, or matcap batch all of them",
         )
-    profile = estimated_profile(cameras[0], photos, CaptureSettings(fov=fov))
+    profile = estimated_profile(cameras[0], photos, CaptureSettings(**given))
     if profile is None:
         raise MatcapError(
             f"{len(photos)} photographs determine no profile",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,14 +9,8 @@ import typer
 
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
 from matcap.cli.inputs import files_read
-from matcap.cli.options import (
-    JsonOption,
-    OverwriteOption,
-    QuietOption,
-    seeded,
-    typed,
-)
-from matcap.export.options import ExportOptions
+from matcap.cli.options import JsonOption, OverwriteOption, QuietOption
+from matcap.export.options import ExportArea, ExportOptions
 from matcap.field.options import ReadOptions
 from matcap.files import values
 
@@ -25,13 +18,6 @@ if TYPE_CHECKING:
     from matcap.export.targets import Exported
 
 
-class ExportTile(Enum):
-    """What is read from a material."""
-
-    piece = "piece"
-
-
-_LARGEST = 65_536  # texels a side
 _TEXEL_BYTES = 150  # of memory that an export takes at least
 
 
@@ -53,42 +39,8 @@ def export(
         Path | None,
         typer.Option("--out", "-o", help="Folder; by default a new one named after all this."),
     ] = None,
-    size: Annotated[
-        values.Size | None,
-        typer.Option(
-            parser=typed(values.sides(_LARGEST)),
-            metavar="WxH",
-            show_default="1024x1024",
-            help="Texels read from a material, 2048x1024 or 2K, at most 65536 a side; they repeat "
-            "without a seam where both are multiples of 16.",
-        ),
-    ] = None,
-    udim: Annotated[
-        values.Size | None,
-        typer.Option(
-            parser=typed(values.size),
-            metavar="CxR",
-            help="A texture set of C columns (at most 10) and R rows (at most 900) of a material, "
-            "each tile of --size.",
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            parser=seeded,
-            metavar="SEED",
-            show_default="0",
-            help="Which piece is read from a material.",
-        ),
-    ] = None,
+    of: Annotated[Given, Fields(ExportArea)] = NOTHING,
     reading: Annotated[Given, Fields(ReadOptions)] = NOTHING,
-    tile: Annotated[
-        ExportTile | None,
-        typer.Option(
-            show_default="a part of the field",
-            help="piece: the photographed piece itself, made to repeat, at about its own size.",
-        ),
-    ] = None,
     written: Annotated[Given, Fields(ExportOptions)] = NOTHING,
     overwrite: OverwriteOption = False,
     json: JsonOption = False,
@@ -122,7 +74,8 @@ def export(
     for option in (option for name, option in presets_alone.items() if name in written):
         if target in DOCUMENTS:
             raise UsageError("this is for presets alone", where=option, remedy="leave it out")
-    read = chosen(ReadOptions, reading)
+    read, area = chosen(ReadOptions, reading), chosen(ExportArea, of)
+    size, udim, seed, tile = area.size, area.udim, area.seed, area.tile
     changes = read.adjustments
     if udim is not None and read.normals is not None:
         raise UsageError("this is for map sets alone", where="--normals", remedy="leave it out")

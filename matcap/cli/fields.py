@@ -31,11 +31,13 @@ T = TypeVar("T")
 
 
 class Fields:
-    """Stands in a signature for the settings of some dataclasses, but for those named."""
+    """Stands in a signature for the settings of some dataclasses: those named, or all but those."""
 
-    def __init__(self, *kinds: type, but: tuple[str, ...] = ()) -> None:
+    def __init__(self, *kinds: type, but: tuple[str, ...] = (), only: tuple[str, ...] = ()) -> None:
         settings = {name: one for kind in kinds for name, one in settings_in(kind).items()}
-        self.settings = {name: one for name, one in settings.items() if name not in but}
+        self.settings = {
+            n: one for n, one in settings.items() if n not in but and n in (only or settings)
+        }
 
 
 def with_settings(command: Callable[..., None]) -> Callable[..., None]:

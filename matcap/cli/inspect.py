@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import astuple
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.cli.options import FovOption, JsonOption
+from matcap.capture.settings import CaptureSettings, InspectSettings
+from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
+from matcap.cli.options import JsonOption
 from matcap.errors import ExitCode, MatcapError, UsageError
 
 if TYPE_CHECKING:
@@ -19,6 +22,7 @@ if TYPE_CHECKING:
 _MARKS = {"good": "ok", "not judged": "  ", "usable": "- ", "doubtful": "? ", "failed": "! "}
 
 
+@with_settings
 def inspect(
     photos: Annotated[
         list[Path],
@@ -27,22 +31,8 @@ def inspect(
             help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG or TIFF; or a material (.matcap).",
         ),
     ],
-    detail: Annotated[
-        int, typer.Option(min=64, max=8192, help="Pixels across that a capture would look at.")
-    ] = 1024,
-    fov: FovOption = None,
-    camera: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.json", help="Profile of the camera, as of matcap camera."),
-    ] = None,
-    together: Annotated[
-        bool | None,
-        typer.Option(
-            "--together/--no-together",
-            show_default="where the names are a set's: oak_1, oak_2",
-            help="All photographs show the same piece: say also what they show and lack together.",
-        ),
-    ] = None,
+    given: Annotated[Given, Fields(InspectSettings)] = NOTHING,
+    captured: Annotated[Given, Fields(CaptureSettings, only=("fov", "camera"))] = NOTHING,
     as_json: JsonOption = False,
 ) -> None:
     """Say how good photographs are, and what to do at the next shot.
@@ -57,6 +47,8 @@ def inspect(
     from matcap.files.names import are_a_series
     from matcap.photo.camera import read_camera_profile
 
+    detail, together = astuple(chosen(InspectSettings, given))
+    fov, camera = captured.get("fov"), captured.get("camera")
     profile = None if camera is None else read_camera_profile(camera)
     photographs: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []

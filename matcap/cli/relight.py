@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from enum import Enum
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,22 +10,15 @@ import typer
 
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
 from matcap.cli.inputs import files_read
-from matcap.cli.options import (
-    JsonOption,
-    Normal,
-    QuietOption,
-    ReplaceOption,
-    in_range,
-    seeded,
-    typed,
-)
+from matcap.cli.options import JsonOption, QuietOption, ReplaceOption
 from matcap.field.options import ReadOptions
-from matcap.files import values
+from matcap.relight.options import RelightOptions
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.field.material import Material
     from matcap.field.opened import AdjustedMaterial
+    from matcap.files import values
     from matcap.relight.plan import Plan
     from matcap.relight.render import Renderer
     from matcap.relight.scene import Scene
@@ -34,16 +26,7 @@ if TYPE_CHECKING:
 
 # Pixels of a flash picture whose photograph's sides are not known.
 _SQUARE = (1024, 1024)
-_LARGEST = 32768  # pixels of a side
-_MOST_FRAMES, _MOST_LIGHTS = 10_000, 64
 _PIXEL_BYTES = 48  # of memory that rendering and writing a picture take
-
-
-class Motion(Enum):
-    """What moves in an animation."""
-
-    light_orbit = "light-orbit"
-    turntable = "turntable"
 
 
 @with_settings
@@ -51,85 +34,15 @@ def relight(
     path: Annotated[
         Path, typer.Argument(help="A material, a map set or a folder with either.")
     ] = Path("."),
-    light: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME|x,y,z[,intensity]",
-            show_default="top",
-            help="A named light (flash, top, left), or the place of a point light. Of what was "
-            "photographed, flash is the photograph's own: its camera, exposure and vignetting. "
-            "Given several times, the lights add up.",
-        ),
-    ] = None,
-    scene: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE|NAME",
-            help="A scene file (.toml), or flash, top, left, studio, sunset or turntable.",
-        ),
-    ] = None,
     out: Annotated[
         Path,
         typer.Option("--out", "-o", help="Linear radiance in .exr, or an encoded .png."),
     ] = Path("relit.png"),
-    size: Annotated[
-        values.Size | None,
-        typer.Option(
-            parser=typed(values.sides(_LARGEST)),
-            metavar="WxH",
-            help="Pixels of the picture, at most 32768 a side; by default the scene's, or one a "
-            "texel of a map set.",
-        ),
-    ] = None,
-    seed: Annotated[
-        int,
-        typer.Option(parser=seeded, metavar="SEED", help="Which piece is read from a material."),
-    ] = 0,
+    given: Annotated[Given, Fields(RelightOptions)] = NOTHING,
     reading: Annotated[Given, Fields(ReadOptions)] = NOTHING,
-    effects: Annotated[
-        str,
-        typer.Option(metavar="auto|all|none|+x,-y", help="Which effects run (see --explain)."),
-    ] = "auto",
-    tolerance: Annotated[
-        float | None,
-        typer.Option(
-            parser=in_range(0.0, 1e9),
-            metavar="0..1e9",
-            show_default="half an 8-bit step",
-            help="What skipped effects may change at most, in code values from 0 to 1.",
-        ),
-    ] = None,
     explain: Annotated[
         bool, typer.Option("--explain", help="Print which effects ran, why, and their time.")
     ] = False,
-    explain_map: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.png", help="A picture of the tiles that each effect ran in."),
-    ] = None,
-    animate: Annotated[
-        Motion | None, typer.Option(help="Animation to .gif, .mp4 or numbered .exr.")
-    ] = None,
-    frames: Annotated[
-        int, typer.Option(min=1, max=_MOST_FRAMES, help="Frames of the animation.")
-    ] = 48,
-    sheet: Annotated[
-        values.Size | None,
-        typer.Option(
-            parser=typed(values.sides(_MOST_LIGHTS)),
-            metavar="COLUMNSxROWS",
-            help="A grid of lights in one picture, at most 64 a side.",
-        ),
-    ] = None,
-    maps_from: Annotated[
-        Path | None,
-        typer.Option(
-            help="A folder of maps that matcap did not make (ambientCG, Poly Haven names)."
-        ),
-    ] = None,
-    normal: Annotated[
-        Normal | None,
-        typer.Option(help="Which way green points in normal maps of --maps-from."),
-    ] = None,
     overwrite: ReplaceOption = False,
     json: JsonOption = False,
     quiet: QuietOption = False,
@@ -144,7 +57,6 @@ def relight(
     from matcap.files.mark import check_replaceable
     from matcap.files.memory import check_memory
     from matcap.files.staging import check_writable
-    from matcap.relight.effects.bound import DEFAULT_TOLERANCE
     from matcap.relight.output import (
         MARK,
         check_path,
@@ -158,6 +70,9 @@ def relight(
     from matcap.relight.sequence import ANIMATIONS, light_sheet
     from matcap.relight.sequence import animate as animated
 
+    asked = chosen(RelightOptions, given)
+    scene, size, maps_from, light = asked.scene, asked.size, asked.maps_from, asked.light
+    animate, sheet, explain_map = asked.animate, asked.sheet, asked.explain_map
     if light and scene is not None:
         raise UsageError("a scene has its own lights", where="--light", remedy="leave it out")
     if animate is not None and sheet is not None:
@@ -173,26 +88,26 @@ def relight(
     check_path(out, moving=animate is not None)
     if explain_map is not None:
         check_tiles_path(explain_map)
-    parse_choice(effects)
-    outputs = files_of(out, frames if animate else None)
+    parse_choice(asked.effects)
+    outputs = files_of(out, asked.frames if animate else None)
     outputs += [] if explain_map is None else [explain_map]
     inputs = files_read(path, maps_from, Path(scene) if scene else None)
     check_replaceable(outputs, MARK, inputs=inputs, overwrite=overwrite)
     wanted = _scene(scene, light or ["top"], size)
-    if light == ["flash"] and maps_from is None:
+    if list(light) == ["flash"] and maps_from is None:
         wanted = _photographed(path, size) or wanted
-    limit = DEFAULT_TOLERANCE if tolerance is None else tolerance
+    limit, effects = asked.tolerance, asked.effects
     source = partial(open_source, path, read)
-    renderer = _renderer(source, maps_from, normal, wanted, seed, quiet=quiet)
+    renderer = _renderer(source, asked, wanted, quiet=quiet)
     film = renderer.film
-    pictures = frames if animate else sheet.width * sheet.height if sheet else 1
+    pictures = asked.frames if animate else sheet.width * sheet.height if sheet else 1
     check_writable(out.parent, 16 * film.width * film.height * pictures)
     at_once = sheet.width * sheet.height if sheet else 1
     check_memory(
         _PIXEL_BYTES * film.width * film.height * at_once, "--size", "ask for a smaller picture"
     )
     if animate is not None:
-        scenes = ANIMATIONS[animate.value](renderer.scene, frames)
+        scenes = ANIMATIONS[animate](renderer.scene, asked.frames)
         moving = animated(renderer, scenes, tolerance=limit, effects=effects)
         first = next(moving)
         rest = (one.radiance for one in moving)
@@ -205,7 +120,7 @@ def relight(
         write_still(picture, out, film)
     else:
         with shown(quiet=quiet or json) as progress:
-            rendering = renderer.render(tolerance=limit, effects=effects, progress=progress)
+            rendering = renderer.render(progress=progress, tolerance=limit, effects=effects)
         write_still(rendering.radiance, out, film)
         if explain_map is not None:
             write_tiles(rendering, explain_map)
@@ -215,7 +130,7 @@ def relight(
         typer.echo(f"{maps_from or path}: {out}", err=True)
 
 
-def _scene(name: str | None, lights: list[str], size: values.Size | None) -> Scene:
+def _scene(name: str | None, lights: Sequence[str], size: values.Size | None) -> Scene:
     from dataclasses import replace
 
     from matcap.relight.named import preset
@@ -247,23 +162,21 @@ def _photographed(path: Path, size: values.Size | None) -> Scene | None:
 
 def _renderer(
     source: Callable[[], MapSet | Material | AdjustedMaterial],
-    maps_from: Path | None,
-    normal: Normal | None,
+    asked: RelightOptions,
     scene: Scene,
-    seed: int,
     *,
     quiet: bool,
 ) -> Renderer:
     from matcap.relight.foreign.read import read_foreign
     from matcap.relight.render import Renderer
 
-    if maps_from is None:
-        return Renderer(source(), scene, seed=seed)
-    foreign = read_foreign(maps_from, normal=normal.value if normal else None)
+    if asked.maps_from is None:
+        return Renderer(source(), scene, seed=asked.seed)
+    foreign = read_foreign(asked.maps_from, normal=asked.normal)
     if not quiet:
         for note in foreign.notes:
-            typer.echo(f"{maps_from}: {note}", err=True)
-    return Renderer(foreign.texture, scene, seed=seed)
+            typer.echo(f"{asked.maps_from}: {note}", err=True)
+    return Renderer(foreign.texture, scene, seed=asked.seed)
 
 
 def _report(plan: Plan, out: Path, *, as_json: bool, explain: bool) -> None:

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.options import LikeOption, QuietOption, ReplaceOption, SpreadOption, seeded
+from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
+from matcap.cli.options import QuietOption, ReplaceOption
+from matcap.space.options import DrawOptions, SampleOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -18,24 +20,13 @@ if TYPE_CHECKING:
 _MARK = "matcap sample"  # what its picture says of who wrote it
 
 
+@with_settings
 def sample(
-    count: Annotated[int, typer.Option("-n", min=1, max=256, help="How many.")] = 16,
-    seed: Annotated[
-        int,
-        typer.Option(parser=seeded, metavar="SEED", help="Of the first; the others follow."),
-    ] = 0,
-    like: LikeOption = None,
-    spread: SpreadOption = None,
-    prior: Annotated[
-        Path | None, typer.Option(help="A prior's file, instead of the one that comes along.")
-    ] = None,
+    asked: Annotated[Given, Fields(SampleOptions)] = NOTHING,
+    drawn_near: Annotated[Given, Fields(DrawOptions)] = NOTHING,
     out: Annotated[Path, typer.Option("--out", "-o", help="The picture, .png or .exr.")] = Path(
         "samples.png"
     ),
-    materials: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="Write the materials there, too, a .matcap file each."),
-    ] = None,
     overwrite: ReplaceOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -54,19 +45,21 @@ def sample(
     from matcap.files.staging import check_writable, staged
     from matcap.space.prior.sample import sample_sheet
 
+    options, near = chosen(SampleOptions, asked), chosen(DrawOptions, drawn_near)
+    count, seed, materials = options.count, options.seed, options.materials
     check_picture_path(out)
     check_seed(seed + count - 1)
     files = [out]
     if materials is not None:
-        files += [materials / f"{_called(like)}_{seed + i}.matcap" for i in range(count)]
+        files += [materials / f"{_called(near.like)}_{seed + i}.matcap" for i in range(count)]
     check_replaceable(
         files,
         _MARK,
-        inputs=[file for file in (like, prior) if file is not None],
+        inputs=[file for file in (near.like, options.prior) if file is not None],
         overwrite=overwrite,
         own=partial(provenance_says, "drawn"),
     )
-    draw = drawing(prior, like, spread)
+    draw = drawing(near, options.prior)
     if materials is not None:
         check_writable(materials, 4_000_000 * count)
     drawn = [draw(seed + index) for index in range(count)]
@@ -89,19 +82,15 @@ def _called(like: Path | None) -> str:
     return "drawn" if like is None else f"like_{kept_plain(like.stem)}"
 
 
-def drawing(
-    prior: Path | None, like: Path | None, spread: float | None
-) -> Callable[[int], Material]:
+def drawing(near: DrawOptions, prior: Path | None = None) -> Callable[[int], Material]:
     """Materials by their seed, near a photograph where one is given."""
     from functools import partial
 
     from matcap.photo.load import load_photo
-    from matcap.space.prior.anchors import SPREAD
     from matcap.space.prior.store import DETAIL, load_prior
 
     space = load_prior(prior)
-    share = SPREAD if spread is None else spread
-    if like is None:
-        return partial(space.draw, spread=share)
-    place = space.place(load_photo(like, long_side=DETAIL, noise=False))
-    return partial(space.draw, near=place, spread=share, name=_called(like))
+    if near.like is None:
+        return partial(space.draw, spread=near.spread)
+    place = space.place(load_photo(near.like, long_side=DETAIL, noise=False))
+    return partial(space.draw, near=place, spread=near.spread, name=_called(near.like))

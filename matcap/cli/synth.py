@@ -12,26 +12,19 @@ import typer
 
 from matcap.capture.settings import OutputSettings
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import (
-    LikeOption,
-    OverwriteOption,
-    QuietOption,
-    SpreadOption,
-    typed,
-)
+from matcap.cli.options import OverwriteOption, QuietOption
 from matcap.cli.plain_command import PlainCommand
 from matcap.errors import ExitCode, UsageError
 from matcap.field.options import ReadOptions
 from matcap.files import values
-from matcap.synth.request import MaskedBlend, SynthRequest, Work
+from matcap.space.options import DrawOptions
+from matcap.synth.request import SynthArea, SynthRequest, Work
 
 if TYPE_CHECKING:
     from matcap.field.material import Material
-    from matcap.field.plane import Rectangle
     from matcap.synth.precision import ChosenPrecision
     from matcap.synth.request import SynthProgress
 
-_STRIP = values.Size(4096, 256)  # the paper's own example
 _EVERY = 10.0  # seconds between lines of progress where there is no terminal
 
 
@@ -59,41 +52,8 @@ def synth(
             "material.",
         ),
     ] = None,
-    like: LikeOption = None,
-    spread: SpreadOption = None,
-    size: Annotated[
-        values.Size | None,
-        typer.Option(
-            parser=typed(values.size),
-            metavar="WxH",
-            show_default="1024x1024",
-            help="Size in texels: 4096x256, or 2K, 4K, 8K; as much as the disk has room for.",
-        ),
-    ] = None,
-    region: Annotated[
-        values.Region | None,
-        typer.Option(
-            parser=typed(values.region),
-            metavar="x,y,w,h",
-            help="A rectangle anywhere in the endless field (y downwards), not --size.",
-        ),
-    ] = None,
-    blend: Annotated[
-        Path | None,
-        typer.Option(metavar="MATERIAL", help="Grow into this material where --mask is white."),
-    ] = None,
-    mask: Annotated[
-        Path | None,
-        typer.Option(help="Grey picture for --blend, stretched over the rectangle asked for."),
-    ] = None,
-    mask_over: Annotated[
-        values.Region | None,
-        typer.Option(
-            parser=typed(values.region),
-            metavar="x,y,w,h",
-            help="Stretch the mask over this instead.",
-        ),
-    ] = None,
+    near: Annotated[Given, Fields(DrawOptions)] = NOTHING,
+    where: Annotated[Given, Fields(SynthArea)] = NOTHING,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Folder; by default a new one named after all this."),
@@ -124,23 +84,18 @@ def synth(
         raise UsageError(
             "only plain map sets are exported", where="--export", remedy="leave --single or --udim"
         )
-    masked_blend = _masked_blend(blend, mask, mask_over)
-    if size is not None and region is not None:
-        raise UsageError(
-            "a rectangle has a size of its own", where="--region", remedy="leave --size out"
-        )
+    asked_area = chosen(SynthArea, where)
     is_piece = given.get("tile") == "piece"
-    if is_piece and (size is not None or region is not None):
+    if is_piece and {"size", "region"} & {*where}:
         raise UsageError(
             "the photographed piece has a size of its own",
             where="--tile piece",
             remedy="leave --size and --region out, or let the field repeat, with --tile alone",
         )
-    sides = size or values.DEFAULT_SIZE
-    area = _rectangle(region or values.Region(0, 0, sides.width, sides.height))
-    subject, name = _subject(material, given.get("seed", 0), like, spread)
+    area = asked_area.rectangle
+    subject, name = _subject(material, given.get("seed", 0), near)
     read = chosen(ReadOptions, reading)
-    asked = SynthRequest(subject, area, name=name, read=read, blend=masked_blend, **given)
+    asked = SynthRequest(subject, area, name=name, read=read, blend=asked_area.masked_blend, **given)
     slug = _slug(asked)
     which = "" if is_piece else f"_{area.width}x{area.height}_seed{asked.seed}"
     folder = out or Path(f"{name}{which}{slug}")
@@ -158,7 +113,11 @@ def synth(
         )
     try:
         with _progress(quiet=quiet) as on_progress:
-            inputs = tuple(file for file in (subject, blend, mask) if isinstance(file, Path))
+            inputs = tuple(
+                file
+                for file in (subject, asked_area.blend, asked_area.mask)
+                if isinstance(file, Path)
+            )
             working = {"workers": os.cpu_count() or 1, **working}
             work = Work(progress=on_progress, overwrite=overwrite, inputs=inputs, **working)
             document = synthesise(asked, folder, work, on_precision)
@@ -196,18 +155,15 @@ def _slug(asked: SynthRequest) -> str:
     return "".join(f"_{part}" for part, holds in parts.items() if holds)
 
 
-def _subject(
-    material: Path | None, seed: int, like: Path | None, spread: float | None
-) -> tuple[Path | Material, str]:
+def _subject(material: Path | None, seed: int, near: Given) -> tuple[Path | Material, str]:
     """The material's file, or a material that the prior draws; and what its maps are called."""
     if material is not None:
-        for option, given in (("--like", like), ("-t", spread)):
-            if given is not None:
-                raise UsageError(
-                    "only a material that the prior draws is like a photograph",
-                    where=option,
-                    remedy="leave the material out, or the option",
-                )
+        if near:
+            raise UsageError(
+                "only a material that the prior draws is like a photograph",
+                where="--like" if "like" in near else "-t",
+                remedy="leave the material out, or the option",
+            )
         from matcap.field.opened import material_file
         from matcap.files.names import kept_plain
 
@@ -215,28 +171,8 @@ def _subject(
         return file, kept_plain(file.stem)
     from matcap.cli.sample import drawing
 
-    drawn = drawing(None, like, spread)(seed)
+    drawn = drawing(chosen(DrawOptions, near))(seed)
     return drawn, drawn.name
-
-
-def _masked_blend(
-    blend: Path | None, mask: Path | None, over: values.Region | None
-) -> MaskedBlend | None:
-    """The blend of the options, if any; a blend needs a mask, and the mask's options a blend."""
-    for name, option in (("--mask", mask), ("--mask-over", over)):
-        if blend is None and option is not None:
-            raise UsageError("there is nothing to blend with", where=name, remedy="give --blend")
-    if blend is None:
-        return None
-    if mask is None:
-        raise UsageError("there is no mask", where="--blend", remedy="give a picture with --mask")
-    return MaskedBlend(blend, mask, None if over is None else _rectangle(over))
-
-
-def _rectangle(region: values.Region) -> Rectangle:
-    from matcap.field.plane import Rectangle
-
-    return Rectangle(region.x, region.y, region.width, region.height)
 
 
 @contextmanager

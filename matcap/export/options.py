@@ -4,19 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
+from matcap.files import values
 from matcap.files.settings import check_settings, setting
 
 if TYPE_CHECKING:
     from matcap.export.formats import Container, Depth
     from matcap.export.presets import NormalMaps
     from matcap.export.textures import Workflow
+    from matcap.files.values import Size
+
+_LARGEST = 65_536  # texels a side
 
 
 def _listed(text: str | Sequence[str]) -> tuple[str, ...]:
     names = text.split(",") if isinstance(text, str) else text
     return tuple(one.strip() for one in names)
+
+
+@dataclass(frozen=True)
+class ExportArea:
+    """What is read from a material.
+
+    Raises:
+        UsageError: a word that there is not.
+    """
+
+    size: Size | None = setting(
+        None, metavar="WxH", parse=values.sides(_LARGEST), otherwise="1024x1024"
+    )
+    """Texels read from a material, 2048x1024 or 2K, at most 65536 a side; they repeat without a
+    seam where both are multiples of 16."""
+    udim: Size | None = setting(None, metavar="CxR", parse=values.size)
+    """A texture set of C columns (at most 10) and R rows (at most 900) of a material, each tile of
+    --size."""
+    seed: int | None = setting(None, metavar="SEED", parse=values.seed, otherwise="0")
+    """Which piece is read from a material."""
+    tile: Literal["piece"] | None = setting(None, words=("piece",), otherwise="a part of the field")
+    """piece: the photographed piece itself, made to repeat, at about its own size."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 @dataclass(frozen=True)

@@ -70,8 +70,8 @@ class Setting:
 
     @property
     def flag(self) -> str:
-        """Its option."""
-        return f"--{self.name.replace('_', '-')}"
+        """Its option: a long one, or the short one that it is named as."""
+        return self.name if self.name.startswith("-") else f"--{self.name.replace('_', '-')}"
 
     def check(self, value: object, where: str) -> None:
         """Hold a value to words and limits; None is no choice.

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from matcap.brdf.stated import NormalStyle
     from matcap.field.device import DeviceName
     from matcap.field.material import Material
+    from matcap.files.values import Region, Size
     from matcap.synth.precision import Precision
 
 _ADDRESS = re.compile(r"[a-z]+://\S+|[^\s/:]+:\d{1,5}")
@@ -37,6 +38,55 @@ class MaskedBlend:
     """Grey image: black shows the first material, white the second."""
     over: Rectangle | None = None
     """Rectangle of the field that the mask is stretched over; None is the whole output."""
+
+
+@dataclass(frozen=True)
+class SynthArea:
+    """Which rectangle of the field is made, and what it grows into."""
+
+    size: Size | None = setting(None, metavar="WxH", parse=values.size, otherwise="1024x1024")
+    """Size in texels: 4096x256, or 2K, 4K, 8K; as much as the disk has room for."""
+    region: Region | None = setting(None, metavar="x,y,w,h", parse=values.region)
+    """A rectangle anywhere in the endless field (y downwards), not --size."""
+    blend: Path | None = setting(None, metavar="MATERIAL")
+    """Grow into this material where --mask is white."""
+    mask: Path | None = setting(None)
+    """Grey picture for --blend, stretched over the rectangle asked for."""
+    mask_over: Region | None = setting(None, metavar="x,y,w,h", parse=values.region)
+    """Stretch the mask over this instead."""
+
+    def __post_init__(self) -> None:
+        for name, given in (("--mask", self.mask), ("--mask-over", self.mask_over)):
+            if self.blend is None and given is not None:
+                raise UsageError(
+                    "there is nothing to blend with", where=name, remedy="give --blend"
+                )
+        if self.blend is not None and self.mask is None:
+            raise UsageError(
+                "there is no mask", where="--blend", remedy="give a picture with --mask"
+            )
+        if self.size is not None and self.region is not None:
+            raise UsageError(
+                "a rectangle has a size of its own", where="--region", remedy="leave --size out"
+            )
+
+    @property
+    def rectangle(self) -> Rectangle:
+        """In texels of the field."""
+        sides = self.size or values.DEFAULT_SIZE
+        return _rectangle(self.region or values.Region(0, 0, sides.width, sides.height))
+
+    @property
+    def masked_blend(self) -> MaskedBlend | None:
+        """What it grows into."""
+        if self.blend is None or self.mask is None:
+            return None
+        over = None if self.mask_over is None else _rectangle(self.mask_over)
+        return MaskedBlend(self.blend, self.mask, over)
+
+
+def _rectangle(region: Region) -> Rectangle:
+    return Rectangle(region.x, region.y, region.width, region.height)
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from matcap.batch.settings import BatchSettings
-from matcap.capture.settings import CaptureSettings, OutputSettings
+from matcap.capture.settings import CaptureSettings, InspectSettings, OutputSettings
 from matcap.cli.main import main
 from matcap.errors import UsageError
-from matcap.export.options import ExportOptions
+from matcap.export.options import ExportArea, ExportOptions
 from matcap.field.options import ReadOptions
 from matcap.files.settings import field_docs, nearest, settings_in
-from matcap.synth.request import SynthRequest, Work
+from matcap.relight.options import RelightOptions
+from matcap.space.options import BlendOptions, DrawOptions, SampleOptions
+from matcap.synth.request import SynthArea, SynthRequest, Work
+from matcap.view.options import ViewOptions
 
 KINDS = (
-    CaptureSettings, OutputSettings, BatchSettings, ReadOptions, ExportOptions, SynthRequest, Work,
+    CaptureSettings, InspectSettings, OutputSettings, BatchSettings, ReadOptions, ExportOptions,
+    ExportArea, SynthRequest, SynthArea, Work, RelightOptions, DrawOptions, SampleOptions,
+    BlendOptions, ViewOptions,
 )  # fmt: skip
 ALL = [one for kind in KINDS for one in settings_in(kind).values()]
 BOUNDED = [one for one in ALL if math.isfinite(one.rule.least)]

@@ -27,8 +27,6 @@ from matcap.space.decoder import CODE_SIZE
 from matcap.space.prior.base import VARYING, Base, base_from, varying
 from matcap.statistics.lattice import Wave
 
-SPREAD = 0.3  # how far from a training photograph's place materials are drawn; docs/notes/prior.md
-
 
 @dataclass(frozen=True)
 class ConditionalMean:

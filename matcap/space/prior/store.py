@@ -32,8 +32,9 @@ from matcap.photo.photo import Photo
 from matcap.space.decoder import CODE_SIZE, Decoder
 from matcap.space.encoder import BACKBONES, Encoder, EncoderConfig
 from matcap.space.freeze import freeze
+from matcap.space.options import SPREAD
 from matcap.space.picture import picture
-from matcap.space.prior.anchors import SPREAD, Anchor, Anchors, ConditionalMean, nowhere
+from matcap.space.prior.anchors import Anchor, Anchors, ConditionalMean, nowhere
 from matcap.space.prior.base import VARYING, base_of, fold
 from matcap.space.prior.encoder_input import describe_windows, numbers, texture
 from matcap.space.stored import decoder_config, empty_decoder
