@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
+from stable.captures import capture_array, finite, within_ranges
 from stable.photographs import HARD_PHOTOGRAPHS, textured
-from stable.sweeps import capture_array, finite, within_ranges
 
 from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError

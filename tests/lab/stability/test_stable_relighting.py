@@ -7,13 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from stable.edges import table
+from stable.domains import DOMAINS
 from stable.edges.swept import Swept, sweep
-from stable.edges.table import EDGES, Edge, edges_markdown, failures, run_edges
 
-from matcap.errors import MatcapError
+EDGES = DOMAINS["relighting"]
 
-# Largest error of the few draws below; what it is relative to, EDGES says.
+# Largest error of the few draws below; what it is relative to, EDGES has.
 WITHIN = {
     "lobes, roughness from 0.03": 1e-3,
     "lobes, roughness below 0.03": 0.3,
@@ -59,34 +58,3 @@ def test_nothing_is_not_finite_and_errors_are_as_documented(name):
     assert found.broken == 0, found.where
     assert found.worst <= WITHIN[name], found.where
     assert found.draws > 0
-
-
-def domain_of(error):
-    def domain(_):
-        if isinstance(error, Exception):
-            raise error
-        return error
-
-    return domain
-
-
-@pytest.mark.parametrize(
-    ("outcome", "broken", "refused"),
-    [
-        (MatcapError("the light is too bright", remedy="give it less"), 0, 1),
-        (MatcapError("something is wrong"), 1, 0),
-        (RuntimeWarning("divide by zero"), 1, 0),
-        (Swept(3, 2, 0, 0.5, "there"), 2, 0),
-    ],
-    ids=["a sentence", "no remedy", "a warning", "values"],
-)
-def test_what_is_found_is_counted_and_told(monkeypatch, outcome, broken, refused):
-    monkeypatch.setattr(table, "EDGES", {"a domain": Edge(domain_of(outcome), 1.0, "1")})
-    found = run_edges(1, 0)
-    assert (found["a domain"].broken, found["a domain"].refused) == (broken, refused)
-    assert failures(found) == broken
-    assert f"| {broken} | {refused} |" in edges_markdown(found)
-
-
-def test_a_call_that_takes_too_long_is_a_failure():
-    assert failures({"slow": Swept(1, slowest=11.0)}) == 1

@@ -5,22 +5,24 @@ in the normal's own frame, where cosines are inputs; elsewhere float32 has alrea
 of a grazing cosine before the reflectance sees it, whatever the formula. One case turns the frame.
 The reference takes the same float32 numbers in float64, so an error is the formula's own.
 
-What it leaves out: photographs (photographs.py). The table is made in sweeps.py.
+What it leaves out: photographs (photographs.py). domains.py lists them all.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import cook_torrance, normalize
 from matcap.brdf.maps import MapSet
 from matcap.flash.render import shade
+from stable.edges.swept import Domain, Swept
 
 SMOOTH = 0.03  # roughness below which the looser bound holds
 _CHUNK = 20_000  # draws at a time
@@ -51,69 +53,43 @@ class Draws:
         )
 
 
-@dataclass(frozen=True)
-class CaseResult:
-    """What a case came to.
-
-    Attributes:
-        draws: how many.
-        values: of them not finite in float32.
-        gradients: of them with a gradient that is not finite.
-        worst: largest relative error of the value at roughness of at least SMOOTH.
-        worst_smooth: and below.
-        where: the draw that was worst, in words.
-    """
-
-    draws: int
-    values: int
-    gradients: int
-    worst: float
-    worst_smooth: float
-    where: str
-
-
 Case = Callable[[int, torch.Generator], Draws]
 
 
-def measure(case: Case, draws: int, seed: int) -> CaseResult:
-    """Draw, evaluate in float32 and float64, differentiate, and count.
-
-    Args:
-        case: where to draw from.
-        draws: how many.
-        seed: of the draws.
-    """
-    generator = torch.Generator().manual_seed(seed)
-    found = CaseResult(0, 0, 0, 0.0, 0.0, "")
-    for first in range(0, draws, _CHUNK):
-        found = _joined(found, _measure(case(min(_CHUNK, draws - first), generator)))
-    return found
+def reflected(case: Case, draws: int = _CHUNK) -> Domain:
+    """So many draws of a case a call, in float32 and float64, with gradients."""
+    return lambda g: measured(case(draws, _torch(g)))
 
 
-def _measure(drawn: Draws) -> CaseResult:
+def _torch(g: np.random.Generator) -> torch.Generator:
+    return torch.Generator().manual_seed(int(g.integers(2**31)))
+
+
+def measured(drawn: Draws) -> Swept:
+    """In float32 and float64, with gradients."""
     inputs = [tensor.float().requires_grad_() for tensor in drawn.tensors()]
     value = cook_torrance(*inputs)
     gradients = torch.autograd.grad(value.sum(), inputs)
     with torch.no_grad():
         exact = cook_torrance(*(tensor.detach().double() for tensor in inputs))
-    finite = torch.isfinite(value).all(dim=0).flatten()
-    smooth_gradients = torch.stack([torch.isfinite(g).all(dim=0).flatten() for g in gradients])
     error = ((value.double() - exact).abs() / exact.abs().clamp_min(_UNSEEN)).amax(0).flatten()
-    error = torch.nan_to_num(error.detach(), nan=math.inf, posinf=math.inf)
-    roughness = inputs[2].detach().flatten()
-    rough = roughness >= SMOOTH
-    worst, worst_smooth = (
-        float(error[which].max()) if bool(which.any()) else 0.0 for which in (rough, ~rough)
-    )
-    at = int(error.argmax())
-    return CaseResult(
-        draws=len(error),
-        values=int((~finite).sum()),
-        gradients=int((~smooth_gradients.all(dim=0)).sum()),
-        worst=worst,
-        worst_smooth=worst_smooth,
-        where=_words(inputs, at),
-    )
+    return _swept(value, gradients, error.detach(), inputs[2], lambda at: _words(inputs, at))
+
+
+def _swept(
+    value: Tensor,
+    gradients: Sequence[Tensor],
+    error: Tensor,
+    roughness: Tensor,
+    where: Callable[[int], str],
+) -> Swept:
+    """Values (C, 1, N) with their gradients, and errors (N,) by roughness (1, 1, N)."""
+    parts = [torch.isfinite(part).all(dim=0).flatten() for part in (value, *gradients)]
+    error = torch.nan_to_num(error, nan=math.inf, posinf=math.inf)
+    rough = roughness.detach().flatten() >= SMOOTH
+    worst, smooth = (float(error[w].max()) if bool(w.any()) else 0.0 for w in (rough, ~rough))
+    broken = int((~torch.stack(parts).all(dim=0)).sum())
+    return Swept(len(error), broken, 0, worst, where(int(error.argmax())), smooth)
 
 
 def _words(inputs: list[Tensor], at: int) -> str:
@@ -124,18 +100,6 @@ def _words(inputs: list[Tensor], at: int) -> str:
     return (
         f"roughness {float(roughness):.2g}, F0 {float(specular.max()):.2g}, "
         f"n.l {float(normal @ light):.2g}, n.v {float(normal @ view):.2g}, sin(n,h) {off:.2g}"
-    )
-
-
-def _joined(first: CaseResult, second: CaseResult) -> CaseResult:
-    worse = max(second.worst, second.worst_smooth) >= max(first.worst, first.worst_smooth)
-    return replace(
-        second if worse else first,
-        draws=first.draws + second.draws,
-        values=first.values + second.values,
-        gradients=first.gradients + second.gradients,
-        worst=max(first.worst, second.worst),
-        worst_smooth=max(first.worst_smooth, second.worst_smooth),
     )
 
 
@@ -296,21 +260,17 @@ CASES: Mapping[str, Case] = MappingProxyType(
 )
 
 
-def measure_shading(draws: int, seed: int) -> CaseResult:
+def rendered(g: np.random.Generator) -> Swept:
+    """As measured_rendering."""
+    return measured_rendering(_CHUNK, _torch(g))
+
+
+def measured_rendering(n: int, g: torch.Generator) -> Swept:
     """The whole flash rendering, slopes and falloff included, with lights from 1e-3 to 1e9 away.
 
     The light's strength grows with its distance squared, so that what is seen stays visible.
     """
-    generator = torch.Generator().manual_seed(seed)
-    found = CaseResult(0, 0, 0, 0.0, 0.0, "")
-    for first in range(0, draws, _CHUNK):
-        found = _joined(found, _measure_shading(min(_CHUNK, draws - first), generator))
-    return found
-
-
-def _measure_shading(n: int, g: torch.Generator) -> CaseResult:
-    base = _anywhere(n, g)
-    distance = _log_uniform(n, g, 1e-3, 1e9)
+    base, distance = _anywhere(n, g), _log_uniform(n, g, 1e-3, 1e9)
     given = [
         base.diffuse,
         base.specular,
@@ -323,7 +283,7 @@ def _measure_shading(n: int, g: torch.Generator) -> CaseResult:
     def radiance(maps: list[Tensor]) -> Tensor:
         kind = maps[0].dtype
         return shade(
-            MapSet(maps[0], maps[1], maps[2], maps[3], texel_size=1.0),
+            MapSet(*maps, texel_size=1.0),
             torch.zeros(3, 1, n, dtype=kind),
             torch.tensor([0.0, 0.0, 2.4], dtype=kind),
             light.float().to(kind),
@@ -332,16 +292,7 @@ def _measure_shading(n: int, g: torch.Generator) -> CaseResult:
 
     value = radiance(inputs)
     gradients = torch.autograd.grad(value.sum(), inputs)
-    value = value.detach()
     exact = radiance([tensor.detach().double() for tensor in inputs])
     # Slopes round before the reflectance sees them, so errors count against the brightest.
-    error = (value.double() - exact).abs() / exact.abs().clamp_min(1e-2)
-    rough = (inputs[2].detach() >= SMOOTH).expand_as(error)
-    return CaseResult(
-        draws=n,
-        values=int((~torch.isfinite(value)).any(dim=0).sum()),
-        gradients=int((~torch.isfinite(torch.cat(gradients)).all(dim=0)).sum()),
-        worst=float(error[rough].max()),
-        worst_smooth=float(error[~rough].max()),
-        where="",
-    )
+    error = (value.detach().double() - exact).abs() / exact.abs().clamp_min(1e-2)
+    return _swept(value, gradients, error.amax(0).flatten(), inputs[2], lambda _at: "")

@@ -1,4 +1,4 @@
-"""What a sweep of one domain comes to, and how it is told."""
+"""What draws from one domain come to."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ class Swept:
         draws: values looked at.
         broken: of them not finite, or calls that ended in anything but a value or a sentence.
         refused: calls that ended in a sentence with a remedy.
-        worst: the largest error; what it is relative to, each domain says.
+        worst: the largest error; what it is relative to, DOMAINS says.
         where: it was, in words.
+        worst_smooth: the largest below roughness SMOOTH, where a looser bound holds there.
         slowest: processor seconds of the longest call, with its reference.
     """
 
@@ -34,16 +35,19 @@ class Swept:
     refused: int = 0
     worst: float = 0.0
     where: str = ""
+    worst_smooth: float = 0.0
     slowest: float = 0.0
 
     def __add__(self, other: Swept) -> Swept:
-        worse = other if other.worst > self.worst or not self.where else self
+        worst = max(self.worst, self.worst_smooth)
+        worse = other if max(other.worst, other.worst_smooth) > worst or not self.where else self
         return Swept(
             self.draws + other.draws,
             self.broken + other.broken,
             self.refused + other.refused,
             max(self.worst, other.worst),
             worse.where,
+            max(self.worst_smooth, other.worst_smooth),
             max(self.slowest, other.slowest),
         )
 

@@ -1,0 +1,133 @@
+"""Captures of what goes wrong: each ends in finite maps within their ranges, or in one sentence.
+
+Photographs that go wrong in every way we know of (photographs.py), captured for a few steps, their
+piece's own maps found and rearranged, as they are and with every variety; sets of photographs and
+parts of them likewise (wholes.py).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from matcap.capture.method import Method
+from matcap.capture.piece.find import ExemplarEstimate
+from matcap.capture.pipeline import capture_photo
+from matcap.capture.result import CaptureResult
+from matcap.capture.settings import CaptureSettings
+from matcap.field.plane import Rectangle
+from matcap.photo.load import photo_from_array
+from matcap.space.tuned import TunedDecoder
+from stable.edges.swept import Domain, Swept
+from stable.photographs import FOV, HARD_PHOTOGRAPHS
+from stable.wholes import HARD_SETS, PARTS, capture_part, capture_set
+
+_MAPS = ("diffuse", "specular", "roughness", "height", "normal")
+_FIELD = 64  # texels a side of what is read by example
+_VARIETIES = (None, 0.0, 1.0)  # its own, and the ends
+# Texels across and down; a small photograph has too few windows for relief's strength.
+_SMALL, _LARGE = (128, 96), (384, 288)
+_STEPS = 3
+
+
+def capture_array(
+    pixels: NDArray[np.float32], settings: CaptureSettings, name: str
+) -> CaptureResult:
+    """Capture a picture given as an array, as a RAW would be, and match it to the photograph.
+
+    Raises:
+        MatcapError: it is refused.
+    """
+    photo = photo_from_array(
+        pixels, long_side=settings.detail, fov=FOV, radiometric=True, name=name
+    )
+    return capture_photo(photo, settings, method=Method(matched=True))
+
+
+def finite(result: CaptureResult) -> bool:
+    """Whether maps, re-rendering, statistics and weights are free of NaN and infinity.
+
+    Of the photographed piece too, where it was found.
+    """
+    material = result.material
+    tensors = [getattr(result.maps, name) for name in _MAPS]
+    tuned = material.part(TunedDecoder)
+    if tuned is not None:
+        tensors += [moment for pair in tuned.moments for moment in pair]
+        tensors += list(tuned.decoder.state_dict().values())
+    numbers = [*material.setup.offset, *material.setup.tilt, *material.setup.intensity]
+    if result.estimate is not None:
+        tensors += _piece(result.estimate, result.settings.seed)
+        numbers += [result.estimate.error, result.estimate.slow]
+    return (
+        all(bool(torch.isfinite(tensor).all()) for tensor in tensors)
+        and bool(np.isfinite(result.rerendered).all())
+        and all(math.isfinite(number) for number in numbers)
+    )
+
+
+def within_ranges(found: ExemplarEstimate, seed: int) -> bool:
+    """Whether albedo, F0 and roughness of the piece and of a field made of it are in [0, 1]."""
+    return all(
+        bool((maps[:5] >= 0.0).all() and (maps[:5] <= 1.0).all())
+        for maps in _piece(found, seed)[: 1 + len(_VARIETIES)]
+    )
+
+
+def _piece(found: ExemplarEstimate, seed: int) -> list[torch.Tensor]:
+    """The piece's maps, small fields that rearrange them, and what the photograph told."""
+    area = Rectangle(0, 0, _FIELD, _FIELD)
+    fields = [found.example.varied(variety).maps(seed, area, None) for variety in _VARIETIES]
+    told = found.strengths
+    numbers = [] if told is None else [told.albedo, told.slope, told.trust]
+    return [torch.from_numpy(array) for array in (found.exemplar.stacked(), *fields, *numbers)]
+
+
+def photographs(name: str) -> Domain:
+    """A photograph of HARD_PHOTOGRAPHS, captured by the decoder, with or without a prior."""
+
+    def captured(g: np.random.Generator) -> Swept:
+        width, height = _LARGE if g.random() < 0.25 else _SMALL
+        seed, prior = int(g.integers(1000)), ("auto", "none")[int(g.integers(2))]
+        asked = CaptureSettings(
+            "draft", _STEPS, detail=width, seed=seed, prior=prior, generator="decoder", aligned=True
+        )
+        pixels = HARD_PHOTOGRAPHS[name](width, height, seed)
+        return _swept(capture_array(pixels, asked, name), f"seed {seed}, {prior}, {width} across")
+
+    return captured
+
+
+def sets(name: str) -> Domain:
+    """A set of HARD_SETS."""
+    return _whole(lambda w, h, asked: capture_set(HARD_SETS[name](w, h, asked.seed), asked, name))
+
+
+def parts(name: str) -> Domain:
+    """A part of PARTS."""
+    photograph = HARD_PHOTOGRAPHS["an ordinary one"]
+    return _whole(
+        lambda w, h, asked: capture_part(photograph(w, h, asked.seed), PARTS[name], asked, name)
+    )
+
+
+def _whole(capture: Callable[[int, int, CaptureSettings], CaptureResult]) -> Domain:
+    """Large enough for keypoints and for relief's strength."""
+
+    def captured(g: np.random.Generator) -> Swept:
+        width, height = _LARGE
+        seed = int(g.integers(1000))
+        asked = CaptureSettings("draft", _STEPS, detail=width, seed=seed)
+        return _swept(capture(width, height, asked), f"seed {seed}")
+
+    return captured
+
+
+def _swept(result: CaptureResult, where: str) -> Swept:
+    assert result.estimate is not None
+    sound = finite(result) and within_ranges(result.estimate, result.settings.seed)
+    return Swept(1, int(not sound), 0, result.estimate.error, where)
