@@ -95,7 +95,9 @@ def synth(
     area = asked_area.rectangle
     subject, name = _subject(material, given.get("seed", 0), near)
     read = chosen(ReadOptions, reading)
-    asked = SynthRequest(subject, area, name=name, read=read, blend=asked_area.masked_blend, **given)
+    asked = SynthRequest(
+        subject, area, name=name, read=read, blend=asked_area.masked_blend, **given
+    )
     slug = _slug(asked)
     which = "" if is_piece else f"_{area.width}x{area.height}_seed{asked.seed}"
     folder = out or Path(f"{name}{which}{slug}")
