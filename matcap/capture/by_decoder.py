@@ -24,7 +24,7 @@ from matcap.space.decoder import DecoderConfig
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.anytime import Forecaster, self_difference
 from matcap.space.tuning.finetune import OnStep, Tuned, TuneSettings, finetune
-from matcap.space.tuning.initialisation import begin
+from matcap.space.tuning.initialisation import initial_decoder
 from matcap.space.tuning.match import match_photograph
 
 
@@ -80,7 +80,7 @@ def _tuned_decoder(
 ) -> tuple[TunedDecoder, Tuned]:
     """The decoder from where it starts to how it was tuned."""
     with clock.stage("start"):
-        start = begin(
+        start = initial_decoder(
             shot.photo.pixels,
             shot.coarse,
             shot.plane,
@@ -88,7 +88,7 @@ def _tuned_decoder(
             tune,
             settings.prior,
             method.decoder or DecoderConfig(),
-            hurried=settings.time_limit is not None,
+            search=settings.time_limit is None,
         )
     with clock.stage("fine-tuning"):
         limit = clock.left_for("fine-tuning")

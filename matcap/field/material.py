@@ -22,8 +22,8 @@ Metadata:
         orientation and the maps are in portrait.
     provenance: how it was made.
     example: `exemplar` and `index`, descriptions of their tensors; absent without an exemplar.
-    decoder: `noise_channels`, `widths` (five), `convolutions` (down, up), `cells` and `grains`
-        (channels of cellular and of anisotropic noise); absent without a decoder.
+    decoder: `noise_channels`, `widths` (five), `convolutions` (down, up), `cells` and
+        `grains` (channels of lattice cells and of structured noise); absent without a decoder.
     waves: at most two `{fx, fy}`, cycles per texel: the decoder's lattice.
 """
 

@@ -1,1 +1,1 @@
-"""The paper's generator: encoder, decoder on noise, prior, fine-tuning, blends and draws."""
+"""The paper's generator [henzler2021]: encoder, decoder, prior, fine-tuning, blends and draws."""

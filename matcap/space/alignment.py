@@ -1,13 +1,13 @@
-"""The alignment branch: a photograph's tilt with its standard deviation, from the photograph alone.
+"""The alignment branch: a network that measures the tilt of the plane from a single photograph.
 
-The paper's encoder has a branch for two rotation angles [henzler2021, section "Alignment"].
-Here it is a network separate from the encoder, since every capture asks it and most need no
-latent code. Falloff, the highlight's place and the texture's foreshortening all speak of tilt. The
-first two keep their place in the picture, so features are pooled on a grid, and the blurred picture
-itself is handed on. Trained on simulated photographs of known tilt (lab/train/align.py).
+The paper's encoder has a branch for two rotation angles [henzler2021, section "Alignment"]. Here it
+is a separate network, because every capture needs the tilt and most need no latent vector. Cues are
+the light's falloff, the highlight's position and the texture's foreshortening. The first two depend
+on image position, so features are pooled on a grid, and a blurred image is an input of the last
+layers. Trained on simulated photographs of known tilt (lab/train/align.py).
 
-The angles are those of FlashSetup, in radians: positive tilt_x turns the plane's upper edge towards
-the camera, positive tilt_y its left edge.
+Angles are those of FlashSetup, in radians: positive tilt_x turns the plane's upper edge towards the
+camera, positive tilt_y its left edge.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from matcap.photo.photo import Photo
 from matcap.space.picture import PICTURE_CHANNELS, picture
 from matcap.space.residual import ResidualBlock
 
-WIDTH = 256  # picture columns it is shown
+WIDTH = 256  # columns of the input image
 CONDITIONS = 3  # scalar inputs
 SHIPPED = Path(__file__).parent / "prior" / "weights" / "alignment.safetensors"
 
@@ -38,12 +38,12 @@ _REMEDY = "install matcap again, or train the branch with `matcap prior align`"
 _GRID = (3, 4)  # rows and columns of the pooled features
 _BLURRED = (12, 16)  # rows and columns of the pooled picture
 _WIDTHS = (32, 48, 64, 64)  # channels of the layers after the first
-_UNIT = 0.15  # radians: what the last layer calls 1
-_LOG_STD = (math.log(0.002), math.log(0.3))  # of radians: what may be predicted
+_UNIT = 0.15  # radians per unit of the last layer's means
+_LOG_STD = (math.log(0.002), math.log(0.3))  # limits of the standard deviation, log radians
 
 
 class TiltMeasurement(NamedTuple):
-    """A photograph's tilt as the branch sees it: two independent Gaussians, in radians.
+    """Measured tilt: two independent Gaussians, in radians.
 
     Attributes:
         x, y: means of tilt_x and tilt_y.
@@ -57,7 +57,7 @@ class TiltMeasurement(NamedTuple):
 
 
 class Alignment(nn.Module):
-    """Two tilt angles from a photograph (space/prior/encoder_input.py) and its scalars."""
+    """The network: image and scalar inputs to two tilt angles."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -79,8 +79,8 @@ class Alignment(nn.Module):
         """Means and log standard deviations of (tilt_x, tilt_y), (B, 2) each, in radians.
 
         Args:
-            pictures: (B, PICTURE_CHANNELS, h, w), WIDTH columns.
-            conditions: (B, CONDITIONS), by conditions().
+            pictures: (B, PICTURE_CHANNELS, h, WIDTH) from picture.picture().
+            conditions: (B, CONDITIONS) from conditions().
         """
         features = self.features(pictures.contiguous(memory_format=torch.channels_last))
         pooled = F.adaptive_avg_pool2d(features, _GRID).float().flatten(1)
@@ -91,19 +91,25 @@ class Alignment(nn.Module):
 
 
 def conditions(fov: Tensor, known: Tensor, radiometric: Tensor) -> Tensor:
-    """(B, CONDITIONS) of (B,) each: degrees across the long side, is it known, is this RAW."""
+    """(B, CONDITIONS) scalar inputs.
+
+    Args:
+        fov: (B,) degrees across the long side.
+        known: (B,) bool, whether the field of view is from metadata rather than assumed.
+        radiometric: (B,) bool, whether the photograph is RAW.
+    """
     return torch.stack([(fov - 60.0) / 15.0, known.float(), radiometric.float()], dim=1)
 
 
 def tilt_measurement(photo: Photo, branch: Alignment | None = None) -> TiltMeasurement:
-    """A photograph's tilt and how well it is known, in radians.
+    """Measure a photograph's tilt with its standard deviation, in radians.
 
     Args:
-        photo: any size; what is left out of it is not looked at.
-        branch: the network; None takes the one that comes with matcap.
+        photo: any size; pixels of its left_out mask are replaced by the median colour.
+        branch: the network; None is the one shipped with matcap.
 
     Raises:
-        MatcapError: that one is missing or damaged.
+        MatcapError: the shipped network is missing or damaged.
     """
     pixels = photo.pixels
     if photo.left_out is not None and not photo.left_out.all():
@@ -127,16 +133,16 @@ def _shipped() -> Alignment:
 
 
 def save_alignment(path: Path, branch: Alignment) -> None:
-    """Write the branch in half precision; whole or not at all."""
+    """Write the network in half precision, atomically."""
     tensors = {name: tensor.half() for name, tensor in branch.state_dict().items()}
     write_tensors(path, tensors, {"matcap": _FORMAT})
 
 
 def load_alignment(path: Path) -> Alignment:
-    """Read a branch.
+    """Read the network.
 
     Raises:
-        MatcapError: missing, no such file, or damaged.
+        MatcapError: the file is missing, damaged or of another kind.
     """
     branch = Alignment()
     try:

@@ -1,9 +1,8 @@
-"""Between two materials: codes and decoder weights interpolated alike, then frozen again.
+"""Interpolation of two materials: latent vectors and decoder weights, then freezing.
 
-Everything a material's looks follow from is interpolated: code, weights, waves, texel size and the
-flash of its photograph. A material without a decoder of its own, as captures are, stands in the
-space by its code, with the prior's decoder (the paper, 4.7). The ends are the given materials
-themselves, bit for bit.
+Linear interpolation of latent vector, weights, lattice, texel size and flash setup
+[henzler2021, sec. 4.7]. A material without a decoder of its own is represented by its latent vector
+and the prior's decoder. Shares 0 and 1 return the given materials unchanged.
 """
 
 from __future__ import annotations
@@ -28,11 +27,12 @@ from matcap.statistics.lattice import Wave
 
 
 def blend(first: Material, second: Material, share: float) -> Material:
-    """The material `share` of the way from the first to the second.
+    """Interpolate two materials; share 0 is the first, 1 the second.
 
     Raises:
         UsageError: a share outside [0, 1].
-        MatcapError: the two have decoders of different shapes, or one has no place in the space.
+        MatcapError: decoders of different configurations, or a material without a latent vector
+            (code.code_of).
     """
     if not 0.0 <= share <= 1.0:
         raise UsageError(f"the share {share:g} is not between 0 and 1", where="-t")
@@ -46,7 +46,7 @@ def blend(first: Material, second: Material, share: float) -> Material:
             where=f"{first.name} and {second.name}",
             remedy="capture both with the same matcap and prior",
         )
-    one, other = _alike(ends[0].decoder, ends[1].decoder)
+    one, other = _of_one_shape(ends[0].decoder, ends[1].decoder)
     decoder = copy.deepcopy(one)
     towards = other.state_dict()
     with torch.no_grad():
@@ -68,8 +68,11 @@ def blend(first: Material, second: Material, share: float) -> Material:
     )
 
 
-def _alike(first: Decoder, second: Decoder) -> tuple[Decoder, Decoder]:
-    """Both reading cells if one of them does: without order, no weights for them are wrong."""
+def _of_one_shape(first: Decoder, second: Decoder) -> tuple[Decoder, Decoder]:
+    """Give a decoder without cell channels the other's weights for them.
+
+    It has no lattice, so that its cell channels are zero and the weights have no effect.
+    """
     if first.config.cells == second.config.cells:
         return first, second
     if first.config.cells:
@@ -80,11 +83,11 @@ def _alike(first: Decoder, second: Decoder) -> tuple[Decoder, Decoder]:
 def blend_waves(
     first: tuple[Wave, ...], second: tuple[Wave, ...], share: float
 ) -> tuple[Wave, ...]:
-    """Waves between two lattices; where only one side has order, the nearer side's."""
+    """Interpolate two lattices; of lattices with different numbers of waves, take the nearer."""
     if len(first) != len(second):
         return second if share > 0.5 else first
     return tuple(
-        # A wave and its opposite are the same stripes: interpolate towards the nearer of the two.
+        # A frequency vector and its negative are the same wave: interpolate to the nearer one.
         Wave(_between(a.fx, side * b.fx, share), _between(a.fy, side * b.fy, share))
         for a, b in zip(first, second, strict=True)
         for side in (1.0 if a.fx * b.fx + a.fy * b.fy >= 0 else -1.0,)
@@ -92,7 +95,7 @@ def blend_waves(
 
 
 def strip(materials: Sequence[Material], size: int = 256, seed: int = 0) -> NDArray[np.float32]:
-    """(size, size * N, 3) linear picture: every material under its own flash, side by side."""
+    """(size, size * N, 3) linear image: each material rendered under its own flash, in a row."""
     pictures = []
     for material in materials:
         maps = material.maps(size, size, seed=seed)

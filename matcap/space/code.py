@@ -1,8 +1,7 @@
 """The latent vector of a captured material, computed from its exemplar by the prior's encoder.
 
-The exemplar rendered under the photograph's own flash reproduces the photograph, which the prior's
-encoder reads. So a capture need not wait for its code, and a material's file
-need not hold it.
+The encoder's input is a photograph. Rendering the exemplar under the photograph's flash setup gives
+an equivalent one, so that captures neither compute nor store the latent vector.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ from matcap.statistics.lattice import find_lattice
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """The piece under the photograph's flash."""
+class _Rerendered:
+    """An exemplar rendered under its photograph's flash, in place of the photograph."""
 
     pixels: NDArray[np.float32]
     coarse: CoarseFit
@@ -36,24 +35,25 @@ class _Seen:
 
 
 def code_of(material: Material) -> Tensor:
-    """(CODE_SIZE,) a material's code: its decoder's, or what the encoder reads of its piece.
+    """(CODE_SIZE,) latent vector: that of the material's decoder, else the encoder's.
 
     Raises:
-        MatcapError: it has neither, or does not say how it was photographed.
+        MatcapError: the material has neither decoder nor exemplar, or its provenance has no
+            coarse fit.
     """
     tuned = material.part(TunedDecoder)
     if tuned is not None:
         return tuned.code
-    seen = _seen(material)
-    return load_prior().code(seen.pixels, seen.coarse, seen.plane)
+    photographed = _rerendered(material)
+    return load_prior().code(photographed.pixels, photographed.coarse, photographed.plane)
 
 
 def tuned_of(material: Material, prior: Prior | None = None) -> TunedDecoder:
-    """A material's own decoder, or the prior's at its code, untuned.
+    """A material's own decoder, or the prior's decoder, not fine-tuned, at its latent vector.
 
     Args:
-        material: to be shown by a network.
-        prior: by default the one that comes with matcap.
+        material: with a decoder or an exemplar.
+        prior: None is the one shipped with matcap.
 
     Raises:
         MatcapError: as code_of.
@@ -61,7 +61,7 @@ def tuned_of(material: Material, prior: Prior | None = None) -> TunedDecoder:
     tuned = material.part(TunedDecoder)
     if tuned is not None:
         return tuned
-    seen = _seen(material)
+    seen = _rerendered(material)
     decoder, code = (prior or load_prior()).start(seen.pixels, seen.coarse, seen.plane)
     waves = find_lattice(seen.plane.encoded(), seen.plane.valid).waves
     moments = tuple(freeze(decoder, code, waves))
@@ -69,7 +69,7 @@ def tuned_of(material: Material, prior: Prior | None = None) -> TunedDecoder:
     return TunedDecoder(decoder, code, moments, waves, material.texel_size)
 
 
-def _seen(material: Material) -> _Seen:
+def _rerendered(material: Material) -> _Rerendered:
     maps = next((m for m in (g.piece() for g in material.generators.values()) if m), None)
     try:
         stored = material.provenance["coarse"]
@@ -85,12 +85,12 @@ def _seen(material: Material) -> _Seen:
         raise _unplaced(material) from error
     if maps is None:
         raise _unplaced(material)
-    if material.setup.turned:  # networks know photographs lying
+    if material.setup.turned:  # the networks expect landscape orientation
         maps = maps.turned(1)
     with torch.inference_mode():
         linear = render_rectified(maps, coarse.setup).clamp(0.0, 1.0)
     plane = plane_of(linear.clone(), (linear < 1.0).all(0))
-    return _Seen(linear.permute(1, 2, 0).contiguous().numpy(), coarse, plane)
+    return _Rerendered(linear.permute(1, 2, 0).contiguous().numpy(), coarse, plane)
 
 
 def _unplaced(material: Material) -> MatcapError:

@@ -1,56 +1,31 @@
-"""The steps of the frozen network, above all: convolutions without padding, a bias, a ReLU.
+"""Convolution without padding, with bias and ReLU: the frozen network's only costly operation.
 
-A convolution of features laid side by side is the sum of the convolutions of its parts: nothing
-is copied together. On processors that oneDNN knows, bias, sum and ReLU happen as the convolution
-writes its result; elsewhere in separate steps.
+A convolution of concatenated features is the sum of the convolutions of its parts, so that nothing
+is concatenated. Where oneDNN supports it, bias, sum and ReLU are fused into the convolution.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 
-class Convolve(Protocol):
-    """See `convolve`."""
-
-    def __call__(
-        self, parts: Sequence[Tensor], weights: Sequence[Tensor], bias: Tensor, *, activate: bool
-    ) -> Tensor:
-        """ReLU(bias + sum of parts[i] * weights[i]); only where the kernel lies inside."""
-        ...
-
-
-@dataclass(frozen=True)
-class Steps:
-    """What a network is computed by: operations that agree on how features lie in memory."""
-
-    convolve: Convolve
-    """As `convolve`."""
-    halve: Callable[[Tensor], Tensor]
-    """(B, C, H, W) to (B, C, H / 2, W / 2), the largest of every four."""
-    lay: Callable[[Tensor], Tensor]
-    """A part of features as the others want it."""
-
-
 def convolve(
     parts: Sequence[Tensor], weights: Sequence[Tensor], bias: Tensor, *, activate: bool
 ) -> Tensor:
-    """ReLU(bias + sum of parts[i] * weights[i]); only where the kernel lies inside.
+    """ReLU(bias + sum over i of parts[i] * weights[i]), * a convolution without padding.
 
     Args:
-        parts: (B, C_i, H, W), channels last in memory.
-        weights: (out, C_i, k, k), channels last in memory.
+        parts: (B, C_i, H, W), in channels_last memory format.
+        weights: (out, C_i, k, k), likewise.
         bias: (out,).
         activate: apply the ReLU.
 
     Returns:
-        (B, out, H - k + 1, W - k + 1), channels last in memory.
+        (B, out, H - k + 1, W - k + 1), likewise.
     """
     if _fused(parts[0]):
         return _convolve_fused(parts, weights, bias, activate)
@@ -83,14 +58,3 @@ def _convolve_fused(
             total, part, weight, None, *shape, "add", 1.0, unary, [], None
         )
     return total
-
-
-def _halve(features: Tensor) -> Tensor:
-    return F.max_pool2d(features, 2)
-
-
-def _lay(features: Tensor) -> Tensor:
-    return features.contiguous(memory_format=torch.channels_last)
-
-
-CHANNELS_LAST = Steps(convolve, _halve, _lay)

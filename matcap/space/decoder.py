@@ -1,17 +1,16 @@
-"""The decoder: a U-Net that turns an infinite random field into maps (paper, section 4.2).
+"""The decoder: a U-Net that turns a random field into maps [henzler2021, sec. 4.2].
 
 Noise enters at full resolution, is halved by max-pooling four times and doubled back by bilinear
-upsampling with skip connections. On the way up every level also receives the material's regular
-order, if it has any (regular_order.py); on the way down, waves would beat with the poolings' grid.
+upsampling with skip connections. On the way up every level also receives the material's lattice
+channels, if it has a lattice (lattice_channels.py). They are not inputs of the way down, where
+max-pooling would alias them.
 
-Every convolution is followed by AdaIN [huang2017], whose mean and deviation are
-affine in the 64-D code; also the last one, so the code states each map's mean and contrast
-outright. AdaIN's own statistics come either from the rectangle at hand (training) or from a large
-reference field (frozen; see freeze.py).
+Every convolution is followed by AdaIN [huang2017], whose target mean and deviation are affine in
+the 64-D latent vector; also the last one, so that each map's mean and contrast are affine in it.
+AdaIN normalises by statistics of its input (training), or by stored ones (frozen; see freeze.py).
 
-Nothing here invents data at a border: a rectangle is decoded either as a torus (`periodic=True`,
-a field that repeats with the rectangle) or with a halo of true noise, whose border is cut off by
-the caller (field/field.py).
+A rectangle is decoded either as a torus (`periodic=True`) or with a halo of noise around it, which
+the caller cuts off; no border is padded.
 """
 
 from __future__ import annotations
@@ -26,53 +25,52 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from matcap.brdf.maps import MapSet
+from matcap.space.lattice_channels import WAVE_CHANNELS
 from matcap.space.random_field import RandomField
-from matcap.space.regular_order import WAVE_CHANNELS
 from matcap.space.wrap import wrap
 
-CODE_SIZE = 64  # numbers; the paper's
+CODE_SIZE = 64  # dimensions of the latent vector, as in the paper
 OUTPUTS = 6  # diffuse (3), specular, roughness, height
 DEPTH = 4  # poolings; rectangles are multiples of 2^DEPTH
-ALIGNMENT = 2**DEPTH  # texels: what sides and periods are multiples of
-_ORDER_GAIN = 3.0  # waves and cells are few among many features; they start with a fair say
-_EPSILON = 1e-5  # of a variance: keeps a constant feature finite
+ALIGNMENT = 2**DEPTH  # texels: sides and periods are multiples of this
+_LATTICE_GAIN = 3.0  # factor on initial weights of lattice channels, which are few among features
+_EPSILON = 1e-5  # added to variances
 
 
 @dataclass(frozen=True)
 class DecoderConfig:
-    """What shape a decoder has."""
+    """Channels and layers of a decoder."""
 
     noise_channels: int = 8
-    """Channels of uniform noise read at full resolution."""
+    """Channels of white noise at full resolution."""
     widths: tuple[int, ...] = (16, 32, 64, 64, 64)
     """Feature channels per level, full resolution first; DEPTH + 1 of them."""
     convolutions: tuple[int, int] = (1, 2)
     """3 x 3 convolutions per block on the way down and on the way up."""
     cells: int = 0
-    """Channels of noise for the cells of regular order (regular_order.py), for materials that have
-    any."""
-    grains: int = 0
-    """Channels of structured noise (structured_noise.py), besides the white; 0 for none."""
+    """Channels of noise that is constant over each lattice cell (lattice_channels.py)."""
+    structured_channels: int = 0
+    """Channels of structured noise (structured_noise.py) at full resolution."""
 
     @property
     def inputs(self) -> int:
-        """What the way down reads at full resolution."""
-        return self.noise_channels + self.grains
+        """Input channels of the way down."""
+        return self.noise_channels + self.structured_channels
 
     @property
-    def order_channels(self) -> int:
-        """What the way up reads at every level besides features."""
+    def lattice_channels(self) -> int:
+        """Channels that every level of the way up reads besides features."""
         return WAVE_CHANNELS + self.cells
 
 
-# The paper's shape at width 32; 2.2 million parameters.
+# The paper's configuration at width 32; 2.2 million parameters.
 PAPER_CONFIG = DecoderConfig(noise_channels=6, widths=(32, 64, 128, 128, 128), convolutions=(2, 2))
 
-Moments = tuple[Tensor, Tensor]  # mean and deviation, (channels,) each
+Moments = tuple[Tensor, Tensor]  # mean and standard deviation, (channels,) each
 
 
 class AdaIN(nn.Module):
-    """Adaptive instance normalisation: the code states each channel's mean and deviation."""
+    """Adaptive instance normalisation [huang2017]; targets are affine in the latent vector."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -82,23 +80,22 @@ class AdaIN(nn.Module):
         self.affine.bias.data[channels:] = 1.0
 
     def target(self, code: Tensor) -> Moments:
-        """Mean and deviation that a code (CODE_SIZE,) asks for."""
+        """Target mean and deviation for a latent vector (CODE_SIZE,)."""
         mean, deviation = self.affine(code).chunk(2, dim=-1)
         return mean, deviation
 
     def affine_of(self, code: Tensor, moments: Moments) -> Moments:
-        """Scale and shift that normalise by `moments` and move to the code's targets."""
+        """(scale, shift), (channels,) each: normalisation by `moments`, then the targets."""
         mean, deviation = moments
         wanted_mean, wanted_deviation = self.target(code)
         scale = wanted_deviation / deviation
         return scale, wanted_mean - mean * scale
 
     def forward(self, features: Tensor, code: Tensor, moments: Moments | None) -> Tensor:
-        """Move (B, C, H, W) to the code's mean and deviation.
+        """Normalise features (B, C, H, W) and scale them to the targets.
 
-        The batch is one material and shares its statistics; without `moments` they are those of
-        the features themselves. PyTorch's fused batch normalisation is the same arithmetic, eight
-        times as fast as its separate steps.
+        Statistics are `moments`, or else those of the features over the whole batch, which is of
+        one material. Fused batch normalisation is eight times as fast as separate operations.
         """
         exact = torch.promote_types(features.dtype, torch.float32)
         mean, deviation = (target.to(exact) for target in self.target(code))
@@ -110,7 +107,7 @@ class AdaIN(nn.Module):
         )
 
     def measured(self, features: Tensor, code: Tensor) -> tuple[Tensor, Moments]:
-        """Features (B, C, H, W) moved as without moments, and the moments (C,), in float32."""
+        """forward() without moments, and the moments (C,) of the features, in float32."""
         mean, deviation = (target.float() for target in self.target(code))
         adapted, own, inverse = torch.native_batch_norm(
             features.float(), deviation, mean, None, None, True, 0.0, _EPSILON
@@ -123,17 +120,17 @@ class ConvolutionLayer(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, kernel: int = 3, activate: bool = True) -> None:
         super().__init__()
-        # AdaIN takes the mean away, so a bias would do nothing.
+        # No bias: AdaIN subtracts the mean.
         self.convolution = nn.Conv2d(inputs, outputs, kernel, bias=False)
         _draw(self.convolution.weight, math.sqrt(2.0 / (inputs * kernel * kernel)))
-        # The layout in which the processor's convolutions run fastest.
+        # The memory format in which convolutions on the processor are fastest.
         weight = self.convolution.weight.data.contiguous(memory_format=torch.channels_last)
         self.convolution.weight.data = weight
         self.adain = AdaIN(outputs)
         self.activate = activate
 
     def convolve(self, features: Tensor, periodic: bool) -> Tensor:
-        """The convolution alone, same size out as in."""
+        """The convolution alone, of the input's size; zero padding where not periodic."""
         kernel = self.convolution.weight.shape[-1]
         if kernel == 1:
             return F.conv2d(features, self.convolution.weight)
@@ -144,7 +141,7 @@ class ConvolutionLayer(nn.Module):
 
 
 class Decoder(nn.Module):
-    """Noise and code in, six raw outputs out; `maps_from_raw` gives them their meaning."""
+    """Random field and latent vector to six raw outputs, which maps_from_raw turns into maps."""
 
     def __init__(self, config: DecoderConfig) -> None:
         super().__init__()
@@ -157,13 +154,13 @@ class Decoder(nn.Module):
             channels = width
         for width in reversed(widths[:-1]):
             up.append(
-                _block(channels + width + config.order_channels, width, config.convolutions[1])
+                _block(channels + width + config.lattice_channels, width, config.convolutions[1])
             )
             channels = width
         with torch.no_grad():
             for block in up:
                 first = next(iter(_layers_of(block)))
-                first.convolution.weight[:, -config.order_channels :] *= _ORDER_GAIN
+                first.convolution.weight[:, -config.lattice_channels :] *= _LATTICE_GAIN
         self.down = nn.ModuleList(down)
         self.up = nn.ModuleList(up)
         self.head = ConvolutionLayer(channels, OUTPUTS, kernel=1, activate=False)
@@ -177,7 +174,7 @@ class Decoder(nn.Module):
         return [_layers_of(block) for block in self.up]
 
     def layers(self) -> list[ConvolutionLayer]:
-        """All layers in the order they run."""
+        """All layers in order of execution."""
         blocks = [*self.down_layers(), *self.up_layers()]
         return [layer for block in blocks for layer in block] + [self.head]
 
@@ -192,10 +189,10 @@ class Decoder(nn.Module):
         """Raw outputs (B, OUTPUTS, H, W) of a random field, float32.
 
         Args:
-            field: noise (B, config.inputs, H, W) and order, H and W multiples of ALIGNMENT.
-            code: (CODE_SIZE,), of one material.
-            moments: frozen statistics, one a layer; None measures them on this very field.
-            periodic: wrap around the borders; otherwise the outermost texels are not valid.
+            field: noise (B, config.inputs, H, W) and lattice, H and W multiples of ALIGNMENT.
+            code: (CODE_SIZE,) latent vector.
+            moments: frozen statistics, one a layer; None computes them from the features.
+            periodic: decode as a torus; otherwise a halo at the borders is not valid.
         """
         remaining = None if moments is None else iter(moments)
 
@@ -205,7 +202,7 @@ class Decoder(nn.Module):
         return self._run(field, adapt, periodic)
 
     def reference_moments(self, field: RandomField, code: Tensor) -> list[Moments]:
-        """Every layer's statistics on a periodic reference field, in running order."""
+        """Every layer's statistics on a periodic reference field, in order of execution."""
         recorded: list[Moments] = []
 
         def adapt(layer: ConvolutionLayer, features: Tensor) -> Tensor:
@@ -219,7 +216,7 @@ class Decoder(nn.Module):
     def way_down(
         self, noise: Tensor, step: Callable[[ConvolutionLayer], LayerStep]
     ) -> list[Tensor]:
-        """What the way up reads at every level, full resolution first."""
+        """Features for the skip connections of every level, full resolution first."""
         return descend(noise, [[step(layer) for layer in block] for block in self.down_layers()])
 
     def _run(
@@ -241,11 +238,11 @@ class Decoder(nn.Module):
 
 
 def with_cells(decoder: Decoder, other: Decoder) -> Decoder:
-    """A decoder that reads the noise of cells, too, by the weights of another one.
+    """Add cell channels to a decoder, with the weights of another one.
 
     Args:
-        decoder: without cells.
-        other: of the same shape, with cells.
+        decoder: without cell channels.
+        other: of the same configuration but with cell channels.
     """
     wider, state = copy.deepcopy(other), decoder.state_dict()
     for name, weight in wider.state_dict().items():
@@ -257,18 +254,6 @@ def with_cells(decoder: Decoder, other: Decoder) -> Decoder:
 
 
 LayerStep = Callable[[Tensor], Tensor]
-
-
-def unet(
-    field: RandomField,
-    down: Sequence[Sequence[LayerStep]],
-    up: Sequence[Sequence[LayerStep]],
-    head: LayerStep,
-    *,
-    periodic: bool,
-) -> Tensor:
-    """The network's wiring, whatever its steps are made of (training layers or folded ones)."""
-    return ascend(descend(field.noise, down), field.waves, up, head, periodic=periodic)
 
 
 def descend(noise: Tensor, down: Sequence[Sequence[LayerStep]]) -> list[Tensor]:
@@ -292,7 +277,15 @@ def ascend(
     *,
     periodic: bool,
 ) -> Tensor:
-    """The way up: from the coarsest features, joined at every level by its own and its waves."""
+    """The way up, from the coarsest features to the raw outputs.
+
+    Args:
+        skips: features of the way down, full resolution first.
+        waves: lattice channels by level, or empty.
+        up: layers by block, coarsest first.
+        head: the last layer.
+        periodic: upsample as a torus.
+    """
     features = skips[-1]
     for level, block in zip(reversed(range(DEPTH)), up, strict=True):
         parts = [upsample(features, periodic), skips[level]]
@@ -305,7 +298,7 @@ def ascend(
 
 
 def upsample(features: Tensor, periodic: bool) -> Tensor:
-    """Twice the size, bilinear; as a torus where periodic."""
+    """(B, C, 2 H, 2 W) of (B, C, H, W), bilinear; as a torus where periodic."""
     if not periodic:
         return F.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)
     padded = wrap(features)
@@ -314,9 +307,9 @@ def upsample(features: Tensor, periodic: bool) -> Tensor:
 
 
 def maps_from_raw(raw: Tensor, texel_size: float, *, periodic: bool = False) -> MapSet:
-    """Maps of raw outputs (..., OUTPUTS, H, W): sigmoids, and a height counted in texels.
+    """Maps of raw outputs (..., OUTPUTS, H, W): sigmoid of each, but height in texels.
 
-    A height in texels keeps slopes, and so what is learnt, apart from the picture's size.
+    With height in texels, slopes do not depend on the texel size.
     """
     diffuse, specular, roughness, height = raw.split([3, 1, 1, 1], dim=-3)
     return MapSet(
@@ -330,9 +323,9 @@ def maps_from_raw(raw: Tensor, texel_size: float, *, periodic: bool = False) -> 
 
 
 def _draw(weight: Tensor, deviation: float) -> None:
-    """Draw from a normal distribution, unless the weight takes no memory (the meta device).
+    """Initialise from a normal distribution, except on the meta device.
 
-    There it would change nothing but import PyTorch's compiler, two seconds' work.
+    There it has no effect but takes two seconds, for the import of PyTorch's compiler.
     """
     if not weight.is_meta:
         nn.init.normal_(weight, std=deviation)

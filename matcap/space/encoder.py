@@ -1,9 +1,9 @@
-"""The encoder: a whole flash photograph to the mean and log-variance of its 64-D code.
+"""The encoder: a flash photograph to mean and log-variance of its latent vector [henzler2021].
 
-It sees the photograph's logarithm, where in the picture every texel lies (a highlight's place and
-width mean different things), and the numbers of the coarse fit, which are known beforehand anyway.
-Two backbones share the interface: "small", the shipped one, and "resnet50" [he2016], the
-paper's. Both are normalised by groups, not by batches: a batch holds a handful of materials.
+Inputs are the logarithm of the photograph, image coordinates (a highlight's meaning depends on its
+position), parameters of the coarse fit, and texture statistics. There are two backbones: "small",
+the shipped one, and "resnet50" [he2016], the paper's. Both use group normalisation, as a batch has
+few materials.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from matcap.space.picture import PICTURE_CHANNELS
 from matcap.space.residual import ResidualBlock, norm, shortcut
 
 NUMBERS = 16  # parameters of the coarse fit (space/prior/encoder_input.py)
-TEXTURE = 231  # texture statistics at full detail
+TEXTURE = 231  # texture statistics at full resolution (space/prior/encoder_input.py)
 BACKBONES = ("small", "resnet50")
 
-_LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE = -8.0, 4.0  # of a code's number
+_LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE = -8.0, 4.0  # of a dimension of the latent vector
 
 
 @dataclass(frozen=True)
 class EncoderConfig:
-    """What shape an encoder has.
+    """Backbone and input size of an encoder.
 
     Attributes:
         backbone: one of BACKBONES.
-        width: picture columns it is shown; the rows follow from the photograph (512 in the paper).
+        width: columns of the input image (512 in the paper); rows by the photograph's aspect.
     """
 
     backbone: str = "small"
@@ -63,7 +63,7 @@ class Bottleneck(nn.Module):
 
 
 class Encoder(nn.Module):
-    """A photograph and its coarse numbers to a code's mean and log-variance."""
+    """The network: image and numbers to the latent vector's mean and log-variance."""
 
     def __init__(self, config: EncoderConfig) -> None:
         super().__init__()
@@ -82,8 +82,8 @@ class Encoder(nn.Module):
         self.numbers = nn.Sequential(nn.Linear(NUMBERS + TEXTURE, 192), nn.ReLU())
         self.hidden = nn.Sequential(nn.Linear(2 * channels + 192, hidden), nn.ReLU())
         self.head = nn.Linear(hidden, 2 * CODE_SIZE)
-        # Starts with codes that differ between photographs and are certain enough for the decoder
-        # to learn what they mean.
+        # Initially means differ between photographs and variances are small, so that the decoder
+        # can learn from the latent vectors.
         nn.init.normal_(self.head.weight[:CODE_SIZE], std=0.1)
         nn.init.zeros_(self.head.weight[CODE_SIZE:])
         nn.init.zeros_(self.head.bias)
@@ -93,9 +93,9 @@ class Encoder(nn.Module):
         """Mean and log-variance, (B, CODE_SIZE) each.
 
         Args:
-            picture: (B, PICTURE_CHANNELS, h, w) as space/prior/encoder_input.py shows it.
-            numbers: (B, NUMBERS) likewise.
-            texture: (B, TEXTURE) likewise.
+            picture: (B, PICTURE_CHANNELS, h, w) from picture.picture().
+            numbers: (B, NUMBERS) from encoder_input.numbers().
+            texture: (B, TEXTURE) from encoder_input.texture().
         """
         features = self.features(picture.contiguous(memory_format=torch.channels_last))
         pooled = pool(features)
@@ -106,7 +106,7 @@ class Encoder(nn.Module):
 
 
 def pool(features: Tensor) -> Tensor:
-    """(B, 2 C) mean and deviation over the texels of (B, C, h, w), in float32."""
+    """(B, 2 C) mean and standard deviation over h and w of (B, C, h, w), in float32."""
     variance, mean = torch.var_mean(features.float(), dim=(2, 3), correction=0)
     return torch.cat([mean, torch.sqrt(variance + 1e-5)], dim=1)
 

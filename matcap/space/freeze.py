@@ -1,9 +1,9 @@
-"""Freezing: AdaIN's statistics measured once, so that a material becomes a plain network on noise.
+"""Freezing: AdaIN with stored statistics, folded into the convolutions.
 
-Instance normalisation makes an output depend on the rectangle that was decoded. Measured over a
-large reference field instead and stored, the statistics turn every AdaIN into an affine map,
-which folds into the convolution before it: what is left is convolutions, ReLUs, poolings and
-upsamplings, the same for every rectangle.
+Instance normalisation makes the output depend on the rectangle that is decoded. Statistics that are
+measured once on a large reference field and stored turn every AdaIN into an affine map, which folds
+into the convolution before it. What remains is a CNN whose output at a texel depends on the noise
+around it alone.
 """
 
 from __future__ import annotations
@@ -16,41 +16,38 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.field.plane import Rectangle, Span
-from matcap.space.convolve import CHANNELS_LAST, Steps
+from matcap.space.convolve import convolve
 from matcap.space.decoder import (
     DEPTH,
     ConvolutionLayer,
     Decoder,
     DecoderConfig,
-    LayerStep,
     Moments,
-    unet,
+    upsample,
 )
 from matcap.space.patch import Patch
 from matcap.space.random_field import RandomField, random_field
 from matcap.space.spans import Spans
 from matcap.statistics.lattice import Wave
 
-REFERENCE_SIZE = 512  # texels a side of the reference field
-_REFERENCE_SEED = -1  # a field of its own, which no user's seed is likely to ask for
+_SIZE = 512  # texels a side of the reference field
+_REFERENCE_SEED = -1  # a seed that users are unlikely to choose
 
 
-def reference_field(
-    config: DecoderConfig, waves: tuple[Wave, ...], size: int = REFERENCE_SIZE
-) -> RandomField:
-    """The periodic field on which statistics are frozen."""
+def reference_field(config: DecoderConfig, waves: tuple[Wave, ...]) -> RandomField:
+    """The periodic random field on which statistics are measured."""
     return random_field(
-        Patch(_REFERENCE_SEED, Rectangle(0, 0, size, size), period=(size, size)),
+        Patch(_REFERENCE_SEED, Rectangle(0, 0, _SIZE, _SIZE), period=(_SIZE, _SIZE)),
         config.noise_channels,
         waves,
         levels=DEPTH,
         cells=config.cells,
-        grains=config.grains,
+        structured=config.structured_channels,
     )
 
 
 def freeze(decoder: Decoder, code: Tensor, waves: tuple[Wave, ...]) -> list[Moments]:
-    """Statistics of every layer for a code, measured layer by layer on the reference field."""
+    """Statistics of every layer for a latent vector, measured on the reference field."""
     with torch.no_grad():
         field = reference_field(decoder.config, waves)
         return decoder.reference_moments(field, code)
@@ -64,57 +61,41 @@ class FoldedLayer:
     """A convolution with its AdaIN folded in."""
 
     weights: tuple[Tensor, ...]
-    """(out, in_i, k, k) for each part of what it reads, channels last in memory: on the way up that
-    is the level below, the skip connection and, if any, the waves."""
+    """(out, in_i, k, k) for each part of its input, in channels_last memory format. On the way up
+    the parts are the level below, the skip connection and, if any, the lattice channels."""
     bias: Tensor
     """(out,)."""
     activate: bool
-    """Followed by ReLU."""
+    """Whether a ReLU follows."""
 
-    def __call__(self, features: Tensor) -> Tensor:
-        """The step on all parts laid side by side; borders are padded with zeros."""
-        weight = torch.cat(self.weights, dim=1)
-        features = F.conv2d(features, weight, self.bias, padding=weight.shape[-1] // 2)
-        return features.relu_() if self.activate else features
-
-    def valid(self, steps: Steps, *parts: Tensor) -> Tensor:
-        """The step on its parts, only where the kernel lies inside, in its own precision."""
+    def __call__(self, *parts: Tensor) -> Tensor:
+        """Apply the layer without padding, in its own precision; see convolve."""
         parts = tuple(part.to(self.bias.dtype) for part in parts)
-        return steps.convolve(parts, self.weights, self.bias, activate=self.activate)
+        return convolve(parts, self.weights, self.bias, activate=self.activate)
 
     def to(self, target: torch.dtype | torch.device) -> FoldedLayer:
-        """In another precision or on another device."""
+        """A copy of another precision or on another device."""
         weights = tuple(weight.to(target) for weight in self.weights)
         return FoldedLayer(weights, self.bias.to(target), self.activate)
 
 
 @dataclass(frozen=True)
 class FoldedDecoder:
-    """A frozen decoder: noise in, raw outputs out, the same numbers wherever it is asked."""
+    """A frozen decoder as a CNN from a random field to raw outputs."""
 
     noise_channels: int
-    """Of white noise that it reads."""
-    grains: int
-    """Channels of structured noise that it reads."""
+    """Input channels of white noise."""
+    structured_channels: int
+    """Input channels of structured noise."""
     cells: int
-    """Channels of the noise of cells; 0 without waves."""
+    """Input channels of cell noise; 0 without a lattice."""
     has_waves: bool
-    """Whether it reads the order of regular_order.py."""
+    """Whether it reads lattice channels."""
     down: tuple[tuple[FoldedLayer, ...], ...]
+    """Layers by block, full resolution first."""
     up: tuple[tuple[FoldedLayer, ...], ...]
+    """Layers by block, coarsest first."""
     head: FoldedLayer
-    """Its layers, block by block."""
-
-    def __call__(self, field: RandomField) -> Tensor:
-        """Raw outputs (B, OUTPUTS, H, W) of a whole field; a halo at every border is not valid.
-
-        The plain form, which `decode` is tested against.
-        """
-        if not self.has_waves:
-            field = RandomField(field.noise, ())
-        down: Sequence[Sequence[LayerStep]] = self.down
-        up: Sequence[Sequence[LayerStep]] = self.up
-        return unet(field, down, up, self.head, periodic=False)
 
     @property
     def convolutions(self) -> tuple[int, int]:
@@ -123,19 +104,19 @@ class FoldedDecoder:
 
     @property
     def device(self) -> torch.device:
-        """Where it computes."""
+        """Device of its weights."""
         return self.head.bias.device
 
     def to(self, device: torch.device) -> FoldedDecoder:
-        """On another device."""
+        """A copy on another device."""
         down = tuple(tuple(layer.to(device) for layer in block) for block in self.down)
         up = tuple(tuple(layer.to(device) for layer in block) for block in self.up)
         return replace(self, down=down, up=up, head=self.head.to(device))
 
     def lowered(self, finest: int = 0) -> FoldedDecoder:
-        """In bfloat16 from level `finest` on to the coarser ones; never the head.
+        """A copy that computes level `finest` and all coarser levels in bfloat16.
 
-        The head's few multiplications state the maps, which bfloat16's eight bits could not.
+        The head stays in float32: its outputs are the maps, which need more than eight bits.
         """
 
         def lower(level: int, block: tuple[FoldedLayer, ...]) -> tuple[FoldedLayer, ...]:
@@ -146,25 +127,24 @@ class FoldedDecoder:
         return replace(self, down=down, up=up)
 
     def decode(self, field: RandomField, rows: Spans, columns: Spans) -> Tensor:
-        """Raw outputs (B, OUTPUTS, H, W) over the spans' output, float32, all of them valid.
+        """Raw outputs (B, OUTPUTS, H, W) over the spans' output, float32.
 
         Args:
-            field: noise over the spans' down[0] and, if there are any, waves over their joined.
-            rows, columns: of this decoder's convolutions.
+            field: noise over the spans' down[0], lattice channels over their joined.
+            rows, columns: spans_of for this decoder's convolutions.
         """
-        steps = CHANNELS_LAST
 
         def cut(features: Tensor, wanted: _Area, covered: _Area) -> Tensor:
             """The part of features over `covered` that lies in `wanted`."""
             high, wide = (a.within(b) for a, b in zip(wanted, covered, strict=True))
-            return steps.lay(features[..., high, wide])
+            return features[..., high, wide].contiguous(memory_format=torch.channels_last)
 
         features, skips = field.noise, []
         for level, block in enumerate(self.down):
             if level > 0:
-                features = steps.halve(features)
+                features = F.max_pool2d(features, 2)
             for layer in block:
-                features = layer.valid(steps, features)
+                features = layer(features)
             skips.append(features)
         covered = (rows.risen[DEPTH], columns.risen[DEPTH])
         for level, (first, *others) in zip(reversed(range(DEPTH)), self.up, strict=True):
@@ -172,22 +152,25 @@ class FoldedDecoder:
             below = cut(features, (rows.risen[level + 1], columns.risen[level + 1]), covered)
             skip = cut(skips[level], joined, (rows.skips[level], columns.skips[level]))
             waves = [field.waves[level]] if self.has_waves else []
-            features = first.valid(steps, double(below), skip, *waves)
+            # The outermost texel of what is upsampled is not valid.
+            features = first(upsample(below, periodic=False), skip, *waves)
             for layer in others:
-                features = layer.valid(steps, features)
+                features = layer(features)
             covered = (joined[0].grown(-1 - len(others)), joined[1].grown(-1 - len(others)))
-        return self.head.valid(steps, cut(features, (rows.output, columns.output), covered))
-
-
-def double(features: Tensor) -> Tensor:
-    """Twice the size, bilinear; the outermost texel is not valid."""
-    return F.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)
+        return self.head(cut(features, (rows.output, columns.output), covered))
 
 
 def fold(
     decoder: Decoder, code: Tensor, moments: Sequence[Moments], *, has_waves: bool
 ) -> FoldedDecoder:
-    """The frozen decoder of one material. Without waves their weights are dropped."""
+    """Fold a decoder's AdaIN into its convolutions.
+
+    Args:
+        decoder: fine-tuned.
+        code: (CODE_SIZE,) latent vector.
+        moments: frozen statistics, one a layer.
+        has_waves: keep the weights of lattice channels.
+    """
     with torch.no_grad():
         remaining = iter(moments)
 
@@ -204,12 +187,12 @@ def fold(
         up = []
         below = decoder.config.widths[-1]
         for skip, block in zip(decoder.config.widths[-2::-1], decoder.up_layers(), strict=True):
-            first = folded(block[0], (below, skip, decoder.config.order_channels))
+            first = folded(block[0], (below, skip, decoder.config.lattice_channels))
             up.append((first, *(folded(layer) for layer in block[1:])))
             below = skip
         return FoldedDecoder(
             noise_channels=decoder.config.noise_channels,
-            grains=decoder.config.grains,
+            structured_channels=decoder.config.structured_channels,
             cells=decoder.config.cells if has_waves else 0,
             has_waves=has_waves,
             down=down,

@@ -1,10 +1,11 @@
 """White noise as a pure function of (seed, channel, x, y), exact anywhere in [-2^40, 2^40].
 
 Independent uniform numbers of zero mean and unit variance from a counter-based hash of 64-bit
-integers. Column and row are scrambled apart and joined by one more scrambling per texel, so a
-rectangle costs one hash per texel and four channels; 16 bits each.
+integers [steele2014]: h(h(c g + k1) xor h(r g + k2)) at column c and row r, with keys k1, k2 of the
+seed. The inner hashes are computed once a column and once a row. Each hash gives four channels of
+16 bits.
 
-Integers are torch int64, whose products and sums wrap modulo 2^64 on every device.
+Integers are torch.int64, whose products and sums wrap modulo 2^64 on every device.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ from matcap.space.patch import Patch
 
 _CHANNELS_PER_HASH = 4  # of 16 bits each
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
-_TOP_BITS = 0x8000800080008000  # of the four numbers in a hash
+_TOP_BITS = 0x8000800080008000  # sign bits of the four 16-bit numbers in a hash
 _MIX_1 = 0xBF58476D1CE4E5B9  # the multipliers of splitmix64's finaliser [steele2014]
 _MIX_2 = 0x94D049BB133111EB
 
 
 def wrap64(value: int) -> int:
-    """An integer as the signed 64-bit number with the same low 64 bits."""
+    """The signed 64-bit integer with the same low 64 bits."""
     value &= 2**64 - 1
     return value - 2**64 if value >= 2**63 else value
 
@@ -36,7 +37,7 @@ def shift(value: Tensor, bits: int) -> Tensor:
 
 
 def _scramble(value: Tensor) -> Tensor:
-    """splitmix64's finaliser: a bijection of 64-bit integers in which every bit reaches all."""
+    """splitmix64's finaliser [steele2014]: a bijection in which each bit affects all others."""
     value = shift(value, 30).bitwise_xor_(value).mul_(wrap64(_MIX_1))
     value = shift(value, 27).bitwise_xor_(value).mul_(wrap64(_MIX_2))
     return shift(value, 31).bitwise_xor_(value)
@@ -52,34 +53,34 @@ def keys(seed: int, count: int) -> Tensor:
 def noise_field(patch: Patch, channels: int) -> Tensor:
     """(channels, height, width) float32 uniform noise of zero mean and unit variance.
 
-    In memory channels come last, as the network's convolutions like it.
+    In channels_last memory format.
 
     Args:
         patch: of level 0.
-        channels: how many independent fields.
+        channels: number of independent channels.
     """
     columns, rows = patch.places()
     return noise_at(patch.seed, channels, columns[None, :], rows[:, None])
 
 
 def noise_at(seed: int, channels: int, columns: Tensor, rows: Tensor) -> Tensor:
-    """(channels, height, width) of the same noise at texels of one's own choice.
+    """noise_field at given texels.
 
     Args:
         seed: of the realisation.
-        channels: as for noise_field.
-        columns, rows: int64, which broadcast to (height, width).
+        channels: number of independent channels.
+        columns, rows: int64, broadcast to (height, width).
     """
     hashes = -(-channels // _CHANNELS_PER_HASH)
     chosen = keys(seed, 2 * hashes).tolist()
-    # NumPy's: PyTorch's own imports its compiler, a third of a second.
+    # NumPy's: torch.broadcast_shapes imports PyTorch's compiler, which takes a third of a second.
     height, width = np.broadcast_shapes(columns.shape, rows.shape)
     fields = torch.empty(height, width, hashes, _CHANNELS_PER_HASH, device=columns.device)
     for index in range(hashes):
         column_hash = _scramble(columns * wrap64(_GOLDEN) + chosen[2 * index])
         row_hash = _scramble(rows * wrap64(_GOLDEN) + chosen[2 * index + 1])
         bits = _scramble(column_hash ^ row_hash)
-        # Read as four signed numbers, lowest bits first: k - 2^15, once the top bits are flipped.
+        # With flipped sign bits, each signed 16-bit number is k - 2^15 for k in [0, 2^16).
         parts = bits.bitwise_xor_(wrap64(_TOP_BITS)).view(torch.int16)
         fields[:, :, index] = parts.reshape(height, width, _CHANNELS_PER_HASH)
     # (k + 1/2) / 2^16 - 1/2, times sqrt(12): centred, unit variance.

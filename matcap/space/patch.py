@@ -1,4 +1,4 @@
-"""A rectangle of one realisation of the endless field: what noise and order are drawn for."""
+"""A rectangle of one realisation of the random field, at a mip level."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from matcap.field.plane import Period, Rectangle
 
 @dataclass(frozen=True)
 class Patch:
-    """Which numbers are wanted."""
+    """Texels at which noise and lattice channels are computed."""
 
     seed: int
-    """The realisation, any integer in [-2^63, 2^63)."""
+    """Of the realisation, in [-2^63, 2^63)."""
     area: Rectangle
     """In texels of the level."""
     level: int = 0
     """Texels are 2^level times as large."""
     period: Period | None = None
-    """Repeat in texels of level 0; None is endless."""
+    """In texels of level 0; None is endless."""
     device: torch.device | str = "cpu"
-    """Where to compute; the numbers are the same everywhere."""
+    """Device to compute on; values are the same on every device."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -32,17 +32,17 @@ class Patch:
 
     @property
     def along(self) -> Period:
-        """The repeat along x and along y, in texels of level 0."""
+        """The period along x and along y in texels of level 0, None where endless."""
         return (None, None) if self.period is None else self.period
 
     def at_level(self, level: int) -> Patch:
-        """The same place, of which this is level 0, at a coarser level; sides are multiples."""
+        """This patch of level 0 at a coarser level; its coordinates are multiples of 2^level."""
         x, y = self.area.x >> level, self.area.y >> level
         width, height = self.area.width >> level, self.area.height >> level
         return replace(self, area=Rectangle(x, y, width, height), level=level)
 
     def places(self, device: torch.device | str | None = None) -> tuple[Tensor, Tensor]:
-        """Columns (width,) and rows (height,), within the first period, as int64."""
+        """Columns (width,) and rows (height,), int64, modulo the period."""
         area = self.area
         where = self.device if device is None else device
         columns = torch.arange(area.x, area.x + area.width, dtype=torch.int64, device=where)

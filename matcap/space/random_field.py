@@ -1,7 +1,4 @@
-"""The random field the decoder reads: noise and, for materials with regular order, that order.
-
-Noise is white, and also structured (structured_noise.py) where the decoder reads that, too.
-"""
+"""The decoder's input: white noise, structured noise and lattice channels."""
 
 from __future__ import annotations
 
@@ -10,21 +7,21 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from matcap.space.lattice_channels import lattice_field
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
-from matcap.space.regular_order import order_field
-from matcap.space.structured_noise import grain_field
+from matcap.space.structured_noise import structured_field
 from matcap.statistics.lattice import Wave
 
 
 @dataclass(frozen=True)
 class RandomField:
-    """What a decoder reads."""
+    """Inputs of a decoder."""
 
     noise: Tensor
-    """(B, noise_channels + grains, H, W): white, then structured."""
+    """(B, noise_channels + structured_channels, H, W): white, then structured noise."""
     waves: tuple[Tensor, ...]
-    """Per level k, (B, WAVE_CHANNELS + cells, H / 2^k, W / 2^k)."""
+    """Lattice channels of each level k, (B, WAVE_CHANNELS + cells, H / 2^k, W / 2^k)."""
 
 
 def random_field(
@@ -34,32 +31,32 @@ def random_field(
     *,
     levels: int,
     cells: int = 0,
-    grains: int = 0,
+    structured: int = 0,
 ) -> RandomField:
-    """All the decoder reads for one rectangle, as a batch of one.
+    """Inputs of a decoder for one rectangle, as a batch of one.
 
     Args:
         patch: of level 0; its sides, corner and period are multiples of 2^levels.
-        noise_channels: as noise_field's.
-        waves: as order_field's.
-        levels: of order.
-        cells: as order_field's.
-        grains: as noise_of's.
+        noise_channels: of white noise.
+        waves: of the lattice.
+        levels: that have lattice channels.
+        cells: channels of cell noise.
+        structured: channels of structured noise.
     """
-    stack = tuple(order_field(patch.at_level(k), waves, cells)[None] for k in range(levels))
-    return RandomField(noise_of(patch, noise_channels, grains)[None], stack)
+    stack = tuple(lattice_field(patch.at_level(k), waves, cells)[None] for k in range(levels))
+    return RandomField(noise_of(patch, noise_channels, structured)[None], stack)
 
 
-def noise_of(patch: Patch, white: int, grains: int) -> Tensor:
-    """(white + grains, height, width) noise of a patch of level 0.
+def noise_of(patch: Patch, white: int, structured: int) -> Tensor:
+    """(white + structured, height, width) noise of a patch of level 0, in channels_last format.
 
     Args:
-        patch: which rectangle.
+        patch: of level 0.
         white: channels of white noise.
-        grains: channels of structured noise, the first ones of grain_field.
+        structured: channels of structured noise, the first ones of structured_field.
     """
     noise = noise_field(patch, white)
-    if not grains:
+    if not structured:
         return noise
-    joined = torch.cat([noise, grain_field(patch)[:grains]])
-    return joined.permute(1, 2, 0).contiguous().permute(2, 0, 1)  # in memory channels come last
+    joined = torch.cat([noise, structured_field(patch)[:structured]])
+    return joined.permute(1, 2, 0).contiguous().permute(2, 0, 1)

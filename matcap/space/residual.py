@@ -1,4 +1,4 @@
-"""The residual block [he2016] that the encoder and the alignment branch are made of."""
+"""The residual block [he2016] of encoder and alignment branch."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class ResidualBlock(nn.Module):
 
 
 def norm(channels: int) -> nn.GroupNorm:
-    """Normalisation by groups, not by batches, which hold a handful of materials."""
+    """Group normalisation in groups of _GROUP channels."""
     return nn.GroupNorm(channels // _GROUP, channels)
 
 
 def shortcut(inputs: int, outputs: int, stride: int) -> nn.Module:
-    """What a block adds to its convolutions: the input, in the output's shape."""
+    """The skip connection: identity, or a 1 x 1 convolution where the shape changes."""
     if inputs == outputs and stride == 1:
         return nn.Identity()
     return nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), norm(outputs))

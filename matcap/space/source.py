@@ -1,4 +1,4 @@
-"""A block of a decoder's field: what a worker needs, and all it needs, to compute any block."""
+"""The source of a decoder's field, which computes its blocks."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ from matcap.field.plane import Period, Rectangle, Span
 from matcap.field.source import planes_of
 from matcap.space.decoder import maps_from_raw
 from matcap.space.freeze import FoldedDecoder
+from matcap.space.lattice_channels import lattice_field
 from matcap.space.patch import Patch
 from matcap.space.random_field import RandomField, noise_of
-from matcap.space.regular_order import order_field
 from matcap.space.spans import Spans, spans_of
 from matcap.statistics.lattice import Wave
 
 
 class Seeded(Protocol):
-    """Which random field."""
+    """What a random field is computed from."""
 
     @property
     def seed(self) -> int:
-        """The realisation."""
+        """Of the realisation."""
         ...
 
     @property
     def period(self) -> Period | None:
-        """What repeats."""
+        """In texels; None if the field never repeats."""
         ...
 
     @property
     def device(self) -> torch.device:
-        """Where it is computed."""
+        """Device that computes it."""
         ...
 
 
 @dataclass(frozen=True)
 class BlockSpans:
-    """What decoding a block reads: the block, and rows and columns of every level around it."""
+    """A block, and the spans of every level that decoding it reads."""
 
     block: Rectangle
     rows: Spans
@@ -53,26 +53,26 @@ class BlockSpans:
 
 
 def spans_of_block(block: Rectangle, convolutions: tuple[int, int]) -> BlockSpans:
-    """The spans that decoding a block and its ring reads, for a decoder of so many convolutions."""
+    """Spans for a block and its ring, for so many convolutions a block of layers (down, up)."""
     rows, columns = (
         spans_of(Span(-RING, size + RING), convolutions) for size in (block.height, block.width)
     )
     return BlockSpans(block, rows, columns)
 
 
-def read_noise(source: Seeded, spans: BlockSpans, white: int, grains: int = 0) -> Tensor:
-    """(1, channels, H, W) noise of a block's spans."""
+def read_noise(source: Seeded, spans: BlockSpans, white: int, structured: int = 0) -> Tensor:
+    """(1, white + structured, H, W) noise of a block's spans."""
     columns, rows = spans.columns.down[0], spans.rows.down[0]
     x, y = spans.block.x + columns.start, spans.block.y + rows.start
     part = Rectangle(x, y, columns.size, rows.size)
     patch = Patch(source.seed, part, period=source.period, device=source.device)
-    return noise_of(patch, white, grains)[None]
+    return noise_of(patch, white, structured)[None]
 
 
-def read_order(
+def read_lattice(
     source: Seeded, spans: BlockSpans, waves: tuple[Wave, ...], cells: int
 ) -> tuple[Tensor, ...]:
-    """Per level (1, WAVE_CHANNELS + cells, H, W) order of a block's spans; none of no waves."""
+    """Per level (1, WAVE_CHANNELS + cells, H, W) lattice channels of a block's spans, if any."""
     if not waves:
         return ()
     stack = []
@@ -82,7 +82,7 @@ def read_order(
         x, y = (spans.block.x >> level) + columns.start, (spans.block.y >> level) + rows.start
         part = Rectangle(x, y, columns.size, rows.size)
         patch = Patch(source.seed, part, level, source.period, source.device)
-        field = order_field(patch, waves, cells)
+        field = lattice_field(patch, waves, cells)
         stack.append(field[None].contiguous(memory_format=torch.channels_last))
     return tuple(stack)
 
@@ -92,35 +92,34 @@ class DecoderSource:
     """The field of one decoder and seed; picklable."""
 
     decoder: FoldedDecoder
-    """Folded, in the precision to compute in."""
+    """In the precision to compute in."""
     waves: tuple[Wave, ...]
-    """Of the material's regular order."""
+    """Of the material's lattice."""
     texel_size: float
     """In plane units."""
     seed: int
-    """Which realisation."""
+    """Of the realisation."""
     period: Period | None = None
-    """What repeats, in multiples of ALIGNMENT."""
+    """In texels, multiples of ALIGNMENT; None if the field never repeats."""
     grid: Grid = Grid()
-    """The blocks that the plane is cut into."""
 
     @property
     def specular_channels(self) -> int:
-        """Of F0: its network knows no colour of it."""
+        """Channels of F0: 1, as the network has none for its colour."""
         return 1
 
     @property
     def device(self) -> torch.device:
-        """Where it is computed."""
+        """Device that computes it."""
         return self.decoder.device
 
     @property
     def device_type(self) -> str:
-        """Where it is computed."""
+        """Device that computes it: "cpu" or "cuda"."""
         return self.device.type
 
     def lowered(self, finest: int) -> DecoderSource:
-        """The same in bfloat16 from level `finest` on to the coarser ones."""
+        """A copy that computes level `finest` and all coarser levels in bfloat16."""
         return replace(self, decoder=self.decoder.lowered(finest))
 
     def maps(self, block: Rectangle) -> Tensor:
@@ -128,14 +127,16 @@ class DecoderSource:
         spans = spans_of_block(block, self.decoder.convolutions)
         with torch.inference_mode(), repeatable(self.device):
             field = RandomField(
-                read_noise(self, spans, self.decoder.noise_channels, self.decoder.grains),
-                read_order(self, spans, self.waves, self.decoder.cells),
+                read_noise(
+                    self, spans, self.decoder.noise_channels, self.decoder.structured_channels
+                ),
+                read_lattice(self, spans, self.waves, self.decoder.cells),
             )
             raw = self.decoder.decode(field, spans.rows, spans.columns)[0].contiguous()
-            # Before anything is cut off: a vectorised sigmoid rounds a row's last few texels
-            # differently, so it must see the same rows whatever rectangle is asked for.
+            # Vectorised sigmoids round the last few texels of a row differently. They must see
+            # whole blocks, so that a texel has the same bits whatever rectangle is read.
             return maps_from_raw(raw, self.texel_size).stacked()
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-        """(9, height, width) of a block: the six maps and the normal."""
+        """(9, height, width) maps and normal of a block."""
         return planes_of(self, block, normal)

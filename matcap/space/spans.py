@@ -1,8 +1,7 @@
 """Receptive fields: the span of every decoder level that a block of output needs.
 
-Followed from the output back to the noise, so that nothing is computed twice as wide as needed
-and nothing at all is padded. Spans are along one axis, in texels of their level, counted from the
-block's first texel.
+Computed from the output back to the noise, so that convolutions need no padding. Spans are along
+one axis, in texels of their level, counted from the block's first texel.
 """
 
 from __future__ import annotations
@@ -15,28 +14,28 @@ from matcap.space.decoder import DEPTH
 
 @dataclass(frozen=True)
 class Spans:
-    """Of every level along one axis, full resolution first."""
+    """Spans of every level along one axis, full resolution first."""
 
     output: Span
-    """What is wanted."""
+    """Of the raw outputs."""
     joined: tuple[Span, ...]
-    """What enters a level's block on the way up (skip, waves, and the level below doubled), for
-    levels 0 to DEPTH - 1. Its outermost texel is not valid."""
+    """Input of a level's block on the way up (the level below upsampled, skip connection, lattice),
+    for levels 0 to DEPTH - 1. The outermost upsampled texel is not valid."""
     risen: tuple[Span, ...]
-    """What a level hands up to be doubled, for levels 1 to DEPTH; entry 0 is the output."""
+    """What a level contributes to the upsampling, for levels 1 to DEPTH; entry 0 is the output."""
     down: tuple[Span, ...]
-    """What enters a level's block on the way down; entry 0 is the noise."""
+    """Input of a level's block on the way down; entry 0 is the noise."""
     skips: tuple[Span, ...]
-    """What leaves it."""
+    """Output of that block."""
 
 
 def spans_of(output: Span, convolutions: tuple[int, int]) -> Spans:
-    """Spans for an output, with so many 3 x 3 convolutions a block on the way down and up."""
+    """Spans for an output; `convolutions` are 3 x 3 ones per block on the way down and up."""
     down_count, up_count = convolutions
     risen, joined = [output], []
     for _ in range(DEPTH):
         valid = risen[-1].grown(up_count)
-        # Texel i of the doubled level lies between texels (i - 1) // 2 and (i + 1) // 2 below.
+        # Upsampled texel i is interpolated from texels (i - 1) // 2 and (i + 1) // 2.
         risen.append(Span((valid.start - 1) // 2, valid.stop // 2 + 1))
         joined.append(risen[-1].doubled())
     skips = [risen[-1]]

@@ -1,17 +1,16 @@
-"""Structure in the noise: irregular cells and streaks, pure functions of (seed, x, y).
+"""Structured noise: cellular noise [worley1996] and streaks, pure functions of (seed, x, y).
 
-White noise through a network of finite reach makes grains and clouds, hardly ever cells: a closed
-line around every place, or one long fibre, needs places far apart to agree. Cellular noise (Worley
-1996, "A cellular texture basis function") has that agreement: every cell of a square lattice holds
-one random point, and a texel knows the nearest point and how far the second nearest is. Beside
-white noise it gives the network
+A network on white noise makes grains and clouds, but hardly closed cell borders or long fibres,
+which need correlation beyond its receptive field. In cellular noise each cell of a grid holds one
+random point, jittered within it. With distances d1 to a texel's nearest point and d2 to the second
+nearest, in grid steps, the channels are
 
-- *cells* of 8 to 64 texels: the distance to their border, and a number of each cell's own;
-- *streaks*, cells stretched along x or along y: a number of each streak's own.
+- *cells*, for grids of 8 to 64 texels: d2 - d1, which is small at borders between cells, and a
+  random number of the nearest point;
+- *streaks*, for grids stretched along x or y: a random number of the nearest point.
 
-All of zero mean and about unit variance; how much a material shows of each its code says.
-Coordinates are integers, so nothing drifts or loses digits far away; a period is kept exactly by
-fitting a whole number of cells into it.
+All have zero mean and about unit variance. Grid positions are computed in integers, exact at any
+distance; with a period a whole number of grid cells fits into it.
 """
 
 from __future__ import annotations
@@ -25,20 +24,17 @@ from torch import Tensor
 from matcap.space.noise import noise_at, wrap64
 from matcap.space.patch import Patch
 
-_CELLS = (8, 16, 32, 64)  # texels between points
-_STREAKS = ((40, 3), (3, 40), (120, 8), (8, 120))  # texels between points, along x and y
-GRAIN_CHANNELS = 2 * len(_CELLS) + len(_STREAKS)
+_CELLS = (8, 16, 32, 64)  # grid steps in texels
+_STREAKS = ((40, 3), (3, 40), (120, 8), (8, 120))  # grid steps in texels along x and y
+STRUCTURED_CHANNELS = 2 * len(_CELLS) + len(_STREAKS)
 
-_SEED = 0xD6E8FEB86659FD93  # sets their seeds apart from the other noises'
-_JITTER = 0.42 / math.sqrt(
-    3.0
-)  # lattice steps to a unit of noise: points move up to 0.42 either way
-# Of the second nearest point's distance less the nearest one's, in lattice steps; measured.
-_BORDER_MEAN, _BORDER_DEVIATION = 0.282, 0.203
+_SEED = 0xD6E8FEB86659FD93  # makes seeds independent of those of the white noise
+_JITTER = 0.42 / math.sqrt(3.0)  # grid steps per unit of noise: offsets are within +-0.42
+_BORDER_MEAN, _BORDER_DEVIATION = 0.282, 0.203  # of d2 - d1, in grid steps; measured
 
 
-def grain_field(patch: Patch) -> Tensor:
-    """(GRAIN_CHANNELS, height, width) float32: cells' borders and numbers, then streaks' numbers.
+def structured_field(patch: Patch) -> Tensor:
+    """(STRUCTURED_CHANNELS, height, width) float32: border and number by grid, then streaks.
 
     Args:
         patch: of level 0.
@@ -53,19 +49,19 @@ def grain_field(patch: Patch) -> Tensor:
 
 @dataclass(frozen=True)
 class _Line:
-    """Where the texels of one row or column lie among the lattice's cells."""
+    """Grid cells of the texels along one axis."""
 
     cells: Tensor
-    """(N + 2,) int64 the N cells that they meet, one after another, and one more at either end."""
+    """(N + 2,) int64 numbers of the N cells that the texels lie in, and of one more at each end."""
     place: Tensor
-    """(texels,) which of the N cells a texel lies in."""
+    """(texels,) index of the texel's cell among the N."""
     within: Tensor
-    """(texels,) float32 how far it has come through it, 0 to 1."""
+    """(texels,) float32 position within its cell, in [0, 1)."""
 
 
 def _line(texels: list[int], spacing: int, period: int | None) -> _Line:
     count = 0 if period is None else max(1, round(period / spacing))
-    # A texel's centre in cells is (2 texel + 1) / step: whole numbers, exact however far away.
+    # A texel's centre is at (2 texel + 1) times / step cells, computed in exact integers.
     times, step = (1, 2 * spacing) if period is None else (count, 2 * period)
     reached = [(2 * texel + 1) * times for texel in texels]
     cells = [value // step for value in reached]
@@ -83,7 +79,7 @@ def _line(texels: list[int], spacing: int, period: int | None) -> _Line:
 
 
 def _cellular(patch: Patch, spacing: tuple[int, int], seed: int) -> tuple[Tensor, Tensor]:
-    """(height, width) each: nearness to a border between cells, and a number of each cell's own."""
+    """(height, width) each: normalised d2 - d1, and the random number of the nearest point."""
     columns, rows = (
         _line(line.tolist(), size, period)
         for line, size, period in zip(patch.places("cpu"), spacing, patch.along, strict=True)

@@ -1,4 +1,4 @@
-"""A decoder tuned at a code: the paper's generator of a material, and how a file holds it."""
+"""The fine-tuned decoder of a material, and its part of a material's file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import ALIGNMENT, CODE_SIZE, Decoder, Moments
 from matcap.space.freeze import FoldedDecoder, fold
 from matcap.space.source import DecoderSource
-from matcap.space.stored import decoder_config, empty_decoder
+from matcap.space.stored import config_document, decoder_config, empty_decoder
 from matcap.statistics.lattice import Wave
 
 _CPU = torch.device("cpu")
@@ -34,10 +34,10 @@ class TunedDecoder:
     """The decoder of one material.
 
     Attributes:
-        decoder: fine-tuned weights.
-        code: (CODE_SIZE,) where it was tuned.
+        decoder: with fine-tuned weights.
+        code: (CODE_SIZE,) latent vector it was fine-tuned at.
         moments: frozen AdaIN statistics, one pair a layer.
-        waves: the plane waves of the material's regular order; none for most materials.
+        waves: of the material's lattice; empty for most materials.
         texel_size: in plane units.
     """
 
@@ -49,47 +49,44 @@ class TunedDecoder:
 
     @property
     def alignment(self) -> int:
-        """What periods of its field are multiples of, in texels."""
+        """Texels: periods of its field are multiples of this."""
         return ALIGNMENT
 
     @property
     def piece_size(self) -> None:
-        """It shows no piece of anything photographed."""
+        """None: there is no exemplar."""
         return None
 
     def piece(self) -> None:
-        """Nor maps of one."""
+        """None: there is no exemplar."""
         return None
 
     def material(
         self, name: str, setup: FlashSetup, provenance: Mapping[str, Any] | None = None
     ) -> Material:
-        """A material that this decoder alone makes; arguments as in Material."""
+        """A material with this decoder as its only generator; arguments as in Material."""
         return Material(name, {"decoder": self}, self.texel_size, setup, provenance or {})
 
     @cached_property
-    def _folded(self) -> FoldedDecoder:
-        return fold(self.decoder, self.code, self.moments, has_waves=bool(self.waves))
-
     def folded(self) -> FoldedDecoder:
-        """The frozen network: plain convolutions on noise."""
-        return self._folded
+        """The decoder with AdaIN folded into its convolutions."""
+        return fold(self.decoder, self.code, self.moments, has_waves=bool(self.waves))
 
     def source(
         self, seed: int, period: Period | None = None, device: torch.device = _CPU
     ) -> DecoderSource:
-        """The source of its field, computed on a device.
+        """The field of a seed and period, computed on a device.
 
         Raises:
             UsageError: a seed or period out of range.
         """
         check_seed(seed)
         check_period(period, ALIGNMENT)
-        decoder = self.folded().to(device)
+        decoder = self.folded.to(device)
         return DecoderSource(decoder, self.waves, self.texel_size, seed, period)
 
     def varied(self, variety: float) -> TunedDecoder:
-        """There are no pieces of a size.
+        """Decoders have no variety.
 
         Raises:
             UsageError: always.
@@ -101,7 +98,7 @@ class TunedDecoder:
         )
 
     def repeating(self) -> MapSet:
-        """There is no piece to repeat.
+        """Decoders have no exemplar to make a tile of.
 
         Raises:
             UsageError: always.
@@ -113,29 +110,30 @@ class TunedDecoder:
         )
 
     def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Tensors by name and entries of a material's description, from which read() makes it."""
+        """Tensors by name, and entries of the JSON description; the inverse of read()."""
         tensors = {f"decoder.{k}": v for k, v in self.decoder.state_dict().items()}
         tensors["code"] = self.code
         for index, (mean, deviation) in enumerate(self.moments):
             tensors[f"moments.{index}.mean"] = mean
             tensors[f"moments.{index}.deviation"] = deviation
         about = {
-            "decoder": asdict(self.decoder.config),
+            "decoder": config_document(self.decoder.config),
             "waves": [asdict(wave) for wave in self.waves],
         }
         return tensors, about
 
 
 def read(about: Mapping[str, Any], file: safe_open, path: Path) -> TunedDecoder | None:
-    """The decoder that a material's file holds, or None.
+    """Read the decoder of a material's file, or None if it has none.
 
     Args:
-        about: the material's description.
-        file: open, for PyTorch.
+        about: the file's JSON description.
+        file: opened for PyTorch.
         path: of the file.
 
     Raises:
-        MatcapError: a tensor is missing or not as it should be; and what header.DAMAGED names.
+        MatcapError: a tensor is missing or of a wrong shape.
+        DAMAGED (field/header.py): the description is malformed.
     """
     if "decoder" not in about:
         return None

@@ -1,7 +1,7 @@
-"""A border of one texel from the opposite side: convolutions and upsampling on a torus.
+"""Circular padding by one texel, for convolutions and upsampling on a torus.
 
-The same numbers as torch.nn.functional.pad(mode="circular"), whose way back copies the whole
-gradient once for every side.
+Equal to torch.nn.functional.pad(mode="circular"), whose gradient copies the whole tensor once for
+every side; this one does not.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from torch.autograd.function import Function, FunctionCtx, once_differentiable
 
 
 def wrap(features: Tensor) -> Tensor:
-    """(B, C, H + 2, W + 2) of a torus (B, C, H, W)."""
+    """(B, C, H + 2, W + 2) of (B, C, H, W), padded circularly."""
     # torch leaves apply untyped.
     wrapped: Tensor = _Wrap.apply(features)  # type: ignore[no-untyped-call]
     return wrapped
@@ -26,7 +26,7 @@ class _Wrap(Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: FunctionCtx, gradient: Tensor) -> Tensor:
-        """The gradient of a border texel goes to the texel it is a copy of."""
+        """Add the gradient of each border texel to that of the texel it is a copy of."""
         rows = gradient[..., 1:-1, :].clone()
         rows[..., 0, :] += gradient[..., -1, :]
         rows[..., -1, :] += gradient[..., 0, :]

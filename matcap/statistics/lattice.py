@@ -1,7 +1,7 @@
 """Lattice of a regular texture (weave, knit, tiles, stripes): one or two frequency vectors.
 
 The averaged power spectrum of a regular texture has sharp peaks at integer combinations of one or
-two frequency vectors. These vectors are inputs of the decoder (space/regular_order.py).
+two frequency vectors. These vectors are inputs of the decoder (space/lattice_channels.py).
 """
 
 from __future__ import annotations

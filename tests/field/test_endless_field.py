@@ -7,6 +7,7 @@ import threading
 
 import pytest
 import torch
+from plain_decoder import decoded
 from torus import WAVES, a_material, both
 
 from matcap.errors import MatcapError, UsageError
@@ -15,9 +16,9 @@ from matcap.field.material import Material
 from matcap.field.plane import Rectangle
 from matcap.space.decoder import CODE_SIZE
 from matcap.space.freeze import reference_field
+from matcap.space.lattice_channels import wave_field
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
-from matcap.space.regular_order import wave_field
 from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave
 
@@ -94,7 +95,7 @@ def test_frozen_and_folded_are_the_network_that_was_tuned(material):
     with torch.no_grad():
         own = decoder(field, code)
         frozen = decoder(field, code, tuned.moments)
-        folded = tuned.folded()(field)
+        folded = decoded(tuned.folded, field)
     assert torch.allclose(own, frozen, atol=1e-4)
     inner = (..., slice(96, -96), slice(96, -96))
     assert torch.allclose(folded[inner], frozen[inner], atol=1e-4)

@@ -11,7 +11,7 @@ from matcap.field.material import Material
 from matcap.space.between import blend, blend_waves
 from matcap.space.decoder import Decoder, DecoderConfig
 from matcap.space.freeze import freeze
-from matcap.space.regular_order import CELL_CHANNELS
+from matcap.space.lattice_channels import CELL_CHANNELS
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.start import reading_cells
 from matcap.statistics.lattice import Wave

@@ -5,10 +5,10 @@ import torch
 
 from matcap.field.plane import Rectangle
 from matcap.space.decoder import CODE_SIZE, DEPTH, AdaIN, Decoder, DecoderConfig
+from matcap.space.lattice_channels import WAVE_CHANNELS
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
 from matcap.space.random_field import RandomField
-from matcap.space.regular_order import WAVE_CHANNELS
 
 TINY = DecoderConfig(noise_channels=2, widths=(4, 4, 4, 4, 4), convolutions=(1, 1))
 

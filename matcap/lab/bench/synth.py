@@ -47,9 +47,9 @@ from matcap.space.decoder import (
     DecoderConfig,
 )
 from matcap.space.freeze import FoldedDecoder, FoldedLayer, freeze
+from matcap.space.lattice_channels import WAVE_CHANNELS
 from matcap.space.patch import Patch
 from matcap.space.random_field import noise_of
-from matcap.space.regular_order import WAVE_CHANNELS
 from matcap.space.source import BlockSpans, DecoderSource, spans_of_block
 from matcap.space.tuned import TunedDecoder
 from matcap.synth.precision import multiplies_bfloat16
@@ -182,7 +182,9 @@ def field_costs(
     subject, (workers, block, precision) = material(NETWORKS[network]), way
     width, height = settings.size
     config = subject.decoder.config
-    noise = noise_of(Patch(1, Rectangle(0, 0, width, height)), config.noise_channels, config.grains)
+    noise = noise_of(
+        Patch(1, Rectangle(0, 0, width, height)), config.noise_channels, config.structured_channels
+    )
     noise = noise[None].contiguous()
     source = _source(subject, _grid(block), precision)
 

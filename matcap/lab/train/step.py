@@ -16,13 +16,13 @@ from matcap.lab.train.state import Model, TrainConfig
 from matcap.lab.train.trainer import mixed
 from matcap.lab.train.training_windows import TrainingSample
 from matcap.space.decoder import DEPTH, Decoder, DecoderConfig, maps_from_raw
+from matcap.space.lattice_channels import WAVE_CHANNELS, wave_field
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
 from matcap.space.prior.base import Base
 from matcap.space.prior.encoder_input import texture
 from matcap.space.random_field import RandomField
-from matcap.space.regular_order import WAVE_CHANNELS, wave_field
-from matcap.space.structured_noise import grain_field
+from matcap.space.structured_noise import structured_field
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank
 from matcap.statistics.lattice import Wave
@@ -149,10 +149,13 @@ def fields(
     torus = Patch(seed, Rectangle(0, 0, side, side), period=(side, side), device=device)
     noise = noise_field(torus, config.noise_channels * len(waves))
     noise = noise.view(len(waves), config.noise_channels, side, side)
-    if config.grains:
+    if config.structured_channels:
         seeds = range(seed * len(waves), (seed + 1) * len(waves))
-        grains = [grain_field(replace(torus, seed=one))[: config.grains] for one in seeds]
-        noise = torch.cat([noise, torch.stack(grains)], dim=1)
+        structured = [
+            structured_field(replace(torus, seed=one))[: config.structured_channels]
+            for one in seeds
+        ]
+        noise = torch.cat([noise, torch.stack(structured)], dim=1)
     stack = []
     for level in range(DEPTH):
         here = side >> level

@@ -1,1 +1,1 @@
-"""The space of materials that captures start from: its file, its shipped weights, what it draws."""
+"""The prior over materials [henzler2021]: its file, its shipped weights, and draws from it."""

@@ -1,17 +1,17 @@
-"""Anchors in the space: where photographs lie in it, and what lies near them.
+"""Anchors: the training photographs' positions in the prior's space, and draws near them.
 
-An anchor is a code, the base that goes with it and its regular order. Codes are standard normal
-over all the training photographs together, but not between them: a few hundred places in 64
-dimensions leave most of the space near none. So materials are drawn near photographs' places, and
-each brings its order along, without which nothing is woven.
+Latent vectors of the training photographs are standardised. But a few hundred points leave most of
+64 dimensions empty, and the decoder is untrained there. Materials are therefore drawn near anchors.
+An anchor is a latent vector, a base (mean maps, see base.py) and a lattice. The base is modelled as
 
-A base is modelled by its conditional mean: base = A code + b + L rest, with rest standard normal.
-Code and rest of an anchor z move to
+    base = A code + b + L rest,    rest ~ N(0, I).
 
-    sqrt(1 - t^2) z + t e,    e standard normal,
+A draw at distance t of an anchor z = (code, rest) is
 
-so t = 0 is the anchor itself and t = 1 a draw that knows nothing of it but its order; what is
-standard normal stays so, whatever t is.
+    sqrt(1 - t^2) z + t e,    e ~ N(0, I),
+
+which is the anchor at t = 0, independent of it at t = 1, and standard normal for any t if z is. The
+lattice is the anchor's.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from matcap.statistics.lattice import Wave
 
 @dataclass(frozen=True)
 class ConditionalMean:
-    """Linear-Gaussian model of bases given codes, fitted to the training photographs.
+    """Linear-Gaussian model of bases given latent vectors, fitted to the training photographs.
 
     base = A code + b + L rest,    rest ~ N(0, I)
     """
@@ -38,38 +38,33 @@ class ConditionalMean:
     matrix: Tensor
     """A, (VARYING, CODE_SIZE)."""
     offset: Tensor
-    """B, (VARYING,)."""
+    """Vector b, (VARYING,)."""
     spread: Tensor
     """L, (VARYING, VARYING) lower triangular."""
 
     def base(self, code: Tensor, rest: Tensor) -> Base:
-        """The base of a code and a rest (VARYING,)."""
+        """A code + b + L rest; `rest` is (VARYING,)."""
         return base_from(self.matrix @ code + self.offset + self.spread @ rest)
 
     def rest(self, code: Tensor, base: Base) -> Tensor:
-        """(VARYING,) the whitened residual L^-1 (base - A code - b)."""
+        """(VARYING,) whitened residual L^-1 (base - A code - b)."""
         residual = varying(base) - self.offset - self.matrix @ code
         return torch.linalg.solve_triangular(self.spread, residual[:, None], upper=False)[:, 0]
 
 
 @dataclass(frozen=True)
 class Anchor:
-    """A place in the space."""
+    """A position in the prior's space."""
 
     code: Tensor
-    """(CODE_SIZE,)."""
+    """(CODE_SIZE,) latent vector."""
     rest: Tensor
-    """(VARYING,) the whitened residual of the base given the code."""
+    """(VARYING,) whitened residual of the base."""
     waves: tuple[Wave, ...]
-    """Of its regular order, at a drawn material's fineness."""
+    """Lattice, in cycles per texel of a drawn material."""
 
     def near(self, spread: float, generator: torch.Generator) -> Anchor:
-        """A random place near this one.
-
-        Args:
-            spread: how far away, from 0 (here) to 1 (anywhere).
-            generator: of the random numbers.
-        """
+        """Draw a position at distance t = spread, in [0, 1]; see the module's equation."""
         drawn = torch.randn(CODE_SIZE + VARYING, generator=generator)
         kept = math.sqrt(1.0 - spread**2)
         here = kept * torch.cat([self.code, self.rest]) + spread * drawn
@@ -78,14 +73,14 @@ class Anchor:
 
 @dataclass(frozen=True)
 class Anchors:
-    """Where the training photographs lie."""
+    """Positions of the N training photographs."""
 
     codes: Tensor
     """(N, CODE_SIZE)."""
     rests: Tensor
     """(N, VARYING)."""
     waves: Tensor
-    """(N, 2, 2) frequencies (fx, fy) of at most two waves; (0, 0) for an absent one."""
+    """(N, 2, 2) frequencies (fx, fy) of two waves; (0, 0) for absent ones."""
 
     def __len__(self) -> int:
         return len(self.codes)
@@ -95,18 +90,18 @@ class Anchors:
         return Anchor(self.codes[index], self.rests[index], waves)
 
     def draw(self, spread: float, generator: torch.Generator) -> Anchor:
-        """A random place near a random one of them."""
+        """Draw a position near a random anchor."""
         index = int(torch.randint(len(self), (1,), generator=generator))
         return self[index].near(spread, generator)
 
 
 def nowhere() -> Anchor:
-    """The middle of the space: where nothing is known."""
+    """The origin, without a lattice."""
     return Anchor(torch.zeros(CODE_SIZE), torch.zeros(VARYING), ())
 
 
 def anchors_of(places: Sequence[Anchor]) -> Anchors:
-    """Several as one."""
+    """Stack several anchors."""
     waves = torch.zeros(len(places), 2, 2)
     for row, place in zip(waves, places, strict=True):
         for slot, wave in zip(row, place.waves, strict=False):

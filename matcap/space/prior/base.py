@@ -1,8 +1,9 @@
-"""The base: mean maps as given by the coarse fit.
+"""The base: offset and scale of the decoder's raw outputs, from the coarse fit.
 
-The decoder's outputs are read in units of the base: raw = mean + deviation * output. The network
-then only learns how a material departs from its coarse fit. Both numbers fold exactly into the
-affine of the decoder's head (`fold`), so a captured material needs no base of its own.
+    raw = mean + deviation * output
+
+The network then learns differences from the coarse fit only. Both fold exactly into the decoder's
+last AdaIN (`fold`), so that a material's decoder outputs raw values.
 """
 
 from __future__ import annotations
@@ -18,38 +19,38 @@ from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import OUTPUTS, Decoder
 from matcap.space.tuning.start import head_start
 
-VARYING = 8  # of the base's numbers differ between materials: 5 means, 3 colour deviations
+VARYING = 8  # numbers of a base that differ between materials: 5 means, 3 colour deviations
 
-_CONTRASTS = (0.02, 1.5)  # of log colour: a plain material may still be corrected a little
-# Units of F0 and roughness, besides the deviations a capture starts with: means must
-# be able to move far.
+_CONTRASTS = (0.02, 1.5)  # limits of the deviation of log colour
+# Factors on the deviations that a capture starts with; larger for F0 and roughness, whose means
+# must be able to change more.
 _UNIT = (1.0, 1.0, 1.0, 3.0, 3.0, 1.0)
-_START = (1.0, 1.0, 1.0, 0.33, 0.33, 0.33)  # deviations an untrained head begins with
+_START = (1.0, 1.0, 1.0, 0.33, 0.33, 0.33)  # deviations of an untrained head's outputs
 
-# The deviations of F0, roughness and height are the same for every photograph.
+# Deviations of F0, roughness and height are the same for every photograph.
 _ANY = CoarseFit((0.5, 0.5, 0.5), 0.04, 0.5, FlashSetup(), 0.0)
 
 
 @dataclass(frozen=True)
 class Base:
-    """Offset and unit of each raw output, (OUTPUTS,) or (B, OUTPUTS) each."""
+    """Offset and scale of each raw output, (OUTPUTS,) or (B, OUTPUTS) each."""
 
     mean: Tensor
     deviation: Tensor
 
     def apply(self, output: Tensor) -> Tensor:
-        """(B, OUTPUTS, H, W) raw outputs of what the decoder said in units of the base."""
+        """Raw values mean + deviation * output, (B, OUTPUTS, H, W)."""
         return self.mean[..., None, None] + self.deviation[..., None, None] * output
 
 
 def base_of(coarse: CoarseFit, contrast: Tensor) -> Base:
-    """The base of a photograph; `contrast` is (3,), see capture.start.log_contrast."""
+    """The base of a photograph; `contrast` is (3,) from tuning.start.log_contrast."""
     mean, deviation = head_start(coarse, contrast.float().clamp(*_CONTRASTS))
     return Base(mean, deviation * torch.tensor(_UNIT))
 
 
 def varying(base: Base) -> Tensor:
-    """(VARYING,) what differs between bases, each about normally distributed."""
+    """(VARYING,) numbers that differ between bases: means, and logs of colour deviations."""
     return torch.cat([base.mean[:5], base.deviation[:3].log()])
 
 
@@ -64,7 +65,7 @@ def base_from(numbers: Tensor) -> Base:
 
 
 def start_head(decoder: Decoder) -> None:
-    """Let an untrained head state the base itself, plus moderate variation of every output."""
+    """Initialise an untrained head to output zero mean and the deviations _START."""
     with torch.no_grad():
         affine = decoder.head.adain.affine
         affine.weight.mul_(0.2)
@@ -72,7 +73,7 @@ def start_head(decoder: Decoder) -> None:
 
 
 def fold(decoder: Decoder, base: Base) -> Decoder:
-    """A copy of a decoder whose head speaks raw outputs itself, no longer units of the base."""
+    """A copy of a decoder with the base folded into its head, so that it outputs raw values."""
     folded = copy.deepcopy(decoder).requires_grad_(True)
     scale = torch.cat([base.deviation, base.deviation])
     shift = torch.cat([base.mean, torch.zeros_like(base.mean)])

@@ -1,7 +1,7 @@
-"""Encoder input of a photograph: a small picture, the coarse fit, and texture statistics.
+"""Encoder inputs besides the image: parameters of the coarse fit, and texture statistics.
 
-The small picture shows the highlight and large patterns; fine texture is lost in it, so statistics
-of windows at full detail go with it (autocorrelation, contrast and distribution, per level).
+The encoder's image is too small to show fine texture. Autocorrelation, contrast and quantiles of
+windows at full resolution describe it.
 """
 
 from __future__ import annotations
@@ -18,20 +18,26 @@ from matcap.statistics.compare import Descriptor, describe
 from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 
-FEATURES = FilterBankConfig(sizes=(5,), filters=64)  # that windows are compared by in training
-# The encoder's inputs are spectra and distributions; Gram matrices are not, and can be small.
+FEATURES = FilterBankConfig(sizes=(5,), filters=64)  # of the texture loss in training
+# Gram matrices are no inputs of the encoder; one filter keeps them small.
 _ENCODER_BANK = FilterBankConfig(sizes=(5,), filters=1, crossed=False)
-WINDOW = 96  # texels a side of the windows whose texture statistics are input
+WINDOW = 96  # texels a side of the windows that statistics are computed of
 _PLACES_ACROSS, _PLACES_DOWN = (0.1, 0.37, 0.63, 0.9), (0.15, 0.5, 0.85)
-_LEVELS = 3  # of the pyramid; what a window of 64 texels has
+_LEVELS = 3  # pyramid levels, as many as a window of 64 texels has
 _LAGS_DOWN = (0, 1, 2, 4, 7, 11)  # texels of a level, as are those across
 _LAGS_ACROSS = (-11, -7, -4, -2, -1, 0, 1, 2, 4, 7, 11)
-_QUANTILES = (1, 5, 12, 24, 39, 51, 58, 62)  # of 64
-_STRONGEST = 2  # the encoding's channel of most variance
+_QUANTILES = (1, 5, 12, 24, 39, 51, 58, 62)  # indices of 64
+_STRONGEST = 2  # index of the encoded channel of most variance
 
 
 def numbers(coarse: CoarseFit, contrast: Tensor, detail: int) -> Tensor:
-    """(NUMBERS,) the coarse fit, the photograph's contrast and detail, each about unit size."""
+    """(NUMBERS,) parameters of the coarse fit, each about standard normal.
+
+    Args:
+        coarse: the fit.
+        contrast: (3,) from tuning.start.log_contrast.
+        detail: texels across the photograph.
+    """
     setup = coarse.setup
     values = [
         *(math.log(value) + 1.5 for value in coarse.diffuse),
@@ -43,7 +49,7 @@ def numbers(coarse: CoarseFit, contrast: Tensor, detail: int) -> Tensor:
         10.0 * setup.offset[1],
         10.0 * setup.tilt[0],
         10.0 * setup.tilt[1],
-        # Priors were trained on fits with r^2 alone, which take so much of r^4 for it.
+        # The prior was trained with fits of r^2 alone, whose coefficient takes 0.7 of that of r^4.
         2.0 * (setup.vignetting + 0.7 * setup.vignetting_quartic),
         10.0 * coarse.residual,
         math.log2(detail / 1024.0),
@@ -53,7 +59,7 @@ def numbers(coarse: CoarseFit, contrast: Tensor, detail: int) -> Tensor:
 
 
 def texture(windows: Descriptor) -> Tensor:
-    """(TEXTURE,) the texture of windows of WINDOW texels, averaged over them."""
+    """(TEXTURE,) means over windows of autocorrelation, log variance and quantiles by level."""
     parts = []
     levels = zip(windows.spectra, windows.quantiles, strict=True)
     for spectra, quantiles in itertools.islice(levels, _LEVELS):
@@ -69,9 +75,14 @@ def texture(windows: Descriptor) -> Tensor:
 
 
 def describe_windows(linear: Tensor, valid: Tensor) -> Descriptor:
-    """Descriptor of windows on a grid over a rectified photograph (3, H, W).
+    """Descriptor of windows on a 4 x 3 grid over a rectified photograph.
 
-    They are of WINDOW texels, or as large as a smaller photograph allows.
+    Windows are WINDOW texels wide, or as wide as a smaller photograph; those of which less than
+    half is valid are left out, unless all are.
+
+    Args:
+        linear: (3, H, W) radiance.
+        valid: (H, W) bool.
     """
     height, width = linear.shape[-2:]
     side = min(WINDOW, height, width)

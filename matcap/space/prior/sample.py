@@ -1,4 +1,4 @@
-"""A sheet of materials drawn from the prior."""
+"""Contact sheet of materials."""
 
 from __future__ import annotations
 
@@ -11,12 +11,18 @@ from numpy.typing import NDArray
 from matcap.field.material import Material
 from matcap.flash.render import render_rectified
 
-_COLUMNS = 4  # materials side by side
-_BRIGHTNESS = 0.25  # mean radiance every picture is exposed to
+_COLUMNS = 4  # materials in a row
+_BRIGHTNESS = 0.25  # mean radiance of every tile
 
 
 def sample_sheet(materials: Sequence[Material], seed: int, size: int = 256) -> NDArray[np.float32]:
-    """(rows * size, columns * size, 3) linear picture of pieces seed, seed + 1, ... by flash."""
+    """(rows * size, columns * size, 3) linear image, each material rendered under its own flash.
+
+    Args:
+        materials: at least one.
+        seed: of the first material's field; each next one adds 1.
+        size: texels a side of a tile.
+    """
     count = len(materials)
     tiles = []
     for index, material in enumerate(materials):

@@ -1,9 +1,9 @@
-"""Prior: the trained space of materials and its file.
+"""Prior: the trained networks and the model of their space, and its file.
 
-One safetensors file: encoder and decoder in half precision, what is needed to draw materials from
-nothing, and JSON metadata as strings. Nothing in it is executed; every shape is checked against the
-stated configuration, and an error names the tensor. The alignment branch, which every capture asks
-and most without a prior, has a file of its own (space/alignment.py).
+One safetensors file: encoder and decoder in half precision, the conditional mean, anchors, and JSON
+metadata. Nothing in it is executed; every shape is checked against the description, and an error
+names the tensor. The alignment branch has a file of its own (space/alignment.py), as captures need
+it without the prior.
 """
 
 from __future__ import annotations
@@ -37,31 +37,31 @@ from matcap.space.picture import picture
 from matcap.space.prior.anchors import Anchor, Anchors, ConditionalMean, nowhere
 from matcap.space.prior.base import VARYING, base_of, fold
 from matcap.space.prior.encoder_input import describe_windows, numbers, texture
-from matcap.space.stored import decoder_config, empty_decoder
+from matcap.space.stored import config_document, decoder_config, empty_decoder
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.start import log_contrast
 from matcap.statistics.lattice import find_lattice
 
 FORMAT = "matcap-prior"
-# Of the file: without, and with structured noise, both with an alignment branch; without that.
+# Version 2 added structured noise; version 3 moved the alignment branch to its own file.
 VERSIONS = (1, 2, 3)
 SHIPPED = Path(__file__).parent / "weights" / "prior.safetensors"
 
-_MOST_ANCHORS = 1_000_000  # a stranger's file cannot ask for more memory than this allows
-DETAIL = 1024  # texels across the photograph a drawn material is meant for
+_MOST_ANCHORS = 1_000_000  # limits the memory that a hostile file can claim
+DETAIL = 1024  # texels across two plane units of a drawn material
 _REMEDY = "install matcap again, or train a prior with `matcap prior train`"
 
 
 @dataclass(frozen=True)
 class Prior:
-    """The space of materials.
+    """The trained prior.
 
     Attributes:
-        encoder: photograph to code.
-        decoder: code and noise to maps, in units of the base.
-        conditional_mean: linear model of bases given codes.
+        encoder: photograph to latent vector.
+        decoder: latent vector and noise to outputs relative to the base (base.py).
+        conditional_mean: model of bases given latent vectors.
         about: how it was trained; JSON.
-        anchors: where the training photographs lie; without them draws may lie anywhere.
+        anchors: of the training photographs; None draws from the standard normal.
     """
 
     encoder: Encoder
@@ -71,12 +71,12 @@ class Prior:
     anchors: Anchors | None = None
 
     def code(self, pixels: NDArray[np.float32], coarse: CoarseFit, plane: Plane) -> Tensor:
-        """(CODE_SIZE,) mean code of a photograph.
+        """(CODE_SIZE,) latent vector of a photograph, the encoder's mean.
 
         Args:
-            pixels: (H, W, 3) of the photograph, linear.
+            pixels: (H, W, 3) linear, of the photograph as taken.
             coarse: its coarse fit.
-            plane: the photograph at the detail of the capture.
+            plane: the photograph rectified, at the capture's resolution.
         """
         with torch.no_grad():
             shown = picture(pixels, self.encoder.config.width)[None]
@@ -89,15 +89,12 @@ class Prior:
     def start(
         self, pixels: NDArray[np.float32], coarse: CoarseFit, plane: Plane
     ) -> tuple[Decoder, Tensor]:
-        """Decoder and code from which a capture starts; arguments as for code().
-
-        The decoder speaks raw outputs itself: the base is folded into its head.
-        """
+        """Decoder, with the base folded in, and latent vector of a photograph; see code()."""
         contrast = log_contrast(plane.linear, plane.valid)
         return fold(self.decoder, base_of(coarse, contrast)), self.code(pixels, coarse, plane)
 
     def place(self, photo: Photo) -> Anchor:
-        """Where a photograph lies in the space, at the fineness of drawn materials."""
+        """Position of a photograph in the space, rectified at DETAIL texels."""
         coarse = fit_coarse(photo)
         plane = read_plane(photo, coarse.setup, DETAIL)
         code = self.code(photo.pixels, coarse, plane)
@@ -113,13 +110,13 @@ class Prior:
         spread: float = SPREAD,
         name: str = "drawn",
     ) -> Material:
-        """A material out of nothing, another for every seed.
+        """Draw a material.
 
         Args:
-            seed: any integer of 64 bits.
-            near: where to draw; by default near a random one of the training photographs.
-            spread: how far from there, from 0 (there) to 1 (anywhere).
-            name: of the material, to which the seed is added.
+            seed: a 64-bit integer.
+            near: anchor to draw near; None is a random one of the prior's.
+            spread: distance t from the anchor, in [0, 1]; see anchors.py.
+            name: of the material; the seed is appended.
 
         Raises:
             UsageError: a spread outside [0, 1].
@@ -136,7 +133,7 @@ class Prior:
         return self.material(f"{name}_{seed}", anchor, {"drawn": seed, "spread": spread})
 
     def material(self, name: str, anchor: Anchor, provenance: Mapping[str, Any]) -> Material:
-        """A frozen material of one place in the space."""
+        """The frozen material of a position in the space."""
         decoder = fold(self.decoder, self.conditional_mean.base(anchor.code, anchor.rest))
         tuned = TunedDecoder(
             decoder=decoder.eval().requires_grad_(False),
@@ -148,7 +145,7 @@ class Prior:
         return tuned.material(name, FlashSetup(intensity=(math.pi * 4.0,) * 3), provenance)
 
     def save(self, path: Path) -> None:
-        """Write the file, in half precision; whole or not at all."""
+        """Write the file in half precision, atomically."""
         tensors = {
             f"{part}.{name}": tensor.half()
             for part, module in self._modules().items()
@@ -162,7 +159,7 @@ class Prior:
             "format": FORMAT,
             "version": VERSIONS[-1],
             "encoder": asdict(self.encoder.config),
-            "decoder": asdict(self.decoder.config),
+            "decoder": config_document(self.decoder.config),
             "anchors": 0 if self.anchors is None else len(self.anchors),
             "about": dict(self.about),
         }
@@ -173,10 +170,10 @@ class Prior:
 
 
 def load_prior(path: Path | None = None) -> Prior:
-    """Read a prior; None reads the one that comes with matcap.
+    """Read a prior; None reads the one shipped with matcap.
 
     Raises:
-        MatcapError: missing, no prior, of another version, or damaged; names the tensor.
+        MatcapError: missing, not a prior, of another version, or damaged; names the tensor.
     """
     path = SHIPPED if path is None else path
     if not path.is_file():
@@ -224,7 +221,7 @@ def load_prior(path: Path | None = None) -> Prior:
 
 
 def _anchors(stored: StoredTensors, count: int) -> Anchors | None:
-    """So many anchors; the first priors had none."""
+    """Read the anchors; None if there are none, as in the first priors."""
     if not count:
         return None
     if not 0 < count <= _MOST_ANCHORS:

@@ -1,1 +1,1 @@
-"""A decoder tuned to one photograph, or to several (paper, 4.6)."""
+"""Fine-tuning of a decoder to a photograph [henzler2021, sec. 4.6]."""

@@ -1,8 +1,8 @@
-"""Error of a capture over time, and a forecast of what more time would gain.
+"""Error of fine-tuning in multiples of the photograph's self-difference, and its forecast.
 
-Errors of fine-tuning are distances between texture statistics, whose size says little. Beside the
-photograph's *self-difference*, by how much neighbouring windows of one photograph differ, they do:
-at 1 a rendering differs from the photograph as the photograph does from itself.
+Errors are distances between texture statistics. The *self-difference* is the mean distance between
+adjacent windows of the photograph: at an error of 1 self-difference the rendering differs from the
+photograph as much as the photograph's parts do from each other.
 """
 
 from __future__ import annotations
@@ -21,10 +21,9 @@ History = Sequence[tuple[float, int, float]]  # seconds, step, running error
 
 
 def self_difference(windows: Windows, weights: Weights) -> float:
-    """Mean distance between windows of a photograph that lie side by side.
+    """Mean distance between adjacent windows of a photograph, without their mean colour.
 
-    Their mean colour, which follows the light, is left out. NaN where the photograph holds no two
-    such windows.
+    The mean colour depends on the light. NaN if no two windows are adjacent.
 
     Args:
         windows: of one photograph.
@@ -43,14 +42,13 @@ def self_difference(windows: Windows, weights: Weights) -> float:
 
 
 def forecast(history: History, seconds: float) -> float | None:
-    """The running error to be expected after so many more seconds, or None where too early to say.
+    """Extrapolate the running error by a line in log time, fitted to all but the first steps.
 
-    Errors of such searches fall about evenly with the logarithm of time; the slope is that of all
-    but the beginning. Never higher than what there is: the best is kept.
+    Never more than the present error, as the best decoder is kept; None with too few steps.
 
     Args:
         history: of fine-tuning.
-        seconds: from its end.
+        seconds: after its end.
     """
     if not history:
         return None
@@ -66,16 +64,19 @@ def forecast(history: History, seconds: float) -> float | None:
 
 
 class Forecaster:
-    """Progress of fine-tuning: errors in multiples of the photograph's self-difference."""
+    """Error and forecast of fine-tuning, in multiples of the photograph's self-difference.
+
+    Args:
+        own: the self-difference, or NaN, with which errors are None.
+    """
 
     def __init__(self, own: float) -> None:
-        """Begin; `own` is the photograph's self-difference, NaN where it has none."""
         self._own = own
         self._history: list[tuple[float, int, float]] = []
         self._ahead: float | None = None
 
     def after(self, error: float, seconds: float) -> tuple[float | None, float | None]:
-        """The error after one more step, and what another minute would bring it to."""
+        """Add a step; return the error and its forecast for another minute."""
         self._history.append((seconds, len(self._history) + 1, error))
         if len(self._history) % FORECAST.every == 0:
             self._ahead = forecast(self._history, 60.0)

@@ -1,4 +1,4 @@
-"""error.png: error against time of a capture, with a forecast of another minute."""
+"""Plot of a capture's error over time, with a forecast for another minute: error.png."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _MINUTE = 60.0  # seconds
 
 
 def draw_history(history: History, self_difference: float = math.nan) -> Image.Image:
-    """The picture; error upwards, seconds to the right.
+    """Draw the error over seconds.
 
     Args:
         history: of fine-tuning.
-        self_difference: the photograph's own, drawn as a line where it is known.
+        self_difference: of the photograph, drawn as a line unless NaN.
     """
     picture = Image.new("RGB", _SIZE, _PAPER)
     draw = ImageDraw.Draw(picture)
@@ -30,7 +30,7 @@ def draw_history(history: History, self_difference: float = math.nan) -> Image.I
     longest = max(history[-1][0], 1e-6)
     own = self_difference if math.isfinite(self_difference) else 0.0
     finite = [error for _, _, error in history if math.isfinite(error)] or [1.0]
-    # The first errors may be huge and would flatten all that follows.
+    # The first errors may be far larger than all others.
     highest = 1.1 * max(sorted(finite)[int(0.98 * (len(finite) - 1))], own, 1e-9)
 
     def place(seconds: float, error: float) -> tuple[float, float]:
@@ -48,7 +48,7 @@ def draw_history(history: History, self_difference: float = math.nan) -> Image.I
     if own:
         draw.line([place(0.0, own), place(longest, own)], fill=_AHEAD)
         x, y = place(longest, own)
-        label = "how far the photograph's own windows are apart"
+        label = "difference between adjacent windows of the photograph"
         draw.text((x, y + 5), label, fill=_AHEAD, font=small, anchor="rt")
     draw.line([place(seconds, error) for seconds, _, error in history], fill=_LINE, width=2)
     for row, line in enumerate(_title(history, own)):
@@ -60,7 +60,7 @@ def _title(history: History, own: float) -> list[str]:
     seconds, steps, error = history[-1]
     lines = [f"error {error:.3g} after {seconds:.0f} s and {steps} steps"]
     if own:
-        lines[0] += f", {error / own:.2f} times the photograph's own"
+        lines[0] += f", {error / own:.2f} times the photograph's self-difference"
     ahead = forecast(history, _MINUTE)
     if ahead is not None:
         lines.append(f"another minute would bring it to about {ahead:.3g}")

@@ -1,12 +1,12 @@
-"""Fine-tuning: the decoder learns to look like the photograph, window by window (paper, 4.6).
+"""Fine-tuning of a decoder to a photograph [henzler2021, sec. 4.6].
 
-Each step decodes fresh noise, renders it as if it lay at a few places of the photograph, and
-compares every rendering's statistics with the photograph's at that same place. The sensor's noise
-is added to the rendering first, so that the material need not imitate it. The last steps run
-with AdaIN's statistics frozen, so that what is saved is what was optimised.
+Each step decodes new noise, renders the maps under the flash at a few positions of the photograph,
+and minimises the distance of the renderings' texture statistics to those of the photograph at the
+same positions. Sensor noise is added to the renderings, so that the decoder does not learn it. The
+last steps use frozen AdaIN statistics, so that the saved network is the optimised one.
 
-Anytime: it ends after a number of steps, a time, at an error (schedule.py), or by an interrupt,
-and hands back the best so far (rollback.py). Penalties on maps are in penalty.py.
+It ends after a number of steps, a time, at an error (schedule.py), or by an interrupt, and returns
+the best decoder so far (rollback.py).
 """
 
 from __future__ import annotations
@@ -30,50 +30,49 @@ from matcap.space.random_field import RandomField, random_field
 from matcap.space.tuning.rollback import Rollback
 from matcap.statistics.precision import computes_bfloat16
 
-# Of learning: a decoder that knows textures already is only to be moved a little; faster, and 100
-# steps lose colours that it had (docs/notes/prior.md).
+# Learning rates. At a higher rate 100 steps lose colours that the prior has (docs/notes/prior.md).
 RATE_FROM_NOTHING, RATE_FROM_PRIOR = 2e-2, 2.5e-3
 
-_SEED_STRIDE = 1_000_003  # runs of different seeds share no noise
+_SEED_STRIDE = 1_000_003  # between seeds, so that runs share no noise
 
 
 @dataclass(frozen=True)
 class TuneSettings:
-    """How long and how fast."""
+    """Limits, rates and penalties of fine-tuning."""
 
     steps: int
-    """At most so many."""
+    """Most steps."""
     seconds: float | None = None
-    """And at most so long, or None."""
+    """Most seconds, or None."""
     target: float | None = None
-    """Running error at which only the frozen end is left to be done, or None."""
+    """Running error at which only the frozen steps follow, or None."""
     places: int = 1
     """Windows rendered per step."""
     learning_rate: float = RATE_FROM_NOTHING
-    """Of Adam, at its highest."""
+    """Highest learning rate of Adam."""
     penalties: Penalties = Penalties()
-    """Weights of the penalties added to the distance."""
+    """Weights of the penalties on maps."""
     half_precision: bool = True
-    """bfloat16 inside the network and the features, on processors that compute with it."""
+    """Use bfloat16 in network and features, on processors with bfloat16 instructions."""
     seed: int = 0
-    """Of noise and order."""
+    """Of noise and lattice."""
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """The best decoder found."""
+    """The fine-tuned decoder."""
 
     decoder: Decoder
-    """Its weights."""
+    """Of the least running error."""
     moments: tuple[Moments, ...]
     """Frozen statistics it was optimised with."""
     history: tuple[tuple[float, int, float], ...]
-    """(seconds, step, running error) as it went."""
+    """(seconds, step, running error) of every step."""
     interrupted: bool
-    """Ended by Ctrl-C."""
+    """Whether Ctrl-C ended it."""
 
 
-OnStep = Callable[[float, float, float], None]  # share done, running error, seconds so far
+OnStep = Callable[[float, float, float], None]  # share done, running error, seconds
 
 
 def finetune(
@@ -83,43 +82,43 @@ def finetune(
     settings: TuneSettings,
     report: OnStep,
 ) -> Tuned:
-    """Tune a decoder at a code to a photograph. The decoder given is changed.
+    """Fine-tune a decoder to a photograph, in place.
 
     Args:
-        decoder: where to start.
-        code: (CODE_SIZE,), held fixed.
+        decoder: to start from; it is changed.
+        code: (CODE_SIZE,) latent vector, fixed.
         scene: the photograph.
-        settings: how long and how fast.
+        settings: limits, rates and penalties.
         report: called after every step.
     """
     if not settings.steps:
         return Tuned(decoder, tuple(freeze(decoder, code, scene.waves)), (), False)
     schedule = Schedule(settings.steps, settings.seconds, settings.target)
-    guard = Rollback(decoder, settings.learning_rate)
+    rollback = Rollback(decoder, settings.learning_rate)
     order = shuffled(scene.windows.count, settings.seed)
     half = settings.half_precision
     moments: list[Moments] | None = None
     history: list[tuple[float, int, float]] = []
     interrupted = False
     try:
-        while not schedule.over(guard.error):
+        while not schedule.over(rollback.error):
             if moments is None and schedule.freezes:
                 moments = freeze(decoder, code, scene.waves)
-                guard.begin_again()
+                rollback.begin_again()
             places = torch.tensor([next(order) for _ in range(settings.places)])
             seed = wrap64(settings.seed * _SEED_STRIDE + schedule.step)
             maps = decode_window(decoder, code, scene, seed, moments, half_precision=half)
             rendered = render_windows(maps, scene, places, schedule.step)
             loss = compare_windows(rendered, scene, places, half_precision=half)
             penalty = price(maps, scene.expected, settings.penalties, schedule.share)
-            well = guard.take(loss, penalty, schedule.pace)
+            taken = rollback.take(loss, penalty, schedule.pace)
             schedule.step += 1
-            if well:
-                history.append((schedule.seconds, schedule.step, guard.error))
-                report(min(1.0, schedule.share), guard.error, history[-1][0])
+            if taken:
+                history.append((schedule.seconds, schedule.step, rollback.error))
+                report(min(1.0, schedule.share), rollback.error, history[-1][0])
     except KeyboardInterrupt:
         interrupted = True
-    guard.finish()
+    rollback.finish()
     if moments is None or not history:
         moments = freeze(decoder, code, scene.waves)
     return Tuned(decoder, tuple(moments), tuple(history), interrupted)
@@ -134,10 +133,10 @@ def decode_window(
     *,
     half_precision: bool,
 ) -> MapSet:
-    """Maps (1, ., size, size) of one window of fresh noise.
+    """Maps (1, ., size, size) of a window of new noise, decoded as a torus.
 
-    Noise repeats with the rectangle, which is a field as good as any. A material's waves do not
-    fit any rectangle; where they break, at the border, a margin is cut off.
+    A lattice does not repeat with the window; with one, a margin around the window is decoded and
+    cut off.
     """
     size = scene.windows.size
     margin = ALIGNMENT if scene.waves else 0
@@ -147,7 +146,7 @@ def decode_window(
         decoder.config.noise_channels,
         (),
         levels=0,
-        grains=decoder.config.grains,
+        structured=decoder.config.structured_channels,
     ).noise
     cells = decoder.config.cells
     waves = random_field(

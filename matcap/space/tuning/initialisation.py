@@ -1,4 +1,4 @@
-"""The decoder that a capture starts with: the prior's, or the best of a few random ones."""
+"""The decoder that fine-tuning starts from: the prior's, or the best of a few random ones."""
 
 from __future__ import annotations
 
@@ -15,28 +15,27 @@ from matcap.flash.coarse import CoarseFit
 from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import Plane
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.lattice_channels import CELL_CHANNELS
 from matcap.space.prior.store import load_prior
-from matcap.space.regular_order import CELL_CHANNELS
 from matcap.space.tuning.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR, TuneSettings, finetune
 from matcap.space.tuning.start import log_contrast, reading_cells, untrained
 
-# From nothing, where a run ends depends on where it starts: the best of a few short runs goes on.
+# Without a prior, the result depends on the random start: the best of a few short runs is taken.
 _CANDIDATES, _CANDIDATE_STEPS = 3, 40
 
 
 @dataclass(frozen=True)
-class Beginning:
-    """Where fine-tuning starts."""
+class InitialDecoder:
+    """What fine-tuning starts from."""
 
     decoder: Decoder
-    """To be tuned."""
     code: Tensor
-    """(CODE_SIZE,) at which."""
+    """(CODE_SIZE,) latent vector."""
     rate: float
-    """Of learning."""
+    """Learning rate."""
 
 
-def begin(
+def initial_decoder(
     pixels: NDArray[np.float32],
     coarse: CoarseFit,
     plane: Plane,
@@ -45,48 +44,45 @@ def begin(
     prior: str,
     shape: DecoderConfig,
     *,
-    hurried: bool = False,
-) -> Beginning:
-    """Choose it.
+    search: bool = True,
+) -> InitialDecoder:
+    """Choose the decoder, latent vector and learning rate that fine-tuning starts from.
 
     Args:
-        pixels: (H, W, 3) of the photograph, as it is.
-        coarse: its coarse fit, and
-        plane: rectified.
-        target: what will be tuned to.
-        tune: how.
-        prior: "auto" (the one that comes with matcap), "none" (start from nothing) or a file.
-        shape: of the decoder, where there is no prior to say it.
-        hurried: there is no time for an initialisation search.
+        pixels: (H, W, 3) linear, of the photograph as taken.
+        coarse: its coarse fit.
+        plane: the photograph rectified.
+        target: of fine-tuning.
+        tune: settings of fine-tuning.
+        prior: "auto" (the shipped one), "none" (a random decoder) or a file.
+        shape: configuration of a random decoder.
+        search: tune several random decoders for a few steps each and take the best.
 
     Raises:
         MatcapError: the prior cannot be read.
     """
     if prior == "none":
-        decoder = _best_of_some(coarse, plane, target, tune, shape, hurried)
-        return Beginning(decoder, torch.zeros(CODE_SIZE), RATE_FROM_NOTHING)
+        decoder = _random_decoder(coarse, plane, target, tune, shape, search)
+        return InitialDecoder(decoder, torch.zeros(CODE_SIZE), RATE_FROM_NOTHING)
     trained = load_prior(None if prior == "auto" else Path(prior))
     decoder, code = trained.start(pixels, coarse, plane)
-    if target.waves and tune.steps:  # untuned, its weights would only add noise
+    if target.waves and tune.steps:  # without a step, random weights would only add noise
         decoder = reading_cells(decoder, tune.seed)
-    return Beginning(decoder.requires_grad_(True), code, RATE_FROM_PRIOR)
+    return InitialDecoder(decoder.requires_grad_(True), code, RATE_FROM_PRIOR)
 
 
-def _best_of_some(
+def _random_decoder(
     coarse: CoarseFit,
     plane: Plane,
     target: PhotographTarget,
     tune: TuneSettings,
     shape: DecoderConfig,
-    hurried: bool,
+    search: bool,
 ) -> Decoder:
-    """The most promising of a few random decoders, each tuned for a moment.
-
-    Skipped when there is no time for it: the first one goes on then.
-    """
+    """A random decoder; with a search, the one of least error after _CANDIDATE_STEPS steps."""
     shape = replace(shape, cells=CELL_CHANNELS if target.waves else 0)
     contrast = log_contrast(plane.linear, plane.valid)
-    if tune.steps < 4 * _CANDIDATES * _CANDIDATE_STEPS or hurried:
+    if tune.steps < 4 * _CANDIDATES * _CANDIDATE_STEPS or not search:
         return untrained(shape, coarse, contrast, tune.seed)
     best, least = None, math.inf
     for seed in range(tune.seed, tune.seed + _CANDIDATES):
@@ -94,7 +90,7 @@ def _best_of_some(
             tune, steps=_CANDIDATE_STEPS, learning_rate=RATE_FROM_NOTHING, target=None, seed=seed
         )
         first = untrained(shape, coarse, contrast, seed)
-        tried = finetune(first, torch.zeros(CODE_SIZE), target, short, _untold)
+        tried = finetune(first, torch.zeros(CODE_SIZE), target, short, lambda *_: None)
         error = tried.history[-1][2] if tried.history else math.inf
         if best is None or error < least:
             best, least = tried.decoder, error
@@ -102,7 +98,3 @@ def _best_of_some(
             raise KeyboardInterrupt
     assert best is not None
     return best
-
-
-def _untold(share: float, error: float, seconds: float) -> None:
-    """Ignore the progress of the initialisation search."""

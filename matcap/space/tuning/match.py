@@ -1,14 +1,14 @@
-"""Matching: mean and contrast of a tuned material moved to the photograph's.
+"""Matching: corrects mean and contrast of a fine-tuned material to those of the photograph.
 
-Fine-tuning compares statistics window by window, whose best compromise is a little too faint where
-the structure is not met, and may be off in mean (docs/notes/prior.md). The last AdaIN states mean
-and deviation of every map outright, so both can be set right without another step: the material is
-rendered as the whole photograph, compared, and moved, a few times over. Diffuse albedo and relief
-take one common gain, for the picture determines their contrast only jointly; F0 and roughness stay.
+Fine-tuning ends with too little contrast where it does not reproduce the structure, and possibly
+with a wrong mean (docs/notes/prior.md). Mean and deviation of every map are parameters of the last
+AdaIN. They are corrected by rendering the material as the whole photograph, comparing, and
+updating, MATCH.rounds times. Diffuse albedo and height share one gain, because the photograph
+determines their contrast only jointly; F0 and roughness are not changed.
 
-Contrast is measured by the mean over the picture and by the median block's, and only as far as
-both agree is it moved: a few scratches or clouds raise the one and leave the other, and no gain
-of everything makes them.
+The contrast ratio is measured by the mean over blocks and by their median; the gain is the ratio
+nearest to 1 between both. Scratches or clouds raise the mean only, and a global gain would not
+reproduce them.
 """
 
 from __future__ import annotations
@@ -37,21 +37,24 @@ _DIFFUSE, _HEIGHT = slice(0, 3), slice(5, 6)  # of the raw outputs
 
 @dataclass(frozen=True)
 class Correction:
-    """What was moved."""
+    """Correction of mean and contrast."""
 
     gain: float
-    """Of diffuse albedo's (in logits) and the relief's deviations."""
+    """Factor on the deviations of diffuse albedo, in logits, and of height."""
     shift: Tensor
-    """(3,) of diffuse albedo's mean, in logits."""
+    """(3,) added to the mean of diffuse albedo, in logits."""
 
 
 def match_photograph(material: Material, plane: Plane, seed: int = 0) -> Material:
-    """The material with its mean and contrast moved to the photograph's.
+    """Correct a material's mean and contrast to those of the photograph.
 
     Args:
-        material: tuned to it.
-        plane: the photograph; its noise is contrast that the material need not have.
+        material: fine-tuned to the photograph.
+        plane: the photograph; its noise, if known, is added to the rendering.
         seed: of the realisation that is compared.
+
+    Raises:
+        UsageError: the material has no decoder.
     """
     step = correction(material, plane, seed)
     tuned = _tuned(material)
@@ -68,9 +71,9 @@ def match_photograph(material: Material, plane: Plane, seed: int = 0) -> Materia
 
 
 def correction(material: Material, plane: Plane, seed: int) -> Correction:
-    """What `match_photograph`, of the same arguments, moves.
+    """The correction that match_photograph applies.
 
-    Nothing where hardly anything of the photograph can be compared.
+    Identity where less than MATCH.least_seen of the photograph can be compared.
     """
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
@@ -112,7 +115,7 @@ def _tuned(material: Material) -> TunedDecoder:
 
 
 class _Blocks:
-    """Means over blocks of what is compared."""
+    """Block means over the texels of a mask (H, W)."""
 
     def __init__(self, compared: Tensor) -> None:
         self._compared = compared
@@ -126,19 +129,19 @@ class _Blocks:
 
 
 def _moved(maps: MapSet, logit: Tensor, middle: Tensor, by: Correction) -> MapSet:
-    """The maps that a corrected material would have in place of `maps`."""
+    """Apply a correction to maps; `logit` and `middle` are logits of diffuse albedo, their mean."""
     middle, shift = middle[:, None, None], by.shift[:, None, None]
     diffuse = torch.sigmoid(middle + shift + by.gain * (logit - middle))
     return replace(maps, diffuse=diffuse, height=by.gain * maps.height)
 
 
 def _contrast(log: Tensor) -> Tensor:
-    """(3, H, W) squared deviation of log radiance (1, 3, H, W) from its shading."""
+    """(3, H, W) squared difference of log radiance (1, 3, H, W) from its shading."""
     return (log - shading(log))[0].square()
 
 
 def _diffuse_share(maps: MapSet, rendered: Tensor, material: Material, points: Tensor) -> Tensor:
-    """(3, H, W) change of log radiance with the logit of diffuse albedo, in [0, 1]."""
+    """(3, H, W) derivative of log radiance by the logit of diffuse albedo, in [0, 1]."""
     black = replace(maps, diffuse=torch.zeros_like(maps.diffuse))
     glossy = render_flash(black, material.setup, points)
     share = (rendered - glossy) / rendered.clamp_min(1e-6)
@@ -146,7 +149,7 @@ def _diffuse_share(maps: MapSet, rendered: Tensor, material: Material, points: T
 
 
 def _gain(wanted: Tensor, rendered: Tensor, blocks: _Blocks) -> float:
-    """Ratio of two contrasts, as far as mean and median agree; 1 where they do not."""
+    """Contrast ratio: nearest to 1 between that of block means and that of block medians."""
     whole = blocks.weight[0] > 0.5
     if not whole.any():
         return 1.0
@@ -164,10 +167,10 @@ def _bounded(value: float, limits: tuple[float, float]) -> float:
 
 
 def _shift(difference: Tensor, share: Tensor, already: Tensor, blocks: _Blocks) -> Tensor:
-    """(3,) shift of the logits that best explains differences of log radiance (3, H, W).
+    """(3,) damped least-squares shift of diffuse logits for differences of log radiance (3, H, W).
 
-    Least squares over blocks, each by its share of diffuse light: a highlight that is not met is
-    no reason to change the diffuse albedo. Damped as a whole, with what is moved `already` (3,).
+    With block means d of the differences, s of the derivative and weights w:
+    sum(w s (d + s already)) / sum(w (s^2 + MATCH.damping)). Blocks in the highlight have small s.
     """
     difference, share, weight = blocks(difference), blocks(share), blocks.weight
     explained = weight * share * (difference + share * already[:, None, None])

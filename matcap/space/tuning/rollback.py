@@ -1,4 +1,4 @@
-"""Rollback on divergence: bad steps of fine-tuning are undone, and the best decoder is kept."""
+"""Rollback on divergence: undoes steps that diverge, and keeps the best decoder."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from torch import Tensor
 
 from matcap.flash.adam import Adam
 from matcap.space.decoder import Decoder
-from matcap.space.tuning.tuned import GUARD
+from matcap.space.tuning.tuned import ROLLBACK
 
 
 class Rollback:
-    """Moves a decoder along the gradient of a loss, and back where that goes wrong.
+    """Optimiser with rollback.
 
-    A step goes wrong whose loss or gradient is not finite, or whose loss explodes. The decoder is
-    the best one again then, and the rate half as large.
+    A step diverges if its loss or gradient is not finite, or its loss exceeds ROLLBACK.exploded
+    times the running error. Then the best decoder is restored and the learning rate halved.
 
     Attributes:
         decoder: changed by every step.
-        error: running mean of the loss, or NaN before the first good step.
+        error: running mean of the loss; NaN before the first step.
     """
 
     def __init__(self, decoder: Decoder, rate: float) -> None:
@@ -31,39 +31,40 @@ class Rollback:
         self.begin_again()
 
     def begin_again(self) -> None:
-        """What counts as best so far is the decoder as it is: what went before is another run."""
+        """Make the present decoder the best one, whatever its error."""
         self._best, self._best_error = copy.deepcopy(self.decoder.state_dict()), math.inf
 
     def take(self, loss: Tensor, penalty: Tensor, pace: float) -> bool:
-        """Take a step at a share of the learning rate; whether it went well.
+        """Take a step, or roll back; return whether the step was taken.
 
         Args:
-            loss: whose running mean is the error.
-            penalty: what is added to it.
+            loss: texture distance, whose running mean is the error.
+            penalty: added to the loss.
             pace: share of the learning rate.
         """
         self._step += 1
         value = float(loss.detach())
         slope = math.nan
-        if math.isfinite(value) and not value > GUARD.exploded * max(self.error, GUARD.least_error):
+        limit = ROLLBACK.exploded * max(self.error, ROLLBACK.least_error)
+        if math.isfinite(value) and not value > limit:
             self.decoder.zero_grad(set_to_none=True)
             (loss + penalty).backward()
             parameters = self.decoder.parameters()
-            slope = float(torch.nn.utils.clip_grad_norm_(parameters, GUARD.longest_gradient))
+            slope = float(torch.nn.utils.clip_grad_norm_(parameters, ROLLBACK.longest_gradient))
         if not math.isfinite(slope):
             self._back()
             return False
         self._optimiser.step(self._rate * pace)
-        smoothing = max(GUARD.smoothing, 1.0 / self._step)
+        smoothing = max(ROLLBACK.smoothing, 1.0 / self._step)
         before = value if math.isnan(self.error) else self.error
         self.error = before + smoothing * (value - before)
-        if self._step % GUARD.snapshot_every == 0 and self.error < self._best_error:
+        if self._step % ROLLBACK.snapshot_every == 0 and self.error < self._best_error:
             self._best = copy.deepcopy(self.decoder.state_dict())
             self._best_error = self.error
         return True
 
     def finish(self) -> None:
-        """Leave the decoder as the best one."""
+        """Restore the best decoder."""
         if self._best_error < self.error:
             self.decoder.load_state_dict(self._best)
 

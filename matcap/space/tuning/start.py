@@ -1,10 +1,9 @@
-"""Where fine-tuning starts when there is no prior: a random decoder around the coarse fit.
+"""Random decoder that fine-tuning starts from without a prior.
 
-The coarse fit says what the material is on average and the photograph how strong its texture is.
-The decoder's last AdaIN states both outright, so they are put there: mean maps from the fit,
-contrast of the diffuse albedo from the photograph, hardly any relief. Colour explains first, and
-relief takes over what colour cannot: what turns with the direction to the flash. Starting with
-relief instead ends with dark spots dug as rough pits (docs/notes/prior.md).
+The last AdaIN is set to the coarse fit's mean maps, the photograph's contrast of the diffuse
+albedo, and little relief. Fine-tuning then explains texture by albedo first, and by relief what
+depends on the direction to the flash. With more initial relief dark spots end as pits
+(docs/notes/prior.md).
 """
 
 from __future__ import annotations
@@ -16,13 +15,13 @@ from torch import Tensor
 
 from matcap.flash.coarse import CoarseFit
 from matcap.space.decoder import Decoder, DecoderConfig, with_cells
-from matcap.space.regular_order import CELL_CHANNELS
+from matcap.space.lattice_channels import CELL_CHANNELS
 from matcap.space.tuning.tuned import HEAD
 from matcap.statistics.encoding import shading
 
 
 def head_start(coarse: CoarseFit, contrast: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and deviation (6,) of the raw outputs that a fit and a contrast ask for.
+    """Initial mean and deviation (6,) of the raw outputs.
 
     Args:
         coarse: the uniform material.
@@ -40,7 +39,12 @@ def head_start(coarse: CoarseFit, contrast: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def log_contrast(linear: Tensor, valid: Tensor) -> Tensor:
-    """(3,) standard deviation of the log radiance of (3, H, W), shading taken off."""
+    """(3,) standard deviation of log radiance less its shading, over valid texels.
+
+    Args:
+        linear: (3, H, W) radiance.
+        valid: (H, W) bool; all texels are used where none is valid.
+    """
     toe = 0.01 * float(linear.median()) + 1e-6
     log = torch.log(linear.clamp(0.0, 1.0) + toe)
     texture = log - shading(log[None])[0]
@@ -55,7 +59,15 @@ def untrained(
     seed: int,
     kind: type[Decoder] = Decoder,
 ) -> Decoder:
-    """A random decoder of a kind whose mean maps are the coarse fit's; its code is zero."""
+    """A random decoder with the mean maps of a coarse fit; for the latent vector zero.
+
+    Args:
+        config: of the decoder.
+        coarse: the fit.
+        contrast: (3,) from log_contrast.
+        seed: of the weights.
+        kind: class of the decoder.
+    """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         decoder = kind(config)
@@ -67,7 +79,7 @@ def untrained(
 
 
 def reading_cells(decoder: Decoder, seed: int) -> Decoder:
-    """A decoder that reads the noise of cells, too, by random weights."""
+    """Add cell channels to a decoder, with random weights."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         fresh = Decoder(replace(decoder.config, cells=CELL_CHANNELS))

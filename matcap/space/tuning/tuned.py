@@ -1,4 +1,4 @@
-"""What is tuned of fine-tuning a decoder: one frozen dataclass a stage; docs/notes/prior.md."""
+"""Tuned constants of fine-tuning, one frozen dataclass a stage; docs/notes/prior.md."""
 
 from __future__ import annotations
 
@@ -7,52 +7,51 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class HeadSettings:
-    """Where a decoder begins that knows nothing."""
+    """Initial deviations of a random decoder's outputs."""
 
     contrast_gain: float = 1.2
-    """Of diffuse albedo's contrast: a sigmoid's slope below 1/2 is under 1, so that logits must
-    swing a little further."""
+    """Logits of diffuse albedo per log radiance: d log sigmoid(x) / dx is below 1."""
     specular_contrast: float = 0.1
-    """Logits."""
+    """Logits of F0."""
     roughness_contrast: float = 0.1
-    """Logits."""
+    """Logits of roughness."""
     relief: float = 0.15
-    """Texels: hardly any, so that colour explains first."""
+    """Height, texels."""
 
 
 HEAD = HeadSettings()
 
 
 @dataclass(frozen=True)
-class GuardSettings:
-    """When a step has gone wrong."""
+class RollbackSettings:
+    """When a step counts as diverged."""
 
     smoothing: float = 0.05
-    """Of the running error."""
+    """Weight of the newest step in the running error."""
     exploded: float = 4.0
-    """Times the running error."""
+    """Loss over running error beyond which a step diverges."""
     least_error: float = 0.1
-    """That the running error counts as at least, when it is asked what explodes."""
+    """Lower limit of the running error in that ratio."""
     snapshot_every: int = 20
-    """Steps."""
+    """Steps between comparisons with the best decoder."""
     longest_gradient: float = 1.0
-    """Norm over all weights, beyond which it is shortened."""
+    """Norm over all weights to which gradients are clipped."""
 
 
-GUARD = GuardSettings()
+ROLLBACK = RollbackSettings()
 
 
 @dataclass(frozen=True)
 class ForecastSettings:
-    """When an error is forecast."""
+    """Forecast of the error."""
 
     every: int = 20
-    """Steps."""
+    """Steps between forecasts."""
     least_steps: int = 20
-    """Fewer do not show where the error is going."""
+    """Steps that a forecast needs."""
     since: float = 0.1
-    """Share of the time from which errors count. Of the later half alone, a few low windows were
-    taken for a fall: off by up to a third."""
+    """Share of the time from which on steps are fitted. With 0.5, random low errors made forecasts
+    wrong by up to a third."""
 
 
 FORECAST = ForecastSettings()
@@ -60,25 +59,24 @@ FORECAST = ForecastSettings()
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """How a tuned decoder's mean and contrast are moved to the photograph's."""
+    """Correction of a decoder's mean and contrast."""
 
     rounds: int = 3
-    """Of comparing and moving."""
+    """Iterations."""
     block: int = 32
-    """Texels a side over which light is averaged before means are compared."""
+    """Texels: side of the blocks over which radiance is averaged."""
     clipped: float = 0.97
-    """Of the clip level: brighter than this may be cut off."""
+    """Share of the clip level above which texels are not compared."""
     least_seen: float = 0.05
-    """Share of the texels; of fewer nothing is concluded."""
+    """Least share of texels to compare."""
     damping: float = 0.1
-    """Of a shift, added to the squared diffuse share: where most light is mirrored, what is
-    missing of it says little about the diffuse albedo."""
+    """Added to the squared diffuse share; it limits shifts where most light is specular."""
     gain_step: tuple[float, float] = (0.7, 1.4)
-    """Bounds of one round, and ..."""
+    """Limits of the gain in one iteration."""
     gain: tuple[float, float] = (0.6, 1.7)
-    """... of all together: more is another material's doing."""
+    """Limits of the whole gain."""
     shift: float = 1.0
-    """Logits of diffuse albedo, likewise."""
+    """Limit of the whole shift, logits of diffuse albedo."""
 
 
 MATCH = MatchSettings()

@@ -4,9 +4,9 @@ import torch
 
 from matcap.field.plane import Rectangle
 from matcap.space.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, with_cells
+from matcap.space.lattice_channels import CELL_CHANNELS, WAVE_CHANNELS
 from matcap.space.patch import Patch
 from matcap.space.random_field import RandomField, random_field
-from matcap.space.regular_order import CELL_CHANNELS, WAVE_CHANNELS
 from matcap.space.tuning.start import reading_cells
 from matcap.statistics.lattice import Wave
 

@@ -5,6 +5,7 @@ import time
 
 import pytest
 import torch
+from plain_decoder import decoded
 from tuning import CODE, CONFIG, WINDOW, scene, start, tune
 
 from matcap.brdf.maps import MapSet
@@ -55,7 +56,7 @@ def test_what_it_hands_back_is_what_it_optimised():
         Patch(7, Rectangle(0, 0, 256, 256)), CONFIG.noise_channels, (), levels=DEPTH
     )
     with torch.no_grad():
-        one = folded(field)[..., 96:-96, 96:-96]
+        one = decoded(folded, field)[..., 96:-96, 96:-96]
         other = tuned.decoder(field, CODE, list(tuned.moments), periodic=False)[..., 96:-96, 96:-96]
     assert torch.allclose(one, other, atol=1e-4)
     # And its frozen error is no worse than with statistics of the window at hand.

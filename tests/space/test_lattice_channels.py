@@ -4,15 +4,15 @@ import pytest
 import torch
 
 from matcap.field.plane import Rectangle
-from matcap.space.noise import keys, wrap64
-from matcap.space.patch import Patch
-from matcap.space.regular_order import (
+from matcap.space.lattice_channels import (
     _PHASES,
     WAVE_CHANNELS,
     cell_field,
-    order_field,
+    lattice_field,
     wave_field,
 )
+from matcap.space.noise import keys, wrap64
+from matcap.space.patch import Patch
 from matcap.statistics.lattice import Wave
 
 STRAIGHT = (Wave(1 / 43.3, 0.0), Wave(0.0, 1 / 42.7))
@@ -106,7 +106,7 @@ def test_cells_too_fine_for_a_level_are_left_out():
 
 
 def test_order_is_waves_then_cells():
-    field = order_field(Patch(9, Rectangle(4, 5, 20, 10)), STRAIGHT, 3)
+    field = lattice_field(Patch(9, Rectangle(4, 5, 20, 10)), STRAIGHT, 3)
     assert torch.equal(
         field[:WAVE_CHANNELS], wave_field(Patch(9, Rectangle(4, 5, 20, 10)), STRAIGHT)
     )
@@ -114,5 +114,5 @@ def test_order_is_waves_then_cells():
         field[WAVE_CHANNELS:], cell_field(Patch(9, Rectangle(4, 5, 20, 10)), STRAIGHT, 3)
     )
     assert torch.equal(
-        order_field(Patch(9, Rectangle(4, 5, 20, 10)), STRAIGHT, 0), field[:WAVE_CHANNELS]
+        lattice_field(Patch(9, Rectangle(4, 5, 20, 10)), STRAIGHT, 0), field[:WAVE_CHANNELS]
     )
