@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
@@ -21,6 +20,8 @@ from matcap.flash.coarse import fit_coarse
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.doubt import DOUBTED
 from matcap.flash.registration.register import Registration, register
+from matcap.lab.experiment.results import Value
+from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.simulate.examples import realisation
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.materials import MATERIALS
@@ -178,77 +179,58 @@ def unsaid(outcome: SetOutcome) -> bool:
     return max(outcome.errors, default=0.0) > DOUBTED >= max(outcome.doubts, default=0.0)
 
 
-def keep(file: Path, width: int, key: str, outcome: SetOutcome) -> None:
-    """Add a set to a file that `kept` reads."""
-    with file.open("a", encoding="utf-8") as lines:
-        lines.write(json.dumps({"width": width, "key": key, "outcome": asdict(outcome)}) + "\n")
-
-
-def kept(file: Path, width: int) -> dict[str, SetOutcome]:
-    """Sets of a file, of so many pixels across; a last line cut short is done again."""
-    found: dict[str, SetOutcome] = {}
-    for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
-        try:
-            told = json.loads(line)
-        except json.JSONDecodeError:
-            continue
-        if told["width"] == width:
-            of = told["outcome"]
-            lists = {name: tuple(of[name]) for name in ("errors", "kept_out", "doubts")}
-            found[told["key"]] = SetOutcome(**{**of, **lists})
-    return found
-
-
 def kinds(sets: int) -> list[str | None]:
     """Of so many sets: every third is hard, its ways in turn."""
     return [HARD[(n // 3) % len(HARD)] if n % 3 == 2 else None for n in range(sets)]
 
 
-def table(outcomes: Sequence[SetOutcome]) -> str:
-    """A line a kind of set: cameras' errors, and what was left out or wrongly taken in."""
-    lines = [
-        "| sets | how many | cameras | median error | 95 % | beyond 0.2 % | beyond 2 % "
-        "| first's tilt off | left out | foreign taken in |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
-    ]
-    for kind in ("easy", *HARD):
-        of = [one for one in outcomes if one.kind == kind]
-        if of:
-            lines.append(_line(kind, of))
-    lines.append(_line("all", outcomes))
-    return "\n".join(lines)
+def columns(_made: MadeSet, outcome: SetOutcome) -> Mapping[str, Value]:
+    """Of a set, as a row of a table: shares are 0 or 1, tilt in degrees."""
+    errors, of = outcome.errors or (math.nan,), verdict(outcome)
+    return {
+        "cameras": float(len(outcome.errors)),
+        "median": float(np.median(errors)),
+        "worst": max(errors),
+        "said": max(outcome.doubts, default=math.nan),
+        "tilt": outcome.tilt,
+        **{name: float(of == name) for name in get_args(Verdict)},
+        "unsaid": float(unsaid(outcome)),
+        "taken in": float(outcome.taken_in),
+        "left out": float(len(outcome.kept_out)),
+        "why": "; ".join(outcome.kept_out),
+    }
 
 
-def table_of_sets(outcomes: Sequence[SetOutcome]) -> str:
-    """A line a kind of set: how many are right in every camera, refused, or wrong unsaid.
+def sets_experiment(
+    count: int, seed: int, width: int, detail: int | None
+) -> Experiment[MadeSet, SetOutcome]:
+    """Cameras of so many sets, every third hard, each kind a configuration.
 
-    Of those told, how many have a camera beyond 0.2 %, and of these how many do not say so.
+    Args:
+        count: of sets.
+        seed: of the first.
+        width: pixels across.
+        detail: after a capture of so many texels across has moved photographs; None before.
     """
-    lines = [
-        "| sets | how many | all within 0.2 % | all within 2 % | refused | wrong, unsaid "
-        "| beyond 0.2 %, unsaid |",
-        "|---|---:|---:|---:|---:|---:|---:|",
-    ]
-    for kind in ("easy", *HARD, "all"):
-        some = [one for one in outcomes if kind in (one.kind, "all")]
-        of = [verdict(one) for one in some]
-        if of:
-            right, near, refused, wrong = map(of.count, ("right", "near", "refused", "wrong"))
-            lines.append(
-                f"| {kind} | {len(of)} | {right} | {right + near} | {refused} | {wrong} "
-                f"| {sum(unsaid(one) for one in some)} |"
-            )
-    return "\n".join(lines)
+    kind_of = {f"{number}": kind for number, kind in enumerate(kinds(count), seed)}
 
+    def found(made: MadeSet, _seed: int) -> SetOutcome:
+        try:
+            return outcome_of(made) if detail is None else outcome_of_capture(made, detail)
+        except MatcapError as error:
+            return failed(made, error)
 
-def _line(kind: str, of: Sequence[SetOutcome]) -> str:
-    errors = np.array([error for one in of for error in one.errors] or [math.nan])
-    tilts = np.array([t for t in (one.tilt for one in of) if math.isfinite(t)] or [math.nan])
-    return (
-        f"| {kind} | {len(of)} | {errors.size} | {np.median(errors):.2%} "
-        f"| {np.quantile(errors, 0.95):.2%} | {np.mean(errors > 0.002):.0%} "
-        f"| {int((errors > 0.02).sum())} | {np.median(tilts):.1f} degrees "
-        f"| {sum(len(one.kept_out) for one in of)} | {sum(one.taken_in for one in of)} |"
+    return Experiment(
+        "registration",
+        {
+            name: partial(make_set, int(name), hard=kind, width=width)
+            for name, kind in kind_of.items()
+        },
+        {kind or "easy": Configuration(found) for kind in kind_of.values()},
+        (columns,),
+        skips=lambda name, kind: kind != (kind_of[name] or "easy"),
+        settings=(width, detail),
+        any_version=True,
     )
 
 

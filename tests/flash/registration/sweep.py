@@ -1,12 +1,11 @@
 """How right cameras are found, on many simulated sets of which a third are hard.
 
-    python tests/flash/registration/sweep.py --sets 300 --kept sets.jsonl
-    python tests/flash/registration/sweep.py --sets 24 --aligned 512 --kept aligned.jsonl
+    python tests/flash/registration/sweep.py --sets 300
+    python tests/flash/registration/sweep.py --sets 24 --aligned 512
 
-Prints two tables, of cameras and of sets, and on the way each set: how far its worst camera is
-off, and what was left out though it belongs. Ctrl-C ends with tables of what was done; sets that
-the file `--kept` holds are not done again. Exits with 4 where a camera is off by more than 2 % of
-its distance, or a foreign photograph was taken in, without being said.
+Prints a table of sets, with means by kind; a killed run goes on from its CSV. Exits with 4 where a
+camera is off by more than 2 % of its distance, or a foreign photograph was taken in, without being
+said.
 """
 
 from __future__ import annotations
@@ -14,74 +13,36 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from sets import (
-    SetOutcome,
-    failed,
-    keep,
-    kept,
-    kinds,
-    make_set,
-    outcome_of,
-    outcome_of_capture,
-    table,
-    table_of_sets,
-    verdict,
-)
+from sets import sets_experiment
 
-from matcap.errors import ExitCode, MatcapError
+from matcap.errors import ExitCode
+from matcap.lab.experiment.results import table
+from matcap.lab.experiment.runner import choose, run
 
 
 def main(arguments: Sequence[str]) -> int:
     """Sweep; the exit code."""
-    asked = _parser().parse_args(arguments)
-    done = kept(asked.kept, asked.width) if asked.kept else {}
-    outcomes: list[SetOutcome] = []
-    try:
-        for number, kind in enumerate(kinds(asked.sets), asked.seed):
-            if asked.only not in (None, kind):
-                continue
-            key = f"{number} {kind or 'easy'}"
-            if key not in done:
-                done[key] = _outcome(number, kind, asked.width, asked.aligned)
-                if asked.kept:
-                    keep(asked.kept, asked.width, key, done[key])
-            outcomes.append(done[key])
-    except KeyboardInterrupt:
-        print(f"Ended after {len(outcomes)} sets.")
-    print(table(outcomes), table_of_sets(outcomes), sep="\n\n")
-    wrong = any(verdict(one) == "wrong" for one in outcomes)
-    return ExitCode.SOME_FAILED if wrong else ExitCode.DONE
-
-
-def _outcome(seed: int, kind: str | None, width: int, detail: int | None) -> SetOutcome:
-    made = make_set(seed, hard=kind, width=width)
-    try:
-        found = outcome_of(made) if detail is None else outcome_of_capture(made, detail)
-    except MatcapError as error:
-        found = failed(made, error)
-    worst, doubt = max(found.errors, default=0.0), max(found.doubts, default=0.0)
-    said = f"{found.name} ({found.kind}): {worst:.2%} off, {doubt:.2%} said"
-    said += f", {found.taken_in} foreign"
-    print("; ".join([said, *found.kept_out]), file=sys.stderr, flush=True)
-    return found
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sets", type=int, default=300, help="how many, every third one hard")
     parser.add_argument("--width", type=int, default=800, help="pixels across")
     parser.add_argument("--seed", type=int, default=0, help="of the first set")
-    parser.add_argument("--kept", type=Path, help="file of sets that are done, to go on from")
-    parser.add_argument(
-        "--aligned",
-        type=int,
-        metavar="TEXELS",
-        help="judge cameras after a capture of so many texels across has moved photographs",
+    parser.add_argument("-o", "--out", type=Path, default=Path("bench/registration"))
+    aligned = "texels across of a capture that has moved photographs first"
+    parser.add_argument("--aligned", type=int, metavar="TEXELS", help=aligned)
+    parser.add_argument("--only", nargs="*", default=(), help="sets that are hard these ways")
+    asked = parser.parse_args(arguments)
+    whole = sets_experiment(asked.sets, asked.seed, asked.width, asked.aligned)
+    experiment = replace(whole, configurations=choose(whole.configurations, asked.only))
+    asked.out.mkdir(parents=True, exist_ok=True)
+    rows = run(
+        experiment, asked.out / "registration.csv", lambda line: print(line, file=sys.stderr)
     )
-    parser.add_argument("--only", help="sets that are hard this way")
-    return parser
+    print(table(rows, " ".join(["python", *sys.argv])))
+    wrong = any(row.number("wrong") for row in rows)
+    return ExitCode.SOME_FAILED if wrong else ExitCode.DONE
 
 
 if __name__ == "__main__":
