@@ -123,10 +123,6 @@ class Exemplar:
         """(unit, low): a power of two, and how many of it the least height is."""
         return _height_coding(self.height)
 
-    def height_codes(self) -> NDArray[np.uint16]:
-        """(H, W) heights above the least one, in units."""
-        return _height_codes(self.height, *self.height_coding())[0]
-
     def rounded(self) -> Exemplar:
         """What a file gives back: the same for an exemplar that was rounded before."""
         unit, low = _height_coding(self.height)

@@ -11,11 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
-from matcap.files.color import LINEAR
 from matcap.files.quiet import quiet_decoders
-from matcap.files.stated_color import StatedColor
 from matcap.photo.decoded import Decoded
-from matcap.photo.developed import Coded, decode
 from matcap.photo.dng import Corrections, read_corrections
 from matcap.photo.exif import Exif, read_exif
 from matcap.photo.jxl import read_jxl
@@ -26,7 +23,7 @@ from matcap.photo.lossy import read_heic, read_jpeg, read_webp_or_avif
 from matcap.photo.orient import quarter_turn, upright
 from matcap.photo.photo import DEFAULT_FOV, Photo
 from matcap.photo.raw import read_raw
-from matcap.photo.refusals import SHORTEST_SIDE, check_size
+from matcap.photo.refusals import SHORTEST_SIDE
 
 _DARKEST = 1e-3  # linear: a picture with nothing brighter shows no texture
 _MOST_CLIPPED = 0.95  # share of clipped pixels beyond which there is nothing to measure
@@ -62,45 +59,6 @@ def load_photo(
     return replace(_photo(picture, exif, fov, str(path), path.name), path=path.absolute())
 
 
-def photo_from_array(
-    pixels: NDArray[Any],
-    *,
-    long_side: int | None = None,
-    fov: float | None = None,
-    radiometric: bool = False,
-    name: str = "array",
-) -> Photo:
-    """Take linear light from Python.
-
-    Args:
-        pixels: (H, W, 3) floating point, linear Rec.709, white-balanced, clipping at 1.0.
-            Negative values become 0.
-        long_side: average down to this many pixels along the long side; never up.
-        fov: field of view across the long side, degrees; 45 by default.
-        radiometric: whether the numbers are proportional to light.
-        name: for reports.
-
-    Raises:
-        MatcapError: NaN or infinite values, too small, all black or all clipped.
-        UsageError: not (H, W, 3) floats; long_side or fov out of range.
-    """
-    _check_request(long_side, fov)
-    array = np.asarray(pixels)
-    if array.ndim != 3 or array.shape[2] != 3 or not np.issubdtype(array.dtype, np.floating):
-        raise UsageError(
-            f"pixels are {array.dtype} of shape {array.shape}, not floats of shape (H, W, 3)",
-            where=name,
-            remedy="give linear light, 1.0 at the clip level",
-        )
-    height, width = array.shape[:2]
-    check_size(Path(name), width, height)
-    coded = Coded(
-        lambda a, b: array[a:b], width, height, array.dtype, color=StatedColor(space=LINEAR)
-    )
-    picture = decode(coded, long_side, name, 1)
-    return _photo(picture, Exif(), fov, name, name, radiometric)
-
-
 def _read(path: Path, long_side: int | None, noise: bool) -> tuple[Decoded, Exif]:
     kind = file_kind(path)
     if kind is FileKind.JPEG:
@@ -122,7 +80,6 @@ def _photo(
     fov: float | None,
     where: str,
     name: str,
-    radiometric: bool | None = None,
 ) -> Photo:
     """Turn the picture upright and its long side along x, and judge it."""
     _check_light(picture, where)
@@ -140,7 +97,7 @@ def _photo(
         clipped=lying(picture.clipped),
         fov=DEFAULT_FOV if known is None else known,
         fov_source="assumed" if known is None else source,
-        radiometric=picture.radiometric if radiometric is None else radiometric,
+        radiometric=picture.radiometric,
         name=name,
         original_size=size,
         turned=turned,

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from arrays import photo_from_array
 from PIL import Image
 
 from matcap.brdf.maps import MapSet
@@ -23,7 +24,7 @@ from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.lab.train.align import UNSEEN, tilted_photo
 from matcap.photo.checks import Rating
 from matcap.photo.inspect import hot_spot, inspect_photo, softness
-from matcap.photo.load import load_photo, photo_from_array
+from matcap.photo.load import load_photo
 
 CAMERA = PhoneCamera(width=320, height=240, supersampling=1)
 SETUPS = [

@@ -9,7 +9,7 @@ from PIL import Image
 from matcap.errors import UsageError
 from matcap.files.srgb import srgb_decode
 from matcap.photo import shrink as shrink_module
-from matcap.photo.load import load_photo, photo_from_array
+from matcap.photo.load import load_photo
 from matcap.photo.shrink import shrink, shrunk_size
 
 
@@ -85,25 +85,7 @@ def test_portrait_is_turned_anticlockwise(tmp_path, codes):
     np.testing.assert_allclose(whole[-1, 0], srgb_decode(portrait[0, 0] / 255), rtol=1e-5)
 
 
-def test_array_keeps_its_numbers(light):
-    photo = photo_from_array(light, fov=50.0, radiometric=True, name="rendered")
-    np.testing.assert_allclose(photo.pixels, light, rtol=1e-6)
-    assert photo.pixels.dtype == np.float32 and photo.pixels.flags.c_contiguous
-    assert (photo.fov, photo.fov_source, photo.radiometric) == (50.0, "given", True)
-    light[:10, :10, 2] = 1.3
-    brighter = photo_from_array(light)
-    assert brighter.clipped.sum() == 100 and brighter.pixels.max() == np.float32(1.3)
-
-
 @pytest.mark.parametrize("long_side", [0, -5, 63])
-def test_too_short_a_long_side_is_a_usage_error(light, long_side):
+def test_too_short_a_long_side_is_a_usage_error(long_side):
     with pytest.raises(UsageError, match="long side"):
-        photo_from_array(light, long_side=long_side)
-
-
-@pytest.mark.parametrize(
-    "pixels", [np.zeros((96, 96, 3), np.uint8), np.ones((96, 96)), np.ones((96, 96, 4))]
-)
-def test_other_arrays_are_a_usage_error(pixels):
-    with pytest.raises(UsageError, match=r"floats of shape \(H, W, 3\)"):
-        photo_from_array(pixels)
+        load_photo("a.png", long_side=long_side)

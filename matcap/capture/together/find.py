@@ -189,31 +189,6 @@ def _whole(
     )
 
 
-@torch.no_grad()
-def aligned_photographs(
-    photos: Sequence[Photo], network: Inverse, detail: int | None
-) -> tuple[Registration, Aligned]:
-    """Cameras as a capture has them before it solves: by features, and brought over each other.
-
-    Args:
-        photos, network, detail: as of find_together.
-
-    Raises:
-        MatcapError: no other photograph shows the same piece.
-    """
-
-    def unnamed(stage: str) -> AbstractContextManager[None]:
-        return nullcontext()
-
-    registration, coarse, plane = _registered(photos, detail, unnamed)
-    single = _read_alone(plane, coarse, network, unnamed)
-    radiometric = all(view.photo.radiometric for view in registration.views)
-    light = SetLight.of(coarse.setup, len(registration.views), photos[0].profile)
-    registration = replace(registration, setup=coarse.setup)
-    poses = aligned(registration, single.maps, single.errors, light, radiometric=radiometric)
-    return registration, poses
-
-
 def _indexed(
     photo: Photo,
     exemplar: Exemplar,

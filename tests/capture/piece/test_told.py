@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from arrays import photo_from_array
 from photographed import photographed
 from typer.testing import CliRunner
 
@@ -18,7 +19,6 @@ from matcap.cli.main import app
 from matcap.files.srgb import srgb_encode
 from matcap.flash.coarse import fit_coarse
 from matcap.flash.plane import read_plane
-from matcap.photo.load import photo_from_array
 
 
 def _shot(width: int, height: int) -> tuple[np.ndarray, float]:

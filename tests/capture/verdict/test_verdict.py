@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated_shots as shots
+from arrays import photo_from_array
 
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
@@ -19,7 +20,6 @@ from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
 from matcap.photo.checks import CHECKS, Rating
 from matcap.photo.inspect import Inspection, inspect_photo
-from matcap.photo.load import photo_from_array
 
 SPOT = Highlight((0.0, 0.0), 0.1, 0.9, 0.1)
 GOOD_SHOT = Inspection(

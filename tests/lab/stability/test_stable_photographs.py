@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from arrays import photo_from_array
 from stable.captures import capture_array, finite, within_ranges
 from stable.photographs import HARD_PHOTOGRAPHS, textured
 
@@ -13,7 +14,6 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import read_plane
 from matcap.flash.rectify import rectify
 from matcap.flash.windows import cut_windows
-from matcap.photo.load import photo_from_array
 from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 from matcap.statistics.lattice import find_lattice

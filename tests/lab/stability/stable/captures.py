@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
+from arrays import photo_from_array
 from numpy.typing import NDArray
 
 from matcap.capture.method import Method
@@ -20,7 +21,6 @@ from matcap.capture.pipeline import capture_photo
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
 from matcap.field.plane import Rectangle
-from matcap.photo.load import photo_from_array
 from matcap.space.tuned import TunedDecoder
 from stable.edges.swept import Domain, Swept
 from stable.photographs import FOV, HARD_PHOTOGRAPHS

@@ -15,6 +15,7 @@ from types import MappingProxyType
 
 import cv2
 import numpy as np
+from arrays import photo_from_array
 from numpy.typing import NDArray
 
 from matcap.capture.pipeline import capture_photo
@@ -22,7 +23,6 @@ from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
 from matcap.files.values import Region
 from matcap.photo.left_out import leave_out
-from matcap.photo.load import photo_from_array
 from stable.photographs import FOV, HARD_PHOTOGRAPHS, Pixels, textured
 
 Set = Callable[[int, int, int], list[Pixels]]
