@@ -24,9 +24,9 @@ from matcap.capture.pipeline import capture_file
 from matcap.capture.settings import CaptureSettings
 from matcap.files.srgb import srgb_picture
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.examples import EXAMPLES, realisation
 from matcap.lab.simulate.materials.kinds import kind_of
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, as_photo, take
+from matcap.lab.simulate.specimen import EXAMPLES, realisation
 from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.relight.named import SCENES
 from matcap.relight.output import encode

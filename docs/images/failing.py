@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.materials.kinds import kind_of
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, take, true_maps
+from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.lab.simulate.write_jpeg import write_jpeg
 
 CAMERA = PhoneCamera()

@@ -22,8 +22,8 @@ from PIL import Image
 
 from matcap.files.srgb import srgb_picture
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
+from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.relight.render import relight
 from matcap.relight.scene import (
     EnvironmentLight,

@@ -28,8 +28,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.examples import realisation
 from matcap.lab.simulate.photograph import PhoneCamera, take
+from matcap.lab.simulate.specimen import realisation
 from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 

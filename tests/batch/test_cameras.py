@@ -15,8 +15,8 @@ from matcap.capture import tilt
 from matcap.cli.main import main
 from matcap.errors import UsageError
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.examples import realisation
 from matcap.lab.simulate.photograph import PhoneCamera, take
+from matcap.lab.simulate.specimen import realisation
 from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.photo.camera import read_camera_profile, write_camera_profile
 

@@ -13,9 +13,9 @@ from matcap.capture.pipeline import capture_into
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.tilt import fitted, tilt_document
 from matcap.flash.coarse import fit_coarse
-from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import PhoneCamera
+from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.lab.train.align import UNSEEN, tilted_photo
 from matcap.space.alignment import TiltMeasurement

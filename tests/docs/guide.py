@@ -108,10 +108,10 @@ def _mask(path: Path) -> None:
 def _several(folder: Path) -> None:
     from matcap.lab.simulate.hand_held import Hand, hold, take_several
     from matcap.lab.simulate.photograph import PhoneCamera
-    from matcap.lab.simulate.specimen import named_specimen
+    from matcap.lab.simulate.specimen import EXAMPLES
     from matcap.lab.simulate.write_dng import write_dng
 
-    oak, phone, hand = named_specimen("leather"), PhoneCamera(width=800, height=600), Hand()
+    oak, phone, hand = EXAMPLES["leather"], PhoneCamera(width=800, height=600), Hand()
     cameras = hold(phone, hand, 5, oak.seed)
     shots = take_several(oak.pieces(oak.seed), phone, cameras, hand, oak.seed)
     for number, shot in enumerate(shots, 1):

@@ -15,8 +15,8 @@ from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.likeness import PhotographTarget, render_windows
 from matcap.flash.render import render_flash
 from matcap.flash.windows import Windows
-from matcap.lab.simulate.examples import realisation
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
+from matcap.lab.simulate.specimen import realisation
 
 SETUPS = (
     FlashSetup(offset=(0.1, 0.0, 0.0), tilt=(0.1, 0.0), intensity=(5.0, 5.0, 5.0)),

@@ -17,8 +17,8 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.inspection import photograph_quality
 from matcap.cli.main import main
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.examples import realisation
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
+from matcap.lab.simulate.specimen import realisation
 from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.lab.train.align import UNSEEN, tilted_photo

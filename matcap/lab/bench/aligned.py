@@ -24,9 +24,8 @@ from matcap.lab.bench.methods import CapturedMaps, capture_exemplar, exemplar_ma
 from matcap.lab.experiment.runner import Configuration, Experiment, choose
 from matcap.lab.measures.lights import BenchScene, bench_scene, relight_all
 from matcap.lab.measures.maps import shrunk_to
-from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
-from matcap.lab.simulate.specimen import named_specimen, photograph
+from matcap.lab.simulate.specimen import EXAMPLES, photograph
 
 ABOUT = (
     "Albedo and specular: mean absolute differences of logarithms; roughness: of values; normal: "
@@ -148,7 +147,7 @@ def aligned_experiment(
 
     def prepare(name: str) -> AlignedSubject:
         example, camera = EXAMPLES[name], PhoneCamera()
-        path, shot = photograph(named_specimen(name), camera, out)
+        path, shot = photograph(example, camera, out)
         photo = as_photo(shot, example.seed, path.name)
         truth, scene = shrunk_to(example.truth(camera), 2.0 / detail), bench_scene(shot.setup)
 

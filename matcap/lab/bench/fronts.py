@@ -39,10 +39,9 @@ from matcap.lab.experiment.runner import Configuration, Experiment, choose
 from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
 from matcap.lab.measures.patches import Patches
 from matcap.lab.measures.style import RandomFilters, Style
-from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.phone_photographs import PhonePhotographs
 from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import Specimen, subjects
+from matcap.lab.simulate.specimen import EXAMPLES, Specimen, subjects
 
 PAPER = "paper's form"  # no command line: bench/paper.py
 BASE = "1024 texels, 40 steps"  # that others are paired with

@@ -28,9 +28,8 @@ from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment, choose
 from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
 from matcap.lab.measures.style import PortillaSimoncelli, RandomFilters, Style
-from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.photograph import as_photo
-from matcap.lab.simulate.specimen import Specimen, named_specimen, photograph
+from matcap.lab.simulate.specimen import EXAMPLES, Specimen, photograph
 from matcap.photo.photo import Photo
 
 ABOUT = (
@@ -116,7 +115,7 @@ def quality_experiment(
 
     return Experiment(
         "quality",
-        {name: partial(prepare, named_specimen(name)) for name in choose(EXAMPLES, materials)},
+        {name: partial(prepare, EXAMPLES[name]) for name in choose(EXAMPLES, materials)},
         {method: Configuration(partial(run, method)) for method in chosen},
         (nsd, sheet),
         settings=(evaluation, captured),

@@ -29,7 +29,7 @@ from matcap.field.plane import Rectangle
 from matcap.lab.bench.methods import true_exemplar
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
-from matcap.lab.simulate.examples import EXAMPLES
+from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.statistics.lattice import find_lattice
 
 ABOUT = (

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 
+from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.examples import EXAMPLES, realisation
 from matcap.lab.simulate.map_sets import map_set_folders, read_map_set
+from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.kinds import RandomKind, kind_of, kinds_known
-from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, take
+from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, take, true_maps
 from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
-
-# Of kinds of material, one each; no training has seen these numbers but by chance.
-NUMBER = 5001
-USUAL = (*EXAMPLES, "weave", "asphalt", "hammered")
 
 _PHOTOGRAPHED = 11  # seed of the piece that is photographed, where no example says one
 _SETUP = FlashSetup(offset=(0.10, 0.05, 0.0), tilt=(0.02, -0.02))
@@ -26,28 +25,76 @@ _SETUP = FlashSetup(offset=(0.10, 0.05, 0.0), tilt=(0.02, -0.02))
 
 @dataclass(frozen=True)
 class Specimen:
-    """A material whose truth is known.
-
-    Attributes:
-        name: of the material.
-        pieces: by seed.
-        seed: of the piece that is photographed.
-        setup: geometry of the photograph.
-        sensor: what its DNG says.
-    """
+    """A material whose truth is known."""
 
     name: str
+    """Of the material."""
+
     pieces: Callable[[int], Realise]
-    seed: int
-    setup: FlashSetup
+    """By seed."""
+
+    seed: int = _PHOTOGRAPHED
+    """Of the piece that is photographed; the sensor's noise has the same."""
+
+    setup: FlashSetup = _SETUP
+    """Geometry of the photograph; the camera adds field of view and intensity."""
+
     sensor: Sensor = field(default_factory=Sensor)
+    """What its DNG says of the sensor."""
+
+    @property
+    def realise(self) -> Realise:
+        """The piece that is photographed."""
+        return self.pieces(self.seed)
+
+    def take(self, camera: PhoneCamera) -> Shot:
+        """Photograph it."""
+        return take(self.realise, camera, self.setup)
+
+    def truth(self, camera: PhoneCamera) -> MapSet:
+        """True maps of the plane rectangle x in [-1, 1], one texel a pixel."""
+        return true_maps(self.realise, camera, self.setup)
 
 
-def named_specimen(name: str) -> Specimen:
-    """The material of an example photograph, a key of EXAMPLES."""
-    example = EXAMPLES[name]
-    pieces = partial(realisation, name)
-    return Specimen(name, pieces, example.seed, example.setup, example.sensor)
+def realisation(material: str, seed: int) -> Realise:
+    """One piece of a named material, of any size and detail."""
+
+    def piece(width: int, height: int, texel_size: float) -> MapSet:
+        return realise(material, width, height, seed, texel_size)
+
+    return piece
+
+
+def _example(
+    name: str,
+    seed: int,
+    offset: tuple[float, float],
+    tilt: tuple[float, float],
+    shading: float = 0.0,
+) -> Specimen:
+    """A named material; the flash's offset in plane units, tilts in degrees, shading as Sensor."""
+    x, y = (math.radians(degrees) for degrees in tilt)
+    setup = FlashSetup(offset=(*offset, 0.0), tilt=(x, y))
+    return Specimen(name, partial(realisation, name), seed, setup, Sensor(shading=shading))
+
+
+# The example photographs, by name.
+EXAMPLES: Mapping[str, Specimen] = MappingProxyType(
+    {
+        specimen.name: specimen
+        for specimen in (
+            _example("leather", 11, (0.12, 0.05), (1.5, -2.0)),
+            _example("cloth", 12, (-0.10, 0.06), (-1.0, 1.2)),
+            _example("granite", 13, (0.11, -0.04), (2.2, 1.0), 0.45),
+            _example("rust", 14, (0.08, 0.09), (-2.0, -1.5)),
+            _example("plaster", 15, (0.13, 0.02), (1.0, 2.6)),
+            _example("tile", 16, (-0.07, 0.08), (1.8, -1.0)),
+        )
+    }
+)
+# Of kinds of material, one each; no training has seen these numbers but by chance.
+NUMBER = 5001
+USUAL = (*EXAMPLES, "weave", "asphalt", "hammered")
 
 
 def photograph(
@@ -68,7 +115,7 @@ def photograph(
     Raises:
         MatcapError: the folder cannot be written.
     """
-    shot = take(specimen.pieces(specimen.seed), camera, specimen.setup)
+    shot = specimen.take(camera)
     gain = 2.0**ev
     red, green, blue = (gain * channel for channel in shot.setup.intensity)
     shot = Shot(gain * shot.linear, shot.setup.with_intensity((red, green, blue)), camera)
@@ -99,13 +146,13 @@ def subjects(names: Iterable[str], sets: Path | None = None) -> list[Specimen]:
 
 def _subject(name: str, folders: dict[str, Path]) -> Specimen:
     if name in EXAMPLES:
-        return named_specimen(name)
+        return EXAMPLES[name]
     if name in folders:
-        return Specimen(name, read_map_set(folders[name]).piece, _PHOTOGRAPHED, _SETUP)
+        return Specimen(name, read_map_set(folders[name]).piece)
     kind, _, number = name.partition(":")
     if kind in kinds_known() and (number.isdecimal() or not number):
         pieces = partial(_of_kind, kind_of(kind, int(number or NUMBER)))
-        return Specimen(name, pieces, _PHOTOGRAPHED, _SETUP)
+        return Specimen(name, pieces)
     known = ", ".join([*EXAMPLES, *kinds_known(), *folders])
     raise UsageError("there is no such material", where=name, remedy=f"choose from {known}")
 

@@ -2,10 +2,9 @@
 
 import pytest
 
-from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
-from matcap.lab.simulate.specimen import named_specimen
+from matcap.lab.simulate.specimen import EXAMPLES
 
 PHONE = PhoneCamera(width=640, height=480, supersampling=1)
 HAND = Hand()
@@ -15,7 +14,7 @@ HAND = Hand()
 def held():
     """(cameras, photographs) of plaster."""
     assert "plaster" in EXAMPLES
-    plaster = named_specimen("plaster")
+    plaster = EXAMPLES["plaster"]
     cameras = hold(PHONE, HAND, 3, 5)
     shots = take_several(plaster.pieces(plaster.seed), PHONE, cameras, HAND, 5)
     return cameras, [as_photo(one.shot, n, f"plaster_{n}") for n, one in enumerate(shots)]
@@ -24,7 +23,7 @@ def held():
 @pytest.fixture(scope="session")
 def foreign():
     """A photograph of leather."""
-    leather = named_specimen("leather")
+    leather = EXAMPLES["leather"]
     cameras = hold(PHONE, HAND, 1, 6)
     (shot,) = take_several(leather.pieces(leather.seed), PHONE, cameras, HAND, 6)
     return as_photo(shot.shot, 9, "leather_9")

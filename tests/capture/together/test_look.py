@@ -14,7 +14,7 @@ from matcap.flash.coarse import fit_coarse
 from matcap.flash.registration.register import register
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import named_specimen
+from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.photo.checks import Rating
 
@@ -91,7 +91,7 @@ def test_names_that_count_are_a_series():
 
 
 def test_inspect_tells_of_sets(tmp_path, capsys):
-    plaster = named_specimen("plaster")
+    plaster = EXAMPLES["plaster"]
     phone, hand = PhoneCamera(width=480, height=360, supersampling=1), Hand()
     cameras = hold(phone, hand, 2, 5)
     paths = []

@@ -20,7 +20,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.register import RegisteredView, Registration
 from matcap.lab.simulate.hand_held import Hand, Room, hold, take_several, take_without_flash
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
-from matcap.lab.simulate.specimen import named_specimen
+from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.lab.simulate.write_dng import write_dng
 
 PHONE = PhoneCamera(width=640, height=480, supersampling=1)
@@ -31,7 +31,7 @@ SIZE = (72, 96)
 @pytest.fixture(scope="module")
 def lit():
     """Shots of leather in a lit room, what they would be in the dark, and one without flash."""
-    leather = named_specimen("leather")
+    leather = EXAMPLES["leather"]
     realise = leather.pieces(leather.seed)
     cameras = hold(PHONE, HAND, 3, 5)
     bright = take_several(realise, PHONE, cameras, HAND, 5)
@@ -166,7 +166,7 @@ def test_one_with_flash_and_one_without_are_a_capture(lit, tmp_path):
     bright, _, room = lit
     paths = [tmp_path / "room.dng", tmp_path / "leather.dng"]
     for path, shot in zip(paths, (room, bright[0]), strict=True):
-        write_dng(path, shot.shot, named_specimen("leather").sensor, 1)
+        write_dng(path, shot.shot, EXAMPLES["leather"].sensor, 1)
     settings = CaptureSettings(preset="instant", detail=192)
     result = capture_into(tmp_path / "out", paths, settings, OutputSettings((32, 32)))
     assert result.material.name == "out" or result.photo.name == "leather.dng"

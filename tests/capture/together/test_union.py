@@ -37,7 +37,7 @@ from matcap.flash.registration.register import RegisteredView
 from matcap.lab.measures.maps import MapsOff
 from matcap.lab.simulate.hand_held import downward, hold, take_several, true_maps_along
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
-from matcap.lab.simulate.specimen import named_specimen
+from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.photo.photo import Photo
 
 PHONE = PhoneCamera(width=640, height=480, supersampling=1)
@@ -188,7 +188,7 @@ def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():
 @pytest.fixture(scope="module")
 def captured():
     """(cameras, leather, result) of two photographs, each of which shows half of the other."""
-    leather = named_specimen("leather")
+    leather = EXAMPLES["leather"]
     cameras = hold(PHONE, BESIDE, 2, 5)
     shots = take_several(leather.pieces(leather.seed), PHONE, cameras, BESIDE, 5)
     photos = [as_photo(one.shot, n, f"leather_{n}") for n, one in enumerate(shots)]

@@ -22,8 +22,8 @@ from matcap.example.exemplar import Exemplar
 from matcap.field.material import Material
 from matcap.files.digest import DIGEST, METHOD, text_first
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.examples import realisation
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
+from matcap.lab.simulate.specimen import realisation
 from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig

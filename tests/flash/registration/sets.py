@@ -23,10 +23,10 @@ from matcap.flash.registration.doubt import DOUBTED
 from matcap.flash.registration.register import Registration, register
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
-from matcap.lab.simulate.examples import realisation
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.materials import MATERIALS
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, as_photo
+from matcap.lab.simulate.specimen import realisation
 from matcap.photo.photo import Photo
 
 EASY = ("leather", "granite", "rust", "plaster")

@@ -9,8 +9,8 @@ from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.ambient import flash_first, without_flash
 from matcap.flash.registration.register import register
-from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
+from matcap.lab.simulate.specimen import EXAMPLES
 
 CAMERA = PhoneCamera(width=320, height=240, supersampling=1)
 

@@ -30,7 +30,7 @@ from matcap.lab.experiment.page import BY_HAND, write_page
 from matcap.lab.experiment.results import Trial, append, read
 from matcap.lab.experiment.runner import run
 from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import named_specimen, photograph
+from matcap.lab.simulate.specimen import EXAMPLES, photograph
 
 
 @pytest.fixture
@@ -103,7 +103,7 @@ def test_memory_is_the_command_s_and_not_the_bench_s(capfd):
 
 
 def test_the_paper_s_form_is_a_decoder_from_nothing(tmp_path):
-    specimen, camera = named_specimen("plaster"), PhoneCamera(160, 120, supersampling=1)
+    specimen, camera = EXAMPLES["plaster"], PhoneCamera(160, 120, supersampling=1)
     photo, _ = photograph(specimen, camera, tmp_path)
     capture_as_in_paper(photo, tmp_path / "paper.matcap", 0, steps=1)
     found = Material.load(tmp_path / "paper.matcap")

@@ -12,9 +12,8 @@ from matcap.lab.experiment.runner import run
 from matcap.lab.measures.evaluator import Evaluator
 from matcap.lab.measures.lights import relight_all
 from matcap.lab.measures.style import PortillaSimoncelli, RandomFilters, difference
-from matcap.lab.simulate.examples import EXAMPLES, realisation
 from matcap.lab.simulate.photograph import as_photo
-from matcap.lab.simulate.specimen import named_specimen
+from matcap.lab.simulate.specimen import EXAMPLES, realisation
 
 needs_plenoptic = pytest.mark.skipif(
     importlib.util.find_spec("plenoptic") is None, reason="plenoptic (extra bench) is missing"
@@ -35,7 +34,7 @@ def shot(settings):
 
 @pytest.fixture(scope="module")
 def evaluator(style, shot, settings):
-    return Evaluator(named_specimen("leather"), shot.setup, settings, {"one": style})
+    return Evaluator(EXAMPLES["leather"], shot.setup, settings, {"one": style})
 
 
 def _pictures(evaluator, shot, settings, material="leather", seed=55):
@@ -113,7 +112,7 @@ def test_run_measures_every_method_and_writes_what_it_saw(tmp_path, settings):
         example = EXAMPLES[path.stem]
         assert path.is_file()
         setup = example.take(settings.camera).setup
-        maps = realisation(example.material, 77)(400, 300, 2.0 / settings.detail)
+        maps = realisation(example.name, 77)(400, 300, 2.0 / settings.detail)
         return CapturedMaps(maps, setup)
 
     lines = []

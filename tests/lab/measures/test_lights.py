@@ -7,8 +7,8 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, camera_in_plane
 from matcap.lab.measures.lights import bench_scene, relight
-from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.photograph import PhoneCamera
+from matcap.lab.simulate.specimen import EXAMPLES
 
 FLASH = FlashSetup(fov=65.0, intensity=(2.0, 2.0, 2.0))
 
@@ -20,7 +20,7 @@ def _grey(size, texel=2.0 / 256):
 
 @pytest.mark.parametrize("example", EXAMPLES.values(), ids=EXAMPLES)
 def test_lights_are_never_at_the_flash(example):
-    setup = FlashSetup(fov=PhoneCamera().fov, offset=example.offset, tilt=example.setup.tilt)
+    setup = FlashSetup(fov=PhoneCamera().fov, offset=example.setup.offset, tilt=example.setup.tilt)
     flash = camera_in_plane(setup)[1]
     for light in bench_scene(setup).lights:
         place = torch.tensor(light.place, dtype=torch.float64)

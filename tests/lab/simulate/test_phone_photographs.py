@@ -8,21 +8,21 @@ import torch
 
 from matcap.lab.simulate.phone_photographs import PhonePhotographs
 from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import named_specimen
+from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.photo.load import load_photo
 
 SMALL = PhoneCamera(96, 72, supersampling=1)
 
 
 def test_a_material_is_photographed_in_the_same_way_at_every_time_and_others_otherwise():
-    rust, tile = (PhonePhotographs.of(named_specimen(name), SMALL) for name in ("rust", "tile"))
-    again = PhonePhotographs.of(named_specimen("rust"), SMALL)
+    rust, tile = (PhonePhotographs.of(EXAMPLES[name], SMALL) for name in ("rust", "tile"))
+    again = PhonePhotographs.of(EXAMPLES["rust"], SMALL)
     assert (rust.phone, rust.hand, rust.tilt) == (again.phone, again.hand, again.tilt)
     assert rust.phone != tile.phone and rust.tilt != tile.tilt
 
 
 def named(name, pieces=None):
-    specimen = named_specimen("plaster")
+    specimen = EXAMPLES["plaster"]
     return replace(specimen, name=name, pieces=pieces or specimen.pieces)
 
 
@@ -52,7 +52,7 @@ def test_from_further_away_slopes_stay_and_more_is_seen():
 
 
 def test_photographs_are_taken_once_and_their_truth_is_kept(tmp_path):
-    held = PhonePhotographs.of(named_specimen("plaster"), SMALL)
+    held = PhonePhotographs.of(EXAMPLES["plaster"], SMALL)
     paths, setup = held.take(2, tmp_path)
     assert [path.name for path in paths] == ["plaster_0.dng", "plaster_1.dng"]
     written = paths[0].stat().st_mtime_ns

@@ -8,8 +8,8 @@ from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, plane_points, project
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
-from matcap.lab.simulate.examples import EXAMPLES, realisation
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, expose, take, true_maps
+from matcap.lab.simulate.specimen import EXAMPLES, realisation
 
 CAMERA = PhoneCamera(width=128, height=96)
 
