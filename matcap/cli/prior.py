@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -187,17 +189,13 @@ def evaluate(
     goes on from them. They are identified by material, prior and options, not by the version of
     matcap: after changing that, or the pack, remove the CSV.
     """
-    import shlex
-    import sys
-
     from matcap.lab.train.evaluate import EvaluateSettings, run_evaluation
     from matcap.lab.train.pack import Pack
     from matcap.space.prior.store import load_prior
 
     settings = EvaluateSettings(steps, longer, materials)
-    command = shlex.join(["matcap", *sys.argv[1:]])
     table = run_evaluation(
-        load_prior(prior), Pack.load(pack), settings, out, command, _printer(quiet)
+        load_prior(prior), Pack.load(pack), settings, out, _command(), _printer(quiet)
     )
     typer.echo(table)
 
@@ -218,17 +216,13 @@ def ablate(
 
     Results are kept and gone on from as `prior evaluate` does.
     """
-    import shlex
-    import sys
-
     from matcap.lab.train.evaluate import EvaluateSettings, run_ablation
     from matcap.lab.train.pack import Pack
     from matcap.space.prior.store import load_prior
 
     settings = EvaluateSettings(steps, materials=materials)
-    command = shlex.join(["matcap", *sys.argv[1:]])
     typer.echo(
-        run_ablation(load_prior(prior), Pack.load(pack), settings, out, command, _printer(quiet))
+        run_ablation(load_prior(prior), Pack.load(pack), settings, out, _command(), _printer(quiet))
     )
 
 
@@ -249,19 +243,21 @@ def variety(
 
     Precision, recall and pairwise style distance, and a sheet of draws.
     """
-    import shlex
-    import sys
-
     from matcap.files.staging import check_writable
     from matcap.lab.train.pack import Pack
     from matcap.lab.train.prior_variety import VarietySettings, run_variety
     from matcap.space.prior.store import load_prior
 
     check_writable(out, 2_000_000)
-    command = shlex.join(["matcap", *sys.argv[1:]])
     settings = VarietySettings(draws, simulated)
-    page = run_variety(load_prior(prior), Pack.load(pack), settings, out, command, _printer(quiet))
+    page = run_variety(
+        load_prior(prior), Pack.load(pack), settings, out, _command(), _printer(quiet)
+    )
     typer.echo(page)
+
+
+def _command() -> str:
+    return shlex.join(["matcap", *sys.argv[1:]])
 
 
 def _printer(quiet: bool) -> Callable[[str], None]:

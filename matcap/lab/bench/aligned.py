@@ -25,7 +25,7 @@ from matcap.lab.experiment.runner import Configuration, Experiment, choose
 from matcap.lab.measures.lights import BenchScene, bench_scene, relight_all
 from matcap.lab.measures.maps import shrunk_to
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
-from matcap.lab.simulate.specimen import EXAMPLES, photograph
+from matcap.lab.simulate.specimen import EXAMPLES, Specimen, photograph
 
 ABOUT = (
     "Albedo and specular: mean absolute differences of logarithms; roughness: of values; normal: "
@@ -145,8 +145,8 @@ def aligned_experiment(
         UsageError: no such material.
     """
 
-    def prepare(name: str) -> AlignedSubject:
-        example, camera = EXAMPLES[name], PhoneCamera()
+    def prepare(example: Specimen) -> AlignedSubject:
+        camera = PhoneCamera()
         path, shot = photograph(example, camera, out)
         photo = as_photo(shot, example.seed, path.name)
         truth, scene = shrunk_to(example.truth(camera), 2.0 / detail), bench_scene(shot.setup)
@@ -169,7 +169,7 @@ def aligned_experiment(
 
     return Experiment(
         "aligned",
-        {name: partial(prepare, name) for name in choose(EXAMPLES, materials)},
+        {name: partial(prepare, one) for name, one in choose(EXAMPLES, materials).items()},
         {
             f"{method}, {ring}": Configuration(partial(run, method, ring), method)
             for method in METHODS

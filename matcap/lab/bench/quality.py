@@ -115,7 +115,7 @@ def quality_experiment(
 
     return Experiment(
         "quality",
-        {name: partial(prepare, EXAMPLES[name]) for name in choose(EXAMPLES, materials)},
+        {name: partial(prepare, one) for name, one in choose(EXAMPLES, materials).items()},
         {method: Configuration(partial(run, method)) for method in chosen},
         (nsd, sheet),
         settings=(evaluation, captured),

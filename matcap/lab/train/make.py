@@ -9,7 +9,6 @@ and a training that was killed goes on from its checkpoint. A recipe is the TOML
 from __future__ import annotations
 
 import csv
-import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from matcap.lab.train.align import make, report_alignment, train_alignment
 from matcap.lab.train.corpus import build
 from matcap.lab.train.finish import finish
 from matcap.lab.train.pack import Pack
-from matcap.lab.train.settings import configured
+from matcap.lab.train.settings import configured, read_toml
 from matcap.lab.train.train import train
 from matcap.lab.train.trainer import CHECKPOINT, CURVES
 from matcap.space.alignment import load_alignment, save_alignment
@@ -78,11 +77,7 @@ def make_prior(
 
 def _recipe(path: Path) -> tuple[dict[str, Any], dict[str, dict[str, int]]]:
     """What a recipe states of the training, and its tables with defaults filled in."""
-    try:
-        stated = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UsageError(f"the recipe cannot be read ({error})", where=str(path)) from error
-    tables = {}
+    stated, tables = read_toml(path), {}
     for name, defaults in _TABLES.items():
         given = stated.pop(name, {})
         wrong = [

@@ -16,19 +16,27 @@ from matcap.space.encoder import BACKBONES, EncoderConfig
 _Table = TypeVar("_Table", TrainConfig, EncoderConfig, DecoderConfig)
 
 
+def read_toml(path: Path) -> dict[str, Any]:
+    """What a TOML file states.
+
+    Raises:
+        UsageError: no such file, or no TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"it cannot be read ({error.strerror})", where=str(path)) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"this is no TOML ({error})", where=str(path)) from error
+
+
 def read_config(path: Path) -> TrainConfig:
     """A configuration; what the file leaves out keeps its default.
 
     Raises:
         UsageError: no such file, no TOML, an unknown name or a value of the wrong kind.
     """
-    try:
-        stated = tomllib.loads(path.read_text())
-    except OSError as error:
-        raise UsageError(f"it cannot be read ({error.strerror})", where=str(path)) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"this is no TOML ({error})", where=str(path)) from error
-    return configured(stated, str(path))
+    return configured(read_toml(path), str(path))
 
 
 def configured(stated: dict[str, Any], path: str) -> TrainConfig:
