@@ -27,7 +27,9 @@ def read_toml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise UsageError(f"it cannot be read ({error.strerror})", where=str(path)) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"this is no TOML ({error})", where=str(path)) from error
+        raise UsageError(
+            f"it cannot be read: this is no TOML ({error})", where=str(path)
+        ) from error
 
 
 def read_config(path: Path) -> TrainConfig:
