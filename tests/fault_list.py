@@ -440,13 +440,13 @@ FAULTS = (
           "brdf/test_mapset.py -k gives_back"),
     Fault("map sets: middle grey below the least height", "brdf height_range", "-low", "low",
           "brdf/test_mapset.py -k pngs"),
-    # Shoots and the page.
+    # Batches and the page.
     Fault("batch: a RAW and its JPEG are two", "batch _pairs",
-          "kind(path) in _CAMERA and raw is None", "kind(path) in _CAMERA", "batch/test_shoot.py"),
+          "kind(path) in _CAMERA and raw is None", "kind(path) in _CAMERA", "batch/test_input_folder.py"),
     Fault("batch: the gap counts from the first", "batch _runs", "last = when",
-          "last = when if runs[-1] == [shot] else last", "batch/test_shoot.py"),
+          "last = when if runs[-1] == [shot] else last", "batch/test_input_folder.py"),
     Fault("batch: names of its own files", "batch _named", "plain.casefold() in _TAKEN", "False",
-          "batch/test_shoot.py"),
+          "batch/test_input_folder.py"),
     Fault("batch: some failed is done", "batch exit_code", "ExitCode.SOME_FAILED", "ExitCode.DONE",
           "batch/test_run.py"),
     Fault("page: any host", "view _Guard.__call__",

@@ -1,6 +1,6 @@
-"""Batch capture: every photograph of a folder to a material; failures are kept and reported.
+"""Batch capture: every photograph of a folder to a material; failures are recorded and reported.
 
-Start reading at `run`, which is the order of events. `shoot` finds the photographs, `identity`
-says what a material was made from, `record` and `workspace` are the files that the truth is read
-from, `work` is what a worker does, `crew` the worker processes and `index` the page at the end.
+`run` schedules the jobs. `input_folder` lists the photographs, `identity` hashes what a material is
+made from, `record` and `workspace` are the files that hold all state, `work` is a worker's job,
+`worker_pool` the worker processes, `overview` the index page.
 """

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from matcap.batch.identity import identity
+from matcap.batch.input_folder import ShotSample
 from matcap.batch.record import is_done, read_record
 from matcap.batch.settings import BatchSettings
-from matcap.batch.shoot import ShotSample
 from matcap.batch.workspace import read_failure
 from matcap.capture.replace import refuse_to_replace_longer_capture
 from matcap.errors import MatcapError
@@ -20,19 +20,19 @@ EntryState = Literal["todo", "made", "kept", "failed", "left"]
 
 @dataclass
 class BatchEntry:
-    """A sample and how it stands; the batch goes along and changes it."""
+    """A sample and its state, which the batch updates."""
 
     sample: ShotSample
-    """What it is."""
+    """Its photographs."""
     identity: str
-    """Of the material wanted, or "" where a photograph cannot be read."""
+    """Hash of the material to be made (identity.py); "" if a photograph cannot be read."""
     state: EntryState
-    """Either "todo"; "made" by this run; "kept", done before; "failed"; "left" undone because the
-    batch ended early."""
+    """"todo"; "made" by this run; "kept", done by an earlier one; "failed"; or "left", not begun
+    because the batch ended early."""
     reason: str = ""
-    """Of a failure, or why it was left."""
+    """Why it failed or was left."""
     record: dict[str, Any] = field(default_factory=dict)
-    """Of the material, where there is one."""
+    """Record of the material (record.py), where it is done."""
 
 
 def make_plan(
@@ -47,18 +47,18 @@ def make_plan(
     overwrite: bool = False,
     on_progress: Callable[[int], None] = lambda count: None,
 ) -> list[BatchEntry]:
-    """How every sample stands.
+    """Determine the state of every sample.
 
     Args:
-        samples: of the shoot.
-        out: where their materials are or will be.
+        samples: of the input folder.
+        out: the output folder.
         settings: of the batch.
         prior: hash of the prior.
         card: hash of the calibration, or "".
-        force: make even what is done.
-        retry_failed: try even what is known to fail.
-        overwrite: make even what would replace a longer capture.
-        on_progress: called with the number of samples looked at.
+        force: make materials again that are done.
+        retry_failed: try samples again that failed.
+        overwrite: replace captures of a longer preset.
+        on_progress: called with the number of samples inspected.
     """
     entries = []
     for index, sample in enumerate(samples):
@@ -81,7 +81,7 @@ def look_again(
     retry_failed: bool = False,
     overwrite: bool = False,
 ) -> None:
-    """See whether a material is done, known to fail, or would replace a longer capture, now."""
+    """Update an entry whose material is done, failed before, or would replace a longer capture."""
     folder = out / entry.sample.name
     if not force and is_done(folder, entry.identity):
         entry.state, entry.record = "kept", read_record(folder) or {}

@@ -1,7 +1,6 @@
-"""What a material was made from, as one hash: photographs, settings, version and prior.
+"""Hash of all inputs of a material: photographs, settings, version, prior, calibration, profile.
 
-Two materials of the same identity are the same; whatever else has changed in the world, such a
-material need not be made again.
+Equal hashes mean equal materials: one that exists need not be made again.
 """
 
 from __future__ import annotations
@@ -17,10 +16,9 @@ from matcap.errors import MatcapError
 from matcap.files.maker import MAKER_VERSION
 from matcap.photo.camera import CameraProfile
 
-# Settings that say what to work on or how, and leave the material as it is; of prior and card the
-# bytes count.
+# Settings that do not change a material; of prior and card the content is hashed instead.
 _NO_MATTER = ("jobs", "group", "gap", "card", "prior")
-# What a setting of later versions was before there was it: unsaid, for old materials to stay.
+# Settings added later, at the value that earlier versions had: not hashed, so that hashes stay.
 _SINCE = {"statistics": "filterbank", "generator": "decoder", "aligned": False, "width_cm": None}
 
 
@@ -33,14 +31,14 @@ def identity(
     profile: CameraProfile | None = None,
     version: str = MAKER_VERSION,
 ) -> str:
-    """64 hexadecimal digits.
+    """SHA-256 of a material's inputs, 64 hexadecimal digits.
 
     Args:
-        photos: whose bytes count, in their order, and whose names do not.
-        settings: how it is captured and written.
-        prior: prior_hash of its prior.
-        card: hash of the calibration that is applied, or "".
-        profile: of the camera, estimated from the shoot, or None.
+        photos: in order; their content counts, their names do not.
+        settings: of capture and output.
+        prior: prior_hash of the prior.
+        card: hash of the calibration, or "".
+        profile: of the camera, estimated from the input folder, or None.
         version: of matcap.
 
     Raises:
@@ -54,7 +52,7 @@ def identity(
     for name in ("mask", "camera"):
         file = getattr(settings.capture, name)
         if file is not None:
-            chosen[name] = file_hash(file)  # whose bytes count
+            chosen[name] = file_hash(file)
     what: dict[str, Any] = {
         "photographs": [file_hash(photo) for photo in photos],
         "settings": chosen,
@@ -62,16 +60,16 @@ def identity(
         "prior": prior,
         "card": card,
     }
-    if profile is not None:  # unsaid else, for old materials to stay
+    if profile is not None:  # absent otherwise, so that earlier hashes stay
         what["camera"] = profile.document()
     return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
 
 
 def prior_hash(prior: str) -> str:
-    """Of a prior as the settings name it: "auto", "none" or a file.
+    """Hash of a prior named "auto", "none" or by a file.
 
     Raises:
-        MatcapError: a file that is no prior.
+        MatcapError: the file is no prior.
     """
     from matcap.capture.named_prior import prior_file
 
@@ -80,7 +78,7 @@ def prior_hash(prior: str) -> str:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file's bytes.
+    """SHA-256 of a file's content.
 
     Raises:
         MatcapError: it cannot be read.

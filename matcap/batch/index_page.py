@@ -1,4 +1,4 @@
-"""The page of a batch: one table, which is a list of cards on a phone. Nothing is fetched."""
+"""Template of the index page: a table, on phones a list of cards; self-contained."""
 
 PAGE = """<!doctype html>
 <html lang="en">

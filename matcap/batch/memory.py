@@ -1,7 +1,7 @@
-"""Memory that one worker needs, and the number of workers that fit.
+"""Memory of one worker, and the number of workers that fit.
 
-Measured on Linux, glibc (docs/notes/stability.md has the command): the libraries,
-the photograph as it is developed, what grows with the detail, and what grows with the map set.
+A sum of the libraries, the decoded photograph, a part proportional to the exemplar's texels and one
+to the map set's. Measured on Linux, glibc (command in docs/notes/stability.md).
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from matcap.batch.settings import BatchSettings
 from matcap.capture.detail import UNION_TIMES
 from matcap.files.memory import free_bytes
 
-_LIBRARIES = 1_150_000_000  # and one window being tuned
+_LIBRARIES = 1_150_000_000  # bytes, with the optimisation of one window
 _BY_PIXEL = {"raw": 22, "other": 12}  # bytes a pixel of the file
-_BY_TEXEL = 400  # of the photograph as it is used, detail x 3/4 detail
-_BY_MAP_TEXEL = 110  # bytes
-_USUAL_PIXELS = 12_000_000  # where a file does not say
-_SPARE = 0.85  # of what is free: the rest is for everybody else
+_BY_TEXEL = 400  # bytes a texel of the exemplar, detail x 3/4 detail
+_BY_MAP_TEXEL = 110  # bytes a texel of the map set
+_USUAL_PIXELS = 12_000_000  # assumed where a file cannot be read
+_SPARE = 0.85  # share of the free memory that workers may take
 _RAW_FORMS = ("RAW", "DNG")
 
 
 def worker_bytes(settings: BatchSettings, pixels: int, *, raw: bool) -> int:
-    """What one worker takes at most.
+    """Upper bound of a worker's memory, in bytes.
 
     Args:
-        settings: detail and size of the map set count.
+        settings: for the detail and the size of the map set.
         pixels: of the largest photograph.
-        raw: whether it has to be developed.
+        raw: whether that is a RAW file.
     """
     width, height = settings.outputs.size
     detail = settings.capture.most_detail
@@ -43,16 +43,13 @@ def worker_bytes(settings: BatchSettings, pixels: int, *, raw: bool) -> int:
 
 
 def largest_worker(settings: BatchSettings, photos: Sequence[Path]) -> int:
-    """worker_bytes of the photograph that takes most."""
+    """The largest worker_bytes over photographs."""
     sizes = [photo_pixels(photo) for photo in photos] or [(_USUAL_PIXELS, False)]
     return max(worker_bytes(settings, pixels, raw=raw) for pixels, raw in sizes)
 
 
 def photo_pixels(path: Path) -> tuple[int, bool]:
-    """How many pixels a photograph has, by its header, and whether it is a RAW.
-
-    What cannot be read is taken for usual: reading it will say why.
-    """
+    """Number of pixels by a file's header, and whether it is RAW; typical values if unreadable."""
     from matcap.files.quiet import quiet_decoders
     from matcap.photo.kind import file_kind
     from matcap.photo.refusals import MOST_PIXELS
@@ -69,17 +66,24 @@ def photo_pixels(path: Path) -> tuple[int, bool]:
 
             try:
                 with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")  # of large pictures: they are counted here
+                    warnings.simplefilter("ignore")  # Pillow's on large pictures
                     with Image.open(path) as picture:
                         return picture.width * picture.height, False
-            except Image.DecompressionBombError:  # what Pillow's own limit lets not be counted
+            except Image.DecompressionBombError:  # above Pillow's limit
                 return MOST_PIXELS, False
     except Exception:
         return _USUAL_PIXELS, path.suffix.lower() not in (".jpg", ".jpeg", ".png")
 
 
-def crew_size(wanted: int | None, each: int, jobs: int, free: int | None = None) -> int:
-    """How many workers: as wanted or as cores, as many as fit, no more than there are jobs."""
+def pool_size(wanted: int | None, each: int, jobs: int, free: int | None = None) -> int:
+    """Number of workers: `wanted`, else the cores; at most what fits in memory, and `jobs`.
+
+    Args:
+        wanted: by the user, or None.
+        each: bytes of a worker.
+        jobs: number of samples.
+        free: bytes of free memory; by default measured.
+    """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     fit = int(_SPARE * (free_bytes() if free is None else free)) // max(1, each)
     return max(1, min(wanted or cores or 1, fit, jobs))

@@ -1,4 +1,4 @@
-"""index.html, index.csv and index.json of an output folder: captured and failed samples."""
+"""index.html, index.csv and index.json of an output folder: all materials and failed samples."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _STATES = {
 
 
 def write_index(out: Path, entries: Sequence[BatchEntry]) -> None:
-    """Write the three files of a batch, together; they show materials of earlier shoots, too.
+    """Write the three files, all or none; they also list materials of earlier batches.
 
     Args:
         out: the output folder.
-        entries: how the samples of this batch stand.
+        entries: the samples of this batch.
 
     Raises:
         MatcapError: a full disk, an unwritable folder.
@@ -48,11 +48,11 @@ def write_index(out: Path, entries: Sequence[BatchEntry]) -> None:
 
 
 def page(rows: Sequence[dict[str, Any]], pictures: Sequence[dict[str, str]]) -> str:
-    """The page; nothing in it is fetched from anywhere.
+    """The self-contained HTML page.
 
     Args:
         rows: as in index.json.
-        pictures: of each row, base64 JPEGs by label.
+        pictures: base64 JPEGs by label, a dictionary a row.
     """
     done = sum(row["state"] == "done" for row in rows)
     failed, doubtful = (
@@ -132,7 +132,7 @@ def _csv(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def _plain(value: object) -> object:
-    """A spreadsheet takes text that starts so for a formula."""
+    """Quote text that a spreadsheet would run as a formula."""
     if isinstance(value, str) and value[:1] in ("=", "+", "-", "@"):
         return f"'{value}"
     return value
@@ -163,7 +163,7 @@ def _row(row: dict[str, Any], pictures: dict[str, str]) -> str:
 
 
 def _shown_state(row: dict[str, Any]) -> str:
-    """A material that was made, but is none of the photographed one, counts as failed."""
+    """The state shown: a material that was made with verdict "failed" counts as failed."""
     if row["state"] != "done":
         return str(row["state"])
     if row["verdict"] == "failed":

@@ -1,4 +1,4 @@
-"""Time and disk space a batch will take: from earlier captures, or a short trial of the first."""
+"""Predict a batch's time and disk space, from earlier captures or a short trial of the first."""
 
 from __future__ import annotations
 
@@ -20,54 +20,54 @@ from matcap.capture.settings import resolve
 from matcap.errors import MatcapError
 from matcap.files.values import spoken_duration
 
-_TRIAL_STEPS = 12  # of the longest stage
-_SETTLED = 4  # steps of a trial that say nothing of the pace
-_TRIED = 3  # photographs tried, if the first ones cannot be used
+_TRIAL_STEPS = 12  # optimisation steps of a trial
+_SETTLED = 4  # its first steps, which are slower and not timed
+_TRIED = 3  # most samples tried, if the first are unusable
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What is left to do, and what it takes."""
+    """Number of samples to do, with predicted time, disk space and memory."""
 
     todo: int
-    """Samples to be made."""
+    """Samples to be captured."""
     workers: int
-    """At once."""
+    """Worker processes."""
     seconds_each: float | None
-    """Of one worker; None where no photograph could be tried."""
+    """Seconds a sample takes one worker; None if no photograph could be tried."""
     bytes_each: int
-    """Of disk."""
+    """Disk space of a material."""
     worker_bytes: int
-    """Of memory, at most."""
+    """Upper bound of a worker's memory."""
     free_bytes: int
-    """Of disk."""
+    """Free disk space."""
     measured: str
     """What the speed was measured on, in words."""
 
     @property
     def seconds(self) -> float | None:
-        """Of the whole batch."""
+        """Seconds of the whole batch."""
         if self.seconds_each is None:
             return None
         return self.seconds_each * -(-self.todo // self.workers)
 
     def text(self) -> str:
-        """For people."""
+        """The prediction as a sentence."""
         if not self.todo:
-            return "Nothing is to be done."
-        pace = "at an unknown speed"
+            return "Nothing to do: all materials are made."
+        pace = "time unknown"
         if self.seconds is not None and self.seconds_each is not None:
             each = spoken_duration(self.seconds_each)
-            pace = f"in about {spoken_duration(self.seconds)}, {each} each"
-        room = "" if self.bytes_each * self.todo < self.free_bytes else ", more than is free"
+            pace = f"about {spoken_duration(self.seconds)}, {each} each"
+        full = "" if self.bytes_each * self.todo < self.free_bytes else ", more than is free"
         return (
-            f"{self.todo} to be made by {self.workers} at once {pace} ({self.measured}); "
-            f"about {self.bytes_each * self.todo / 1e9:.2g} GB of disk{room}; "
+            f"{self.todo} to capture with {self.workers} workers: {pace} ({self.measured}); "
+            f"about {self.bytes_each * self.todo / 1e9:.2g} GB of disk{full}; "
             f"at most {self.worker_bytes / 1e9:.1f} GB of memory a worker."
         )
 
     def document(self, entries: Sequence[BatchEntry]) -> dict[str, Any]:
-        """As JSON."""
+        """The prediction as JSON."""
         rows = [
             {
                 "name": entry.sample.name,
@@ -91,10 +91,10 @@ class Prediction:
 
 
 def predict(prepared: Prepared) -> Prediction:
-    """Time and disk of what is to be done.
+    """Predict time and disk space of the samples to do.
 
-    Takes them from materials in the output made with as many steps at the same detail; else makes
-    a trial of a few steps, thrown away.
+    From materials in the output that were made with the same steps and detail; else from a trial
+    capture of a few steps, which is discarded.
     """
     todo, settings = prepared.todo, prepared.settings
     seconds, size, how = None, settings.outputs.room, "nothing measured"
@@ -136,14 +136,11 @@ def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
     if not earlier:
         return None
     seconds = sum(s for s, _ in earlier) / len(earlier)
-    return seconds, max(size for _, size in earlier), f"as the {len(earlier)} made before"
+    return seconds, max(size for _, size in earlier), f"measured on {len(earlier)} made before"
 
 
 def _trial(photos: Sequence[Path], settings: BatchSettings) -> tuple[float, int]:
-    """Seconds and bytes that the whole will take, from a few steps of one sample.
-
-    What is tried is what will be run: the same stages, but with fewer steps of the longest one.
-    """
+    """Seconds and bytes of one full capture, extrapolated from a capture with fewer steps."""
     from matcap.capture.outputs import write_outputs
     from matcap.capture.pipeline import capture_file
 
@@ -152,7 +149,7 @@ def _trial(photos: Sequence[Path], settings: BatchSettings) -> tuple[float, int]
     wanted = settings.capture
     work = resolve(wanted, photographs=len(photos)).work(wanted.generator)
     steps = min(work, _TRIAL_STEPS)
-    ticks: list[float] = []  # when each step of the longest stage was done
+    ticks: list[float] = []  # time after each optimisation step, in seconds
 
     def on_progress(now: CaptureProgress) -> None:
         if now.stage in ("adapt", "fine-tuning"):

@@ -1,8 +1,8 @@
-"""The record beside each material: what it was made from, and what files belong to it.
+"""The manifest in each material's folder: the hash of its inputs, and its files with their sizes.
 
-A material is done when its record names the identity that is wanted now and every file it lists is
-there with its size. Files are flushed to the disk before they get their names, so a size that is
-right is a file that is whole.
+A material is done if its record has the requested identity and all files have their sizes. Files
+are synced to disk before they are renamed to their final names, so a right size means a complete
+file.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ _MOST_BYTES = 20_000_000  # thumbnails included
 
 
 def write_record(folder: Path, about: Mapping[str, Any]) -> None:
-    """Write the record of a folder that is not in its place yet, and flush all its files.
+    """Write the record of a staged folder, and sync all its files to disk.
 
     Args:
-        folder: of a material, complete but for this.
-        about: JSON; identity and whatever else is worth keeping.
+        folder: of a material, complete but for the record.
+        about: JSON entries, `identity` among them.
 
     Raises:
-        OSError: a full disk and the like.
+        OSError: the folder cannot be written.
     """
     files = {
         file.relative_to(folder).as_posix(): file.stat().st_size
@@ -44,7 +44,7 @@ def write_record(folder: Path, about: Mapping[str, Any]) -> None:
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
-    """The record of a material's folder; None where there is none that can be read."""
+    """The record of a material's folder; None if there is none, or it cannot be read."""
     file = folder / FILE
     try:
         if file.stat().st_size > _MOST_BYTES:
@@ -60,7 +60,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
 
 def is_done(folder: Path, identity: str) -> bool:
-    """Whether a folder holds all of the material of this identity."""
+    """Whether a folder holds the complete material of this identity."""
     record = read_record(folder)
     if record is None or record.get("identity") != identity:
         return False

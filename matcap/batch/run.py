@@ -1,7 +1,6 @@
 """Scheduling of a batch: which worker gets which sample, and how failures are retried.
 
-Nothing is decided by what this process remembers: a batch that is killed and started again reads
-the same files and goes on from there.
+All state is in files: a batch that is killed and started again continues.
 """
 
 from __future__ import annotations
@@ -23,45 +22,46 @@ from matcap.errors import ExitCode
 from matcap.files.progress import Progress
 from matcap.photo.calibrate import Calibration
 
-_POLL = 1.0  # seconds between two looks at what another run is doing
-_PAGE_EVERY = 20.0  # seconds between two pages, at least
-_LEAST_DETAIL = 128  # texels across; memory that does not do for them does for nothing
-_FORGET = ("memory", "disk", "crash")  # faults that may be gone next time
+_POLL = 1.0  # seconds between two checks of another run's claims
+_PAGE_EVERY = 20.0  # least seconds between two updates of the index
+_LEAST_DETAIL = 128  # texels across: the least detail that is tried when memory runs out
+_FORGET = ("memory", "disk", "crash")  # failures that are not recorded: they may pass
+_AGAIN = "Free some space and run the same command again."
 
 
 @dataclass(frozen=True)
 class Policy:
-    """What to make of what is done already, and of failures."""
+    """What is made again, and what counts as failure."""
 
     force: bool = False
-    """Make everything again."""
+    """Make materials again that are done."""
     retry_failed: bool = False
-    """Try again what is known to fail."""
+    """Try samples again that failed."""
     fail_fast: bool = False
     """End at the first failure."""
     strict: bool = False
     """Doubtful and failed verdicts count as failures in the exit code."""
     overwrite: bool = False
-    """Replace longer captures, too."""
+    """Replace captures of a longer preset."""
 
 
 class Show(Protocol):
     """Displays the progress of a batch."""
 
     def expect(self, total: int) -> None:
-        """So many samples there are."""
+        """Set the number of samples."""
 
     def started(self, entry: BatchEntry) -> None:
-        """Work on a sample begins."""
+        """A sample's capture has started."""
 
     def progress(self, entry: BatchEntry, now: Progress) -> None:
-        """It has come this far."""
+        """A sample's stage and share of the work."""
 
     def ended(self, entry: BatchEntry) -> None:
-        """It is made, kept, failed or left."""
+        """A sample has reached its final state."""
 
     def note(self, sentence: str) -> None:
-        """Something else worth knowing."""
+        """Show a message."""
 
 
 @dataclass
@@ -72,24 +72,24 @@ class _Task:
 
 
 class Batch:
-    """One run over the entries of a plan.
+    """One run over the samples of a batch.
 
     Args:
-        entries: how the samples stand; changed as the work goes on.
-        run: where to work.
-        crew: who works.
+        entries: the samples; their states are updated.
+        run: workspace.
+        workers: worker pool.
         settings: of the batch.
-        policy: what to do again.
-        show: who watches.
-        page: writes the index; called now and then, and at the end.
-        card: calibration from the card of the shoot, or None.
+        policy: what is made again, and what counts as failure.
+        show: displays the progress.
+        page: writes the index; called during the run and at its end.
+        card: calibration from a card's photograph, or None.
     """
 
     def __init__(
         self,
         entries: Sequence[BatchEntry],
         run: Run,
-        crew: BatchWorkers,
+        workers: BatchWorkers,
         settings: BatchSettings,
         policy: Policy,
         show: Show,
@@ -97,7 +97,7 @@ class Batch:
         card: Calibration | None = None,
     ) -> None:
         self._card = card
-        self._entries, self._run, self._crew = entries, run, crew
+        self._entries, self._run, self._workers = entries, run, workers
         self._settings, self._policy, self._show, self._page = settings, policy, show, page
         todo = [entry for entry in entries if entry.state == "todo"]
         self._waiting = deque(_Task(entry, self._job(entry)) for entry in todo)
@@ -108,26 +108,26 @@ class Batch:
         self._paged = time.monotonic()
 
     def go(self) -> None:
-        """Until everything is made, kept, failed or left.
+        """Process all samples until each is made, kept, failed or left.
 
         Raises:
-            KeyboardInterrupt: after the workers are stopped and the index is written.
+            KeyboardInterrupt: re-raised after the workers are stopped and the index is written.
         """
         announced = False
         try:
-            while self._waiting or self._alone or self._elsewhere or self._crew.busy():
+            while self._waiting or self._alone or self._elsewhere or self._workers.busy():
                 if self._stop:
                     self._waiting.clear()
                     self._alone.clear()
                     self._elsewhere.clear()
                 self._fill()
-                if self._crew.busy():
-                    for event in self._crew.wait(_POLL):
+                if self._workers.busy():
+                    for event in self._workers.wait(_POLL):
                         self._happened(event)
                 elif self._elsewhere and not self._waiting and not self._alone:
                     if not announced:
                         count = len(self._elsewhere)
-                        self._show.note(f"{count} are being made by another run: waiting for it.")
+                        self._show.note(f"Waiting for another run, which is making {count}.")
                     announced = True
                     time.sleep(_POLL)
                     self._waiting, self._elsewhere = self._elsewhere, deque()
@@ -138,7 +138,7 @@ class Batch:
             self._stop = self._stop or "interrupted"
             raise
         finally:
-            self._crew.close()
+            self._workers.close()
             for entry in self._entries:
                 if entry.state == "todo":
                     entry.state, entry.reason = "left", self._stop or "the batch ended early"
@@ -158,11 +158,11 @@ class Batch:
         )
 
     def _fill(self) -> None:
-        """Give every idle worker something to do."""
+        """Start jobs on all idle workers."""
         alone = any(task.job.alone for task in self._tasks.values())
-        while self._waiting and not alone and self._crew.busy() < self._crew.size:
+        while self._waiting and not alone and self._workers.busy() < self._workers.size:
             self._begin(self._waiting.popleft())
-        if self._alone and not self._waiting and not self._crew.busy():
+        if self._alone and not self._waiting and not self._workers.busy():
             self._begin(self._alone.popleft())
 
     def _begin(self, task: _Task) -> None:
@@ -171,7 +171,7 @@ class Batch:
             if not self._run.claim(name):
                 self._elsewhere.append(task)
                 return
-            # Another run may have done it since the plan was made.
+            # Another run may have finished it in the meantime.
             policy = self._policy
             look_again(
                 entry,
@@ -187,12 +187,12 @@ class Batch:
         room = self._settings.outputs.room
         if shutil.disk_usage(self._run.out).free < room:
             self._stop = f"the disk has less than {room / 1e6:.0f} MB left"
-            self._show.note(f"{self._stop}: nothing more is begun. Free some space and go on.")
+            self._show.note(f"No further sample is started: {self._stop}. {_AGAIN}")
             self._run.release(name)
             return
         self._show.started(entry)
         self._tasks[name] = task
-        self._crew.start(task.job)
+        self._workers.start(task.job)
 
     def _happened(self, event: Event) -> None:
         task = self._tasks[event.job.name]
@@ -210,14 +210,14 @@ class Batch:
             self._end(task)
 
     def _died(self, task: _Task, code: int) -> None:
-        """A worker's process is gone; the system kills those that take too much memory."""
+        """Handle a worker's death: SIGKILL is taken for the system's out-of-memory killer."""
         photo = task.entry.sample.photos[0]
         if code == -signal.SIGKILL:
-            said = f"{photo}: the worker was killed, as happens when memory runs out"
+            said = f"{photo}: the system killed the worker, probably because memory ran out"
             failure = Failure("memory", f"{said}; lower --detail, --size or -j.")
         else:
-            how = f"by signal {-code}" if code < 0 else f"with code {code}"
-            said = f"{photo}: the worker ended {how}"
+            how = f"by signal {-code}" if code < 0 else f"with exit code {code}"
+            said = f"{photo}: the worker process crashed ({how})"
             failure = Failure("crash", f"{said}; report it, with the photograph.")
         self._failed(task, failure, again=True)
 
@@ -234,14 +234,14 @@ class Batch:
         self._end(task)
         if failure.kind == "disk":
             self._stop = self._stop or "the disk is full"
-            self._show.note("Nothing more is begun: free some space and go on.")
+            self._show.note(f"No further sample is started: the disk is full. {_AGAIN}")
         if self._policy.fail_fast:
             self._stop = self._stop or "a photograph failed before, and --fail-fast was given"
-            self._crew.close()
+            self._workers.close()
             self._tasks.clear()
 
     def _following(self, task: _Task, failure: Failure, again: bool) -> tuple[_Task, str] | None:
-        """The next try: alone, then at half the detail; None to give up."""
+        """The next attempt and its description: alone, then at half the detail; None gives up."""
         job, tries = task.job, task.tries + 1
         if failure.kind == "crash":
             if again and not job.alone:
@@ -249,7 +249,7 @@ class Batch:
             return None
         if failure.kind != "memory":
             return None
-        if not job.alone and (self._crew.size > 1 or again):
+        if not job.alone and (self._workers.size > 1 or again):
             return _Task(task.entry, replace(job, alone=True), tries), " by itself"
         half = job.detail // 2
         if half < _LEAST_DETAIL or job.detail < self._settings.capture.most_detail:
@@ -263,7 +263,7 @@ class Batch:
 
 
 def exit_code(entries: Sequence[BatchEntry], *, strict: bool = False) -> ExitCode:
-    """Of a batch that came to its end; of a strict one, materials that are fit for use count."""
+    """Exit code of a batch; with `strict` only materials with a good verdict count as made."""
     good = sum(
         entry.state in ("made", "kept") and not (strict and _unfit(entry)) for entry in entries
     )
@@ -273,6 +273,6 @@ def exit_code(entries: Sequence[BatchEntry], *, strict: bool = False) -> ExitCod
 
 
 def _unfit(entry: BatchEntry) -> bool:
-    """Whether its verdict is doubtful or failed."""
+    """Whether the verdict is doubtful or failed."""
     verdict = entry.record.get("verdict")
     return verdict is not None and verdict["rating"] in ("doubtful", "failed")

@@ -25,12 +25,12 @@ _MOST_BYTES = 1_000_000  # limit of a settings file
 
 @dataclass(frozen=True)
 class BatchSettings:
-    """Everything that can be set for a batch."""
+    """Settings of a batch, and of the captures in it."""
 
     capture: CaptureSettings = CaptureSettings()
-    """Of every sample."""
+    """Of every capture."""
     outputs: OutputSettings = OutputSettings()
-    """Of every sample."""
+    """Of every capture's files."""
     group: str = setting("name", words=("none", "name", "dir", "time"))
     """Which photographs show one sample."""
     gap: float = setting(10.0, least=0.0, most=1e9)
@@ -40,17 +40,17 @@ class BatchSettings:
     )
     """Worker processes."""
     card: str = setting("auto", metavar="auto|none|PATH")
-    """Photograph of a calibration card; auto is the one in the shoot whose name begins so."""
+    """Photograph of a calibration card; auto is the one in the folder whose name begins so."""
 
     def __post_init__(self) -> None:
         check_settings(self)
 
     @staticmethod
     def of(named: Mapping[str, Any]) -> BatchSettings:
-        """Settings by the names of fields, options or matcap.toml's keys; the rest as by default.
+        """Settings by name of a field, option or key of matcap.toml; others keep their defaults.
 
         Raises:
-            UsageError: a value that its setting does not allow.
+            UsageError: a value that the setting does not allow.
         """
         fields_by_name = {name: one.field for name, one in SETTINGS.items()}
         values = {fields_by_name.get(name, name): value for name, value in named.items()}
@@ -66,14 +66,14 @@ class BatchSettings:
         )
 
     def named(self) -> dict[str, Any]:
-        """All settings by the names of options; BatchSettings.of() of them is these again."""
+        """All settings by the names of options: the inverse of of()."""
         values = asdict(self) | asdict(self.outputs) | self.capture.named()
         del values["outputs"], values["capture"]
         names = {one.field: name for name, one in SETTINGS.items()}
         return {names.get(name, name): value for name, value in values.items()}
 
 
-# By the names that options and matcap.toml call them.
+# By name in options and matcap.toml.
 SETTINGS: Mapping[str, Setting] = {
     one.name: one
     for kind in (OutputSettings, CaptureSettings, BatchSettings)
@@ -81,36 +81,34 @@ SETTINGS: Mapping[str, Setting] = {
 }
 
 
-def settings_of(shoot: Path, flags: Mapping[str, Any]) -> BatchSettings:
-    """matcap.toml of a shoot, where it has one, and flags over it.
+def settings_of(source: Path, flags: Mapping[str, Any]) -> BatchSettings:
+    """Settings of matcap.toml, where there is one, overridden by options.
 
     Args:
-        shoot: the folder; its file lies in it or beside it, the one inside wins.
-        flags: by field, None where the user gave none.
+        source: the input folder; matcap.toml is in it, or else in its parent.
+        flags: options by field, None where not given.
 
     Raises:
-        UsageError: a file that is no TOML; a key or value that there is not, with the nearest.
+        UsageError: as read_settings.
     """
-    file = settings_file(shoot)
+    file = settings_file(source)
     read = read_settings(file) if file else {}
     return BatchSettings.of(read | {name: v for name, v in flags.items() if v is not None})
 
 
-def settings_file(shoot: Path) -> Path | None:
-    """The matcap.toml that holds for a shoot: in it, or beside it."""
-    places = (shoot / FILE, shoot.resolve().parent / FILE)
+def settings_file(source: Path) -> Path | None:
+    """The matcap.toml of an input folder: in it, or in its parent; None without one."""
+    places = (source / FILE, source.resolve().parent / FILE)
     return next((file for file in places if file.is_file()), None)
 
 
 def read_settings(file: Path) -> dict[str, Any]:
-    """What a matcap.toml sets, checked, by field.
-
-    Paths in it are relative to it.
+    """Read and check a matcap.toml: values by field. Its paths are relative to it.
 
     Raises:
-        UsageError: no TOML; an unknown key or a wrong value.
+        UsageError: not TOML; an unknown key, with the nearest known one; a value not allowed.
     """
-    remedy = "correct it or take it away"
+    remedy = "correct it or remove it"
     try:
         if file.stat().st_size > _MOST_BYTES:
             raise UsageError("the file is too large for settings", where=str(file), remedy=remedy)

@@ -1,4 +1,4 @@
-"""The job of a worker: one sample's photographs to its folder, written completely or not at all."""
+"""A worker's job: the photographs of one sample to its folder, written completely or not at all."""
 
 from __future__ import annotations
 
@@ -34,42 +34,42 @@ _DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
 
 @dataclass(frozen=True)
 class BatchJob:
-    """One sample to be made into one material."""
+    """One sample to capture."""
 
     name: str
     """Of the material."""
     photos: tuple[Path, ...]
-    """Its photographs."""
+    """Of the sample."""
     identity: str
-    """Recorded with it."""
+    """Hash of the inputs, for the record."""
     settings: BatchSettings
     """Of the batch."""
     run: Run
-    """Where to work."""
+    """Workspace."""
     detail: int
-    """Texels across, less than the settings' where memory ran out."""
+    """Texels across; less than in the settings after memory ran out."""
     alone: bool = False
-    """It runs alone."""
+    """Run while no other worker does."""
     card: Calibration | None = None
-    """Calibration from the shoot's card, or None."""
+    """Calibration from a card's photograph, or None."""
     profile: CameraProfile | None = None
-    """Of the camera, estimated from the shoot."""
+    """Of the camera, estimated from the input folder, or None."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a sample has become no material."""
+    """Why a capture failed."""
 
     kind: Fault
-    """Where it is "photograph" it will never do; the others may pass."""
+    """"photograph" fails every time; the others may pass."""
     sentence: str
-    """Where, what and remedy."""
+    """The message: where, what and remedy."""
 
 
 def do_job(job: BatchJob, on_progress: OnProgress) -> dict[str, Any] | Failure:
-    """Make a material, put it in its place, and return its record's summary.
+    """Capture a sample and publish its folder; returns the record without thumbnails.
 
-    Whatever goes wrong with this sample comes back as a Failure.
+    Any error is returned as a Failure.
     """
     try:
         return _do(job, on_progress)
@@ -83,16 +83,16 @@ def do_job(job: BatchJob, on_progress: OnProgress) -> dict[str, Any] | Failure:
     except Exception as error:
         if _is_no_memory(error):
             return Failure("memory", _no_memory(job))
-        said = f"{job.photos[0]}: internal error ({type(error).__name__}: {error})."
-        return Failure("crash", said)
+        said = f"{job.photos[0]}: internal error ({type(error).__name__}: {error})"
+        return Failure("crash", f"{said}; report it, with the photograph.")
 
 
 def _fault(error: MatcapError) -> Fault:
-    """Whose fault it was, by what caused it: only a photograph's own is there to stay."""
+    """The kind of a failure, by the error's cause."""
     cause = error.__cause__
     if isinstance(cause, MemoryError):
         return "memory"
-    if isinstance(cause, OSError) and cause.errno is not None:  # Pillow has some of its own
+    if isinstance(cause, OSError) and cause.errno is not None:  # Pillow raises some without errno
         return "disk" if cause.errno in _DISK else "crash"
     return "photograph"
 
@@ -118,7 +118,7 @@ def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
 
     result = capture_photo(photos[0], chosen, on_progress, others=photos[1:])
     on_progress(Progress("writing", 0.95))
-    # One tilt for all findings of a photograph: the capture's own.
+    # Findings use the capture's tilt, so that report and record agree.
     first = inspect_photo(photos[0], result.material.setup.tilt)
     looked_at = [first, *map(photograph_quality, photos[1:])]
     stage = job.run.stage(job.name)
@@ -132,21 +132,21 @@ def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
 
 
 def measured(settings: CaptureSettings, card: Calibration | None) -> CaptureSettings:
-    """With the width measured by a card's board, where none is given."""
+    """Settings with the width that the card's chessboard measured, unless a width is given."""
     if settings.width_cm is not None or card is None or card.millimetres_per_unit is None:
         return settings
     return replace(settings, width_cm=2.0 * card.millimetres_per_unit / 10.0)
 
 
 def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult) -> dict[str, Any]:
-    """The entry of a material in the index."""
+    """The record of a material, for the index."""
     from matcap.capture.report import warnings
 
     verdict = result.verdict
     said = [*([] if verdict.rating.value == "good" else [f"Verdict {verdict.sentence()}"])]
     said += warnings(result)
     if job.detail != job.settings.capture.most_detail:
-        said.append(f"Memory ran out: made at a detail of {job.detail} texels across.")
+        said.append(f"Memory ran out; captured again at a detail of {job.detail} texels across.")
     for inspection in looked_at:
         of = f"{inspection.name}: " if len(looked_at) > 1 else ""
         doubts = [f.line() for f in inspection.findings if not f.rating.fit]
@@ -174,7 +174,7 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
 
 
 def _thumbnails(result: CaptureResult) -> dict[str, str]:
-    """The sheet's panels, small, as JPEGs that a page can hold."""
+    """The preview's panels as small JPEGs, base64 by label, for the index page."""
     import base64
 
     import cv2
@@ -196,13 +196,13 @@ def _thumbnails(result: CaptureResult) -> dict[str, str]:
 
 def _no_memory(job: BatchJob) -> str:
     return (
-        f"{job.photos[0]}: there is not enough memory for a detail of {job.detail}; "
+        f"{job.photos[0]}: not enough memory for a detail of {job.detail}; "
         "close other programs, or lower --detail, --size or -j."
     )
 
 
 def _is_no_memory(error: Exception) -> bool:
-    """How torch and OpenCV say it: as RuntimeError and cv2.error."""
+    """Whether memory ran out: torch raises RuntimeError for it, OpenCV cv2.error."""
     text = str(error).lower()
     return any(
         words in text for words in ("can't allocate memory", "out of memory", "insufficient memory")
@@ -210,15 +210,15 @@ def _is_no_memory(error: Exception) -> bool:
 
 
 def _peak_bytes() -> int:
-    """The most this process has ever held."""
+    """Peak resident memory of this process."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else peak * 1024
 
 
 def settle_threads() -> None:
-    """One thread a worker, whose buffers are kept.
+    """Limit the libraries to one thread: workers use all cores, and results do not depend on them.
 
-    Workers are many where cores are; and results do not depend on how many there were.
+    Also keeps freed memory for the process's next capture.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     import cv2

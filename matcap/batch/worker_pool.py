@@ -1,8 +1,8 @@
-"""Worker processes that may die without taking the batch along.
+"""A pool of worker processes that survives the death of a worker.
 
-A pool from the standard library breaks as a whole when one process is killed, and does not say
-which job killed it. Here every worker has a pipe of its own: its death is an event like another.
-Workers end themselves when the main process is gone, however it went.
+The standard library's pool breaks as a whole when a process is killed, and does not say which job
+it had. Here every worker has its own pipe, and its death is an event. Workers end when the main
+process ends, however it ends.
 """
 
 from __future__ import annotations
@@ -26,19 +26,18 @@ from matcap.files.progress import OnProgress, Progress, nobody
 
 DoWork = Callable[[Any, OnProgress], Any]
 Prepare = Callable[[], None]
-_LOOK_EVERY = 0.1  # seconds; samples take minutes
+_POLL_EVERY = 0.1  # seconds
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened to a job."""
+    """An event of a job."""
 
     job: Any
-    """As it was started."""
+    """As given to start()."""
     kind: Literal["progress", "done", "died"]
-    """Either "progress", "done" or "died"."""
     value: Any
-    """(stage, share); what the work returned; the process's exit code, negative for a signal."""
+    """A Progress; the work's result; or the process's exit code, negative for a signal."""
 
 
 class BatchWorkers(Protocol):
@@ -47,23 +46,23 @@ class BatchWorkers(Protocol):
     size: int
 
     def busy(self) -> int:
-        """How many jobs are being worked on."""
+        """Number of running jobs."""
 
     def start(self, job: Any) -> None:  # noqa: ANN401
-        """Give an idle worker a job."""
+        """Start a job on an idle worker."""
 
     def wait(self, seconds: float) -> list[Event]:
-        """What happened since; waits for something to happen, but no longer than this."""
+        """Events since the last call; waits up to `seconds` for the first."""
 
     def close(self) -> None:
-        """Stop all work at once."""
+        """Kill all workers."""
 
 
 class Processes:
-    """A crew of this machine's processes; they are made as they are needed.
+    """A pool of processes on this machine, started on demand.
 
     Args:
-        size: at most so many.
+        size: most processes.
         work: a module-level function, called with a job and a progress callback.
         prepare: called once in every new process.
     """
@@ -126,7 +125,7 @@ class _Worker:
         theirs.close()
 
     def give(self, job: Any) -> bool:  # noqa: ANN401
-        """Whether it took the job; a worker that died idle does not."""
+        """Send a job; returns False if the worker died while idle."""
         try:
             self.pipe.send(job)
         except OSError:
@@ -135,7 +134,7 @@ class _Worker:
         return True
 
     def end(self) -> int:
-        """Exit code of a process that has closed its pipe."""
+        """Exit code of a process whose pipe is closed; kills it if it still runs after 5 s."""
         self._process.join(5.0)
         code = self._process.exitcode
         self.kill()
@@ -171,18 +170,18 @@ def _end_with_parent() -> None:
 
 
 class Machines:
-    """A crew of a dask cluster's workers; as many jobs at once as they have threads.
+    """The workers of a dask cluster as a pool; as many jobs at once as they have threads.
 
-    Every machine must see the shoot and the output under the same names. Progress inside a job is
-    not reported, only its end.
+    Every machine must see input and output folder under the same paths. Jobs report no progress,
+    only their end.
 
     Args:
-        scheduler: its address, such as tcp://host:8786.
+        scheduler: address, such as tcp://host:8786.
         work: a module-level function, called with a job and a progress callback.
         prepare: called before every job.
 
     Raises:
-        MatcapError: the extra is missing, no answer at the address, or there is no worker.
+        MatcapError: dask is not installed, the scheduler does not answer, or has no worker.
     """
 
     def __init__(self, scheduler: str, work: DoWork, prepare: Prepare) -> None:
@@ -203,14 +202,14 @@ class Machines:
         """See BatchWorkers."""
         limit = time.monotonic() + seconds
         while not any(one.done() for one in self._jobs) and time.monotonic() < limit:
-            time.sleep(_LOOK_EVERY)
+            time.sleep(_POLL_EVERY)
         events = []
         for one in [one for one in self._jobs if one.done()]:
             job = self._jobs.pop(one)
             try:
                 events.append(Event(job, "done", one.result()))
             except MatcapError:
-                # The work itself returns its failures: what is left is a worker that was lost.
+                # Work returns its failures: an error here is a lost worker.
                 events.append(Event(job, "died", 1))
         return events
 

@@ -1,19 +1,18 @@
-"""Where a batch works: beside its output, in folders that appear in their place by renaming.
+"""Workspace of a batch in its output folder: staging, claims of concurrent runs, known failures.
 
-OUT/leather/                   a material; complete, or not there
-OUT/.matcap-batch/runs/RUN/    one run's own: what it is making or replacing
-OUT/.matcap-batch/runs/RUN.alive  locked while it lives
-OUT/.matcap-batch/claims/NAME  who is making a material, so that two runs do not both
-OUT/.matcap-batch/failed/NAME  photographs that cannot be used, and why
+OUT/leather/                      a material, complete or absent
+OUT/.matcap-batch/runs/RUN/       staged and replaced folders of one run
+OUT/.matcap-batch/runs/RUN.alive  locked while the run's process lives
+OUT/.matcap-batch/claims/NAME     locked by the run that makes a material
+OUT/.matcap-batch/failed/NAME     a sample that cannot be used, and why
 
-Both `RUN.alive` and claims are locked files: the system lets go of them when their process ends,
-however it ends, so that a dead run is always recognised. Nothing here is trusted for what is done
-(that is record.py): where a file system knows no locks, two runs may make one material twice, and
-what dead runs left stays.
+The system releases locks when a process ends, however it ends: a dead run is always recognised.
+Which materials are done is decided by record.py alone. On file systems without locks two runs may
+make the same material, and files of dead runs remain.
 
-A power cut leaves what had its name before, whole, or the new one, whole: a folder's files reach
-the disk before it is renamed (record.py). Between the two renames of a replacement the name is
-missing; the next run gives it back to the old folder.
+A material is published by renaming its staged folder, whose files are synced to disk before
+(record.py). After a power cut the name is the old folder or the new one, complete; or missing, if
+the cut was between the two renames of a replacement, and then the next run restores the old one.
 """
 
 from __future__ import annotations
@@ -31,42 +30,42 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from matcap.batch.input_folder import WORKSPACE
 from matcap.batch.record import FILE as RECORD
 from matcap.batch.record import read_record
-from matcap.batch.shoot import WORKSPACE
 from matcap.capture.outputs import output_files
 from matcap.files.publish import sync
 from matcap.files.staging import write_error
 
-_SWAPS = 16  # tries to take a name that another run takes at the same moment
+_SWAPS = 16  # attempts to rename while another run renames to the same name
 
 
 @dataclass(frozen=True)
 class Run:
-    """One run's place."""
+    """Workspace of one run."""
 
     out: Path
     """The output folder."""
     folder: Path
-    """The run's own, below it."""
+    """The run's own folder below it."""
     claims: dict[str, FileLock] = field(default_factory=dict, compare=False, repr=False)
-    """What it makes; held by the process that claimed it, and not sent to workers."""
+    """Locks of the materials it makes, by name; not sent to workers."""
 
     def __reduce__(self) -> tuple[object, ...]:
         return Run, (self.out, self.folder)
 
     def stage(self, name: str) -> Path:
-        """An empty folder called as the material, on the same disk as the output."""
+        """Create an empty staging folder with the material's name, on the output's file system."""
         parent = self.folder / "stage" / uuid.uuid4().hex
         stage = parent / name
         stage.mkdir(parents=True)
         return stage
 
     def publish(self, stage: Path) -> Path:
-        """Give a finished stage its name in the output; what stood there makes room.
+        """Rename a staged folder to its name in the output, replacing an existing one.
 
-        Files of unknown origin move to the new folder. The name is missing for a
-        moment, and never holds part of a material. Of two runs at once, the last one stays.
+        Files that matcap did not write are moved to the new folder. The name is missing between
+        two renames, and never holds part of a material. Of two runs at once, the last one wins.
 
         Raises:
             OSError: the output cannot be written.
@@ -89,7 +88,7 @@ class Run:
                     os.rename(final, old)
                     moved.append(old)
         except BaseException:
-            # What had made room comes back, unless another run has taken the name.
+            # Restore the replaced folder, unless another run has taken the name.
             for old in reversed(moved):
                 with suppress(OSError):
                     os.rename(old, final)
@@ -103,7 +102,7 @@ class Run:
         return final
 
     def claim(self, name: str) -> bool:
-        """Say that this run makes a material; False when another living run does."""
+        """Claim a material for this run; False if another running batch has it."""
         if name in self.claims:
             return True
         folder = self.out / WORKSPACE / "claims"
@@ -114,14 +113,14 @@ class Run:
         return lock is not None
 
     def release(self, name: str) -> None:
-        """Take a claim back, if it is this run's."""
+        """Release a claim of this run."""
         lock = self.claims.pop(name, None)
         if lock is not None:
             Path(lock.lock_file).unlink(missing_ok=True)
             lock.release()
 
     def write_failure(self, name: str, about: Mapping[str, Any]) -> None:
-        """Remember that a photograph cannot be used."""
+        """Record that a sample cannot be used."""
         folder = self.out / WORKSPACE / "failed"
         folder.mkdir(parents=True, exist_ok=True)
         mine = self.folder / f"failed-{uuid.uuid4().hex}"
@@ -129,12 +128,12 @@ class Run:
         os.replace(mine, folder / name)
 
     def forget_failure(self, name: str) -> None:
-        """It can be used after all."""
+        """Remove the record of a failure."""
         (self.out / WORKSPACE / "failed" / name).unlink(missing_ok=True)
 
 
 def read_failure(out: Path, name: str) -> dict[str, Any] | None:
-    """What is remembered of a photograph that could not be used."""
+    """The record of a sample that could not be used; None without one."""
     try:
         record = json.loads((out / WORKSPACE / "failed" / name).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -144,15 +143,15 @@ def read_failure(out: Path, name: str) -> dict[str, Any] | None:
 
 @contextmanager
 def open_run(out: Path) -> Iterator[Run]:
-    """A place to work in while the block runs; clears away what dead runs left.
+    """Create a workspace for the `with` block; first cleans up after dead runs.
 
     Raises:
-        MatcapError: the output folder cannot be made or written.
+        MatcapError: the output folder cannot be created or written.
     """
     folder = out / WORKSPACE / "runs" / f"{os.getpid()}-{uuid.uuid4().hex[:12]}"
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        alive = _acquired(_alive(folder))  # before there is a folder that others might clear away
+        alive = _acquired(_alive(folder))  # before the folder exists, which others may clean up
         folder.mkdir()
     except OSError as error:
         raise write_error(out, error) from error
@@ -173,10 +172,7 @@ def open_run(out: Path) -> Iterator[Run]:
 
 
 def _acquired(path: Path) -> FileLock | None:
-    """A lock that this process holds from here on; None where another does.
-
-    Where the file system knows no locks everybody holds it.
-    """
+    """Acquire a lock; None if another process has it. Without lock support, always acquired."""
     lock = FileLock(path, timeout=0)
     try:
         lock.acquire()
@@ -188,7 +184,7 @@ def _acquired(path: Path) -> FileLock | None:
 
 
 def _clear_if_dead(out: Path, run: Path) -> None:
-    """Clear away what a dead run left."""
+    """Clean up after a run whose lock is free."""
     lock = FileLock(_alive(run), timeout=0)
     with suppress(OSError, NotImplementedError), lock:
         _clear(out, run)
@@ -196,12 +192,12 @@ def _clear_if_dead(out: Path, run: Path) -> None:
 
 
 def _alive(run: Path) -> Path:
-    """What is locked while a run lives; after a power cut it may be gone, and is made again."""
+    """The lock file of a run."""
     return run.with_name(f"{run.name}.alive")
 
 
 def _clear(out: Path, run: Path) -> None:
-    """Put back what a run had moved away, and remove the rest of it."""
+    """Restore folders that a run had moved to replace them, and delete its workspace."""
     for old in sorted(run.glob("old/*/*")):
         final = out / old.name
         try:
@@ -210,12 +206,12 @@ def _clear(out: Path, run: Path) -> None:
             else:
                 os.rename(old, final)
         except OSError:
-            return  # it stays for the next run
+            return  # the next run tries again
     shutil.rmtree(run, ignore_errors=True)
 
 
 def _keep_foreign(old: Path, new: Path) -> None:
-    """Move files that matcap did not write from an old folder to the new one."""
+    """Move files that matcap did not write from the replaced folder to the new one."""
     record = read_record(old)
     ours = {RECORD, *output_files(old.name)}
     ours |= {file.split("/")[0] for file in record["files"]} if record else set()

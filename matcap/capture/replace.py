@@ -58,7 +58,7 @@ def refuse_to_replace_longer_capture(
 def _refuse(folder: Path, differences: Sequence[str]) -> None:
     if differences:
         raise MatcapError(
-            f"an earlier capture stands here ({', '.join(differences)})",
+            f"the folder has an earlier capture ({', '.join(differences)})",
             where=str(folder),
             remedy="choose another folder with -o, or give --overwrite",
         )

@@ -1,4 +1,4 @@
-"""`matcap batch`: a whole shoot, overnight."""
+"""`matcap batch`: all photographs of a folder."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @with_settings
 def batch(
-    shoot: Annotated[Path, typer.Argument(metavar="SHOOT", help="A folder of photographs.")],
+    source: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder of photographs.")],
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Each sample gets a folder here.")
     ] = Path("materials"),
@@ -56,12 +56,12 @@ def batch(
     from matcap.batch.whole import prepare, work_off
     from matcap.cli.batch_display import batch_display
 
-    settings = settings_of(shoot, given)
+    settings = settings_of(source, given)
     policy = Policy(force, retry_failed, fail_fast, strict, overwrite)
     with batch_display(quiet=quiet) as shown:
         if scheduler:  # other machines stand in other folders
-            shoot, out = shoot.resolve(), out.resolve()
-        prepared = prepare(shoot, out, settings, policy, shown)
+            source, out = source.resolve(), out.resolve()
+        prepared = prepare(source, out, settings, policy, shown)
         if dry_run:
             from matcap.batch.predict import predict
 

@@ -283,7 +283,7 @@ def camera(
 
     Fits each alone, then all under the profile that they make together. Prints the table.
     """
-    from matcap.batch.shoot import find_samples
+    from matcap.batch.input_folder import find_samples
     from matcap.lab.bench.cameras import ABOUT, camera_experiment
     from matcap.lab.simulate.specimen import subjects
 

@@ -15,7 +15,7 @@ from matcap.errors import MatcapError
 
 @with_settings
 def camera(
-    shoot: Annotated[Path, typer.Argument(metavar="SHOOT", help="A folder of photographs.")],
+    source: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder of photographs.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="The profile.")] = Path("camera.json"),
     given: Annotated[Given, Fields(CaptureSettings, only=("fov",))] = NOTHING,
     quiet: QuietOption = False,
@@ -27,22 +27,22 @@ def camera(
     makes one by itself.
     """
     from matcap.batch.cameras import camera_of, estimated_profile
-    from matcap.batch.shoot import find_samples
+    from matcap.batch.input_folder import find_samples
     from matcap.photo.camera import write_camera_profile
 
-    photos = [sample.photos[0] for sample in find_samples(shoot, group="name")]
-    cameras = sorted({camera_of(photo, shoot) for photo in photos})
+    photos = [sample.photos[0] for sample in find_samples(source, group="name")]
+    cameras = sorted({camera_of(photo, source) for photo in photos})
     if len(cameras) > 1:
         raise MatcapError(
             f"these photographs are of {len(cameras)} cameras ({'; '.join(cameras[:4])})",
-            where=str(shoot),
+            where=str(source),
             remedy="give a folder of one camera's, or matcap batch all of them",
         )
     profile = estimated_profile(cameras[0], photos, CaptureSettings(**given))
     if profile is None:
         raise MatcapError(
             f"{len(photos)} photographs determine no profile",
-            where=str(shoot),
+            where=str(source),
             remedy="give five or more that can be used, of different materials",
         )
     write_camera_profile(out, profile)

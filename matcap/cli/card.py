@@ -18,7 +18,7 @@ def card(
 ) -> None:
     """Write a card to print: a board that measures millimetres and tilt, and patches of colour.
 
-    Lay it flat, photograph it as the samples are, and put the photograph into the shoot as
+    Lay it flat, photograph it as the samples are, and put the photograph into the folder as
     card.dng or card.jpg: matcap batch finds it. Colours need a real ColorChecker; print shifts
     them.
     """

@@ -114,7 +114,7 @@ def export(
     sidecar = folder / sidecar_name(opened.name, target)
     if sidecar.exists() and not overwrite:
         raise MatcapError(
-            "an earlier export stands here",
+            "the folder has an earlier export",
             where=str(sidecar),
             remedy="choose another folder with -o, or give --overwrite",
         )

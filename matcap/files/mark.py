@@ -88,10 +88,10 @@ def check_replaceable(
         if not path.exists() or overwrite:
             continue
         if path.is_dir():
-            raise MatcapError("a folder stands here", where=str(path), remedy=_ELSEWHERE)
+            raise MatcapError("this is a folder", where=str(path), remedy=_ELSEWHERE)
         if mark_of(path) != mark and not own(path):
             raise MatcapError(
-                f"another file stands here, which {mark} has not written",
+                f"a file exists here, which {mark} has not written",
                 where=str(path),
                 remedy=f"{_ELSEWHERE}, or give --overwrite",
             )

@@ -4,7 +4,7 @@ import json
 from dataclasses import replace
 
 import pytest
-from test_run import FakeCrew, Watcher
+from test_run import FakeWorkers, Watcher
 
 from matcap.batch import cameras, whole
 from matcap.batch.cameras import camera_of
@@ -64,17 +64,17 @@ def shoot(pictures, tmp_path):
 
 @pytest.fixture
 def batch(shoot, tmp_path, monkeypatch):
-    """Run a batch with a crew that does what it is told; the jobs and what was said."""
+    """Run a batch with a workers that does what it is told; the jobs and what was said."""
 
     def go(settings=SETTINGS, policy=None):
-        crew, watcher, policy = FakeCrew(lambda job: True), Watcher(), policy or Policy()
-        monkeypatch.setattr(whole, "Processes", lambda size, work, settle: crew)
+        workers, watcher, policy = FakeWorkers(lambda job: True), Watcher(), policy or Policy()
+        monkeypatch.setattr(whole, "Processes", lambda size, work, settle: workers)
         monkeypatch.setattr(whole, "write_index", lambda out, entries: None)
         assert (
             work_off(prepare(shoot, tmp_path / "out", settings, policy, watcher), policy, watcher)
             == 0
         )
-        return crew.jobs, watcher.notes
+        return workers.jobs, watcher.notes
 
     return go
 

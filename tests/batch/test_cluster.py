@@ -1,4 +1,4 @@
-"""A crew of dask.distributed workers, in threads of this process."""
+"""A workers of dask.distributed workers, in threads of this process."""
 
 import time
 
@@ -33,18 +33,18 @@ def address():
 
 
 def test_jobs_are_done_and_losses_are_told(address):
-    crew = Machines(address, work, prepare)
+    workers = Machines(address, work, prepare)
     try:
-        assert crew.size == 2
-        crew.start("a")
-        crew.start("fault")
+        assert workers.size == 2
+        workers.start("a")
+        workers.start("fault")
         ends, limit = {}, time.monotonic() + 30.0
         while len(ends) < 2 and time.monotonic() < limit:
-            ends |= {event.job: (event.kind, event.value) for event in crew.wait(1.0)}
+            ends |= {event.job: (event.kind, event.value) for event in workers.wait(1.0)}
         assert ends == {"a": ("done", "did a"), "fault": ("died", 1)}
-        assert crew.busy() == 0
+        assert workers.busy() == 0
     finally:
-        crew.close()
+        workers.close()
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):

@@ -9,10 +9,10 @@ from kills import make_shoot
 from rich.console import Console
 
 from matcap.batch.entries import BatchEntry
-from matcap.batch.memory import crew_size, photo_pixels, worker_bytes
+from matcap.batch.input_folder import ShotSample
+from matcap.batch.memory import photo_pixels, pool_size, worker_bytes
 from matcap.batch.predict import _trial
 from matcap.batch.settings import BatchSettings
-from matcap.batch.shoot import ShotSample
 from matcap.capture import outputs, pipeline
 from matcap.capture.progress import CaptureProgress
 from matcap.cli.batch_display import BatchDisplay
@@ -41,13 +41,13 @@ def test_a_dry_run_predicts_from_a_trial_and_writes_nothing(shoot, tmp_path, cap
     assert "leather: to do" in text and "30 s" in text and "GB of memory" in text
 
 
-def test_a_trial_that_cannot_be_made_leaves_the_speed_unknown(shoot, tmp_path, capsys, monkeypatch):
+def test_a_trial_that_cannot_be_made_leaves_the_time_unknown(shoot, tmp_path, capsys, monkeypatch):
     def fail(photo, settings):
         raise MatcapError("black")
 
     monkeypatch.setattr("matcap.batch.predict._trial", fail)
     assert main(["batch", str(shoot), "-o", str(tmp_path / "out"), "--dry-run"]) == 0
-    assert "unknown speed" in capsys.readouterr().out
+    assert "time unknown" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -98,11 +98,11 @@ def test_what_is_wrong_is_said_before_any_work(shoot, tmp_path, capsys, argument
 
 
 def test_fewer_workers_where_memory_or_work_is_short():
-    assert crew_size(4, 1_000, 10, free=100_000) == 4
-    assert crew_size(4, 1_000, 2, free=100_000) == 2
-    assert crew_size(4, 1_000, 10, free=2_500) == 2
-    assert crew_size(4, 1_000, 10, free=10) == 1
-    assert crew_size(None, 1, 1_000, free=100_000) >= 1
+    assert pool_size(4, 1_000, 10, free=100_000) == 4
+    assert pool_size(4, 1_000, 2, free=100_000) == 2
+    assert pool_size(4, 1_000, 10, free=2_500) == 2
+    assert pool_size(4, 1_000, 10, free=10) == 1
+    assert pool_size(None, 1, 1_000, free=100_000) >= 1
 
 
 def test_memory_grows_with_photograph_detail_and_map_set(shoot):

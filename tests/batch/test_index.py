@@ -6,9 +6,9 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 from matcap.batch.entries import BatchEntry
+from matcap.batch.input_folder import ShotSample
 from matcap.batch.overview import write_index
 from matcap.batch.record import write_record
-from matcap.batch.shoot import ShotSample
 
 RECORD = {
     "identity": "i", "photographs": ["/shoot/a & b.jpg"], "relative_error": 0.5,

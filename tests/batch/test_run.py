@@ -1,4 +1,4 @@
-"""The order of events of a batch, with a crew that does what it is told."""
+"""The order of events of a batch, with a workers that does what it is told."""
 
 import errno
 import json
@@ -7,10 +7,10 @@ import os
 import pytest
 
 from matcap.batch.entries import make_plan
+from matcap.batch.input_folder import find_samples
 from matcap.batch.record import write_record
 from matcap.batch.run import Batch, Policy, exit_code
 from matcap.batch.settings import BatchSettings
-from matcap.batch.shoot import find_samples
 from matcap.batch.work import Failure, do_job
 from matcap.batch.worker_pool import Event
 from matcap.batch.workspace import open_run
@@ -20,7 +20,7 @@ from matcap.files.progress import Progress
 SETTINGS = BatchSettings.of({"detail": 512, "size": (64, 64)})
 
 
-class FakeCrew:
+class FakeWorkers:
     """Answers every job by `answer(job)`: a failure, an exit code, or True for a material."""
 
     def __init__(self, answer, size=2):
@@ -85,17 +85,17 @@ def shoot(tmp_path):
 
 @pytest.fixture
 def batch(shoot, tmp_path):
-    """Run a batch whose crew answers so; gives entries, crew and watcher."""
+    """Run a batch whose workers answers so; gives entries, workers and watcher."""
 
     def go(answer=lambda job: True, policy=None, size=2, settings=SETTINGS):
-        policy, crew, watcher = policy or Policy(), FakeCrew(answer, size), Watcher()
+        policy, workers, watcher = policy or Policy(), FakeWorkers(answer, size), Watcher()
         entries = make_plan(
             find_samples(shoot), tmp_path / "out", settings, prior="p", force=policy.force,
             retry_failed=policy.retry_failed,
         )  # fmt: skip
         with open_run(tmp_path / "out") as run:
-            Batch(entries, run, crew, settings, policy, watcher, lambda: None).go()
-        return entries, crew, watcher
+            Batch(entries, run, workers, settings, policy, watcher, lambda: None).go()
+        return entries, workers, watcher
 
     return go
 
@@ -109,12 +109,12 @@ def bad(name, kind="photograph"):
 
 
 def test_everything_is_made_once_and_kept_the_next_time(batch):
-    entries, crew, _ = batch()
-    assert set(states(entries).values()) == {"made"} and crew.most == 2
+    entries, workers, _ = batch()
+    assert set(states(entries).values()) == {"made"} and workers.most == 2
     assert exit_code(entries) == 0
-    entries, crew, _ = batch()
-    assert set(states(entries).values()) == {"kept"} and not crew.jobs
-    entries, crew, _ = batch(policy=Policy(force=True))
+    entries, workers, _ = batch()
+    assert set(states(entries).values()) == {"kept"} and not workers.jobs
+    entries, workers, _ = batch(policy=Policy(force=True))
     assert set(states(entries).values()) == {"made"}
 
 
@@ -122,29 +122,29 @@ def test_what_changes_is_made_again_and_nothing_else(batch, shoot, tmp_path):
     batch()
     (shoot / "b.jpg").write_text("changed")
     (tmp_path / "out/c/preview.png").unlink()
-    entries, crew, _ = batch()
-    assert sorted(job.name for job in crew.jobs) == ["b", "c"]
-    entries, crew, _ = batch(settings=BatchSettings.of(SETTINGS.named() | {"seed": 1}))
-    assert len(crew.jobs) == 4
+    entries, workers, _ = batch()
+    assert sorted(job.name for job in workers.jobs) == ["b", "c"]
+    entries, workers, _ = batch(settings=BatchSettings.of(SETTINGS.named() | {"seed": 1}))
+    assert len(workers.jobs) == 4
 
 
 def test_the_others_go_on_after_a_failure_which_is_remembered(batch):
     entries, _, _ = batch(bad("b"))
     assert states(entries) == {"a": "made", "b": "failed", "c": "made", "d": "made"}
     assert exit_code(entries) == 4 and entries[1].reason == "b is bad."
-    entries, crew, _ = batch()
-    assert not crew.jobs and entries[1].reason == "b is bad." and exit_code(entries) == 4
-    entries, crew, _ = batch(policy=Policy(retry_failed=True))
-    assert [job.name for job in crew.jobs] == ["b"] and exit_code(entries) == 0
-    entries, crew, _ = batch()
-    assert not crew.jobs and exit_code(entries) == 0
+    entries, workers, _ = batch()
+    assert not workers.jobs and entries[1].reason == "b is bad." and exit_code(entries) == 4
+    entries, workers, _ = batch(policy=Policy(retry_failed=True))
+    assert [job.name for job in workers.jobs] == ["b"] and exit_code(entries) == 0
+    entries, workers, _ = batch()
+    assert not workers.jobs and exit_code(entries) == 0
 
 
 def test_a_crash_is_reported_and_tried_again_next_time(batch):
     entries, _, _ = batch(bad("b", "crash"))
     assert exit_code(entries) == 4
-    entries, crew, _ = batch()
-    assert [job.name for job in crew.jobs] == ["b"]
+    entries, workers, _ = batch()
+    assert [job.name for job in workers.jobs] == ["b"]
 
 
 def test_when_nothing_succeeds_the_code_is_three(batch):
@@ -153,14 +153,14 @@ def test_when_nothing_succeeds_the_code_is_three(batch):
 
 
 def test_fail_fast_ends_at_the_first_failure(batch):
-    entries, crew, _ = batch(bad("a"), Policy(fail_fast=True))
-    assert crew.closed and states(entries)["a"] == "failed"
+    entries, workers, _ = batch(bad("a"), Policy(fail_fast=True))
+    assert workers.closed and states(entries)["a"] == "failed"
     assert "left" in states(entries).values() and exit_code(entries) in (3, 4)
 
 
 def test_out_of_memory_is_tried_alone_then_smaller_then_reported(batch):
-    entries, crew, watcher = batch(bad("b", "memory"))
-    tries = [(job.detail, job.alone) for job in crew.jobs if job.name == "b"]
+    entries, workers, watcher = batch(bad("b", "memory"))
+    tries = [(job.detail, job.alone) for job in workers.jobs if job.name == "b"]
     assert tries == [(512, False), (512, True), (256, True)]
     assert states(entries) == {"a": "made", "b": "failed", "c": "made", "d": "made"}
     assert any("256" in note for note in watcher.notes)
@@ -170,25 +170,25 @@ def test_a_worker_killed_by_the_system_counts_as_out_of_memory(batch):
     def answer(job):
         return -9 if job.name == "c" and job.detail == 512 else True
 
-    entries, crew, _ = batch(answer)
-    assert [(j.detail, j.alone) for j in crew.jobs if j.name == "c"][-1] == (256, True)
+    entries, workers, _ = batch(answer)
+    assert [(j.detail, j.alone) for j in workers.jobs if j.name == "c"][-1] == (256, True)
     assert exit_code(entries) == 0
-    entries, crew, _ = batch()  # done, though smaller: the record has the identity asked for
-    assert not crew.jobs
+    entries, workers, _ = batch()  # done, though smaller: the record has the identity asked for
+    assert not workers.jobs
 
 
 def test_a_worker_that_crashes_is_tried_once_more(batch):
-    entries, crew, _ = batch(lambda job: -11 if job.name == "c" else True)
-    assert [job.alone for job in crew.jobs if job.name == "c"] == [False, True]
+    entries, workers, _ = batch(lambda job: -11 if job.name == "c" else True)
+    assert [job.alone for job in workers.jobs if job.name == "c"] == [False, True]
     assert states(entries)["c"] == "failed" and "signal 11" in entries[2].reason
 
 
 def test_a_full_disk_ends_the_batch_and_the_next_goes_on(batch):
-    entries, crew, watcher = batch(bad("b", "disk"), size=1)
+    entries, workers, watcher = batch(bad("b", "disk"), size=1)
     assert states(entries) == {"a": "made", "b": "failed", "c": "left", "d": "left"}
-    assert any("free some space" in note for note in watcher.notes)
-    entries, crew, _ = batch()
-    assert [job.name for job in crew.jobs] == ["b", "c", "d"] and exit_code(entries) == 0
+    assert any("Free some space" in note for note in watcher.notes)
+    entries, workers, _ = batch()
+    assert [job.name for job in workers.jobs] == ["b", "c", "d"] and exit_code(entries) == 0
 
 
 def test_no_room_is_seen_before_the_work(batch, monkeypatch):
@@ -196,8 +196,8 @@ def test_no_room_is_seen_before_the_work(batch, monkeypatch):
 
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr("matcap.batch.run.shutil.disk_usage", lambda path: usage(9, 9, 0))
-    entries, crew, _ = batch()
-    assert not crew.jobs and set(states(entries).values()) == {"left"}
+    entries, workers, _ = batch()
+    assert not workers.jobs and set(states(entries).values()) == {"left"}
 
 
 def test_two_runs_at_once_share_the_work(shoot, tmp_path):
@@ -207,7 +207,7 @@ def test_two_runs_at_once_share_the_work(shoot, tmp_path):
     def plan():
         return make_plan(find_samples(shoot), out, SETTINGS, prior="p")
 
-    second_crew = FakeCrew(lambda job: True)
+    second_workers = FakeWorkers(lambda job: True)
     with open_run(out) as first:
         mine = plan()
 
@@ -216,35 +216,35 @@ def test_two_runs_at_once_share_the_work(shoot, tmp_path):
                 theirs, watcher = plan(), Watcher()
                 with open_run(out) as second:
                     other = Batch(
-                        theirs, second, second_crew, SETTINGS, Policy(), watcher, lambda: None
+                        theirs, second, second_workers, SETTINGS, Policy(), watcher, lambda: None
                     )
                     done.append((other, theirs))
                     for _ in range(12):  # by hand: go() would wait for a
                         other._fill()
-                        while second_crew.busy():
-                            for event in second_crew.wait(0.1):
+                        while second_workers.busy():
+                            for event in second_workers.wait(0.1):
                                 other._happened(event)
             return True
 
         done: list = []
-        crew = FakeCrew(answer, size=1)
-        Batch(mine, first, crew, SETTINGS, Policy(), Watcher(), lambda: None).go()
-    assert [job.name for job in crew.jobs] == ["a"]
-    assert sorted(job.name for job in second_crew.jobs) == ["b", "c", "d"]
+        workers = FakeWorkers(answer, size=1)
+        Batch(mine, first, workers, SETTINGS, Policy(), Watcher(), lambda: None).go()
+    assert [job.name for job in workers.jobs] == ["a"]
+    assert sorted(job.name for job in second_workers.jobs) == ["b", "c", "d"]
     assert states(mine) == {"a": "made", "b": "kept", "c": "kept", "d": "kept"}
 
 
-def test_an_interrupt_stops_the_crew_and_leaves_the_rest(shoot, tmp_path):
+def test_an_interrupt_stops_the_workers_and_leaves_the_rest(shoot, tmp_path):
     def answer(job):
         if job.name == "b":
             raise KeyboardInterrupt
         return True
 
-    crew, pages = FakeCrew(answer, size=1), []
+    workers, pages = FakeWorkers(answer, size=1), []
     entries = make_plan(find_samples(shoot), tmp_path / "out", SETTINGS, prior="p")
     with open_run(tmp_path / "out") as run, pytest.raises(KeyboardInterrupt):
-        Batch(entries, run, crew, SETTINGS, Policy(), Watcher(), lambda: pages.append(1)).go()
-    assert crew.closed and pages
+        Batch(entries, run, workers, SETTINGS, Policy(), Watcher(), lambda: pages.append(1)).go()
+    assert workers.closed and pages
     assert states(entries) == {"a": "made", "b": "left", "c": "left", "d": "left"}
 
 
@@ -262,8 +262,8 @@ def test_whatever_goes_wrong_in_a_worker_comes_back_as_a_failure(batch, monkeypa
         raise error
 
     monkeypatch.setattr(pipeline, "load_photo", fail)
-    _, crew, _ = batch()
-    failure = do_job(crew.jobs[0], lambda now: None)
+    _, workers, _ = batch()
+    failure = do_job(workers.jobs[0], lambda now: None)
     assert failure.kind == kind and failure.sentence.endswith(".")
 
 

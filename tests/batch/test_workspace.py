@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
+from matcap.batch.input_folder import WORKSPACE
 from matcap.batch.record import FILE, is_done, write_record
-from matcap.batch.shoot import WORKSPACE
 from matcap.batch.workspace import open_run, read_failure
 
 

@@ -70,7 +70,7 @@ def test_options_are_looked_at_before_a_folder_that_is_there(matcap, place):
         ("--tile", "x", "--region", "0,0,17,16"), ("--mask", "none.png"), ("--export", "unrael"),
     ):  # fmt: skip
         said = matcap("synth", "a", "--seed", "2", "-o", "more", "-j", "1", *wrong)
-        assert said.code == 2 and "stands here" not in said.err, wrong
+        assert said.code == 2 and "exists" not in said.err, wrong
 
 
 def test_synth_takes_the_folder_that_others_take(matcap, place):

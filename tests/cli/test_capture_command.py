@@ -238,7 +238,7 @@ def test_an_earlier_capture_is_not_replaced_by_a_lesser_or_another_one(
     again = again if "--size" in again else ("--size", 16, *again)
     said = matcap("capture", photo, "-o", out, *again)
     assert said.code == 3
-    assert "an earlier capture stands here" in said.err and told in said.err
+    assert "the folder has an earlier capture" in said.err and told in said.err
     assert "--overwrite" in said.err
     assert (out / "leather" / "report.json").read_bytes() == before
     assert matcap("capture", photo, "-o", out, *again, "--overwrite").code == 0
@@ -256,7 +256,7 @@ def test_another_photograph_of_the_same_stem_does_not_replace_the_first(
     other.write_text("another photograph")
     assert matcap("capture", photo, "-o", out, "--size", 16).code == 0
     said = matcap("capture", other, "-o", out, "--size", 16)
-    assert said.code == 3 and "an earlier capture stands here (of leather.dng)" in said.err
+    assert said.code == 3 and "the folder has an earlier capture (of leather.dng)" in said.err
 
 
 def test_photographs_of_one_sample_make_one_material(matcap, pipeline, photo, out):

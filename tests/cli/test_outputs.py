@@ -147,7 +147,7 @@ def test_a_map_set_replaces_no_file_of_somebody_else(matcap, place):
     (place / "more" / "a_height.exr").write_bytes(MINE)
     words = ("synth", "a.matcap", "--size", "16", "-j", "1", "-o", "more", "-q")
     said = matcap(*words)
-    assert said.code == 3 and "another file stands here, which is of no map set" in said.err
+    assert said.code == 3 and "a file of this name exists, and belongs to no map set" in said.err
     assert (place / "more" / "a_height.exr").read_bytes() == MINE
     assert matcap(*words, "--overwrite").code == matcap(*words).code == 0
 

@@ -189,7 +189,7 @@ def test_another_map_set_is_not_replaced_unasked(matcap, material, tmp_path, oth
     before = (tmp_path / "set" / "leather.json").read_bytes()
     said = matcap("synth", material, *first, *other, "-o", "set")
     assert said.code == 3
-    assert "another map set stands here" in said.err and "--overwrite" in said.err
+    assert "another map set of this name exists" in said.err and "--overwrite" in said.err
     assert (tmp_path / "set" / "leather.json").read_bytes() == before
     assert matcap("synth", material, *first, *other, "-o", "set", "--overwrite").code == 0
 

@@ -200,7 +200,7 @@ def fuzz(
     data = {path: path.read_bytes() for paths in files.values() for path in paths}
     tally: Counter[str] = Counter()
     faults: list[Fault] = []
-    crew = Processes(1, read, prepare)
+    workers = Processes(1, read, prepare)
     try:
         for number in range(count):
             chance = random.Random(f"{seed} {number}")
@@ -215,7 +215,7 @@ def fuzz(
                 (place / source.name).unlink()
             path = place / source.name
             path.write_bytes(spoil(data[source], kind, others, chance))
-            result, detail = _outcome(crew, Input(number, kind, path))
+            result, detail = _outcome(workers, Input(number, kind, path))
             tally[result] += 1
             tally[f"{kind} {result}"] += 1
             if result == "fault":
@@ -225,21 +225,21 @@ def fuzz(
                     other.unlink()
                 place.rmdir()
     finally:
-        crew.close()
+        workers.close()
     return tally, faults
 
 
-def _outcome(crew: Processes, job: Input) -> tuple[str, str]:
-    crew.start(job)
+def _outcome(workers: Processes, job: Input) -> tuple[str, str]:
+    workers.start(job)
     # The first one waits for the imports, too.
     limit = time.monotonic() + LONGEST + 50.0 * (job.number == 0)
     while time.monotonic() < limit:
-        for event in crew.wait(limit - time.monotonic()):
+        for event in workers.wait(limit - time.monotonic()):
             if event.kind == "died":
                 return "fault", f"the process died with code {event.value}"
             if event.kind == "done":
                 return event.value
-    crew.close()
+    workers.close()
     return "fault", f"no answer in {LONGEST:.0f} s"
 
 

@@ -165,7 +165,7 @@ def run(
     write_place(good)
     tally: Counter[str] = Counter()
     faults: list[str] = []
-    crew = Processes(1, answer, prepare)
+    workers = Processes(1, answer, prepare)
     try:
         for number in range(first, count):
             chance = random.Random(f"{seed} {number}")
@@ -179,7 +179,7 @@ def run(
                 document.write_text(json.dumps(about))
             words = drawn(chance)
             result, said = _within(
-                crew, Line(words, now), longest + 50.0 * (number == first)
+                workers, Line(words, now), longest + 50.0 * (number == first)
             )  # the imports, too
             here = sorted(file.name for file in now.iterdir())
             inside = (now / "victim").read_text() == "mine"
@@ -194,20 +194,20 @@ def run(
                 print(faults[-1], file=sys.stderr, flush=True)  # one who waits no longer knows it
             shutil.rmtree(now)
     finally:
-        crew.close()
+        workers.close()
     return tally, faults
 
 
-def _within(crew: Processes, line: Line, longest: float) -> tuple[str, str]:
-    crew.start(line)
+def _within(workers: Processes, line: Line, longest: float) -> tuple[str, str]:
+    workers.start(line)
     limit = time.monotonic() + longest
     while time.monotonic() < limit:
-        for event in crew.wait(limit - time.monotonic()):
+        for event in workers.wait(limit - time.monotonic()):
             if event.kind == "died":
                 return "fault", f"the process died with code {event.value}"
             if event.kind == "done":
                 return event.value
-    crew.close()
+    workers.close()
     return "fault", f"no answer in {longest:.0f} s"
 
 

@@ -1,4 +1,4 @@
-"""The input folder: its photographs, grouped by sample."""
+"""The photographs of an input folder, grouped by sample."""
 
 from __future__ import annotations
 
@@ -24,76 +24,76 @@ _RAW = (
     *("mos", "mrw", "nef", "nrw", "orf", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf", "srw"),
     "x3f",
 )
-_CAMERA = ("jpg", "jpeg", "heic", "heif", "hif", "avif")  # what a camera writes beside a RAW
+_CAMERA = ("jpg", "jpeg", "heic", "heif", "hif", "avif")  # formats that cameras write with a RAW
 _OTHER = ("png", "tif", "tiff", "webp")
-# Folders of thumbnails, waste baskets and snapshots, as NAS and systems make them.
+# Folders of thumbnails, trash and snapshots that network drives and systems create.
 _NO_SHOOTS = frozenset({
     "@eadir", "@tmp", "@recycle", "@recently-snapshot", "#recycle", "#snapshot", "$recycle.bin",
     "__macosx", "system volume information", "lost+found",
     "thumbs", "thumbnails", "_thumbs", "_thumbnails",
 })  # fmt: skip
-_PREVIEWS = (".lrdata", ".cocatalogdb")  # of catalogues: ends of folders' names
-# What Pixel phones put between the shot's name and the suffix: PXL_x.RAW-01.COVER.jpg and
-# PXL_x.RAW-02.ORIGINAL.dng, PXL_x.MP.jpg and PXL_x.dng.
+_PREVIEWS = (".lrdata", ".cocatalogdb")  # suffixes of photo catalogues' preview folders
+# Parts that Pixel phones add to the names of one shot: PXL_x.RAW-01.COVER.jpg and
+# PXL_x.RAW-02.ORIGINAL.dng; PXL_x.MP.jpg and PXL_x.dng.
 _PIXEL = re.compile(r"\.(raw-\d+|mp|cover|original|night|ts|macro|portrait(-\d+)?)$")
-WORKSPACE = ".matcap-batch"  # a folder that holds this is a batch's output, and no shoot
-# Names whose files would take the place of others in a material's folder.
+WORKSPACE = ".matcap-batch"  # marks the output folder of a batch, which is not searched
+# Material names whose files would collide with others in a material's folder.
 _TAKEN = frozenset({"report", "preview", "matcap-batch"})
 
 
 @dataclass(frozen=True)
 class ShotSample:
-    """What becomes one material."""
+    """The photographs of one material."""
 
     name: str
-    """Of the material and its folder; unique in the shoot whatever the letters' case."""
+    """Of the material and its folder; unique, ignoring case."""
     photos: tuple[Path, ...]
     """The photographs it is made from."""
     superseded: tuple[Path, ...] = ()
-    """JPEG or HEIC files left out because a RAW file of the same shot exists."""
+    """JPEG or HEIC files that are not used because a RAW file of the same shot exists."""
     profile: CameraProfile | None = None
-    """Of the camera, where the shoot has one (cameras.py)."""
+    """Of the camera, if there is one (cameras.py)."""
 
 
 def find_samples(
-    shoot: Path,
+    source: Path,
     *,
     group: Grouping = "none",
     gap: float = 10.0,
     without: Iterable[Path] = (),
     taken: Taken | None = None,
 ) -> list[ShotSample]:
-    """All samples of a shoot, in the order of their folders and names.
+    """List the samples of an input folder, sorted by folder and name.
 
-    Folders are searched to the bottom; hidden ones, links to folders, folders of thumbnails
-    (@eaDir and its like) and the output of batches are passed over. A RAW and a camera's JPEG of
-    one shot in one folder are one photograph, the RAW: of one stem, or as Pixel phones name them.
+    Subfolders are searched, but for hidden ones, links, thumbnails (@eaDir and the like) and
+    outputs of batches. If a folder has a RAW and a JPEG of one shot (the same stem, or Pixel
+    phones' names), the RAW is used.
 
     Args:
-        shoot: the folder.
-        group: "none": each photograph is a sample; "name": those of one folder that are numbered
-            parts of one name (oak_1, oak_2); "dir": those of one folder are one sample;
-            "time": those of one folder taken within `gap` seconds of the one before.
+        source: the input folder.
+        group: photographs of one folder that are one sample: "none": each is its own; "name":
+            those numbered alike (oak_1, oak_2); "dir": all; "time": those within `gap` seconds of
+            the one before.
         gap: in seconds.
-        without: files and folders that are not looked at.
-        taken: when a photograph was taken, in seconds, or None; by default as its Exif says.
+        without: files and folders to ignore.
+        taken: time of a photograph in seconds, or None; by default from its Exif.
 
     Raises:
         MatcapError: there is no such folder, it may not be read, or it holds no photographs.
     """
-    if not shoot.is_dir():
-        what = "this is a file" if shoot.is_file() else "there is no such folder"
-        raise MatcapError(what, where=str(shoot), remedy="give a folder of photographs")
+    if not source.is_dir():
+        what = "this is a file" if source.is_file() else "there is no such folder"
+        raise MatcapError(what, where=str(source), remedy="give a folder of photographs")
     passed_over = {path.resolve() for path in without}
     grouped: list[tuple[Path, str, tuple[Path, ...], tuple[Path, ...]]] = []
-    for folder, names in _folders(shoot, passed_over):
+    for folder, names in _folders(source, passed_over):
         files = [folder / name for name in names if (folder / name).resolve() not in passed_over]
         shots = _pairs(files)
         if not shots:
             continue
-        inside = folder.relative_to(shoot)
+        inside = folder.relative_to(source)
         if group == "dir":
-            label = "-".join(inside.parts) or shoot.resolve().name or "shoot"
+            label = "-".join(inside.parts) or source.resolve().name or "photographs"
             grouped.append((inside, label, *_joined(shots)))
             continue
         if group == "time":
@@ -106,14 +106,14 @@ def find_samples(
     if not grouped:
         raise MatcapError(
             "there are no photographs in this folder",
-            where=str(shoot),
+            where=str(source),
             remedy="give a folder of DNG, other RAW, JPEG, HEIC, AVIF, WebP, PNG or TIFF files",
         )
     return _named(grouped)
 
 
 def taken_at(path: Path) -> float | None:
-    """Seconds at which a photograph was taken, by its Exif; None where it does not say."""
+    """Time at which a photograph was taken, in seconds, from its Exif; None if it has none."""
     import exifread
 
     try:
@@ -125,19 +125,19 @@ def taken_at(path: Path) -> float | None:
         return None
 
 
-_Shot = tuple[Path, tuple[Path, ...]]  # the photograph, and what was set aside for it
+_Shot = tuple[Path, tuple[Path, ...]]  # the photograph, and files of the same shot not used
 
 
-def _folders(shoot: Path, passed_over: set[Path]) -> Iterator[tuple[Path, list[str]]]:
+def _folders(source: Path, passed_over: set[Path]) -> Iterator[tuple[Path, list[str]]]:
     def refuse(error: OSError) -> None:
-        if Path(error.filename or "") == shoot:
+        if Path(error.filename or "") == source:
             raise MatcapError(
-                "the folder may not be read", where=str(shoot), remedy="change its permissions"
+                "the folder may not be read", where=str(source), remedy="change its permissions"
             ) from error
 
-    for root, folders, names in os.walk(shoot, onerror=refuse):
+    for root, folders, names in os.walk(source, onerror=refuse):
         folder = Path(root)
-        if (folder / WORKSPACE).is_dir() and folder != shoot:
+        if (folder / WORKSPACE).is_dir() and folder != source:
             folders.clear()
             continue
         folders[:] = sorted(
@@ -152,7 +152,7 @@ def _folders(shoot: Path, passed_over: set[Path]) -> Iterator[tuple[Path, list[s
 
 
 def _pairs(files: Sequence[Path]) -> list[_Shot]:
-    """The photographs among files of one folder, RAWs in place of their JPEGs."""
+    """The photographs among the files of a folder; a RAW supersedes the JPEGs of its shot."""
 
     def kind(path: Path) -> str:
         return path.suffix.lower().lstrip(".")
@@ -174,7 +174,7 @@ def _pairs(files: Sequence[Path]) -> list[_Shot]:
 
 
 def _shot_of(path: Path) -> str:
-    """What files of one shot have in common: the stem, of a Pixel's without what it adds."""
+    """Name that all files of one shot share: the stem, without the parts Pixel phones add."""
     stem = path.stem.casefold()
     while stem.startswith("pxl_") and (cut := _PIXEL.sub("", stem)) != stem:
         stem = cut
@@ -182,7 +182,7 @@ def _shot_of(path: Path) -> str:
 
 
 def _runs(shots: Sequence[_Shot], gap: float, taken: Taken) -> list[list[_Shot]]:
-    """Shots in the order they were taken, cut where more than `gap` seconds lie between two."""
+    """Shots in the order of time, split where two are more than `gap` seconds apart."""
     timed = [(taken(shot[0]), shot) for shot in shots]
     runs: list[list[_Shot]] = []
     last: float | None = None
@@ -196,7 +196,7 @@ def _runs(shots: Sequence[_Shot], gap: float, taken: Taken) -> list[list[_Shot]]
 
 
 def _by_name(shots: Sequence[_Shot]) -> list[list[_Shot]]:
-    """Shots whose names are numbered parts of one, together; the others alone."""
+    """Groups of shots whose names differ in a number only; other shots are single."""
     sets = series([shot[0].stem for shot in shots])
     taken = {position for each in sets for position in each}
     sets += [[position] for position in range(len(shots)) if position not in taken]
@@ -213,10 +213,9 @@ def _joined(shots: Sequence[_Shot]) -> tuple[tuple[Path, ...], tuple[Path, ...]]
 def _named(
     grouped: Sequence[tuple[Path, str, tuple[Path, ...], tuple[Path, ...]]],
 ) -> list[ShotSample]:
-    """Names that no two share; a shared one gets a tag that depends on its own path alone.
+    """Give the samples unique names: equal ones get a hash of their own path appended.
 
-    So a photograph that is added to the shoot never renames another one's material, unless their
-    names clash.
+    A photograph added later thus renames no other sample, unless their names collide.
     """
     count: dict[str, int] = {}
     for _, label, _, _ in grouped:

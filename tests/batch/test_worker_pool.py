@@ -1,4 +1,4 @@
-"""Worker processes that die, and what the crew says of it."""
+"""Worker processes that die, and what the workers says of it."""
 
 import os
 import signal
@@ -30,52 +30,53 @@ def work(job, tell):
 
 
 @pytest.fixture
-def crew():
-    crew = Processes(2, work, prepare)
-    yield crew
-    crew.close()
+def workers():
+    workers = Processes(2, work, prepare)
+    yield workers
+    workers.close()
 
 
-def finish(crew, count):
+def finish(workers, count):
     """Wait for so many jobs to end; their events by job, progress left out."""
     ends = {}
     limit = time.monotonic() + 30.0
     while len(ends) < count and time.monotonic() < limit:
-        for event in crew.wait(1.0):
+        for event in workers.wait(1.0):
             if event.kind != "progress":
                 ends[event.job] = event
     return ends
 
 
-def test_a_killed_worker_takes_no_other_job_along(crew):
-    crew.start("kill")
-    crew.start("fine")
-    ends = finish(crew, 2)
+def test_a_killed_worker_takes_no_other_job_along(workers):
+    workers.start("kill")
+    workers.start("fine")
+    ends = finish(workers, 2)
     assert (ends["kill"].kind, ends["kill"].value) == ("died", -signal.SIGKILL)
     assert ends["fine"].kind == "done"
-    crew.start("exit")
-    crew.start("again")
-    ends = finish(crew, 2)
+    workers.start("exit")
+    workers.start("again")
+    ends = finish(workers, 2)
     assert (ends["exit"].kind, ends["exit"].value) == ("died", 7)
-    assert ends["again"].kind == "done" and crew.busy() == 0
+    assert ends["again"].kind == "done" and workers.busy() == 0
 
 
-def test_close_stops_work_at_once(crew):
-    crew.start("sleep")
+def test_close_stops_work_at_once(workers):
+    workers.start("sleep")
     began = time.monotonic()
-    assert [event.value for event in crew.wait(20.0)] == [Progress("begun", 0.5)]
-    crew.close()
-    assert crew.busy() == 0 and time.monotonic() - began < 20.0
+    assert [event.value for event in workers.wait(20.0)] == [Progress("begun", 0.5)]
+    workers.close()
+    assert workers.busy() == 0 and time.monotonic() - began < 20.0
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 def test_workers_end_when_the_main_process_is_killed():
     code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); import test_crew as t\n"
+        "import sys; sys.path.insert(0, sys.argv[1]); import test_worker_pool as t\n"
         "if __name__ == '__main__':\n"
-        "    crew = t.Processes(1, t.work, t.prepare); crew.start('sleep'); crew.wait(20)\n"
-        "    worker = next(iter(crew._working.values()))[0]\n"
-        "    print(worker._process.pid, flush=True); crew.wait(60)\n"
+        "    workers = t.Processes(1, t.work, t.prepare)\n"
+        "    workers.start('sleep'); workers.wait(20)\n"
+        "    worker = next(iter(workers._working.values()))[0]\n"
+        "    print(worker._process.pid, flush=True); workers.wait(60)\n"
     )
     folder = str(Path(__file__).parent)
     main = subprocess.Popen(

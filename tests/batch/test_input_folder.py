@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from matcap.batch.shoot import WORKSPACE, find_samples, taken_at
+from matcap.batch.input_folder import WORKSPACE, find_samples, taken_at
 from matcap.batch.whole import group_sentences
 from matcap.errors import MatcapError
 
@@ -112,7 +112,7 @@ def test_grouped_by_name(tmp_path):
 def test_sets_are_told_before_anything_starts(tmp_path):
     touch(tmp_path, "oak_1.jpg", "oak_2.jpg", "elm.jpg")
     said = group_sentences(find_samples(tmp_path, group="name"))
-    assert said[0] == "oak_1: 2 photographs of one piece (oak_1.jpg, oak_2.jpg)."
+    assert said[0] == "oak_1: 2 photographs of one sample (oak_1.jpg, oak_2.jpg)."
     assert "--group none" in said[-1]
     assert group_sentences(find_samples(tmp_path)) == []
 
@@ -154,7 +154,7 @@ def test_bursts_of_files_are_told_by_their_exif(tmp_path, capfd):
         ["e.png"],
     ]
     said = group_sentences(found)
-    assert said[0] == "c: 3 photographs of one piece (c.jpg, a.jpg, d.jpg)."
+    assert said[0] == "c: 3 photographs of one sample (c.jpg, a.jpg, d.jpg)."
     # What a file does not say is not the user's to read.
     assert capfd.readouterr().err == ""
 
