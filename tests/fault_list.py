@@ -442,7 +442,8 @@ FAULTS = (
           "brdf/test_mapset.py -k pngs"),
     # Batches and the page.
     Fault("batch: a RAW and its JPEG are two", "batch _pairs",
-          "kind(path) in _CAMERA and raw is None", "kind(path) in _CAMERA", "batch/test_input_folder.py"),
+          "kind(path) in _CAMERA and raw is None", "kind(path) in _CAMERA",
+          "batch/test_input_folder.py"),
     Fault("batch: the gap counts from the first", "batch _runs", "last = when",
           "last = when if runs[-1] == [shot] else last", "batch/test_input_folder.py"),
     Fault("batch: names of its own files", "batch _named", "plain.casefold() in _TAKEN", "False",
