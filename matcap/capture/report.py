@@ -42,7 +42,7 @@ Keys:
     exemplar: of the maps of the photographed piece, or null: `error` (median difference of log
         radiance between photograph and re-rendering), `slow` (its slow part, not the
         material's), `left_out` (share that matches nothing else in it, and is not rearranged),
-        `variety` (how far its field takes it apart, from 0 to 1), `pieces` (how large, in words),
+        `variety` (how far its field takes it apart, from 0 to 1), `patches` (their size, in words),
         `strengths` (root-mean-square slope and log albedo measured by the photograph, by
         band; see capture/piece/strengths.py; or null), `sharpness` (power of the finest octave,
         re-rendering over photograph), `adaptation` (of each leg: what it changed, how near it was
@@ -193,7 +193,7 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
         "slow": estimate.slow,
         "left_out": estimate.example.index.left_out,
         "variety": estimate.example.variety,
-        "pieces": summary(estimate.example).pieces_text(),
+        "patches": summary(estimate.example).patches_text(),
         "strengths": None if estimate.strengths is None else estimate.strengths.document(),
         "sharpness": estimate.sharpness,
         "adaptation": [asdict(change) for change in estimate.adaptation],

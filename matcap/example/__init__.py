@@ -1,1 +1,1 @@
-"""The endless field by example: rearranges an exemplar (Lefebvre and Hoppe 2005, 2006)."""
+"""The endless field by example: rearranges an exemplar [lefebvre2005] [lefebvre2006]."""

@@ -1,8 +1,8 @@
-"""Appearance vectors: PCA of texel neighbourhoods, in a few integers (Lefebvre and Hoppe 2006).
+"""Appearance vectors: PCA of texel neighbourhoods [lefebvre2006], in integers.
 
-Neighbourhoods of 5 x 5 features, weighted towards the middle, projected on their principal
-components (Lefebvre and Hoppe 2006). Basis and features are integers of 7 bits, so that every sum
-is an integer below 2^24: exact in float32, in whatever order it is added.
+Neighbourhoods of 5 x 5 features, with Gaussian weights, are projected on their principal
+components. Basis and features are integers of 7 bits plus sign, so that sums are integers below
+2^24, exact whatever their order.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from matcap.example.library import address, loops
 from matcap.example.tuned import APPEARANCE
 
 DIMENSIONS = 8
-# Of an appearance: three times a difference of two fits 16 bits, and the sum of its squares over
-# four neighbours of eight dimensions 30 bits, and so twice that: (3 * 2 * 700)^2 * 32 = 5.6e8.
+# Limit of an appearance, chosen so that kernel.c's costs fit 32 bits: over four neighbours of eight
+# dimensions (3 * 2 * 700)^2 * 32 = 5.6e8, and twice that.
 LARGEST = 700
 _RADIUS = 2
 TAPS = (2 * _RADIUS + 1) ** 2 * PLANES  # 200 * 127 * 127 < 2^24
@@ -29,18 +29,18 @@ Appearance = NDArray[np.int16]
 
 @dataclass(frozen=True)
 class Basis:
-    """A projection."""
+    """Projection of a neighbourhood to an appearance vector: (weights @ neighbourhood) >> shift."""
 
     weights: NDArray[np.int8]
-    """(DIMENSIONS, TAPS) int8, at most LIMIT; taps are rows, columns, planes."""
+    """(DIMENSIONS, TAPS), at most LIMIT; taps are ordered by row, column, plane."""
     shift: int
-    """What sums are shifted right by."""
+    """Bits."""
     step: int
-    """Of the neighbourhood, in texels of its grid."""
+    """Distance of the neighbourhood's texels, in texels of the features' grid."""
 
 
 def choose_basis(features: FeatureMap, step: int) -> Basis:
-    """Principal components of the neighbourhoods of (PLANES, H, W) features."""
+    """Principal components of neighbourhoods of (PLANES, H, W) features, `step` texels apart."""
     taps = _taps(features, step)
     places = features.shape[1] * features.shape[2]
     chosen = np.arange(0, places, max(1, places // APPEARANCE.samples))
@@ -57,7 +57,7 @@ def choose_basis(features: FeatureMap, step: int) -> Basis:
 
 
 def project(features: FeatureMap, basis: Basis) -> Appearance:
-    """(H, W, DIMENSIONS) of (PLANES, H, W) features, which continue mirrored at the borders.
+    """(H, W, DIMENSIONS) appearance of (PLANES, H, W) features, mirrored at the borders.
 
     Raises:
         MatcapError: the loops were not built.
@@ -79,12 +79,12 @@ def project(features: FeatureMap, basis: Basis) -> Appearance:
 
 
 def padded(features: FeatureMap, basis: Basis) -> FeatureMap:
-    """Features with what their neighbourhoods reach beyond the borders."""
+    """Features padded, by mirroring, for the neighbourhoods of their border texels."""
     return _padded(features, _RADIUS * basis.step)
 
 
 def offsets(step: int) -> list[tuple[int, int]]:
-    """(y, x) of every tap from the left top one."""
+    """(y, x) of every tap, from the upper left one."""
     side = range(0, (2 * _RADIUS + 1) * step, step)
     return [(y, x) for y in side for x in side]
 

@@ -1,24 +1,23 @@
-"""Multi-band blending across the seams of a rearranged exemplar.
+"""Multi-band blending across the seams of a rearranged exemplar [burt1983].
 
-A patch that ends at a seam ends in every octave at once: grain, colour and height step there. So
-each octave of every map is blended over about as many texels as its waves are long (Burt and
-Adelson 1983). A texel p reads, in band k, the weighted mean of what the texels around it predict,
+Each octave B_k of the exemplar's maps is blended over about its wavelength. Let place(q) be the
+exemplar's texel shown at texel q of the field. If the patch around q went on to texel p, p would
+show place(q) - q + p. In band k, texel p gets the weighted mean of these votes,
 
     V_k(p) = sum_q w_k(p - q) B_k(place(q) - q + p),
+    map(p) = exemplar(place(p)) + sum_k (g_k V_k(p) - B_k(place(p))).
 
-B_k the exemplar's band, w_k a window of about two of its grid's steps. With one patch around p
-every prediction is the texel's own, and p shows the exemplar to the last bit; elsewhere
+Within a patch all votes are equal and p shows the exemplar to the last bit. Albedo and F0 are
+blended as logarithms. The mean of different votes has less variance than each; the gain
 
-    map(p) = exemplar(place(p)) + sum_k (g_k V_k(p) - B_k(place(p))),
+    g_k = 1 / sqrt(r_k + (1 - r_k) sum w^2)
 
-so that the exemplar's own numbers are read wherever bands add nothing. Albedo and F0 are added up
-as logarithms. A mean of votes that differ has less variance than each; g_k restores it,
-1 / sqrt(r + (1 - r) sum w^2), r how far votes that differ correlate. Not that of the height, whose
-slopes show: those where one piece passes into another are added to its own.
+restores it, with r_k the correlation of different votes (seam_correlations). The height has no
+gain, which would amplify the slopes between patches.
 
-Votes are taken at nodes 2^k texels apart (`Votes`), weighted by a quadratic B-spline, so that
-a texel reads nine a band. Nodes lie where they do whatever rectangle is read, and the loop adds up
-in one order: the same bits.
+Votes are cast by nodes q on a grid of 2^k texels, with quadratic B-spline weights w_k: nine nodes a
+texel and band. The nodes' positions do not depend on the rectangle that is read, and sums have a
+fixed order, so that the bits do not either.
 
 Read next: kernel.c, coordinates.py.
 """
@@ -40,9 +39,9 @@ from matcap.example.library import address, loops
 from matcap.example.tuned import BLEND
 from matcap.field.plane import Period, Rectangle
 
-CHANNELS = 8  # of a texel in bands, as in kernel.c
-NODES = 3  # along an axis that vote for a texel
-_DARKEST = 2.0**-10  # albedo and F0: what is darker is as dark
+CHANNELS = 8  # of a band, as in kernel.c
+NODES = 3  # nodes along an axis that vote for a texel
+_DARKEST = 2.0**-10  # lower limit of albedo and F0 in logarithms
 
 
 @dataclass(frozen=True)
@@ -50,9 +49,9 @@ class Band:
     """An octave of an exemplar's maps.
 
     Attributes:
-        values: (H, W, CHANNELS) int16 on a grid 2^bits texels wide.
-        scale: (CHANNELS,) float32: what one of `values` is of the map, or of its log2.
-        bits: of the grid.
+        values: (H, W, CHANNELS) int16, on a grid of 2^bits texels.
+        scale: (CHANNELS,) float32, unit of `values` in the map or in its log2.
+        bits: log2 of the grid's step.
     """
 
     values: NDArray[np.int16]
@@ -61,8 +60,9 @@ class Band:
 
 
 def bands_of(exemplar: Exemplar) -> tuple[Band, ...]:
-    """An exemplar's bands, split at about 1.4, 3, 6.5, 13 and 26 texels (deviations of a Gaussian);
-    the finest first, the last is all that is coarser.
+    """Split an exemplar into bands, finest first; the last is the low-pass residual.
+
+    Split by Gaussians of standard deviations of about 1.4, 3, 6.5, 13 and 26 texels.
     """
     maps = exemplar.stacked()
     _, rows, columns = maps.shape
@@ -83,15 +83,15 @@ def bands_of(exemplar: Exemplar) -> tuple[Band, ...]:
     return tuple(_quantised(band, max(0, k - 1)) for k, band in enumerate((*shown, smooth[-1])))
 
 
-def alike_at_seams(bands: Sequence[Band], places: Places, step: int) -> tuple[float, ...]:
-    """Of every band: how far what two places predict of a texel correlates where they meet.
+def seam_correlations(bands: Sequence[Band], places: Places, step: int) -> tuple[float, ...]:
+    """Correlation r_k, in [0, 1], between the votes of adjacent patches, by band.
 
-    Sums are of integers, and so the same on every machine. Of the last band as if wholly: what it
-    holds is no texture whose contrast could be lost.
+    Computed at the seams of a part of a field, from integers, so that it is the same on every
+    machine. 1 for the last band, which is no texture.
 
     Args:
-        bands: of an exemplar.
-        places: (rows, columns, 2) of a field, `step` texels apart.
+        bands: of the exemplar.
+        places: (rows, columns, 2) of the field, `step` texels apart.
         step: texels.
     """
     at = places.astype(np.int64)
@@ -121,7 +121,7 @@ def _correlation(band: Band, first: NDArray[np.int64], second: NDArray[np.int64]
 
 
 def _doubled(coarse: Floats, fine: Floats) -> Floats:
-    """Values on a grid twice as fine, by lines between them."""
+    """Linear interpolation to a grid twice as fine, of the shape of `fine`."""
     for axis in (0, 1):
         count = fine.shape[axis]
         after = np.minimum(np.arange(count // 2) + 1, coarse.shape[axis] - 1)
@@ -145,12 +145,12 @@ def _quantised(values: Floats, bits: int) -> Band:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Nodes along columns or rows of an area.
+    """Nodes along one axis of an area.
 
     Attributes:
-        at: where each node lies, in texels of the plane.
-        first: (length,) int32: the first of the NODES nodes that vote for a texel.
-        weights: (length, NODES) float32 of their votes.
+        at: positions of the nodes, texels of the plane.
+        first: (length,) int32, index of the first of the NODES nodes that vote for a texel.
+        weights: (length, NODES) float32, of their votes.
     """
 
     at: NDArray[np.int64]
@@ -159,16 +159,16 @@ class Nodes:
 
     @staticmethod
     def of(start: int, length: int, spacing: int, unit: int, period: int | None) -> Nodes:
-        """Nodes for `length` texels from `start` on.
+        """Nodes that vote for the texels [start, start + length).
 
         Args:
             start, length: texels.
-            spacing: between nodes; where there is a period, about as much, a whole number of times.
-            unit: nodes lie at multiples of it.
-            period: in texels, a multiple of the unit.
+            spacing: of nodes, texels; with a period, the nearest that divides it.
+            unit: nodes are at multiples of this, texels.
+            period: texels, a multiple of the unit, or None.
         """
         whole, count = (spacing, 1) if period is None else (period, _times(period, spacing))
-        # A texel at p lies p * count / whole nodes from that at 0; exactly, whatever the size.
+        # Texel p is p * count / whole nodes from node 0, computed in integers.
         begin, rest = divmod(2 * start * count + whole, 2 * whole)
         steps = rest + 2 * count * np.arange(length)
         nearest = steps // (2 * whole)
@@ -190,8 +190,8 @@ class Votes:
     """The nodes of a band for an area.
 
     Attributes:
-        level: of places, 2^level texels of the grid of places apart, that nodes are read from.
-        bits: the grid of places is 2^bits texels wide.
+        level: of the places that nodes read, 2^level steps of the grid of places apart.
+        bits: log2 of the step of the grid of places, texels.
         across, down: nodes along columns and rows.
     """
 
@@ -202,14 +202,14 @@ class Votes:
 
     @staticmethod
     def of(band: int, area: Rectangle, period: Period | None, bits: int, levels: int) -> Votes:
-        """Those of a band.
+        """Nodes of a band.
 
         Args:
-            band: its number, from 0.
-            area: in texels.
-            period: that the field repeats in.
-            bits: the grid of places is 2^bits texels wide.
-            levels: of places that there are.
+            band: index of the band.
+            area: texels.
+            period: of the field, or None.
+            bits: log2 of the step of the grid of places, texels.
+            levels: number of levels of places.
         """
         level = min(BLEND.levels[band], levels - 1)
         spacing, unit = 1 << (band + bits), 1 << (level + bits)
@@ -223,15 +223,20 @@ class Votes:
 
     @property
     def wanted(self) -> Rectangle:
-        """The places of the level that nodes are among."""
+        """The rectangle of places of the level that the nodes read."""
         shift = self.level + self.bits
         x, y = int(self.across.at[0]) >> shift, int(self.down.at[0]) >> shift
         right, bottom = int(self.across.at[-1]) >> shift, int(self.down.at[-1]) >> shift
         return Rectangle(x, y, right - x + 1, bottom - y + 1)
 
     def predicted(self, places: Places, area: Rectangle) -> NDArray[np.int32]:
-        """(nodes down, nodes across, 2) int32: x, y of the exemplar that an area's texel (0, 0) is
-        predicted to show by each node, of the places that are wanted.
+        """(nodes down, nodes across, 2) int32: each node's vote for the area's texel (0, 0).
+
+        A vote is x, y of the exemplar, place(q) - q + p.
+
+        Args:
+            places: of the `wanted` rectangle.
+            area: texels.
         """
         shift, x, y = self.level + self.bits, self.across.at, self.down.at
         columns, rows = (x >> shift) - self.wanted.x, (y >> shift) - self.wanted.y
@@ -248,7 +253,7 @@ class _Band(ctypes.Structure):
             "column_weights", "row_weights",
         )),
         *((name, ctypes.c_int32) for name in ("columns", "rows", "node_columns", "shift")),
-        ("alike", ctypes.c_float),
+        ("correlation", ctypes.c_float),
     )  # fmt: skip
 
 
@@ -262,38 +267,38 @@ class _Exemplar(ctypes.Structure):
 
 
 @dataclass(frozen=True)
-class Shown:
-    """What an exemplar shows.
+class ExemplarBands:
+    """An exemplar prepared for blending.
 
     Attributes:
         planes: (H, W) of each of its 6 or 8 stacked maps.
-        bands: of them, on the grid of places.
-        alike: of every band: how far votes that differ correlate.
-        bits: that grid is 2^bits texels wide.
+        bands: on the grid of places.
+        correlations: r_k of every band.
+        bits: log2 of that grid's step, texels.
     """
 
     planes: tuple[Floats, ...]
     bands: tuple[Band, ...]
-    alike: tuple[float, ...]
+    correlations: tuple[float, ...]
     bits: int
 
 
 def blended(
-    shown: Shown,
+    shown: ExemplarBands,
     area: Rectangle,
     own: Places,
     votes: Sequence[tuple[Votes, NDArray[np.int32]]],
 ) -> Floats:
-    """(6 or 8, height, width) stacked maps of an area.
+    """(6 or 8, height, width) stacked maps of an area, blended; see the module's equations.
 
     Args:
         shown: the exemplar.
         area: in texels.
-        own: places of the squares of 2^bits texels that the area has a part of.
-        votes: of every band: its nodes, and what they predict.
+        own: places of the grid squares that the area overlaps.
+        votes: nodes of every band, and Votes.predicted of them.
 
     Raises:
-        MatcapError: the loops were not built.
+        MatcapError: the compiled loops are missing.
     """
     channels, columns = len(shown.planes), shown.planes[0].shape[1]
     bits, mask = shown.bits, (1 << shown.bits) - 1
@@ -317,9 +322,11 @@ def blended(
             keep(of.across.first), keep(of.down.first),
             keep(of.across.weights), keep(of.down.weights),
             band.values.shape[1], band.values.shape[0], predicted.shape[1],
-            band.bits + bits + 1, alike,
+            band.bits + bits + 1, correlation,
         )
-        for band, (of, predicted), alike in zip(shown.bands, votes, shown.alike, strict=True)
+        for band, (of, predicted), correlation in zip(
+            shown.bands, votes, shown.correlations, strict=True
+        )
     ))  # fmt: skip
     joined = np.empty((channels, area.height, area.width), np.float32)
     loops().matcap_blend(

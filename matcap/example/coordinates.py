@@ -1,12 +1,13 @@
-"""Which place of the exemplar every texel of the endless field shows.
+"""Synthesis of exemplar coordinates, coarse to fine [lefebvre2005].
 
-Coarse to fine: the coarsest level begins with pieces of the exemplar at random; each finer one
-takes over, and corrects (correction.py). What is random is a hash of seed and place, and a
-correction looks a fixed number of places around itself: so a rectangle needs some more places
-around it at every level, and then is a part of the endless whole, to the bit.
+A place is the exemplar's texel (x, y) that a texel of the field shows. The coarsest level is laid
+from patches at random places. Each finer level upsamples the places and corrects them
+(correction.py). Random numbers are hashes of seed and position, and a correction reads a fixed
+neighbourhood, so that a rectangle with a margin on every level has the same bits whoever computes
+it.
 
-Lefebvre and Hoppe (2005) also move places at random on every level. That breaks up what is longer
-than some ten texels, and repetition is not what it mends (docs/notes/field.md).
+Unlike Lefebvre and Hoppe, no level is jittered: that would break up structure of more than some ten
+texels, and does not reduce repetition (docs/notes/field.md).
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from numpy.typing import NDArray
 from matcap.example.correction import Places, correct, margin
 from matcap.example.grids import Frame
 from matcap.example.hashing import hash_places
+from matcap.example.lattice import Cells, PhasedLattice, Phases, cells_of
 from matcap.example.lookup import Level, Lookup, two_phases
-from matcap.example.order import Cells, Integers, Order, Phases, cells_of
-from matcap.example.pieces import Axis, cheapest, inset, laid
+from matcap.example.patches import Axis, cheapest, inset, lay_patches
 from matcap.example.tuned import PLACEMENT
 from matcap.field.plane import Period, Rectangle
+from matcap.field.turns import Integers
 
 
 def coordinates(
@@ -32,19 +34,20 @@ def coordinates(
     wanted: Mapping[int, Rectangle],
     period: Period | None,
 ) -> dict[int, Places]:
-    """Places of some levels, found no finer than the finest of them.
+    """Synthesise places of some levels.
 
     Args:
         lookup: of the exemplar.
         seed: in [-2^63, 2^63).
-        wanted: an area of every level, in steps of it, 2^level texels.
-        period: that the field repeats in, multiples of 2^(levels - 1) texels.
+        wanted: by level the area to return, in steps of 2^level texels.
+        period: of the field, multiples of 2^(levels - 1) texels, or None.
 
     Returns:
-        (height, width, 2) int16 places of every area.
+        By level, (height, width, 2) int16 places.
     """
     finest, count = min(wanted), len(lookup.levels)
-    areas: dict[int, Rectangle] = {}  # what each level gives, and what it is begun with
+    # Areas of each level after and before correction, which cuts a margin off.
+    areas: dict[int, Rectangle] = {}
     begun: dict[int, Rectangle] = {}
     for depth in range(finest, count):
         areas[depth] = begun[depth - 1].coarser(1) if depth > finest else wanted[depth]
@@ -57,10 +60,10 @@ def coordinates(
         level, area = lookup.levels[depth], begun[depth]
         columns, rows = _wrapped(area, depth, period)
         if places is None:
-            places = begin(lookup, seed, columns, rows, period)
+            places = initial_places(lookup, seed, columns, rows, period)
         else:
             places = _refine(places, areas[depth + 1], level, area)
-        phases = _wanted(lookup, seed, depth, columns, rows, period)
+        phases = _ideal_phases(lookup, seed, depth, columns, rows, period)
         odd_columns, odd_rows = columns % 2 == 1, rows % 2 == 1
         places = correct(places, level, odd_columns, odd_rows, _passes(depth), phases)
         if depth in wanted:
@@ -73,7 +76,7 @@ def _passes(depth: int) -> int:
 
 
 def _wrapped(area: Rectangle, depth: int, period: Period | None) -> tuple[Integers, Integers]:
-    """Columns and rows of an area within the first period."""
+    """Columns and rows of an area, modulo the period."""
     columns = np.arange(area.x, area.x + area.width)
     rows = np.arange(area.y, area.y + area.height)
     along_x, along_y = period or (None, None)
@@ -83,24 +86,23 @@ def _wrapped(area: Rectangle, depth: int, period: Period | None) -> tuple[Intege
     )
 
 
-def begin(
+def initial_places(
     lookup: Lookup, seed: int, columns: Integers, rows: Integers, period: Period | None
 ) -> Places:
-    """Pieces of the exemplar at random places, for columns and rows of the coarsest level.
+    """(rows, columns, 2) places of the coarsest level, before correction: patches at random places.
 
-    In phase with the order there is. Every place stands for itself: columns and rows need not be
-    neighbours.
+    With a lattice, patches are in phase with it. Columns and rows need not be contiguous.
     """
     depth, level = len(lookup.levels) - 1, lookup.levels[-1]
     x, y = columns << depth, rows << depth
-    if lookup.order is not None:
-        best_x, best_y, offset_x, offset_y = _ordered(lookup, lookup.order, seed, x, y, period)
+    if lookup.lattice is not None:
+        best_x, best_y, offset_x, offset_y = _ordered(lookup, lookup.lattice, seed, x, y, period)
     elif lookup.sizes.loose:
         side = lookup.sizes.width
-        # Middles of pieces, from which places are counted.
+        # Offsets from the patches' centres.
         offset_x, offset_y = x % side - side // 2, (y % side - side // 2)[:, None]
         hashes = hash_places(seed, depth, x // side, (y // side)[:, None])
-        # As much around the middle of a piece as it is wide.
+        # The frame is inset so that a patch around its centre stays inside.
         best_x, best_y = cheapest(level, hashes, inset(level.frame, side // 2, side // 2))
     else:
         along_x, along_y = period or (None, None)
@@ -108,42 +110,47 @@ def begin(
             Axis.of(x, lookup.sizes.width, along_x),
             Axis.of(y, lookup.sizes.height, along_y),
         )
-        best_x, best_y = laid(level, depth, seed, across, down)
+        best_x, best_y = lay_patches(level, depth, seed, across, down)
         offset_x, offset_y = across.offset, down.offset[:, None]
     places = np.stack(np.broadcast_arrays(best_x + offset_x, best_y + offset_y), axis=-1)
     return _clamped(places, level.frame)
 
 
 def _ordered(
-    lookup: Lookup, order: Order, seed: int, x: Integers, y: Integers, period: Period | None
+    lookup: Lookup,
+    lattice: PhasedLattice,
+    seed: int,
+    x: Integers,
+    y: Integers,
+    period: Period | None,
 ) -> tuple[Integers, Integers, Integers, Integers]:
-    """Places of cells' middles in phase with the order, and how far texels are from those."""
+    """Places x, y of lattice patches, in phase, and texels' offsets from the patches' centres."""
     depth, level = len(lookup.levels) - 1, lookup.levels[-1]
     together = lookup.sizes.cells
-    wide = high = round(order.piece(together))
+    wide = high = round(lattice.patch_width(together))
     if not lookup.sizes.loose:
-        wide, high = (round(side) for side in order.extent(together))
-    cells = cells_of(order, seed, x, y, period or (None, None), together)
+        wide, high = (round(side) for side in lattice.patch_extent(together))
+    cells = cells_of(lattice, seed, x, y, period or (None, None), together)
     hashes = hash_places(seed, depth, cells.column, cells.row)
     best_x, best_y = cheapest(level, hashes, inset(level.frame, wide // 2, high // 2))
-    best_x, best_y = _in_phase(order, seed, best_x, best_y, cells, period)
+    best_x, best_y = _in_phase(lattice, seed, best_x, best_y, cells, period)
     return best_x, best_y, x - cells.middle_x, y[:, None] - cells.middle_y
 
 
 def _in_phase(
-    order: Order, seed: int, x: Integers, y: Integers, cells: Cells, period: Period | None
+    lattice: PhasedLattice, seed: int, x: Integers, y: Integers, cells: Cells, period: Period | None
 ) -> tuple[Integers, Integers]:
-    """Places of the exemplar moved by less than a period, in phase with the middles of cells."""
-    wanted = order.wanted(seed, cells.middle_x, cells.middle_y, period or (None, None))
-    turns = order.periods()
-    for _ in range(2):  # the second time for what the lattice bends on the way
-        phase_error = (wanted - order.phases(x, y)).astype(np.int64)
+    """Move places by less than a period, so that their phases are those of the cells' centres."""
+    wanted = lattice.ideal_phases(seed, cells.middle_x, cells.middle_y, period or (None, None))
+    turns = lattice.periods()
+    for _ in range(2):  # again, as the exemplar's lattice is bent
+        phase_error = (wanted - lattice.phases(x, y)).astype(np.int64)
         x = x + ((phase_error @ turns[0] + (1 << 23)) >> 24)
         y = y + ((phase_error @ turns[1] + (1 << 23)) >> 24)
     return x, y
 
 
-def _wanted(
+def _ideal_phases(
     lookup: Lookup,
     seed: int,
     depth: int,
@@ -151,17 +158,24 @@ def _wanted(
     rows: Integers,
     period: Period | None,
 ) -> Phases | None:
-    """(rows, columns, 2) phases that places of a level are to have."""
-    if lookup.order is None or lookup.levels[depth].phases is None:
+    """(rows, columns, 2) phases of the ideal lattice, or None where the level does not use them."""
+    if lookup.lattice is None or lookup.levels[depth].phases is None:
         return None
-    phases = lookup.order.wanted(
+    phases = lookup.lattice.ideal_phases(
         seed, (columns << depth)[None, :], (rows << depth)[:, None], period or (None, None)
     )
     return two_phases(phases)
 
 
 def _refine(coarse: Places, given: Rectangle, level: Level, area: Rectangle) -> Places:
-    """Each place's four finer ones, in an area, of the places of an area that were given."""
+    """Upsample places: each coarse one gives four at the next level.
+
+    Args:
+        coarse: places of the area `given`.
+        given: in steps of the coarser level.
+        level: the finer level.
+        area: to return, in steps of the finer level.
+    """
     left, top = area.x - 2 * given.x, area.y - 2 * given.y
     fine = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)
     fine = fine[top : top + area.height, left : left + area.width].copy()

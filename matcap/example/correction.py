@@ -1,4 +1,4 @@
-"""Correction passes: coordinates are replaced by better-fitting candidates; a compiled loop."""
+"""Correction of synthesised coordinates [lefebvre2005] with k-coherence candidates [tong2002]."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ import ctypes
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.example.lattice import Phases
 from matcap.example.library import address, loops
 from matcap.example.lookup import Level
-from matcap.example.order import Phases
 
 Places = NDArray[np.int16]  # (rows, columns, 2): x, y of the exemplar
 
-# Of kernel.c. There a tenth of a turn costs as much as a seam that is seen, and what is merely
-# similar must fit twice better than what continues a piece, so that pieces stay large.
+# As in kernel.c. A phase error of a tenth of a turn costs as much as a visible seam. The mismatch
+# of k-coherence candidates counts twice, so that patches stay large.
 SUBPASSES = ((0, 0), (1, 1), (0, 1), (1, 0))  # (row, column) parity of the places each one corrects
-REACH = 2  # places that a sub-pass looks around itself
+REACH = 2  # radius in places of the neighbourhood that a sub-pass reads
 
 
 class _Level(ctypes.Structure):
     _fields_ = (
         ("appearance", ctypes.c_void_p),
-        ("price", ctypes.c_void_p),
+        ("placement_cost", ctypes.c_void_p),
         ("similar", ctypes.c_void_p),
         ("phases", ctypes.c_void_p),
         *(
             (name, ctypes.c_int32)
             for name in (
-                "columns", "similar_columns", "price_columns", "bits", "similar_bits", "spacing",
+                "columns", "similar_columns", "cost_columns", "bits", "similar_bits", "spacing",
                 "left", "top", "right", "bottom",
             )
         ),
@@ -43,26 +43,27 @@ def correct(
     passes: int,
     phases: Phases | None = None,
 ) -> Places:
-    """Places that fit their neighbours better.
+    """Replace places by candidates that match their neighbourhood better.
 
-    A place whose neighbours all continue it stays. Any other takes the best of what its
-    neighbours and it itself would be continued by, and of what is most similar to those, by the
-    appearance of its diagonal neighbours; each of these is the mean of three neighbours that
-    would continue to there. Of equals the first wins, and what continues a neighbour before what
-    is similar.
+    A place that continues all its neighbours is kept. Otherwise candidates are the continuations of
+    the place itself and of its eight neighbours (the neighbour's place minus its offset), and for
+    each of these its k-coherence candidate. The cost is the squared difference of appearance at the
+    four diagonal neighbours, whose wanted appearance is the mean of what three of their neighbours
+    continue to there; plus phase error and placement cost. Of equal costs the first candidate wins,
+    continuations first.
 
     Args:
         places: (rows, columns, 2).
-        level: what to look up.
-        odd_columns, odd_rows: parity of every column and row of the field.
-        passes: of four sub-passes each.
-        phases: (rows, columns, 2) of the order that the field is to have.
+        level: appearance, candidates and costs.
+        odd_columns, odd_rows: whether each column and row of the field is odd.
+        passes: number of passes, of four sub-passes each.
+        phases: (rows, columns, 2) of the ideal lattice, or None.
 
     Returns:
         (rows - 2 m, columns - 2 m, 2) with m = margin(passes).
 
     Raises:
-        MatcapError: the loops were not built.
+        MatcapError: the compiled loops are missing.
     """
     places = np.ascontiguousarray(places).copy()
     phases = None if phases is None else np.ascontiguousarray(phases)
@@ -87,5 +88,5 @@ def correct(
 
 
 def margin(passes: int) -> int:
-    """Places that a correction reads beyond those it gives, on every side."""
+    """Places that a correction reads beyond those it returns, on every side."""
     return REACH * len(SUBPASSES) * passes

@@ -1,7 +1,7 @@
 """The by-example generator: an exemplar with its index.
 
-Places are found on a grid of at most some 1500 texels; an exemplar of more detail is read at 2, 4
-or 8 times that grid's resolution, so that a finer photograph costs no more to rearrange.
+Places are synthesised on a grid of at most _GRID texels. A larger exemplar is halved to that grid
+for the synthesis, and its maps are read at full resolution.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.stated import NormalStyle
-from matcap.example.blend import Band, Shown, Votes, alike_at_seams, bands_of, blended
+from matcap.example.blend import Band, ExemplarBands, Votes, bands_of, blended, seam_correlations
 from matcap.example.coordinates import coordinates
 from matcap.example.correction import Places
 from matcap.example.exemplar import Exemplar, Floats
 from matcap.example.grids import frame_of, level_count
 from matcap.example.index import Index, build_index
+from matcap.example.lattice import GRID, Frequency
 from matcap.example.lookup import Lookup, prepare
 from matcap.example.normals import with_normals
-from matcap.example.order import GRID, Frequency
-from matcap.example.piece_sizes import PieceSizes
+from matcap.example.patch_sizes import PatchSizes
 from matcap.example.repeat.source import RepeatedSource
 from matcap.example.tuned import BLEND
 from matcap.field.blocks import RING, Grid
@@ -38,23 +38,23 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from matcap.brdf.maps import MapSet
-PREFIX = "example."  # what the names of its tensors in a file begin with
-_GRID = 1536  # texels of the longer side of the grid at most
-# Wider than a decoder's: places around a block are most of what a small one costs.
+PREFIX = "example."  # of the names of its tensors in a file
+_GRID = 1536  # texels of the grid's longer side, at most
+# Wider than a decoder's: for small blocks most time goes into the margin.
 _BLOCKS = Grid(1024, 256)
 
 
 @dataclass(frozen=True)
 class _Ready:
-    """What is made again whenever an example is read, and looked up from then on.
+    """What is computed from an example once it is used.
 
     Attributes:
-        lookup: for the places.
-        shown: at them.
+        lookup: for the synthesis of places.
+        shown: for the maps at them.
     """
 
     lookup: Lookup
-    shown: Shown
+    shown: ExemplarBands
 
 
 _PREPARING = Lock()
@@ -65,9 +65,9 @@ class Example:
     """An exemplar and its index; picklable.
 
     Attributes:
-        exemplar: as a file gives it back (Exemplar.rounded).
+        exemplar: rounded as in a file (Exemplar.rounded).
         index: of the exemplar on its grid.
-        variety: of its field, from 0, the piece itself repeated, to 1, of many small pieces.
+        variety: patch size, from 0, the whole exemplar, to 1, the smallest patches.
     """
 
     exemplar: Exemplar
@@ -80,7 +80,7 @@ class Example:
 
         Args:
             exemplar: of at least 14 texels a side.
-            waves: about where those of its regular order are, in cycles per texel of it.
+            waves: approximate frequency vectors of its lattice, cycles per texel; or none.
 
         Raises:
             ValueError: it is too small.
@@ -95,16 +95,16 @@ class Example:
 
     @property
     def alignment(self) -> int:
-        """What periods are multiples of, in texels."""
+        """Texels: periods of its field are multiples of this."""
         return 1 << (detail_bits(self.exemplar) + len(self.index.bases) - 1)
 
     @property
     def piece_size(self) -> tuple[int, int]:
-        """(width, height) in texels of the photographed piece."""
+        """(width, height) of the exemplar in texels."""
         return self.exemplar.size
 
     def piece(self) -> MapSet:
-        """Maps of the photographed piece."""
+        """Maps of the exemplar."""
         import torch
 
         from matcap.brdf.maps import MapSet
@@ -116,7 +116,7 @@ class Example:
     def source(
         self, seed: int, period: Period | None = None, device: torch.device | None = None
     ) -> ExampleSource:
-        """The source of its field: the same on every device, always computed on the processor.
+        """The field of a seed and period, computed on the processor whatever the device.
 
         Raises:
             UsageError: a seed or period out of range.
@@ -126,7 +126,7 @@ class Example:
         return ExampleSource(self, seed, period, self.exemplar.texel_size)
 
     def repeating(self) -> MapSet:
-        """Maps of the photographed piece itself, made to repeat, at about its own size.
+        """Maps of the exemplar as a seamless tile; see example/repeat.
 
         Raises:
             UsageError: it is too small.
@@ -139,36 +139,36 @@ class Example:
         return MapSet.from_stacked(stacked, self.exemplar.texel_size, periodic=True)
 
     def repeating_source(self) -> RepeatedSource:
-        """The same to be written, without PyTorch.
+        """repeating() as a source; needs no PyTorch.
 
         Raises:
             UsageError: it is too small.
         """
-        # OpenCV takes a tenth of a second to start, which no field needs.
+        # Imports OpenCV, which takes a tenth of a second and only tiles need.
         from matcap.example.repeat.repeat import repeated
 
-        exemplar, order = self.exemplar, self.index.order
+        exemplar, lattice = self.exemplar, self.index.lattice
         bits = detail_bits(exemplar)
         box = known_part(exemplar, 1 << (GRID + bits))
         rows, columns = slice(box.y, box.y + box.height), slice(box.x, box.x + box.width)
-        within = order and order.moved(box.x >> bits, box.y >> bits)
+        within = lattice and lattice.cropped(box.x >> bits, box.y >> bits)
         maps = exemplar.stacked()[:, rows, columns]
         return RepeatedSource(
             repeated(maps, exemplar.texel_size, within, bits).maps, exemplar.texel_size
         )
 
     def stored(self) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
-        """Tensors and a description for JSON, from which read() makes it again."""
+        """Tensors, and a description for JSON; the inverse of read()."""
         maps, about = self.exemplar.stored()
         chosen, about_index = self.index.stored()
         tensors = {f"exemplar.{name}": data for name, data in maps.items()}
         tensors |= {f"index.{name}": data for name, data in chosen.items()}
         described: dict[str, Any] = {"exemplar": about, "index": about_index}
-        # As in files of before there was one, whose fields are of full variety.
+        # A file without a variety has variety 1.
         return tensors, described | ({} if self.variety == 1.0 else {"variety": self.variety})
 
     def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Tensors and an entry of a material's description (stored.py reads them)."""
+        """Tensors and an entry of a material's description; the inverse of stored.read()."""
         import torch
 
         arrays, about = self.stored()
@@ -177,10 +177,14 @@ class Example:
 
     @staticmethod
     def read(about: Mapping[str, Any], tensor: Callable[[str], NDArray[np.uint8]]) -> Example:
-        """An example from what stored() gave.
+        """The example of what stored() returned.
+
+        Args:
+            about: the description.
+            tensor: returns the bytes of a name.
 
         Raises:
-            ValueError, KeyError, TypeError: it is not as it should be.
+            ValueError, KeyError, TypeError: an entry is missing or malformed.
         """
         exemplar = Exemplar.read(about["exemplar"], lambda name: tensor(f"exemplar.{name}"))
         bits = detail_bits(exemplar)
@@ -191,10 +195,10 @@ class Example:
         return Example(exemplar, index, bounded(about.get("variety", 1.0), "variety", 0.0, 1.0))
 
     def varied(self, variety: float | None) -> Example:
-        """The same read with another variety; itself where none is named.
+        """A copy of another variety; itself for None.
 
         Raises:
-            UsageError: one out of range.
+            UsageError: a variety outside [0, 1].
         """
         if variety is None or variety == self.variety:
             return self
@@ -202,12 +206,12 @@ class Example:
         return Example(self.exemplar, self.index, variety)
 
     def maps(self, seed: int, area: Rectangle, period: Period | None) -> Floats:
-        """(6 or 8, height, width) stacked maps of an area of the field, a pure function of texels.
+        """(6 or 8, height, width) stacked maps of an area of the field.
 
         Args:
             seed: in [-2^63, 2^63).
             area: in texels.
-            period: that the field repeats in, multiples of `alignment`.
+            period: of the field, multiples of `alignment`, or None.
         """
         lookup, shown = self._ready.lookup, self._ready.shown
         own, levels = area.coarser(shown.bits), len(lookup.levels)
@@ -226,7 +230,7 @@ class Example:
         return blended(shown, area, of(own, 0), predicted)
 
     def places(self, seed: int, area: Rectangle, period: Period | None) -> Places:
-        """(height, width, 2) int16: x, y of the exemplar that every texel of an area shows."""
+        """(height, width, 2) int16: x, y of the exemplar at every texel of an area."""
         bits = detail_bits(self.exemplar)
         coarse = area.coarser(bits)
         placed = coordinates(self._ready.lookup, seed, {0: coarse}, _coarser(period, bits))[0]
@@ -242,12 +246,12 @@ class Example:
 
     @property
     def lookup(self) -> Lookup:
-        """What places are found with."""
+        """What places are synthesised from."""
         return self._ready.lookup
 
     @property
     def _ready(self) -> _Ready:
-        with _PREPARING:  # threads that ask at once wait for the first one
+        with _PREPARING:  # concurrent threads wait for the first one's result
             return self._prepared
 
     @cached_property
@@ -259,24 +263,25 @@ class Example:
             lookup = prepare(coarse, self.index, self.variety)
             maps = (exemplar.diffuse, exemplar.specular, exemplar.roughness, exemplar.height)
             planes = tuple(plane for planes in maps for plane in planes)
-            shown = Shown(planes, bands.result(), _alike(lookup, bands.result()), bits)
+            correlations = _seam_correlations(lookup, bands.result())
+            shown = ExemplarBands(planes, bands.result(), correlations, bits)
             return _Ready(lookup, shown)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what can be made again."""
+        """The fields alone, without cached properties."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 @dataclass(frozen=True)
 class ExampleSource:
-    """The by-example field of one exemplar and seed: all a worker needs; picklable.
+    """The by-example field of one exemplar and seed; picklable.
 
     Attributes:
-        example: the exemplar, indexed.
-        seed: which realisation.
-        period: what repeats, in multiples of the example's alignment.
+        example: the indexed exemplar.
+        seed: of the realisation.
+        period: in texels, multiples of the example's alignment; None if the field never repeats.
         texel_size: in plane units.
-        grid: the blocks that the plane is cut into.
+        grid: of blocks.
     """
 
     example: Example
@@ -287,12 +292,12 @@ class ExampleSource:
 
     @property
     def specular_channels(self) -> int:
-        """Of F0: 1, or 3 where it has a colour."""
+        """Channels of F0: 1, or 3 where it has a colour."""
         return len(self.example.exemplar.specular)
 
     @property
     def device_type(self) -> str:
-        """Where it is computed: places are integers, and the same everywhere."""
+        """Device that computes it."""
         return "cpu"
 
     def maps(self, block: Rectangle) -> Tensor:
@@ -302,39 +307,39 @@ class ExampleSource:
         return torch.from_numpy(self._stacked(block))
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-        """(9 or 11, height, width) of a block: its maps and the normal."""
+        """(9 or 11, height, width) maps and normal of a block."""
         return with_normals(self._stacked(block), self.texel_size, normal)
 
     def _stacked(self, block: Rectangle) -> NDArray[np.float32]:
         return self.example.maps(self.seed, block.grown(RING), self.period)
 
 
-def piece_sizes(example: Example) -> PieceSizes:
-    """Of the pieces that an example's field begins with, on its grid of places."""
+def patch_sizes(example: Example) -> PatchSizes:
+    """Sizes of the patches of an example's coarsest level, in texels of its grid of places."""
     bits, depth = detail_bits(example.exemplar), len(example.index.bases) - 1
     width, height = (side >> bits for side in example.exemplar.size)
     frame = frame_of(depth, width, height)
-    return PieceSizes.of(frame, 1 << depth, example.index.order, example.variety)
+    return PatchSizes.of(frame, 1 << depth, example.index.lattice, example.variety)
 
 
 def detail_bits(exemplar: Exemplar) -> int:
-    """How often an exemplar is halved to the grid that places are found on."""
+    """How many times an exemplar is halved to its grid of places."""
     bits = 0
     while max(exemplar.size) >> bits > _GRID:
         bits += 1
     return bits
 
 
-def _alike(lookup: Lookup, bands: tuple[Band, ...]) -> tuple[float, ...]:
-    """How far votes that differ correlate, by the seams of a part of a field."""
+def _seam_correlations(lookup: Lookup, bands: tuple[Band, ...]) -> tuple[float, ...]:
+    """seam_correlations of a sample of the field."""
     level, side = BLEND.measured
     level = min(level, len(lookup.levels) - 1)
     places = coordinates(lookup, 0, {level: Rectangle(0, 0, side, side)}, None)[level]
-    return alike_at_seams(bands, places, 1 << level)
+    return seam_correlations(bands, places, 1 << level)
 
 
 def _coarser(period: Period | None, bits: int) -> Period | None:
-    """A period on a grid 2^bits texels wide."""
+    """A period in steps of 2^bits texels."""
     return (
         None
         if period is None
@@ -343,7 +348,7 @@ def _coarser(period: Period | None, bits: int) -> Period | None:
 
 
 def known_part(exemplar: Exemplar, multiple: int) -> Rectangle:
-    """What of an exemplar any map is known in, from such multiples on: the rest was left out."""
+    """Bounding rectangle of the texels with any confidence; x and y are rounded up to multiples."""
     known = exemplar.confidence.max(axis=0) > 0.0
     if not known.any():
         return Rectangle(0, 0, *exemplar.size)
@@ -353,7 +358,7 @@ def known_part(exemplar: Exemplar, multiple: int) -> Rectangle:
 
 
 def coarsened(exemplar: Exemplar, bits: int) -> Exemplar:
-    """An exemplar of texels 2^bits as large: means, in a fixed order."""
+    """An exemplar at 2^-bits of the resolution, by averages of 2 x 2 texels."""
     for _ in range(bits):
         exemplar = replace(
             exemplar,

@@ -1,10 +1,10 @@
 """Exemplar: the maps of the photographed rectangle, with a confidence per map and texel.
 
-NumPy alone: what reads an exemplar, the field by example first of all, starts without PyTorch.
+NumPy only, so that the field by example needs no PyTorch.
 
-In a file every map is 16-bit numbers, packed (packed.py): half floats; height as multiples of a
-power of two, for slopes are differences of heights, and half floats would step. A stranger may
-have written the file, so that sizes are bounded before anything is unpacked.
+In a file every map is packed 16-bit numbers (packed.py): half floats, but for height multiples of a
+power of two, as differences of half floats would give uneven slopes. Files may be hostile, so that
+sizes are checked before anything is unpacked.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ Floats = NDArray[np.float32]
 
 CHANNELS: dict[str, int] = {"diffuse": 3, "specular": 1, "roughness": 1, "height": 1}
 COLOURED = 3  # channels of a specular albedo that has a colour
-# Where they lie in what is stacked, coloured or not.
+# Channels of stacked maps, with any number of specular channels.
 DIFFUSE, SPECULAR, ROUGHNESS, HEIGHT = slice(0, 3), slice(3, -2), slice(-2, -1), slice(-1, None)
 _LARGEST_SIDE = 8192  # texels: more than a photograph of 50 megapixels has
 _LARGEST_HEIGHT = 1e6  # plane units
 _HEIGHT_STEPS = 2**16 - 1
-_CONFIDENCE_STEPS = 15  # a weight; finer steps would be stored noise
+_CONFIDENCE_STEPS = 15  # confidence is a weight that needs no finer steps
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class Exemplar:
     height: Floats
     """(1, H, W) in plane units (half the photograph's long side)."""
     confidence: Floats
-    """(4, H, W) in [0, 1] of diffuse, specular, roughness and height: 0 where the photograph says
-    nothing of it."""
+    """(4, H, W) in [0, 1], of diffuse, specular, roughness and height: 0 where the photograph does
+    not determine the map."""
     texel_size: float
     """A texel's side in plane units."""
 
@@ -82,11 +82,11 @@ class Exemplar:
 
     @property
     def coloured(self) -> bool:
-        """Whether its F0 has a colour: three channels."""
+        """Whether F0 has three channels."""
         return len(self.specular) == COLOURED
 
     def cut(self, rows: slice, columns: slice) -> Exemplar:
-        """Some of its texels."""
+        """A rectangle of its texels."""
 
         def some(planes: Floats) -> Floats:
             return np.ascontiguousarray(planes[:, rows, columns])
@@ -101,7 +101,7 @@ class Exemplar:
         )
 
     def turned(self) -> Exemplar:
-        """The same, turned a quarter clockwise."""
+        """The exemplar rotated by 90 degrees clockwise."""
 
         def turn(planes: Floats) -> Floats:
             return np.ascontiguousarray(np.rot90(planes, -1, (1, 2)))
@@ -119,12 +119,8 @@ class Exemplar:
         """(6, H, W): diffuse, specular, roughness, height; 8 where F0 has a colour."""
         return np.concatenate([getattr(self, name) for name in CHANNELS])
 
-    def height_coding(self) -> tuple[float, int]:
-        """(unit, low): a power of two, and how many of it the least height is."""
-        return _height_coding(self.height)
-
     def rounded(self) -> Exemplar:
-        """What a file gives back: the same for an exemplar that was rounded before."""
+        """The exemplar with values rounded as in a file; idempotent."""
         unit, low = _height_coding(self.height)
         return replace(
             self,
@@ -136,7 +132,7 @@ class Exemplar:
         )
 
     def stored(self) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
-        """Tensors (bytes, by map) and a description for JSON, from which read() makes it again."""
+        """Tensors (bytes, by map), and a description for JSON; the inverse of read()."""
         unit, low = _height_coding(self.height)
         tensors = {
             name: pack(_half(getattr(self, name)).view(np.uint16))
@@ -156,14 +152,14 @@ class Exemplar:
 
     @staticmethod
     def read(about: Mapping[str, Any], tensor: Callable[[str], NDArray[np.uint8]]) -> Exemplar:
-        """An exemplar from what stored() gave.
+        """The exemplar of what stored() returned.
 
         Args:
             about: the description.
-            tensor: gives the bytes of a map, by its name.
+            tensor: returns the bytes of a map's name.
 
         Raises:
-            ValueError, KeyError, TypeError: the description or a map is not as it should be.
+            ValueError, KeyError, TypeError: an entry or a map is missing or malformed.
         """
         columns, rows = (int(side) for side in about["size"])
         _check_size(columns, rows)
@@ -206,10 +202,10 @@ def _half(values: Floats) -> NDArray[np.float16]:
 
 
 def _height_coding(height: Floats) -> tuple[float, int]:
-    """(unit, low): a power of two, and how many of it the least height is."""
+    """(unit, low): a power of two in plane units, and the least height in that unit."""
     low, high = float(height.min()), float(height.max())
-    # Coarse enough for the range in 16 bits (one step is lost to rounding at either end), and for
-    # the least height to be a float32's multiple of it.
+    # The range must fit 16 bits, less a step for rounding at either end; and multiples of the unit
+    # must be exact in float32.
     least = max((high - low) / (_HEIGHT_STEPS - 2), max(abs(low), abs(high)) / 2**22, 2.0**-50)
     unit = 2.0 ** math.ceil(math.log2(least))
     return unit, round(low / unit)

@@ -1,13 +1,13 @@
 """Features by which places of an exemplar are compared: its maps quantised to small integers.
 
-Every step but the choice of `Scale` is exact arithmetic, elementwise, so that an exemplar and a
-scale have the same features on every machine.
+Elementwise arithmetic without rounding differences: an exemplar and a Scale give the same features
+on every machine.
 
-Eight planes: square roots of the diffuse albedo's three channels and of F0 (steps that look alike
-are numbers alike), roughness, both slopes of the height, and the height itself. Where F0 has a
-colour, the first three are of diffuse albedo and F0 together, and the fourth of F0's luminance:
-a metal has its colour in F0 alone and what is no metal in its albedo alone, so that these four
-distinguish both, in as many numbers.
+Eight planes: square roots of diffuse albedo (3) and of F0 (1), roughness, slopes of the height
+along x and y, and height. The square root makes steps perceptually about even. Where F0 has a
+colour, the first three are square roots of diffuse albedo plus F0, and the fourth of F0's
+luminance: metals have their colour in F0, dielectrics in the albedo, so that four planes
+distinguish both.
 """
 
 from __future__ import annotations
@@ -24,26 +24,32 @@ from matcap.files.rec709 import LUMINANCE
 FeatureMap = NDArray[np.int16]
 
 PLANES = 8
-LIMIT = 127  # of a feature
+LIMIT = 127  # largest magnitude of a feature
 
 
 @dataclass(frozen=True)
 class Scale:
-    """How planes become features: (value - offset) * factor, rounded."""
+    """Quantisation of planes: feature = round((value - offset) * factor), clipped to LIMIT."""
 
     offsets: NDArray[np.float32]
+    """(PLANES,)."""
     factors: NDArray[np.float32]
-    """(PLANES,) float32."""
+    """(PLANES,)."""
 
 
 def planes_of(exemplar: Exemplar) -> NDArray[np.float32]:
-    """(PLANES, H, W): what features are made of. Height is in texels."""
+    """(PLANES, H, W) planes of an exemplar; height is in texels."""
     maps = (exemplar.diffuse, exemplar.specular, exemplar.roughness, exemplar.height)
     return planes_of_maps(maps, exemplar.texel_size)
 
 
 def planes_of_maps(maps: tuple[NDArray[np.float32], ...], texel_size: float) -> NDArray[np.float32]:
-    """The same of maps that no exemplar holds: diffuse (3, H, W), F0 (1 or 3, H, W), (1, H, W)."""
+    """(PLANES, H, W) planes of maps.
+
+    Args:
+        maps: diffuse (3, H, W), F0 (1 or 3, H, W), roughness (1, H, W), height (1, H, W).
+        texel_size: in the height's unit.
+    """
     diffuse, specular, roughness, heights = maps
     planes = np.empty((PLANES, *heights.shape[1:]), np.float32)
     coloured = len(specular) > 1
@@ -57,18 +63,17 @@ def planes_of_maps(maps: tuple[NDArray[np.float32], ...], texel_size: float) -> 
 
 
 def choose_scale(planes: NDArray[np.float32]) -> Scale:
-    """The scale that makes the planes of an exemplar comparable with each other."""
+    """Scale planes by their standard deviations; colours share one, and so do both slopes."""
     flat = planes.reshape(PLANES, -1)
-    spread = np.maximum(flat.std(axis=1), FEATURE.unseen)
-    # Colours keep their proportions, and so do slopes.
-    spread[:3] = spread[:3].max()
-    spread[5:7] = spread[5:7].max()
-    factors = FEATURE.unit * np.array(FEATURE.weights) / spread
+    deviation = np.maximum(flat.std(axis=1), FEATURE.unseen)
+    deviation[:3] = deviation[:3].max()
+    deviation[5:7] = deviation[5:7].max()
+    factors = FEATURE.unit * np.array(FEATURE.weights) / deviation
     return Scale(flat.mean(axis=1).astype(np.float32), factors.astype(np.float32))
 
 
 def features_of(planes: NDArray[np.float32], scale: Scale) -> FeatureMap:
-    """(PLANES, H, W) integers of at most LIMIT."""
+    """(PLANES, H, W) quantised planes."""
     values = planes - scale.offsets[:, None, None]
     values *= scale.factors[:, None, None]
     np.clip(np.rint(values, out=values), -LIMIT, LIMIT, out=values)
@@ -76,7 +81,7 @@ def features_of(planes: NDArray[np.float32], scale: Scale) -> FeatureMap:
 
 
 def halved(features: FeatureMap) -> FeatureMap:
-    """(PLANES, H // 2, W // 2): means of two by two, rounded down."""
+    """(PLANES, H // 2, W // 2) averages of 2 x 2 texels."""
     rows, columns = features.shape[1] // 2 * 2, features.shape[2] // 2 * 2
     even, odd = features[:, 0:rows:2, :columns], features[:, 1:rows:2, :columns]
     pairs = even + odd
@@ -84,7 +89,7 @@ def halved(features: FeatureMap) -> FeatureMap:
 
 
 def smoothed(features: FeatureMap) -> FeatureMap:
-    """The same through a filter of 1/4, 1/2, 1/4 along both axes, the border repeated."""
+    """Features filtered by (1/4, 1/2, 1/4) along both axes, borders repeated."""
     wide = np.pad(features, ((0, 0), (1, 1), (1, 1)), mode="edge")
     down = (wide[:, :-2] + wide[:, 2:] + np.int16(2) * wide[:, 1:-1] + np.int16(2)) >> np.int16(2)
     return (
@@ -93,7 +98,7 @@ def smoothed(features: FeatureMap) -> FeatureMap:
 
 
 def _luminance(colour: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(H, W) of (3, H, W): sums in a fixed order, for the same bits on every machine."""
+    """(H, W) luminance of (3, H, W), summed in a fixed order for the same bits everywhere."""
     red, green, blue = (np.float32(w) * plane for w, plane in zip(LUMINANCE, colour, strict=True))
     return red + green + blue
 

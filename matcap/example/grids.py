@@ -1,4 +1,4 @@
-"""The grids of the levels: how coarse each is, and where places may lie."""
+"""Grids of the synthesis levels, and the frame that places are limited to."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 from matcap.example.features import FeatureMap, halved, smoothed
 
-MOST_LEVELS = 5  # periods are multiples of 2^4 texels, as the decoder's
-PRICE_BITS = 2  # prices are of squares of so many bits of texels
-_MARGIN = 3  # steps between a place and the exemplar's border: beyond, there is no neighbourhood
-_ROOM = 8  # steps of the coarsest level that an exemplar is at least wide
+MOST_LEVELS = 5  # so that periods are multiples of 2^4 texels, as the decoder's
+COST_BITS = 2  # the grid of placement costs has a step of 2^COST_BITS texels
+_MARGIN = 3  # steps between places and the exemplar's border, for their neighbourhoods
+_LEAST_STEPS = 8  # least width of the coarsest level's frame, in its steps
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Where places may lie, in the exemplar's texels, ends included."""
+    """Rectangle of the exemplar's texels that places are limited to, ends included."""
 
     left: int
     top: int
@@ -23,36 +23,36 @@ class Frame:
 
 
 def frame_of(level: int, width: int, height: int) -> Frame:
-    """Where places of a level may lie."""
+    """The frame of a level's places, for an exemplar of this size."""
     margin = _MARGIN << level
     return Frame(margin, margin, width - 1 - margin, height - 1 - margin)
 
 
 def level_count(width: int, height: int) -> int:
-    """How many levels an exemplar of this size has room for; 0 for too small a one."""
+    """Number of levels for an exemplar of this size; 0 if it is too small."""
     count = 0
-    while count < MOST_LEVELS and min(width, height) >= (_ROOM + 2 * _MARGIN) << count:
+    while count < MOST_LEVELS and min(width, height) >= (_LEAST_STEPS + 2 * _MARGIN) << count:
         count += 1
     return count
 
 
 def grid_bits(level: int) -> int:
-    """The grid of a level's appearance is half its spacing wide: 2^bits texels."""
+    """log2 of the step of a level's appearance grid: half its spacing, at least a texel."""
     return max(0, level - 1)
 
 
 def similar_bits(level: int) -> int:
-    """The grid of a level's similar places is its spacing wide, and two texels at least."""
+    """log2 of the step of a level's candidate grid: its spacing, at least two texels."""
     return max(1, level)
 
 
 def step_of(level: int) -> int:
-    """Steps of the appearance's grid between places of a level."""
+    """Steps of a level's appearance grid between its places."""
     return 2 if level else 1
 
 
 def grids_of(features: FeatureMap, count: int) -> list[FeatureMap]:
-    """Per level: the features, smoothed to its spacing."""
+    """The features on each level's appearance grid, smoothed to the level's spacing."""
     grids = [features]
     for _ in range(1, count):
         grids.append(smoothed(features))

@@ -1,7 +1,7 @@
 """Random integers as a pure function of (seed, level, x, y), exact anywhere in [-2^40, 2^40].
 
-The counter-based hash of noise.py in NumPy: a column and a row are scrambled apart and joined by
-one more scrambling, all modulo 2^64.
+The counter-based hash of space/noise.py, in NumPy: column and row are hashed separately, combined,
+and hashed again, all modulo 2^64.
 """
 
 from __future__ import annotations
@@ -9,30 +9,31 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.field.turns import Integers
+
 Hashes = NDArray[np.uint64]
-Integers = NDArray[np.int64]
 
 _WORD = 2**64
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)  # the multipliers of splitmix64's finaliser
 _MIX_2 = np.uint64(0x94D049BB133111EB)  # [steele2014]
-_DRAW = 0xD6E8FEB86659FD93  # sets the draws of one place apart
+_DRAW = 0xD6E8FEB86659FD93  # makes the draws of one place independent
 
 
 def scramble(value: Hashes) -> Hashes:
-    """splitmix64's finaliser: a bijection in which every bit reaches all."""
+    """splitmix64's finaliser [steele2014]: a bijection in which each bit affects all others."""
     value = (value ^ (value >> np.uint64(30))) * _MIX_1
     value = (value ^ (value >> np.uint64(27))) * _MIX_2
     return value ^ (value >> np.uint64(31))
 
 
 def hash_places(seed: int, level: int, x: Integers, y: Integers) -> Hashes:
-    """Hashes of places (x, y), of shapes that broadcast.
+    """Hashes of positions.
 
     Args:
         seed: in [-2^63, 2^63).
-        level: sets the places of a seed apart.
-        x, y: columns and rows.
+        level: hashes of different levels are independent.
+        x, y: columns and rows, of shapes that broadcast.
     """
     start = scramble(np.array([(seed + _GOLDEN) % _WORD], np.uint64))
     counter = [(2 * level + 1) * _GOLDEN % _WORD, (2 * level + 2) * _GOLDEN % _WORD]

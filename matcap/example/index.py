@@ -1,10 +1,10 @@
-"""Index of an exemplar: PCA bases, candidates and placement costs, computed once at capture.
+"""Index of an exemplar: PCA bases, k-coherence candidates and penalties, computed once at capture.
 
-What follows from the exemplar and these choices by exact arithmetic is not kept, but made again
-(lookup.py): appearances alone would take 30 megabytes.
+What follows from these by exact arithmetic is not stored but computed again (lookup.py); appearance
+vectors alone would take 30 megabytes.
 
-Places that are hardly trusted, and marks that occur once, are reluctant: pieces begin elsewhere,
-and seams lead round them.
+Places of low confidence, and unique features such as stains, have penalties: patches are not placed
+there, and seams avoid them.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.appearance import DIMENSIONS, TAPS, Appearance, Basis, choose_basis, project
+from matcap.example.candidates import Candidates, find_candidates
 from matcap.example.exemplar import Exemplar
 from matcap.example.features import (
     PLANES,
@@ -29,7 +30,7 @@ from matcap.example.features import (
     planes_of,
 )
 from matcap.example.grids import (
-    PRICE_BITS,
+    COST_BITS,
     frame_of,
     grid_bits,
     grids_of,
@@ -37,9 +38,8 @@ from matcap.example.grids import (
     similar_bits,
     step_of,
 )
-from matcap.example.order import GRID, Frequency, Order, measure_order
+from matcap.example.lattice import GRID, Frequency, PhasedLattice, measure_lattice
 from matcap.example.packed import pack, unpack
-from matcap.example.similar import Similar, find_similar
 from matcap.example.tuned import INDEX
 
 _MOST = 255
@@ -47,24 +47,25 @@ _MOST = 255
 
 @dataclass(frozen=True)
 class Index:
-    """What was chosen for an exemplar."""
+    """Index of an exemplar on its grid of places."""
 
     scale: Scale
     """From maps to features."""
     bases: tuple[Basis, ...]
-    """Per level, the finest first, from features to appearance."""
+    """By level, finest first, from features to appearance."""
     similar: tuple[NDArray[np.int16], ...]
-    """Per level (H, W, 2) int16: x, y of the most similar place in texels."""
-    reluctance: NDArray[np.uint8]
-    """(H, W) uint8 of squares of 4 x 4 texels; 255 where pieces must not begin."""
-    order: Order | None
-    """The lattice to keep, or None."""
+    """By level, (H, W, 2): x, y in texels of each place's k-coherence candidate."""
+    penalty: NDArray[np.uint8]
+    """(H, W) of squares of 4 x 4 texels, square root of the placement cost in units of
+    2^LOOKUP.cost_bits; 255 excludes a place."""
+    lattice: PhasedLattice | None
+    """Of a regular texture."""
     left_out: float
-    """Share of the exemplar that matches nothing else."""
+    """Share of the exemplar that is unique: it matches no other place."""
 
     def stored(self) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
-        """Tensors (bytes) and a description for JSON, from which read() makes it again."""
-        tensors = {"reluctance": pack(self.reluctance)}
+        """Tensors (bytes), and a description for JSON; the inverse of read()."""
+        tensors = {"reluctance": pack(self.penalty)}
         for level, (basis, similar) in enumerate(zip(self.bases, self.similar, strict=True)):
             tensors[f"basis.{level}"] = pack(basis.weights)
             tensors[f"similar.{level}"] = pack(np.ascontiguousarray(similar.transpose(2, 0, 1)))
@@ -75,24 +76,24 @@ class Index:
             "left_out": self.left_out,
             "waves": [],
         }
-        if self.order is not None:
-            about["waves"] = [list(wave) for wave in self.order.waves]
-            tensors["bends"] = pack(self.order.bends)
+        if self.lattice is not None:
+            about["waves"] = [list(wave) for wave in self.lattice.waves]
+            tensors["bends"] = pack(self.lattice.phase_offsets)
         return tensors, about
 
     @staticmethod
     def read(
         about: Mapping[str, Any], tensor: Callable[[str], NDArray[np.uint8]], size: tuple[int, int]
     ) -> Index:
-        """An index from what stored() gave.
+        """The index of what stored() returned.
 
         Args:
             about: the description.
-            tensor: gives bytes, by their name.
-            size: (width, height) of the exemplar's grid that it is for.
+            tensor: returns the bytes of a name.
+            size: (width, height) of the exemplar's grid of places.
 
         Raises:
-            ValueError, KeyError, TypeError: it is not as it should be, or for another size.
+            ValueError, KeyError, TypeError: an entry is missing, malformed or of another size.
         """
         width, height = size
         shifts = [int(shift) for shift in about["shifts"]]
@@ -112,28 +113,28 @@ class Index:
             Scale(_floats(about["offsets"]), _floats(about["factors"])),
             tuple(bases),
             tuple(similar),
-            unpack(tensor("reluctance"), _shape(width, height, PRICE_BITS), np.uint8),
-            _order(about["waves"], tensor, width, height),
+            unpack(tensor("reluctance"), _shape(width, height, COST_BITS), np.uint8),
+            _lattice(about["waves"], tensor, width, height),
             float(about["left_out"]),
         )
 
 
 def build_index(exemplar: Exemplar, waves: tuple[Frequency, ...]) -> Index:
-    """The index of an exemplar.
+    """Compute the index of an exemplar.
 
     Args:
-        exemplar: of at least 14 texels a side.
-        waves: about where those of its regular order are; none for most materials.
+        exemplar: on its grid of places, of at least 14 texels a side.
+        waves: approximate frequency vectors of its lattice, cycles per texel; or none.
     """
     width, height = exemplar.size
     planes = planes_of(exemplar)
     scale = choose_scale(planes)
     features = features_of(planes, scale)
     means = features.mean(axis=(1, 2), keepdims=True)
-    order = measure_order(np.subtract(features, means, dtype=np.float32), waves)
+    lattice = measure_lattice(np.subtract(features, means, dtype=np.float32), waves)
     count = level_count(width, height)
-    if order is not None:
-        count = min(count, _ordered_levels(order))
+    if lattice is not None:
+        count = min(count, _ordered_levels(lattice))
     grids = grids_of(features, count)
     steps = [step_of(level) for level in range(count)]
     with ThreadPoolExecutor() as pool:
@@ -141,7 +142,7 @@ def build_index(exemplar: Exemplar, waves: tuple[Frequency, ...]) -> Index:
         appearances = list(pool.map(project, grids, bases))
         candidates = list(pool.map(partial(_similar, width, height), range(count), appearances))
     unique = _unique(candidates[min(INDEX.unique_level, count - 1)])
-    reluctance = np.maximum(_doubt(exemplar), _MOST * _resized(unique, width, height))
+    penalty = np.maximum(_low_confidence(exemplar), _MOST * _resized(unique, width, height))
     places = [
         (np.stack([one.columns, one.rows], axis=-1) << similar_bits(level)).astype(np.int16)
         for level, one in enumerate(candidates)
@@ -150,18 +151,19 @@ def build_index(exemplar: Exemplar, waves: tuple[Frequency, ...]) -> Index:
         scale,
         tuple(bases),
         tuple(places),
-        reluctance.astype(np.uint8),
-        order,
+        penalty.astype(np.uint8),
+        lattice,
         round(float(unique.mean()), 4),
     )
 
 
-def _ordered_levels(order: Order) -> int:
-    """Levels that pieces of a lattice are drawn finely enough at."""
-    return max(1, math.floor(math.log2(order.piece() / INDEX.fineness)) + 1)
+def _ordered_levels(lattice: PhasedLattice) -> int:
+    """Number of levels at which a lattice's patch is at least INDEX.fineness places wide."""
+    return max(1, math.floor(math.log2(lattice.patch_width() / INDEX.fineness)) + 1)
 
 
-def _similar(width: int, height: int, level: int, appearance: Appearance) -> Similar:
+def _similar(width: int, height: int, level: int, appearance: Appearance) -> Candidates:
+    """Candidates of a level, on its candidate grid."""
     bits = similar_bits(level)
     skip = 1 << (bits - grid_bits(level))
     frame = frame_of(level, width, height)
@@ -170,47 +172,50 @@ def _similar(width: int, height: int, level: int, appearance: Appearance) -> Sim
         slice(-(-frame.left >> bits), (frame.right >> bits) + 1),
     )
     some = np.ascontiguousarray(appearance[::skip, ::skip])
-    return find_similar(some, max(INDEX.least_steps, INDEX.least_texels >> bits), allowed)
+    return find_candidates(some, max(INDEX.least_steps, INDEX.least_texels >> bits), allowed)
 
 
-def _unique(similar: Similar) -> NDArray[np.bool_]:
-    """Places that nothing else is like."""
+def _unique(similar: Candidates) -> NDArray[np.bool_]:
+    """Places whose candidate is INDEX.unique times as distant as the median one."""
     distances = similar.distances.astype(np.float64)
     return distances > INDEX.unique * max(float(np.median(distances)), 1.0)
 
 
-def _doubt(exemplar: Exemplar) -> NDArray[np.float64]:
-    """Reluctance of places that are less trusted than most."""
-    side = 1 << PRICE_BITS
-    # A place is worth no more than its worst maps: the geometric mean.
+def _low_confidence(exemplar: Exemplar) -> NDArray[np.float64]:
+    """Penalties of places of low confidence, (rows, columns) on the grid of placement costs.
+
+    With c the geometric mean of confidence over maps, averaged over a square, the penalty rises
+    from 0 at c = min(q - slack, h) to its maximum over the next (doubted - slack), q and h the
+    quantiles `trusted` and `free` of c. So the better half of the exemplar has no penalty.
+    """
+    side = 1 << COST_BITS
     trust = np.exp(np.log(exemplar.confidence + INDEX.least_trust).mean(axis=0, dtype=np.float64))
     rows, columns = trust.shape
     whole = np.pad(trust, ((0, -rows % side), (0, -columns % side)), mode="edge")
     means = whole.reshape(whole.shape[0] // side, side, -1, side).mean(axis=(1, 3))
-    # What is none of the material, or was never seen, is no measure of the rest.
+    # Quantiles are over places that the photograph shows.
     known = means[means > 1.5 * INDEX.least_trust]
     most, half = np.quantile(known if known.size else means, (INDEX.trusted, INDEX.free))
-    # From what is hardly half of a piece no cell closes: the better half is never priced.
     short = (min(most - INDEX.slack, half) - means) / (INDEX.doubted - INDEX.slack)
     return np.rint(_MOST * short.clip(0.0, 1.0))
 
 
 def _resized(marks: NDArray[np.bool_], width: int, height: int) -> NDArray[np.bool_]:
-    """Marks of any grid of the exemplar on that of prices: the nearest."""
-    rows, columns = _shape(width, height, PRICE_BITS)
+    """Nearest-neighbour resampling of a mask to the grid of placement costs."""
+    rows, columns = _shape(width, height, COST_BITS)
     y = (np.arange(rows) * marks.shape[0] // rows).clip(0, marks.shape[0] - 1)
     x = (np.arange(columns) * marks.shape[1] // columns).clip(0, marks.shape[1] - 1)
     return marks[np.ix_(y, x)]
 
 
 def _shape(width: int, height: int, bits: int) -> tuple[int, int]:
-    """(rows, columns) of a grid of squares of 2^bits texels."""
+    """(rows, columns) of a grid of 2^bits texels."""
     side = 1 << bits
     return -(-height // side), -(-width // side)
 
 
 def _similar_shape(width: int, height: int, level: int) -> tuple[int, int]:
-    """(rows, columns) of a level's similar places: its appearance's grid is rounded down."""
+    """(rows, columns) of a level's candidate grid, which covers its appearance grid."""
     bits = grid_bits(level)
     return _shape(width >> bits, height >> bits, similar_bits(level) - bits)
 
@@ -228,9 +233,9 @@ def _floats(stated: list[float]) -> NDArray[np.float32]:
     return values
 
 
-def _order(
+def _lattice(
     waves: list[list[float]], tensor: Callable[[str], NDArray[np.uint8]], width: int, height: int
-) -> Order | None:
+) -> PhasedLattice | None:
     if not waves:
         return None
     vectors = tuple((float(fx), float(fy)) for fx, fy in waves[:2])
@@ -242,4 +247,4 @@ def _order(
         if abs(ax * by - ay * bx) < 0.01 * lengths[0] * lengths[1]:
             raise ValueError(f"waves in one direction, {waves}")
     rows, columns = (side + 1 for side in _shape(width, height, GRID))
-    return Order(vectors, unpack(tensor("bends"), (len(vectors), rows, columns), np.int32))
+    return PhasedLattice(vectors, unpack(tensor("bends"), (len(vectors), rows, columns), np.int32))

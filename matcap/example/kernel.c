@@ -1,6 +1,6 @@
-/* The field by example: correction of its places, in integers, and the blending of its maps, in
-   floats of a fixed order (built without contraction). tests/example/plain_loops.py has the same
-   bits. */
+/* The field by example: correction of its places, in integers, and blending of its maps, in floats
+   summed in a fixed order (built without contraction). tests/example/plain_loops.py computes the
+   same bits in NumPy. */
 
 #include <math.h>
 #include <stddef.h>
@@ -8,14 +8,14 @@
 #include <string.h>
 
 #if defined(__x86_64__) && defined(__GNUC__)
-#define MATCAP_AVX2 /* asked for at run time */
+#define MATCAP_AVX2 /* if the processor has it, at run time */
 #include <immintrin.h>
 #elif defined(__SSE2__)
 #include <emmintrin.h>
 #endif
 
-/* As in relight/loops/loops.h: compiled for AVX2 besides, where the loader can choose; no sum is
-   fused, so that bits stay. */
+/* As in relight/loops/loops.h: also compiled for AVX2, where the loader can choose. No
+   multiply-add is fused, so that the bits are the same. */
 #if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__)
 #define WIDE __attribute__((target_clones("avx2", "default")))
 #else
@@ -42,16 +42,15 @@ enum {
     AROUND = 9,
     REACH = 2,
     PHASE_SHIFT = 2,
-    PRICE_BITS = 2,
-    STRIP = 512, /* places of a row that are looked at together */
+    COST_BITS = 2,
+    STRIP = 512, /* places of a row that are tested together */
 };
 
 typedef struct {
     int16_t x, y;
 } Place;
 
-/* Raised with every change of results or arguments, here and in compiled.py: a library that was
-   built from another file is not used. */
+/* Version of results and arguments, as in library.py: a library of another version is not used. */
 enum { FORM = 3 };
 
 int32_t matcap_form(void) { return FORM; }
@@ -62,10 +61,10 @@ typedef struct {
 
 typedef struct {
     const int16_t *appearance; /* rows x columns x DIMENSIONS */
-    const int32_t *price;      /* of squares of 2^PRICE_BITS texels */
+    const int32_t *cost;       /* of squares of 2^COST_BITS texels */
     const Place *similar;      /* similar_rows x similar_columns */
     const Phase *phases;       /* rows x columns, or NULL */
-    int32_t columns, similar_columns, price_columns;
+    int32_t columns, similar_columns, cost_columns;
     int32_t bits, similar_bits;
     int32_t spacing;
     int32_t left, top, right, bottom;
@@ -90,8 +89,8 @@ static int inside(const Level *l, int32_t x, int32_t y) {
     return x >= l->left && x <= l->right && y >= l->top && y <= l->bottom;
 }
 
-/* The sum of (3 found - wanted)^2. */
-static int32_t apart(const int16_t *found, const int16_t *wanted) {
+/* Sum of (3 found - wanted)^2 over the dimensions; `wanted` is a sum of three appearance vectors. */
+static int32_t squared_difference(const int16_t *found, const int16_t *wanted) {
 #if defined(__SSE2__)
     const __m128i f = _mm_loadu_si128((const __m128i *)found);
     const __m128i w = _mm_loadu_si128((const __m128i *)wanted);
@@ -110,14 +109,14 @@ static int32_t apart(const int16_t *found, const int16_t *wanted) {
 #endif
 }
 
-/* At least most as soon as it is certain to be. */
+/* Cost of a candidate place; stops early once it is at least `most`. */
 static int32_t cost_of(const Level *l, int32_t x, int32_t y, const int16_t *wanted,
                        const Phase *ordered, int similar, int32_t most) {
     int32_t cost = 0;
     for (int k = 0; k < DIAGONALS; k++) {
         const int16_t *found =
             appearance_at(l, x + DIAGONAL[k][1] * l->spacing, y + DIAGONAL[k][0] * l->spacing);
-        cost += apart(found, wanted + k * DIMENSIONS) << similar;
+        cost += squared_difference(found, wanted + k * DIMENSIONS) << similar;
         if (cost >= most) return cost;
     }
     if (l->phases) {
@@ -126,10 +125,10 @@ static int32_t cost_of(const Level *l, int32_t x, int32_t y, const int16_t *want
         const int32_t two = (int16_t)(l->phases[place].two - ordered->two) >> PHASE_SHIFT;
         cost += one * one + two * two;
     }
-    return cost + l->price[(ptrdiff_t)(y >> PRICE_BITS) * l->price_columns + (x >> PRICE_BITS)];
+    return cost + l->cost[(ptrdiff_t)(y >> COST_BITS) * l->cost_columns + (x >> COST_BITS)];
 }
 
-/* Fetch what the cost of a place will read, which lies anywhere in megabytes. */
+/* Prefetch what the cost of a place will read. */
 static void expect(const Level *l, Place p) {
 #if defined(__GNUC__)
     for (int y = -1; y <= 1; y += 2)
@@ -139,7 +138,7 @@ static void expect(const Level *l, Place p) {
 #endif
 }
 
-/* Adds a place to those to be tried, unless it is among them. */
+/* Append a place to the candidates, unless it is among them; returns their number. */
 static int added(Place *tried, int count, Place p) {
     for (int k = 0; k < count; k++)
         if (same(tried[k], p)) return count;
@@ -313,16 +312,16 @@ void matcap_project(const int16_t *features, const int16_t *weights, int32_t ste
     }
 }
 
-/* Blending (blend.py): what texels read in bands, and the maps they come to. */
+/* Blending; equations in blend.py. */
 
 enum {
-    CHANNELS = 8, /* of a texel in bands: as stacked, then noughts */
-    TAPS = 4,     /* of smoothing, on either side */
-    NODES = 3,    /* along an axis that vote for a texel */
+    CHANNELS = 8, /* of a band: stacked maps, then zeros */
+    TAPS = 4,     /* of the low-pass filter, on either side */
+    NODES = 3,    /* nodes along an axis that vote for a texel */
     VOTES = NODES * NODES,
 };
 
-/* Binomial, of the eighth order. */
+/* Binomial coefficients of order 8. */
 static const float SMOOTHING[TAPS + 1] = {70.0f / 256.0f, 56.0f / 256.0f, 28.0f / 256.0f,
                                           8.0f / 256.0f, 1.0f / 256.0f};
 
@@ -330,7 +329,7 @@ static ptrdiff_t within(ptrdiff_t at, ptrdiff_t count) {
     return at < 0 ? 0 : at >= count ? count - 1 : at;
 }
 
-/* Smooths along one axis; others follow each other `apart` numbers apart, borders repeat. */
+/* Low-pass filter along one axis, whose texels are `apart` numbers apart; borders repeat. */
 INLINE void smooth(const float *from, float *to, ptrdiff_t count, ptrdiff_t apart) {
     for (ptrdiff_t i = 0; i < count; i++) {
         const float *here = from + i * apart;
@@ -359,7 +358,7 @@ WIDE void matcap_smooth(float *values, float *scratch, int32_t columns, int32_t 
     }
 }
 
-/* Where a vote says that the texel (0, 0) lies in the exemplar. */
+/* A vote: x, y of the exemplar for the area's texel (0, 0). */
 typedef struct {
     int32_t x, y;
 } Offset;
@@ -372,7 +371,7 @@ typedef struct {
     const int32_t *first_column, *first_row;    /* the first of NODES nodes of a texel */
     const float *column_weights, *row_weights;  /* NODES of each */
     int32_t columns, rows, node_columns, shift; /* shift: half texels to the grid of the band */
-    float alike;                                /* how far votes that differ correlate */
+    float correlation;                          /* r of blend.py */
 } Band;
 
 typedef struct {
@@ -467,7 +466,7 @@ INLINE void vote(const Band *b, int32_t y, int32_t left,
                 LOOP
                 for (int d = 0; d < CHANNELS; d++) sum.of[d] += weight * one[d];
             }
-            gain = 1.0f / sqrtf(b->alike + (1.0f - b->alike) * squares);
+            gain = 1.0f / sqrtf(b->correlation + (1.0f - b->correlation) * squares);
         }
         LOOP
         for (int d = 0; d < CHANNELS; d++)

@@ -1,4 +1,4 @@
-"""The compiled loops (kernel.c), found where they were built; tests hold them to plain ones."""
+"""Loads the compiled loops (kernel.c)."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from matcap.files.compiled import find_library, not_built
 
-_FORM = 3  # of kernel.c
+_FORM = 3  # version of kernel.c's interface
 
 
 @cache
 def built() -> Any | None:  # noqa: ANN401
-    """The library, or None where it was not built, or from another form of its file."""
+    """The library, or None if it is missing or of another version."""
     return find_library(Path(__file__).parent, ("matcap_form", _FORM))
 
 
@@ -24,7 +24,7 @@ def loops() -> Any:  # noqa: ANN401
     """The library.
 
     Raises:
-        MatcapError: it was not built.
+        MatcapError: it is missing or of another version.
     """
     library = built()
     if library is None:
@@ -33,6 +33,6 @@ def loops() -> Any:  # noqa: ANN401
 
 
 def address(array: NDArray[Any]) -> ctypes.c_void_p:
-    """Of an array that is read or written."""
+    """Pointer to a contiguous array's data."""
     assert array.flags.c_contiguous
     return array.ctypes.data_as(ctypes.c_void_p)

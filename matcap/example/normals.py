@@ -1,4 +1,4 @@
-"""Normals of a block's heights, without PyTorch."""
+"""Normals of a block from its heights, in NumPy; field/source.py has the same in PyTorch."""
 
 from __future__ import annotations
 
@@ -11,10 +11,7 @@ from matcap.field.blocks import RING
 
 
 def with_normals(maps: Floats, texel_size: float, normal: NormalStyle) -> NDArray[np.float32]:
-    """(9, h, w): six maps (6, h + 2 RING, w + 2 RING) without their ring, and the normal.
-
-    Two more where F0 has a colour.
-    """
+    """(9 or 11, h, w) maps and normal, of maps (6 or 8, h + 2 RING, w + 2 RING)."""
     height, size = maps[-1], np.float32(2.0 * texel_size)
     across = (height[RING:-RING, 2 * RING :] - height[RING:-RING, : -2 * RING]) / size
     up = (height[: -2 * RING, RING:-RING] - height[2 * RING :, RING:-RING]) / size

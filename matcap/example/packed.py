@@ -1,6 +1,6 @@
-"""Compressed integer arrays, decoded with checks: files may be damaged or hostile.
+"""Compressed integer arrays: differences along rows, low bytes before high bytes, deflate.
 
-Numbers less their left neighbours, low bytes before high bytes, deflated.
+Decoding checks sizes, as files may be damaged or hostile.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _EFFORT = 6  # zlib's: 9 takes three times as long for one per cent
 
 
 def pack(codes: NDArray[Any]) -> NDArray[np.uint8]:
-    """The bytes of an array of integers, few for one that varies slowly along its rows."""
+    """Compress an integer array."""
     swapped = codes.copy()
     swapped[..., 1:] -= codes[..., :-1]
     planes = swapped.astype(swapped.dtype.newbyteorder("<")).view(np.uint8)
@@ -25,10 +25,10 @@ def pack(codes: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def unpack(packed: NDArray[np.uint8], shape: tuple[int, ...], kind: type) -> NDArray[Any]:
-    """The array whose bytes these are; it is never larger than its shape says.
+    """Decompress an array of a shape and type; never allocates more than that needs.
 
     Raises:
-        ValueError: they are not its bytes.
+        ValueError: the data are not of this shape and type.
     """
     wanted = np.dtype(kind).newbyteorder("<")
     size = math.prod(shape) * wanted.itemsize

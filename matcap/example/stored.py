@@ -1,4 +1,4 @@
-"""The exemplar in a `.matcap` file; without PyTorch."""
+"""Reads the exemplar of a `.matcap` file, without PyTorch."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Exemplified:
     provenance: dict[str, Any]
     """How it was made; JSON."""
     example: Example
-    """Its exemplar, indexed."""
+    """The indexed exemplar."""
 
 
 def read_exemplified(path: Path) -> Exemplified | None:
-    """The exemplar of a `.matcap` file, or None where it has none.
+    """Read the exemplar of a `.matcap` file, or None if it has none.
 
     Raises:
         MatcapError: missing, not a material, of another version, or damaged.
@@ -40,15 +40,15 @@ def read_exemplified(path: Path) -> Exemplified | None:
 
 
 def read(about: Mapping[str, Any], file: Any, path: Path) -> Example | None:  # noqa: ANN401
-    """The exemplar that a material's file holds, or None.
+    """Read the exemplar of an opened material's file, or None if it has none.
 
     Args:
-        about: the material's description.
-        file: open, for NumPy or for PyTorch.
+        about: the file's JSON description.
+        file: opened for NumPy or for PyTorch.
         path: of the file.
 
     Raises:
-        SafetensorError, and what header.DAMAGED names: it is not as it should be.
+        SafetensorError, DAMAGED (field/header.py): the data are missing or malformed.
     """
     if "example" not in about:
         return None

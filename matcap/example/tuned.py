@@ -1,7 +1,7 @@
-"""What is tuned of the field by example: one frozen dataclass a stage.
+"""Tuned constants of the field by example, one frozen dataclass a stage.
 
-Each number with its unit and what it trades; measured in docs/notes/field.md. Sizes that the
-stored index or the integers of kernel.c are laid out by stand where they are used.
+Measured in docs/notes/field.md. Constants that the stored index or kernel.c depend on are in the
+modules that use them.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class FeatureSettings:
-    """What pieces are compared by.
+    """Features of an exemplar's planes (features.py).
 
     Attributes:
-        unit: features to a standard deviation: four of them fit.
-        unseen: what is fainter is not seen and not amplified, in each plane's own numbers: slopes
-            show from about a degree on, height only as their sum over some ten texels.
-        weights: of planes. Height is seen by its slopes alone; it counts so that what is joined
-            lies equally high.
+        unit: steps per standard deviation; four deviations fit into LIMIT.
+        unseen: lower limit of a plane's standard deviation, in the plane's unit; below it the plane
+            is not visible, and must not be amplified.
+        weights: of planes. Height is visible through its slopes only; its weight makes patches join
+            at equal heights.
     """
 
     unit: float = 32.0
@@ -31,12 +31,12 @@ FEATURE = FeatureSettings()
 
 @dataclass(frozen=True)
 class AppearanceSettings:
-    """How neighbourhoods become a few numbers.
+    """Appearance vectors (appearance.py).
 
     Attributes:
-        fall_off: of the weights, in squared steps of the neighbourhood.
-        samples: neighbourhoods that the components are taken from.
-        clipped: share of the largest component that may exceed appearance.LARGEST.
+        fall_off: f of the neighbourhood's weights exp(-r^2 / f), in squared steps.
+        samples: neighbourhoods that the PCA is computed from.
+        clipped: share of places whose first component exceeds appearance.LARGEST.
     """
 
     fall_off: float = 8.0
@@ -49,12 +49,12 @@ APPEARANCE = AppearanceSettings()
 
 @dataclass(frozen=True)
 class SimilarSettings:
-    """How similar places are looked for.
+    """Search for candidates (candidates.py).
 
     Attributes:
-        rounds: more find nearer ones, and take longer.
-        lines: of a round.
-        steepest: components of a line's direction.
+        rounds: more find better candidates and take longer.
+        lines: random directions in a round.
+        steepest: largest component of a direction.
     """
 
     rounds: int = 4
@@ -66,26 +66,26 @@ SIMILAR = SimilarSettings()
 
 
 @dataclass(frozen=True)
-class OrderSettings:
-    """How regular order is measured where it bends.
+class LatticeFieldSettings:
+    """Measurement of a lattice and its patches (lattice.py).
 
     Attributes:
-        bins: to a turn, where cells are compared.
-        slopes: planes that vary most at joints, which are edges, and so hide them.
-        piece: texels: cells smaller than this are laid several together.
-        smaller: pieces of cells that are too large for the exemplar shrink by this.
-        window: periods: standard deviation of the window that a phase is measured in; less where
-            an exemplar has room for less.
-        fewest: periods across an exemplar: of a check larger than a third of it nothing is kept.
-        faint: of squared features: a plane may be flat.
-        lag: windows' deviations: so far apart they hardly see the same cells.
-        steadiest: upper limit of a plane's coherence, so that no single plane decides alone.
-        rounds: a window smooths bends away: what is left of them is measured again.
+        bins: of a turn, for the search for joints.
+        slopes: planes that are left out there, as they vary most at joints.
+        patch: least size of a patch of whole cells, texels.
+        smaller: factor by which patches shrink until they fit the exemplar.
+        window: standard deviation of the Gaussian window of a phase, periods; less in small
+            exemplars.
+        fewest: least number of periods across an exemplar.
+        faint: added to a plane's power, squared features.
+        lag: distance at which coherence is measured, window deviations.
+        steadiest: upper limit of a plane's coherence, so that no plane dominates.
+        rounds: iterations, as a window smooths phase offsets.
     """
 
     bins: int = 24
     slopes: tuple[int, int] = (5, 6)
-    piece: int = 48
+    patch: int = 48
     smaller: float = 0.8
     window: float = 1.5
     fewest: float = 3.0
@@ -95,26 +95,25 @@ class OrderSettings:
     rounds: int = 3
 
 
-ORDER = OrderSettings()
+LATTICE = LatticeFieldSettings()
 
 
 @dataclass(frozen=True)
 class IndexSettings:
-    """How the k-coherence candidates and the placement cost of an exemplar are computed.
+    """Candidates and penalties of an exemplar (index.py).
 
     Attributes:
-        least_steps: grid steps between a place and its candidates, at least, and ...
-        least_texels: ... texels, at least.
-        fineness: places of the coarsest level along the shorter side of a lattice's piece.
-        unique: times the median distance to what is most similar: a mark that occurs once, ...
-        unique_level: ... measured at this pyramid level, over some twenty texels.
-        least_trust: of a map: what was not seen is drawn by example.
-        trusted: quantile of confidence that a place is held against.
-        slack: confidence below it up to which a place is as good: steps of it lie between most
-            parts of a photograph.
-        doubted: likewise, at which it is as reluctant as can be.
-        free: share that costs nothing at least, however little it is trusted: more draws faults in,
-            less draws from scraps.
+        least_steps: least distance between a place and its candidate, grid steps.
+        least_texels: likewise, texels.
+        fineness: least number of places along the shorter side of a lattice's patch.
+        unique: ratio of a candidate's distance to the median above which a place is unique.
+        unique_level: level at which that is measured; neighbourhoods of some twenty texels.
+        least_trust: added to a map's confidence before the logarithm.
+        trusted: quantile of the confidence that places are compared with.
+        slack: confidence below that quantile without a penalty.
+        doubted: confidence below that quantile at which the penalty is largest.
+        free: least share of places without a penalty. More uses places of wrong maps, less has too
+            few places to choose from.
     """
 
     least_steps: int = 4
@@ -134,12 +133,12 @@ INDEX = IndexSettings()
 
 @dataclass(frozen=True)
 class LookupSettings:
-    """Placement cost, added to the mismatch of appearances.
+    """Tables of the synthesis (lookup.py).
 
     Attributes:
-        ordered: levels from this one on keep to the order.
-        cost_bits: a place of full reluctance costs 255^2 * 2^11 = 1.3e8, more than any seam; one a
-            little less trusted than most, 14 of 255, 4e5, as a common seam.
+        ordered: first level at which phase errors have a cost.
+        cost_bits: placement cost is penalty^2 * 2^cost_bits: 1.3e8 at the penalty 255, more than
+            any seam; 4e5 at 14, as much as a common seam.
     """
 
     ordered: int = 1
@@ -151,19 +150,19 @@ LOOKUP = LookupSettings()
 
 @dataclass(frozen=True)
 class PlacementSettings:
-    """How pieces are laid and corrected.
+    """Patches of the coarsest level (patches.py), and corrections.
 
     Attributes:
-        piece: texels along a side of the pieces that the coarsest level begins with, ...
-        part: ... at most the exemplar's shorter side over this.
-        draws: pieces that each is the cheapest of.
-        fitted: pieces that each larger one is the best continuation of its neighbours of.
-        along: places that a border is compared at, at most.
-        overlap: steps of the coarsest level that the largest pieces leave of the exemplar's frame.
+        patch: side of the smallest patches, texels.
+        part: least ratio of the exemplar's shorter side to that.
+        draws: random places of which the one of least placement cost is taken.
+        fitted: random places of which the one that fits its neighbours best is taken.
+        along: most places along a border at which patches are compared.
+        overlap: steps of the coarsest level by which the largest patch is smaller than the frame.
         passes: of correction at the finest level, and at every coarser one.
     """
 
-    piece: int = 128
+    patch: int = 128
     part: int = 2
     draws: int = 4
     fitted: int = 24
@@ -177,14 +176,12 @@ PLACEMENT = PlacementSettings()
 
 @dataclass(frozen=True)
 class BlendSettings:
-    """How maps join at seams (blend.py).
+    """Blending at seams (blend.py).
 
     Attributes:
-        levels: of places, that votes of every band are taken from, the finest band first. Of the
-            finest places where a seam is joined where it lies; coarser ones differ there alone, and
-            are there around every block anyway. More bands join slower drifts of colour.
-        measured: level, and places a side of a square of it, whose seams measure how far votes that
-            differ correlate.
+        levels: by band, finest first, level of the places that nodes read. Coarser levels save
+            time for coarse bands; more bands blend slower drifts of colour.
+        measured: level, and places a side, of the square in which seam_correlations are measured.
     """
 
     levels: tuple[int, ...] = (0, 0, 0, 0, 2, 3)
@@ -192,7 +189,7 @@ class BlendSettings:
 
     @property
     def bands(self) -> int:
-        """How many."""
+        """Number of bands."""
         return len(self.levels)
 
 
@@ -200,20 +197,19 @@ BLEND = BlendSettings()
 
 
 @dataclass(frozen=True)
-class TearingSettings:
-    """How the variety of a field is chosen.
+class VarietyChoiceSettings:
+    """Choice of the variety (variety.py).
 
     Attributes:
-        tried: varieties, the most random first; the last where all tear too much.
-        level: that blocks are synthesised down to: finer takes longer, coarser sees fewer seams.
-        blocks: of each variety: more are less left to chance, and take longer. One where a lattice
-            calls for a finer level.
-        step: texels that are compared as one.
-        near: texels: correlation at shorter shifts is grain, which pieces of any size keep.
-        torn: mean correlation over longer shifts that may be lost: chance gives 0.02.
-        share: of the exemplar's that may be lost, where it has more.
-        seams: share of texels at borders. What is torn no more than it must be has up to 0.0175,
-            what hangs together 0.021 and more.
+        tried: varieties, highest first; the last is taken if none passes.
+        level: level of the synthesised samples. Finer takes longer, coarser shows fewer seams.
+        blocks: samples of each variety; one where the exemplar has fewer levels.
+        step: texels that are averaged before the correlation.
+        near: shortest shift of the correlation, texels; shorter structure fits any patch.
+        lost: largest RMS loss of correlation. Random differences give 0.02.
+        share: largest loss as a share of the exemplar's RMS correlation, if that is more.
+        seams: largest share of texels at seams. Textures without long structure have up to 0.0175,
+            others from 0.021 on.
     """
 
     tried: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1)
@@ -221,9 +217,9 @@ class TearingSettings:
     blocks: int = 2
     step: int = 4
     near: float = 64.0
-    torn: float = 0.035
+    lost: float = 0.035
     share: float = 0.5
     seams: float = 0.018
 
 
-VARIETY = TearingSettings()
+VARIETY = VarietyChoiceSettings()

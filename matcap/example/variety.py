@@ -1,8 +1,7 @@
-"""Choice of the patch size (variety): the most random one that keeps long structure.
+"""Choice of the variety (patch size): the highest one that keeps long structure.
 
-Some blocks are synthesised at several varieties, and compared with the exemplar: what of its
-correlation over long shifts they keep, and how much of them lies at borders of pieces. The most
-random one that tears little is chosen.
+Samples of the field are synthesised at several varieties. Two measures are compared with limits:
+the loss of the exemplar's autocorrelation at long shifts, and the share of texels at seams.
 """
 
 from __future__ import annotations
@@ -18,50 +17,48 @@ from matcap.example.example import Example, coarsened, detail_bits
 from matcap.example.features import features_of, planes_of
 from matcap.example.grids import grid_bits, grids_of
 from matcap.example.lookup import Lookup
-from matcap.example.piece_sizes import PieceSizes
+from matcap.example.patch_sizes import PatchSizes
 from matcap.example.tuned import VARIETY
 from matcap.field.plane import Rectangle
 
 Planes = NDArray[np.float32]
 
-_COMPARED = 7  # planes of features: height is its slopes' again
+_COMPARED = 7  # planes of features: all but the height, which its slopes describe
 
 
 @dataclass(frozen=True)
-class Tried:
-    """What a variety came to.
+class VarietyTrial:
+    """Measures of one variety.
 
     Attributes:
-        variety: that was tried.
-        torn: mean size of the correlation over long shifts that it loses, in [0, 1].
-        seams: share of texels at borders of pieces.
+        variety: in [0, 1].
+        lost: loss of RMS correlation at long shifts, in [0, 1].
+        seams: share of texels at seams.
     """
 
     variety: float
-    torn: float
+    lost: float
     seams: float
 
 
-def chosen(example: Example) -> Example:
-    """The example with the most random variety that keeps its long structure."""
-    long, tries = tried(example)
-    limit = max(VARIETY.torn, VARIETY.share * long)
+def with_chosen_variety(example: Example) -> Example:
+    """A copy of the example with the highest variety whose measures are within limits."""
+    long, trials = variety_trials(example)
+    limit = max(VARIETY.lost, VARIETY.share * long)
     variety = next(
-        (one.variety for one in tries if one.torn <= limit and one.seams <= VARIETY.seams),
+        (one.variety for one in trials if one.lost <= limit and one.seams <= VARIETY.seams),
         VARIETY.tried[-1],
     )
     return example.varied(variety)
 
 
-def tried(example: Example) -> tuple[float, tuple[Tried, ...]]:
-    """How large the exemplar's correlation over long shifts is, and each variety, most random
-    first.
-    """
+def variety_trials(example: Example) -> tuple[float, tuple[VarietyTrial, ...]]:
+    """The exemplar's RMS correlation at long shifts, and measures of varieties, highest first."""
     exemplar, index = example.exemplar, example.index
     coarse = coarsened(exemplar, detail_bits(exemplar))
     level = min(VARIETY.level, len(index.bases) - 1)
     features = features_of(planes_of(coarse), index.scale)
-    planes = _even(grids_of(features, level + 1)[level][:_COMPARED].astype(np.float32))
+    planes = _detrended(grids_of(features, level + 1)[level][:_COMPARED].astype(np.float32))
     lookup, spacing = example.lookup, 1 << level
     bits = grid_bits(level)
     own = _thinned(planes[:, :: spacing >> bits, :: spacing >> bits], spacing)
@@ -71,7 +68,7 @@ def tried(example: Example) -> tuple[float, tuple[Tried, ...]]:
     if not power:
         return 0.0, ()
 
-    def one(variety: float) -> Tried:
+    def one(variety: float) -> VarietyTrial:
         kept, seams = _blocks(
             _varied(lookup, variety),
             level,
@@ -79,7 +76,7 @@ def tried(example: Example) -> tuple[float, tuple[Tried, ...]]:
             lambda x, y: _thinned(planes[:, y >> bits, x >> bits], spacing),
             true * far,
         )
-        return Tried(variety, power**0.5 * (1.0 - kept), seams)
+        return VarietyTrial(variety, power**0.5 * (1.0 - kept), seams)
 
     return power**0.5, tuple(one(variety) for variety in VARIETY.tried)
 
@@ -91,7 +88,18 @@ def _blocks(
     seen: Callable[[NDArray[np.int64], NDArray[np.int64]], Planes],
     true: NDArray[np.float64],
 ) -> tuple[float, float]:
-    """Of blocks as large as the exemplar: the share of a correlation kept, and of seams."""
+    """Means over samples as large as the exemplar.
+
+    Args:
+        lookup: of the variety.
+        level: of the samples.
+        size: (width, height) of the exemplar.
+        seen: features at places x, y of the exemplar.
+        true: the exemplar's correlation, 0 at short shifts.
+
+    Returns:
+        Regression coefficient of the samples' correlation on the exemplar's, and share of seams.
+    """
     spacing = 1 << level
     area = Rectangle(0, 0, -(-size[0] // spacing), -(-size[1] // spacing))
     kept, seams = [], []
@@ -108,23 +116,23 @@ def _blocks(
 
 def _varied(lookup: Lookup, variety: float) -> Lookup:
     coarsest = lookup.levels[-1]
-    sizes = PieceSizes.of(coarsest.frame, coarsest.spacing, lookup.order, variety)
+    sizes = PatchSizes.of(coarsest.frame, coarsest.spacing, lookup.lattice, variety)
     return replace(lookup, sizes=sizes)
 
 
-def _even(planes: Planes) -> Planes:
-    """Planes less the quadratic that fits them best: what is so slow is light's."""
+def _detrended(planes: Planes) -> Planes:
+    """Planes less their least-squares quadratic, which is an error of the light's fit."""
     rows, columns = planes.shape[1:]
     y, x = np.mgrid[-0.5 : 0.5 : rows * 1j, -0.5 : 0.5 : columns * 1j]
     design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y]).reshape(6, -1).T
     basis = np.linalg.qr(design)[0].astype(np.float32)
     flat = planes.reshape(len(planes), -1)
-    even = (flat - (flat @ basis) @ basis.T).astype(np.float32)
-    return np.asarray(even.reshape(planes.shape), np.float32)
+    detrended = (flat - (flat @ basis) @ basis.T).astype(np.float32)
+    return np.asarray(detrended.reshape(planes.shape), np.float32)
 
 
 def _thinned(planes: Planes, spacing: int) -> Planes:
-    """Means over the texels that are compared as one."""
+    """Averages over squares of VARIETY.step texels; `spacing` is that of the planes."""
     side = max(1, VARIETY.step // spacing)
     rows, columns = (n // side for n in planes.shape[1:])
     cut = planes[:, : rows * side, : columns * side]
@@ -133,16 +141,16 @@ def _thinned(planes: Planes, spacing: int) -> Planes:
 
 
 def _correlation(planes: Planes) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(half-plane of shifts) how alike planes are after a shift, 1 after none; and its length.
+    """Normalised autocorrelation of planes (C, H, W), and the length of each shift in texels.
 
-    Of shifts up to half the planes' sides, down and to the right or left.
+    Both (H / 2, W): shifts down by up to half the height, right or left by up to half the width.
     """
     rows, columns = planes.shape[1:]
     whole = (2 * rows, 2 * columns)
     centred = planes - planes.mean(axis=(1, 2), keepdims=True)
     power = (np.abs(np.fft.rfft2(centred, whole)) ** 2).sum(axis=0)
     overlap = np.abs(np.fft.rfft2(np.ones((rows, columns)), whole)) ** 2
-    alike = np.fft.irfft2(power, whole) / np.maximum(np.fft.irfft2(overlap, whole), 1.0)
+    mean = np.fft.irfft2(power, whole) / np.maximum(np.fft.irfft2(overlap, whole), 1.0)
     down, across = np.arange(rows // 2), np.arange(-(columns // 2), columns // 2)
-    half_plane = alike[np.ix_(down, across)] / max(float(alike[0, 0]), 1e-9)
+    half_plane = mean[np.ix_(down, across)] / max(float(mean[0, 0]), 1e-9)
     return half_plane, VARIETY.step * np.hypot(down[:, None], across[None, :])

@@ -7,9 +7,9 @@ from matcap.example.appearance import DIMENSIONS, LARGEST, Appearance, Basis, of
 from matcap.example.blend import CHANNELS, NODES
 from matcap.example.correction import REACH, SUBPASSES, Places, margin
 from matcap.example.features import PLANES, FeatureMap
-from matcap.example.grids import PRICE_BITS
+from matcap.example.grids import COST_BITS
+from matcap.example.lattice import Phases
 from matcap.example.lookup import Level
-from matcap.example.order import Phases
 
 DIAGONALS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 _AROUND = ((0, 0), (-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
@@ -136,7 +136,7 @@ def _cost(
     if similar:
         cost *= SIMILAR_TIMES
     at = safe[..., 1] >> level.bits, safe[..., 0] >> level.bits
-    cost += level.placement_cost[safe[..., 1] >> PRICE_BITS, safe[..., 0] >> PRICE_BITS]
+    cost += level.placement_cost[safe[..., 1] >> COST_BITS, safe[..., 0] >> COST_BITS]
     if ordered is not None and level.phases is not None:
         # Wraps, as turns do.
         apart = (level.phases[at] - ordered).astype(np.int32)
@@ -169,7 +169,7 @@ def blended(shown, area, own, votes):
     places += np.stack([at_x & (side - 1), at_y & (side - 1)], axis=-1)
     total = np.zeros((area.height, area.width, CHANNELS), np.float32)
     keeps = np.arange(CHANNELS) != len(shown.planes) - 1
-    for band, votes_of, alike in zip(shown.bands, votes, shown.alike, strict=True):
+    for band, votes_of, alike in zip(shown.bands, votes, shown.correlations, strict=True):
         mine = _band_at(band.values, band.bits + shown.bits + 1, side - 1, places)
         one, gain = _voted(band, votes_of, band.bits + shown.bits + 1, side - 1, np.float32(alike))
         kept = np.float32(1.0) + (gain - np.float32(1.0))[..., None] * keeps.astype(np.float32)

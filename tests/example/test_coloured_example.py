@@ -15,7 +15,7 @@ from matcap.cli.main import main
 from matcap.example.example import Example
 from matcap.example.exemplar import HEIGHT, SPECULAR, Exemplar
 from matcap.example.features import choose_scale, features_of, planes_of
-from matcap.example.repeat.level import levelled
+from matcap.example.repeat.flatten import flatten
 from matcap.field.blocks import Grid
 from matcap.field.field import read_source
 from matcap.field.material import Material
@@ -176,7 +176,7 @@ def test_an_inspection_and_a_comparison_show_the_colour(tmp_path, capsys):
 
 def test_the_decoders_space_takes_a_metal_for_its_photograph():
     """What a network is shown of it is a picture, under whatever light it was photographed."""
-    from matcap.space.code import _seen
+    from matcap.space.code import _rerendered
 
     material = replace(
         a_material("hue", example=a_coloured_example()).by("example"),
@@ -186,7 +186,7 @@ def test_the_decoders_space_takes_a_metal_for_its_photograph():
             }
         },
     )  # fmt: skip
-    seen = _seen(material)
+    seen = _rerendered(material)
     assert seen.pixels.shape == (144, 176, 3) and np.isfinite(seen.pixels).all()
 
 
@@ -199,12 +199,12 @@ def test_patches_of_metal_are_not_taken_for_slow_light():
     planes += [np.where(metal, f0, 0.04) for f0 in (1.0, 0.766, 0.336)]
     planes += [np.where(metal, 0.3, 0.8), 0.0 * share]
     maps = np.stack(planes).astype(np.float32)
-    np.testing.assert_allclose(levelled(maps), maps, atol=1e-5)
+    np.testing.assert_allclose(flatten(maps), maps, atol=1e-5)
     # What is slow in both of them is taken away.
     slope = np.exp(np.linspace(-0.2, 0.2, 176)).astype(np.float32)
     sloped = maps.copy()
     sloped[:6] *= 0.8 * slope
-    found = levelled(sloped)
+    found = flatten(sloped)
     first, last = (
         found[3, :, some][metal[:, some]].mean() for some in (slice(30), slice(-30, None))
     )

@@ -7,7 +7,7 @@ import plain_loops as plain
 import pytest
 from exemplars import a_coloured_example, an_example, blobs, exemplar, ordered
 
-from matcap.example.blend import Nodes, Shown, Votes, bands_of, blended
+from matcap.example.blend import ExemplarBands, Nodes, Votes, bands_of, blended
 from matcap.example.example import Example
 from matcap.example.tuned import BLEND
 from matcap.field.plane import Rectangle
@@ -23,7 +23,7 @@ def halves(piece, left, right, alike=UNLIKE):
     another right of it: what is added to a texel's place there; and how it is without blending.
     """
     area = Rectangle(0, 0, *SIZE)
-    shown = Shown(tuple(piece.stacked()), bands_of(piece), alike, 0)
+    shown = ExemplarBands(tuple(piece.stacked()), bands_of(piece), alike, 0)
 
     def places(x, y):
         side = np.where((x < SIZE[0] // 2)[..., None], left, right)
@@ -109,7 +109,7 @@ def test_contrast_is_kept_where_pieces_meet():
 
     assert (kept(UNLIKE) > 0.92).all() and (kept((1.0,) * BLEND.bands) < 0.9).all()
     for example, low, high in ((an_example(), 0.1, 0.4), (ordered(), 0.7, 1.0)):
-        found = example._ready.shown.alike
+        found = example._ready.shown.correlations
         assert low < np.mean(found[:4]) < high and found[-1] == 1.0
 
 

@@ -115,7 +115,7 @@ def test_half_of_a_piece_costs_nothing_however_little_it_is_trusted():
     doubted = blobs()
     trust = np.ones_like(doubted.confidence)
     trust[:, :, 58:] = np.linspace(0.6, 0.2, 118, dtype=np.float32)
-    priced = build_index(replace(doubted, confidence=trust), ()).reluctance > 0
+    priced = build_index(replace(doubted, confidence=trust), ()).penalty > 0
     assert 0.4 < priced.mean() <= 0.5
     assert not priced[:, :22].any() and priced[:, 23:].all()
 
@@ -134,13 +134,13 @@ def test_a_mark_that_occurs_once_is_left_out_and_told():
 def test_order_neither_drifts_nor_breaks():
     """Phases of what is shown, against those of the ideal lattice, 16384 texels apart."""
     example = ordered()
-    order = example.index.order
-    assert order is not None
-    assert [1 / wave[k] for k, wave in enumerate(order.waves)] == pytest.approx(PERIODS, rel=0.01)
+    lattice = example.index.lattice
+    assert lattice is not None
+    assert [1 / wave[k] for k, wave in enumerate(lattice.waves)] == pytest.approx(PERIODS, rel=0.01)
     for x, y in ((0, 0), (16384, -16384), (2**40 - 128, 2**39)):
         places = example.places(3, Rectangle(x, y, 96, 96), None).astype(np.int64)
-        shown = order.phases(places[..., 0], places[..., 1])
-        wanted = order.wanted(
+        shown = lattice.phases(places[..., 0], places[..., 1])
+        wanted = lattice.ideal_phases(
             3, np.arange(x, x + 96)[None, :], np.arange(y, y + 96)[:, None], (None, None)
         )
         apart = (shown - wanted).astype(float) / 2**16  # turns, wrapped by 16 bits
@@ -155,7 +155,7 @@ def joints(example, x, y, side):
     # A window without leakage from the other wave or from harmonics.
     window = np.blackman(side)
     found = []
-    for wave in example.index.order.waves:
+    for wave in example.index.lattice.waves:
         columns, rows = np.arange(side), np.arange(side)[:, None]
         turns = wave[0] * columns + wave[1] * rows
         carried = height * np.exp(-2j * np.pi * turns) * window * window[:, None]
@@ -170,7 +170,7 @@ def joints(example, x, y, side):
 def test_a_lattice_keeps_its_phase_over_sixteen_thousand_texels(size, periods):
     """Measured in the relief that is shown, not in places: a tenth of a period is a fault."""
     example = ordered(*size, periods)
-    waves = np.array(example.index.order.waves)
+    waves = np.array(example.index.lattice.waves)
     assert [1 / wave[k] for k, wave in enumerate(waves)] == pytest.approx(periods, rel=0.01)
     side = 5 * round(max(periods))
     start = joints(example, 0, 0, side)
@@ -182,7 +182,7 @@ def test_a_lattice_keeps_its_phase_over_sixteen_thousand_texels(size, periods):
 def test_order_is_found_where_it_was_bent():
     example = ordered()
     x = np.arange(30, 210)
-    phases = example.index.order.phases(x, np.full(x.shape, 100))[:, 1].astype(float) / 2**16
+    phases = example.index.lattice.phases(x, np.full(x.shape, 100))[:, 1].astype(float) / 2**16
     bend = 0.1 * np.sin(x / 90.0)
     apart = (phases - bend) % 1.0
     apart = np.angle(np.exp(2j * np.pi * apart)) / (2 * np.pi)

@@ -9,12 +9,12 @@ from exemplars import an_example, blobs, ordered
 
 from matcap.errors import MatcapError
 from matcap.example.appearance import choose_basis, project
+from matcap.example.candidates import find_candidates
 from matcap.example.correction import correct
 from matcap.example.example import Example
 from matcap.example.features import choose_scale, features_of, planes_of
+from matcap.example.lattice import measure_lattice
 from matcap.example.lookup import prepare
-from matcap.example.order import measure_order
-from matcap.example.similar import find_similar
 from matcap.field.plane import Rectangle
 
 
@@ -109,7 +109,7 @@ def test_the_compiled_correction_is_the_plain_one_from_any_beginning(example):
 
 def test_similar_places_are_among_the_most_similar_there_are():
     found = project(features(), choose_basis(features(), 1))[::2, ::2]
-    similar = find_similar(found, 4, (slice(2, 70), slice(2, 86)))
+    similar = find_candidates(found, 4, (slice(2, 70), slice(2, 86)))
     rows, columns = np.mgrid[0 : found.shape[0], 0 : found.shape[1]]
     away = np.maximum(np.abs(similar.rows - rows), np.abs(similar.columns - columns))
     assert away.min() >= 4
@@ -137,11 +137,11 @@ def test_checks_as_large_as_a_third_of_an_exemplar_are_kept(periods, kept):
     waves = ((1.0 / period, 0.0), (0.0, 1.0 / period))
     checks = np.cos(2 * np.pi * x / period) + np.cos(2 * np.pi * y / period)
     planes = np.stack([checks, 0.5 * checks, *[np.zeros_like(checks)] * 5])
-    order = measure_order(planes, waves)
-    assert (order is not None) == kept
-    if order is not None:
+    lattice = measure_lattice(planes, waves)
+    assert (lattice is not None) == kept
+    if lattice is not None:
         # Neither bent nor drawn out by more than a few hundredths of a turn.
-        found = order.phases(np.array([[16, 240]]), np.array([[16], [176]])) / 65536.0
+        found = lattice.phases(np.array([[16, 240]]), np.array([[16], [176]])) / 65536.0
         turns = np.diff(found[..., 0], axis=1) - np.diff(found[0, :, 0])
         assert np.abs(turns).max() < 0.05
         across = np.diff(found[0, :, 0])[0] - 224.0 / period

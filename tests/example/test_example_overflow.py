@@ -11,7 +11,7 @@ from plain_loops import DIAGONALS, PHASE_SHIFT, SIMILAR_TIMES
 from matcap.example.appearance import DIMENSIONS, LARGEST, TAPS, Basis, project
 from matcap.example.correction import correct
 from matcap.example.features import LIMIT, PLANES
-from matcap.example.grids import PRICE_BITS, Frame
+from matcap.example.grids import COST_BITS, Frame
 from matcap.example.lookup import Level
 from matcap.example.tuned import LOOKUP
 
@@ -39,7 +39,7 @@ def extreme(draw: np.random.Generator) -> Level:
         appearance=draw.choice(ends, (SIDE, SIDE, DIMENSIONS)),
         similar_bits=1,
         similar=draw.integers(8, SIDE - 10, (SIDE // 2, SIDE // 2, 2)).astype(np.int16),
-        placement_cost=np.full((SIDE >> PRICE_BITS, SIDE >> PRICE_BITS), MOST_PRICE, np.int32),
+        placement_cost=np.full((SIDE >> COST_BITS, SIDE >> COST_BITS), MOST_PRICE, np.int32),
         phases=draw.choice(np.array([0, -(2**15)], np.int16), (SIDE, SIDE, 2)),
     )
 

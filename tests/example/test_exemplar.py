@@ -49,7 +49,7 @@ def test_rounding_is_finer_than_what_is_seen():
     spread = float(np.ptp(exemplar.height))
     assert np.abs(rounded.height - exemplar.height).max() <= spread / 2**15
     # To the nearest, which no direction is preferred by.
-    unit, _ = exemplar.height_coding()
+    unit = 2.0 ** (exemplar.stored()[1]["height_unit"] - 1)
     off = (rounded.height.astype(np.float64) - exemplar.height) / unit
     assert np.abs(off).max() <= 0.55 and abs(off.mean()) < 0.05
     assert np.abs(rounded.diffuse - exemplar.diffuse).max() <= 2**-11

@@ -14,8 +14,8 @@ from matcap.cli.main import main
 from matcap.errors import UsageError
 from matcap.example.example import Example, known_part
 from matcap.example.repeat.cut import least_cut
+from matcap.example.repeat.flatten import flatten
 from matcap.example.repeat.join import is_cut, joined
-from matcap.example.repeat.level import levelled
 from matcap.example.repeat.repeat import repeated
 from matcap.field.plane import Rectangle
 from matcap.lab.bench.methods import true_exemplar
@@ -74,7 +74,7 @@ def test_what_is_slow_is_taken_and_stains_stay():
     drifting[:4] *= np.exp(0.3 * x)
     drifting[4] += 0.1 * x
     drifting[:3, 90:100, 120:130] *= 0.3
-    level, plain = levelled(drifting), levelled(piece)
+    level, plain = flatten(drifting), flatten(piece)
     for index in range(5):
         halves = [level[index][:, part].mean() for part in (slice(0, 128), slice(128, 256))]
         assert halves[0] == pytest.approx(halves[1], rel=0.03)
@@ -93,7 +93,7 @@ def test_a_stain_occurs_once():
 
 def test_a_lattice_is_closed_to_whole_periods():
     example = ordered()
-    found = repeated(example.exemplar.stacked(), example.exemplar.texel_size, example.index.order)
+    found = repeated(example.exemplar.stacked(), example.exemplar.texel_size, example.index.lattice)
     for side, period in zip(found.cut.shape[::-1], PERIODS, strict=True):
         turns = side / period
         assert abs(turns - round(turns)) <= 0.02 * turns

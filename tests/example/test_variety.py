@@ -13,9 +13,9 @@ from matcap.brdf.folder import read_mapset
 from matcap.cli.main import main
 from matcap.errors import UsageError
 from matcap.example.example import Example
-from matcap.example.piece_sizes import PieceSizes
+from matcap.example.patch_sizes import PatchSizes
 from matcap.example.summary import summary
-from matcap.example.variety import chosen, tried
+from matcap.example.variety import variety_trials, with_chosen_variety
 from matcap.field.blocks import Grid
 from matcap.field.field import read_source
 from matcap.field.material import Material
@@ -53,7 +53,7 @@ def test_less_variety_is_larger_pieces(example):
 def test_pieces_shrink_from_the_whole_frame_to_those_of_full_variety():
     lookup = an_example().lookup
     level = lookup.levels[-1]
-    sizes = [PieceSizes.of(level.frame, level.spacing, None, one / 8) for one in range(9)]
+    sizes = [PatchSizes.of(level.frame, level.spacing, None, one / 8) for one in range(9)]
     for larger, smaller in zip(sizes, sizes[1:], strict=False):
         assert larger.width >= smaller.width and larger.height >= smaller.height
     assert sizes[0].width > 0.5 * (level.frame.right - level.frame.left)
@@ -122,11 +122,11 @@ def test_every_command_that_reads_a_material_takes_a_variety(tmp_path, capsys):
 
 def test_a_lattice_keeps_its_phase_in_larger_pieces():
     example = ordered().varied(0.3)
-    order = example.index.order
+    lattice = example.index.lattice
     for x, y in ((0, 0), (16384, -16384), (2**40 - 128, 2**39)):
         places = example.places(3, Rectangle(x, y, 96, 96), None).astype(np.int64)
         columns, rows = np.arange(x, x + 96)[None, :], np.arange(y, y + 96)[:, None]
-        apart = order.phases(places[..., 0], places[..., 1]) - order.wanted(
+        apart = lattice.phases(places[..., 0], places[..., 1]) - lattice.ideal_phases(
             3, columns, rows, (None, None)
         )
         turns = apart.astype(float) / 2**16
@@ -144,18 +144,18 @@ def stripes(width=512, height=384):
 
 
 def test_what_has_no_long_structure_is_taken_apart_and_boards_are_not():
-    assert chosen(Example.of(blobs(512, 384))).variety == 1.0
+    assert with_chosen_variety(Example.of(blobs(512, 384))).variety == 1.0
     boards = Example.of(stripes())
-    long, tries = tried(boards)
-    assert long > 0.1 and tries[-1].torn < 0.8 * tries[0].torn
-    assert chosen(boards).variety < 1.0
+    long, tries = variety_trials(boards)
+    assert long > 0.1 and tries[-1].lost < 0.8 * tries[0].lost
+    assert with_chosen_variety(boards).variety < 1.0
 
 
 def test_the_summary_says_how_large_pieces_are():
     whole, small = summary(an_example().varied(0.0)), summary(an_example())
-    assert whole.pieces[0] > small.pieces[0]
-    assert "% of the photograph" in whole.pieces_text()
+    assert whole.patches[0] > small.patches[0]
+    assert "% of the photograph" in whole.patches_text()
     # Texels of 2 / 1024 units of a metre.
-    length = whole.pieces[0] * 2 / 1024 * 100
-    assert whole.pieces_text(1000.0) == f"pieces of about {length:.2g} cm"
-    assert ("variety", f"0: {whole.pieces_text()}.") in whole.lines()
+    length = whole.patches[0] * 2 / 1024 * 100
+    assert whole.patches_text(1000.0) == f"patches of about {length:.2g} cm"
+    assert ("variety", f"0: {whole.patches_text()}.") in whole.lines()

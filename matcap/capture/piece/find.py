@@ -46,7 +46,7 @@ from matcap.capture.piece.transport import transport
 from matcap.capture.piece.tuned import ADAPT, INPAINT, READ
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
-from matcap.example.variety import chosen
+from matcap.example.variety import with_chosen_variety
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.geometry import flash_mirror_point, plane_points
 from matcap.flash.likeness import PhotographTarget
@@ -272,7 +272,9 @@ def indexed(exemplar: Exemplar, waves: Sequence[Wave], longer: float = 1.0) -> E
         waves: of its regular order.
         longer: its texels across over those that the waves' unit is.
     """
-    return chosen(Example.of(exemplar, tuple((w.fx / longer, w.fy / longer) for w in waves)))
+    return with_chosen_variety(
+        Example.of(exemplar, tuple((w.fx / longer, w.fy / longer) for w in waves))
+    )
 
 
 @dataclass

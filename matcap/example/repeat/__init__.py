@@ -1,1 +1,1 @@
-"""Seamless tile from the exemplar itself: flattened, straightened, cut along a minimal seam."""
+"""Seamless tile from the exemplar itself: flattened, straightened, cut along minimal seams."""

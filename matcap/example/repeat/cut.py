@@ -1,7 +1,7 @@
-"""Minimum-cost seam through the overlap of two copies of an exemplar (Kwatra et al. 2003).
+"""Minimum-cost seam through the overlap of two copies of an exemplar [kwatra2003].
 
-A minimum cut in which every row is cut once, which dynamic programming finds exactly: from row to
-row it may run any way across, at the cost of what it crosses.
+The seam crosses every row once and may run any distance along a row, at the cost of the texels it
+passes. Dynamic programming finds the exact minimum.
 """
 
 from __future__ import annotations
@@ -15,23 +15,24 @@ CutColumns = NDArray[np.int64]
 def least_cut(
     differences: NDArray[np.floating], length: float, *, closed: bool
 ) -> tuple[CutColumns, float]:
-    """Where each row changes from one copy to the other, and what that costs a row.
+    """The seam of least cost from the first row to the last.
 
     Args:
-        differences: (rows, columns) of the copies, at least 0; at least two columns.
-        length: what a step costs besides.
-        closed: the last row lies above the first, and the cut ends where it began.
+        differences: (rows, columns) of both copies, at least 0; at least two columns.
+        length: cost of each step of the seam, added to the differences.
+        closed: the rows are periodic, and the seam ends where it began.
 
     Returns:
-        (rows,): the first column of the second copy, at least 1; and the mean cost.
+        (rows,) first column of the second copy, at least 1; and the mean cost a row.
     """
     between = differences[:, 1:] + differences[:, :-1] + length  # between columns c and c + 1
     following = np.roll(differences, -1, axis=0)
+    # Cumulative cost of running along the border between a row and the next.
     passed = np.cumsum(differences + following + length, axis=1)[:, :-1]
     if not closed:
         columns, cost = _through(between, passed)
         return columns + 1, cost / len(between)
-    # Where a cut of two turns passes between them, one of a single turn is begun.
+    # A closed seam is searched from a column that a seam of two periods crosses in its middle.
     twice, _ = _through(np.tile(between, (2, 1)), np.tile(passed, (2, 1)))
     start = int(twice[len(between)])
     columns, cost = _through(between, passed, start)
@@ -42,7 +43,7 @@ def least_cut(
 def _through(
     between: NDArray[np.floating], passed: NDArray[np.floating], start: int | None = None
 ) -> tuple[CutColumns, float]:
-    """The cheapest columns, and what they cost; from `start` and back to it where that is given."""
+    """Columns of the cheapest seam, and its cost; with a `start` it begins and ends there."""
     rows, columns = between.shape
     best = between[0].astype(np.float64)
     if start is not None:
@@ -70,7 +71,7 @@ def _through(
 def _least(
     values: NDArray[np.float64], order: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The least of all values up to each, and where the first of it stands."""
+    """Running minimum of values, and the index of its first occurrence."""
     least = np.minimum.accumulate(values)
     fresh = np.concatenate([[True], values[1:] < least[:-1]])
     return least, np.maximum.accumulate(np.where(fresh, order, 0))

@@ -1,4 +1,4 @@
-"""Maps of a seamless tile: gradient-domain blending, a Poisson equation on a torus."""
+"""Maps of a seamless tile by gradient-domain blending: a Poisson equation on a torus."""
 
 from __future__ import annotations
 
@@ -8,28 +8,32 @@ from numpy.typing import NDArray
 from matcap.example.exemplar import Floats
 from matcap.example.repeat.tuned import REPEAT
 
-PieceTexels = NDArray[np.int64]
+TileTexels = NDArray[np.int64]
 
 
-def joined(maps: Floats, x: PieceTexels, y: PieceTexels) -> Floats:
-    """(6 or 8, h, w) stacked maps that repeat, of what a piece shows at (h, w) places x, y of it.
+def joined(maps: Floats, x: TileTexels, y: TileTexels) -> Floats:
+    """(6 or 8, h, w) seamless stacked maps.
 
-    Height is the surface whose steps are nearest to the piece's own, closed in both directions; a
-    slope of the whole is lost by that. Of the others, what differs at a cut is spread over a few
-    texels by the same equation, held to what is shown there.
+    Height minimises sum |grad h - g|^2 on the torus, g the exemplar's differences between texels;
+    this removes its mean slope. The other maps minimise the same plus sum (m - shown)^2 / blur^2,
+    which spreads the step at a seam over about REPEAT.blur texels.
+
+    Args:
+        maps: stacked, of the exemplar.
+        x, y: (h, w) texels of the exemplar that the tile shows.
     """
     planes = np.stack([_closed(plane, x, y, REPEAT.blur) for plane in maps[:-1]])
     np.clip(planes, 0.0, 1.0, out=planes)
     return np.concatenate([planes, _closed(maps[-1], x, y, None)[None]])
 
 
-def is_cut(x: PieceTexels, y: PieceTexels) -> NDArray[np.bool_]:
-    """(h, w) whether a texel and the one right of it or below are of two copies."""
+def is_cut(x: TileTexels, y: TileTexels) -> NDArray[np.bool_]:
+    """(h, w) whether a seam lies between a texel and the one right of it or below."""
     return ~(_follows(x, y, 1) & _follows(x, y, 0))
 
 
-def _closed(plane: Floats, x: PieceTexels, y: PieceTexels, blur: float | None) -> Floats:
-    """One map; screened by `blur` texels, or free but for its mean."""
+def _closed(plane: Floats, x: TileTexels, y: TileTexels, blur: float | None) -> Floats:
+    """Solve for one map by FFT; with `blur` None its mean is kept."""
     shown = plane[y, x].astype(np.float64)
     divergence = np.zeros_like(shown)
     for axis in (1, 0):
@@ -47,9 +51,12 @@ def _closed(plane: Floats, x: PieceTexels, y: PieceTexels, blur: float | None) -
 
 
 def _steps(
-    plane: Floats, shown: NDArray[np.float64], x: PieceTexels, y: PieceTexels, axis: int
+    plane: Floats, shown: NDArray[np.float64], x: TileTexels, y: TileTexels, axis: int
 ) -> NDArray[np.float64]:
-    """(h, w) rise from each texel to the next along an axis; over a cut, both sides' mean."""
+    """(h, w) difference from each texel to the next along an axis.
+
+    Across a seam it is the mean of the differences that the exemplar has on both sides.
+    """
     step = np.roll(shown, -1, axis) - shown
     rows, columns = np.nonzero(~_follows(x, y, axis))
     high, wide = plane.shape
@@ -68,8 +75,8 @@ def _steps(
     return step
 
 
-def _follows(x: PieceTexels, y: PieceTexels, axis: int) -> NDArray[np.bool_]:
-    """(h, w) whether the next texel along an axis, round the border, is the piece's next."""
+def _follows(x: TileTexels, y: TileTexels, axis: int) -> NDArray[np.bool_]:
+    """(h, w) whether the next texel along an axis, on the torus, is the exemplar's next one."""
     right, down = (1, 0) if axis == 1 else (0, 1)
     following = (np.roll(x, -1, axis) - x == right) & (np.roll(y, -1, axis) - y == down)
     return np.asarray(following)

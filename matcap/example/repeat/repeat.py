@@ -1,10 +1,10 @@
-"""Make a seamless tile of the exemplar itself, replacing as little as possible.
+"""Makes a seamless tile of the exemplar itself, which shows each of its texels at most once.
 
-What is slow is taken from colour and gloss; regular order is made straight; copies of the piece,
-shifted by what it is most like itself after, are cut into each other where it shows least, all maps
-together; and the steps that are left are closed (join.py). What occurs once occurs once.
-
-Read next: shifts.py, cut.py, join.py.
+1. Low frequencies of albedo, F0 and roughness are removed (flatten.py).
+2. A lattice is straightened (straighten.py).
+3. The two shifts are found after which the exemplar is most like itself (shifts.py).
+4. Copies shifted by these are joined along seams of least difference in all maps (cut.py).
+5. What still differs at the seams is blended (join.py).
 """
 
 from __future__ import annotations
@@ -17,41 +17,41 @@ from numpy.typing import NDArray
 from matcap.errors import UsageError
 from matcap.example.exemplar import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, Floats
 from matcap.example.features import choose_scale, planes_of_maps
-from matcap.example.order import Frequency, Order
+from matcap.example.lattice import Frequency, PhasedLattice
 from matcap.example.repeat.cut import least_cut
-from matcap.example.repeat.join import PieceTexels, is_cut, joined
-from matcap.example.repeat.level import levelled
+from matcap.example.repeat.flatten import flatten
+from matcap.example.repeat.join import TileTexels, is_cut, joined
 from matcap.example.repeat.shifts import Planes, Shift, best_shift, copies
 from matcap.example.repeat.straighten import straightened, unbent
 from matcap.example.repeat.tuned import REPEAT
 from matcap.example.tuned import FEATURE
 
-_LEAST = 32  # texels a side: less leaves the cut no choice
+_LEAST = 32  # least side of an exemplar, texels
 
 
 @dataclass(frozen=True)
 class Repeated:
-    """A piece that repeats."""
+    """A seamless tile."""
 
     maps: Floats
     """(6, h, w) stacked: diffuse, specular, roughness, height; 8 where F0 has a colour."""
     cut: NDArray[np.bool_]
-    """(h, w) whether a texel and the one right of it or below are of two copies."""
+    """(h, w) whether a seam lies between a texel and the one right of it or below."""
 
 
 def repeated(
-    maps: Floats, texel_size: float, order: Order | None = None, bits: int = 0
+    maps: Floats, texel_size: float, lattice: PhasedLattice | None = None, bits: int = 0
 ) -> Repeated:
-    """Maps (6 or 8, H, W) of a piece made to repeat, each side about three quarters of what it was.
+    """Make a seamless tile, each side about three quarters of the exemplar's.
 
     Args:
-        maps: stacked: diffuse, specular, roughness, height.
+        maps: (6 or 8, H, W) stacked: diffuse, specular, roughness, height.
         texel_size: in plane units.
-        order: where there is one, ...
-        bits: ... of texels 2^bits as large.
+        lattice: of the exemplar, or None.
+        bits: the lattice is in texels 2^bits as large.
 
     Raises:
-        UsageError: they are too small.
+        UsageError: a side of less than _LEAST texels.
     """
     height, width = maps.shape[1:]
     if min(height, width) < _LEAST:
@@ -60,12 +60,12 @@ def repeated(
             where="--tile piece",
             remedy=f"capture it with at least {_LEAST} texels a side, or let its field repeat",
         )
-    level = levelled(maps)
+    level = flatten(maps)
     seen = _seen(level, texel_size)
     across, down, cost = _shifts(seen, ())
-    if order is not None:
-        straight = unbent(level, order, bits)
-        waves = tuple((fx / 2**bits, fy / 2**bits) for fx, fy in order.waves)
+    if lattice is not None:
+        straight = unbent(level, lattice, bits)
+        waves = tuple((fx / 2**bits, fy / 2**bits) for fx, fy in lattice.waves)
         *ordered, ordered_cost = _shifts(_seen(straight, texel_size), waves)
         if ordered_cost <= REPEAT.disordered * cost:
             level, (across, down) = straight, ordered
@@ -78,11 +78,11 @@ def repeated(
 
 
 def _shifts(seen: Planes, waves: tuple[Frequency, ...]) -> tuple[Shift, Shift, float]:
-    """Shifts about along x and about along y, as (x, y), and what closing them costs."""
+    """The shifts (x, y) that are about along x and about along y, and the cost of their seams."""
     turned = _turned(seen)
     turned_waves = tuple((fy, fx) for fx, fy in waves)
     across, down = best_shift(seen, waves), best_shift(turned, turned_waves)
-    # What slants both ways alike is turned; more than that would stretch it.
+    # Equal and opposite slants are a rotation; any more would shear the exemplar too much.
     if not waves and abs(across.slant + down.slant) > REPEAT.stretch:
         if abs(across.slant) > abs(down.slant):
             down = best_shift(turned, (), -across.slant, REPEAT.stretch)
@@ -91,10 +91,10 @@ def _shifts(seen: Planes, waves: tuple[Frequency, ...]) -> tuple[Shift, Shift, f
     return across.shift, (down.shift[1], down.shift[0]), across.cost + down.cost
 
 
-def _places(seen: Planes, along: int, below: int) -> tuple[PieceTexels, PieceTexels]:
-    """(below, along) places x, y of the piece that a tile of the size shows."""
+def _places(seen: Planes, along: int, below: int) -> tuple[TileTexels, TileTexels]:
+    """(below, along) texels x, y of the exemplar that the tile shows."""
     rows, columns = np.arange(below), np.arange(seen.shape[2])
-    # First what lies above and below, over the whole width; then what lies left and right.
+    # First a horizontal seam over the whole width, then a vertical one that repeats with the tile.
     first, second = copies(_turned(seen), below)
     upper, _ = least_cut(_rms_difference(first, second), REPEAT.length, closed=False)
     down = rows[:, None] + below * (rows[:, None] < upper[None, :])
@@ -106,10 +106,10 @@ def _places(seen: Planes, along: int, below: int) -> tuple[PieceTexels, PieceTex
 
 
 def _usual_line(maps: Floats, axis: int) -> int:
-    """By how much to roll maps so that they meet themselves at a line like any other.
+    """How far to roll the tile along an axis so that the steps across its border are usual ones.
 
-    Where the piece began may be a joint, which is right, and a test of steps across
-    the border alone takes it for a seam.
+    The border may lie at an edge of the texture, such as a joint of tiles. It is moved to the
+    nearest line at which all maps differ no more than REPEAT.calm times their mean difference.
     """
     steps = np.abs(np.roll(maps, -1, axis) - maps).mean(axis=3 - axis)
     usual = steps.mean(axis=1, keepdims=True)
@@ -120,14 +120,14 @@ def _usual_line(maps: Floats, axis: int) -> int:
     # Step i is between lines i and i + 1, the last one that across the border.
     distance = np.abs(np.arange(-1 - reach, reach) + 1)
     near = np.arange(-1 - reach, reach)
-    order = np.argsort(distance, kind="stable")
-    calm = [int(near[i]) for i in order if worst[near[i]] <= REPEAT.calm]
+    lattice = np.argsort(distance, kind="stable")
+    calm = [int(near[i]) for i in lattice if worst[near[i]] <= REPEAT.calm]
     chosen = calm[0] if calm else int(near[np.argmin(worst[near])])
     return -(chosen + 1)
 
 
 def _seen(maps: Floats, texel_size: float) -> Planes:
-    """(7, H, W) what is compared, in standard deviations: all but the height itself."""
+    """(7, H, W) planes that copies are compared by: all but height, in standard deviations."""
     planes = planes_of_maps(
         (maps[DIFFUSE], maps[SPECULAR], maps[ROUGHNESS], maps[HEIGHT]), texel_size
     )

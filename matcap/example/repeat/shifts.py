@@ -1,4 +1,4 @@
-"""The shifts at which an exemplar best matches itself: candidate periods of the tile."""
+"""Shifts after which an exemplar is most like itself: candidates of the tile's period."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.order import Frequency
+from matcap.example.lattice import Frequency
 from matcap.example.repeat.cut import least_cut
 from matcap.example.repeat.tuned import REPEAT
 
@@ -19,20 +19,20 @@ Shift = tuple[float, float]  # texels along x (right) and y (down)
 
 @dataclass(frozen=True)
 class RatedShift:
-    """A shift, and what the least visible cut that closes it costs a line."""
+    """A shift, and the cost a row of its best seam."""
 
     shift: Shift
     cost: float
 
     @property
     def slant(self) -> float:
-        """How far it goes down for each texel along."""
+        """Dy / dx of the shift."""
         return self.shift[1] / self.shift[0]
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A shift, and the mean square of what the copies differ by where both are."""
+    """A shift, and the mean squared difference of both copies over their overlap."""
 
     shift: Shift
     difference: float
@@ -42,22 +42,23 @@ def best_shift(
     planes: Planes,
     waves: tuple[Frequency, ...],
     slant: float = 0.0,
-    reach: float = REPEAT.turn,
+    slack: float = REPEAT.turn,
 ) -> RatedShift:
-    """The shift along x that the least visible cut can close.
+    """The shift, about along x, whose best seam costs least.
+
+    The cost is relative to the median candidate's, higher for slanted shifts, and less the longer
+    the shift, which keeps more of the exemplar.
 
     Args:
-        planes: (C, H, W) that are compared, in standard deviations; straight where there is an
-            order.
-        waves: of the order, in cycles per texel: the shift turns each a whole number of times, as
-            far as that stretches nothing by more than allowed.
-        slant: of what counts as straight, and how far from it a shift without order may be.
-        reach: likewise.
+        planes: (C, H, W) to compare, in standard deviations; with a lattice, straightened.
+        waves: of the lattice, cycles per texel; the shift is a whole number of turns of each.
+        slant: dy / dx of a shift that does not count as slanted.
+        slack: largest difference from that slant, without a lattice.
     """
     scale = 1 << max(0, math.ceil(math.log2(max(planes.shape[1:]) / REPEAT.search)))
     small = _shrunk(planes, scale)
     width = planes.shape[2]
-    table = _differences(small, slant, reach)
+    table = _differences(small, slant, slack)
     straight = list(_ordered(table, scale, width, waves)) if waves else []
     others = []
     if not straight:
@@ -80,7 +81,7 @@ def best_shift(
 
 
 def _likeliest(some: list[_Candidate], usual: float, width: int, scale: int) -> list[_Candidate]:
-    """The shifts whose copies differ least, no two adjacent."""
+    """The REPEAT.candidates shifts of least difference, no two of them adjacent."""
     ranked = sorted(
         some, key=lambda one: one.difference / usual - REPEAT.larger * one.shift[0] / width
     )
@@ -95,25 +96,25 @@ def _likeliest(some: list[_Candidate], usual: float, width: int, scale: int) -> 
 
 @dataclass(frozen=True)
 class _Table:
-    """Mean square differences of copies shifted by (left + column, top + row) texels."""
+    """Mean squared differences of copies shifted by (left + column, top + row) texels."""
 
     values: NDArray[np.float64]
     left: int
     top: int
 
 
-def _differences(planes: Planes, slant: float, reach: float) -> _Table:
-    """After all shifts that keep enough, by Fourier transforms."""
+def _differences(planes: Planes, slant: float, slack: float) -> _Table:
+    """Differences for all allowed shifts, by FFT."""
     _, high, wide = planes.shape
     first, last = math.ceil(REPEAT.least * wide), math.floor(REPEAT.most * wide)
     sides = (2 * high, 2 * wide)
     waves = np.fft.rfft2(planes.astype(np.float64), s=sides)
     squares = np.fft.rfft2(np.square(planes, dtype=np.float64).sum(axis=0), s=sides)
     ones = np.fft.rfft2(np.ones((high, wide)), s=sides)
-    # Sum over where both are of a(p + s)^2 + a(p)^2 - 2 a(p + s) a(p).
+    # Sum over the overlap of a(p + s)^2 + a(p)^2 - 2 a(p + s) a(p).
     both = np.fft.irfft2(squares * ones.conj() + ones * squares.conj(), s=sides)
     both -= 2.0 * np.fft.irfft2((waves * waves.conj()).sum(axis=0), s=sides)
-    top, bottom = math.floor((slant - reach) * wide), math.ceil((slant + reach) * wide)
+    top, bottom = math.floor((slant - slack) * wide), math.ceil((slant + slack) * wide)
     rows = np.arange(top, bottom + 1)
     columns = np.arange(first, max(last, first) + 1)
     count = (high - np.abs(rows))[:, None] * (wide - columns)[None, :]
@@ -122,6 +123,7 @@ def _differences(planes: Planes, slant: float, reach: float) -> _Table:
 
 
 def _straight(table: _Table, scale: int, slant: float) -> Iterator[_Candidate]:
+    """Shifts of exactly this slant."""
     for column in range(table.values.shape[1]):
         along = table.left + column
         down = round(slant * along)
@@ -130,6 +132,7 @@ def _straight(table: _Table, scale: int, slant: float) -> Iterator[_Candidate]:
 
 
 def _any(table: _Table, scale: int) -> Iterator[_Candidate]:
+    """All shifts of the table."""
     for (row, column), value in np.ndenumerate(table.values):
         shift = (float((table.left + column) * scale), float((row + table.top) * scale))
         yield _Candidate(shift, float(value))
@@ -138,7 +141,7 @@ def _any(table: _Table, scale: int) -> Iterator[_Candidate]:
 def _ordered(
     table: _Table, scale: int, width: int, waves: tuple[Frequency, ...]
 ) -> Iterator[_Candidate]:
-    """Shifts nearest to straight ones that turn every wave a whole number of times."""
+    """Shifts nearest to horizontal ones that are whole turns of every wave."""
     turns = np.array(waves)
     back = np.linalg.pinv(turns)
     low, high = math.ceil(REPEAT.least * width), math.floor(REPEAT.most * width)
@@ -166,7 +169,7 @@ def _largest_difference(one: _Candidate, other: _Candidate) -> float:
 
 
 def _cost(planes: Planes, shift: Shift, scale: int) -> float:
-    """Of the least visible cut between a piece and itself shifted, a row."""
+    """Cost a row of the best seam between the exemplar and its shifted copy."""
     along, down = round(shift[0] / scale), round(shift[1] / scale)
     first, second = copies(planes, along, down)
     difference = np.sqrt(np.square(first - second).mean(axis=0))
@@ -174,14 +177,14 @@ def _cost(planes: Planes, shift: Shift, scale: int) -> float:
 
 
 def copies(planes: Planes, along: int, down: int = 0) -> tuple[Planes, Planes]:
-    """What a piece shifted by so many whole texels, and the piece, show where both are."""
+    """The shifted and the unshifted planes over their overlap."""
     high, wide = planes.shape[1:]
     top, bottom = max(0, -down), min(high, high - down)
     return planes[:, top + down : bottom + down, along:], planes[:, top:bottom, : wide - along]
 
 
 def _refined(planes: Planes, shift: Shift, scale: int) -> Shift:
-    """The shift among those nearest to it, in full detail, that the copies differ least after."""
+    """The shift of least difference within `scale` texels of one found at 1 / scale resolution."""
     if scale == 1:
         return shift
     most = planes.shape[2] - 8

@@ -22,28 +22,27 @@ _BLOCKS = Grid(1024, 256)
 
 @dataclass(frozen=True)
 class RepeatedSource:
-    """Maps that repeat in both directions; picklable."""
+    """A seamless tile, repeated; picklable."""
 
     stacked: Floats
-    """(6 or 8, h, w) maps of what repeats."""
+    """(6 or 8, h, w) maps of the tile."""
     texel_size: float
     """In plane units."""
     grid: Grid = _BLOCKS
-    """The blocks that the plane is cut into."""
 
     @property
     def period(self) -> Period:
-        """All of it."""
+        """The tile's sides, in texels."""
         return self.stacked.shape[2], self.stacked.shape[1]
 
     @property
     def specular_channels(self) -> int:
-        """Of F0: 1, or 3 where it has a colour."""
+        """Channels of F0: 1, or 3 where it has a colour."""
         return len(self.stacked[SPECULAR])
 
     @property
     def device_type(self) -> str:
-        """It is there already."""
+        """Device of the maps."""
         return "cpu"
 
     def maps(self, block: Rectangle) -> Tensor:
@@ -53,7 +52,7 @@ class RepeatedSource:
         return torch.from_numpy(self._around(block))
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-        """(9 or 11, height, width) of a block: its maps and the normal."""
+        """(9 or 11, height, width) maps and normal of a block."""
         return with_normals(self._around(block), self.texel_size, normal)
 
     def _around(self, block: Rectangle) -> Floats:

@@ -1,4 +1,4 @@
-"""Resampling that straightens the period's shifts and the lattice."""
+"""Resampling of an exemplar so that its lattice and its tile's shifts are straight."""
 
 from __future__ import annotations
 
@@ -9,24 +9,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.exemplar import Floats
-from matcap.example.order import GRID, Order
+from matcap.example.lattice import GRID, PhasedLattice
 from matcap.example.repeat.shifts import Shift
 
 _TURN = 2.0**16
-_BENT = 0.25  # texels: what bends less is left as it is
+_BENT = 0.25  # texels: smaller displacements are not resampled
 
 
-def unbent(maps: Floats, order: Order, bits: int = 0) -> Floats:
-    """(C, H, W) maps whose regular order is the straight lattice of the same mean waves.
+def unbent(maps: Floats, lattice: PhasedLattice, bits: int = 0) -> Floats:
+    """(C, H, W) maps resampled so that their lattice is straight, of the same mean waves.
 
-    Every place is moved the least way that puts its phases right; borders are repeated. The
-    order is of texels 2^bits as large.
+    The displacement is the least one that removes the phase offsets; borders are repeated.
+
+    Args:
+        maps: (C, H, W).
+        lattice: of the maps, in texels 2^bits as large.
+        bits: see lattice.
     """
-    waves = np.array(order.waves)
-    bends = order.bends / _TURN
-    bends = bends - bends.mean(axis=(1, 2), keepdims=True)
+    waves = np.array(lattice.waves)
+    turns = lattice.phase_offsets / _TURN
+    turns = turns - turns.mean(axis=(1, 2), keepdims=True)
     # The phase at p is that of the straight lattice at p + move.
-    move = np.einsum("dw,wyx->dyx", np.linalg.pinv(waves), bends) * 2.0**bits
+    move = np.einsum("dw,wyx->dyx", np.linalg.pinv(waves), turns) * 2.0**bits
     if np.abs(move).max() < _BENT:
         return maps
     height, width = maps.shape[1:]
@@ -38,12 +42,15 @@ def unbent(maps: Floats, order: Order, bits: int = 0) -> Floats:
 
 
 def straightened(maps: Floats, across: Shift, down: Shift) -> tuple[Floats, int, int]:
-    """(C, H, W) maps whose two shifts are straight, and these as whole texels.
+    """Maps resampled so that two shifts are along the axes, and the shifts' lengths.
 
     Args:
-        maps: of the piece.
-        across: shift that is to be along x.
-        down: shift that is to be along y, as (x, y).
+        maps: (C, H, W).
+        across: shift (x, y) that becomes horizontal.
+        down: shift (x, y) that becomes vertical.
+
+    Returns:
+        Maps; length of `across`; length of `down`, in whole texels.
     """
     along, below = round(math.hypot(*across)), round(math.hypot(*down))
     matrix = np.array([[across[0] / along, down[0] / below], [across[1] / along, down[1] / below]])
@@ -53,7 +60,7 @@ def straightened(maps: Floats, across: Shift, down: Shift) -> tuple[Floats, int,
     x, y = np.meshgrid(np.arange(width) - 0.5 * (width - 1), np.arange(height) - 0.5 * (height - 1))
     from_x = matrix[0, 0] * x + matrix[0, 1] * y + 0.5 * (width - 1)
     from_y = matrix[1, 0] * x + matrix[1, 1] * y + 0.5 * (height - 1)
-    # What lies outside of the piece at its corners is never shown: the borders are cut off.
+    # Borders are cropped, as corners lie outside the exemplar.
     inside = (from_x >= 0) & (from_x <= width - 1) & (from_y >= 0) & (from_y <= height - 1)
     rows, columns = _inside(inside)
     sheared = _read(maps, from_x[rows, columns], from_y[rows, columns])
@@ -61,7 +68,7 @@ def straightened(maps: Floats, across: Shift, down: Shift) -> tuple[Floats, int,
 
 
 def _inside(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """Rows and columns whose middle and ends are inside."""
+    """Slices of the largest centred rectangle whose border is all inside."""
     height, width = inside.shape
     most = min(height, width) // 4
     for cut in range(most):

@@ -1,4 +1,4 @@
-"""What is tuned of the piece made to repeat; measured in docs/notes/field.md."""
+"""Tuned constants of the seamless tile; measured in docs/notes/field.md."""
 
 from __future__ import annotations
 
@@ -7,44 +7,41 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RepeatSettings:
-    """What is tuned of the piece made to repeat."""
+    """Constants of the seamless tile."""
 
     cells: int = 16
-    """Medians a side that what is slow is fitted to; fewer follow stains less, and see less of what
-    is slow."""
+    """Parts a side whose medians low frequencies are fitted to. Fewer are less affected by stains,
+    and resolve low frequencies less."""
     slow: int = 4
-    """Half waves over a side that are still slow: more takes away more of what makes repeats show,
-    and of the drawing where that is large."""
+    """Half periods a side up to which frequencies are removed. More make repeats less visible, and
+    remove more of a large pattern."""
     metal: float = 0.25
-    """F0 of the brightest channel from which on a texel is metal, where F0 has a colour: gems have
-    up to 0.17, metals 0.4 and more."""
+    """F0 of the brightest channel above which a texel is metal, where F0 has a colour. Gems have up
+    to 0.17, metals 0.4 and more."""
     least: float = 0.66
+    """Least share of a side that the tile keeps. Less gives more shifts to choose from."""
     most: float = 0.92
-    """Share of a side that is kept: less lets the cut choose among more, and shows less of the
-    piece."""
+    """Largest share; the rest is overlap for the seam."""
     stretch: float = 0.02
-    """Of whatever closes a lattice, as a share of the side."""
+    """Largest change of a shift to whole turns of a lattice, as a share of the shift."""
     search: int = 320
-    """Texels of the longer side that shifts are looked for in."""
+    """Texels of the exemplar's longer side in the search for shifts."""
     turn: float = 0.06
-    """How slanting shifts may be: a photograph is held as level as that."""
+    """Largest dy / dx of a shift."""
     slanted: float = 1.15
-    """Times what a slanting shift's cut costs: straightening it costs a little of the finest
-    detail."""
+    """Factor on the cost of a slanted shift, as resampling loses some of the finest detail."""
     disordered: float = 1.15
-    """Times what cuts cost that keep no order."""
+    """Factor on the cost of shifts that do not keep the lattice."""
     candidates: int = 8
-    """Shifts whose cuts are compared."""
+    """Shifts whose seams are compared."""
     larger: float = 0.6
-    """What a cut may cost more for the whole side kept instead of none of it."""
+    """Reduction of the relative cost for a shift as long as the side."""
     length: float = 0.1
-    """What a cut costs a texel where nothing differs, in standard deviations of a feature: straight
-    cuts are shorter."""
+    """Cost of a step of the seam, standard deviations of a feature; it keeps seams short."""
     blur: float = 6.0
-    """Texels over which what still differs at a cut is spread; less shows the cut, more shows a
-    halo."""
+    """Texels over which the step at a seam is spread. Less shows the seam, more a halo."""
     calm: float = 1.0
-    """Steps across the border in those inside, in any map: more where no line is as calm."""
+    """Largest step across the tile's border over the mean step, in any map; see _usual_line."""
 
 
 REPEAT = RepeatSettings()

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.example.example import Example, detail_bits
 from matcap.example.exemplar import Exemplar
-from matcap.example.variety import chosen
+from matcap.example.variety import with_chosen_variety
 from matcap.field.plane import Rectangle
 from matcap.lab.bench.methods import exemplar_of
 from matcap.lab.experiment.results import Value
@@ -145,7 +145,7 @@ def true_example(maps: MapSet) -> Example:
     exemplar, (width, height) = exemplar_of(maps), maps.size
     colour = torch.from_numpy(exemplar.diffuse).clamp(0.0, 1.0) ** (1.0 / 2.2)
     lattice = find_lattice(colour, torch.ones(height, width, dtype=torch.bool))
-    return chosen(Example.of(exemplar, tuple((w.fx, w.fy) for w in lattice.waves)))
+    return with_chosen_variety(Example.of(exemplar, tuple((w.fx, w.fy) for w in lattice.waves)))
 
 
 def joint_length(height: NDArray[np.float32]) -> float | None:
@@ -172,7 +172,7 @@ def joint_length(height: NDArray[np.float32]) -> float | None:
 
 def phase_off(example: Example) -> float | None:
     """Turns that the field's lattice is off by at 16384 texels both ways; None without one."""
-    order = example.index.order
+    order = example.index.lattice
     if order is None:
         return None
     bits = detail_bits(example.exemplar)
@@ -180,7 +180,7 @@ def phase_off(example: Example) -> float | None:
     for x, y in ((_FAR, 0), (0, _FAR), (-_FAR, _FAR)):
         places = example.places(0, Rectangle(x, y, 256, 256), None).astype(np.int64) >> bits
         columns, rows = (np.arange(at, at + 256) >> bits for at in (x, y))
-        wanted = order.wanted(0, columns[None, :], rows[:, None], (None, None))
+        wanted = order.ideal_phases(0, columns[None, :], rows[:, None], (None, None))
         difference = (order.phases(places[..., 0], places[..., 1]) - wanted).astype(np.int16)
         turns = np.exp(2j * np.pi * difference.astype(np.float64) / 2**16).mean(axis=(0, 1))
         worst = max(worst, float(np.abs(np.angle(turns)).max()) / (2.0 * np.pi))

@@ -1,4 +1,4 @@
-"""Removes low frequencies of colour and gloss: in a tiling they would show as a chequer."""
+"""Removes low frequencies of albedo, F0 and roughness, which make a tiling look periodic."""
 
 from __future__ import annotations
 
@@ -8,46 +8,45 @@ from numpy.typing import NDArray
 from matcap.example.exemplar import COLOURED, SPECULAR, Floats
 from matcap.example.repeat.tuned import REPEAT
 
-_BLACK = 1e-3  # of albedo and F0: what is darker is as dark
+_BLACK = 1e-3  # lower limit of albedo and F0 in logarithms
 _ORDERS = np.arange(REPEAT.slow + 1)
 
 
-def levelled(maps: Floats) -> Floats:
-    """Stacked maps (6 or 8, H, W) without the slow waves nearest to the medians of their parts.
+def flatten(maps: Floats) -> Floats:
+    """Stacked maps (6 or 8, H, W) without their low frequencies.
 
-    Albedo and F0 are divided by theirs, and roughness is moved; means stay. Medians, so that what
-    stands in one place alone, a stain, is not taken for a slope. Where F0 has a colour, metal and
-    what is none are each taken from their own median: a part with a little more rust than metal is
-    no darker for that.
+    Low frequencies are cosines of up to REPEAT.slow half periods a side, fitted to the medians of
+    REPEAT.cells^2 parts; medians, so that a stain has little effect. Albedo and F0 are divided by
+    them, roughness is reduced by them; means are kept. Where F0 has a colour, the median of metal,
+    or of dielectric, is subtracted first, so that a part with more rust than metal does not count
+    as darker.
     """
     flattened = maps.copy()
     metal = maps[SPECULAR].max(axis=0) > REPEAT.metal
-    kinds = (metal, ~metal) if len(maps[SPECULAR]) == COLOURED else ()
-    # All but the height, whose slope closing takes away; light multiplies albedo and F0.
+    classes = (metal, ~metal) if len(maps[SPECULAR]) == COLOURED else ()
+    # All maps but the height, whose mean slope join.py removes.
     roughness = len(maps) - 2
     for index in range(roughness + 1):
         if index < roughness:
             logs = np.log(np.maximum(maps[index], _BLACK))
-            flattened[index] *= np.exp(-_slow(_of_one_kind(logs, kinds)))
+            flattened[index] *= np.exp(-_slow(_less_class_medians(logs, classes)))
         else:
-            flattened[index] -= _slow(_of_one_kind(maps[index], kinds))
+            flattened[index] -= _slow(_less_class_medians(maps[index], classes))
     np.clip(flattened[:-1], 0.0, 1.0, out=flattened[:-1])
     return flattened
 
 
-def _of_one_kind(plane: Floats, kinds: tuple[NDArray[np.bool_], ...]) -> Floats:
-    """(H, W) a plane less the median of its kind, at every texel; itself where there are none."""
-    if not kinds:
-        return plane
-    flattened = plane.copy()
-    for kind in kinds:
-        if kind.any():
-            flattened[kind] -= np.median(plane[kind])
-    return flattened
+def _less_class_medians(plane: Floats, classes: tuple[NDArray[np.bool_], ...]) -> Floats:
+    """(H, W) plane less the median of each texel's material class, given as masks."""
+    residual = plane.copy()
+    for mask in classes:
+        if mask.any():
+            residual[mask] -= np.median(plane[mask])
+    return residual
 
 
 def _slow(plane: Floats) -> Floats:
-    """(H, W) the slow waves nearest to medians of parts, of zero mean."""
+    """(H, W) low frequencies of a plane, of zero mean."""
     parts = [
         [part for part in np.array_split(np.arange(side), REPEAT.cells) if part.size]
         for side in plane.shape
@@ -69,5 +68,5 @@ def _slow(plane: Floats) -> Floats:
 
 
 def _waves(places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, orders): half waves over a side, at places in [0, 1]."""
+    """(N, orders) cosines of 0, 1, ... half periods a side, at positions in [0, 1]."""
     return np.cos(np.pi * places[:, None] * _ORDERS[None, :])

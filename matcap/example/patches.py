@@ -1,11 +1,10 @@
-"""Patches of the coarsest level: the grid they are laid on and the place each one shows.
+"""Patches of the coarsest level: the grid they are laid on, and the place that each shows.
 
-A field of full variety begins with squares of some hundred texels, each anywhere. With less,
-pieces are larger, up to the whole exemplar, which is then repeated: what is long in it is torn
-less often. Every other piece is fitted to its neighbours: of several drawn, it is the one whose
-borders continue them best. Pieces of even row and column are free; those between two of them in a
-row or a column fit these; those of odd row and column fit all four. So a piece depends on no more
-than its neighbours' neighbours, and on nothing that was made before.
+Larger patches tear long structure less often. They are fitted to their neighbours: of several
+random places the one with the least border mismatch is taken. Patches of even row and even column
+are random; those between two of these along a row or a column are fitted to them; those of odd row
+and odd column are fitted to all four neighbours. A patch thus depends on its neighbours' neighbours
+at most, whatever else has been synthesised.
 """
 
 from __future__ import annotations
@@ -15,29 +14,29 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.grids import PRICE_BITS, Frame
+from matcap.example.grids import COST_BITS, Frame
 from matcap.example.hashing import Hashes, draw, hash_places
 from matcap.example.lookup import Level
-from matcap.example.order import Integers
 from matcap.example.tuned import PLACEMENT
+from matcap.field.turns import Integers
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Pieces along columns or rows."""
+    """Patches along one axis."""
 
     number: Integers
-    """Of the piece that each column or row lies in; wrapped as the field is."""
+    """Number of the patch of each column or row, modulo `count`."""
     offset: Integers
-    """Texels from the middle of it."""
+    """Texels from the patch's centre."""
     side: int
-    """Texels of a piece."""
+    """Width or height of a patch, texels."""
     count: int | None
-    """Pieces until the field repeats, or None."""
+    """Patches in the period, or None."""
 
     @staticmethod
     def of(at: Integers, side: int, period: int | None) -> Axis:
-        """PieceSizes texels `at`, which lie within the period, into pieces of at most a side."""
+        """Patches, of at most `side` texels, of the positions `at`, which are modulo the period."""
         if period is None:
             return Axis(at // side, at % side - side // 2, side, None)
         count = -(-period // side)
@@ -47,10 +46,17 @@ class Axis:
         return Axis(number, at - begins - whole // 2, whole, count)
 
 
-def laid(
+def lay_patches(
     level: Level, depth: int, seed: int, across: Axis, down: Axis
 ) -> tuple[Integers, Integers]:
-    """(rows, columns) places x, y of the exemplar in the middle of every piece named."""
+    """(rows, columns) x, y of the exemplar at the centre of each position's patch.
+
+    Args:
+        level: the coarsest.
+        depth: its number.
+        seed: in [-2^63, 2^63).
+        across, down: patches along columns and rows.
+    """
     columns, rows = _with_neighbours(across), _with_neighbours(down)
     frame = inset(level.frame, across.side // 2, down.side // 2)
     hashes = hash_places(seed, depth, columns[None, :], rows[:, None])
@@ -68,7 +74,7 @@ def laid(
                 (columns, across, some_columns) if along_x else (rows, down, some_rows)
             )
             if not int(numbers[chosen[0]]) % 2:
-                continue  # fitted to the others of its row or column alone
+                continue  # even along this axis: not fitted along it
             wanted = numbers[chosen] + step
             wanted = wanted if axis.count is None else wanted % axis.count
             other = np.searchsorted(numbers, wanted)
@@ -84,12 +90,12 @@ def laid(
 
 
 def cheapest(level: Level, hashes: Hashes, frame: Frame) -> tuple[Integers, Integers]:
-    """Of a few places within a frame, the cheapest for every hash."""
+    """For every hash, the place of least placement cost among PLACEMENT.draws random ones."""
     x, y = _drawn(hashes, 0, frame)
-    best = _price(level, x, y)
+    best = _placement_cost(level, x, y)
     for attempt in range(1, PLACEMENT.draws):
         x_drawn, y_drawn = _drawn(hashes, attempt, frame)
-        cost = _price(level, x_drawn, y_drawn)
+        cost = _placement_cost(level, x_drawn, y_drawn)
         better = cost < best
         x, y = np.where(better, x_drawn, x), np.where(better, y_drawn, y)
         best = np.where(better, cost, best)
@@ -97,7 +103,7 @@ def cheapest(level: Level, hashes: Hashes, frame: Frame) -> tuple[Integers, Inte
 
 
 def inset(frame: Frame, by_x: int, by_y: int) -> Frame:
-    """A frame with less room on every side, but with some."""
+    """A frame reduced on every side, to no less than its middle."""
     by_x = min(by_x, (frame.right - frame.left) // 2)
     by_y = min(by_y, (frame.bottom - frame.top) // 2)
     return Frame(frame.left + by_x, frame.top + by_y, frame.right - by_x, frame.bottom - by_y)
@@ -105,11 +111,14 @@ def inset(frame: Frame, by_x: int, by_y: int) -> Frame:
 
 @dataclass(frozen=True)
 class _Neighbour:
-    """Neighbouring pieces: to the left or right (along x), or above or below; their places."""
+    """Neighbouring patches on one side."""
 
     along_x: bool
+    """Left or right of the patches, else above or below."""
     step: int
+    """-1 left or above, 1 right or below."""
     x: Integers
+    """Places at their centres."""
     y: Integers
 
 
@@ -121,24 +130,24 @@ def _fitting(
     width: int,
     height: int,
 ) -> tuple[Integers, Integers]:
-    """Of several places for every hash, the one that continues its neighbours best."""
+    """For every hash, the random place of least placement cost plus border mismatch."""
     best_x, best_y = _drawn(hashes, 0, frame)
     best = np.full(hashes.shape, np.iinfo(np.int64).max)
     for attempt in range(PLACEMENT.fitted):
         x, y = _drawn(hashes, attempt, frame)
-        cost = _price(level, x, y).astype(np.int64)
+        cost = _placement_cost(level, x, y).astype(np.int64)
         for other in neighbours:
-            cost += _border(level, x, y, other, width, height)
+            cost += _border_mismatch(level, x, y, other, width, height)
         better = cost < best
         best_x, best_y = np.where(better, x, best_x), np.where(better, y, best_y)
         best = np.where(better, cost, best)
     return best_x, best_y
 
 
-def _border(
+def _border_mismatch(
     level: Level, x: Integers, y: Integers, other: _Neighbour, width: int, height: int
 ) -> Integers:
-    """What a border costs: the mean square of how far appearances on both sides are apart."""
+    """32 times the mean squared difference of both sides' appearance along the common border."""
     long, short = (height, width) if other.along_x else (width, height)
     step = max(level.spacing, long // PLACEMENT.along)
     along = np.arange(-(long // 2), long - long // 2, step)
@@ -147,13 +156,13 @@ def _border(
     dx, dy = (edge, along) if other.along_x else (along, edge)
     back_x, back_y = (-edge, along) if other.along_x else (along, -edge)
 
-    def seen(x: Integers, y: Integers) -> NDArray[np.int32]:
+    def appearance_at(x: Integers, y: Integers) -> NDArray[np.int32]:
         x = x.clip(level.frame.left, level.frame.right) >> level.bits
         y = y.clip(level.frame.top, level.frame.bottom) >> level.bits
         return level.appearance[y, x].astype(np.int32)
 
-    here = seen(x[..., None] + dx, y[..., None] + dy)
-    there = seen(other.x[..., None] + back_x, other.y[..., None] + back_y)
+    here = appearance_at(x[..., None] + dx, y[..., None] + dy)
+    there = appearance_at(other.x[..., None] + back_x, other.y[..., None] + back_y)
     squares = np.square(here - there).sum(axis=-1, dtype=np.int64)
     return squares.sum(axis=-1) * 32 // len(along)
 
@@ -166,12 +175,12 @@ def _drawn(hashes: Hashes, attempt: int, frame: Frame) -> tuple[Integers, Intege
     )
 
 
-def _price(level: Level, x: Integers, y: Integers) -> NDArray[np.int32]:
-    return level.placement_cost[y >> PRICE_BITS, x >> PRICE_BITS]
+def _placement_cost(level: Level, x: Integers, y: Integers) -> NDArray[np.int32]:
+    return level.placement_cost[y >> COST_BITS, x >> COST_BITS]
 
 
 def _with_neighbours(axis: Axis) -> Integers:
-    """Numbers of pieces, sorted, with those that pieces of odd number are fitted to."""
+    """Sorted numbers of patches, including the neighbours that odd ones are fitted to."""
     numbers = np.unique(axis.number)
     odd = numbers[numbers % 2 == 1]
     near = np.concatenate([odd - 1, odd + 1])

@@ -1,9 +1,9 @@
-"""For every place of an exemplar one that looks most like it elsewhere (k-coherence).
+"""k-coherence candidates [tong2002]: for every place of an exemplar the most similar other place.
 
-Nearest neighbours among appearances, found by all places at once: what is alike lies side by side
-along any line through the space of appearances, so each place tries its neighbours along a few
-random lines, and then, as in PatchMatch [barnes2009], what its neighbours found, moved
-along. Lines are hashes, distances are integers, so that the same appearances have the same answer.
+Approximate nearest neighbours of appearance vectors. Vectors are sorted by their projection on
+random directions, and each place tries its neighbours in that order; then, as in PatchMatch
+[barnes2009], the shifted candidates of its neighbours in the image. Directions are hashes and
+distances integers, so that the result is the same on every machine.
 """
 
 from __future__ import annotations
@@ -22,29 +22,28 @@ _SEED = 0x51417
 
 
 @dataclass(frozen=True)
-class Similar:
-    """Places on a grid, in its own texels."""
+class Candidates:
+    """The candidate of every place of a grid."""
 
     rows: NDArray[np.int32]
+    """(H, W) in grid steps."""
     columns: NDArray[np.int32]
-    """(H, W) int32."""
+    """(H, W) in grid steps."""
     distances: NDArray[np.int32]
-    """(H, W) int32 squared, of the appearances."""
+    """(H, W) squared distance of the appearance vectors."""
 
 
-def find_similar(
+def find_candidates(
     appearance: Appearance,
     gap: int,
     allowed: tuple[slice, slice],
-    start: tuple[NDArray[np.int32], NDArray[np.int32]] | None = None,
-) -> Similar:
-    """k-coherence candidate of each grid place: the most similar place at least `gap` texels off.
+) -> Candidates:
+    """For each place the most similar place at least `gap` grid steps away along x or y.
 
     Args:
         appearance: (H, W, DIMENSIONS).
-        gap: texels, the larger of the offsets along x and y.
-        allowed: rows and columns that a place may be in.
-        start: rows and columns to begin with, as of a coarser grid.
+        gap: grid steps.
+        allowed: slices of rows and columns that candidates lie in.
     """
     high, wide = appearance.shape[:2]
     own_rows, own_columns = np.mgrid[0:high, 0:wide].astype(np.int32)
@@ -58,11 +57,8 @@ def find_similar(
         return np.einsum("hwd,hwd->hw", difference, difference)
 
     hashes = hash_places(_SEED, 0, np.arange(wide), np.arange(high)[:, None])
-    if start is None:
-        best_rows = (draw(hashes, 0, bottom - top) + top).astype(np.int32)
-        best_columns = (draw(hashes, 1, right - left) + left).astype(np.int32)
-    else:
-        best_rows, best_columns = start
+    best_rows = (draw(hashes, 0, bottom - top) + top).astype(np.int32)
+    best_columns = (draw(hashes, 1, right - left) + left).astype(np.int32)
     best = np.full((high, wide), np.iinfo(np.int32).max, np.int32)
 
     def attempt(rows: NDArray[np.int32], columns: NDArray[np.int32]) -> None:
@@ -90,4 +86,4 @@ def find_similar(
             for y, x in _NEIGHBOURS:
                 rows, columns = (np.roll(one, (y, x), (0, 1)) for one in (best_rows, best_columns))
                 attempt(rows + np.int32(y), columns + np.int32(x))
-    return Similar(best_rows, best_columns, best)
+    return Candidates(best_rows, best_columns, best)

@@ -1,0 +1,333 @@
+"""The lattice of an exemplar (weave, tiles): frequency vectors, and the phase at every place.
+
+In a photograph the lattice is bent, so that its phase is measured at every 16th texel. The field
+has the ideal lattice of the same mean frequencies (field/turns.py): patches are laid in phase with
+it, and corrections penalise phase errors.
+
+Phases are 16-bit integers in units of 2^-16 turn, which wrap as turns do.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.example.hashing import scramble
+from matcap.example.tuned import LATTICE
+from matcap.field.plane import Period
+from matcap.field.turns import Integers, same_cells, turns_per_texel, whole_turns
+
+Phases = NDArray[np.int16]
+
+Frequency = tuple[float, float]  # cycles per texel along x (right) and y (down)
+
+GRID = 4  # phase offsets are stored every 2^GRID texels
+_TURN = 1 << 16
+_GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
+_PHASES = 0x94D049BB133111EB  # makes its random numbers independent of those of places
+
+
+@dataclass(frozen=True)
+class PhasedLattice:
+    """The lattice of an exemplar."""
+
+    waves: tuple[Frequency, ...]
+    """One or two mean frequency vectors."""
+    phase_offsets: NDArray[np.int32]
+    """(len(waves), H, W): phase less that of the mean wave at every 16th texel, in 2^-16 turn,
+    unwrapped."""
+
+    def cropped(self, x: int, y: int) -> PhasedLattice:
+        """The lattice of the exemplar cropped to begin at texel (x, y), multiples of 2^GRID."""
+        return replace(self, phase_offsets=self.phase_offsets[:, y >> GRID :, x >> GRID :])
+
+    def periods(self) -> NDArray[np.int64]:
+        """(2, len(waves)) shift (x, y) that turns each wave once, the other not, in 1/256 texel."""
+        if len(self.waves) == 1:
+            ((ax, ay),) = self.waves
+            area, columns = ax * ax + ay * ay, [[ax], [ay]]
+        else:
+            (ax, ay), (bx, by) = self.waves
+            area, columns = ax * by - ay * bx, [[by, -ay], [-bx, ax]]
+        return np.rint(256.0 * np.array(columns) / area).astype(np.int64)
+
+    def patch_width(self, cells: float = LATTICE.patch) -> float:
+        """Least width in texels of a patch of whole lattice cells, of about `cells` texels."""
+        return min(_together(wave, cells) / math.hypot(*wave) for wave in self.waves)
+
+    def patch_extent(self, cells: float) -> tuple[float, float]:
+        """(width, height) in texels of a patch plus a cell, by which it may be moved into phase."""
+        waves = _two(self, cells)
+        (ax, ay), (bx, by) = waves
+        area = ax * by - ay * bx
+        counts = [_together(wave, cells) + 1 for wave in waves]
+        return (
+            (abs(by) * counts[0] + abs(ay) * counts[1]) / abs(area),
+            (abs(bx) * counts[0] + abs(ax) * counts[1]) / abs(area),
+        )
+
+    def fitting_cells(self, cells: float, width: float, height: float) -> float:
+        """Largest size, at most `cells` texels, whose patches fit into a rectangle."""
+        while cells > LATTICE.patch:
+            wide, high = self.patch_extent(cells)
+            if wide <= width and high <= height:
+                return cells
+            cells *= LATTICE.smaller
+        return LATTICE.patch
+
+    def phases(self, x: Integers, y: Integers) -> Phases:
+        """(..., len(waves)) phases of the exemplar at (x, y), of shapes that broadcast."""
+        return np.stack(
+            [
+                _bent(bend, x, y) + _straight(wave, (None, None), x, y)
+                for wave, bend in zip(self.waves, self.phase_offsets, strict=True)
+            ],
+            axis=-1,
+        ).astype(np.int16)
+
+    def ideal_phases(self, seed: int, x: Integers, y: Integers, period: Period) -> Phases:
+        """(..., len(waves)) phases of the field's ideal lattice at (x, y).
+
+        Args:
+            seed: of the lattice's random offset.
+            x, y: texels, of shapes that broadcast.
+            period: of the field; each wave is replaced by the nearest one that repeats in it.
+        """
+        starts = _starts(seed)
+        return np.stack(
+            [
+                _straight(wave, period, x, y, start)
+                for wave, start in zip(self.waves, starts, strict=False)
+            ],
+            axis=-1,
+        ).astype(np.int16)
+
+
+def _starts(seed: int) -> list[int]:
+    """Random phases of two waves at texel (0, 0), in 2^-64 turn."""
+    counters = [((seed ^ _PHASES) + k * _GOLDEN) % 2**64 for k in (1, 2)]
+    return [int(start) for start in scramble(np.array(counters, np.uint64))]
+
+
+def _straight(
+    wave: Frequency, period: Period, x: Integers, y: Integers, start: int = 0
+) -> NDArray[np.int32]:
+    """Phase of an ideal wave at (x, y), in 2^-16 turn; `start` is in 2^-64 turn."""
+    turns_x, turns_y = (
+        np.uint64(turns_per_texel(f, p) % 2**64) for f, p in zip(wave, period, strict=True)
+    )
+    turns = x.astype(np.uint64) * turns_x + y.astype(np.uint64) * turns_y + np.uint64(start)
+    return (turns >> np.uint64(48)).astype(np.int32)
+
+
+def _bent(bend: NDArray[np.int32], x: Integers, y: Integers) -> NDArray[np.int32]:
+    """Bilinear interpolation of a grid of 2^GRID texels at (x, y), which are clamped to it."""
+    side = 1 << GRID
+    x = x.clip(0, (bend.shape[1] - 1) * side - 1)
+    y = y.clip(0, (bend.shape[0] - 1) * side - 1)
+    column, row, share_x, share_y = x >> GRID, y >> GRID, x & (side - 1), y & (side - 1)
+    wide = bend.astype(np.int64)
+
+    def across(row: Integers) -> Integers:
+        return wide[row, column] * (side - share_x) + wide[row, column + 1] * share_x
+
+    total = across(row) * (side - share_y) + across(row + 1) * share_y
+    return (total >> (2 * GRID)).astype(np.int32)
+
+
+@dataclass(frozen=True)
+class Cells:
+    """For each texel of a grid, the lattice patch that it lies in: a block of whole cells."""
+
+    column: Integers
+    """(rows, columns) number of the patch along the first wave, equal where the field repeats."""
+    row: Integers
+    """Likewise along the second wave."""
+    middle_x: Integers
+    """(rows, columns) centre of the patch, texels."""
+    middle_y: Integers
+
+
+def cells_of(
+    lattice: PhasedLattice,
+    seed: int,
+    x: Integers,
+    y: Integers,
+    period: Period,
+    cells: float = LATTICE.patch,
+) -> Cells:
+    """The lattice patches that texels lie in.
+
+    A lattice of one wave is cut across as well, at the same size.
+
+    Args:
+        lattice: of the exemplar.
+        seed: of the lattice's random offset.
+        x, y: columns (N,) and rows (M,) of texels.
+        period: of the field.
+        cells: size of a patch, texels.
+    """
+    waves = _two(lattice, cells)
+    starts = _starts(seed)
+    counts, firsts, repeats = [], [], []
+    for wave, start in zip(waves, starts, strict=True):
+        along_x, along_y = (turns_per_texel(f, p) for f, p in zip(wave, period, strict=True))
+        counts.append(
+            whole_turns([along_x * int(c) + start for c in x], [along_y * int(r) for r in y])
+        )
+        repeats.append(
+            [0 if p is None else round(f * p) for f, p in zip(wave, period, strict=True)]
+        )
+    (first_x, first_y), (second_x, second_y) = repeats
+    names = same_cells(counts[0], counts[1], (first_x, second_x), (first_y, second_y))
+    middles = []
+    for wave, count, name, start in zip(waves, counts, names, starts, strict=True):
+        together = _together(wave, cells)
+        first = count - name % together
+        middles.append(first + 0.5 * together - start / 2**64)
+        firsts.append(name // together)
+    (ax, ay), (bx, by) = waves
+    area = ax * by - ay * bx
+    return Cells(
+        firsts[0],
+        firsts[1],
+        np.rint((by * middles[0] - ay * middles[1]) / area).astype(np.int64),
+        np.rint((ax * middles[1] - bx * middles[0]) / area).astype(np.int64),
+    )
+
+
+def _together(wave: Frequency, cells: float) -> int:
+    """Whole turns of a wave in one patch."""
+    return max(1, round(cells * math.hypot(*wave)))
+
+
+def _two(lattice: PhasedLattice, cells: float) -> tuple[Frequency, Frequency]:
+    """Its waves; with a single one, a second at right angles with a period of `cells` texels."""
+    if len(lattice.waves) == 2:
+        return lattice.waves[0], lattice.waves[1]
+    (wave,) = lattice.waves
+    length = math.hypot(*wave)
+    return wave, (-wave[1] / (length * cells), wave[0] / (length * cells))
+
+
+def measure_lattice(
+    planes: NDArray[np.floating], waves: tuple[Frequency, ...]
+) -> PhasedLattice | None:
+    """Measure frequency vectors and phases of a lattice.
+
+    None without waves, or if a period is longer than a third of the exemplar.
+
+    Args:
+        planes: (C, H, W) of zero mean.
+        waves: approximate frequency vectors.
+    """
+    measured = [_measured(planes, wave) for wave in waves]
+    if not measured or any(one is None for one in measured):
+        return None
+    fitted = [one for one in measured if one is not None]
+    lattice = PhasedLattice(
+        tuple(wave for wave, _ in fitted), np.stack([bend for _, bend in fitted])
+    )
+    joints = _joints(np.delete(planes, LATTICE.slopes, axis=0), lattice)
+    return PhasedLattice(lattice.waves, lattice.phase_offsets - joints[:, None, None])
+
+
+def _joints(planes: NDArray[np.floating], lattice: PhasedLattice) -> NDArray[np.int32]:
+    """(len(waves),) phases at which cells differ least from each other, such as joints of tiles.
+
+    Patches are cut there. The variance over cells is computed by phase, in LATTICE.bins bins.
+    """
+    high, wide = planes.shape[1:]
+    x, y = np.arange(0, wide, 2), np.arange(0, high, 2)
+    phases = lattice.phases(x[None, :], y[:, None]).astype(np.int64) % _TURN
+    bins = phases * LATTICE.bins // _TURN
+    place = bins[..., 0] if bins.shape[-1] == 1 else bins[..., 0] * LATTICE.bins + bins[..., 1]
+    place = place.ravel()
+    size = LATTICE.bins ** bins.shape[-1]
+    count = np.maximum(np.bincount(place, minlength=size), 1)
+    spread = np.zeros(size)
+    for plane in planes[:, ::2, ::2].reshape(len(planes), -1):
+        mean = np.bincount(place, plane, size) / count
+        spread += np.bincount(place, plane * plane, size) / count - mean * mean
+    joints = []
+    for axis in range(bins.shape[-1]):
+        grid = spread.reshape((LATTICE.bins,) * bins.shape[-1])
+        line = grid if grid.ndim == 1 else grid.mean(axis=1 - axis)
+        smooth = np.roll(line, 1) + 2 * line + np.roll(line, -1)
+        joints.append((2 * int(np.argmin(smooth)) + 1) * _TURN // (2 * LATTICE.bins))
+    return np.array(joints, np.int32)
+
+
+def _measured(
+    planes: NDArray[np.floating], wave: Frequency
+) -> tuple[Frequency, NDArray[np.int32]] | None:
+    """The mean frequency vector and phase offsets of a wave, by local demodulation.
+
+    Planes times exp(-2 pi i phase) are averaged over Gaussian windows, whose angle is the phase
+    offset; repeated LATTICE.rounds times, as a window smooths the offset.
+    """
+    high, wide = planes.shape[1:]
+    period = 1.0 / math.hypot(*wave)
+    if LATTICE.fewest * period > min(high, wide):
+        return None
+    deviation = min(LATTICE.window * period, min(high, wide) / 4)
+    x, y = np.arange(wide)[None, :], np.arange(high)[:, None]
+    side = 1 << GRID
+    rows, columns = np.arange(0, high + side, side), np.arange(0, wide + side, side)
+    down, across = (
+        _windows(n, at, deviation).astype(np.complex64) for n, at in ((high, rows), (wide, columns))
+    )
+    straight = wave[0] * x + wave[1] * y
+    lag = max(1, round(LATTICE.lag * deviation) >> GRID)
+    bend = np.zeros((len(rows), len(columns)))
+    for _ in range(LATTICE.rounds):
+        turns = straight + _bent(np.rint(bend * _TURN).astype(np.int64), x, y) / _TURN
+        carrier = np.exp(-2j * np.pi * (turns - np.floor(turns))).astype(np.complex64)
+        local = np.stack([(down @ (plane * carrier)) @ across.T for plane in planes])
+        joined = _joined(local, lag)
+        bend = bend + np.unwrap(np.unwrap(np.angle(joined), axis=0), axis=1) / (2.0 * np.pi)
+    slope_x, slope_y, _ = _plane_fit(columns, rows, bend, np.abs(joined))
+    mean = (wave[0] + slope_x, wave[1] + slope_y)
+    bend = bend - slope_x * columns[None, :] - slope_y * rows[:, None]
+    return mean, np.rint(bend * _TURN).astype(np.int32)
+
+
+def _joined(local: NDArray[np.complexfloating], lag: int) -> NDArray[np.complexfloating]:
+    """(H, W) weighted sum of demodulated planes (C, H, W), rotated to a common phase.
+
+    The weight rises with a plane's coherence, the autocorrelation at `lag` grid steps over the
+    power. It is low for planes that vary randomly between cells, as colours of tiles do.
+    """
+    power = (np.abs(local) ** 2).mean(axis=(1, 2)) + LATTICE.faint
+    on = (
+        np.abs((local[:, lag:] * local[:, :-lag].conj()).mean(axis=(1, 2))),
+        np.abs((local[:, :, lag:] * local[:, :, :-lag].conj()).mean(axis=(1, 2))),
+    )
+    steady = np.minimum(0.5 * (on[0] + on[1]) / power, LATTICE.steadiest)
+    reference = local[np.argmax(steady)]
+    relation = (local * reference.conj()).mean(axis=(1, 2))
+    weights = relation.conj() / (power * (1.0 - steady))
+    return (local * weights[:, None, None]).sum(axis=0)
+
+
+def _windows(length: int, centres: NDArray[np.int64], deviation: float) -> NDArray[np.float64]:
+    """(len(centres), length) Gaussian windows of unit sum."""
+    distance = np.arange(length)[None, :] - centres[:, None]
+    windows = np.exp(-0.5 * (distance / deviation) ** 2)
+    return windows / windows.sum(axis=1, keepdims=True)
+
+
+def _plane_fit(
+    columns: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    values: NDArray[np.float64],
+    weight: NDArray[np.float64],
+) -> tuple[float, float, float]:
+    """(a, b, c) of the weighted least-squares plane a x + b y + c through values on a grid."""
+    x, y = np.broadcast_arrays(columns[None, :], rows[:, None])
+    design = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1) * weight.reshape(-1, 1)
+    (a, b, c), *_ = np.linalg.lstsq(design, (values * weight).ravel(), rcond=None)
+    return float(a), float(b), float(c)

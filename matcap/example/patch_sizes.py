@@ -1,0 +1,49 @@
+"""Sizes of the patches that a field's coarsest level is laid from, by its variety."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from matcap.example.grids import Frame
+from matcap.example.lattice import PhasedLattice
+from matcap.example.tuned import LATTICE, PLACEMENT
+
+
+@dataclass(frozen=True)
+class PatchSizes:
+    """Sizes of patches, in texels of the grid of places."""
+
+    width: int
+    height: int
+    cells: float
+    """Size of a lattice's patches, about; see PhasedLattice.patch_width."""
+    loose: bool
+    """Variety 1: squares of a power of two, not fitted to their neighbours."""
+
+    @staticmethod
+    def of(frame: Frame, spacing: int, lattice: PhasedLattice | None, variety: float) -> PatchSizes:
+        """Patch sizes of a variety.
+
+        Args:
+            frame: of the coarsest level's places.
+            spacing: of that level, texels.
+            lattice: of the exemplar, or None.
+            variety: 0 for the whole exemplar, 1 for the smallest patches.
+        """
+        wide, high = frame.right - frame.left, frame.bottom - frame.top
+        small = 1 << (min(PLACEMENT.patch, min(wide, high) // PLACEMENT.part).bit_length() - 1)
+        if variety >= 1.0:
+            return PatchSizes(small, small, LATTICE.patch, loose=True)
+        largest = [max(small, side - PLACEMENT.overlap * spacing) for side in (wide, high)]
+        width, height = (
+            max(1, round(_between(side, small, variety) / spacing)) * spacing for side in largest
+        )
+        cells = _between(min(largest), LATTICE.patch, variety)
+        if lattice is not None:
+            cells = lattice.fitting_cells(cells, largest[0], largest[1])
+        return PatchSizes(width, height, cells, loose=False)
+
+
+def _between(large: int, small: int, variety: float) -> float:
+    """Harmonic interpolation from `large` at 0 to `small` at 1; divisions are exact everywhere."""
+    return 1.0 / ((1.0 - variety) / large + variety / small)
