@@ -1,6 +1,5 @@
 """A page that shows a material: served on this machine, or as one file for sending.
 
-Read subject.py for what is shown, moments.py and level_of_detail.py for how it is filtered,
-pages.py for how it is cut, server.py for what is answered, document.py for how the page is put
-together, and page/ for the page itself.
+subject.py is what is shown, moments.py and level_of_detail.py filter it, pages.py cuts it into
+pages, server.py answers requests, document.py composes the HTML document, and page/ is its source.
 """

@@ -1,10 +1,10 @@
-"""The page: its files, and how they become one document.
+"""Composes the HTML document of the page, served or self-contained.
 
-The page's scripts are modules. Served, each is a file of its own; for sending, they stand one after
-the other inside the document with the maps: SCRIPTS is an order in which each needs only those
-before it, and no two use one name.
+The page's scripts are modules. The served document links them as files. The self-contained one has
+them concatenated, in the order of SCRIPTS: each imports only from those before it, and no two
+define the same name.
 
-The element `about` is JSON; in a document for sending its entries `tile` and `enclosed` hold the
+The element `about` is JSON; in a self-contained document its entries `tile` and `enclosed` are the
 maps (enclosed.py).
 """
 
@@ -39,10 +39,10 @@ SCRIPTS = (
 LIBRARY_SCRIPT = "library.js"
 STYLE = "page.css"
 DEFAULT_TILE = 512  # texels: some 3 MB
-_PIECE_SIDES = (512, 256)  # texels along the piece's longer side: the first that fits
-_LONGEST = 4_000_000  # bytes of a page for sending whose tile is no larger than it is by default
-_LARGEST_TILE = 2048  # texels a side of a page for sending: some 50 MB
-# What a document for sending may do: run what stands in it, and fetch nothing.
+_PIECE_SIDES = (512, 256)  # texels along the exemplar's longer side: the first that fits is used
+_LONGEST = 4_000_000  # bytes of a self-contained document with a tile of at most the default size
+_LARGEST_TILE = 2048  # texels a side of the tile: some 50 MB
+# Content security policy of a self-contained document: its own scripts only, no requests.
 _SEALED = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 )
@@ -60,9 +60,9 @@ def served_page(
 
     Args:
         facts: of the subject.
-        references: photograph, doubt mask and verdict that its server shows with it.
-        adjust: what is changed first.
-        library: there is a page of more materials above it.
+        references: photograph, doubt mask and verdict that the server has.
+        adjust: initial adjustments.
+        library: whether the page links to a library's.
     """
     from matcap.export.targets import DOCUMENTS, PRESETS
 
@@ -86,16 +86,16 @@ def sealed_page(
     references: References | None = None,
     adjust: Adjustments = NONE,
 ) -> str:
-    """One self-contained document: a tile of the subject that repeats without a seam.
+    """The self-contained document, with a seamless tile of the subject.
 
     Args:
-        subject: a material, of which a periodic piece is taken, or a map set, taken whole.
+        subject: a material, whose field is made periodic, or a map set as it is.
         size: sides of a material's tile in texels, a multiple of 16.
-        references: photograph, doubt mask and verdict shown with it.
-        adjust: what is changed first.
+        references: photograph, doubt mask and verdict.
+        adjust: initial adjustments.
 
     Raises:
-        UsageError: a size out of range, or no multiple of 16; a map set that is too large.
+        UsageError: a size out of range or not a multiple of 16; a map set that is too large.
         MatcapError: maps of values that half floats cannot hold.
     """
     maps = _tile(subject, size)
@@ -131,11 +131,11 @@ def sealed_page(
     return text
 
 
-MARK = "matcap view"  # what a page says of who wrote it
+MARK = "matcap view"  # the document's generator element
 
 
 def write_page(document: str, path: Path) -> None:
-    """Write a document, whole or not at all.
+    """Write a document atomically.
 
     Raises:
         UsageError: the name does not end in .html.
@@ -181,7 +181,7 @@ def _about(facts: ViewFacts, adjust: Adjustments, references: References) -> dic
 
 
 def _joined_scripts() -> str:
-    """All modules as one."""
+    """All scripts concatenated, without imports and exports."""
     text = "\n".join(page_file(name) for name in SCRIPTS)
     return re.sub(r"^export |^import \{[^}]*\}\s+from [^;]*;\n", "", text, flags=re.MULTILINE)
 
@@ -205,7 +205,7 @@ def library_page(name: str, library: Library) -> str:
 def _document(
     title: str, head: str, scripts: str, about: dict[str, Any], form: str = "page.html"
 ) -> str:
-    # Inside a script element only '<' could end it.
+    # Only '<' could end the script element.
     data = json.dumps(about, allow_nan=False).replace("<", "\\u003c")
     parts = {"title": escape(title), "head": head, "about": data, "scripts": scripts}
     text = page_file(form)

@@ -1,27 +1,27 @@
-"""Maps inside a document for sending, which page/tile.js unpacks.
+"""Maps inside a self-contained document, which page/tile.js unpacks.
 
-The document's element `about` is JSON; its entry `tile` holds the maps, and its entry `enclosed`
-the photographed piece, where it is known. What is called `data` is base64 of zlib of bytes.
+The document's element `about` is JSON; its entry `tile` is a tile's maps, and its entry `enclosed`
+the exemplar, or null. Entries called `data` are base64 of zlib-compressed bytes.
 
 Tile:
     size: (width, height) in texels.
     specular_channels: 1, or 3 where F0 has a colour.
-    low: the lowest height, plane units.
-    span: the highest height less the lowest.
-    data: 16-bit words, all low bytes before all high ones: the planes of diffuse (3), specular and
-        roughness as half floats, then height: low + word / 65535 * span. Albedos have 8 bits after
-        the leading one: an eighth of a code value, and noise that would not compress.
+    low: least height, plane units.
+    span: greatest height less the least.
+    data: 16-bit words, all low bytes before all high bytes: planes of diffuse (3), specular and
+        roughness as half floats, then height: low + word / 65535 * span. Diffuse and specular are
+        rounded to 8 of the 10 fraction bits, so that they compress better.
 
-Piece:
+Exemplar:
     size: (width, height) in texels of the level.
-    level: a texel of it is 2^level texels of the material wide.
-    diffuse: a JPEG, as an address that holds its data.
+    level: texels are 2^level texels of the material wide.
+    diffuse: a JPEG as a data URL.
     specular_channels: 1, or 3 where F0 has a colour.
-    low: the lowest specular (of each channel), roughness (with what slopes vary within a texel) and
-        height.
-    span: the highest of each less the lowest.
+    low: least value of each specular channel, of roughness and of height. Roughness includes the
+        variance of normals within a texel.
+    span: greatest value of each less the least.
     data: specular, then roughness, in 255 steps a byte, then low and high bytes of height in 65535
-        steps; every number less the one before it.
+        steps; each number is the difference from the one before.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.example.exemplar import Exemplar
 
-_QUALITY = 90  # of its diffuse albedo's JPEG
-_SPARED = 2  # bits of a half float's ten that albedos do without
+_QUALITY = 90  # of the exemplar's JPEG
+_SPARED = 2  # fraction bits of half floats that albedos are rounded by
 
 
 def packed_tile(maps: MapSet) -> dict[str, Any]:
-    """A tile as the page's JSON has it.
+    """The JSON entry of a tile.
 
     Raises:
         MatcapError: maps of values that half floats cannot hold.
@@ -73,7 +73,7 @@ def packed_tile(maps: MapSet) -> dict[str, Any]:
     halves = surface.astype("<f2").view("<u2")
     halves[:-1] = _shortened(halves[:-1])
     words = np.concatenate([halves.ravel(), steps.ravel()])
-    # Bytes of one kind together compress better.
+    # All low bytes before all high bytes, which compresses better.
     split = words.view(np.uint8).reshape(-1, 2).T
     return {
         "size": list(maps.size),
@@ -85,7 +85,7 @@ def packed_tile(maps: MapSet) -> dict[str, Any]:
 
 
 def packed_piece(exemplar: Exemplar, side: int) -> dict[str, Any]:
-    """An exemplar as the page's JSON has it, at most `side` texels along its longer side."""
+    """The JSON entry of an exemplar, of at most `side` texels along its longer side."""
     level, moments = 0, moments_of(edged(exemplar.stacked()), exemplar.texel_size)
     while max(moments.shape[1:]) > side:
         height, width = moments.shape[1:]
@@ -112,7 +112,7 @@ def packed_piece(exemplar: Exemplar, side: int) -> dict[str, Any]:
 
 
 def _roughness(moments: Planes, texel_size: float) -> NDArray[np.float32]:
-    """(H, W) perceptual: with what the slopes of the heights alone would not vary."""
+    """(H, W) perceptual roughness, including slope variance that the heights do not show."""
     stacked = np.zeros((6, *moments.shape[1:]), np.float32)
     stacked[5] = moments[HEIGHT]
     left = np.maximum(moments[SQUARES] - moments_of(edged(stacked), texel_size)[SQUARES], 0.0)
@@ -121,7 +121,7 @@ def _roughness(moments: Planes, texel_size: float) -> NDArray[np.float32]:
 
 
 def _shortened(halves: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Bits of half floats, rounded to fewer."""
+    """Half floats, as their bits, rounded to _SPARED bits fewer."""
     half = np.uint16(1 << _SPARED >> 1)
     short: NDArray[np.uint16] = (halves + half) & np.uint16(0xFFFF << _SPARED & 0xFFFF)
     return short

@@ -1,4 +1,4 @@
-"""Downloads of the page's export button: an export's folder as a zip file."""
+"""The page's export: a zip file of an export's folder."""
 
 from __future__ import annotations
 
@@ -17,26 +17,25 @@ _LARGEST = 4096  # texels a side
 
 
 @dataclass(frozen=True)
-class ExportWish:
-    """What is to be exported."""
+class ExportRequest:
+    """An export that the page asks for."""
 
     target: str
-    """Of matcap export, --to or --preset."""
+    """One of those of `matcap export`, --to or --preset."""
     size: int
-    """Sides in texels; a map set has its own."""
+    """Sides in texels; ignored for a map set."""
     seed: int
-    """Which realisation."""
+    """Of the realisation."""
     share: float
-    """Of a blend."""
+    """Of the second material, in [0, 1]."""
     adjust: Adjustments
-    """What is changed."""
 
 
-def wish_of(values: Mapping[str, str]) -> ExportWish:
-    """What query parameters ask for.
+def export_request(values: Mapping[str, str]) -> ExportRequest:
+    """Parse query parameters.
 
     Raises:
-        UsageError: a parameter is missing, or is none.
+        UsageError: a parameter is missing or invalid.
     """
     from matcap.export.targets import check_targets
 
@@ -53,15 +52,15 @@ def wish_of(values: Mapping[str, str]) -> ExportWish:
         )
     if not 0.0 <= share <= 1.0:
         raise UsageError("the share is not between 0 and 1")
-    # What a stranger's link says must not name a file here.
+    # A link must not name a file of this machine.
     text = values.get("adjust", "")
     if text.lower().endswith(".json"):
         raise UsageError("adjustments are no file here", remedy="give relief=1.3 or the like")
-    return ExportWish(check_targets([target])[0], size, seed, share, parse_adjustments(text))
+    return ExportRequest(check_targets([target])[0], size, seed, share, parse_adjustments(text))
 
 
-def zipped(subject: Viewable, wish: ExportWish) -> bytes:
-    """The export as a zip file.
+def zipped(subject: Viewable, wish: ExportRequest) -> bytes:
+    """Export a subject; return the bytes of a zip file.
 
     Raises:
         MatcapError: as write_export.

@@ -1,8 +1,9 @@
-"""Mip moments of materials: of squares of 2^level texels, at any place of the endless field.
+"""Mip moments [olano2010] of the endless field: means over squares of 2^level texels.
 
-Near levels are means of the texels themselves. Far ones would be means of more texels than anybody
-waits for: by example they are read from the exemplar's own smaller forms, at places found no finer
-than they need be; of a network, from a piece of its field that repeats, mixed with itself.
+Fine levels are averages of synthesised texels. Coarse levels would need too many texels:
+
+- by example they are averages of the exemplar, at places that are synthesised at that level;
+- of a network they are blended from a periodic tile of its field at random shifts [deliot2019].
 """
 
 from __future__ import annotations
@@ -35,22 +36,22 @@ if TYPE_CHECKING:
     from matcap.field.material import Material
     from matcap.field.source import Source
 
-_NEAR = 1  # levels that are means of texels: four a texel take as long as anybody waits
-_PIECE = 7  # squares of 2^7 texels and more lie in pieces of their own, and are independent
-_TILE = 256  # texels a side of a network's repeating piece
+_NEAR = 1  # coarsest level that is averaged from synthesised texels; coarser ones take too long
+_PIECE = 7  # squares from 2^7 texels on are in different patches, and independent
+_TILE = 256  # texels a side of a network's periodic tile
 
 
 class Pyramid:
-    """Moments that repeat: (9 or 11, H, W) of their finest level, and all coarser ones, exactly."""
+    """All mip levels of periodic moments (9 or 11, H, W)."""
 
     def __init__(self, moments: Planes) -> None:
         self._levels = [moments]
 
     def read(self, level: int, area: Rectangle) -> Planes:
-        """Of an area, in texels of a level."""
+        """(9 or 11, height, width) moments of an area, in texels of a level."""
         while len(self._levels) <= level:
             finest = self._levels[-1]
-            # An odd side is two of itself, which are even.
+            # An odd side is doubled, so that it can be halved.
             repeats = (1, *(1 + size % 2 for size in finest.shape[1:]))
             self._levels.append(halved(np.tile(finest, repeats)))
         planes = self._levels[level]
@@ -61,11 +62,12 @@ class Pyramid:
 
 @dataclass(frozen=True)
 class ExampleLevels:
-    """The field by example of a seed; `forms` gives the exemplar's, which all seeds share."""
+    """Mip levels of the field by example of a seed."""
 
     example: Example
     seed: int
-    forms: Callable[[], SmallerForms]
+    averages: Callable[[], ExemplarAverages]
+    """Of the exemplar, computed once for all seeds."""
 
     @property
     def texel_size(self) -> float:
@@ -73,7 +75,7 @@ class ExampleLevels:
         return self.example.exemplar.texel_size
 
     def read(self, level: int, area: Rectangle) -> Planes:
-        """Moments of an area, in texels of a level."""
+        """(9 or 11, height, width) moments of an area, in texels of a level."""
         from matcap.example.coarse import coarse_places
         from matcap.example.example import detail_bits
 
@@ -81,11 +83,11 @@ class ExampleLevels:
             stacked = self.example.maps(self.seed, _finest(level, area).grown(RING), None)
             return _coarser(moments_of(stacked, self.texel_size), level)
         places = coarse_places(self.example, self.seed, level, area)
-        return self.forms().read(level, places)
+        return self.averages().read(level, places)
 
 
-class SmallerForms:
-    """Means of an exemplar's moments over squares, wherever these begin."""
+class ExemplarAverages:
+    """Averages of an exemplar's moments over squares at any position, by a summed-area table."""
 
     def __init__(self, exemplar: Exemplar) -> None:
         moments = moments_of(edged(exemplar.stacked()), exemplar.texel_size)
@@ -96,7 +98,7 @@ class SmallerForms:
         self._means = lru_cache(maxsize=None)(self._of)
 
     def read(self, level: int, places: Places) -> Planes:
-        """(9 or 11, H, W) of squares of 2^level texels that begin at places (H, W, 2)."""
+        """(9 or 11, H, W) averages over squares of 2^level texels at places (H, W, 2)."""
         x, y = places[..., 0], places[..., 1]
         bits = min(level, self._most)
         stride, means = self._means(bits)
@@ -104,12 +106,12 @@ class SmallerForms:
         columns = np.minimum(x // stride, means.shape[2] - 1)
         averaged = means[:, rows, columns]
         if level > bits:
-            # Of n independent squares the mean is sqrt(n) times nearer to that of all.
+            # The mean of n independent squares deviates sqrt(n) times less.
             averaged = self._mean + (averaged - self._mean) * np.float32(2.0 ** (bits - level))
         return averaged
 
     def _of(self, bits: int) -> tuple[int, Planes]:
-        """Squares that begin at every fourth of their side: the stride, and their means."""
+        """Stride, a quarter of 2^bits texels, and averages of the squares at its multiples."""
         side, stride = 1 << bits, 1 << max(bits - 2, 0)
         right, below = self._sums[..., side::stride], self._sums[:, side::stride]
         rows, columns = below.shape[1], right.shape[2]
@@ -126,7 +128,7 @@ class SmallerForms:
 
 @dataclass(frozen=True)
 class NetworkLevels:
-    """The field that a material's network makes of a seed."""
+    """Mip levels of the field of a material's network, of a seed."""
 
     source: Source
     material: Material
@@ -134,7 +136,7 @@ class NetworkLevels:
 
     @staticmethod
     def of(material: Material, seed: int) -> NetworkLevels:
-        """The field.
+        """Open the field.
 
         Raises:
             UsageError: the seed is out of range.
@@ -147,7 +149,7 @@ class NetworkLevels:
         return self.source.texel_size
 
     def read(self, level: int, area: Rectangle) -> Planes:
-        """Moments of an area, in texels of a level."""
+        """(9, height, width) moments of an area, in texels of a level."""
         if level > _NEAR:
             return self._mixed(level, area)
         wanted = _finest(level, area)
@@ -163,23 +165,24 @@ class NetworkLevels:
 
     @cached_property
     def _tile(self) -> Pyramid:
-        """A piece that repeats, of as much contrast as the field."""
+        """Moments of a periodic field of _TILE texels."""
         source = Field(self.material, self.seed, (_TILE, _TILE)).source
         stacked = source.maps(Rectangle(0, 0, _TILE, _TILE)).numpy()
         return Pyramid(moments_of(stacked, self.texel_size))
 
     @property
     def mean(self) -> Planes:
-        """(9, 1, 1) moments of all texels together."""
+        """(9, 1, 1) moments of the whole tile."""
         return self._tile.read(_TILE.bit_length() - 1, Rectangle(0, 0, 1, 1))
 
     def _mixed(self, level: int, area: Rectangle) -> Planes:
-        """Four pieces at random shifts, mixed so that mean and variance stay (Heitz and Neyret
-        2018, without their histogram).
+        """Blend four randomly shifted tiles, keeping mean and variance [deliot2019].
+
+        mean + sum w (tile - mean) / sqrt(sum w^2), without the paper's histogram transformation.
         """
         from matcap.example.hashing import draw, hash_places
 
-        # The coarsest form that still is a picture.
+        # Of at least 8 texels a side.
         seen = min(level, _TILE.bit_length() - 4)
         mean = self.mean
         size = _TILE >> seen
@@ -207,12 +210,12 @@ class NetworkLevels:
 
 
 def from_maps(stacked: Planes, texel_size: float) -> Pyramid:
-    """A map set's; beyond its borders it repeats."""
+    """Mip levels of a map set, which repeats beyond its borders."""
     return Pyramid(moments_of(wrapped(stacked), texel_size))
 
 
 def _cells(start: int, count: int, size: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Cells of so many texels that texels lie in, and how far along in them."""
+    """For texels from `start` on, the cell of `size` texels, and a smoothstep weight within it."""
     place = np.arange(start, start + count)
     cell = place // size
     along = (place - cell * size + 0.5) / size
@@ -220,12 +223,12 @@ def _cells(start: int, count: int, size: int) -> tuple[NDArray[np.int64], NDArra
 
 
 def _finest(level: int, area: Rectangle) -> Rectangle:
-    """An area of a level in texels of the material."""
+    """An area in texels of a level, in texels of level 0."""
     return Rectangle(area.x << level, area.y << level, area.width << level, area.height << level)
 
 
 def _aligned(area: Rectangle, step: int) -> Rectangle:
-    """A little more, on the network's coarsest grid, of so many texels."""
+    """The area extended to multiples of `step` texels."""
     x, y = area.x // step * step, area.y // step * step
     right = -(-(area.x + area.width) // step) * step
     below = -(-(area.y + area.height) // step) * step

@@ -1,7 +1,7 @@
-"""A folder of materials: all of them under one light, each a page of its own behind it.
+"""A folder of materials, shown as spheres under one light, each with a page of its own.
 
-A material is opened when somebody looks at it. For the spheres of the library a swatch is enough:
-a page (pages.py) of level LEVEL, SIDE texels a side, of the photographed piece where it is known.
+A material is loaded when its page is opened. A sphere shows a swatch: SIDE x SIDE texels of level
+LEVEL, of the exemplar or, without one, of the field.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from matcap.brdf.folder import find_mapsets
 from matcap.errors import MatcapError
@@ -20,31 +19,28 @@ from matcap.view.pages import APRON, Page, packed
 from matcap.view.references import References, find_references, read_verdict
 from matcap.view.subject import Materials
 
-if TYPE_CHECKING:
-    pass
-
 SIDE, LEVEL = 240, 2
-_OPENED = 8  # materials kept: some 50 MB each
+_OPENED = 8  # materials cached, of some 50 MB each
 
 
 @dataclass(frozen=True)
-class Shelved:
-    """A material of a library."""
+class LibraryEntry:
+    """A material's entry on the library's page."""
 
     name: str
-    """Of the file."""
+    """Name of the file."""
     rating: str = ""
-    """Of its capture, or ""."""
+    """Of the capture's verdict, or ""."""
     sentence: str = ""
-    """Of the verdict."""
+    """Of the verdict, or ""."""
 
 
 class Library:
-    """Materials of a folder, by number.
+    """Materials of a folder, by index.
 
     Args:
         files: of the materials.
-        read: how all of them are read.
+        read: options of reading, for all of them.
     """
 
     def __init__(self, files: Sequence[Path], read: ReadOptions = AS_IT_IS) -> None:
@@ -53,11 +49,11 @@ class Library:
         self._kept = lru_cache(_OPENED)(self._open)
 
     def shelf(self) -> list[dict[str, str]]:
-        """A summary of each, in their order."""
-        return [asdict(_shelved(file)) for file in self.files]
+        """A LibraryEntry of each material as JSON, in their order."""
+        return [asdict(_entry(file)) for file in self.files]
 
     def subject(self, first: int, second: int | None = None) -> Materials:
-        """A material, or two to blend.
+        """Open a material, or two to blend; the last _OPENED are cached.
 
         Raises:
             MatcapError: a broken file, or two that cannot be blended.
@@ -65,17 +61,17 @@ class Library:
         return self._kept(first, second)
 
     def references(self, index: int) -> References:
-        """Photograph, doubt mask and verdict of one of them."""
+        """Photograph, doubt mask and verdict of a material."""
         file = self.files[index]
         subject = self.subject(index)
-        # A photograph that cannot be read any more does not hide the material.
+        # A photograph that cannot be read is left out.
         try:
             return find_references(file, file.stem, None, subject.first)
         except MatcapError:
             return References(verdict=read_verdict(file.parent))
 
     def swatch(self, index: int) -> Page:
-        """Of one of them.
+        """The page of texels that a material's sphere shows.
 
         Raises:
             MatcapError: a broken file.
@@ -100,7 +96,7 @@ class Library:
 
 
 def find_library(path: Path) -> list[Path]:
-    """The materials of a folder that is no single one's; none for anything else."""
+    """Material files of a folder and its subfolders; none if the path is a single material's."""
     if not path.is_dir() or find_mapsets(path):
         return []
     own = sorted(path.glob("*.matcap"))
@@ -109,13 +105,13 @@ def find_library(path: Path) -> list[Path]:
     return [*own, *sorted(path.glob("*/*.matcap"))]
 
 
-def _shelved(file: Path) -> Shelved:
+def _entry(file: Path) -> LibraryEntry:
     rating, sentence = read_verdict(file.parent) or ("", "")
-    return Shelved(file.stem, rating, sentence)
+    return LibraryEntry(file.stem, rating, sentence)
 
 
 def numbers(name: str, count: int) -> tuple[int, int | None] | None:
-    """What "3" or "3+5" names among so many; None where it names nothing."""
+    """Parse "3" or "3+5" to one or two indices below `count`; None if invalid."""
     parts = name.split("+")
     if len(parts) > 2 or not all(part.isascii() and part.isdigit() for part in parts):
         return None

@@ -1,9 +1,8 @@
-"""Moments: means that the page filters a material by, so that it looks right at a distance.
+"""Moments: quantities whose averages are the mip levels of a material [olano2010].
 
-Nine planes a texel, float32: diffuse albedo (3), F0, alpha squared, slopes along x and y, the sum
-of their squares, height; eleven where F0 has a colour, and so three channels. All of them may be
-averaged, as matcap/relight/sampling.py averages them: what slopes vary within a coarse texel is
-roughness from afar.
+Nine planes, float32: diffuse albedo (3), F0 (1), alpha^2, slopes along x and y, the sum of squared
+slopes, height; eleven where F0 has three channels. All are linear under averaging, as in
+relight/sampling.py: the variance of slopes within a coarse texel adds to its alpha^2.
 """
 
 from __future__ import annotations
@@ -14,15 +13,16 @@ from numpy.typing import NDArray
 Planes = NDArray[np.float32]
 
 DIFFUSE, F0 = slice(0, 3), slice(3, -5)
-ALBEDO = slice(0, -5)  # both
+ALBEDO = slice(0, -5)  # diffuse and F0
 ALPHA2, SLOPE_X, SLOPE_Y, SQUARES, HEIGHT = -5, -4, -3, -2, -1
-RING = 1  # texels around them that slopes are differences of
+RING = 1  # texels around maps, for central differences
 _LEAST_ROUGHNESS = np.float32(1e-3)  # as in brdf/cook_torrance.py
 
 
 def moments_of(stacked: Planes, texel_size: float) -> Planes:
-    """Of stacked maps (6 or 8, H + 2 RING, W + 2 RING): their moments (9 or 11, H, W), slopes
-    central.
+    """(9 or 11, H, W) moments of stacked maps (6 or 8, H + 2 RING, W + 2 RING).
+
+    Slopes are central differences.
     """
     *_, roughness, height = stacked
     inner = stacked[:, RING:-RING, RING:-RING]
@@ -39,13 +39,13 @@ def moments_of(stacked: Planes, texel_size: float) -> Planes:
 
 
 def halved(moments: Planes) -> Planes:
-    """Means of squares of four; both sides are even."""
+    """Averages of 2 x 2 texels; both sides must be even."""
     rows = moments[:, 0::2] + moments[:, 1::2]
     return (rows[:, :, 0::2] + rows[:, :, 1::2]) * np.float32(0.25)
 
 
 def edged(stacked: Planes) -> Planes:
-    """Stacked maps with a ring around them, such that slopes at the borders are one-sided."""
+    """Pad stacked maps by RING texels so that slopes at the borders are one-sided differences."""
     grown = np.pad(stacked, ((0, 0), (RING, RING), (RING, RING)), mode="edge")
     height = grown[-1]
     height[0], height[-1] = 2 * height[1] - height[2], 2 * height[-2] - height[-3]
@@ -55,10 +55,10 @@ def edged(stacked: Planes) -> Planes:
 
 
 def wrapped(stacked: Planes) -> Planes:
-    """Stacked maps with a ring around them that repeats them."""
+    """Pad stacked maps by RING texels, circularly."""
     return np.pad(stacked, ((0, 0), (RING, RING), (RING, RING)), mode="wrap")
 
 
 def mean_of(moments: Planes) -> tuple[float, ...]:
-    """Of all texels: a number a plane."""
+    """Mean of each plane."""
     return tuple(float(one) for one in moments.mean(axis=(1, 2), dtype=np.float64))

@@ -11,26 +11,26 @@ from matcap.files.settings import check_settings, setting
 
 @dataclass(frozen=True)
 class ViewOptions:
-    """What the page shows, and where it stands.
+    """Options of `matcap view`.
 
     Raises:
-        UsageError: a number that is out of range.
+        UsageError: a number out of range.
     """
 
     blend: Path | None = setting(None, metavar="FILE")
-    """A second material to walk towards."""
-    photo: Path | None = setting(None, metavar="FILE", otherwise="what the folder has")
-    """A photograph to show beside the piece."""
+    """A second material to blend with."""
+    photo: Path | None = setting(None, metavar="FILE", otherwise="that of the folder")
+    """A photograph to show next to the material."""
     seed: int = setting(0, metavar="SEED", parse=values.seed)
-    """Which piece is shown first."""
+    """Seed of the realisation shown first."""
     port: int = setting(0, least=0, most=65535, otherwise="a free one")
-    """Of the server."""
+    """Port of the server."""
     opens: bool = setting(True, option="open")
     """Open the page in the browser."""
     html: Path | None = setting(None, metavar="FILE")
-    """Write one self-contained page instead of serving one."""
+    """Write a self-contained HTML file instead of running a server."""
     tile: int = setting(512, least=16, most=2048)
-    """Side of the repeating tile in --html, a multiple of 16."""
+    """Side of the seamless tile in --html, in texels, a multiple of 16."""
 
     def __post_init__(self) -> None:
         check_settings(self)

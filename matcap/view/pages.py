@@ -1,13 +1,13 @@
-"""Pages: the pieces of the endless plane that the page in the browser fetches.
+"""Pages: rectangles of the endless plane, at mip levels, that the browser fetches.
 
-The plane is seen at levels: a texel of level k is 2^k texels of the material wide. At every level
-it is cut into pages of WIDTH x HEIGHT texels. A page comes with APRON texels around it and with its
-own smaller levels (MIPS in all), so that it is filtered without its neighbours.
+A texel of level k is 2^k texels of the material wide. Each level is cut into pages of WIDTH x
+PAGE_HEIGHT texels. A page has an apron of APRON texels and its own smaller mip levels (MIPS in
+all), so that it is filtered without its neighbours.
 
-A page's bytes, for each of its levels, the largest first: albedo and F0 (four half floats a
-texel), surface (alpha squared, slopes along x and y, their variance: four floats), height (a
-float); little endian, rows from the top. Where F0 has a colour, the F0 beside the albedo is that of
-red, and after the height come those of green and blue (two half floats).
+A page's bytes, for each of its mip levels, largest first, little endian, rows from the top: diffuse
+albedo and F0 (four half floats a texel); alpha^2, slopes along x and y, and slope variance (four
+floats); height (a float). Where F0 has a colour, its red is next to the albedo, and its green and
+blue (two half floats) follow the height.
 """
 
 from __future__ import annotations
@@ -35,30 +35,32 @@ from matcap.view.moments import (
 )
 from matcap.view.subject import Viewable
 
-# With their apron powers of two, so that places in them are exact on graphics cards.
+# With their apron powers of two, so that texture coordinates are exact on graphics cards.
 WIDTH, PAGE_HEIGHT = 496, 240
-APRON = 8  # texels: one is left of it on the smallest of a page's levels
+APRON = 8  # texels, so that one is left at the smallest mip level
 MIPS = 4
 MOST_LEVEL = 24
-_KEPT = 64  # pages of 5.3 MB: as many as are seen at once, and some to come back to
+_KEPT = 64  # pages cached, of 5.3 MB each; more than are visible at once
 
 
 @dataclass(frozen=True)
 class Place:
-    """Which page: level, column and row of its grid; realisation; share of a blend; whether it is
-    of the photographed piece.
-    """
+    """Address of a page."""
 
     level: int
     column: int
+    """Of the level's grid of pages."""
     row: int
     seed: int = 0
+    """Of the realisation."""
     share: float = 0.0
+    """Of the second material of a blend."""
     piece: bool = False
+    """Of the exemplar instead of the field."""
 
     @property
     def area(self) -> Rectangle:
-        """With its apron, in texels of its level."""
+        """The page with its apron, in texels of its level."""
         return Rectangle(self.column * WIDTH, self.row * PAGE_HEIGHT, WIDTH, PAGE_HEIGHT).grown(
             APRON
         )
@@ -66,20 +68,20 @@ class Place:
 
 @dataclass(frozen=True)
 class Page:
-    """A page."""
+    """A page of moments."""
 
     data: bytes
-    """Its bytes."""
+    """See the module."""
     texel_size: float
-    """A texel's side in plane units."""
+    """A texel's side at level 0, in plane units."""
     ends: tuple[tuple[float, float], ...]
-    """Lowest and highest F0 of any channel, roughness and height on it."""
+    """(least, greatest) F0 of any channel, roughness and height."""
     specular_channels: int
-    """Of F0, 1 or 3."""
+    """Channels of F0, 1 or 3."""
 
 
 class Pages:
-    """The pages of a subject; safe to ask from any thread."""
+    """Computes and caches the pages of a subject; thread-safe."""
 
     def __init__(self, subject: Viewable, workers: int | None = None) -> None:
         self._subject = subject
@@ -88,7 +90,7 @@ class Pages:
         self._lock = Lock()
 
     def ask(self, place: Place) -> Future[Page]:
-        """The page, perhaps still being made; its result raises what Viewable.moments does."""
+        """Future of a page; its result raises what Viewable.moments does."""
         with self._lock:
             kept = self._kept.get(place)
             if kept is None or kept.cancelled() or (kept.done() and kept.exception() is not None):
@@ -99,14 +101,14 @@ class Pages:
             return self._kept[place]
 
     def drop(self, place: Place) -> None:
-        """The request was cancelled: it is not begun, unless it already was."""
+        """Cancel a page's computation unless it has begun."""
         with self._lock:
             kept = self._kept.get(place)
             if kept is not None and kept.cancel():
                 del self._kept[place]
 
     def close(self) -> None:
-        """Forget what has not been begun."""
+        """Cancel what has not begun, and wait for the rest."""
         self._makers.shutdown(wait=True, cancel_futures=True)
 
     def _make(self, place: Place) -> Page:
@@ -120,14 +122,14 @@ class Pages:
 
 
 def check_level(level: int) -> int:
-    """The level, or a UsageError where there is none such."""
+    """Return the level; raise UsageError outside [0, MOST_LEVEL]."""
     if not 0 <= level <= MOST_LEVEL:
         raise UsageError(f"there is no level {level}", remedy=f"give one from 0 to {MOST_LEVEL}")
     return level
 
 
 def packed(moments: Planes, texel_size: float) -> Page:
-    """A page of moments (9 or 11, PAGE_HEIGHT + 2 APRON, WIDTH + 2 APRON)."""
+    """Encode moments (9 or 11, PAGE_HEIGHT + 2 APRON, WIDTH + 2 APRON) as a page."""
     rough = np.sqrt(np.sqrt(moments[ALPHA2]))
     channels = len(moments[F0])
     ends = tuple((float(m.min()), float(m.max())) for m in (moments[F0], rough, moments[HEIGHT]))
@@ -138,7 +140,7 @@ def packed(moments: Planes, texel_size: float) -> Page:
         surface = np.empty((*moments.shape[1:], 4), "<f4")
         surface[..., 0] = moments[ALPHA2]
         surface[..., 1], surface[..., 2] = moments[SLOPE_X], moments[SLOPE_Y]
-        # Within the finest texels nothing varies.
+        # Slope variance: 0 at level 0.
         varies = np.square(moments[SLOPE_X]) + np.square(moments[SLOPE_Y])
         surface[..., 3] = np.maximum(moments[SQUARES] - varies, 0.0)
         parts += [albedo, surface.tobytes(), moments[HEIGHT].astype("<f4").tobytes(), metal]
@@ -146,5 +148,5 @@ def packed(moments: Planes, texel_size: float) -> Page:
 
 
 def _halves(planes: Planes) -> bytes:
-    """Planes as half floats, channels last; nothing of none."""
+    """Bytes of planes as half floats, channels last; empty for no planes."""
     return np.ascontiguousarray(planes.transpose(1, 2, 0)).astype("<f2").tobytes()

@@ -22,45 +22,45 @@ _PHOTOGRAPHS = (
     *(".dng", ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".avif", ".webp"),
     *(".cr2", ".nef", ".arw"),
 )
-_DOUBT = (236, 118, 52)  # of what is not trusted: no colour of most materials
-_OPAQUE = 200  # of 255, where the photograph says nothing
+_DOUBT = (236, 118, 52)  # sRGB of the doubt mask, a colour that few materials have
+_OPAQUE = 200  # alpha, of 255, at confidence 0
 
 
 @dataclass(frozen=True)
 class EncodedPicture:
-    """A picture that a browser shows."""
+    """An encoded image for the browser."""
 
     data: bytes
-    """A file's bytes."""
+    """Bytes of the file."""
     kind: str
-    """Its media type."""
+    """Media type."""
 
 
 @dataclass(frozen=True)
 class References:
-    """Reference data of a material; None for what there is not."""
+    """Reference data of a material; None for what does not exist."""
 
     photo: EncodedPicture | None = None
-    """The photograph; of a piece that is known, as seen from straight above it."""
+    """The photograph, rectified where the material has an exemplar."""
     doubt: EncodedPicture | None = None
-    """Over the photographed piece, shaded where the photograph says little."""
+    """Overlay of the exemplar, more opaque where its confidence is lower."""
     verdict: tuple[str, str] | None = None
-    """(rating, sentence) on the capture, or none."""
+    """(rating, sentence) of the capture's verdict."""
 
 
 def find_references(
     path: Path, name: str, photo: Path | None = None, material: Material | None = None
 ) -> References:
-    """Collect the reference data that lies with a material or map set, or in it.
+    """Collect the reference data of a material or map set, from its folder and its file.
 
     Args:
-        path: its file or folder.
-        name: of it.
-        photo: file shown in place of the one in the folder.
-        material: the material itself; None of a map set.
+        path: of its file or folder.
+        name: of the material or map set.
+        photo: file to use instead of the folder's photograph.
+        material: the material; None for a map set.
 
     Raises:
-        MatcapError: the photograph is none that matcap reads.
+        MatcapError: the photograph cannot be read.
     """
     folder = path if path.is_dir() else path.parent
     file = photo or find_photograph(path, name) or reported_photograph(folder)
@@ -74,7 +74,7 @@ def find_references(
 
 
 def find_photograph(path: Path, name: str) -> Path | None:
-    """The photograph in a capture's folder: of the material's name, or called photo."""
+    """The photograph in a folder: a file with the material's name, or named photo; or None."""
     folder = path if path.is_dir() else path.parent
     for suffix in _PHOTOGRAPHS:
         for file in (folder / f"{name}{suffix}", folder / f"photo{suffix}"):
@@ -84,7 +84,7 @@ def find_photograph(path: Path, name: str) -> Path | None:
 
 
 def reported_photograph(folder: Path) -> Path | None:
-    """The photograph that a capture's report says it was made from, where it still is."""
+    """The photograph whose path a capture's report has, if it exists."""
     try:
         report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
         file = Path(report["photograph"]["path"])
@@ -94,7 +94,7 @@ def reported_photograph(folder: Path) -> Path | None:
 
 
 def read_verdict(folder: Path) -> tuple[str, str] | None:
-    """The verdict that a capture left in its folder; None where there is none to be read."""
+    """(rating, sentence) of the verdict in a capture's report, or None."""
     try:
         verdict = json.loads((folder / "report.json").read_text(encoding="utf-8"))["verdict"]
         return str(verdict["rating"]), str(verdict["sentence"])
@@ -103,11 +103,11 @@ def read_verdict(folder: Path) -> tuple[str, str] | None:
 
 
 def browser_picture(file: Path, setup: FlashSetup | None = None) -> EncodedPicture:
-    """A photograph as JPEG of at most 1024 pixels a side.
+    """A photograph as a JPEG of at most 1024 pixels a side.
 
     Args:
         file: the photograph.
-        setup: how it was taken: it is shown as its plane would look from straight above.
+        setup: camera and flash, by which it is rectified; None leaves it as it is.
 
     Raises:
         MatcapError: the file is not a photograph that matcap reads.
@@ -123,7 +123,7 @@ def browser_picture(file: Path, setup: FlashSetup | None = None) -> EncodedPictu
         from matcap.flash.rectify import rectify
 
         linear = rectify(photo, setup, linear.shape[1])[0].movedim(0, -1).numpy()
-    # A portrait stands, but beside maps that lie as it was read.
+    # Portrait photographs are read in landscape orientation; maps are upright if setup.turned.
     if photo.turned if setup is None else setup.turned:
         linear = np.ascontiguousarray(np.rot90(linear, -1))
     pixels = srgb_picture(linear)
@@ -133,7 +133,7 @@ def browser_picture(file: Path, setup: FlashSetup | None = None) -> EncodedPictu
 
 
 def doubt_picture(exemplar: Exemplar) -> EncodedPicture:
-    """A colour over the piece, the more opaque the less its maps are trusted."""
+    """Overlay of an exemplar as PNG: _DOUBT with alpha _OPAQUE (1 - mean confidence)."""
     from PIL import Image
 
     step = max(1, max(exemplar.size) // _LONG_SIDE)

@@ -1,4 +1,4 @@
-"""The page's server as a running program: bound to 127.0.0.1 and to nothing else."""
+"""Runs the page's server, bound to 127.0.0.1 only."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matcap.view.library import Library
 
 HOST = "127.0.0.1"
-# Level, column and row, as initial() in page/view.js has it.
+# (level, column, row) of the pages visible first, as initial() in page/view.js.
 _FIRST = ((3, 0, 0), (0, 3, 3), (0, 4, 3), (0, 3, 4), (0, 4, 4))
 
 
@@ -37,11 +37,11 @@ def serve(
     """Serve the page until interrupted.
 
     Args:
-        subject: what to show.
-        port: 0 takes a free one.
-        references: photograph, doubt mask and verdict shown with it.
-        adjust: what is changed first.
-        opens: the browser is opened.
+        subject: to show.
+        port: 0 is a free one.
+        references: photograph, doubt mask and verdict.
+        adjust: initial adjustments.
+        opens: open the browser.
         announce: called with the address once requests are accepted.
 
     Raises:
@@ -68,8 +68,8 @@ def serve_library(
     Args:
         library: the materials.
         name: of the folder.
-        port: 0 takes a free one.
-        opens: the browser is opened.
+        port: 0 is a free one.
+        opens: open the browser.
         announce: called with the address once requests are accepted.
 
     Raises:
@@ -83,7 +83,7 @@ def serve_library(
 
 
 def _begun(subject: Viewable, opened: ExitStack) -> Pages:
-    """Its pages; those that will be seen first are begun while the browser starts."""
+    """Pages of a subject, with the first visible ones being computed while the browser starts."""
     pages = Pages(subject)
     opened.callback(pages.close)
     for level, column, row in _FIRST:
@@ -107,8 +107,7 @@ def _run(
         ) from error
     import torch
 
-    # A page is made on one thread; several side by side must not change that setting under each
-    # other.
+    # A page is computed on one thread; threads must not change this setting concurrently.
     torch.set_num_threads(1)
     listening, opened = listen(port), ExitStack()
     address = new_address(listening.getsockname()[1])
@@ -129,7 +128,7 @@ def _run(
 
 
 def listen(port: int) -> socket.socket:
-    """A socket that only this machine reaches; port 0 takes a free one.
+    """A listening socket on 127.0.0.1; port 0 is a free one.
 
     Raises:
         MatcapError: the port is taken or needs permission.

@@ -1,9 +1,8 @@
 """Routes of the page's server, and the check of its requests.
 
-Only this machine can reach it (see serve.py), and on this machine only who knows the address: it
-begins with a random token. A Host header other than the server's own is refused, so that no web
-site can reach it under a name of its own (DNS rebinding). No request names a file: what there is
-to fetch is a fixed list, so there is no path to climb out of.
+The server is reachable from this machine only (serve.py), under an address with a random token.
+Requests with another Host header are refused, against DNS rebinding. Routes are a fixed list and no
+request names a file, so that there is no path traversal.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from matcap.view.document import (
     page_file,
     served_page,
 )
-from matcap.view.exporting import wish_of, zipped
+from matcap.view.exporting import export_request, zipped
 from matcap.view.library import Library, numbers
 from matcap.view.pages import Page, Pages, Place
 from matcap.view.references import References
@@ -42,7 +41,7 @@ if TYPE_CHECKING:
 
 PagesOf = Callable[[Viewable], Pages]
 
-_LOOK = 0.05  # seconds between looks at who asked
+_POLL = 0.05  # seconds between checks whether the client has disconnected
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
     "img-src 'self' blob: data:; connect-src 'self'; base-uri 'none'; form-action 'self'; "
@@ -56,19 +55,19 @@ _HEADERS = {
 
 @dataclass(frozen=True)
 class Address:
-    """Where the page is, and the secret that opens it."""
+    """Port and secret token of the server."""
 
     port: int
     token: str
 
     @property
     def url(self) -> str:
-        """What a browser opens."""
+        """Address that a browser opens."""
         return f"http://127.0.0.1:{self.port}/{self.token}/"
 
     @property
     def hosts(self) -> tuple[str, ...]:
-        """Host headers that mean this server."""
+        """Host headers that are accepted."""
         return f"127.0.0.1:{self.port}", f"localhost:{self.port}"
 
 
@@ -87,11 +86,11 @@ def make_app(
     """The server's application for one subject.
 
     Args:
-        subject: what is shown.
+        subject: to show.
         pages: of the subject.
         address: whose token and host requests must have.
-        references: photograph, doubt mask and verdict shown with it.
-        adjust: what is changed first.
+        references: photograph, doubt mask and verdict.
+        adjust: initial adjustments.
     """
     return _guarded(_subject_routes(subject, pages, references or References(), adjust), address)
 
@@ -103,7 +102,7 @@ def make_library(library: Library, name: str, address: Address, pages: PagesOf) 
         library: the materials.
         name: of the folder.
         address: whose token and host requests must have.
-        pages: opens those of a material.
+        pages: returns the pages of a subject.
     """
     from starlette.applications import Starlette
     from starlette.responses import HTMLResponse, PlainTextResponse
@@ -159,11 +158,11 @@ def _guarded(routes: Sequence[BaseRoute], address: Address) -> Starlette:
     from starlette.applications import Starlette
     from starlette.middleware import Middleware
 
-    return Starlette(routes=routes, middleware=[Middleware(_Guard, address=address)])
+    return Starlette(routes=routes, middleware=[Middleware(_RequestFilter, address=address)])
 
 
 def _parts(names: Sequence[str]) -> Callable[[Request], Awaitable[Response]]:
-    """Answers with the page's own files."""
+    """Handler of the page's own files."""
     from starlette.responses import PlainTextResponse, Response
 
     texts = {name: page_file(name) for name in (*names, STYLE)}
@@ -206,7 +205,7 @@ def _subject_routes(
 
     async def exported(request: Request) -> Response:
         try:
-            wish = wish_of(request.query_params)
+            wish = export_request(request.query_params)
             data = await asyncio.to_thread(zipped, subject, wish)
         except MatcapError as error:
             return PlainTextResponse(str(error), 400)
@@ -262,23 +261,23 @@ def _page_answer(page: Page) -> Response:
 
 
 async def _waited(pages: Pages, place: Place, request: Request) -> Page | None:
-    """A page, once it is made; None where who asked has gone."""
+    """Wait for a page; None if the client disconnects."""
     while True:
         made = pages.ask(place)
         waiting = asyncio.wrap_future(made)
-        while not (await asyncio.wait({waiting}, timeout=_LOOK))[0]:
+        while not (await asyncio.wait({waiting}, timeout=_POLL))[0]:
             if await request.is_disconnected():
                 pages.drop(place)
                 return None
-        if not made.cancelled():  # as it is where somebody else has gone who asked for it, too
+        if not made.cancelled():  # another client of the same page may have cancelled it
             return waiting.result()
 
 
 def place_of(values: Mapping[str, str]) -> Place:
-    """The page that query parameters ask for.
+    """Parse the query parameters of a page.
 
     Raises:
-        UsageError: a parameter is missing, is no number, or is not finite.
+        UsageError: a parameter is missing or invalid.
     """
     try:
         place = Place(
@@ -299,8 +298,8 @@ def place_of(values: Mapping[str, str]) -> Place:
     return place
 
 
-class _Guard:
-    """Lets through only requests with the right token and host; adds headers to every answer."""
+class _RequestFilter:
+    """Middleware: refuses requests with a wrong token or host; adds headers to every response."""
 
     def __init__(self, app: ASGIApp, address: Address) -> None:
         self._app = app

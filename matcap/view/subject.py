@@ -17,88 +17,93 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.field.material import Material
     from matcap.flash.geometry import FlashSetup
-    from matcap.view.level_of_detail import ExampleLevels, NetworkLevels, Pyramid, SmallerForms
+    from matcap.view.level_of_detail import (
+        ExampleLevels,
+        ExemplarAverages,
+        NetworkLevels,
+        Pyramid,
+    )
     from matcap.view.moments import Planes
 
-_FIELDS = 8  # seeds and shares kept at hand: each is a folded network, a megabyte or so
+_FIELDS = 8  # fields cached, by seed and share
 
 
 @dataclass(frozen=True)
 class Flashed:
-    """Camera and flash of the photograph, in the plane of its piece (flash/geometry.py).
+    """Camera and flash of the photograph in plane coordinates (flash/geometry.py).
 
-    The piece is two plane units wide, and its middle is their origin.
+    The exemplar is two plane units wide, centred at the origin.
     """
 
     camera: tuple[float, ...]
-    """Its place."""
+    """Position of the camera, plane units."""
     light: tuple[float, ...]
-    """Place of the flash."""
+    """Position of the flash, plane units."""
     axis: tuple[float, ...]
-    """Where the camera looks, a unit vector."""
+    """Unit vector along the optical axis, towards the plane."""
     intensity: tuple[float, float, float]
     """Radiant intensity of the flash, by channel."""
     vignetting: tuple[float, float]
-    """(a, b), light is lost by exp(-a tan^2 - b tan^4) at an angle from the axis."""
+    """(a, b) of the attenuation exp(-a tan^2 t - b tan^4 t) at angle t from the axis."""
 
 
 @dataclass(frozen=True)
 class ViewFacts:
-    """What the page shows about its subject."""
+    """Description of a subject for the page."""
 
     name: str
     """Of the material or map set."""
     second: str
     """Name of the material that it can be blended with, or ""."""
     texel_size: float
-    """In plane units; between two materials it lies between theirs."""
+    """In plane units; of the first material."""
     period: tuple[int, int] | None
-    """(width, height) in texels after which it repeats, or None for an endless one."""
+    """(width, height) in texels, or None for an endless field."""
     seed: int
-    """The realisation shown first."""
+    """Of the realisation shown first."""
     mean: tuple[float, ...]
-    """Moments (moments.py) of a texel like all together, shown before there is any."""
+    """Mean moments (moments.py), shown until pages arrive."""
     piece: tuple[int, int] | None = None
-    """(width, height) in texels of the photographed piece, where it is known."""
+    """(width, height) of the exemplar in texels, or None."""
     flash: Flashed | None = None
-    """What it was photographed with."""
+    """Camera and flash of the photograph, or None."""
     millimetres: float = 0.0
-    """Of a plane unit; 0 where it was not measured."""
+    """Length of a plane unit; 0 if unknown."""
 
 
 class Viewable(Protocol):
-    """Something that can be seen anywhere, from near and far."""
+    """A subject of the page."""
 
     @property
     def facts(self) -> ViewFacts:
-        """What the page shows about it."""
+        """Its description."""
         ...
 
     def moments(
         self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
     ) -> tuple[Planes, float]:
-        """(9 or 11, height, width) moments of an area (moments.py); a texel's side in plane units.
+        """(9 or 11, height, width) moments of an area (moments.py), and the texel size.
 
         Args:
-            level: a texel of it is 2^level texels of the material wide.
-            area: in texels of the level, y downwards.
-            seed: which realisation; a map set has only one.
-            share: how far from the first material (0) to the second (1).
-            piece: of the photographed piece instead, which has no seed.
+            level: texels are 2^level texels of the material wide.
+            area: in texels of the level.
+            seed: of the realisation; 0 for a map set.
+            share: of the second material, in [0, 1].
+            piece: moments of the exemplar instead of the field.
 
         Raises:
-            UsageError: a seed or share out of range.
+            UsageError: a seed or share out of range, or no exemplar.
         """
         ...
 
 
 class Materials:
-    """One material, or two and all between them.
+    """A material, or two and their blends.
 
     Args:
         first: the material.
-        second: what it can be blended with.
-        seed: the realisation shown first.
+        second: to blend with, or None.
+        seed: of the realisation shown first.
 
     Raises:
         MatcapError: the two cannot be blended.
@@ -107,9 +112,9 @@ class Materials:
 
     def __init__(self, first: Material, second: Material | None = None, seed: int = 0) -> None:
         self.first, self.second, self.seed = first, second, seed
-        self._prepared: dict[int, Callable[[], SmallerForms]] = {}
+        self._averages: dict[int, Callable[[], ExemplarAverages]] = {}
         self._field = lru_cache(_FIELDS)(self._open)
-        self._field(seed, 0.0 if second is None else 0.5)  # errors are raised at once
+        self._field(seed, 0.0 if second is None else 0.5)  # to raise errors here
 
     @property
     def facts(self) -> ViewFacts:
@@ -124,10 +129,10 @@ class Materials:
         )  # fmt: skip
 
     def at(self, share: float) -> Material:
-        """The material between the two.
+        """The blend of both materials at a share of the second.
 
         Raises:
-            UsageError: there is no second one.
+            UsageError: there is no second material.
         """
         if self.second is not None:
             from matcap.space.between import blend
@@ -178,22 +183,22 @@ class Materials:
         example = material.part(Example)
         if example is None:
             return NetworkLevels.of(material, seed)
-        return ExampleLevels(example, seed, self._forms(example))
+        return ExampleLevels(example, seed, self._averages_of(example))
 
-    def _forms(self, example: Example) -> Callable[[], SmallerForms]:
-        """Made when they are asked for, and once."""
-        from matcap.view.level_of_detail import SmallerForms
+    def _averages_of(self, example: Example) -> Callable[[], ExemplarAverages]:
+        """Averages of an exemplar, computed at the first call and shared by all seeds."""
+        from matcap.view.level_of_detail import ExemplarAverages
 
-        # Two materials have two exemplars at most.
+        # There are at most two exemplars.
         key = id(example)
-        if key not in self._prepared:
-            self._prepared[key] = cache(lambda: SmallerForms(example.exemplar))
-        return self._prepared[key]
+        if key not in self._averages:
+            self._averages[key] = cache(lambda: ExemplarAverages(example.exemplar))
+        return self._averages[key]
 
 
 @dataclass(frozen=True)
 class Maps:
-    """A map set; beyond its borders it repeats."""
+    """A map set, repeated beyond its borders."""
 
     maps: MapSet
     """Without batch dimensions."""
@@ -236,7 +241,7 @@ def _flashed(setup: FlashSetup) -> Flashed:
 
     camera, light = (tuple(stood(setup, place).tolist()) for place in camera_in_plane(setup))
     axis = tuple(stood(setup, -setup_rotation(setup)[2]).tolist())
-    # There it is stated of image coordinates: distance times the tangent.
+    # The setup's coefficients are of image coordinates, distance times tan t.
     scale = setup.distance**2 / CORNER_SQUARED
     lost = (setup.vignetting * scale, setup.vignetting_quartic * scale**2)
     return Flashed(camera, light, axis, setup.intensity, lost)
@@ -254,19 +259,19 @@ def open_subject(
     seed: int = 0,
     read: ReadOptions = AS_IT_IS,
 ) -> Viewable:
-    """What a path holds.
+    """Open a material or map set for the page.
 
     Args:
-        path: a .matcap file, a map set's folder or JSON file, or the folder a capture wrote, whose
-            material is preferred to its map set.
+        path: a .matcap file, a map set's folder or JSON file, or a capture's folder, whose material
+            is preferred to its map set.
         second: a material to blend with.
-        seed: the realisation shown first.
-        read: of the first one; what lies between two materials is the decoder's.
+        seed: of the realisation shown first.
+        read: options of reading the first; blends are always the decoder's.
 
     Raises:
         MatcapError: nothing to open, more than one thing, a broken file, or materials that cannot
             be blended.
-        UsageError: a map set was to be blended, or to have another seed.
+        UsageError: a second material, seed or variety with a map set.
     """
     from matcap.field.material import Material
 

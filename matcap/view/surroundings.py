@@ -1,7 +1,6 @@
-"""Environment maps uploaded from the page, in formats that browsers do not read.
+"""Decodes environment maps in OpenEXR that are uploaded from the page.
 
-An .exr is decoded here, by what `matcap relight` reads environments with; the page reads the others
-(page/reading.js).
+Other formats are decoded in the browser (page/reading.js).
 """
 
 from __future__ import annotations
@@ -14,15 +13,15 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 
-LARGEST_FILE = 2**29  # bytes: an .exr of 16384 x 8192 in half floats is not larger
-_WIDEST = 2048  # texels: what is wider is averaged down, as relight does
+LARGEST_FILE = 2**29  # bytes; more than 16384 x 8192 half floats take
+_WIDEST = 2048  # texels; wider maps are downsampled, as in relight
 
 
 def decoded(data: bytes) -> NDArray[np.float32]:
-    """(H, W, 3) linear radiance of an EXR file's bytes, latitude by longitude.
+    """(H, W, 3) linear radiance, equirectangular, of an EXR file's bytes.
 
     Raises:
-        MatcapError: it is none, or damaged, or its values are no radiance.
+        MatcapError: the data are not an EXR file, damaged, or have invalid values.
     """
     import cv2
 
@@ -34,7 +33,7 @@ def decoded(data: bytes) -> NDArray[np.float32]:
         try:
             picture = read_picture(file)
         except MatcapError as error:
-            # The temporary path of the file is kept out of the error.
+            # Without the temporary path.
             raise MatcapError(error.what, where="the picture", remedy=error.remedy) from error
     height, width = picture.shape[:2]
     if width > _WIDEST:

@@ -22,7 +22,7 @@ from matcap.relight.output import encode
 from matcap.relight.scene import Film
 from matcap.view.document import sealed_page
 from matcap.view.enclosed import packed_piece, packed_tile
-from matcap.view.level_of_detail import SmallerForms
+from matcap.view.level_of_detail import ExemplarAverages
 from matcap.view.library import Library
 from matcap.view.moments import edged, moments_of
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, Pages, Place
@@ -121,7 +121,7 @@ def test_each_channel_is_averaged_by_itself():
     alone = replace(exemplar, specular=exemplar.specular[1:2])
     places = np.stack(np.meshgrid(np.arange(9), np.arange(7)), axis=-1) * 8
     for level in (2, 9):
-        found, wanted = (SmallerForms(of).read(level, places) for of in (exemplar, alone))
+        found, wanted = (ExemplarAverages(of).read(level, places) for of in (exemplar, alone))
         np.testing.assert_allclose(np.delete(found, (3, 5), 0), wanted, rtol=1e-6)
 
 

@@ -21,7 +21,7 @@ from matcap.field.field import Field
 from matcap.field.plane import Rectangle
 from matcap.files.exr import write_exr
 from matcap.view.document import SCRIPTS, STYLE
-from matcap.view.level_of_detail import ExampleLevels, NetworkLevels, SmallerForms
+from matcap.view.level_of_detail import ExampleLevels, ExemplarAverages, NetworkLevels
 from matcap.view.moments import edged, halved, moments_of
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH, Pages, Place
 from matcap.view.references import EncodedPicture, References, doubt_picture, read_verdict
@@ -313,7 +313,7 @@ def test_map_set_from_afar_is_the_mean_of_what_is_there(level):
 def test_far_pages_by_example_look_like_means_of_the_texels(level):
     """As bright, as rough, and of nearly as much contrast; and of the places that are there."""
     example = an_example()
-    field = ExampleLevels(example, 7, cache(lambda: SmallerForms(example.exemplar)))
+    field = ExampleLevels(example, 7, cache(lambda: ExemplarAverages(example.exemplar)))
     area = Rectangle(-5, 11, 64, 48)
     step = 2**level
     finest = Rectangle(area.x * step, area.y * step, area.width * step, area.height * step)
