@@ -95,7 +95,11 @@ def materials(slopes: Sequence[float]) -> Iterator[PlainMaterial]:
 
 
 def gloss_experiment(
-    chosen: Iterator[PlainMaterial], evs: Sequence[int], *, exemplar: bool = False
+    chosen: Iterator[PlainMaterial],
+    evs: Sequence[int],
+    *,
+    exemplar: bool = False,
+    camera: PhoneCamera | None = None,
 ) -> Experiment[tuple[PlainMaterial, Shot], Gloss]:
     """Photograph materials at exposures, and see what is found.
 
@@ -103,17 +107,19 @@ def gloss_experiment(
         chosen: the materials.
         evs: exposure offsets in stops.
         exemplar: measure the maps of a capture; the coarse fit alone otherwise.
+        camera: that takes the photographs.
     """
+    phone = camera or PhoneCamera()
 
     def prepare(material: PlainMaterial) -> tuple[PlainMaterial, Shot]:
-        return material, take(material.realise, PhoneCamera(), SETUP)
+        return material, take(material.realise, phone, SETUP)
 
     return Experiment(
         "gloss",
         {material.name: partial(prepare, material) for material in chosen},
         {f"{ev:+d} EV": Configuration(partial(_capture_gloss, ev, exemplar)) for ev in evs},
         (gloss,),
-        settings=exemplar,
+        settings=(exemplar, phone),
     )
 
 

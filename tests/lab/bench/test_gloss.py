@@ -5,6 +5,7 @@ import pytest
 
 from matcap.lab.bench.gloss import PlainMaterial, gloss_experiment
 from matcap.lab.experiment.runner import run
+from matcap.lab.simulate.photograph import PhoneCamera
 
 SATIN = PlainMaterial((0.3, 0.2, 0.15), 0.04, 0.2, 0.0)
 
@@ -17,7 +18,8 @@ def test_bumps_are_as_steep_as_asked_for_at_any_detail(size):
 
 
 def test_polish_is_found_though_two_stops_of_its_highlight_are_clipped(tmp_path):
-    experiment = gloss_experiment(iter([SATIN]), (0, 2))
+    camera = PhoneCamera(800, 600, supersampling=1)
+    experiment = gloss_experiment(iter([SATIN]), (0, 2), camera=camera)
     whole, clipped = run(experiment, tmp_path / "gloss.csv")
     assert clipped.number("clipped") > 2.0 * whole.number("clipped")
     assert (whole.configuration, whole.subject) == ("+0 EV", "0, 0.3, 0.04, 0.2")

@@ -5,18 +5,20 @@ from small import entry
 from matcap.cli.main import main
 from matcap.lab.train import pictures
 from matcap.lab.train.pack import Pack, first_of_each
-from matcap.lab.train.prior_variety import PAIRS, VarietySettings, middles, run_variety
+from matcap.lab.train.prior_variety import VarietySettings, middles, run_variety
 
 
 def test_the_page_tells_what_was_measured(prior, pack, tmp_path, monkeypatch):
     pack = Pack((*pack.entries, *(entry(f"simulated{i}", i, simulated=True) for i in range(4))))
     monkeypatch.setattr(pictures, "_SIZE", 128)
+    monkeypatch.setattr("matcap.lab.train.corpus.LONG_SIDE", 256)
+    monkeypatch.setattr("matcap.lab.train.prior_variety.PAIRS", 2)
     said = []
-    settings = VarietySettings(draws=16, simulated=8)
+    settings = VarietySettings(draws=16, simulated=5)
     page = run_variety(prior, pack, settings, tmp_path, "matcap prior variety", said.append)
     assert page == (tmp_path / "prior-variety.md").read_text()
     assert "| all | draws |" in page and "| simulated | training photographs |" in page
-    assert page.count(" and m") == PAIRS
+    assert page.count(" and m") == 2
     assert (tmp_path / "prior-variety.jpg").stat().st_size > 1000
     assert (tmp_path / "prior-blends.jpg").stat().st_size > 1000
     assert said[-1] == "16 of 16 draws"
