@@ -13,7 +13,7 @@ from matcap.statistics.lattice import Wave
 TINY = DecoderConfig(noise_channels=2, widths=(2, 3, 3, 3, 3), convolutions=(1, 1))
 
 
-def a_material(name="tiny", seed=3, config=TINY, waves=(), example=None):
+def a_material(name="tiny", seed=3, config=TINY, waves=(), example=None, across=1024):
     """Random weights; codes of different seeds look different. Perhaps an exemplar beside them."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -22,9 +22,9 @@ def a_material(name="tiny", seed=3, config=TINY, waves=(), example=None):
             layer.adain.affine.bias.data += 0.2 * torch.randn_like(layer.adain.affine.bias)
     code = torch.zeros(CODE_SIZE)
     moments = tuple(freeze(decoder, code, waves))
-    tuned = TunedDecoder(decoder, code, moments, waves, 2 / 1024)
+    tuned = TunedDecoder(decoder, code, moments, waves, 2 / across)
     made = {"decoder": tuned} if example is None else {"example": example, "decoder": tuned}
-    return Material(name, made, 2 / 1024, FlashSetup())
+    return Material(name, made, 2 / across, FlashSetup())
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ def captures(tmp_path):
     """Two captures' folders, the second without a report."""
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
-        a_material(name).save(tmp_path / name / f"{name}.matcap")
+        a_material(name, across=256).save(tmp_path / name / f"{name}.matcap")
     verdict = {"rating": "doubtful", "sentence": "doubtful: the highlight is lost"}
     report = {"format": "matcap report", "verdict": verdict}
     (tmp_path / "a" / "report.json").write_text(json.dumps(report))

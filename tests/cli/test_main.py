@@ -46,6 +46,7 @@ def test_a_capture_does_without_pytorchs_compiler(tmp_path):
     pixels = np.random.default_rng(0).integers(60, 160, (96, 128, 3), dtype=np.uint8)
     Image.fromarray(pixels).save(tmp_path / "photo.png")
     arguments = ["capture", "photo.png", "-o", "out", "--steps", "2", "--size", "16", "-q"]
+    arguments += ["--detail", "128"]
     code = f"""import sys
 from matcap.cli.main import run
 sys.argv = ["matcap", *{arguments}]

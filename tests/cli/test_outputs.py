@@ -24,7 +24,7 @@ def place(tmp_path, monkeypatch):
     stack[5] *= 0.01
     write_mapset(MapSet.from_stacked(stack, 2.0 / 32), tmp_path / "set", MapSetInfo("moss"))
     for name in ("a", "b"):
-        a_material(name).save(tmp_path / f"{name}.matcap")
+        a_material(name, across=256).save(tmp_path / f"{name}.matcap")
     cv2.imwrite(str(tmp_path / "photo.png"), np.full((48, 64, 3), 128, np.uint8))
     (tmp_path / "notes.png").write_bytes(MINE)
     monkeypatch.chdir(tmp_path)
