@@ -1,6 +1,6 @@
-"""The Python interface: capture a material from a photograph, render maps to a picture.
+"""The Python interface: capture a material from a photograph, relight maps.
 
-Torch and what is heavy are imported when a function is called, or a name first used.
+PyTorch and other slow imports happen when a function is called or a name first used.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matcap.relight.render import MapSource
     from matcap.relight.scene import Scene
 
-# Each name that is imported when first used, and the module it is defined in.
+# Modules of the names that are imported when first used.
 _HOMES = {
     "Field": "matcap.field.field",
     "MapSet": "matcap.brdf.maps",
@@ -58,11 +58,11 @@ def __getattr__(name: str) -> object:
 
 
 def capture(path: str | Path, *others: str | Path, **settings: Any) -> Material:  # noqa: ANN401
-    """Turn a flash photograph into a material, or several of one piece.
+    """Capture a material from a flash photograph, or from several of the same surface.
 
     Args:
         path: RAW (DNG and others), JPEG, PNG or TIFF.
-        others: more photographs of the same piece, from other places (--together).
+        others: more photographs of the same surface, from other positions (--together).
         settings: fields of matcap.capture.settings.CaptureSettings: preset, steps, time_limit
             (seconds), detail (texels along the long side), fov (degrees), seed, prior.
 
@@ -88,15 +88,15 @@ def relight(
     tolerance: float = DEFAULT_TOLERANCE,
     effects: str = "auto",
 ) -> NDArray[np.float32]:
-    """A picture of a material in a scene.
+    """Render a material in a scene.
 
     Args:
-        source: maps, or a material to read them from.
+        source: maps, or a material.
         scene: the scene, or the name of a light, such as "top" (relight.scene.scene_from_light).
-        seed: the realisation read from a material.
-        tolerance: what leaving out effects may change at most, in code values of the film from 0
-            to 1; half an 8-bit step by default.
-        effects: "auto", "all", "none", or "+x,-y".
+        seed: of a material's realisation.
+        tolerance: largest change by effects that are left out, in code values in [0, 1]; half an
+            8-bit step by default.
+        effects: "auto" leaves out effects below the tolerance; "all", "none", or "+x,-y".
 
     Returns:
         (H, W, 3) float32 radiance, linear Rec.709; 0 where there is no surface.

@@ -1,4 +1,4 @@
-"""The one error that users see, and the exit codes of the command line."""
+"""The base class of errors that users see, and the exit codes of the command line."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """What the process answers to its shell.
+    """Exit code of a command.
 
     Attributes:
         DONE: done.
         INTERNAL: an internal error: please report it, with the output under `MATCAP_DEBUG=1`.
         USAGE: wrong usage.
-        NOTHING_SUCCEEDED: nothing succeeded; one file that cannot be read is nothing, too.
+        NOTHING_SUCCEEDED: all inputs failed.
         SOME_FAILED: some inputs failed, the others are done.
-        INTERRUPTED: interrupted; what is whole is there.
+        INTERRUPTED: interrupted; finished outputs are kept.
     """
 
     DONE = 0
@@ -26,15 +26,15 @@ class ExitCode(IntEnum):
 
 
 class MatcapError(Exception):
-    """Something the user can act on: what is wrong, where, and what to do about it.
+    """An error that the user can correct, printed as one sentence: where, what and remedy.
 
-    Printed as one sentence, ``where: what; remedy.``  Chain the cause with ``raise ... from``.
+    Chain the cause with ``raise ... from``.
 
     Args:
         what: the fault, in lower case, without a final stop ("the file is empty").
-        where: the file, option or tensor it was found in, or "" when the fault has no place.
+        where: the file, option or tensor, or "".
         remedy: an instruction ("photograph again with the flash on"), or "".
-        exit_code: what the command line answers; NOTHING_SUCCEEDED unless the call was wrong.
+        exit_code: of the command; NOTHING_SUCCEEDED unless the call was wrong.
     """
 
     def __init__(
@@ -52,14 +52,14 @@ class MatcapError(Exception):
         super().__init__(self.sentence())
 
     def sentence(self) -> str:
-        """One line: where, what, remedy."""
+        """The error as one line: where, what, remedy."""
         text = f"{self.where}: {self.what}" if self.where else self.what
         text = f"{text}; {self.remedy}." if self.remedy else f"{text}."
-        # A file's name may hold anything, even what moves a terminal's cursor.
+        # A file's name may have control characters.
         return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Exceptions cross process boundaries in parallel work; keyword arguments must survive.
+        # Pickling between processes would otherwise lose keyword arguments.
         return (_rebuild, (self.what, self.where, self.remedy, self.exit_code))
 
 
@@ -68,7 +68,7 @@ def _rebuild(what: str, where: str, remedy: str, exit_code: ExitCode) -> MatcapE
 
 
 class UsageError(MatcapError):
-    """The call itself is wrong: an option's value, a size of zero, a missing argument."""
+    """An error of the call itself, such as an option's value or a missing argument."""
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
         super().__init__(what, where=where, remedy=remedy, exit_code=ExitCode.USAGE)

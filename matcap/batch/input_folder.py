@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from matcap.errors import MatcapError
-from matcap.files.names import kept_plain, series
+from matcap.files.names import series, usable_name
 from matcap.files.quiet import quiet_decoders
 from matcap.photo.camera import CameraProfile
 
@@ -101,7 +101,7 @@ def find_samples(
         else:
             runs = _by_name(shots) if group == "name" else [[s] for s in shots]
         for run in runs:
-            label = kept_plain("-".join((*inside.parts, run[0][0].stem)))
+            label = usable_name("-".join((*inside.parts, run[0][0].stem)))
             grouped.append((inside / run[0][0].name, label, *_joined(run)))
     if not grouped:
         raise MatcapError(

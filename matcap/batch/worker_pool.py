@@ -22,7 +22,7 @@ from typing import Any, Literal, Protocol
 from matcap.errors import MatcapError
 from matcap.files.cluster import Cluster, RemoteResult
 from matcap.files.interrupts import settle_child, starting_children
-from matcap.files.progress import OnProgress, Progress, nobody
+from matcap.files.progress import OnProgress, Progress, ignore_progress
 
 DoWork = Callable[[Any, OnProgress], Any]
 Prepare = Callable[[], None]
@@ -223,4 +223,4 @@ class Machines:
 
 def _there(work: DoWork, prepare: Prepare, job: Any) -> Any:  # noqa: ANN401
     prepare()
-    return work(job, nobody)
+    return work(job, ignore_progress)

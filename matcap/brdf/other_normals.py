@@ -15,7 +15,7 @@ import numpy as np
 from matcap.brdf.edited import without_alpha
 from matcap.errors import MatcapError
 from matcap.files.exr import read_exr_named
-from matcap.files.names import flaw
+from matcap.files.names import name_fault
 from matcap.files.note import note
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def note_other_normals(maps: MapSet, document: dict[str, Any], folder: Path) -> 
     """
     about = document["maps"].get("normal")
     name = about.get("file") if isinstance(about, dict) else None
-    if name is None or flaw(name) or not (folder / name).is_file():
+    if name is None or name_fault(name) or not (folder / name).is_file():
         return
     try:
         stored = read_exr_named(folder / name, size=maps.size, channels=about.get("channels"))
@@ -72,7 +72,7 @@ def painted_normals(document: dict[str, Any], folder: Path, size: tuple[int, int
 
     about = document["maps"].get("normal")
     name = about.get("file") if isinstance(about, dict) else None
-    if not isinstance(name, str) or flaw(name):
+    if not isinstance(name, str) or name_fault(name):
         raise MatcapError(
             "the map set names no file of normals", where=str(folder), remedy=_WITHOUT
         )

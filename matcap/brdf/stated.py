@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from matcap.errors import MatcapError
-from matcap.files.names import flaw, shown
+from matcap.files.names import name_fault, shown
 from matcap.files.values import bounded, whole
 
 NormalStyle = Literal["gl", "dx"]
@@ -136,7 +136,7 @@ def _finite(value: Any) -> Any:  # noqa: ANN401
 
 
 def _plain(key: str, value: object) -> str:
-    wrong = flaw(value)
+    wrong = name_fault(value)
     if wrong:
         raise ValueError(f"'{key}' is {shown(value)}, which {wrong}")
     return str(value)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from types import MappingProxyType
 
-from matcap.files.progress import Progress, nobody
+from matcap.files.progress import Progress, ignore_progress
 
 # Stages of a capture in their order, and the share of the time that each takes of a `standard` one
 # of 12 megapixels (report.json's stage_seconds).
@@ -98,7 +98,7 @@ class CaptureClock:
         """
         self.seconds: dict[str, float] = {}
         self.interrupted = False
-        self._on_progress = on_progress or nobody
+        self._on_progress = on_progress or ignore_progress
         self._bounds, self._limit = _bounds(stages), limit
         self._spent = spent
         self._started = time.monotonic()

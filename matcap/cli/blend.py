@@ -35,13 +35,13 @@ def blend(
     from matcap.field.header import provenance_says
     from matcap.field.material import Material
     from matcap.files.mark import check_replaceable
-    from matcap.files.names import kept_plain
+    from matcap.files.names import usable_name
     from matcap.files.picture import write_picture
     from matcap.files.staging import check_writable, staged
     from matcap.space import between
 
     asked = chosen(BlendOptions, given)
-    stems = "_".join(kept_plain(path.stem)[:60] for path in (first, second))
+    stems = "_".join(usable_name(path.stem)[:60] for path in (first, second))
     places = 3 if len({round(t, 3) for t in asked.shares}) == len(asked.shares) else 6
     names = [f"{stems}_{t:.{places}f}.matcap" for t in asked.shares]
     check_replaceable(

@@ -15,7 +15,7 @@ from matcap.capture.settings import CaptureSettings, OutputSettings, check_photo
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
 from matcap.cli.options import JsonOption, OverwriteOption, QuietOption, StrictOption
 from matcap.errors import ExitCode, MatcapError, UsageError
-from matcap.files.names import kept_plain
+from matcap.files.names import usable_name
 
 if TYPE_CHECKING:
     from matcap.cli.capture_display import Display
@@ -91,7 +91,7 @@ def _jobs(photos: Sequence[Path], out: Path) -> list[_Job]:
     taken: set[str] = set()
     jobs = []
     for photo in photos:
-        stem = name = kept_plain(photo.stem.lstrip(".") or "photograph", "photograph")
+        stem = name = usable_name(photo.stem.lstrip(".") or "photograph", "photograph")
         number = 1
         while name.casefold() in taken:
             number += 1

@@ -39,7 +39,7 @@ from matcap.cli import (
 )
 from matcap.cli.plain_command import PlainCommand
 from matcap.errors import ExitCode, MatcapError
-from matcap.files.interrupts import end_alike, ignore_both
+from matcap.files.interrupts import ignore_signals, raise_on_signals
 from matcap.files.maker import MAKER
 from matcap.files.note import Note
 
@@ -179,9 +179,9 @@ def run() -> None:
     # NumPy's matrices are small here: its threads wait for each other, spinning, more than they
     # compute, on a shared machine twenty times as long.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    came = end_alike()
+    came = raise_on_signals()
     code = main(interrupted=came)
-    ignore_both()
+    ignore_signals()
     # At its end Python looks for garbage among all there is, torch too: a third of a second. What
     # it does not look for, OpenImageIO takes for leaks, and reports one by one.
     if "OpenImageIO" not in sys.modules:

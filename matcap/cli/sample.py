@@ -77,9 +77,9 @@ def sample(
 
 def _called(like: Path | None) -> str:
     """What drawn materials are called, before their seed."""
-    from matcap.files.names import kept_plain
+    from matcap.files.names import usable_name
 
-    return "drawn" if like is None else f"like_{kept_plain(like.stem)}"
+    return "drawn" if like is None else f"like_{usable_name(like.stem)}"
 
 
 def drawing(near: DrawOptions, prior: Path | None = None) -> Callable[[int], Material]:

@@ -167,10 +167,10 @@ def _subject(material: Path | None, seed: int, near: Given) -> tuple[Path | Mate
                 remedy="leave the material out, or the option",
             )
         from matcap.field.opened import material_file
-        from matcap.files.names import kept_plain
+        from matcap.files.names import usable_name
 
         file = material_file(material)
-        return file, kept_plain(file.stem)
+        return file, usable_name(file.stem)
     from matcap.cli.sample import drawing
 
     drawn = drawing(chosen(DrawOptions, near))(seed)

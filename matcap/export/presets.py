@@ -44,7 +44,7 @@ from matcap.export.textures import (
     picture,
     signed,
 )
-from matcap.files.names import is_usual, plain_name, shown
+from matcap.files.names import is_portable, plain_name, shown
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -279,7 +279,7 @@ def _names(
     for kind, (label, made) in packed.items():
         fields = {"stem": job.name, "map": label, "res": res, "format": made.container.upper()}
         name = plain_name(pattern.format(**fields), what="the file name", where="--name")
-        if not is_usual(name):
+        if not is_portable(name):
             raise UsageError(
                 f"other programs may misread the file name {shown(name)}",
                 where="--name",

@@ -64,7 +64,7 @@ from matcap.export.udim import FIRST, numbers_of
 from matcap.export.usd import usd_metallic, usd_specular
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.mark import check_replaceable
-from matcap.files.names import made_plain, plain_name
+from matcap.files.names import plain_name, sanitised_name
 from matcap.files.staging import staged
 
 FORMAT = "matcap export"
@@ -197,7 +197,7 @@ def write_export(
     forms = DOCUMENTS[target] if target in DOCUMENTS else preset_forms(target, options)
     # Other programs read $, @, <UDIM>, quotes and the like in names in ways of their own.
     plain_name(job.name, what="the map set's name")
-    job = replace(job, name=made_plain(job.name))
+    job = replace(job, name=sanitised_name(job.name))
     form = _form(forms, target, options.workflow if options else None)
     _check_tiles(job, target)
     # Every form is asked what comes of it; only the chosen one makes its files.
@@ -224,7 +224,7 @@ def write_export(
 
 def sidecar_name(name: str, target: str) -> str:
     """Of the JSON file that lists what an export's folder holds."""
-    return f"{made_plain(name)}_{target}.json"
+    return f"{sanitised_name(name)}_{target}.json"
 
 
 def preset_forms(name: str, choice: ExportOptions | None = None) -> Forms:

@@ -15,7 +15,7 @@ from matcap.errors import MatcapError, UsageError
 from matcap.export.formats import CONTAINERS, Container, Depth, Picture, bands
 from matcap.export.job import ExportJob, MapRows
 from matcap.files.exr import LARGEST_HALF, write_exr
-from matcap.files.png import PNG_HEADER, png_bytes, png_chunk, quantised, turned
+from matcap.files.png import PNG_HEADER, png_bytes, png_chunk, quantised, swap_red_blue
 from matcap.files.srgb import srgb_decode, srgb_picture
 
 TOKEN = "<UDIM>"  # stands for a tile's number in names of files
@@ -169,7 +169,7 @@ class TextureFile:
             if self.container == "jpg"
             else [cv2.IMWRITE_WEBP_QUALITY, 101]
         )  # fmt: skip
-        _, encoded = cv2.imencode(f".{self.container}", turned(whole), flags)
+        _, encoded = cv2.imencode(f".{self.container}", swap_red_blue(whole), flags)
         return encoded.tobytes()
 
     def write(self, path: Path, job: ExportJob) -> None:

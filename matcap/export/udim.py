@@ -16,7 +16,7 @@ from matcap.errors import UsageError
 from matcap.export.occlusion import settings
 from matcap.field.opened import open_material
 from matcap.field.options import AS_IT_IS, ReadOptions
-from matcap.files.names import kept_plain
+from matcap.files.names import usable_name
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -121,4 +121,4 @@ def open_set(
         )
     file, material = open_material(path)
     material = material.by(read.generator).varied(read.variety)
-    return TextureSet(material, *grid, size, seed), kept_plain(file.stem)
+    return TextureSet(material, *grid, size, seed), usable_name(file.stem)

@@ -15,8 +15,8 @@ from safetensors import SafetensorError, safe_open
 
 from matcap.brdf.stated import known_provenance
 from matcap.errors import MatcapError
-from matcap.files.digest import is_whole
-from matcap.files.names import made_plain
+from matcap.files.digest import digest_matches
+from matcap.files.names import sanitised_name
 from matcap.files.values import bounded
 
 FORMAT = "matcap-material"
@@ -54,7 +54,7 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
     try:
         with safe_open(path, framework=framework) as file:
             about = _about(file.metadata(), path)
-            if not is_whole(path, file.metadata()):
+            if not digest_matches(path, file.metadata()):
                 raise MatcapError(
                     "the file is damaged: its digest is another than when it was written",
                     where=str(path),
@@ -114,7 +114,7 @@ def _checked(about: dict[str, Any]) -> dict[str, Any]:
         DAMAGED: an entry is missing, of a wrong type or out of range.
     """
     return about | {
-        "name": made_plain(str(about["name"])),
+        "name": sanitised_name(str(about["name"])),
         "texel_size": bounded(about["texel_size"], "texel_size", 1e-9, 1e3),
         "setup": stated_setup(about["setup"]),
         "provenance": known_provenance(about["provenance"]),

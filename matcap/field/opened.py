@@ -13,7 +13,7 @@ from matcap.brdf.adjust import KEY, Adjustments, adjusted
 from matcap.brdf.folder import SETUP, find_mapsets, read_mapset
 from matcap.errors import MatcapError, UsageError
 from matcap.field.options import AS_IT_IS, ReadOptions
-from matcap.files.names import kept_plain
+from matcap.files.names import usable_name
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -71,13 +71,13 @@ def open_tile(
         provenance = dict(material.provenance)
         if piece:
             return _adjusted_with_provenance(
-                material.repeating(), kept_plain(path.stem), provenance | REPEATS, adjust
+                material.repeating(), usable_name(path.stem), provenance | REPEATS, adjust
             )
         size, seed = size or (1024, 1024), seed or 0
         repeat = material.alignment
         period = None if size[0] % repeat or size[1] % repeat else size
         maps = material.maps(*size, seed=seed, period=period)
-        return _adjusted_with_provenance(maps, kept_plain(path.stem), provenance, adjust)
+        return _adjusted_with_provenance(maps, usable_name(path.stem), provenance, adjust)
     given: dict[str, object] = {"--size": size, "--seed": seed, "--generator": read.generator}
     given |= {"--variety": read.variety, "--tile piece": piece or None}
     for option in (option for option, asked in given.items() if asked is not None):

@@ -1,1 +1,1 @@
-"""Files, whatever is in them: staged writing, EXR, PNG, the sRGB curve, values that users type."""
+"""File formats and colour spaces, atomic writing, settings, and values that users type."""

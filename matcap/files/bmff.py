@@ -1,7 +1,7 @@
 """Properties of the primary picture of HEIC and AVIF files (ISO/IEC 14496-12 and 23008-12).
 
-Decoders hand out pixels and leave out what is not needed for that: the colour space as code
-points, and the camera's intrinsic matrix. Only the boxes meta, pitm, iprp, ipco, ipma are read.
+Reads what image decoders do not return: the colour space as code points, and the camera's
+intrinsic matrix. Only the boxes meta, pitm, iprp, ipco and ipma are parsed.
 """
 
 from __future__ import annotations
@@ -11,30 +11,30 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-_MOST = 1 << 26  # bytes of a meta box that is looked at: a header may claim any size
+_MOST = 1 << 26  # bytes of a meta box; larger ones are not read, as a header may claim any size
 
 
 @dataclass(frozen=True)
 class Properties:
-    """Of the primary picture."""
+    """Properties of the primary picture."""
 
     profile: bytes | None = None
     """ICC profile, or None."""
     code_points: tuple[int, int] | None = None
     """(primaries, transfer) of ITU-T H.273 from nclx, or None."""
     focal_length: float | None = None
-    """Of the camera matrix (cmin), in widths of the stored picture, or None."""
+    """From the camera matrix (cmin), in widths of the stored picture, or None."""
     bits: int = 8
-    """Of a channel (pixi), or 8 where it is not said."""
+    """Bits per channel (pixi), 8 if absent."""
     sideways: bool = False
-    """The decoded picture is the stored one after an odd number of quarter turns (irot)."""
+    """Whether decoding rotates the stored picture by 90 or 270 degrees (irot)."""
 
 
 def primary_properties(path: Path) -> Properties:
-    """Read the boxes.
+    """Read the properties of a file's primary picture.
 
     Raises:
-        ValueError, struct.error, IndexError: they are damaged.
+        ValueError, struct.error, IndexError: the file is damaged.
         OSError: the file cannot be read.
     """
     meta = _meta(path)[4:]  # a full box: version and flags first

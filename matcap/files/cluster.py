@@ -1,7 +1,7 @@
-"""A dask.distributed cluster (extra `cluster`): the one module that knows of it.
+"""Access to a dask.distributed cluster (extra `cluster`); no other module imports Dask.
 
-Work that is sent there is a pure function of its arguments: a lost worker's is done again by
-another, to the same bits as long as the machines are of one kind and run one build.
+Submitted functions are pure: those of a lost worker are repeated by another, with the same bits if
+all machines are of one kind and run the same build.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ _WORKERS_WITHIN = 60  # seconds for a first worker to come
 
 
 class Cluster:
-    """The workers of a scheduler; close it, or use it in a `with`.
+    """The workers of a scheduler; a context manager.
 
     Args:
-        scheduler: its address, such as tcp://host:8786.
-        worker: the command that starts a worker as it is wanted here.
+        scheduler: address, such as tcp://host:8786.
+        worker: command that starts a worker, for error messages.
 
     Raises:
-        MatcapError: the extra is missing, no answer at the address, or there is no worker.
+        MatcapError: Dask is not installed, the scheduler does not answer, or it has no worker.
     """
 
     def __init__(self, scheduler: str, worker: str = "dask worker") -> None:
@@ -55,19 +55,19 @@ class Cluster:
 
     @property
     def threads(self) -> int:
-        """Of all workers."""
+        """Number of threads of all workers."""
         return max(1, sum(self._client.nthreads().values()))
 
     def shared(self, value: object) -> object:
-        """A value that every worker holds, to be given to what is submitted."""
+        """Send a value to every worker; return a handle to pass to submit()."""
         return self._client.scatter(value, broadcast=True, hash=False)
 
     def submit(self, function: Callable[..., Any], *arguments: object) -> RemoteResult:
-        """Have a module-level function called."""
+        """Call a module-level function on a worker."""
         return RemoteResult(self._client.submit(function, *arguments, pure=False))
 
     def close(self) -> None:
-        """Leave the cluster as it was."""
+        """Disconnect from the scheduler."""
         self._client.close()
 
     def __enter__(self) -> Cluster:
@@ -78,20 +78,21 @@ class Cluster:
 
 
 class RemoteResult:
-    """What a cluster is asked for."""
+    """Future of a function that was submitted to a cluster."""
 
     def __init__(self, future: Any) -> None:  # noqa: ANN401
         self._future = future
 
     def done(self) -> bool:
-        """Whether it is there, or never will be."""
+        """Whether it has finished or failed."""
         return bool(self._future.done())
 
     def result(self) -> Any:  # noqa: ANN401
-        """The value, when it is there.
+        """Wait for the value.
 
         Raises:
-            MatcapError: of the function, or a WorkerLost where there is no value for other reasons.
+            MatcapError: raised by the function.
+            WorkerLost: the cluster failed.
         """
         try:
             return self._future.result()
@@ -104,9 +105,9 @@ class RemoteResult:
             ) from error
 
     def cancel(self) -> None:
-        """Forget about it, even where it is begun."""
+        """Cancel it, even if it has started."""
         self._future.cancel(force=True)
 
 
 class WorkerLost(MatcapError):
-    """A worker died; what the others finished is kept for another try."""
+    """A worker died; finished work is kept, and the run can be resumed."""

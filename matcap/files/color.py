@@ -1,11 +1,11 @@
-"""From code values to linear Rec.709: transfer functions, and the colour spaces of files.
+"""Colour spaces of files: transfer functions and matrices from code values to linear Rec.709.
 
-A file states its colours by an ICC profile (`icc`), by code points (ITU-T H.273: cICP in PNG, nclx
-in HEIC and AVIF) or by primaries and an exponent (gAMA and cHRM in PNG). All of them become one
-ColorSpace here. The sRGB curve is files/srgb.py, primaries are files/rec709.py.
+A file states its colour space by an ICC profile (icc.py), by code points (ITU-T H.273: cICP in PNG,
+nclx in HEIC and AVIF) or by primaries and an exponent (gAMA and cHRM in PNG). Each becomes a
+ColorSpace. The sRGB curve is in srgb.py, primaries are in rec709.py.
 
-Display-referred codes (sRGB, PQ, HLG) become display light, where 1 is diffuse white: 203 cd/m2 of
-PQ, and of HLG on a display of 1000 cd/m2 (ITU-R BT.2408, table 1).
+Display-referred codes (sRGB, PQ, HLG) become display light in units of diffuse white: 203 cd/m2 for
+PQ, and for HLG on a display of 1000 cd/m2 (ITU-R BT.2408, table 1).
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ REC709_TO_D50 = np.array(
 
 
 def linear(code: Values) -> Values:
-    """The curve of a file that stores light itself."""
+    """Transfer function of a file of linear light."""
     return code
 
 
 @dataclass(frozen=True)
 class ColorSpace:
-    """How a file's code values stand for light."""
+    """Colour space of a file."""
 
     name: str
-    """For the report."""
+    """For reports and notes."""
     curves: tuple[Curve, Curve, Curve]
-    """Code values in [0, 1] to linear light, one for each of red, green and blue."""
+    """Transfer functions of red, green and blue, from code values in [0, 1] to linear light."""
     matrix: Values | None = None
-    """(3, 3) from the file's linear colours to Rec.709, or None where they are that."""
+    """(3, 3) from the file's linear colours to Rec.709; None is the identity."""
     system_gamma: float = 1.0
-    """Power of luminance from scene to display light (HLG; ITU-R BT.2100, table 5)."""
+    """Exponent of luminance from scene to display light (HLG; ITU-R BT.2100, table 5)."""
 
     def lineariser(self, dtype: np.dtype[np.generic]) -> Linearise:
-        """A function from rows (n, W, 3) of this dtype to linear Rec.709 float32, at least 0.
+        """A function from rows (n, W, 3) of this dtype to linear Rec.709, float32, at least 0.
 
-        Integers go through a table of every code value, so that nothing of full size is ever made
-        in floating point. Colours outside Rec.709 come out at 0 or above 1 in a channel.
+        Integers are converted by a table of all code values. Colours outside Rec.709 are clipped at
+        0, but not at 1.
         """
         curves, exponent = self.curves, self.system_gamma - 1.0
         luminance = np.array(LUMINANCE, np.float32)
@@ -97,7 +97,7 @@ class ColorSpace:
 SRGB = ColorSpace("sRGB", (srgb_decode,) * 3)
 LINEAR = ColorSpace("linear Rec.709", (linear,) * 3)
 
-# Primaries and white by code point (ITU-T H.273, table 2), and what they are called.
+# (name, primaries and white) by code point (ITU-T H.273, table 2).
 _PRIMARIES: dict[int, tuple[str, tuple[float, ...]]] = {
     1: ("Rec.709", REC709),
     4: ("BT.470 M", (0.67, 0.33, 0.21, 0.71, 0.14, 0.08, 0.310, 0.316)),
@@ -167,23 +167,23 @@ _TRANSFERS: dict[int, tuple[str, Curve]] = {
 
 
 def space_of_code_points(primaries: int, transfer: int) -> ColorSpace | None:
-    """The colour space of ITU-T H.273's code points; None where one of them is not known.
+    """The colour space of ITU-T H.273's code points; None if one of them is unknown.
 
-    Unspecified ones are sRGB's, as ISO/IEC 23000-22 has it of pictures.
+    Unspecified code points are taken as sRGB's (ISO/IEC 23000-22).
     """
     primaries = 1 if primaries == _UNSPECIFIED else primaries
     transfer = 13 if transfer == _UNSPECIFIED else transfer
     if primaries not in _PRIMARIES or transfer not in _TRANSFERS:
         return None
-    (name, corners), (way, curve) = _PRIMARIES[primaries], _TRANSFERS[transfer]
+    (name, corners), (transfer_name, curve) = _PRIMARIES[primaries], _TRANSFERS[transfer]
     if (primaries, transfer) == (1, 13):
         return SRGB
     gamma = _HLG_GAMMA if curve is hlg_decode else 1.0
-    return ColorSpace(f"{name}, {way}", (curve,) * 3, rec709_from(corners), gamma)
+    return ColorSpace(f"{name}, {transfer_name}", (curve,) * 3, rec709_from(corners), gamma)
 
 
 def space_of_primaries(primaries: Sequence[float] | None, curve: Curve, name: str) -> ColorSpace:
-    """The colour space of primaries (rec709_from) and one curve; without primaries, Rec.709's.
+    """The colour space of primaries (as in rec709_from) and a transfer function.
 
     Raises:
         ValueError: the primaries are no basis of colours.
@@ -192,19 +192,19 @@ def space_of_primaries(primaries: Sequence[float] | None, curve: Curve, name: st
     return ColorSpace(name, (curve,) * 3, matrix)
 
 
-# Adobe RGB (1998), section 4.3; Exif calls it by "R03" (DCF 2.0).
+# Adobe RGB (1998), section 4.3; "R03" in Exif (DCF 2.0).
 ADOBE_RGB = space_of_primaries(
     (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.3290), power(563.0 / 256.0), "Adobe RGB (1998)"
 )
 
 
 def converted(space: ColorSpace) -> tuple[str, ...]:
-    """Notes to the user on a file in this colour space: none where it is sRGB."""
+    """Notes to the user on the conversion from this colour space; none for sRGB."""
     if space is SRGB or space is LINEAR:
         return ()
     return (f"Colours converted from the file's {space.name} to Rec.709.",)
 
 
 def assumed(space: ColorSpace, what: str) -> str:
-    """Note to the user where the file states colours that are not read."""
+    """Note to the user that `space` is assumed, as the file's statement cannot be read."""
     return f"The file's {what} cannot be read: {space.name} assumed."

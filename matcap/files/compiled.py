@@ -1,4 +1,4 @@
-"""Compiled loops, found where they were built: beside the files that call them."""
+"""Loads compiled loops from the folders of their sources."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from matcap.errors import MatcapError
 
 
 def find_library(folder: Path, form: tuple[str, int]) -> Any | None:  # noqa: ANN401
-    """The library of a folder, or None where it was not built, or from other files.
+    """Load the library of a folder; None if it is missing or of another interface version.
 
     Args:
-        folder: that holds kernel.c and what was built of it.
-        form: name of the function that returns its interface version, and the expected one.
+        folder: with kernel.c and the library built from it.
+        form: name of the function that returns the interface version, and the expected version.
     """
     name, expected = form
     for suffix in EXTENSION_SUFFIXES:
@@ -31,7 +31,7 @@ def find_library(folder: Path, form: tuple[str, int]) -> Any | None:  # noqa: AN
 
 
 def not_built(what: str) -> MatcapError:
-    """The sentence where there is none."""
+    """The error for a missing library."""
     return MatcapError(
         f"the compiled loops of {what} were not built when matcap was installed",
         remedy="install a C compiler (gcc, clang or MSVC) and then matcap again",

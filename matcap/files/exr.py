@@ -1,7 +1,7 @@
-"""Arrays to and from OpenEXR files: one part of scanlines, ZIP, Rec.709.
+"""Reads and writes OpenEXR files: single-part scanlines, ZIP, Rec.709.
 
-OpenEXR writes (it stamps no date, so the same numbers give the same file); OpenImageIO reads (it
-reports a broken file in words, where OpenEXR prints to the terminal). Tiled streaming is not here.
+Written with OpenEXR, which stores no date, so that equal arrays give equal files. Read with
+OpenImageIO, which returns errors, where OpenEXR prints them. Tiled files: synth/exr_tiles.py.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ LARGEST_HALF = 65504.0  # of half float (IEEE 754)
 
 
 def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool, mark: str = "") -> None:
-    """Write (H, W, 3) as channels R, G, B or (H, W) as channel Y, rounded to half or kept float32.
+    """Write (H, W, 3) as channels R, G, B or (H, W) as channel Y, as half floats or float32.
 
-    Not atomic: write into a staged folder. A mark says which command wrote it (mark.py).
+    Not atomic: write into a staged folder. `mark` is the writing command (mark.py).
 
     Raises:
         MatcapError: a value is not finite, or too large for half float.
@@ -46,7 +46,7 @@ def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool, mark: str 
 
 
 def write_exr_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) -> None:
-    """Write planes (H, W) of [0, 1] in half float under names of their own, no colours.
+    """Write planes (H, W) by channel name, as half floats.
 
     Not atomic: write into a staged folder.
 
@@ -64,7 +64,7 @@ def write_exr_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) 
 
 
 def _check(path: Path, pixels: NDArray[np.float32], *, half: bool) -> None:
-    """Say what a file cannot hold, rather than to store infinity."""
+    """Raise MatcapError for values that the file cannot represent."""
     if not np.isfinite(pixels).all():
         raise MatcapError(
             "has values that are not finite", where=path.name, remedy="make the maps again"
@@ -83,7 +83,7 @@ def _write(path: Path, header: dict[str, Any], channels: dict[str, Any]) -> None
     try:
         OpenEXR.File(header, channels).write(str(path))
     except RuntimeError as error:
-        # OpenEXR keeps the cause only in its words.
+        # OpenEXR reports the cause in the text only.
         full = "No space left" in str(error)
         raise OSError(errno.ENOSPC if full else errno.EIO, str(error)) from error
 
@@ -95,35 +95,36 @@ def read_exr(
 
     Args:
         path: the file.
-        size: (width, height) that it must have; checked before any pixel is read.
-        channels: names of those to read, in this order; all in the file's own order by default.
+        size: expected (width, height); checked before any pixel is read.
+        channels: names to read, in this order; None is all, in the file's order.
 
     Raises:
-        MatcapError: missing, not an EXR file, truncated, corrupt, of another size, not finite.
+        MatcapError: missing, not an EXR file, truncated, corrupt, of another size, without a
+            channel, or with values that are not finite.
     """
     return read_exr_named(path, size=size, channels=channels).pixels
 
 
 @dataclass(frozen=True)
 class NamedChannels:
-    """An EXR file's numbers."""
+    """Content of an EXR file."""
 
     pixels: NDArray[np.float32]
-    """(H, W, C) float32."""
+    """(H, W, C)."""
     names: tuple[str, ...]
-    """Of the channels."""
+    """Names of the channels."""
     primaries: tuple[float, ...] | None
-    """X and y of red, green, blue and white, where the file states them."""
+    """Chromaticities x, y of red, green, blue and white, or None."""
 
 
 def read_exr_named(
     path: Path, *, size: tuple[int, int] | None = None, channels: Sequence[str] | None = None
 ) -> NamedChannels:
-    """As read_exr, with the channels' names and the primaries that the file states."""
+    """read_exr, with the names of the channels and the primaries."""
     import OpenImageIO as oiio
 
     remedy = "write the map set again"
-    if not os.path.isfile(path):  # of a name that cannot be, too: False
+    if not os.path.isfile(path):  # also False for invalid names
         raise MatcapError("the file is missing", where=str(path), remedy=remedy)
     source = oiio.ImageInput.open(str(path))
     if source is None:
@@ -171,10 +172,7 @@ def read_exr_named(
 
 
 def forget_error(fetch: Callable[[], object]) -> str:
-    """OpenImageIO keeps an error, and complains at exit, until it is fetched; what it was, or "".
-
-    It quotes the file's own bytes, which may be no text.
-    """
+    """Fetch OpenImageIO's pending error, which it would otherwise print at exit; "" if none."""
     with suppress(UnicodeDecodeError):
         return str(fetch())
-    return "an error that is no text"
+    return "an error that is no text"  # it may quote the file's bytes

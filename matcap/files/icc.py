@@ -1,8 +1,8 @@
-"""ICC profiles: the file's colours to linear Rec.709 (ICC.1:2022).
+"""ICC profiles: conversion of a file's colours to linear Rec.709 (ICC.1:2022).
 
-Matrix profiles (Display P3, Adobe RGB, ProPhoto, every camera's and phone's) are evaluated here in
-floating point: a colour engine for 8-bit pictures would cut off what lies outside sRGB and lose
-shadows. Profiles made of tables go through Pillow's ImageCms, at 8 bits.
+Matrix profiles (Display P3, Adobe RGB, ProPhoto, those of cameras and phones) are evaluated in
+floating point; an 8-bit colour engine would clip colours outside sRGB and quantise shadows.
+Profiles of lookup tables are evaluated by Pillow's ImageCms, at 8 bits.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ from matcap.files.srgb import srgb_decode
 
 _COLORANTS = (b"rXYZ", b"gXYZ", b"bXYZ")
 _CURVES = (b"rTRC", b"gTRC", b"bTRC")
-# How many parameters each type of parametric curve has, table 68.
+# Number of parameters of each type of parametric curve, table 68.
 _PARAMETERS = (1, 3, 4, 5, 7)
-# What a profile calls the colours it is for, to Pillow's name of them.
+# Pillow's mode by a profile's colour space signature.
 _MODES = {b"RGB ": "RGB", b"GRAY": "L", b"CMYK": "CMYK"}
 
 
 def lineariser_of(
     profile: bytes | None, dtype: np.dtype[np.generic], default: ColorSpace
 ) -> tuple[Linearise, tuple[str, ...]]:
-    """How to linearise a file with this embedded profile, and notes to the user about it.
+    """A function from code values (n, W, 3) to linear Rec.709, and notes to the user.
 
     Args:
         profile: the ICC bytes, or None.
         dtype: of the file's code values.
-        default: the colour space where there is no profile, or none that can be used.
+        default: the colour space without a profile, or with one that cannot be used.
     """
     if not profile:
         return default.lineariser(dtype), ()
     try:
         space = read_profile(profile)
     except (ValueError, struct.error, IndexError):
-        space = None  # LittleCMS may be able to; else it is said
+        space = None  # LittleCMS may read it
     if space is not None:
         note = f"Colours converted from the file's profile ({space.name}) to Rec.709."
         return space.lineariser(dtype), () if _is_srgb(space) else (note,)
@@ -61,7 +61,7 @@ def lineariser_of(
 
 
 def _is_srgb(space: ColorSpace) -> bool:
-    """Whether it differs from sRGB by no more than profiles of sRGB differ from each other."""
+    """Whether a colour space is sRGB within the differences between sRGB profiles."""
     codes = np.linspace(0.0, 1.0, 64)
     worst = max(float(np.abs(curve(codes) - srgb_decode(codes)).max()) for curve in space.curves)
     return space.matrix is None and space.system_gamma == 1.0 and worst < 2e-3
@@ -70,17 +70,17 @@ def _is_srgb(space: ColorSpace) -> bool:
 def inks_lineariser_of(
     profile: bytes, dtype: np.dtype[np.generic]
 ) -> tuple[Linearise, tuple[str, ...]] | None:
-    """How to linearise rows (n, W, 4) of inks, 1 being full; None where the profile is no help."""
+    """As lineariser_of for CMYK rows (n, W, 4); None if the profile cannot be used."""
     managed = _managed(profile, dtype) if profile[16:20] == b"CMYK" else None
     note = "Colours converted from inks through the file's profile at 8 bits."
     return None if managed is None else (managed, (note,))
 
 
 def read_profile(profile: bytes) -> ColorSpace | None:
-    """What a profile says by code points, a matrix or grey's curve; None where by tables.
+    """The colour space of a profile by code points, matrix or grey curve; None for others.
 
     Raises:
-        ValueError, struct.error, IndexError: it is damaged.
+        ValueError, struct.error, IndexError: the profile is damaged.
     """
     if profile[16:20] == b"GRAY":
         return _grey(profile)
@@ -105,7 +105,7 @@ def read_profile(profile: bytes) -> ColorSpace | None:
 
 
 def _grey(profile: bytes) -> ColorSpace | None:
-    """A grey profile's curve: to luminance, or to lightness where it is relative to CIELAB."""
+    """The colour space of a grey profile, whose curve is to luminance or to CIE L*."""
     tags = _tags(profile)
     if b"kTRC" not in tags or profile[20:24] not in (b"XYZ ", b"Lab "):
         return None

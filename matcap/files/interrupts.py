@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: both end a command alike, and never inside an atomic step."""
+"""Handling of Ctrl-C and SIGTERM: both raise KeyboardInterrupt, but not inside atomic steps."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from types import FrameType
 _BOTH = (signal.SIGINT, signal.SIGTERM)
 
 
-def end_alike() -> Callable[[], bool]:
-    """Have both raise KeyboardInterrupt in the main thread; gives a function: whether one came.
+def raise_on_signals() -> Callable[[], bool]:
+    """Make both signals raise KeyboardInterrupt in the main thread, for the whole process.
 
-    For a process of its own.
+    Returns:
+        A function that returns whether a signal has arrived.
     """
     came: list[int] = []
 
@@ -28,17 +29,18 @@ def end_alike() -> Callable[[], bool]:
     return lambda: bool(came)
 
 
-def ignore_both() -> None:
-    """From here on neither changes anything: the process is about to end by itself."""
+def ignore_signals() -> None:
+    """Ignore both signals from now on, in a process that is about to end."""
     for which in _BOTH:
         signal.signal(which, signal.SIG_IGN)
 
 
 @contextmanager
 def postponed() -> Iterator[Callable[[], bool]]:
-    """Neither interrupts the block; the block receives a function that says whether one came.
+    """Context in which neither signal interrupts, for a few seconds of work that must be complete.
 
-    For seconds of work that must be whole. In other threads than the main one nothing interrupts.
+    Yields a function that returns whether a signal has arrived. Signals interrupt the main thread
+    only; in other threads the context does nothing.
     """
     came: list[int] = []
     if threading.current_thread() is not threading.main_thread():
@@ -57,10 +59,7 @@ def postponed() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def starting_children() -> Iterator[None]:
-    """Processes started meanwhile begin undisturbed, and receive their role.
-
-    They inherit that both are held back, until they call `settle_child`.
-    """
+    """Context for starting processes, which inherit blocked signals until settle_child()."""
     with postponed() as came:
         signal.pthread_sigmask(signal.SIG_BLOCK, _BOTH)
         try:
@@ -72,9 +71,9 @@ def starting_children() -> Iterator[None]:
 
 
 def settle_child() -> None:
-    """In a worker process: Ctrl-C reaches every process of the terminal, and the main one decides.
+    """Set up signals in a worker process: ignore Ctrl-C, which the main process handles.
 
-    SIGTERM ends it without a word, as pools of processes want.
+    SIGTERM, which process pools send, ends it silently.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -6,4 +6,4 @@ from matcap.version import __version__
 
 MAKER_VERSION = __version__
 MAKER = f"matcap {MAKER_VERSION}"
-SOFTWARE = "Software"  # what PNG and EXR files call it
+SOFTWARE = "Software"  # name of the entry in PNG and EXR files

@@ -1,8 +1,7 @@
-"""Overwrite rules: which command wrote a file, by its mark, and what a command may replace.
+"""Overwrite rules, and the marks in files by which they are decided.
 
-One rule for every command's outputs: one replaces only what the same command wrote, unless
---overwrite is given, and never what the same call reads. Pictures and pages say it in a place that
-their formats have for that:
+A command replaces only files that the same command wrote, unless --overwrite is given, and never
+its own inputs. The writing command is stored in the file:
 
     PNG     a tEXt chunk `Software` (PNG 3rd edition, 11.3.3)
     EXR     an attribute `Software`
@@ -10,8 +9,8 @@ their formats have for that:
     MP4     a box `free` at the end (ISO/IEC 14496-12, 8.1.2)
     HTML    <meta name="generator">
 
-A mark is "matcap relight" and the like, without a version. What folders of several files hold their
-JSON document states: see brdf/folder.py and export/targets.py.
+A mark is "matcap relight" and the like, without a version. Folders of several files have it in
+their JSON document: brdf/folder.py, export/targets.py.
 """
 
 from __future__ import annotations
@@ -28,20 +27,20 @@ from matcap.files.maker import SOFTWARE
 if TYPE_CHECKING:
     from PIL.PngImagePlugin import PngInfo
 
-_AT_ONCE = 1 << 16  # bytes of a page in which its generator is looked for
+_AT_ONCE = 1 << 16  # first bytes of an HTML file that are searched for its generator
 _BOX = re.compile(rb"(matcap [\w -]+)\Z")
 _GENERATOR = re.compile(rb'<meta name="generator" content="(matcap [\w -]+)"')
 _ELSEWHERE = "choose another name with -o"
 
 
 def mark_mp4(path: Path, mark: str) -> None:
-    """Have an MP4 file say who wrote it."""
+    """Append a mark to an MP4 file."""
     with path.open("ab") as file:
         file.write(struct.pack(">I", 8 + len(mark)) + b"free" + mark.encode())
 
 
 def pillow_mark(mark: str) -> PngInfo:
-    """For Pillow's `pnginfo`: has a PNG say who wrote it."""
+    """Pillow's `pnginfo` with a mark."""
     from PIL.PngImagePlugin import PngInfo
 
     info = PngInfo()
@@ -50,11 +49,11 @@ def pillow_mark(mark: str) -> PngInfo:
 
 
 def mark_of(path: Path) -> str:
-    """The mark of a file; "" where it has none, or is none that could have one."""
+    """The mark of a file; "" if it has none, or its format cannot have one."""
     read = _READERS.get(path.suffix.lower())
     try:
         return read(path) if read and path.is_file() else ""
-    except (OSError, ValueError, SyntaxError):  # Pillow's word for a broken file
+    except (OSError, ValueError, SyntaxError):  # SyntaxError: Pillow on a damaged file
         return ""
 
 
@@ -66,18 +65,18 @@ def check_replaceable(
     overwrite: bool = False,
     own: Callable[[Path], bool] = lambda _: False,
 ) -> None:
-    """Refuse outputs that would replace an input of the same call, or what another has written.
+    """Refuse outputs that would replace an input, or a file that another command wrote.
 
     Args:
-        paths: of the files to be.
+        paths: of the outputs.
         mark: of the command.
-        inputs: files that the call reads, and folders, whose files are all taken for read.
-        overwrite: replace what others wrote.
-        own: decides for files without marks whether the command wrote them.
+        inputs: files that the call reads, and folders of such files.
+        overwrite: replace files of other commands.
+        own: whether the command wrote a file without a mark.
 
     Raises:
         UsageError: an output is an input.
-        MatcapError: an output stands there already, and another has written it.
+        MatcapError: an output exists, and the command has not written it.
     """
     read = {file for given in inputs for file in _files(given)}
     for path in paths:
@@ -102,7 +101,7 @@ def _files(given: Path) -> list[Path]:
 
 
 def _of_picture(path: Path) -> str:
-    """Of a PNG or a GIF."""
+    """The mark of a PNG or a GIF."""
     from PIL import Image
 
     with Image.open(path) as picture:

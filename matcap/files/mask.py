@@ -1,4 +1,4 @@
-"""Masks: the used part of a picture, as grey or as transparency."""
+"""Reads masks from images, as grey or as transparency."""
 
 from __future__ import annotations
 
@@ -11,18 +11,17 @@ from matcap.errors import MatcapError
 from matcap.files.pixels import read_pixels
 from matcap.files.rec709 import LUMINANCE
 
-_STEP = 1.5 / 255.0  # codes that differ by less are the same
+_STEP = 1.5 / 255.0  # code values that differ by less count as equal
 
 
 def read_mask(path: Path) -> NDArray[np.float32]:
-    """(H, W) in [0, 1] of a picture's codes: white and opaque is 1; colours by their luma.
+    """(H, W) mask in [0, 1] of an image.
 
-    What is painted on a transparent layer is seen over black. A layer of one colour is its alpha,
-    whatever the colour: painted in black on nothing, too, it means what is painted. So is one that
-    is no grey: a cut-out.
+    An opaque image's mask is its luma, in code values. A transparent image of a single colour, even
+    black, or of colours, has its alpha as the mask; one of greys has luma times alpha.
 
     Raises:
-        MatcapError: missing, or no picture; all of it transparent; floats outside of [0, 1].
+        MatcapError: missing, not an image, wholly transparent, or floats outside [0, 1].
     """
     pixels = read_pixels(path)
     red, green, blue = (

@@ -1,4 +1,4 @@
-"""Free memory, checked before work begins, and memory that is kept for the next buffer."""
+"""Checks of free memory, and reuse of large buffers by glibc."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # malloc.h
 
 
 def free_bytes() -> int:
-    """Memory that new processes may take: of the machine, or of the control group if less."""
+    """Available memory in bytes, of the machine or of the control group, whichever is less."""
     free = []
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
@@ -31,15 +31,15 @@ def free_bytes() -> int:
 
 
 def check_memory(need: int, where: str, remedy: str) -> None:
-    """Fail now rather than after minutes of work.
+    """Check that memory suffices before work begins.
 
     Args:
         need: bytes that the work takes at least.
-        where: the option that makes it so many.
-        remedy: what to do.
+        where: the option that the error names.
+        remedy: of the error.
 
     Raises:
-        MatcapError: there are fewer.
+        MatcapError: less memory is free.
     """
     free = free_bytes()
     if need > free:
@@ -51,14 +51,13 @@ def check_memory(need: int, where: str, remedy: str) -> None:
 
 
 def keep_memory() -> None:
-    """Tell glibc to reuse large buffers rather than to fetch them fresh from the system.
+    """Make glibc reuse large buffers instead of returning them to the system.
 
-    For a process of its own: it holds for all of it, and for threads that are yet to come.
-    Elsewhere than on glibc nothing happens.
+    Affects the whole process, and threads that are started later. No-op without glibc.
     """
     library: Any = ctypes.CDLL(None)
     if hasattr(library, "mallopt"):
         library.mallopt(_M_MMAP_THRESHOLD, 1 << 30)
         library.mallopt(_M_TRIM_THRESHOLD, 1 << 30)
-        # A thread's own heap holds 64 MB at most: larger buffers would be fetched fresh again.
+        # Heaps of single threads are limited to 64 MB, so that they would not keep larger buffers.
         library.mallopt(_M_ARENA_MAX, 1)

@@ -1,7 +1,7 @@
-"""Validation of file names that come from files.
+"""Validation of file names from untrusted files, and numbered series of names.
 
-A name is checked where it comes in (`plain_name`, or `made_plain` where it is only called after
-something) and a second time at the moment of writing (`StagedFolder`).
+A name is validated where it is read (plain_name), or turned into a valid one (sanitised_name), and
+checked again when a file is written (StagedFolder).
 """
 
 from __future__ import annotations
@@ -13,27 +13,27 @@ from pathlib import Path, PosixPath
 
 from matcap.errors import MatcapError, UsageError
 
-LONGEST = 200  # bytes, so that there is room for what is written after a name
-_HIDES = {"Cc", "Cf", "Cs", "Zl", "Zp"}  # Unicode's kinds of what does not print, or hides
+LONGEST = 200  # bytes, which leaves room for suffixes
+_HIDES = {"Cc", "Cf", "Cs", "Zl", "Zp"}  # Unicode categories of invisible characters
 _SEPARATORS = "/\\"
 _UNUSUAL = re.compile(r"[^\w .,()+-]+")
 
 
 _NUMBERED = re.compile(r"(.*[^\W\d_].*?)[_\- .]+(\d{1,2})")
-_LONGEST_SERIES = 24  # names; more are a camera's count
+_LONGEST_SERIES = 24  # names; longer ones are a camera's counter
 
 
 def series(stems: Sequence[str]) -> list[list[int]]:
-    """Which names are numbered parts of one thing: oak_1, oak_2, oak_3.
+    """Find numbered series among names: oak_1, oak_2, oak_3.
 
-    A series counts from 0 or 1 without a gap, with a mark before numbers of at most two digits:
-    what cameras count (IMG_0412) is none.
+    A series counts from 0 or 1 without a gap, in at most two digits after a separator. A camera's
+    counter (IMG_0412) is not a series.
 
     Args:
-        stems: names of files without their endings.
+        stems: file names without suffixes.
 
     Returns:
-        Positions of the names of each series, in the order of their numbers.
+        For each series the indices of its names, in order of their numbers.
     """
     numbered: dict[str, dict[int, int]] = {}
     twice = set()
@@ -56,12 +56,12 @@ def series(stems: Sequence[str]) -> list[list[int]]:
 
 
 def are_a_series(stems: Sequence[str]) -> bool:
-    """Whether all names are numbered parts of one thing."""
+    """Whether all names are one numbered series."""
     return any(len(each) == len(stems) for each in series(stems))
 
 
-def flaw(name: object) -> str:
-    """What keeps a name from being a plain file name, as the end of a sentence; "" for nothing."""
+def name_fault(name: object) -> str:
+    """Why a name is not a plain file name, as the end of a sentence; "" if it is."""
     if not isinstance(name, str):
         return "is no text"
     if not name.strip():
@@ -76,17 +76,17 @@ def flaw(name: object) -> str:
 
 
 def plain_name(name: str, *, what: str = "the name", where: str = "") -> str:
-    """The name itself when it is a plain file name, so that nothing leaves its folder.
+    """Return the name if it is a plain file name, which cannot lead out of a folder.
 
     Args:
-        name: to be checked, of any type.
-        what: it is the name of, for the sentence.
-        where: it stands: a file or an option.
+        name: of any type.
+        what: that the error calls it.
+        where: file or option that the error names.
 
     Raises:
-        UsageError: it is none.
+        UsageError: it is not a plain file name.
     """
-    wrong = flaw(name)
+    wrong = name_fault(name)
     if wrong:
         raise UsageError(
             f"{what} {shown(name)} is not a plain file name: it {wrong}",
@@ -96,35 +96,35 @@ def plain_name(name: str, *, what: str = "the name", where: str = "") -> str:
     return name
 
 
-def made_plain(name: str, otherwise: str = "material") -> str:
-    """A plain file name after any text: what a stranger's material is called."""
+def sanitised_name(name: str, otherwise: str = "material") -> str:
+    """Turn any text into a plain file name."""
     return _UNUSUAL.sub("_", name)[:100].strip(" .") or otherwise
 
 
-def is_usual(name: str) -> bool:
-    """Whether every program reads it as it stands: letters, digits, and _ . , ( ) + - and space."""
+def is_portable(name: str) -> bool:
+    """Whether a name has only letters, digits, spaces and _ . , ( ) + -, safe for all programs."""
     return not _UNUSUAL.search(name)
 
 
-def kept_plain(name: str, otherwise: str = "material") -> str:
-    """A name that stands on a disk already: itself where it is plain, else one after it."""
-    return made_plain(name, otherwise) if flaw(name) else name
+def usable_name(name: str, otherwise: str = "material") -> str:
+    """The name of an existing file if it is plain, else sanitised_name of it."""
+    return sanitised_name(name, otherwise) if name_fault(name) else name
 
 
 def shown(value: object) -> str:
-    """A value from a file as a message may quote it: one line, not long."""
+    """A value from a file as a message may quote it: one line of at most 60 characters."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 class StagedFolder(PosixPath):
-    """A folder that is being filled: what `folder / name` gives lies in it, whatever the name."""
+    """A folder that is written to: `folder / name` is inside it, whatever the name."""
 
     def __truediv__(self, name: str | Path) -> StagedFolder:  # type: ignore[override]
-        """The path of a file in it.
+        """The path of a file in the folder.
 
         Raises:
-            MatcapError: the name leads elsewhere.
+            MatcapError: the name would lead out of the folder.
         """
         text = str(name)
         if text in ("", ".", "..") or any(mark in text for mark in (*_SEPARATORS, "\0")):

@@ -1,4 +1,4 @@
-"""Notes of readers on what is no error: issued once, and the work goes on."""
+"""Notes to the user that are not errors, issued as warnings."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import warnings
 
 
 class Note(UserWarning):
-    """A note to the user; the command line prints it, programs may filter it."""
+    """A note to the user, which the command line prints."""
 
 
 def note(sentence: str) -> None:
-    """Issue a note; the same sentence once a process, as Python does with warnings."""
+    """Issue a note; Python shows the same sentence once a process."""
     warnings.warn(sentence, Note, stacklevel=3)

@@ -1,4 +1,4 @@
-"""One picture to one file: linear EXR or sRGB PNG, by suffix."""
+"""Writes an image to a file: linear EXR or sRGB PNG, by suffix."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SUFFIXES = (".exr", ".png")
 
 
 def check_picture_path(path: Path) -> None:
-    """Raise UsageError unless the suffix is one that write_picture knows."""
+    """Raise UsageError unless write_picture supports the suffix."""
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(
             f"unknown picture format '{path.suffix}'", where=str(path), remedy="use .exr or .png"
@@ -30,11 +30,11 @@ def write_picture(image: NDArray[np.float32], path: Path, mark: str = "") -> Non
     Args:
         image: of finite values.
         path: of the file.
-        mark: which command writes it (mark.py).
+        mark: the writing command (mark.py).
 
     Raises:
         UsageError: another suffix.
-        MatcapError: values that are not finite; the file cannot be written.
+        MatcapError: values that are not finite, or the file cannot be written.
     """
     check_picture_path(path)
     with staged_file(path) as file:

@@ -1,8 +1,8 @@
-"""A picture file's numbers as they are stored: EXR, TIFF, PNG, JPEG, TGA, BMP, WebP, Radiance HDR.
+"""Reads the stored values of images: EXR, TIFF, PNG, JPEG, TGA, BMP, WebP, Radiance HDR.
 
-Alpha is never multiplied into colours, nothing is converted. Pillow decodes JPEG because it reports
-a truncated file, OpenImageIO the rest. What the numbers mean is said by who asks: stated_color.py
-for colours. Not here: photographs, which are read strip by strip (matcap/photo).
+Values are not converted, and alpha is not premultiplied. Pillow decodes JPEG, because it reports
+truncated files; OpenImageIO decodes the rest. linear_colours() converts by the file's colour space
+(stated_color.py). Photographs are read strip by strip in matcap/photo.
 """
 
 from __future__ import annotations
@@ -29,33 +29,33 @@ from matcap.files.stated_color import stated_color
 
 MOST_PIXELS = 2**28  # 16384 x 16384; a header may claim any size
 _COLOURS = ("R", "G", "B")
-# Names of channels, in lower case and without their layer, by what they hold.
+# Roles of channels by name, in lower case and without the layer.
 _ROLES = {
     **{"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B"},
     **{"a": "A", "alpha": "A"},
 }
 _GREYS = ("y", "l", "v", "i", "grey", "gray", "luminance", "value", "intensity")
-_AXES = {"x": "R", "y": "G", "z": "B"}  # of vectors, as Blender's normal pass has them
-_NOT_BUILT = "not configured"  # in what libtiff says of a coding that it was built without
-_NO_COLOURS = ("CMYK", "CIELAB", "YCCK")  # of TIFF and JPEG, whose conversion is not the decoder's
+_AXES = {"x": "R", "y": "G", "z": "B"}  # of vectors, as in Blender's normal pass
+_NOT_BUILT = "not configured"  # in libtiff's error for a compression that it was built without
+_NO_COLOURS = ("CMYK", "CIELAB", "YCCK")  # colour spaces that the decoders do not convert
 
 
 @dataclass(frozen=True)
 class Pixels:
-    """A picture."""
+    """Stored values of an image."""
 
     path: Path
-    """Of its file."""
+    """Path of the file."""
     stored: NDArray[Any]
     """(H, W, C) uint8, uint16 or float32."""
     roles: Mapping[str, int]
-    """By "R", "G", "B", "A" the channel that holds it; grey has the same for all three."""
+    """Index of the channel by role "R", "G", "B", "A"; equal for the colours of a grey image."""
     primaries: tuple[float, ...] | None = None
-    """X and y of red, green, blue and white, where an EXR file states them."""
+    """Chromaticities x, y of red, green, blue and white of an EXR file, or None."""
     surroundings: str = ""
-    """What an EXR file says its picture of all directions is, or ""."""
+    """An EXR file's `textureformat`, which names the projection of an environment map; or ""."""
     partial: bool = False
-    """The file holds a part of the picture only; see read_pixels."""
+    """Whether an EXR file's data window is smaller than its display window."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -64,19 +64,19 @@ class Pixels:
 
     @property
     def whole(self) -> bool:
-        """Whether the numbers are whole ones, code values, and not light or lengths."""
+        """Whether the values are integers, that is code values."""
         return bool(np.issubdtype(self.stored.dtype, np.integer))
 
     @property
     def grey(self) -> bool:
-        """Whether there is one channel, alpha not counted."""
+        """Whether there is one channel besides alpha."""
         return self.roles["R"] == self.roles.get("G")
 
     def channel(self, role: str) -> NDArray[np.float32]:
-        """(H, W) float32; whole numbers over the largest of their bits.
+        """(H, W) float32 channel of a role; integers are divided by their type's maximum.
 
         Raises:
-            KeyError: there is none.
+            KeyError: there is no such channel.
         """
         plane = self.stored[..., self.roles[role]]
         if not self.whole:
@@ -84,27 +84,25 @@ class Pixels:
         return plane.astype(np.float32) / np.float32(np.iinfo(plane.dtype).max)
 
     def colours(self) -> NDArray[Any]:
-        """(H, W, 3) as stored; grey repeated.
+        """(H, W, 3) stored colours; grey is repeated.
 
         Raises:
-            KeyError: one of them is missing.
+            KeyError: a colour is missing.
         """
         places = [self.roles[role] for role in _COLOURS]
         return np.ascontiguousarray(self.stored[..., places])
 
 
 def read_pixels(path: Path, *, outside: float | None = None) -> Pixels:
-    """Read a picture.
-
-    An EXR file's data window is placed in its display window, the picture that is meant.
+    """Read an image; of an EXR file the display window.
 
     Args:
         path: the file.
-        outside: what the display window shows beyond the data window; None: that is refused.
+        outside: value of the display window beyond the data window; None refuses such files.
 
     Raises:
-        MatcapError: missing, no picture, truncated, too large, of an unsupported kind, with values
-            that are not finite, or without a channel that could be looked at.
+        MatcapError: missing, not an image, truncated, too large, of an unsupported kind, with
+            values that are not finite, or without a colour or grey channel.
     """
     where = str(path)
     try:
@@ -164,7 +162,7 @@ def _from_jpeg(path: Path) -> Pixels:
 
 
 def _from_radiance(path: Path) -> Pixels:
-    """Radiance's, by OpenImageIO, which knows one of its formats and does not turn pictures."""
+    """Decode Radiance HDR by OpenImageIO, with a header reduced to what it supports."""
     try:
         header = radiance_header(path)
         _check_size(path, header.scanlines, header.texels)
@@ -214,7 +212,7 @@ def _decoded(path: Path, outside: float | None) -> Pixels:
         coding = str(spec.getattribute("compression") or "this")
         raise _unsupported(path, f"{coding} compression") if _NOT_BUILT in broken else _broken(path)
     stored, partial = np.asarray(stored), False
-    if exr:  # in other formats an offset is the place on a page
+    if exr:  # in other formats an offset is the position on a page
         stored, partial = _in_display_window(path, spec, stored, outside)
     stated = spec.getattribute("chromaticities") if exr else None
     primaries = None if stated is None else tuple(float(value) for value in stated)
@@ -228,7 +226,7 @@ def _rgb() -> dict[str, int]:
 
 
 def _roles(path: Path, names: Sequence[str]) -> dict[str, int]:
-    """Which channel is which; of several layers the first that has colours."""
+    """Index of the channel by role; of several layers, those of the first with colours."""
     layers: dict[str, dict[str, int]] = {}
     for place, name in enumerate(names):
         layer, _, tail = name.rpartition(".")
@@ -264,7 +262,7 @@ def _in_display_window(
     stored: NDArray[Any],
     outside: float | None,
 ) -> tuple[NDArray[Any], bool]:
-    """The picture that is meant, where an EXR file holds more or less; whether it is less."""
+    """The display window of an EXR file, and whether the data window is smaller."""
     left, top = spec.x - spec.full_x, spec.y - spec.full_y
     width, height = spec.full_width, spec.full_height
     if (left, top, width, height) == (0, 0, spec.width, spec.height):
@@ -321,18 +319,18 @@ def _broken(path: Path) -> MatcapError:
 def linear_colours(
     pixels: Pixels, *, light: bool = False
 ) -> tuple[NDArray[np.float32], tuple[str, ...]]:
-    """(H, W, 3) linear Rec.709 of a picture's colours, and notes.
+    """(H, W, 3) linear Rec.709 of an image's colours, and notes to the user.
 
-    Whole numbers follow the curve that their file states (stated_color.py), or sRGB's. Floats are
-    light itself unless the file states another curve; an EXR file's primaries are converted.
-    Floats may come out negative, where a colour lies outside of Rec.709.
+    Integers are converted from the file's colour space (stated_color.py), by default sRGB. Floats
+    are linear unless the file has a profile; an EXR file's primaries are converted. Floats may be
+    negative for colours outside Rec.709.
 
     Args:
-        pixels: the picture.
-        light: whole numbers are light, too, whatever the file states.
+        pixels: the image.
+        light: take integers as linear, whatever the file states.
 
     Raises:
-        MatcapError: there are no three colours.
+        MatcapError: there are only two channels.
     """
     if "G" not in pixels.roles or "B" not in pixels.roles:
         raise MatcapError(

@@ -1,4 +1,4 @@
-"""PNG files of 8 and 16 bits, rounded (a truncating writer darkens by half a step)."""
+"""Writes PNG files of 8 and 16 bits; values are rounded, not truncated."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ PNG_HEADER = 33  # bytes: signature and IHDR
 
 
 def write_png(path: Path, coded: NDArray[np.float32], *, bits: int, mark: str = "") -> None:
-    """Write code values in [0, 1], clipped there: (H, W, 3) colour or (H, W) grey.
+    """Write code values (H, W, 3) or (H, W), clipped to [0, 1].
 
-    Encoded in memory first, so that a full disk is an OSError and never a short file. Not atomic:
-    write into a staged folder.
+    Encoded in memory first, so that a full disk raises OSError. Not atomic: write into a staged
+    folder.
 
     Raises:
         MatcapError: a value is not finite.
@@ -32,19 +32,16 @@ def write_png(path: Path, coded: NDArray[np.float32], *, bits: int, mark: str = 
 
 
 def quantised(coded: NDArray[np.float32], *, bits: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Whole code values, rounded, of finite ones in [0, 1], clipped there; any shape."""
+    """Integer code values of finite values, clipped to [0, 1] and rounded; any shape."""
     whole = np.rint(np.clip(coded, 0.0, 1.0) * (2.0**bits - 1.0))
     return whole.astype(np.uint8) if bits == 8 else whole.astype(np.uint16)
 
 
 def png_bytes(whole: NDArray[np.uint8] | NDArray[np.uint16], mark: str = "") -> bytes:
-    """A PNG file of (H, W, 4), (H, W, 3) or (H, W) whole code values.
-
-    A mark says which command wrote it (mark.py): in a chunk tEXt (PNG 3rd edition, 11.3.3).
-    """
+    """Encode (H, W, 4), (H, W, 3) or (H, W) code values as PNG, with the writing command's mark."""
     import cv2
 
-    _, encoded = cv2.imencode(".png", turned(whole))
+    _, encoded = cv2.imencode(".png", swap_red_blue(whole))
     png = encoded.tobytes()
     if not mark:
         return png
@@ -53,16 +50,16 @@ def png_bytes(whole: NDArray[np.uint8] | NDArray[np.uint16], mark: str = "") -> 
 
 
 def png_chunk(kind: bytes, data: bytes) -> bytes:
-    """A chunk of a PNG file: length, type, data and check sum (PNG 3rd edition, 5.3)."""
+    """A chunk of a PNG file: length, type, data and checksum (PNG 3rd edition, 5.3)."""
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
-def turned(whole: NDArray[Any]) -> NDArray[Any]:
-    """(H, W, 4), (H, W, 3) or (H, W) with red and blue exchanged, as OpenCV stores colours."""
+def swap_red_blue(whole: NDArray[Any]) -> NDArray[Any]:
+    """(H, W, 4), (H, W, 3) or (H, W) with red and blue exchanged, for OpenCV."""
     import cv2
 
     whole = np.ascontiguousarray(whole)
     if whole.ndim == 2:
         return whole
-    way = cv2.COLOR_RGB2BGR if whole.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
-    return np.asarray(cv2.cvtColor(whole, way))
+    conversion = cv2.COLOR_RGB2BGR if whole.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
+    return np.asarray(cv2.cvtColor(whole, conversion))

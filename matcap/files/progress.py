@@ -8,20 +8,20 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Progress:
-    """How far work is."""
+    """Progress of long-running work."""
 
     stage: str
-    """What is done now."""
+    """Name of the present stage."""
     fraction: float
-    """Of the whole, in [0, 1]."""
+    """Share of the work done, in [0, 1]."""
     seconds: float = 0.0
-    """Since the start; 0 where it is not measured."""
+    """Since the start; 0 if not measured."""
     seconds_left: float | None = None
-    """Expected, or None where it is too early to say."""
+    """Expected remaining time, or None if unknown."""
 
 
 OnProgress = Callable[[Progress], None]
 
 
-def nobody(now: Progress) -> None:
-    """Listens."""
+def ignore_progress(now: Progress) -> None:
+    """Callback that does nothing."""

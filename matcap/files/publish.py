@@ -1,18 +1,15 @@
-"""Atomic commit of several files to a folder, with a write-ahead log against power cuts.
+"""Atomic commit of several files to a folder, by undo logging [gray1993, ch. 9].
 
-What makes room is kept in a journal, a hidden folder beside it, until all of the new stands:
+The journal is a hidden folder in the destination, which keeps the old files:
 
-    1. the new files reach the disk
-    2. the journal: the list of names, and the old files by a second name; on the disk
-    3. every new file takes its place, what belongs to the old alone goes; on the disk
-    4. the list is deleted: from here on the new is whole
+    1. sync the new files
+    2. write and sync the journal: the list of names, and hard links to the old files
+    3. rename the new files into place, remove old ones that are not replaced, and sync
+    4. delete the list, which commits
 
-Before step 4 the journal puts the old back (`roll_back`): at once when a step fails, and after a
-power cut when the next run comes by (`recover`). Only one process publishes into a folder at a
-time. What several files promise a single one keeps by its renaming alone.
-
-The method: undo logging (Gray and Reuter 1993, ch. 9). What a disk may
-do to files that were not synced: Pillai et al. 2014.
+Before step 4 the old files can be restored from the journal (_roll_back): at once if a step fails,
+and after a power cut by the next run (recover). A lock keeps other processes from publishing into
+the same folder. A single file is committed by its renaming alone. The need to sync: [pillai2014].
 
 Read next: staging.py, where the new files are made.
 """
@@ -29,7 +26,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-HIDDEN = ".matcap-"  # how the names of stages begin
+HIDDEN = ".matcap-"  # prefix of the names of hidden folders
 JOURNAL = f"{HIDDEN}journal"
 _LIST = "list.json"
 
@@ -38,18 +35,18 @@ def publish(stage: Path, names: Iterable[str], folder: Path, *, replacing: Itera
     """Move finished files from their stage to a folder, all or none.
 
     Args:
-        stage: holds the files; on the same disk as `folder`. After a failure they are there again.
-        names: of the files; documents come last, so that a reader of one finds what it names.
-        folder: where they belong; it exists.
-        replacing: names of older files in `folder` that go when the new ones come.
+        stage: folder with the files, on the same disk as `folder`; restored after a failure.
+        names: of the files; JSON documents are moved last, after the files that they name.
+        folder: destination, which exists.
+        replacing: names of older files in `folder` to remove.
 
     Raises:
-        OSError: with the name that was in the way; nothing has changed then.
+        OSError: with the name of the file; nothing has changed then.
     """
     fresh = sorted(set(names), key=lambda name: (name.endswith(".json"), name))
-    with _alone(folder):
-        _mend(folder)
-        old = [name for name in dict.fromkeys([*fresh, *replacing]) if _stands(folder / name)]
+    with _locked(folder):
+        _roll_back(folder)
+        old = [name for name in dict.fromkeys([*fresh, *replacing]) if _file_exists(folder / name)]
         for name in fresh:
             sync(stage / name)
         if len({*fresh, *old}) == 1 and fresh:
@@ -60,18 +57,18 @@ def publish(stage: Path, names: Iterable[str], folder: Path, *, replacing: Itera
 
 
 def recover(folder: Path) -> None:
-    """Put back what a run had moved that was cut off while it published into a folder.
+    """Roll back a publication into a folder that was interrupted by a crash or a power cut.
 
     Raises:
         OSError: the folder cannot be written.
     """
     if os.path.lexists(folder / JOURNAL):
-        with _alone(folder):
-            _mend(folder)
+        with _locked(folder):
+            _roll_back(folder)
 
 
 def sync(path: Path) -> None:
-    """Have a file's content, or a folder's names, reach the disk."""
+    """Flush a file's content, or a folder's entries, to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -80,31 +77,31 @@ def sync(path: Path) -> None:
 
 
 def refuse_folders(folder: Path, names: Iterable[str]) -> None:
-    """Raise IsADirectoryError, with its path, if a folder stands where a file is to be."""
+    """Raise IsADirectoryError, with the path, if one of the names is a folder."""
     for name in names:
-        _stands(folder / name)
+        _file_exists(folder / name)
 
 
 def _exchange(stage: Path, fresh: list[str], folder: Path, old: list[str]) -> None:
     """Steps 2 to 4."""
     try:
-        _keep(stage, fresh, folder, old)
+        _write_journal(stage, fresh, folder, old)
         for name in fresh:
             os.replace(stage / name, folder / name)
         for name in set(old) - set(fresh):
-            with suppress(FileNotFoundError):  # moved to the journal, where links are unknown
+            with suppress(FileNotFoundError):  # moved to the journal, without hard links
                 os.unlink(folder / name)
         sync(folder)
         os.unlink(folder / JOURNAL / _LIST)
     except BaseException:
-        _mend(folder)
+        _roll_back(folder)
         raise
     sync(folder / JOURNAL)
     shutil.rmtree(folder / JOURNAL, ignore_errors=True)
 
 
-def _keep(stage: Path, fresh: list[str], folder: Path, old: list[str]) -> None:
-    """Step 2: the journal of what is about to change, on the disk."""
+def _write_journal(stage: Path, fresh: list[str], folder: Path, old: list[str]) -> None:
+    """Step 2: write and sync the journal."""
     journal = folder / JOURNAL
     os.mkdir(journal)
     about = {"stage": os.path.relpath(stage, folder), "fresh": fresh, "old": old}
@@ -116,30 +113,30 @@ def _keep(stage: Path, fresh: list[str], folder: Path, old: list[str]) -> None:
     sync(folder)
     for name in old:
         try:
-            os.link(folder / name, _aside(journal, name), follow_symlinks=False)
-        except OSError:  # not every file system knows links
-            os.replace(folder / name, _aside(journal, name))
+            os.link(folder / name, _backup(journal, name), follow_symlinks=False)
+        except OSError:  # a file system without hard links
+            os.replace(folder / name, _backup(journal, name))
     if old:
         sync(journal)
 
 
-def _mend(folder: Path) -> None:
-    """What was there before, if a journal says that something else was about to be."""
+def _roll_back(folder: Path) -> None:
+    """Restore the old files from the journal, if there is one."""
     journal = folder / JOURNAL
     try:
         about = _read_list(journal / _LIST)
     except (FileNotFoundError, NotADirectoryError, ValueError):
-        # Nothing had been moved yet, or all of it; or the journal is none of ours.
+        # Not begun, or committed; or not a journal of ours.
         shutil.rmtree(journal, ignore_errors=True)
         return
     stage = folder / about["stage"]
-    kept = [name for name in about["old"] if os.path.lexists(_aside(journal, name))]
+    kept = [name for name in about["old"] if os.path.lexists(_backup(journal, name))]
     for name in about["fresh"]:
         untouched = name in about["old"] and name not in kept
         if not untouched and not os.path.lexists(stage / name):
             _move_back(folder / name, stage / name)
     for name in kept:
-        os.replace(_aside(journal, name), folder / name)
+        os.replace(_backup(journal, name), folder / name)
     sync(folder)
     os.unlink(journal / _LIST)
     sync(journal)
@@ -147,10 +144,10 @@ def _mend(folder: Path) -> None:
 
 
 def _read_list(path: Path) -> dict[str, Any]:
-    """The journal's list: names in this folder, so that no folder from elsewhere moves others.
+    """Read the journal's list, whose names must be plain, so that no foreign file is moved.
 
     Raises:
-        ValueError: it says anything else.
+        ValueError: the list is malformed.
     """
     about = json.loads(path.read_text())
     if not isinstance(about, dict) or set(about) != {"stage", "fresh", "old"}:
@@ -164,7 +161,7 @@ def _read_list(path: Path) -> dict[str, Any]:
 
 
 def _move_back(file: Path, staged: Path) -> None:
-    """Undo the move of a new file; without its stage there is no use for it."""
+    """Move a new file back to its stage; delete it if the stage is gone."""
     with suppress(FileNotFoundError):
         if staged.parent.is_dir():
             os.replace(file, staged)
@@ -172,21 +169,21 @@ def _move_back(file: Path, staged: Path) -> None:
             os.unlink(file)
 
 
-def _aside(journal: Path, name: str) -> Path:
-    """Where an old file is kept; the suffix keeps it apart from the list."""
+def _backup(journal: Path, name: str) -> Path:
+    """Path of an old file in the journal; the suffix avoids the name of the list."""
     return journal / f"{name}.old"
 
 
-def _stands(path: Path) -> bool:
-    """Whether a file has this name."""
+def _file_exists(path: Path) -> bool:
+    """Whether a file exists; raises IsADirectoryError for a folder."""
     if path.is_dir() and not path.is_symlink():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     return os.path.lexists(path)
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Keep other processes from publishing into the folder meanwhile."""
+def _locked(folder: Path) -> Iterator[None]:
+    """Context in which no other process publishes into the folder."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         with suppress(OSError):  # a file system without locks

@@ -1,8 +1,7 @@
-"""Keeping what decoders print out of the user's terminal.
+"""Suppresses the messages that decoders print to the terminal.
 
-LibRaw and libpng print "unexpected end of file" and the like straight to file descriptor 2, and
-tifffile and exifread log it; the same fault comes back as an exception, and the user reads it
-once, as a sentence. What this process itself prints, a progress display say, still gets through.
+LibRaw and libpng print errors to file descriptor 2, tifffile and exifread log them; the same errors
+are raised as exceptions. Output of this process to sys.stderr, such as progress, is not suppressed.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ _CHATTY = ("tifffile", "exifread")
 
 
 class _Silence:
-    """Silence with a count: the descriptor belongs to all threads, so the last one gives it back.
+    """Redirection of descriptor 2, shared by all threads: begun by the first, ended by the last.
 
-    Two that each kept and restored it would leave the process mute for good.
+    If each thread saved and restored it, an overlap could leave it redirected.
     """
 
     def __init__(self) -> None:
@@ -48,7 +47,7 @@ class _Silence:
             undo.callback(logger.removeHandler, handler)
         try:
             kept = os.dup(2)
-        except OSError:  # a process without stderr, a service say, has nothing to keep quiet
+        except OSError:  # a process without stderr, such as a service
             return
         undo.callback(os.close, kept)
         undo.callback(os.dup2, kept, 2)
@@ -74,7 +73,7 @@ _silence = _Silence()
 
 @contextmanager
 def quiet_decoders() -> Iterator[None]:
-    """While inside, in any thread, nothing that decoders print reaches the terminal."""
+    """Context in which messages of decoders are suppressed, in all threads."""
     _silence.enter()
     try:
         yield

@@ -1,9 +1,8 @@
-"""Headers of Radiance HDR pictures: exposure, primaries and orientation.
+"""Headers of Radiance HDR images: exposure, primaries and orientation [larson1998].
 
-Larson 1998, "Real Pixels" and Radiance's file formats: lines of text up to an empty one, then the
-resolution, such as `-Y 512 +X 1024`: the axis that the scanlines go along and how many there are,
-then the axis inside a scanline; `-Y` runs down, `+X` to the right. EXPOSURE and COLORCORR, each as
-often as it stands there, are what the light was multiplied by. FORMAT may be of CIE XYZ.
+Lines of text up to an empty one, then the resolution, such as `-Y 512 +X 1024`: axis and number of
+the scanlines, then axis and number of the texels in each; `-Y` is down, `+X` right. Stored radiance
+is true radiance times the product of all EXPOSURE and COLORCORR entries. FORMAT is RGB or CIE XYZ.
 """
 
 from __future__ import annotations
@@ -24,30 +23,30 @@ _RESOLUTION = re.compile(rb"([+-])([XY]) +(\d{1,6}) +([+-])([XY]) +(\d{1,6}) *\r
 
 @dataclass(frozen=True)
 class RadianceHeader:
-    """A header."""
+    """A Radiance header."""
 
     length: int
-    """Bytes of it."""
+    """Of the header, bytes."""
     scanlines: int
-    """How many there are,."""
+    """Number of scanlines."""
     texels: int
-    """In each."""
+    """Number of texels in a scanline."""
     columns: bool
     """Whether scanlines are columns."""
     flips: tuple[bool, bool]
-    """Whether rows run upwards, and columns to the left."""
+    """Whether y runs up, and x left."""
     exposure: NDArray[np.float64]
-    """(3,) what the light was multiplied by."""
+    """(3,) stored over true radiance."""
     primaries: tuple[float, ...] | None
-    """As EXR's chromaticities, where it states them."""
+    """As EXR's chromaticities, or None."""
 
     def plain(self) -> bytes:
-        """The header of the same scanlines without anything else to be heeded."""
+        """A minimal header for the same scanlines, in standard orientation and RGB."""
         size = f"-Y {self.scanlines} +X {self.texels}\n"
         return f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n{size}".encode()
 
     def upright(self, stored: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(H, W, 3) as it is looked at, in light, of (scanlines, texels, 3)."""
+        """(H, W, 3) upright true radiance of stored values (scanlines, texels, 3)."""
         picture = stored.transpose(1, 0, 2) if self.columns else stored
         picture = picture[:: -1 if self.flips[0] else 1, :: -1 if self.flips[1] else 1]
         return np.ascontiguousarray(picture / self.exposure.astype(np.float32))
@@ -57,7 +56,7 @@ def radiance_header(path: Path) -> RadianceHeader:
     """Read the header of a file that begins with MAGIC.
 
     Raises:
-        ValueError: it is damaged, or of an unknown format.
+        ValueError: the header is damaged, or of an unknown format.
         OSError: the file cannot be read.
     """
     with path.open("rb") as file:

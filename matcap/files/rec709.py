@@ -1,6 +1,6 @@
-"""Rec.709: its primaries, its luminance, and the way to it from other primaries (ITU-R BT.709-6).
+"""Rec.709 primaries and luminance, and conversion from other primaries (ITU-R BT.709-6).
 
-Every linear colour of the package is Rec.709 with the white of D65.
+Every linear colour in matcap is Rec.709 with the white point D65.
 """
 
 from __future__ import annotations
@@ -12,30 +12,30 @@ from numpy.typing import NDArray
 
 Matrix = NDArray[np.float64]
 
-# x and y of the red, green and blue primaries and of white (ITU-R BT.709-6; D65).
+# Chromaticities x, y of red, green, blue and white (ITU-R BT.709-6; D65).
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 # Luminance of linear red, green and blue (BT.709-6, item 3.2): white is 1.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 
-# Primaries of numbers that are CIE XYZ themselves: red X, green Y, blue Z.
+# Primaries of CIE XYZ values stored as red X, green Y, blue Z.
 XYZ = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0 / 3.0, 1.0 / 3.0)
 _BRADFORD = np.array(
     [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
 )
-_SAME = 2e-3  # of a coefficient: primaries rounded to two digits are the same
+_SAME = 2e-3  # tolerance of coefficients, for primaries rounded to two digits
 
 
 def rec709_from(primaries: Sequence[float]) -> Matrix | None:
-    """(3, 3) from linear colours of other primaries to Rec.709; None where they are Rec.709.
+    """(3, 3) matrix from linear colours of other primaries to Rec.709; None for the identity.
 
-    The file's white becomes white, adapted by Bradford's cone responses [lam1985], as ICC
-    profiles do. Numbers that are CIE XYZ are taken as relative to D65: 0.9505, 1, 1.089 is white.
+    White is adapted to D65 by the Bradford transform [lam1985], as in ICC profiles. CIE XYZ values
+    are taken as relative to D65, whose white is (0.9505, 1, 1.089).
 
     Args:
-        primaries: x and y of red, green, blue and white, as an EXR file's `chromaticities`.
+        primaries: x, y of red, green, blue and white, as an EXR file's `chromaticities`.
 
     Raises:
-        ValueError: they are no basis: not finite, on a line, or white is none of their mixtures.
+        ValueError: the primaries are no basis of colours.
     """
     given = np.asarray(primaries, np.float64)
     if given.shape != (8,) or not np.isfinite(given).all():
@@ -54,7 +54,7 @@ def rec709_from(primaries: Sequence[float]) -> Matrix | None:
 
 
 def _to_xyz(given: Matrix) -> Matrix:
-    """(3, 3) linear colours to XYZ, white's Y being 1 (SMPTE RP 177)."""
+    """(3, 3) matrix from linear colours to XYZ, with Y = 1 for white (SMPTE RP 177)."""
     x, y = given[0::2], given[1::2]
     if abs(y[3]) < 1e-6:
         raise ValueError("white has no luminance")

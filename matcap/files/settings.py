@@ -3,8 +3,8 @@
     detail: int | None = setting(None, least=64, most=8192)
     '''Texels along the photograph's long side.'''
 
-Kind, range, words, default and docstring stand there alone. The dataclass itself, the command
-line's options (cli/fields.py), matcap.toml (batch/settings.py) and the reference pages read them.
+Type, range, choices, default and docstring are defined there only. The dataclass, the command
+line's options (cli/fields.py), matcap.toml (batch/settings.py) and the reference pages use them.
 """
 
 from __future__ import annotations
@@ -28,56 +28,58 @@ _WORDS = {int: "a whole number", float: "a number", bool: "true or false"}
 
 @dataclass(frozen=True)
 class SettingRule:
-    """What a setting may be, and what it is called."""
+    """Constraints and names of a setting."""
 
     least: float = -math.inf
+    """Least value of a number."""
     most: float = math.inf
-    """Limits of a number; NaN is in none."""
+    """Greatest value of a number."""
     words: tuple[str, ...] = ()
-    """What a text may be; empty for any."""
+    """Choices of a text; empty allows any."""
     option: str = ""
-    """Its name where users type it; the field's own by default."""
+    """Name of the option; "" is the field's name."""
     short: str = ""
-    """Its one-letter option."""
+    """One-letter option."""
     metavar: str | None = None
-    """What stands for its value in help."""
+    """Placeholder of its value in help."""
     otherwise: str = ""
-    """What holds where nothing is given, where the default does not say it."""
+    """Description of the default in help, where the default value does not show it."""
     parse: Callable[[Any], Any] | None = None
-    """From what users type, all of it where there are several; ValueError for what is none."""
+    """Parser of what users type (of the list, if `several`); raises ValueError."""
     several: bool = False
-    """May be given several times."""
+    """Whether the option may be given several times."""
 
 
 def setting(default: Any, **rule: Any) -> Any:  # noqa: ANN401
-    """A dataclass's field that users set; `rule` as in SettingRule."""
+    """A dataclass field that users can set; `rule` has the fields of SettingRule."""
     return field(default=default, metadata={"rule": SettingRule(**rule)})
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A field that users set."""
+    """A setting of a dataclass."""
 
     field: str
+    """Name of the field."""
     name: str
-    """Where users type it: words joined by underscores."""
+    """Name that users type, with underscores."""
     kind: type
-    """int, float, bool, Path or str, before it is parsed."""
+    """int, float, bool, Path or str, of the value before parsing."""
     default: Any
     help: str
-    """Its docstring."""
+    """Docstring of the field."""
     rule: SettingRule
 
     @property
     def flag(self) -> str:
-        """Its option: a long one, or the short one that it is named as."""
+        """Name of the option: long, such as --time-limit, or short where `option` is."""
         return self.name if self.name.startswith("-") else f"--{self.name.replace('_', '-')}"
 
     def check(self, value: object, where: str) -> None:
-        """Hold a value to words and limits; None is no choice.
+        """Check a value against choices and limits; None is not checked against choices.
 
         Raises:
-            UsageError: it is none of the words, outside the limits, or not finite.
+            UsageError: not a choice, out of range, or not finite.
         """
         rule = self.rule
         if rule.words and value is not None and value not in rule.words:
@@ -93,10 +95,10 @@ class Setting:
             )
 
     def typed(self, value: Any, where: str) -> Any:  # noqa: ANN401
-        """As the field holds it, from a file or from Python; what is so already stays.
+        """Convert a value from a file or from Python to the field's type, and check it.
 
         Raises:
-            UsageError: it is of another kind, or not as check() wants it.
+            UsageError: a value of a wrong type, or one that check() refuses.
         """
         if self.rule.several:
             value = [value] if isinstance(value, str) else value
@@ -127,7 +129,7 @@ class Setting:
 
 @cache
 def settings_in(kind: type) -> Mapping[str, Setting]:
-    """What users set of a dataclass, by field."""
+    """The settings of a dataclass, by field name."""
     docs = field_docs(kind)
     settings = {}
     for one in fields(kind):
@@ -142,10 +144,10 @@ def settings_in(kind: type) -> Mapping[str, Setting]:
 
 
 def check_settings(values: Any) -> None:  # noqa: ANN401
-    """For `__post_init__` of a dataclass: hold every setting to its words and limits.
+    """Check all settings of a dataclass, in its `__post_init__`.
 
     Raises:
-        UsageError: one is outside of them.
+        UsageError: see Setting.check.
     """
     kind: type = type(values)
     for name, one in settings_in(kind).items():
@@ -153,10 +155,10 @@ def check_settings(values: Any) -> None:  # noqa: ANN401
 
 
 def typed_settings(kind: type, named: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by field, each as the dataclass holds it; what is no setting stays as it is.
+    """Convert values by field name to the fields' types; others are returned unchanged.
 
     Raises:
-        UsageError: as Setting.typed.
+        UsageError: see Setting.typed.
     """
     known = settings_in(kind)
     return {
@@ -168,13 +170,13 @@ def typed_settings(kind: type, named: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def field_docs(kind: type) -> dict[str, str]:
-    """The docstrings below a class's fields, each on one line."""
+    """Docstrings of a class's fields, by name, each on one line."""
     return _docs_in(kind.__module__).get(kind.__qualname__, {})
 
 
 @cache
 def _docs_in(module: str) -> dict[str, dict[str, str]]:
-    """Of all classes of a module."""
+    """field_docs of all classes of a module."""
     file = Path(str(sys.modules[module].__file__))
     by_class = {}
     for node in ast.parse(file.read_bytes()).body:
@@ -185,7 +187,7 @@ def _docs_in(module: str) -> dict[str, dict[str, str]]:
                 if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name):
                     names.append(line.target.id)
                 elif isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant):
-                    # One docstring for all fields above it that have none.
+                    # A docstring also applies to fields above it that have none.
                     docs |= dict.fromkeys(names, " ".join(str(line.value.value).split()))
                     names = []
             by_class[node.name] = docs
@@ -193,7 +195,7 @@ def _docs_in(module: str) -> dict[str, dict[str, str]]:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """The remedy for a word that is none: the one that was meant, or all there are."""
+    """Remedy for an unknown word: the closest known one, or the list of all."""
     words = list(known)
     close = difflib.get_close_matches(name, words, n=1, cutoff=0.5)
     return f"the nearest is {close[0]!r}" if close else f"there are {', '.join(words)}"

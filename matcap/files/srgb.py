@@ -1,8 +1,8 @@
-"""The sRGB curve between linear light and code values (IEC 61966-2-1), for NumPy and PyTorch.
+"""The sRGB transfer function between linear light and code values (IEC 61966-2-1).
 
-A line near black and a power above it: code = 12.92 light up to light = 0.0031308, and
-1.055 light^(1/2.4) - 0.055 beyond. Half the light is code 0.735357, and half the code is light
-0.214041. Below 0 the line goes on; above 1 the power does. Slopes are finite everywhere.
+code = 12.92 light for light <= 0.0031308, else 1.055 light^(1/2.4) - 0.055. Light 0.5 is code
+0.735357, and code 0.5 is light 0.214041. Values below 0 and above 1 are extrapolated by the same
+formulas. Derivatives are finite everywhere. For NumPy and PyTorch.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 CodeValues = TypeVar("CodeValues", NDArray[np.float64], NDArray[np.float32])
 
-# Where line and power meet, in code values and in light.
+# Limit of the linear segment, in code values and in light.
 _KNEE_CODE, _KNEE_LIGHT = 0.04045, 0.0031308
 
 
@@ -34,25 +34,25 @@ def srgb_encode(light: CodeValues) -> CodeValues:
 
 
 def srgb_picture(linear: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Linear light to code values as a picture stores them: both clipped to [0, 1]."""
-    # In 32-bit floats: within 2e-7, where a step of 16 bits is 1.5e-5, and thirty times as fast.
+    """Code values of linear light, both in [0, 1] by clipping, in float32."""
+    # float32 is within 2e-7, and thirty times as fast as float64.
     clipped = np.clip(linear, 0.0, 1.0).astype(np.float32, copy=False)
     return srgb_encode(clipped)
 
 
 def srgb_decode_tensor(code: Tensor) -> Tensor:
-    """The same as srgb_decode for PyTorch; its gradient is finite everywhere."""
+    """srgb_decode for PyTorch; its gradient is finite everywhere."""
     power = ((code.clamp_min(_KNEE_CODE) + 0.055) / 1.055).pow(2.4)
     return (code / 12.92).where(code <= _KNEE_CODE, power)
 
 
 def srgb_encode_tensor(light: Tensor) -> Tensor:
-    """The same as srgb_encode for PyTorch; its gradient is finite everywhere."""
+    """srgb_encode for PyTorch; its gradient is finite everywhere."""
     power = 1.055 * light.clamp_min(_KNEE_LIGHT).pow(1.0 / 2.4) - 0.055
     return (12.92 * light).where(light <= _KNEE_LIGHT, power)
 
 
 def srgb_slope(light: CodeValues) -> CodeValues:
-    """D code / d light at linear light, any shape: 12.92 near black, 0.439583 at the light 1."""
+    """Derivative of the code by light, any shape: 12.92 near black, 0.439583 at light 1."""
     power = np.maximum(light, _KNEE_LIGHT) ** light.dtype.type(1.0 / 2.4 - 1.0)
     return np.where(light <= _KNEE_LIGHT, light.dtype.type(12.92), power * (1.055 / 2.4))

@@ -1,7 +1,6 @@
-"""All files or none: outputs are written in a hidden folder beside their place, then published.
+"""Atomic writing of files: into a hidden folder first, then published together.
 
-Read next: publish.py, which moves them; picture.py, tensors.py and brdf/folder.py, which write
-through here.
+Read next: publish.py, which moves them; picture.py, tensors.py and brdf/folder.py, which use it.
 """
 
 from __future__ import annotations
@@ -35,25 +34,24 @@ _REASONS: dict[int, tuple[str, str]] = {
 
 @contextmanager
 def staged(folder: Path, *, replacing: Iterable[str] = ()) -> Iterator[StagedFolder]:
-    """A temporary folder whose files appear in `folder` together, or not at all.
+    """Context of a temporary folder, whose files are moved to `folder` together on exit.
 
-    A path in it is made by `/`, which refuses names that lead out of it. Files of the same name
-    are replaced. When the block has ended, they have reached the disk.
-    Folders made on the way are removed again on failure.
+    After an exception nothing has changed, and created folders are removed. On exit the files are
+    synced to the disk. Existing files of the same names are replaced.
 
     Args:
-        folder: where the files will stand; made when missing.
-        replacing: names of older files in `folder` that go when the new ones come.
+        folder: destination; created if missing.
+        replacing: names of older files in `folder` to remove.
 
     Raises:
-        MatcapError: the disk is full, the folder cannot be written, a folder stands in a file's
-            place, and the like.
+        MatcapError: the disk is full, the folder cannot be written, a folder has a file's name, and
+            the like.
     """
     try:
         with new_folder(folder), _stage(folder) as stage:
             yield stage
             names = [file.name for file in stage.iterdir()]
-            if folder.name.startswith(HIDDEN):  # a stage itself, never visible by half
+            if folder.name.startswith(HIDDEN):  # itself a staging folder
                 for name in names:
                     os.replace(stage / name, folder / name)
             else:
@@ -73,31 +71,29 @@ def _stage(folder: Path) -> Iterator[StagedFolder]:
 
 @contextmanager
 def staged_file(path: Path) -> Iterator[Path]:
-    """A temporary path; the file written there appears at `path` whole, or not at all.
+    """Context of a temporary path, whose file is moved to `path` on exit.
 
     Args:
-        path: of the file; its folder is made when missing.
+        path: of the file; its folder is created if missing.
 
     Raises:
-        MatcapError: as of staged().
+        MatcapError: see staged().
     """
     with staged(path.parent) as stage:
         yield stage / path.name
 
 
-def check_writable(folder: Path, room: int, names: Iterable[str] = ()) -> None:
-    """Fail now rather than after minutes of work: can `room` bytes be written into `folder`?
-
-    Leaves nothing behind; the folder need not exist.
+def check_writable(folder: Path, space: int, names: Iterable[str] = ()) -> None:
+    """Check that files can be written before work begins; leaves nothing behind.
 
     Args:
-        folder: where files will stand.
-        room: that they take, in bytes.
-        names: of the files, where they are known.
+        folder: destination, which need not exist.
+        space: bytes that the files take.
+        names: of the files, if known.
 
     Raises:
-        MatcapError: the folder cannot be made or written, a folder stands where a file is to be,
-            or the disk has less room.
+        MatcapError: the folder cannot be created or written, a folder has a file's name, or the
+            disk has too little space.
     """
     try:
         with new_folder(folder), tempfile.TemporaryFile(dir=folder):
@@ -105,23 +101,23 @@ def check_writable(folder: Path, room: int, names: Iterable[str] = ()) -> None:
             refuse_folders(folder, names)
     except OSError as error:
         raise write_error(culprit(folder, error), error) from error
-    if free < room:
+    if free < space:
         raise MatcapError(
-            f"about {_size(room)} are needed but the disk has {_size(free)} left",
+            f"about {_size(space)} are needed but the disk has {_size(free)} left",
             where=str(folder),
             remedy=f"free some space or {_ELSEWHERE}",
         )
 
 
 def write_error(path: Path, error: OSError) -> MatcapError:
-    """The sentence for a failure to write at `path`."""
+    """The error for a failure to write at `path`."""
     reason = error.strerror or str(error) or type(error).__name__
     what, remedy = _REASONS.get(error.errno or 0, (f"could not be written ({reason})", _ELSEWHERE))
     return MatcapError(what, where=str(path), remedy=remedy)
 
 
 def culprit(folder: Path, error: OSError) -> Path:
-    """What stood in the way: a file of the folder if the error names one, or the folder."""
+    """Path that an error concerns: a file of the folder if it names one, else the folder."""
     for name in (error.filename2, error.filename):
         if isinstance(name, str | os.PathLike) and Path(name).parent == folder:
             return folder if Path(name).name.startswith(HIDDEN) else Path(name)
@@ -130,10 +126,10 @@ def culprit(folder: Path, error: OSError) -> Path:
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[None]:
-    """A folder while files are put into it; where it was missing it goes again if none came.
+    """Context that creates a missing folder, and removes it on exit if it is still empty.
 
     Raises:
-        OSError: it cannot be made.
+        OSError: the folder cannot be created.
     """
     made = _missing(folder)
     try:
@@ -148,19 +144,19 @@ def new_folder(folder: Path) -> Iterator[None]:
 
 
 def _missing(folder: Path) -> list[Path]:
-    """The folders that making `folder` would make, innermost first."""
+    """Folders that do not exist yet, from `folder` up."""
     missing = []
     try:
         while not folder.exists() and folder != folder.parent:
             missing.append(folder)
             folder = folder.parent
     except OSError:
-        # Not even to be looked at: making it will say why.
+        # Creating it will raise the error.
         return []
     return missing
 
 
 def _size(count: int) -> str:
-    """Bytes as people say them."""
+    """A number of bytes with its unit."""
     power = min(int(math.log10(max(count, 1)) / 3), 5)
     return f"{count / 1000**power:.3g} {('bytes', 'kB', 'MB', 'GB', 'TB', 'PB')[power]}"

@@ -1,6 +1,6 @@
-"""The colour space stated by a picture file: ICC, CICP, Exif or chunk.
+"""The colour space that an image file states: by ICC profile, code points, Exif or chunks.
 
-| format | stated by, the first that is there |
+| format | stated by, the first that is present |
 | --- | --- |
 | PNG | cICP, iCCP, sRGB, gAMA with cHRM (PNG 3rd edition, 11.3.2) |
 | JPEG | ICC profile; Exif's InteroperabilityIndex R03, Adobe RGB (DCF 2.0) |
@@ -8,8 +8,8 @@
 | WebP | ICC profile |
 | HEIC, AVIF | ICC profile; nclx (ISO/IEC 23008-12) |
 
-Files that state nothing are sRGB. What is stated and cannot be read is said in a note. EXR files
-state primaries (`rec709.rec709_from`).
+Files without a statement are sRGB. A statement that cannot be read gives a note. EXR files state
+primaries (rec709.rec709_from).
 """
 
 from __future__ import annotations
@@ -40,37 +40,37 @@ from matcap.files.color import (
 from matcap.files.icc import lineariser_of
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_MOST_CHUNK = 1 << 26  # bytes of one chunk that is looked at: a header may claim any size
+_MOST_CHUNK = 1 << 26  # bytes; larger chunks are skipped, as a header may claim any size
 _ICC_TAG, _WHITE_POINT, _PRIMARIES = 34675, 318, 319  # of TIFF
 _EXIF_IFD, _INTEROPERABILITY_IFD, _COLOR_SPACE, _UNCALIBRATED = 0x8769, 0xA005, 0xA001, 65535
-_DECODED = 1 << 24  # bytes a compressed profile may have
+_DECODED = 1 << 24  # most bytes of a decompressed profile
 
 
 @dataclass(frozen=True)
 class StatedColor:
-    """What a file says of its colours."""
+    """Colour space that a file states."""
 
     profile: bytes | None = None
-    """An ICC profile, which goes before the rest, or None."""
+    """ICC profile, which has precedence over `space`, or None."""
     space: ColorSpace = SRGB
-    """What it says otherwise; sRGB where it says nothing."""
+    """By other statements; sRGB without any."""
     notes: tuple[str, ...] = ()
-    """Sentences for the user."""
+    """Notes to the user."""
 
     def lineariser(self, dtype: np.dtype[Any]) -> tuple[Linearise, tuple[str, ...]]:
-        """From rows (n, W, 3) of codes of this dtype to linear Rec.709, and all there is to say."""
+        """A function from code values (n, W, 3) to linear Rec.709, and notes to the user."""
         linearise, notes = lineariser_of(self.profile, dtype, self.space)
         return linearise, self.notes + notes
 
 
 def stated_color(path: Path, page: int = 0) -> StatedColor:
-    """Look into a PNG, JPEG, TIFF, WebP, HEIC or AVIF file; anything else states nothing.
+    """Read the statement of a PNG, JPEG, TIFF, WebP, HEIC or AVIF file; others are sRGB.
 
-    Broken statements are no statements: their files are checked where the pixels are read.
+    A damaged statement gives a note.
 
     Args:
         path: the file.
-        page: of a TIFF, the picture that is meant.
+        page: index of the picture in a TIFF file.
 
     Raises:
         OSError: the file cannot be read.
@@ -79,9 +79,9 @@ def stated_color(path: Path, page: int = 0) -> StatedColor:
         head = file.read(32)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of broken tags
+            warnings.simplefilter("ignore")  # about malformed tags
             return _stated(path, head, page)
-    except Exception:  # foreign parsers raise anything at all on broken bytes, OSError too
+    except Exception:  # parsers raise anything on damaged data, OSError too
         return StatedColor(notes=(assumed(SRGB, "statement of its colours"),))
 
 
@@ -100,7 +100,7 @@ def _stated(path: Path, head: bytes, page: int) -> StatedColor:
 
 
 def png_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
-    """(type, data) of a PNG's chunks, without those of its picture, up to where it breaks off."""
+    """(type, data) of a PNG's chunks except image data, up to where the file is truncated."""
     with path.open("rb") as file:
         file.seek(len(_PNG))
         while len(head := file.read(8)) == 8:
@@ -116,7 +116,7 @@ def png_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
 
 
 def riff_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
-    """(type, data) of a WebP's chunks, without those of its picture."""
+    """(type, data) of a WebP's chunks except image data."""
     with path.open("rb") as file:
         file.seek(12)
         while len(head := file.read(8)) == 8:
@@ -129,7 +129,7 @@ def riff_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
 
 
 def of_png(chunks: dict[bytes, bytes]) -> StatedColor:
-    """What a PNG's chunks state."""
+    """The statement of a PNG's chunks."""
     if len(chunks.get(b"cICP", b"")) >= 2:
         return _of_code_points(chunks[b"cICP"][0], chunks[b"cICP"][1], "cICP")
     if b"iCCP" in chunks:
@@ -143,7 +143,7 @@ def of_png(chunks: dict[bytes, bytes]) -> StatedColor:
 
 
 def of_properties(properties: bmff.Properties) -> StatedColor:
-    """What an ISO base media file states of its primary picture."""
+    """The statement of an ISO base media file on its primary picture."""
     if properties.profile is not None:
         return StatedColor(properties.profile)
     if properties.code_points is None:
@@ -152,7 +152,7 @@ def of_properties(properties: bmff.Properties) -> StatedColor:
 
 
 def of_exif(exif: bytes) -> StatedColor:
-    """What Exif states: R03 is Adobe RGB (DCF 2.0); an uncalibrated space gives a note."""
+    """The statement of Exif: R03 is Adobe RGB (DCF 2.0); an uncalibrated space gives a note."""
     from PIL import Image
 
     tags = Image.Exif()
@@ -176,7 +176,7 @@ def _of_code_points(primaries: int, transfer: int, name: str) -> StatedColor:
 
 
 def _of_gamma(gamma: bytes | None, corners: bytes | None) -> StatedColor:
-    """Of gAMA and cHRM. The usual 0.45455 with sRGB's primaries, or none, stands for sRGB."""
+    """The statement of gAMA and cHRM; 0.45455 with sRGB's primaries, or none, means sRGB."""
     primaries = None
     if corners is not None:
         white_x, white_y, *rest = (v / 100_000.0 for v in struct.unpack(">8I", corners))

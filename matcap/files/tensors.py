@@ -1,10 +1,8 @@
-"""Tensors in a safetensors file, written whole or not at all, with a digest of all of it.
+"""Reads and writes tensors in safetensors files, atomically, with a digest.
 
-Files to be read may be a stranger's: nothing in them is executed, and every tensor's shape is
-compared with what is expected before it is read.
-
-A flipped byte in a tensor is another number, which would go unnoticed: the metadata's `digest`
-detects it. It is of everything but itself, the other metadata and all tensors' bytes.
+Files may be hostile: nothing in them is executed, and a tensor's shape is checked before it is
+read. The metadata's `digest` detects damaged values; it covers all other metadata and all tensors'
+bytes.
 """
 
 from __future__ import annotations
@@ -21,15 +19,15 @@ from safetensors.torch import save
 from torch import Tensor
 
 from matcap.errors import MatcapError
-from matcap.files.digest import DIGEST, METHOD, text_first
+from matcap.files.digest import DIGEST, METHOD, digest_prefix
 from matcap.files.staging import staged_file
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
-    """Write tensors by name, and text beside them.
+    """Write tensors and metadata.
 
     Args:
-        path: of the file; its folder is made when missing.
+        path: of the file; its folder is created if missing.
         tensors: of any shapes, types and devices.
         metadata: strings by name, other than "digest".
 
@@ -47,15 +45,15 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[s
     plain = save(together)
     start = 8 + int.from_bytes(plain[:8], "little")
     content = memoryview(plain)[start:]
-    digest = hashlib.new(METHOD, text_first(metadata))
+    digest = hashlib.new(METHOD, digest_prefix(metadata))
     digest.update(content)
-    # By hand, for safetensors writes the metadata in another order every time.
+    # safetensors would write the metadata in a random order.
     about = dict(sorted({**metadata, DIGEST: digest.hexdigest()}.items()))
     header = json.dumps(
         {"__metadata__": about, **json.loads(plain[8:start])}, separators=(",", ":")
     )
     header += " " * (-len(header) % 8)
-    # As bytes: save_file would give the file to its owner alone, whatever the umask says.
+    # save_file would ignore the umask.
     with staged_file(path) as file, file.open("wb") as opened:
         opened.write(len(header).to_bytes(8, "little") + header.encode())
         opened.write(content)
@@ -63,12 +61,12 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[s
 
 @dataclass(frozen=True)
 class StoredTensors:
-    """An open file.
+    """An open safetensors file.
 
     Attributes:
-        file: as safetensors opens it, for PyTorch.
-        path: where it is.
-        remedy: what to do when it is no good.
+        file: opened for PyTorch.
+        path: of the file, for errors.
+        remedy: of errors.
     """
 
     file: safe_open
@@ -76,10 +74,10 @@ class StoredTensors:
     remedy: str
 
     def tensor(self, name: str, shape: tuple[int, ...]) -> Tensor:
-        """One tensor as float32.
+        """Read a tensor as float32.
 
         Raises:
-            MatcapError: it is missing, of another shape, or holds NaN or infinity; names it.
+            MatcapError: it is missing, of another shape, or not finite; names the tensor.
         """
         try:
             size = tuple(self.file.get_slice(name).get_shape())
@@ -87,8 +85,8 @@ class StoredTensors:
             raise self._fault(f"the tensor {name} is missing") from error
         if size != shape:
             raise self._fault(f"the tensor {name} has shape {size}, expected {shape}")
-        # A copy, because the file's own lie wherever the file has them, and products of matrices
-        # round as their operands are aligned: what was saved would differ from itself by a bit.
+        # A copy, because the rounding of matrix products depends on the alignment of their
+        # operands, which in a file is arbitrary.
         value: Tensor = self.file.get_tensor(name).to(torch.float32, copy=True)
         if not bool(torch.isfinite(value).all()):
             raise self._fault(f"the tensor {name} holds NaN or infinity")

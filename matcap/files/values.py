@@ -1,6 +1,6 @@
-"""Parsers of sizes, rectangles and durations that users type.
+"""Parsers of sizes, rectangles, seeds and durations that users type.
 
-What is none is a ValueError that says so. A value passes through as it is.
+Invalid text raises a ValueError with a sentence. Values that are parsed already are returned.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 _SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
 _KILO = 1024  # texels: 2K is 2048
-LIMIT = 2**40  # coordinates of the endless field
-SEEDS = 2**63  # either way
+LIMIT = 2**40  # largest magnitude of coordinates of the endless field
+SEEDS = 2**63  # seeds are in [-SEEDS, SEEDS)
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ DEFAULT_SIZE = Size(1024, 1024)
 
 
 def bounded(value: object, name: str, least: float, most: float) -> float:
-    """A number from a file, within limits; NaN is in none.
+    """Check a number from a file.
 
     Raises:
-        ValueError: it is none, or outside.
+        ValueError: not a number, NaN, or outside [least, most].
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{name} is {str(value)[:40]!r}, no number")
@@ -57,10 +57,10 @@ def bounded(value: object, name: str, least: float, most: float) -> float:
 
 
 def whole(value: object, name: str, least: int, most: int) -> int:
-    """A whole number from a file, within limits.
+    """Check an integer from a file.
 
     Raises:
-        ValueError: it is none, or outside.
+        ValueError: not an integer, or outside [least, most].
     """
     if isinstance(value, bool) or not isinstance(value, int):
         raise ValueError(f"{name} is {str(value)[:40]!r}, no whole number")
@@ -91,7 +91,7 @@ def sides_of(text: str | int | Sequence[int]) -> tuple[int, int]:
 
 
 def seed(text: str | int) -> int:
-    """'7' to the number of a realisation, from -2^63 to 2^63 - 1."""
+    """'7' to a seed, from -2^63 to 2^63 - 1."""
     if isinstance(text, int):
         return text
     if not re.fullmatch(r"\s*[+-]?\d{1,30}\s*", text):
@@ -102,7 +102,7 @@ def seed(text: str | int) -> int:
 
 
 def number(least: float, most: float) -> Callable[[str | float], float]:
-    """A parser of finite numbers between two others; NaN is in no range."""
+    """A parser of numbers in [least, most]."""
 
     def parsed(text: str | float) -> float:
         try:
@@ -117,7 +117,7 @@ def number(least: float, most: float) -> Callable[[str | float], float]:
 
 
 def sides(most: int) -> Callable[[str | Size], Size]:
-    """A parser of sizes whose sides are at most so long."""
+    """A parser of sizes whose sides are at most `most`."""
 
     def parsed(text: str | Size) -> Size:
         value = size(text)
@@ -129,7 +129,7 @@ def sides(most: int) -> Callable[[str | Size], Size]:
 
 
 def region(text: str | Region) -> Region:
-    """'x,y,w,h' in texels, x and y anywhere in the field."""
+    """'x,y,w,h' to a rectangle of the field."""
     if isinstance(text, Region):
         return text
     try:
@@ -155,7 +155,7 @@ def duration(text: str | float) -> float:
 
 
 def spoken_duration(seconds: float) -> str:
-    """Seconds as people say them: 42 s, 12 min, 1.5 h."""
+    """Seconds as text: 42 s, 12 min, 1.5 h."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -15,7 +15,7 @@ from matcap.errors import UsageError
 from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.field.plane import Period, Rectangle, check_seed
 from matcap.files import values
-from matcap.files.progress import Progress, nobody
+from matcap.files.progress import Progress, ignore_progress
 from matcap.files.settings import check_settings, setting
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ class Work:
     """Send blocks to this dask scheduler."""
     resume: bool = setting(False)
     """Continue an interrupted run of the same request."""
-    progress: Callable[[SynthProgress], None] = nobody
+    progress: Callable[[SynthProgress], None] = ignore_progress
     """Called after every block."""
     overwrite: bool = True
     """Replace existing files, also those of another map set of the same name."""

@@ -42,8 +42,8 @@ def test_a_signal_while_children_start_comes_afterwards(number):
 @pytest.mark.parametrize("number", BOTH)
 def test_both_end_a_command_by_a_keyboard_interrupt(number):
     program = (
-        "import os, sys; from matcap.files.interrupts import end_alike\n"
-        "came = end_alike()\n"
+        "import os, sys; from matcap.files.interrupts import raise_on_signals\n"
+        "came = raise_on_signals()\n"
         f"try: os.kill(os.getpid(), {int(number)}); input()\n"
         "except KeyboardInterrupt: sys.exit(7 if came() else 8)\n"
     )

@@ -5,7 +5,7 @@ import random
 import pytest
 
 from matcap.errors import MatcapError, UsageError
-from matcap.files.names import StagedFolder, flaw, kept_plain, made_plain, plain_name
+from matcap.files.names import StagedFolder, name_fault, plain_name, sanitised_name, usable_name
 from matcap.files.staging import staged
 
 NASTY = (
@@ -20,17 +20,17 @@ def test_a_nasty_name_is_refused_and_becomes_a_plain_one(name):
     with pytest.raises(UsageError, match="is not a plain file name: it") as caught:
         plain_name(name)
     assert caught.value.sentence().isprintable()
-    assert flaw(made_plain(name)) == flaw(kept_plain(name)) == ""
+    assert name_fault(sanitised_name(name)) == name_fault(usable_name(name)) == ""
 
 
 @pytest.mark.parametrize("name", FINE)
 def test_a_name_that_people_give_is_kept(name):
-    assert plain_name(name) == kept_plain(name) == name
+    assert plain_name(name) == usable_name(name) == name
 
 
 @pytest.mark.parametrize("name", [3, None, ["a"], b"a"])
 def test_what_is_no_text_is_no_name(name):
-    assert flaw(name) == "is no text"
+    assert name_fault(name) == "is no text"
 
 
 @pytest.mark.parametrize("name", ["../keep", "..", "/etc/passwd", "a/../../b", "", "."])
@@ -51,7 +51,7 @@ def test_ten_thousand_names_are_plain_once_made_so(tmp_path):
     stage = StagedFolder(tmp_path)
     for _ in range(10_000):
         name = "".join(chance.choice(alphabet) for _ in range(chance.randrange(12)))
-        plain = made_plain(name)
-        assert flaw(plain) == "" and (stage / plain).parent == tmp_path
-        if flaw(name) == "":
+        plain = sanitised_name(name)
+        assert name_fault(plain) == "" and (stage / plain).parent == tmp_path
+        if name_fault(name) == "":
             assert (stage / name).parent == tmp_path

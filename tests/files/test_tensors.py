@@ -10,7 +10,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from matcap.errors import MatcapError
-from matcap.files.digest import is_whole
+from matcap.files.digest import digest_matches
 from matcap.files.tensors import write_tensors
 
 
@@ -44,7 +44,7 @@ def test_half_floats_that_have_overflowed_are_said(tmp_path):
 
 def whole(path):
     with safe_open(path, framework="pt") as file:
-        return is_whole(path, file.metadata())
+        return digest_matches(path, file.metadata())
 
 
 @pytest.mark.parametrize("place", [-1, -100, -400])

@@ -10,7 +10,7 @@ from typing import Any
 
 from matcap.brdf.stated import SCALE
 from matcap.errors import MatcapError
-from matcap.files.names import flaw, plain_name
+from matcap.files.names import name_fault, plain_name
 from matcap.files.note import note
 from matcap.files.values import bounded, whole
 from matcap.relight.foreign.glb import unpacked
@@ -152,7 +152,7 @@ def _stated(folder: Path, about: Mapping[str, Any], place: Path) -> Stated:
 
 def _named(folder: Path, name: str, entry: Mapping[str, str]) -> NamedFile:
     meaning = entry["meaning"]
-    wrong = flaw(name.replace(TOKEN, "1001"))
+    wrong = name_fault(name.replace(TOKEN, "1001"))
     if wrong:
         raise ValueError(f"the file {name!r} {wrong}")
     fits = [packing for start, packing in _MEANINGS if meaning == start or _goes_on(meaning, start)]

@@ -20,7 +20,7 @@ from matcap.brdf.maps import MapSet
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.field.material import Material
-from matcap.files.digest import DIGEST, METHOD, text_first
+from matcap.files.digest import DIGEST, METHOD, digest_prefix
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.lab.simulate.specimen import realisation
@@ -278,7 +278,7 @@ def forged(header: dict[str, object], content: bytes) -> dict[str, object]:
     told = header.get("__metadata__") if isinstance(header, dict) else None
     if not isinstance(told, dict) or not all(isinstance(one, str) for one in told.values()):
         return header
-    digest = hashlib.new(METHOD, text_first(told))
+    digest = hashlib.new(METHOD, digest_prefix(told))
     digest.update(content)
     return {**header, "__metadata__": {**told, DIGEST: digest.hexdigest()}}
 
