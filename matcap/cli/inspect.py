@@ -49,6 +49,9 @@ def inspect(
 
     detail, together = astuple(chosen(InspectSettings, given))
     fov, camera = captured.get("fov"), captured.get("camera")
+    pictures = [path for path in photos if path.suffix.lower() != ".matcap"]
+    if together and not pictures:
+        raise UsageError("there are no photographs", where="--together", remedy="give some")
     profile = None if camera is None else read_camera_profile(camera)
     photographs: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []
@@ -69,7 +72,6 @@ def inspect(
         documents.append({kind: str(path), **document})
         if not as_json:
             typer.echo(text)
-    pictures = [path for path in photos if path.suffix.lower() != ".matcap"]
     summary: dict[str, Any] = {"photographs": photographs}
     summary |= {"materials": materials} if materials else {}
     if together if together is not None else are_a_series([path.stem for path in pictures]):

@@ -53,6 +53,7 @@ HUGE = "9" * 23
         (("sample", "-t", "nan"), "is not from 0 to 1"),
         (("view", "a", "--html", "a.html", "--tile", "99999999"), "2048"),
         (("inspect", "a", "--fov", "nan"), "is not from 1 to 170"),
+        (("inspect", "a.matcap", "--together"), "--together: there are no photographs"),
     ],
 )
 def test_numbers_out_of_range_are_refused_before_any_work(matcap, place, words, said):

@@ -215,7 +215,8 @@ def fuzz(
                 (place / source.name).unlink()
             path = place / source.name
             path.write_bytes(spoil(data[source], kind, others, chance))
-            result, detail = _outcome(workers, Input(number, kind, path))
+            limit = LONGEST + 50.0 * (number == 0)  # the first one waits for the imports, too
+            result, detail = outcome(workers, Input(number, kind, path), limit)
             tally[result] += 1
             tally[f"{kind} {result}"] += 1
             if result == "fault":
@@ -229,10 +230,10 @@ def fuzz(
     return tally, faults
 
 
-def _outcome(workers: Processes, job: Input) -> tuple[str, str]:
+def outcome(workers: Processes, job: object, longest: float) -> tuple[str, str]:
+    """What a worker answers to a job; a fault where it does not in so many seconds, or dies."""
     workers.start(job)
-    # The first one waits for the imports, too.
-    limit = time.monotonic() + LONGEST + 50.0 * (job.number == 0)
+    limit = time.monotonic() + longest
     while time.monotonic() < limit:
         for event in workers.wait(limit - time.monotonic()):
             if event.kind == "died":
@@ -240,7 +241,7 @@ def _outcome(workers: Processes, job: Input) -> tuple[str, str]:
             if event.kind == "done":
                 return event.value
     workers.close()
-    return "fault", f"no answer in {LONGEST:.0f} s"
+    return "fault", f"no answer in {longest:.0f} s"
 
 
 def main() -> None:

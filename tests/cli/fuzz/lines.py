@@ -2,9 +2,9 @@
 
     python tests/cli/fuzz/lines.py --count 20000
 
-Options are drawn by their kinds, half of the values out of range; names of files and map sets too.
-A line fails at exit 1, at a traceback, when it takes over LONGEST seconds or LARGEST bytes, or when
-any file outside the folder it runs in appears or changes. test_lines.py runs a shorter form.
+All options are drawn by their kinds, half of the values out of range; names of files and map sets
+too. A line fails at exit 1, at a traceback, when it takes over LONGEST seconds or LARGEST bytes, or
+when any file outside the folder it runs in appears or changes. test_lines.py runs a shorter form.
 """
 
 from __future__ import annotations
@@ -15,16 +15,22 @@ import io
 import json
 import os
 import random
+import re
 import shutil
 import sys
 import tempfile
 import time
 from collections import Counter
 from dataclasses import dataclass
+from enum import Enum
+from functools import cache
 from pathlib import Path
 
-from fuzz import most_held
+sys.path.insert(0, str(Path(__file__).parents[3] / "docs" / "tools"))
+
+from fuzz import most_held, outcome
 from inputs import write_example, write_material
+from reference.commands import parameters
 
 from matcap.batch.worker_pool import Processes
 from matcap.files.progress import OnProgress
@@ -51,43 +57,48 @@ _PATTERNS = (
 _ADJUST = ("relief=1.3", "relief=nan", "tint=#fff", "roughness=1e300", "x=1", "relief=", "a.json")
 _LIGHTS = ("top", "left", "flash", "1e300,0,1", "0,0,1", "0,0,-1", "nan,0,1", "x", "0,0,1,1e9", "")
 _EFFECTS = ("auto", "all", "none", "+x", "none,+diffuse", "", ",")
-# Of each command: what it reads, and options with the values to draw from.
-COMMANDS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
-    "relight": (1, {
-        "-o": _OUTPUTS, "--size": _SIZES, "--seed": _NUMBERS, "--tolerance": _NUMBERS,
-        "--light": _LIGHTS, "--effects": _EFFECTS, "--adjust": _ADJUST,
-        "--variety": _NUMBERS, "--scene": _NAMES, "--normals": ("file", "height", "x", ""),
-        "--explain-map": _OUTPUTS, "--maps-from": _INPUTS, "--overwrite": (),
-    }),
-    "export": (1, {
-        "--to": _TARGETS, "--preset": _TARGETS, "-o": _NAMES, "--size": _SIZES, "--seed": _NUMBERS,
-        "--udim": ("1x1", "11x1", "0x0", "nan", "2x1"), "--unit": _NUMBERS, "--name": _PATTERNS,
-        "--maps": ("diffuse", "", "x,y"), "--normal": ("gl", "both", "zz"), "--adjust": _ADJUST,
-        "--variety": _NUMBERS, "--normals": ("file", "height", "x", ""),
-        "--tile": ("piece", "z"),
-        "--bits": ("8", "16", "half", "float", "7"), "--format": ("png", "jpg", "exr", "tx", "bmp"),
-        "--overwrite": (), "--json": (),
-    }),
-    "synth": (1, {
-        "-o": _NAMES, "--size": _SIZES, "--seed": _NUMBERS, "--region": ("0,0,16,16", "1,1,0,0",
-        "9e9,0,1,1", f"{2**40},0,16,16"), "--udim": ("1x1", "11x1", "0x0", "nan"), "--png": (),
-        "--tile": ("x", "y", "both", "piece", "z"), "--single": (), "--mip": (), "--mask": _INPUTS,
-        "--blend": _INPUTS, "--adjust": _ADJUST,
-        "--variety": _NUMBERS, "--export": _TARGETS, "--overwrite": (),
-        "--scheduler": ("x", "", "nonsense"),
-    }),
-    "blend": (2, {
-        "-t": ("0.5", "0:1:3", "0:1:99999999", "nan", "1:0:2", f"0:1:{'9' * 30}", "-1"),
-        "-o": _NAMES, "--seed": _NUMBERS, "--overwrite": (),
-    }),
-    "view": (1, {
-        "--html": _OUTPUTS, "--seed": _NUMBERS, "--tile": ("16", "0", "17", "99999999"),
-        "--adjust": _ADJUST,
-        "--variety": _NUMBERS, "--photo": _INPUTS, "--overwrite": (),
-    }),
-    "compare": (2, {"-o": _OUTPUTS, "--photo": _INPUTS, "--overwrite": ()}),
-    "inspect": (1, {"--fov": _NUMBERS, "--detail": _NUMBERS, "--json": ()}),
+_SHARES = ("0.5", "0:1:3", "0:1:99999999", "nan", "1:0:2", f"0:1:{'9' * 30}", "-1")
+_REGIONS = ("0,0,16,16", "1,1,0,0", "9e9,0,1,1", f"{2**40},0,16,16")
+# Values by what help calls them.
+_VALUES = {
+    "WxH": _SIZES, "CxR": ("1x1", "11x1", "0x0", "nan", "2x1"), "x,y,w,h": _REGIONS,
+    "NAME=VALUE,...": _ADJUST, "TARGET": _TARGETS, "PATTERN": _PATTERNS, "A,B": ("diffuse", "x,y"),
+    "T|FROM:TO:COUNT": _SHARES, "NAME|x,y,z[,intensity]": _LIGHTS, "FILE|NAME": _NAMES,
+    "auto|all|none|+x,-y": _EFFECTS, "tcp://HOST:PORT": ("x", "", "nonsense"),
 }  # fmt: skip
+_WRITTEN = ("--html", "--explain-map")
+# What is not drawn: what takes long, or says less.
+_LONG = ("--frames", "--animate", "--sheet", "--like", "--workers", "--resume", "--quiet")
+# How many files each command reads.
+_READS = {
+    "relight": 1, "export": 1, "synth": 1, "blend": 2, "view": 1, "compare": 2, "inspect": 1,
+}  # fmt: skip
+
+
+@cache
+def options_of(command: str) -> dict[str, tuple[str, ...]]:
+    """Every option of a command, with values to draw from; none of a switch."""
+    from matcap.cli.main import app
+
+    (function,) = (one.callback for one in app.registered_commands if one.name == command)
+    found = {}
+    for one in parameters(function):
+        flags = re.findall(r"`(-[^`]+)`", one.shown)
+        if not flags or flags[0] in _LONG:
+            continue
+        kind, value = one.kind, one.value
+        if kind is bool:
+            values: tuple[str, ...] = ()
+        elif isinstance(kind, type) and issubclass(kind, Enum):
+            values = (*(str(word.value) for word in kind), "zz", "")
+        elif flags[0] == "--out":
+            values = _OUTPUTS if command in ("relight", "compare") else _NAMES
+        elif value == "PATH" or kind is Path:
+            values = _OUTPUTS if flags[0] in _WRITTEN else _INPUTS
+        else:
+            values = _VALUES.get(value, _NUMBERS)
+        found[flags[0]] = values
+    return found
 
 
 @dataclass(frozen=True)
@@ -100,8 +111,8 @@ class Line:
 
 def drawn(chance: random.Random) -> tuple[str, ...]:
     """A command line."""
-    command = chance.choice(list(COMMANDS))
-    inputs, options = COMMANDS[command]
+    command = chance.choice(list(_READS))
+    inputs, options = _READS[command], options_of(command)
     words = [command, *(chance.choice(_INPUTS[: 3 if chance.random() < 0.7 else None])
                         for _ in range(inputs))]  # fmt: skip
     chosen = chance.sample(sorted(options), chance.randrange(min(6, len(options)) + 1))
@@ -178,9 +189,8 @@ def run(
                 about = json.loads(document.read_text()) | {"name": forged}
                 document.write_text(json.dumps(about))
             words = drawn(chance)
-            result, said = _within(
-                workers, Line(words, now), longest + 50.0 * (number == first)
-            )  # the imports, too
+            limit = longest + 50.0 * (number == first)  # the imports, too
+            result, said = outcome(workers, Line(words, now), limit)
             here = sorted(file.name for file in now.iterdir())
             inside = (now / "victim").read_text() == "mine"
             # `-o ../out` and `-o ..` are asked for: everything else beside the folder is nobody's.
@@ -196,19 +206,6 @@ def run(
     finally:
         workers.close()
     return tally, faults
-
-
-def _within(workers: Processes, line: Line, longest: float) -> tuple[str, str]:
-    workers.start(line)
-    limit = time.monotonic() + longest
-    while time.monotonic() < limit:
-        for event in workers.wait(limit - time.monotonic()):
-            if event.kind == "died":
-                return "fault", f"the process died with code {event.value}"
-            if event.kind == "done":
-                return event.value
-    workers.close()
-    return "fault", f"no answer in {longest:.0f} s"
 
 
 def main() -> None:
