@@ -420,7 +420,7 @@ FAULTS = (
     Fault("metallic: what is further is taken", "export _Tried.or_better",
           "other.off < self.off - _BETTER", "other.off > self.off - _BETTER",
           "export/test_export_presets.py -k TestMetallic"),
-    Fault("presets: metals have one form", "export Lit.nearest",
+    Fault("presets: metals have one form", "export EngineModel.nearest",
           "[replace(self, form=form) for form in FORMS]", "[self]",
           "export/test_export_presets.py -k TestForms"),
     Fault("glTF: browsers read 16 bits", "export TextureFile.stored",

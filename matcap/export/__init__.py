@@ -1,1 +1,1 @@
-"""Documents and packings of other programs."""
+"""Export of maps to other programs: documents, and textures in their naming and packing."""

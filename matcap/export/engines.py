@@ -1,7 +1,7 @@
-"""Naming and packing of textures for game engines, in each of their workflows.
+"""Naming and packing of textures for game engines, by workflow (metallic, specular).
 
-An engine's forms go by workflow; PLAIN says which is written where no other is asked for, and of
-all other engines it is the one that comes nearest.
+If the user chooses no workflow, PLAIN decides; for engines that it does not list, the workflow with
+the smaller residual is written.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from matcap.export.formats import Picture, rgb
 from matcap.export.gltf import SHADING as GLTF
 from matcap.export.godot import LARGEST_F0, godot_material
 from matcap.export.presets import (
-    Lit,
+    EngineModel,
     PackedMaterial,
     Preset,
     PresetTexture,
@@ -27,7 +27,7 @@ from matcap.export.unreal import unreal_import
 
 _ORM = "R: occlusion, G: roughness, B: metallic"
 _F0 = "F0, on the sRGB curve"
-_UNREAL_F0 = 0.08  # of Specular = 1
+_UNREAL_F0 = 0.08  # F0 of Unreal's Specular = 1
 _UNITY_F0 = 0.04
 _MOBILE = TargetShading(specular="mobile")
 _HDRP = TargetShading(diffuse="disney")
@@ -91,7 +91,7 @@ def _colour(label: str) -> PresetTexture:
 
 
 def _below(label: str, meaning: str = BASE) -> PresetTexture:
-    """Base colour below a layer of any F0."""
+    """Base colour of the specular workflow."""
     return PresetTexture(label, "8", lambda material: material.base, meaning, srgb=True)
 
 
@@ -100,7 +100,7 @@ _UNREAL = ("run T_*_import.py in Unreal to import them with the right settings",
 _UNITY_NORMAL = "set the Texture Type of Normal_GL to Normal map"
 _UNITY = ("switch sRGB off for MaskMap, BentNormalMap and HeightMap", _UNITY_NORMAL)
 
-# What every project can show is written first, even where something else comes nearer.
+# The workflow that every project can render, even where another has a smaller residual.
 PLAIN: dict[str, Workflow] = {"unreal": "metallic"}
 
 ENGINES: dict[str, dict[Workflow, Preset]] = {
@@ -118,8 +118,10 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
             },
             normal="dx",
             normal_labels=_UNREAL_NAMES,
-            lit=Lit(TargetShading(masking="hammon", fading=True), "metallic", (0.0, _UNREAL_F0)),
-            notes=("--workflow specular comes nearer, where Substrate is switched on", *_UNREAL),
+            model=EngineModel(
+                TargetShading(masking="hammon", fading=True), "metallic", (0.0, _UNREAL_F0)
+            ),
+            notes=("--workflow specular is closer, if the project uses Substrate", *_UNREAL),
             documents=unreal_import,
         ),
         "specular": Preset(
@@ -133,9 +135,11 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
             },
             normal="dx",
             normal_labels=_UNREAL_NAMES,
-            lit=Lit(TargetShading(masking="hammon", layer="albedo", compensated=True), "specular"),
+            model=EngineModel(
+                TargetShading(masking="hammon", layer="albedo", compensated=True), "specular"
+            ),
             notes=(
-                "needs Substrate, in Unreal's project settings; without --workflow it does without",
+                "needs Substrate, in Unreal's project settings; --workflow metallic does not",
                 *_UNREAL,
             ),
             documents=unreal_import,
@@ -154,7 +158,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "normal": normal(),
             },
             normal_labels=_UNREAL_NAMES,
-            lit=Lit(_HDRP, "metallic", (_UNITY_F0, _UNITY_F0)),
+            model=EngineModel(_HDRP, "metallic", (_UNITY_F0, _UNITY_F0)),
             notes=_UNITY,
         ),
         "specular": Preset(
@@ -173,7 +177,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "normal": normal(),
             },
             normal_labels=_UNREAL_NAMES,
-            lit=Lit(_HDRP, "specular", conserving=True),
+            model=EngineModel(_HDRP, "specular", conserving=True),
             notes=("set Material Type to Specular Color", *_UNITY),
         ),
     },
@@ -190,7 +194,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "normal": normal(),
             },
             normal_labels=_UNREAL_NAMES,
-            lit=Lit(_MOBILE, "metallic", (_UNITY_F0, _UNITY_F0), 1.0 - _UNITY_F0),
+            model=EngineModel(_MOBILE, "metallic", (_UNITY_F0, _UNITY_F0), 1.0 - _UNITY_F0),
             notes=(
                 "switch sRGB off for MetallicSmoothness, OcclusionMap and HeightMap",
                 _UNITY_NORMAL,
@@ -212,7 +216,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "normal": normal(),
             },
             normal_labels=_UNREAL_NAMES,
-            lit=Lit(_MOBILE, "specular", conserving=True),
+            model=EngineModel(_MOBILE, "specular", conserving=True),
             notes=(
                 "set Workflow Mode to Specular",
                 "switch sRGB off for OcclusionMap and HeightMap",
@@ -229,8 +233,8 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "height": height("height"),
                 "normal": normal(),
             },
-            lit=Lit(GLTF, "metallic", (_UNITY_F0, _UNITY_F0)),
-            notes=("--to gltf keeps F0, by KHR_materials_specular",),
+            model=EngineModel(GLTF, "metallic", (_UNITY_F0, _UNITY_F0)),
+            notes=("--to gltf keeps F0, with KHR_materials_specular",),
         ),
     },
     "godot": {
@@ -242,7 +246,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "height": height("height"),
                 "normal": normal(),
             },
-            lit=Lit(
+            model=EngineModel(
                 TargetShading(masking="hammon", fading=True),
                 "metallic",
                 (_UNITY_F0, _UNITY_F0),
@@ -266,7 +270,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "normal": normal(),
             },
             normal="dx",
-            lit=Lit(TargetShading(), "metallic", (0.0, _UNREAL_F0)),
+            model=EngineModel(TargetShading(), "metallic", (0.0, _UNREAL_F0)),
         ),
     },
 }

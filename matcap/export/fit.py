@@ -1,11 +1,11 @@
-"""Parameters fitted to a target's shading model so that it shows the intended reflectance.
+"""Fit parameters to a target's shading model, so that it renders matcap's reflectance.
 
-Where a target shades otherwise than matcap, the same numbers give another light: a layer darkens
-what lies below it, Disney's diffuse lobe is not Lambert's, Unity's mobile term is twice as bright
-on polished surfaces. How much so depends on roughness and F0 alone, for a surface that lies flat.
-So once a target, over a grid of both, these are found: the factor on the diffuse albedo, the factor
-on F0, and the roughness that leave the least difference of light under the directions by which
-residuals are measured (surface.py). Textures are made with them; what is left is the residual.
+Shading models differ: a specular layer darkens the diffuse part, Disney's diffuse lobe is not
+Lambert's, Unity's mobile term is twice as bright on polished surfaces. For a flat surface the
+difference depends on roughness and F0 alone. Once a target, over a grid of both, three factors (on
+diffuse albedo, F0 and roughness) minimise the difference of reflected light under the directions of
+the residual (surface.py). Textures are written with these factors; the remaining difference is the
+residual.
 """
 
 from __future__ import annotations
@@ -26,18 +26,17 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 _ROUGH, _F0 = 64, 33
-# Roughnesses that are tried, relative to the one that is meant, where the highlight has another
-# shape; all others keep it.
+# Factors on roughness that are tried where the target's lobe has another shape ("mobile").
 _RATIOS = np.linspace(0.7, 1.3, 61)
-_ROUNDS = 4  # of Newton's kind, until factors stand to 1e-4
-_LEANING, _LEAN = 512, 30.0  # surfaces that lean by up to so many degrees
-_MOST_TOGETHER = 0.9  # more, and a wrong diffuse would count nothing beside a wrong F0
-_LEAST = 0.02  # of the grid's roughness: below it a highlight is narrower than the directions
+_ROUNDS = 4  # fixed-point iterations, which converge to 1e-4
+_LEANING, _LEAN = 512, 30.0  # number of tilted normals, and their largest tilt in degrees
+_MOST_TOGETHER = 0.9  # largest correlation of diffuse and specular errors in ErrorWeights
+_LEAST = 0.02  # least roughness of the grid: narrower highlights fall between the directions
 
 
 @dataclass(frozen=True)
 class FittedTables:
-    """Tables over roughness (rows, even from 0 to 1) and the root of F0 (columns, likewise)."""
+    """(64, 33) tables of factors: rows by roughness, columns by sqrt(F0), uniform in [0, 1]."""
 
     diffuse: Picture
     """Factor on the diffuse albedo."""
@@ -47,21 +46,20 @@ class FittedTables:
     """Factor on the roughness."""
 
     each: bool = False
-    """A layer takes from every channel what it reflects there; else, what it reflects of the
-    brightest."""
+    """The layer darkens each channel by its own reflection; else all by the brightest one's."""
 
     def albedo(self, f0: Picture, roughness: Picture) -> Picture:
-        """(H, W, 1 or 3) factors on the diffuse albedo, of (H, W[, 3]) F0 and (H, W) roughness."""
+        """(H, W, 1 or 3) factors on diffuse albedo; f0 (H, W[, 3]), roughness (H, W)."""
         taken = f0 if self.each else brightest_channel(f0)
         factor = self._at(self.diffuse, taken, roughness)
         return factor if factor.ndim == 3 else factor[..., None]
 
     def f0(self, f0: Picture, roughness: Picture) -> Picture:
-        """(H, W[, 3]) the F0 to write, as many channels as it has; may exceed 1."""
+        """(H, W[, 3]) F0 to write; may exceed 1."""
         return f0 * self._at(self.specular, f0, roughness)
 
     def rough(self, f0: Picture, roughness: Picture) -> Picture:
-        """(H, W) the roughness to write."""
+        """(H, W) roughness to write."""
         factor = self._at(self.roughness, mean_channel(f0), roughness)
         return np.clip(roughness * factor, 0.0, 1.0)
 
@@ -69,7 +67,7 @@ class FittedTables:
     def _at(table: Picture, f0: Picture, roughness: Picture) -> Picture:
         import cv2
 
-        if np.ptp(table) < 1e-5:  # most tables say 1 throughout
+        if np.ptp(table) < 1e-5:  # most tables are 1 throughout
             return np.full_like(f0, table.flat[0])
         if f0.ndim == 3:
             by_channel = (FittedTables._at(table, one, roughness) for one in np.moveaxis(f0, -1, 0))
@@ -82,29 +80,28 @@ class FittedTables:
 
 @dataclass(frozen=True)
 class ErrorWeights:
-    """What light shows of a surface: how much an error of its numbers counts."""
+    """Weights of errors of diffuse albedo and F0, by the light that each reflects."""
 
     diffuse: Picture
-    """(H, W) mean light of a diffuse albedo of 1, of the surface lit by 1."""
+    """(H, W) mean reflected light of diffuse albedo 1, under irradiance 1."""
     specular: Picture
-    """(H, W) the same of an F0 of 1."""
+    """(H, W) mean reflected light of F0 = 1."""
     together: Picture
-    """(H, W) in [0, 1): how much of both comes under the same directions, where errors of one may
-    make up for the other's."""
+    """(H, W) overlap of both over directions, [0, 1): errors of opposite sign cancel that much."""
 
     @staticmethod
     def at(roughness: Picture) -> ErrorWeights:
-        """Of (H, W) roughness."""
+        """The weights at (H, W) roughness."""
         place = np.rint(np.clip(roughness, 0.0, 1.0) * (_ROUGH - 1)).astype(np.intp)
         return ErrorWeights(*(table[place] for table in _light()))
 
 
 @lru_cache(maxsize=1)
 def _light() -> tuple[Picture, Picture, Picture]:
-    """ErrorWeights over roughness, of surfaces that lean in all ways under all DIRECTIONS."""
+    """ErrorWeights by roughness, over tilted normals and all DIRECTIONS."""
     rough = torch.linspace(0.0, 1.0, _ROUGH, dtype=torch.float64).clamp_min(_LEAST)[None, :, None]
     number = torch.arange(_LEANING, dtype=torch.float64) + 0.5
-    up = 1.0 - (1.0 - math.cos(math.radians(_LEAN))) * number / _LEANING  # even over the cap
+    up = 1.0 - (1.0 - math.cos(math.radians(_LEAN))) * number / _LEANING  # uniform over the cap
     turn, out = math.pi * (1.0 + 5.0**0.5) * number, (1.0 - up.square()).sqrt()
     normals = torch.stack([out * turn.cos(), out * turn.sin(), up])[:, None, :]
     shown, mirrored = [], []
@@ -123,7 +120,7 @@ def _light() -> tuple[Picture, Picture, Picture]:
 
 @lru_cache(maxsize=64)
 def fitted_tables(shading: TargetShading) -> FittedTables:
-    """The tables of a target; all the same numbers where it shades as matcap does."""
+    """The tables of a target; all 1 if its shading is matcap's."""
     rough = torch.linspace(0.0, 1.0, _ROUGH, dtype=torch.float64).clamp_min(_LEAST)
     f0 = torch.linspace(0.0, 1.0, _F0, dtype=torch.float64).square().clamp_min(1e-4)
     rough, f0 = (v[None].contiguous() for v in torch.meshgrid(rough, f0, indexing="ij"))
@@ -132,7 +129,7 @@ def fitted_tables(shading: TargetShading) -> FittedTables:
     places = [Geometry.of(flat, *pair) for pair in DIRECTIONS]
     factor, ratio = _nearest(shading, places, f0, rough)
     nearest = (rough * ratio).clamp(max=1.0)
-    # The layer is as bright as the F0 that is written.
+    # The layer reflects the F0 that is written.
     layer = (f0 * factor).clamp(max=1.0)
     meant = torch.stack([diffuse_lobe(MATCAP, at, rough, None) * at.light for at in places])
     shown = torch.stack([diffuse_lobe(shading, at, nearest, layer) * at.light for at in places])
@@ -144,16 +141,16 @@ def fitted_tables(shading: TargetShading) -> FittedTables:
 def _nearest(
     shading: TargetShading, places: list[Geometry], f0: Tensor, rough: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """(factor on F0, factor on roughness) of the least difference at every point of the grid."""
+    """(factor on F0, factor on roughness) with the least difference, for each grid point."""
     meant = torch.stack([specular_lobe(MATCAP, at, f0, 1.0, rough) * at.light for at in places])
     best = torch.full_like(f0, torch.inf)
     factor, chosen = torch.ones_like(f0), torch.ones_like(f0)
-    # The one that is meant goes first: it stays where no other is better.
+    # 1 first: it is kept where no other ratio is better.
     ratios = _RATIOS if shading.specular == "mobile" else np.ones(1)
     for ratio in sorted(ratios, key=lambda one: abs(one - 1.0)):
         tried = (rough * float(ratio)).clamp(max=1.0)
         scale = torch.ones_like(f0)
-        # What bounces between microfacets grows with the square of F0.
+        # Multiple scattering is quadratic in F0: iterate.
         for _ in range(_ROUNDS if shading.compensated else 1):
             shown = torch.stack(
                 [specular_lobe(shading, at, f0 * scale, 1.0, tried) * at.light for at in places]

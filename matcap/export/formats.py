@@ -18,25 +18,26 @@ CONTAINERS: dict[Container, tuple[Depth, ...]] = {
     "exr": ("half", "float"),
     "tx": ("8", "16", "half", "float"),
 }
-# Rows of a picture that are made at a time: of 4096 columns what is worked on stays in the cache.
+NormalMaps = Literal["gl", "dx", "both"]  # +Y up, +Y down, or a file of each
+# Rows processed together: with 4096 columns the working set fits the cache.
 _ROWS = 64
 
 
 def rgb(values: Picture) -> Picture:
-    """(H, W, 3) of what may be grey, (H, W)."""
+    """(H, W, 3): grey (H, W) is repeated."""
     return np.repeat(values[..., None], 3, axis=2) if values.ndim == 2 else values
 
 
 def brightest_channel(values: Picture) -> Picture:
-    """(H, W) of what may have a colour, (H, W, 3)."""
+    """(H, W) maximum over channels of (H, W[, 3])."""
     return values if values.ndim == 2 else values.max(axis=-1)
 
 
 def mean_channel(values: Picture) -> Picture:
-    """(H, W) of what may have a colour, (H, W, 3)."""
+    """(H, W) mean over channels of (H, W[, 3])."""
     return values if values.ndim == 2 else values.mean(axis=-1)
 
 
 def bands(height: int) -> list[slice]:
-    """The rows of a picture, as many at a time as are made at once."""
+    """Slices of _ROWS rows that cover a picture."""
     return [slice(top, min(top + _ROWS, height)) for top in range(0, height, _ROWS)]

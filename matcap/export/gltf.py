@@ -1,12 +1,12 @@
-"""A glTF 2.0 binary: a textured plane.
+"""A glTF 2.0 binary (.glb): a textured plane.
 
-In the specular form, KHR_materials_specular and KHR_materials_ior: the index of refraction gives
-the largest F0 of the maps, the specular colour texture scales it down per texel; so F0 is kept,
-whatever it is. The metallic form does with glTF's core and one index of refraction. The base
-colour makes up for what the layer takes, and F0 for the bounces between microfacets that viewers
-add (fit.py). Ambient occlusion lies in red of the texture of
-roughness and metallic. The height has no place in glTF; its scale goes with the sidecar. A plane
-unit is as many metres as it really is, or one where it was not measured.
+- Specular workflow: KHR_materials_ior sets the largest F0 of the maps, the specular colour texture
+  of KHR_materials_specular scales it per texel. Any F0 is kept.
+- Metallic workflow: core glTF with one index of refraction.
+
+The base colour compensates for the layer's darkening, F0 for the multiple scattering that viewers
+add (fit.py). Ambient occlusion is in red of the roughness and metallic texture. glTF has no height
+map. Lengths are metres; a plane unit of unknown size is 1 m.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 from matcap.errors import UsageError
 from matcap.export.formats import Depth, Picture, rgb
 from matcap.export.job import ExportJob, MapRows
-from matcap.export.presets import Lit, PackedMaterial
+from matcap.export.presets import EngineModel, PackedMaterial
 from matcap.export.shading import TargetShading
 from matcap.export.specular_workflow import (
     base_colour,
@@ -37,16 +37,16 @@ from matcap.export.specular_workflow import (
 )
 from matcap.export.surface import MadeSurface, Reader, TargetSurface
 from matcap.export.texture_file import WRITERS, TextureFile
-from matcap.export.textures import BASE, Export, coded_normal, occlusion_facts, signed
+from matcap.export.textures import BASE, Export, coded_normal, occlusion_entry, signed
 from matcap.files.maker import MAKER
 
-# As viewers shade: three.js, Babylon.js and Blender add what bounces between microfacets.
+# Viewers' shading: three.js, Babylon.js and Blender add multiple scattering.
 SHADING = TargetShading(layer="half", compensated=True)
-_LITERAL = TargetShading(layer="half")  # as glTF says, which leaves that to them
-# Beyond this F0 the index of refraction runs off to infinity; a factor above 1 does the rest.
+_LITERAL = TargetShading(layer="half")  # glTF's specification, which leaves that open
+# Largest F0 by the index of refraction, which diverges at 1; a factor above 1 does the rest.
 _LARGEST_F0 = 0.9
-# Blender takes the index's own Fresnel between F0 and 1. At this F0 it is nearest to Schlick's: of
-# lower ones low light is mirrored too much (6 % of a rust's light at 12 degrees for 1 %).
+# Least F0 of the index. Blender uses the index's exact Fresnel, which at 0.3 is closest to
+# Schlick's; lower ones reflect too much at grazing light (rust at 12 degrees: 6 % off, not 1 %).
 _LEAST_F0 = 0.3
 _FLOAT, _SHORT = 5126, 5123
 _VERTICES, _INDICES = 34962, 34963
@@ -55,8 +55,8 @@ _MIME = {"png": "image/png", "jpg": "image/jpeg", "webp": "image/webp"}
 
 
 @dataclass(frozen=True)
-class _GltfLook:
-    """A material's textures by name, and its numbers."""
+class _GltfMaterial:
+    """The textures of a glTF material by name, and its factors."""
 
     textures: dict[str, TextureFile]
     ior: float
@@ -65,12 +65,12 @@ class _GltfLook:
 
 
 def gltf_specular(job: ExportJob) -> Export:
-    """NAME.glb, everything inside: colours of 8 bits, roughness and normals of 16.
+    """NAME.glb in the specular workflow: colours in 8 bits, roughness and normals in 16.
 
-    The residual is of viewers in browsers, which read 8 bits of everything.
+    The residual is that of browsers, which read 8 bits.
 
     Raises:
-        UsageError: textures of floats were asked for.
+        UsageError: a depth or format that glTF does not allow.
     """
     _check(job)
     largest = brightest(job, SHADING)
@@ -109,47 +109,47 @@ def gltf_specular(job: ExportJob) -> Export:
         "of a single bounce": lambda read: replace(surface(textures, read), shading=_LITERAL),
     }
 
-    look = _GltfLook(textures, ior(limit), 0.0, largest / limit)
+    material = _GltfMaterial(textures, ior(limit), 0.0, largest / limit)
     notes = (*clipping_notes(job, SHADING), *job.size_notes())
-    facts = occlusion_facts(job)
-    return Export({}, _documents(job, look), surfaces, notes, facts)
+    entries = occlusion_entry(job)
+    return Export({}, _documents(job, material), surfaces, notes, entries)
 
 
 def gltf_metallic(job: ExportJob) -> Export:
-    """NAME.glb likewise, for viewers that know no KHR_materials_specular.
+    """NAME.glb in the metallic workflow, for viewers without KHR_materials_specular.
 
     Raises:
-        UsageError: textures of floats were asked for.
+        UsageError: a depth or format that glTF does not allow.
     """
     _check(job)
-    start = Lit(SHADING, "metallic", even=_LARGEST_F0).of(job)
-    lit = start.nearest(job, lambda tried: partial(_seen, tried, _metallic_textures(job, tried)))
-    textures = _metallic_textures(job, lit)
+    start = EngineModel(SHADING, "metallic", even=_LARGEST_F0).of(job)
+    model = start.nearest(job, lambda tried: partial(_seen, tried, _metallic_textures(job, tried)))
+    textures = _metallic_textures(job, model)
     in_browsers = {kind: one.in_browsers() for kind, one in textures.items()}
-    documents = _documents(job, _GltfLook(textures, ior(lit.dielectric[0]), 1.0))
-    surfaces: dict[str, MadeSurface] = {"metallic": partial(_seen, lit, in_browsers)}
-    facts = occlusion_facts(job) | {"metallic": lit.form}
-    return Export({}, documents, surfaces, job.size_notes(), facts)
+    documents = _documents(job, _GltfMaterial(textures, ior(model.dielectric[0]), 1.0))
+    surfaces: dict[str, MadeSurface] = {"metallic": partial(_seen, model, in_browsers)}
+    entries = occlusion_entry(job) | {"metallic": model.form}
+    return Export({}, documents, surfaces, job.size_notes(), entries)
 
 
-def _metallic_textures(job: ExportJob, lit: Lit) -> dict[str, TextureFile]:
+def _metallic_textures(job: ExportJob, model: EngineModel) -> dict[str, TextureFile]:
     def rough(piece: MapRows) -> Picture:
-        made = PackedMaterial(piece, lit)
+        made = PackedMaterial(piece, model)
         return np.stack([piece.picture("occlusion"), made.roughness, made.metallic.metallic], -1)
 
     return {
         "base_color": _stored(
-            job, lambda p: PackedMaterial(p, lit).metallic.base, "8", BASE, srgb=True
+            job, lambda p: PackedMaterial(p, model).metallic.base, "8", BASE, srgb=True
         ),
         "roughness": _stored(job, rough, "16", "occlusion, roughness, metallic"),
         "normal": _stored(job, coded_normal, "16", "normal"),
     }
 
 
-def _seen(lit: Lit, textures: dict[str, TextureFile], read: Reader) -> TargetSurface:
-    """What a viewer makes of the metallic form."""
+def _seen(model: EngineModel, textures: dict[str, TextureFile], read: Reader) -> TargetSurface:
+    """The reflectance that viewers render of the metallic workflow."""
     base, orm = read(textures["base_color"]), read(textures["roughness"])
-    metal, f0 = orm[2:3], lit.dielectric[0]
+    metal, f0 = orm[2:3], model.dielectric[0]
     return TargetSurface(
         base * (1.0 - metal),
         f0 * (1.0 - metal) + base * metal,
@@ -163,35 +163,35 @@ def _seen(lit: Lit, textures: dict[str, TextureFile], read: Reader) -> TargetSur
 def _stored(
     job: ExportJob, made: Callable[[MapRows], Picture], depth: Depth, meaning: str, **how: bool
 ) -> TextureFile:
-    """A texture, of whose 16 bits browsers read 8."""
+    """A texture whose 16 bits stay accurate when browsers drop the lower 8."""
     return replace(TextureFile.of(job, made, depth, meaning, **how), eight_of_16=True)
 
 
 def ior(f0: float) -> float:
-    """The index of refraction that reflects F0."""
+    """Index of refraction of F0: (1 + sqrt(F0)) / (1 - sqrt(F0))."""
     return (1.0 + math.sqrt(f0)) / (1.0 - math.sqrt(f0))
 
 
 def _check(job: ExportJob) -> None:
     if job.depth in ("half", "float"):
-        raise UsageError("glTF knows no textures of floats", where="--bits", remedy="give 8 or 16")
+        raise UsageError("glTF has no float textures", where="--bits", remedy="give 8 or 16")
     if job.container is not None and job.container not in _MIME:
         raise UsageError(
-            f"glTF knows no {job.container}", where="--format", remedy="give png, jpg or webp"
+            f"glTF cannot hold {job.container}", where="--format", remedy="give png, jpg or webp"
         )
 
 
-def _documents(job: ExportJob, look: _GltfLook) -> dict[str, Callable[[Path], bytes]]:
-    return {f"{job.name}.glb": partial(_glb, job, look)}
+def _documents(job: ExportJob, material: _GltfMaterial) -> dict[str, Callable[[Path], bytes]]:
+    return {f"{job.name}.glb": partial(_glb, job, material)}
 
 
-def _glb(job: ExportJob, look: _GltfLook, _: Path) -> bytes:
+def _glb(job: ExportJob, material: _GltfMaterial, _: Path) -> bytes:
     binary = _Binary()
-    return binary.glb(_document(job, binary, look))
+    return binary.glb(_document(job, binary, material))
 
 
 class _Binary:
-    """The binary chunk of a .glb, grown piece by piece."""
+    """Builds the binary chunk of a .glb."""
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
@@ -199,7 +199,7 @@ class _Binary:
         self.views: list[dict[str, Any]] = []
 
     def view(self, data: bytes, **extra: int) -> int:
-        """Add bytes; gives their buffer view's number."""
+        """Append bytes; returns the index of their buffer view."""
         self.views.append(
             {"buffer": 0, "byteOffset": self._length, "byteLength": len(data), **extra}
         )
@@ -218,27 +218,27 @@ class _Binary:
         return b"".join([header, text, struct.pack("<I4s", self._length, b"BIN\0"), *self._parts])
 
 
-def _document(job: ExportJob, binary: _Binary, look: _GltfLook) -> dict[str, Any]:
-    # Untagged: glTF says itself how numbers are read, and browsers would apply gAMA.
+def _document(job: ExportJob, binary: _Binary, material: _GltfMaterial) -> dict[str, Any]:
+    # Untagged: glTF defines the colour space, and browsers would apply gAMA.
     with ThreadPoolExecutor(WRITERS) as pool:
-        coded = pool.map(lambda one: one.encoded(job, tagged=False), look.textures.values())
+        coded = pool.map(lambda one: one.encoded(job, tagged=False), material.textures.values())
         images = [
             {
                 "bufferView": binary.view(data),
                 "mimeType": _MIME[picture.container],
                 "name": f"{job.name}_{kind}",
             }
-            for (kind, picture), data in zip(look.textures.items(), coded, strict=True)
+            for (kind, picture), data in zip(material.textures.items(), coded, strict=True)
         ]
-    texture = {kind: {"index": index} for index, kind in enumerate(look.textures)}
-    extensions: dict[str, Any] = {"KHR_materials_ior": {"ior": look.ior}}
-    if look.factor is not None:
+    texture = {kind: {"index": index} for index, kind in enumerate(material.textures)}
+    extensions: dict[str, Any] = {"KHR_materials_ior": {"ior": material.ior}}
+    if material.factor is not None:
         extensions["KHR_materials_specular"] = {
-            "specularColorFactor": [look.factor] * 3,
+            "specularColorFactor": [material.factor] * 3,
             "specularColorTexture": texture["specular_color"],
         }
     accessors, primitive = _plane(job, binary, job.metres)
-    used, textures = _textures(look)
+    used, textures = _textures(material)
     return {
         "asset": {"version": "2.0", "generator": MAKER},
         "extensionsUsed": sorted([*extensions, *used]),
@@ -254,7 +254,7 @@ def _document(job: ExportJob, binary: _Binary, look: _GltfLook) -> dict[str, Any
                 "pbrMetallicRoughness": {
                     "baseColorTexture": texture["base_color"],
                     "metallicRoughnessTexture": texture["roughness"],
-                    "metallicFactor": look.metallic,
+                    "metallicFactor": material.metallic,
                     "roughnessFactor": 1.0,
                 },
                 "normalTexture": texture["normal"],
@@ -270,11 +270,11 @@ def _document(job: ExportJob, binary: _Binary, look: _GltfLook) -> dict[str, Any
     }
 
 
-def _textures(look: _GltfLook) -> tuple[list[str], list[dict[str, Any]]]:
-    """Extensions that textures need, and the textures."""
+def _textures(material: _GltfMaterial) -> tuple[list[str], list[dict[str, Any]]]:
+    """The extensions that the textures need, and the `textures` array."""
     used: list[str] = []
     textures: list[dict[str, Any]] = []
-    for index, picture in enumerate(look.textures.values()):
+    for index, picture in enumerate(material.textures.values()):
         if picture.container == "webp":
             used = ["EXT_texture_webp"]
             textures.append({"extensions": {used[0]: {"source": index}}, "sampler": 0})

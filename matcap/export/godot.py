@@ -1,4 +1,4 @@
-"""A material for Godot 4, from the textures beside it: a `.tres` file."""
+"""A Godot 4 material (.tres) that refers to the exported textures."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from matcap.export.job import ExportJob
-    from matcap.export.presets import Lit
+    from matcap.export.presets import EngineModel
 
-LARGEST_F0 = 0.16  # of metallic_specular = 1: F0 is 0.16 times its square
+LARGEST_F0 = 0.16  # F0 = 0.16 metallic_specular^2
 _LAMBERT = 1
 _RED, _GREEN, _BLUE = 0, 1, 2
 
 
-def godot_material(job: ExportJob, files: dict[str, str], lit: Lit) -> dict[str, str]:
+def godot_material(job: ExportJob, files: dict[str, str], model: EngineModel) -> dict[str, str]:
     """NAME.tres, a StandardMaterial3D; paths are relative to it."""
     way = "normal_gl" if "normal_gl" in files else "normal_dx"
     linked = {"base": files["base"], "orm": files["orm"], "normal": files[way]}
@@ -22,7 +22,7 @@ def godot_material(job: ExportJob, files: dict[str, str], lit: Lit) -> dict[str,
         f'[ext_resource type="Texture2D" path="{file}" id="{kind}"]'
         for kind, file in linked.items()
     )
-    specular = math.sqrt(lit.dielectric[0] / LARGEST_F0)
+    specular = math.sqrt(model.dielectric[0] / LARGEST_F0)
     text = f"""[gd_resource type="StandardMaterial3D" load_steps={len(linked) + 1} format=3]
 
 {links}

@@ -1,7 +1,4 @@
-"""Input of exporters: a map set, and how it is to be written.
-
-Read next: texture_file.py, which makes files of it.
-"""
+"""Input of exporters: a map set and options. texture_file.py writes textures from it."""
 
 from __future__ import annotations
 
@@ -25,30 +22,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ExportJob:
-    """A map set to be exported."""
+    """A map set to export, with the user's options."""
 
     maps: MapSet
     """Without batch dimensions."""
     name: str
-    """What the files are called; a plain file name."""
+    """Beginning of the files' names; a plain file name."""
     millimetres: float | None = None
-    """Physical length of a plane unit; None where it was not measured."""
+    """Physical length of a plane unit; None if it was not measured."""
     depth: Depth | None = None
-    """Of all textures, instead of what suits the target."""
+    """Depth of all textures, instead of the target's default."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     """How the material was made; any JSON."""
     container: Container | None = None
-    """File format of all textures that it suits, instead of the target's own."""
+    """File format of the textures, where it can hold them, instead of the target's default."""
     reach: float | None = None
-    """The height, in plane units, that coded heights hold above and below the undisplaced level,
-    the same for every realisation; None to find it from these maps."""
+    """Integer heights cover [-reach, reach] plane units, the same for all realisations of a
+    material; None is derived from these maps."""
     tiled: bool = False
     """EXR files in tiles, with mipmaps."""
     around: MapSet | None = None
-    """The same maps with as much around them on every side, where they are a tile of a texture set;
-    it is not periodic."""
+    """The maps with an equal margin on every side, if they are a tile of a texture set; not
+    periodic."""
     tiles: TextureSet | None = None
-    """That set, whose first tile this job is; see udim.py."""
+    """The texture set of which this job is the first tile (udim.py)."""
 
     @property
     def unit(self) -> str:
@@ -57,12 +54,12 @@ class ExportJob:
 
     @property
     def unit_length(self) -> float:
-        """How many of `unit` a plane unit is."""
+        """Length of a plane unit, in `unit`."""
         return 1.0 if self.millimetres is None else self.millimetres
 
     @property
     def metres(self) -> float:
-        """How many metres a plane unit is; 1 where it was not measured, as size_notes() says."""
+        """Length of a plane unit in metres; 1 if it was not measured."""
         return 1.0 if self.millimetres is None else self.millimetres / 1000.0
 
     @property
@@ -73,54 +70,56 @@ class ExportJob:
 
     @property
     def grid(self) -> tuple[int, int] | None:
-        """(columns, rows) of the texture set; None where there is none."""
+        """(columns, rows) of the texture set; None without one."""
         return None if self.tiles is None else (self.tiles.columns, self.tiles.rows)
 
     @property
     def repeats(self) -> bool:
-        """Whether what is exported goes on at its other side."""
+        """Whether the exported maps, or the whole texture set, tile seamlessly."""
         return self.maps.periodic if self.tiles is None else self.tiles.period is not None
 
     @property
     def wrap(self) -> Literal["periodic", "clamp"]:
-        """What lies beyond the border, in the words of texture files."""
+        """Wrap mode for texture files."""
         return "periodic" if self.maps.periodic else "clamp"
 
     def size_notes(self) -> tuple[str, ...]:
-        """What users of a target that counts metres must know."""
+        """Note for targets in metres, if the size was not measured."""
         if self.millimetres is not None:
             return ()
         width, height = self.extent
-        return (f"no real size is known: the plane is {width:.3g} x {height:.3g} m; give --unit",)
+        return (
+            f"the size was not measured: the plane is {width:.3g} x {height:.3g} m; --unit sets it",
+        )
 
     @cached_property
     def diffuse(self) -> Picture:
-        """(H, W, 3)."""
+        """(H, W, 3) diffuse albedo."""
         return self._picture(self.maps.diffuse)
 
     @cached_property
     def specular(self) -> Picture:
-        """(H, W) F0; (H, W, 3) where it has a colour."""
+        """(H, W) F0; (H, W, 3) if coloured."""
         return self._picture(self.maps.specular)
 
     @property
     def coloured(self) -> bool:
-        """Whether F0 has a colour."""
+        """Whether F0 is coloured."""
         return self.maps.specular.shape[-3] == COLOURED
 
     @cached_property
     def roughness(self) -> Picture:
-        """(H, W)."""
+        """(H, W) perceptual roughness."""
         return self._picture(self.maps.roughness)
 
     @cached_property
     def height(self) -> Picture:
-        """(H, W), plane units."""
+        """(H, W) in plane units."""
         return self._picture(self.maps.height)
 
     @cached_property
     def normal(self) -> Picture:
-        """(H, W, 3), +Y up."""
+        """(H, W, 3) unit normals, +Y up."""
         from matcap.brdf.normals import normals_of_rows
 
         maps = self.around or self.maps
@@ -143,21 +142,21 @@ class ExportJob:
 
     @cached_property
     def occlusion(self) -> Picture:
-        """(H, W) share of an even sky's light that arrives."""
+        """(H, W) ambient occlusion (occlusion.py), 1 is open."""
         return self._cut(self._shadows.whole("open"))
 
     @cached_property
     def cavity(self) -> Picture:
-        """(H, W) the same, of the nearest neighbours only."""
+        """(H, W) ambient occlusion by neighbours of a few texels only."""
         return self._cut(self._shadows.whole("cavity"))
 
     @cached_property
     def bent(self) -> Picture:
-        """(H, W, 3) mean direction of what is open, +Y up."""
+        """(H, W, 3) bent normals: mean unoccluded direction, +Y up."""
         return self._cut(self._shadows.whole("bent"))
 
     def others(self) -> Iterator[tuple[int, ExportJob]]:
-        """(number, job) of every other tile of the texture set whose first tile this job is."""
+        """(UDIM number, job) of every further tile of the texture set."""
         if self.tiles is None:
             return
         reach = self.height_code[0] / 2.0
@@ -165,7 +164,7 @@ class ExportJob:
             yield number, replace(self, maps=maps, around=around, reach=reach)
 
     def _cut(self, wide: Picture) -> Picture:
-        """What was made with its surroundings, without them."""
+        """Crop the margin of `around`."""
         width, height = self.maps.size
         down, across = (wide.shape[0] - height) // 2, (wide.shape[1] - width) // 2
         return wide[down : down + height, across : across + width]
@@ -183,7 +182,7 @@ class ExportJob:
         return values
 
     def piece(self, rows: slice = slice(None), columns: slice = slice(None)) -> MapRows:
-        """Some of the texels; all by default."""
+        """The texels of rows and columns; all by default."""
         return MapRows(self, rows, columns)
 
     @cached_property
@@ -194,14 +193,14 @@ class ExportJob:
         """
         known = (self.around or self.maps).height
         needed = float(known.abs().max()) if known.numel() else 0.0
-        # Strengthened relief may leave the material's range; a texture set has one for all tiles.
+        # Adjusted relief may exceed the material's range; a texture set has one for all tiles.
         fits = self.tiles is not None or needed <= (self.reach or 0.0)
         return 2.0 * (self.reach if self.reach and fits else roomy(needed)), 0.5
 
 
 @dataclass(frozen=True)
 class MapRows:
-    """Some texels of a job's maps; each is as it is in the whole."""
+    """A rectangle of a job's maps, computed from the whole."""
 
     job: ExportJob
     rows: slice
@@ -218,7 +217,7 @@ class MapRows:
 
 
 def known_scale(provenance: Mapping[str, Any]) -> float | None:
-    """Millimetres of a plane unit by a material's provenance; None where it has none."""
+    """Millimetres of a plane unit, from a material's provenance; None if not measured."""
     card = provenance.get("card")
     for place in (provenance, card if isinstance(card, Mapping) else {}):
         scale = place.get("millimetres_per_unit")
@@ -228,9 +227,9 @@ def known_scale(provenance: Mapping[str, Any]) -> float | None:
 
 
 def roomy(reach: float) -> float:
-    """A round number with room above a reach: realisations of one material share it, mostly.
+    """Round a height range up to the next but one of ten values a decade; 0 gives 1.
 
-    The next but one of ten steps a decade (Renard's R10), 1 where there is no height.
+    With that room most realisations of a material share one value.
     """
     if not reach > 0.0:
         return 1.0

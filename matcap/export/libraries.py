@@ -1,4 +1,4 @@
-"""Presets in the naming of texture libraries, lossless."""
+"""Presets in the naming of texture libraries: matcap's maps as they are, not fitted to a shader."""
 
 from __future__ import annotations
 

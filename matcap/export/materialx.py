@@ -1,15 +1,14 @@
-"""MaterialX 1.39 documents: one with matcap's own reflectance, two for the standard shaders.
+"""MaterialX 1.39 documents: one with matcap's reflectance, two for the standard shaders.
 
-NAME.mtlx adds a Lambertian diffuse and a `generalized_schlick_bsdf`: matcap's diffuse albedo is
-what is seen beside the specular part. Roughness is squared to alpha, as GGX takes it. MaterialX's
-renderers add what bounces between microfacets to the specular part, which matcap leaves out:
-brighter by up to some ten per cent where F0 and roughness are both high.
+NAME.mtlx adds a Lambertian lobe and a `generalized_schlick_bsdf` with alpha = roughness^2.
+MaterialX's renderers add multiple scattering to it, which matcap leaves out: up to about 10 %
+brighter where F0 and roughness are both high.
 
-NAME_openpbr.mtlx and NAME_standard_surface.mtlx are for programs that know the shaders
-`open_pbr_surface` and `standard_surface` only, such as Unreal. Both layer the specular part over
-the diffuse one; their base colour makes up for what the layer takes (fit.py).
+NAME_openpbr.mtlx and NAME_standard_surface.mtlx are for programs, such as Unreal, that read only
+`open_pbr_surface` and `standard_surface`. Both layer the specular lobe over the diffuse one; the
+base colour compensates for the layer's darkening (fit.py).
 
-In all of them the height moves the surface by its real size, in metres where that is known.
+All displace by the height, in metres if the size was measured.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from matcap.export.formats import Picture
 from matcap.export.gltf import ior
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.metallic import FIRST_METAL, Metallic, MetallicAim, to_metallic
-from matcap.export.presets import Lit
+from matcap.export.presets import EngineModel
 from matcap.export.shading import TargetShading
 from matcap.export.specular_workflow import (
     base_colour,
@@ -41,21 +40,21 @@ from matcap.export.texture_file import TextureFile
 from matcap.export.textures import BASE, Export, Standard, signed
 
 VERSION = "1.39"
-# Indices of refraction that are tried, by their F0; the last is as high as they get.
+# Indices of refraction that are tried, by their F0.
 _INDICES = (0.04, 0.08, 0.12, 0.2, 0.3, 0.5, 0.9, 0.995)
-_LEAST_INDEX = 0.02  # of what is no metal beside one
+_LEAST_INDEX = 0.02  # least F0 of the dielectric in the metallic workflow
 
 
 def materialx(job: ExportJob) -> Export:
-    """NAME.mtlx, NAME_openpbr.mtlx and NAME_standard_surface.mtlx beside their textures."""
+    """NAME.mtlx, NAME_openpbr.mtlx and NAME_standard_surface.mtlx and their textures."""
     if job.container == "webp":
         raise UsageError(
-            "MaterialX knows no webp", where="--format", remedy="give png, jpg, exr or tx"
+            "MaterialX cannot hold webp", where="--format", remedy="give png, jpg, exr or tx"
         )
     textures = Standard.of(job)
     standard = textures.files(job.name)
     layered = {shader: Layered.of(job, shader) for shader in INPUTS}
-    # One set of textures serves both shaders where both take the same.
+    # If both shaders take the same kind of textures, they share them.
     kinds = {one.second[0] for one in layered.values()}
     stems = {shader: job.name for shader in INPUTS}
     if len(kinds) > 1:
@@ -84,25 +83,25 @@ def materialx(job: ExportJob) -> Export:
 
 @dataclass(frozen=True)
 class Layered:
-    """The two textures of shaders that layer a specular part over a diffuse one.
+    """The two textures of shaders that layer a specular lobe over a diffuse one.
 
-    Exact Fresnel of one index of refraction, tinted down to the F0 of every texel: of a higher
-    index the curve is nearer to Schlick's, which matcap has. Or, where some is metal, the metallic
-    workflow: Fresnel of a dielectric's index, and a metal whose F0 is the base colour.
+    Either exact Fresnel of one index of refraction for all texels, tinted down to each one's F0
+    (higher indices are closer to Schlick's curve). Or, for metals, the metallic workflow: Fresnel
+    of a dielectric's index, and metal with the base colour as F0.
     """
 
     base: TextureFile
-    """Colour below it, and of what is metal."""
+    """Base colour."""
     tint: TextureFile | None
-    """Of the specular part; None where there is a metalness."""
+    """Tint of the specular lobe; None with a metalness."""
     shading: TargetShading
-    """What the shaders do with them."""
+    """Shading model of the shaders."""
     metalness: TextureFile | None = None
-    """Of the base; None where nothing is metal."""
+    """Metalness; None with a tint."""
 
     @staticmethod
     def of(job: ExportJob, shader: str = "open_pbr_surface") -> Layered:
-        """Of a job's maps, with the index of refraction that comes nearest, or with metalness."""
+        """The variant (index of refraction, or metalness) with the smallest residual."""
         least = _least(job)
         indices = (least, *(index for index in _INDICES if index > least))
         tried = [Layered.at(job, index) for index in indices]
@@ -113,7 +112,7 @@ class Layered:
 
     @staticmethod
     def at(job: ExportJob, index: float) -> Layered:
-        """Of a job's maps, with the index of refraction that reflects F0 = `index`."""
+        """The tinted variant, with the index of refraction whose F0 is `index`."""
         shading = TargetShading(layer="albedo", compensated=True, index=index)
 
         def tint(piece: MapRows) -> Picture:
@@ -127,8 +126,8 @@ class Layered:
 
     @staticmethod
     def metallic(job: ExportJob) -> Layered:
-        """With metalness, base colour and metalness found texel by texel."""
-        textures = Lit(TargetShading(), "metallic", even=_INDICES[0]).of(job)
+        """The metallic variant: base colour and metalness by to_metallic()."""
+        textures = EngineModel(TargetShading(), "metallic", even=_INDICES[0]).of(job)
         index = max(textures.dielectric[0], _LEAST_INDEX)
         shading = TargetShading(layer="albedo", compensated=True, index=index)
 
@@ -147,7 +146,7 @@ class Layered:
 
     @property
     def second(self) -> tuple[str, TextureFile]:
-        """The texture beside the base colour, and what it is: "tint" or "metalness"."""
+        """Kind, "tint" or "metalness", and texture that go with the base colour."""
         if self.metalness is not None:
             return "metalness", self.metalness
         assert self.tint is not None
@@ -159,7 +158,7 @@ class Layered:
         return ior(self.shading.index or 0.0)
 
     def files(self, name: str) -> dict[str, TextureFile]:
-        """By file name."""
+        """Both textures by file name."""
         kind, second = self.second
         label = "specular_color" if kind == "tint" else "base_metalness"
         return {
@@ -170,7 +169,7 @@ class Layered:
     def surface(
         self, others: Standard, read: Reader, shader: str = "open_pbr_surface"
     ) -> TargetSurface:
-        """What a shader makes of them, and of others' roughness and normals."""
+        """The reflectance that a shader renders, with roughness and normal of `others`."""
         if self.metalness is not None:
             base, share = read(self.base), read(self.metalness)
             index = torch.full_like(share, self.shading.index or 0.0)
@@ -196,12 +195,12 @@ class Layered:
 
 
 def _least(job: ExportJob) -> float:
-    """The F0 that an index of refraction must reach."""
+    """Least F0 of the index: the largest of the maps, within _INDICES."""
     return float(np.clip(job.specular.max(), _INDICES[0], _INDICES[-1]))
 
 
 class _Document:
-    """A document with one node graph of textures, and one material."""
+    """Builds a document with one node graph of textures and one material."""
 
     def __init__(self, job: ExportJob) -> None:
         self.job = job
@@ -209,21 +208,21 @@ class _Document:
         self.graph = ET.SubElement(self.root, "nodegraph", name="NG_matcap")
 
     def image(self, name: str, kind: str, file: str, texture: TextureFile) -> None:
-        """A picture, with the colour space of its numbers: raw where they are no colours."""
+        """Add an image node; its colour space is raw for data."""
         node = _node(self.graph, "image", name, kind)
         space = "srgb_texture" if texture.colour_space == "sRGB" else "lin_rec709"
         made = ET.SubElement(node, "input", name="file", type="filename", value=file)
         made.set("colorspace", space if texture.srgb else "raw")
 
     def colour(self, name: str, image: str) -> str:
-        """The node that gives an image of F0 as a colour: of that name, where it is grey."""
+        """Name of a node with F0 as color3: the image, or if it is grey a conversion, `name`."""
         if self.job.coloured:
             return image
         _link(_node(self.graph, "convert", name, "color3"), "in", "float", image)
         return name
 
     def displaced(self, file: str, texture: TextureFile) -> None:
-        """The height, moving the surface."""
+        """Add the height image and a displacement node."""
         job, graph = self.job, self.graph
         self.image("height", "float", file, texture)
         width, tall = (side * job.unit_length for side in job.extent)
@@ -243,7 +242,7 @@ class _Document:
         )
 
     def material(self, **surface: str) -> bytes:
-        """The file; `surface` are the attributes by which the material finds its surface."""
+        """Add the material and return the file; `surface` are attributes that name its surface."""
         material = _node(self.root, "surfacematerial", "M_matcap", "material")
         kind = "surfaceshader"
         ET.SubElement(material, "input", {"name": kind, "type": kind, **surface})
@@ -260,7 +259,7 @@ class _Document:
 
 
 def _exact(job: ExportJob, files: dict[str, TextureFile], _: Path) -> bytes:
-    """The .mtlx file of matcap's own reflectance; the five textures."""
+    """The .mtlx file with matcap's reflectance; `files` are the five textures in order."""
     made = _Document(job)
     graph = made.graph
     diffuse, specular, roughness, normal, height = files.items()
@@ -297,7 +296,7 @@ def _exact(job: ExportJob, files: dict[str, TextureFile], _: Path) -> bytes:
     return made.material(nodegraph="NG_matcap", output="surface_out")
 
 
-# Inputs by which the two shaders take the same things.
+# Names and types of the shaders' inputs.
 INPUTS = {
     "open_pbr_surface": {
         "base_color": ("base_color", "color3"),
@@ -321,7 +320,7 @@ INPUTS = {
 def _layered(
     job: ExportJob, files: dict[str, TextureFile], shader: str, layered: Layered, _: Path
 ) -> bytes:
-    """The .mtlx file of one of the standard shaders; the five textures."""
+    """The .mtlx file of a standard shader; `files` are the five textures in order."""
     made = _Document(job)
     base, second, roughness, normal, height = files.items()
     kind = layered.second[0]

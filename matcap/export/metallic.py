@@ -1,17 +1,16 @@
-"""The metallic workflow of games: base colour, metallic and a small range of F0 for the rest.
+"""Conversion to the metallic workflow: base colour, metallic, and F0 of dielectrics.
 
-diffuse = base (1 - metallic), F0 = dielectric (1 - metallic) + base metallic: seven numbers of a
-texel where matcap has six of which any are allowed. Three forms are tried, and the one whose light
-is nearest is written (presets.py):
+diffuse = base (1 - metallic), F0 = dielectric (1 - metallic) + base metallic. This cannot represent
+every diffuse albedo and F0. Of three forms, the one with the smallest residual is written
+(presets.py):
 
-- plain: only what is a metal becomes one: no dielectric that lies about has an F0 of 0.2. The base
-  colour is that of the diffuse albedo, and metallic gives the mean F0.
-- tinted: as metallic as that, but the base colour is between those of diffuse and F0.
-- free: base colour, metallic and F0 of the dielectric are what leaves the least difference of
-  light; exact where the maps are a metallic material's. It may call metal what is none, so it
-  is taken only where much is gained.
+- plain: metallic is above 0 only where F0 is above 0.2, which no common dielectric reaches. The
+  base colour reproduces the diffuse albedo, metallic the mean F0.
+- tinted: the same metallic; the base colour is the least-squares compromise of diffuse and F0.
+- free: base colour, metallic and dielectric F0 minimise the difference of light; exact for maps of
+  a metallic material. Dielectrics may become metallic, so it must be clearly better.
 
-surface.residuals measures what is lost.
+surface.residuals measures the remaining error.
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ from matcap.export.formats import Picture, mean_channel, rgb
 Form = Literal["plain", "tinted", "free"]
 FORMS: tuple[Form, ...] = get_args(Form)
 
-_HALVINGS = 12  # of metallic: finer than 8 bits
-# F0 from which a material is a metal in part, and altogether. Diamond, the highest of dielectrics
-# that anybody photographs, has 0.17; titanium, the lowest of bare metals, 0.5.
+_HALVINGS = 12  # bisections of metallic: finer than 8 bits
+# F0 where metallic starts, and where it may be 1. Diamond, the highest common dielectric, has 0.17;
+# titanium, the lowest bare metal, 0.5.
 FIRST_METAL, SURE_METAL = 0.2, 0.3
-_FIRST_STEPS, _FINER = 8, 6  # of metallic where it is free: 1/8 of the range, halved so often
-_BETTER = 1e-9  # of light, squared: by less than this no more of a metal
+_FIRST_STEPS, _FINER = 8, 6  # free form: steps over [0, 1], then halvings around the best
+_BETTER = 1e-9  # least gain, in squared light, for another metallic
 
 
 @dataclass(frozen=True)
@@ -44,29 +43,29 @@ class Metallic:
     metallic: Picture
     """(H, W) in [0, 1]."""
     dielectric: Picture
-    """(H, W) F0 of the part that is no metal."""
+    """(H, W) F0 of the dielectric part."""
 
 
 @dataclass(frozen=True)
 class MetallicAim:
-    """What is to be shown, and what the target can say."""
+    """The reflectance to reproduce, and the target's limits."""
 
     diffuse: Picture
     """(H, W, 3) diffuse albedo."""
     specular: Picture
     """(H, W) or (H, W, 3) F0."""
     roughness: Picture
-    """(H, W)."""
+    """(H, W) perceptual roughness."""
     lowest: float
-    """Smallest F0 of a dielectric that the target knows."""
+    """Smallest F0 of a dielectric in the target."""
     highest: float
-    """Largest; the same as `lowest` where F0 is fixed."""
+    """Largest; equal to `lowest` where F0 is fixed."""
     below: float = 1.0
-    """The share of a dielectric's base colour that is its diffuse albedo."""
+    """Diffuse albedo over base colour, of a dielectric."""
 
 
 def to_metallic(wanted: MetallicAim, form: Form = "plain") -> Metallic:
-    """The nearest metallic material of a form."""
+    """Convert to the metallic workflow, in one of the forms."""
     if form == "free":
         return _free(wanted)
     plain = _plain(wanted)
@@ -77,7 +76,7 @@ def to_metallic(wanted: MetallicAim, form: Form = "plain") -> Metallic:
 
 
 def _plain(wanted: MetallicAim) -> Metallic:
-    """The right diffuse, and the right mean F0 where it exists."""
+    """The plain form: exact diffuse albedo; metallic by bisection for the mean F0."""
     specular = mean_channel(wanted.specular)
     dielectric = np.clip(specular, wanted.lowest, wanted.highest).astype(np.float32)
     allowed = np.clip((specular - FIRST_METAL) / (SURE_METAL - FIRST_METAL), 0.0, 1.0)
@@ -93,7 +92,7 @@ def _plain(wanted: MetallicAim) -> Metallic:
 
 
 def _diffuse_base(wanted: MetallicAim, metallic: Picture) -> Picture:
-    """Base colour that gives the diffuse albedo; where there is none, one that gives F0."""
+    """Base colour for the diffuse albedo; where that is black, for F0."""
     rest = (wanted.below * (1.0 - metallic))[..., None]
     black = wanted.diffuse.max(axis=-1, keepdims=True) < 1e-4
     base = np.where(black, rgb(wanted.specular), wanted.diffuse / np.maximum(rest, 1e-6))
@@ -101,7 +100,7 @@ def _diffuse_base(wanted: MetallicAim, metallic: Picture) -> Picture:
 
 
 def _free(wanted: MetallicAim) -> Metallic:
-    """Of least difference of light: metallic in steps, halved around the best, the rest solved."""
+    """The free form: line search over metallic, base and dielectric by least squares."""
     weights = ErrorWeights.at(wanted.roughness)
     metallic = np.zeros_like(wanted.roughness)
     best = _Tried.of(wanted, weights, metallic)
@@ -120,7 +119,7 @@ def _free(wanted: MetallicAim) -> Metallic:
 
 @dataclass(frozen=True)
 class _Tried:
-    """Base colour and dielectric that are nearest of a given metallic, and how near."""
+    """Base colour and dielectric F0 for a given metallic, and the squared error (H, W)."""
 
     base: Picture
     dielectric: Picture
@@ -133,12 +132,12 @@ class _Tried:
         metallic: Picture,
         dielectric: Picture | None = None,
     ) -> _Tried:
-        """Least squares; both equations are linear in what is sought."""
+        """Solve by weighted least squares: both equations are linear in base and dielectric."""
         rest = np.float32(1.0) - metallic
         below = np.float32(wanted.below) * rest
         f0 = rgb(wanted.specular)
         if dielectric is None:
-            # What the base colour cannot mend is metallic diffuse - below (F0 - dielectric rest).
+            # Eliminate the base colour: metallic diffuse = below (F0 - dielectric rest).
             mean = below * f0.mean(axis=-1) - metallic * wanted.diffuse.mean(axis=-1)
             dielectric = np.clip(
                 mean / np.maximum(below * rest, 1e-6), wanted.lowest, wanted.highest
@@ -158,7 +157,7 @@ class _Tried:
     def or_better(
         self, other: _Tried, metallic: Picture, others: Picture
     ) -> tuple[Picture, _Tried]:
-        """Texel by texel, the nearer one with its metallic."""
+        """Per texel, the candidate with the smaller error, and its metallic."""
         nearer = other.off < self.off - _BETTER
         chosen = _Tried(
             np.where(nearer[..., None], other.base, self.base),

@@ -1,12 +1,11 @@
-"""Scenes for Mitsuba 3: the maps under the light that `matcap relight` calls top.
+"""Mitsuba 3 scenes: the maps under `matcap relight`'s light "top".
 
-NAME_exact.xml has matcap's own reflectance, which comes along as a BSDF in Python
-(scripts/matcap_bsdf.py). NAME.xml makes do with what Mitsuba brings: a blend of its `diffuse` and
-its `principled`, which as a metal has Schlick's Fresnel. Per texel, a share w of the blend is
-specular with F0 / w, the rest diffuse; w is as large as the diffuse albedo allows. So diffuse and
-F0 are right, while the reflection ends at w instead of 1 at grazing, and the masking is Mitsuba's
-product of two Smith terms. Where all is bare metal `principled` alone will do. (`roughconductor`
-would not: a metal's own Fresnel is 2 to 9 % of the light away from Schlick's.)
+NAME_exact.xml has matcap's reflectance, a BSDF in Python (scripts/matcap_bsdf.py). NAME.xml uses
+Mitsuba's plugins: a blend of `diffuse` and a metallic `principled`, whose Fresnel is Schlick's. Per
+texel a share w is specular with F0 / w, the rest diffuse; w is as large as the diffuse albedo
+allows. Diffuse albedo and F0 are exact; reflection at grazing is w instead of 1, and masking is
+separable Smith. Bare metal uses `principled` alone. (`roughconductor` has the metal's own Fresnel,
+2 to 9 % of the light off Schlick's.)
 """
 
 from __future__ import annotations
@@ -28,16 +27,18 @@ from matcap.export.textures import Export, Standard, signed
 
 _SCRIPT = "matcap_bsdf.py"
 _LARGEST_SHARE = 0.98
-_NO_DIFFUSE = 1e-3  # albedo; with less everywhere a material is bare metal
+_NO_DIFFUSE = 1e-3  # largest diffuse albedo of bare metal
 _LARGEST_FILM = 512
 _VERSION = "3.6.0"
 
 
 def mitsuba(job: ExportJob) -> Export:
-    """NAME.xml, NAME_exact.xml and matcap_bsdf.py beside the textures."""
+    """NAME.xml, NAME_exact.xml, matcap_bsdf.py and the textures."""
     if job.container in ("tx", "webp"):
         raise UsageError(
-            f"Mitsuba knows no {job.container}", where="--format", remedy="give png, jpg or exr"
+            f"Mitsuba cannot read {job.container}",
+            where="--format",
+            remedy="give png, jpg or exr",
         )
     textures = Standard.of(job)
     bare = float(job.diffuse.max()) < _NO_DIFFUSE
@@ -95,7 +96,7 @@ def mitsuba(job: ExportJob) -> Export:
 
 
 def _blended(gloss: ET.Element, names: dict[str, str]) -> ET.Element:
-    """The specular part over a diffuse one, by the share of every texel."""
+    """A blendbsdf of diffuse and specular, weighted by the share texture."""
     plain = _element("bsdf", "blendbsdf")
     _texture(plain, "weight", names["share"])
     base = ET.SubElement(plain, "bsdf", type="diffuse")
@@ -105,7 +106,7 @@ def _blended(gloss: ET.Element, names: dict[str, str]) -> ET.Element:
 
 
 def _share(piece: MapRows) -> Picture:
-    """(H, W) as much of the blend as the diffuse albedo leaves to the specular part."""
+    """(H, W) specular share w: 1 - diffuse albedo, at least F0, at most _LARGEST_SHARE."""
     rest = 1.0 - piece.picture("diffuse").max(axis=-1)
     least = np.minimum(brightest_channel(piece.picture("specular")), _LARGEST_SHARE)
     return np.clip(rest, least, np.float32(_LARGEST_SHARE)).astype(np.float32)
@@ -122,7 +123,7 @@ def _blend_specular(piece: MapRows) -> Picture:
 
 
 def _scene(job: ExportJob, bsdf: ET.Element, normal: str) -> bytes:
-    """A rectangle of the material, seen as photographed, under one point light."""
+    """The scene file: a rectangle from straight above, under one point light."""
     from matcap.relight.scene import NAMED_LIGHTS, exposing_intensity
 
     width, height = job.extent
@@ -154,7 +155,7 @@ def _scene(job: ExportJob, bsdf: ET.Element, normal: str) -> bytes:
     shape = ET.SubElement(scene, "shape", type="rectangle")
     grown = ET.SubElement(shape, "transform", name="to_world")
     ET.SubElement(grown, "scale", x=repr(width / 2.0), y=repr(height / 2.0))
-    # Its shadowing term for bent normals is Mitsuba's own idea.
+    # Mitsuba's shadowing term for normal maps has no counterpart in matcap.
     bent = ET.SubElement(shape, "bsdf", type="normalmap")
     ET.SubElement(bent, "boolean", name="use_shadowing_function", value="false")
     ET.SubElement(bent, "boolean", name="flip_invalid_normals", value="false")
@@ -169,11 +170,11 @@ def _element(tag: str, kind: str) -> ET.Element:
 
 
 def _texture(parent: ET.Element, name: str, file: str, *, colour: bool = False) -> None:
-    """A picture; only colours in whole numbers carry the sRGB curve."""
+    """Add a bitmap texture; only integer colours are sRGB-encoded."""
     texture = ET.SubElement(parent, "texture", type="bitmap", name=name)
     ET.SubElement(texture, "string", name="filename", value=file)
     raw = "false" if colour and file.endswith((".png", ".jpg")) else "true"
     ET.SubElement(texture, "boolean", name="raw", value=raw)
-    # Mitsuba puts a picture's first row at v = 0, the rectangle's lower border.
+    # Mitsuba maps a picture's first row to v = 0, the rectangle's lower border.
     upright = ET.SubElement(texture, "transform", name="to_uv")
     ET.SubElement(upright, "scale", x="1", y="-1")

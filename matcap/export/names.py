@@ -1,4 +1,4 @@
-"""Names that users type, checked against those there are."""
+"""Check of names that users type."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from matcap.errors import UsageError
 
 
 def known(name: str, names: Iterable[str], where: str) -> str:
-    """The name itself.
+    """Return `name` if it is in `names`.
 
     Raises:
-        UsageError: it is not among `names`; the remedy names the nearest of them, or all.
+        UsageError: it is not; the remedy is the most similar one, or the list.
     """
     names = list(names)
     if name in names:

@@ -1,18 +1,15 @@
-"""Ambient occlusion, cavity and bent normals of a height field.
+"""Ambient occlusion, cavity and bent normals of a height field, from horizon maps [max1988].
 
-From every texel, along AZIMUTHS directions, the height field is looked at in growing steps, and the
-highest elevation is kept (horizon mapping: Max 1988). What lies above the horizon is open; the
-share of an even sky's light that arrives there, and its mean direction, are exact integrals over
-the elevation:
+From each texel the height field is sampled along AZIMUTHS directions in growing steps; the highest
+elevation is the horizon. Visibility and mean direction above it are closed-form integrals over the
+elevation e, from the horizon to the zenith, with direction w:
 
-    open = 1/pi  sum over azimuths  integral of (n.w) cos(e) de
-    bent ~       sum over azimuths  integral of (n.w) w cos(e) de
+    open = 1/pi  sum over azimuths  width integral of (n.w) cos(e) de
+    bent ~       sum over azimuths  width integral of (n.w) w cos(e) de
 
-Below the horizontal nothing is open: an endless surface lies there. Heights are averaged over what
-a step skips, so that a ridge between two steps is not missed but lowered. Cavity is the same as
-open with a reach of CAVITY_REACH texels.
-
-Read next: relight/horizons.py, the renderer's own, with what neighbours reflect.
+Directions below the horizontal are occluded. Heights are averaged over the length of a step, so
+that a ridge between two steps is lowered instead of missed. Cavity is `open` with horizons within
+CAVITY_REACH texels. relight/horizons.py is the renderer's version, with interreflection.
 """
 
 from __future__ import annotations
@@ -31,27 +28,27 @@ from matcap.export.formats import Picture
 AZIMUTHS = 12
 REACH = 256  # texels
 CAVITY_REACH = 4
-LARGEST = 2048 * 2048  # texels; beyond, every second row and column will do
+LARGEST = 2048 * 2048  # texels: larger fields are computed at half resolution
 _THREADS = 2
-_LOWEST = math.tan(math.radians(2.0))  # what hides less of the sky is not looked for
-_ROWS = 32  # worked on at a time: they stay in the processor's cache
+_LOWEST = math.tan(math.radians(2.0))  # walks end where relief could hide less than this
+_ROWS = 32  # rows processed together, for the cache
 
 
 @dataclass(frozen=True)
 class Occlusion:
-    """What of the sky each texel sees."""
+    """Maps of visibility."""
 
     open: Picture
-    """(H, W) share of an even sky's light that arrives, of what arrives in the open."""
+    """(H, W) irradiance of a uniform sky over that without occlusion, [0, 1]."""
     cavity: Picture
-    """(H, W) the same, hidden by the nearest neighbours only."""
+    """(H, W) the same with occluders within CAVITY_REACH texels."""
     bent: Picture
-    """(H, W, 3) unit vector, mean direction of what is open; +Y up."""
+    """(H, W, 3) mean unoccluded direction, unit vectors, +Y up."""
     size: tuple[int, int] | None = None
-    """(width, height) of the height field where they are smaller than it."""
+    """(width, height) of the height field, if the maps have half its resolution."""
 
     def whole(self, kind: str) -> Picture:
-        """One of them by its name, at the size of the height field."""
+        """A map by its name, at the resolution of the height field."""
         values: Picture = getattr(self, kind)
         if self.size is None:
             return values
@@ -61,7 +58,7 @@ class Occlusion:
 
 
 def settings(width: int, height: int) -> dict[str, Any]:
-    """For the sidecar: how it was found."""
+    """The sidecar's entry: parameters of the computation."""
     texel = 2 if halved(width, height) else 1
     return {
         "azimuths": AZIMUTHS,
@@ -72,11 +69,11 @@ def settings(width: int, height: int) -> dict[str, Any]:
 
 
 def occlusion(height: Picture, *, periodic: bool) -> Occlusion:
-    """The occlusion of a height field; of a large one at half its resolution.
+    """Compute the occlusion of a height field; of a large one at half its resolution.
 
     Args:
         height: (H, W) in texels, row 0 at the top.
-        periodic: it goes on at the other side; otherwise as at its border.
+        periodic: it repeats; otherwise border heights are continued.
     """
     import cv2
 
@@ -89,7 +86,7 @@ def occlusion(height: Picture, *, periodic: bool) -> Occlusion:
 
 
 def halved(width: int, height: int) -> bool:
-    """Whether a map set of this size is looked at at half its resolution."""
+    """Whether a map set of this size is computed at half its resolution."""
     return width * height > LARGEST
 
 
@@ -114,7 +111,7 @@ def _occlusion(height: Picture, *, periodic: bool) -> Occlusion:
 
 
 def _steps(rise: float) -> dict[int, int]:
-    """Distances in texels, and the side over which the field is averaged there."""
+    """Distances of the steps, and the side over which heights are averaged there, in texels."""
     last = min(max(1.0, rise / _LOWEST), REACH)
     steps, step = {}, 1
     while step <= last:
@@ -126,7 +123,7 @@ def _steps(rise: float) -> dict[int, int]:
 def _smoothed(
     field: Picture, steps: dict[int, int], reach: int, *, periodic: bool
 ) -> dict[int, Tensor]:
-    """By the side of the average: the field with enough of its surroundings."""
+    """The padded field, averaged over each side in `steps`, by side."""
     import cv2
 
     wide = np.pad(field, reach + max(steps.values()) // 2, mode="wrap" if periodic else "edge")
@@ -157,7 +154,7 @@ def _band(
     opened, cavity = torch.zeros_like(own), torch.zeros_like(own)
     bent, rise = torch.zeros(3, *own.shape), torch.empty_like(own)
     for azimuth in range(AZIMUTHS):
-        # Turned by half a step, so that neither rows nor columns are favoured.
+        # Offset by half a step: no azimuth lies along rows or columns.
         angle = 2.0 * math.pi * (azimuth + 0.5) / AZIMUTHS
         c, s = math.cos(angle), math.sin(angle)
         tangent = (c * slope_x + s * slope_y).clamp_min(0.0)
@@ -179,12 +176,12 @@ def _band(
         bent[1] += s * level
         bent[2] += side * cosine**3 / 3.0 + nz * (1.0 - sine**3) / 3.0
     bent /= torch.linalg.vector_norm(bent, dim=0).clamp_min(1e-9)
-    scale = 2.0 / AZIMUTHS  # of azimuths' width, over pi
+    scale = 2.0 / AZIMUTHS  # width of an azimuth, 2 pi / AZIMUTHS, over pi
     return (opened * scale).clamp(0.0, 1.0), (cavity * scale).clamp(0.0, 1.0), bent
 
 
 def _share(tangent: Tensor, side: Tensor, nz: Tensor) -> Tensor:
-    """Integral of (n.w) cos(e) over elevations e from that of the tangent to the zenith."""
+    """Integral of (n.w) cos(e) over elevations e from atan(tangent) to the zenith."""
     squared = tangent.square()
     below = 1.0 / (1.0 + squared)
     left = side * (math.pi / 2.0 - torch.atan(tangent) - tangent * below)

@@ -10,8 +10,7 @@ from matcap.files import values
 from matcap.files.settings import check_settings, setting
 
 if TYPE_CHECKING:
-    from matcap.export.formats import Container, Depth
-    from matcap.export.presets import NormalMaps
+    from matcap.export.formats import Container, Depth, NormalMaps
     from matcap.export.textures import Workflow
     from matcap.files.values import Size
 
@@ -50,44 +49,40 @@ class ExportArea:
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """What the user wants otherwise than the target; the first three for presets alone.
+    """Options that override a target's defaults; `pattern`, `maps`, `normal`: of presets alone.
 
     Raises:
-        UsageError: a word or a number that there is not.
+        UsageError: a value that is not allowed.
     """
 
     pattern: str | None = setting(None, option="name", metavar="PATTERN")
-    """Of a preset's files: the fields {stem}, {map}, {res} and {format} as they are."""
+    """File names of a preset, with the fields {stem}, {map}, {res} and {format}."""
     maps: Sequence[str] = setting((), metavar="A,B", parse=_listed)
-    """Of a preset, only these, such as diffuse,roughness."""
-    normal: NormalMaps | None = setting(
-        None, words=("gl", "dx", "both"), otherwise="what the preset wants"
-    )
-    """Of a preset: normals with +Y up (gl), down (dx), or both."""
-    bits: Depth | None = setting(
-        None, words=("8", "16", "half", "float"), otherwise="what suits the target"
-    )
-    """Of all textures: PNGs of 8 or 16 bits, EXR files of half or float."""
+    """Maps of a preset to write, such as diffuse,roughness; all by default."""
+    normal: NormalMaps | None = setting(None, words=("gl", "dx", "both"), otherwise="the preset's")
+    """Normals of a preset: +Y up (gl), down (dx), or a file of each (both)."""
+    bits: Depth | None = setting(None, words=("8", "16", "half", "float"), otherwise="the target's")
+    """Depth of all textures: PNG of 8 or 16 bits, EXR of half or float."""
     workflow: Workflow | None = setting(
         None,
         words=("metallic", "specular"),
-        otherwise="what comes nearest; of unreal metallic",
+        otherwise="the one with the smaller residual; unreal: metallic",
     )
-    """The target's metallic or specular workflow, where it has both."""
+    """Metallic or specular workflow, for targets that have both."""
     container: Container | None = setting(
         None,
         option="format",
         words=("png", "jpg", "webp", "exr", "tx"),
-        otherwise="png or exr, as the bits are",
+        otherwise="png, or exr for floats",
     )
-    """Of the textures' files; heights stay PNGs where it is jpg or webp."""
+    """Format of the textures; with jpg or webp, heights are PNG."""
     tiled: bool = setting(False)
-    """EXR files in tiles, with mipmaps."""
+    """Write EXR files in tiles, with mipmaps."""
     unit: float | None = setting(
-        None, least=1e-6, most=1e9, metavar="MM", otherwise="what the material knows"
+        None, least=1e-6, most=1e9, metavar="MM", otherwise="the material's measured size"
     )
-    """Millimetres of a plane unit, half the photograph's long side: sizes and heights are then
-    real."""
+    """Length of a plane unit (half the photograph's long side) in millimetres, for physical sizes
+    and heights."""
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -1,8 +1,7 @@
-"""Loose textures as libraries and engines name and pack them.
+"""Textures without a document, named and packed as libraries and engines expect them.
 
-A preset is a table: which pictures there are, what each is called, how it is stored and made. The
-normal map's direction is part of its name wherever it goes. Read next: libraries.py and engines.py,
-the tables.
+A preset is a table of textures: name, depth, content. The normal map's direction is always in its
+name. libraries.py and engines.py have the tables.
 """
 
 from __future__ import annotations
@@ -18,7 +17,13 @@ import numpy as np
 
 from matcap.errors import UsageError
 from matcap.export.fit import fitted_tables
-from matcap.export.formats import Depth, Picture, brightest_channel, mean_channel
+from matcap.export.formats import (
+    Depth,
+    NormalMaps,
+    Picture,
+    brightest_channel,
+    mean_channel,
+)
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.metallic import FIRST_METAL, FORMS, Form, Metallic, MetallicAim, to_metallic
 from matcap.export.names import known
@@ -39,8 +44,8 @@ from matcap.export.textures import (
     coded_height,
     coded_normal,
     coded_normal_dx,
-    height_facts,
-    occlusion_facts,
+    height_entry,
+    occlusion_entry,
     picture,
     signed,
 )
@@ -49,46 +54,45 @@ from matcap.files.names import is_portable, plain_name, shown
 if TYPE_CHECKING:
     from torch import Tensor
 
-NormalMaps = Literal["gl", "dx", "both"]
 _FIELDS = ("stem", "map", "res", "format")
-_MARGIN = 0.25  # of the plain form's residual, by which another must be nearer
+_MARGIN = 0.25  # share of the plain form's residual that another form must gain
 _SHADED = ("occlusion", "cavity", "bent")
 
 
 @dataclass(frozen=True)
 class PackedMaterial:
-    """Numbers for a target, of a piece of the maps."""
+    """A rectangle of the maps, converted to an engine's parameters."""
 
     piece: MapRows
     """The maps."""
-    lit: Lit
-    """How the target shades and parametrises them."""
+    model: EngineModel
+    """The engine's shading and parametrisation."""
 
     @property
     def roughness(self) -> Picture:
-        """(H, W)."""
-        return fitted_tables(self.lit.shading).rough(*self._meant)
+        """(H, W) roughness, fitted to the engine's shading."""
+        return fitted_tables(self.model.shading).rough(*self._meant)
 
     @property
     def f0(self) -> Picture:
-        """(H, W) or (H, W, 3) in [0, 1]."""
-        return np.clip(fitted_tables(self.lit.shading).f0(*self._meant), 0.0, 1.0)
+        """(H, W) or (H, W, 3) F0, fitted to the engine's shading, [0, 1]."""
+        return np.clip(fitted_tables(self.model.shading).f0(*self._meant), 0.0, 1.0)
 
     @property
     def metallic(self) -> Metallic:
-        """The nearest metallic material of the form."""
-        low, high = self.lit.dielectric
+        """The maps in the metallic workflow, in the model's form."""
+        low, high = self.model.dielectric
         f0, rough = self._meant
-        share = fitted_tables(self.lit.shading).albedo(np.clip(f0, low, high), rough)
+        share = fitted_tables(self.model.shading).albedo(np.clip(f0, low, high), rough)
         diffuse = self.piece.picture("diffuse") * share
-        wanted = MetallicAim(diffuse, self.f0, rough, low, high, self.lit.below)
-        return to_metallic(wanted, self.lit.form)
+        wanted = MetallicAim(diffuse, self.f0, rough, low, high, self.model.below)
+        return to_metallic(wanted, self.model.form)
 
     @property
     def base(self) -> Picture:
-        """(H, W, 3) base colour below any F0."""
-        share = fitted_tables(self.lit.shading).albedo(*self._meant)
-        if self.lit.conserving:
+        """(H, W, 3) base colour of the specular workflow."""
+        share = fitted_tables(self.model.shading).albedo(*self._meant)
+        if self.model.conserving:
             share = share / np.maximum(1.0 - brightest_channel(self.f0), 1e-6)[..., None]
         return np.clip(self.piece.picture("diffuse") * share, 0.0, 1.0)
 
@@ -98,27 +102,26 @@ class PackedMaterial:
 
 
 @dataclass(frozen=True)
-class Lit:
-    """How an engine takes its textures as a reflectance."""
+class EngineModel:
+    """How an engine computes reflectance from its textures."""
 
     shading: TargetShading
-    """Of the engine."""
+    """The engine's shading model."""
     workflow: Workflow
-    """What its textures are."""
+    """Parametrisation of the textures."""
     dielectric: tuple[float, float] = (0.0, 1.0)
-    """(lowest, highest) F0 of what is no metal; of the metallic workflow."""
+    """Metallic workflow: (lowest, highest) F0 of dielectrics."""
     below: float = 1.0
-    """Share of the base colour that is diffuse, likewise."""
+    """Metallic workflow: diffuse albedo over base colour, of dielectrics."""
     conserving: bool = False
-    """The base colour is multiplied by 1 - F0; of the specular workflow."""
+    """Specular workflow: the engine multiplies the base colour by 1 - F0."""
     even: float | None = None
-    """The largest F0 that the material as a whole can give its dielectrics; None where the engine
-    does not let it."""
+    """Largest F0 of dielectrics that one setting of the material can choose; None without one."""
     form: Form = "plain"
-    """Of the metallic workflow."""
+    """Form of the metallic workflow (metallic.py)."""
 
-    def of(self, job: ExportJob) -> Lit:
-        """With the mean F0 of the maps' dielectrics where the engine has one for all."""
+    def of(self, job: ExportJob) -> EngineModel:
+        """The model for a job: sets the mean F0 of its dielectrics if `even` allows it."""
         if self.even is None:
             return self
         mean = mean_channel(job.specular)
@@ -126,11 +129,15 @@ class Lit:
         f0 = min(float(plain.mean()) if plain.size else self.dielectric[0], self.even)
         return replace(self, dielectric=(f0, f0))
 
-    def nearest(self, job: ExportJob, surface: Callable[[Lit], MadeSurface]) -> Lit:
-        """With the metallic form that comes nearest; `surface` is what comes of each.
+    def nearest(self, job: ExportJob, surface: Callable[[EngineModel], MadeSurface]) -> EngineModel:
+        """The model in the metallic form with the smallest residual.
 
-        It stays the plain one unless much is gained: a leather that is a little metal may come
-        nearer in light, and takes on a metal's tinted reflection.
+        Another form than plain must gain _MARGIN: a slightly metallic leather may have a smaller
+        residual, but gets a metal's tinted reflection.
+
+        Args:
+            job: the maps.
+            surface: the reflectance that the engine renders, for a model.
         """
         forms = [replace(self, form=form) for form in FORMS]
         return forms[nearest(job, [surface(one) for one in forms], _MARGIN)]
@@ -138,59 +145,58 @@ class Lit:
 
 @dataclass(frozen=True)
 class PresetTexture:
-    """One picture of a preset."""
+    """One texture of a preset."""
 
     label: str
-    """What {map} becomes in its name."""
+    """Value of {map} in its name."""
     depth: Depth
-    """How it is stored unless the user says otherwise."""
+    """Default depth."""
     make: Callable[[PackedMaterial], Picture]
-    """Its values, fitted to the target's shading; None for maps as they are."""
+    """Computes its values."""
     meaning: str
-    """Of its values, for the sidecar."""
+    """Meaning of its values, for the sidecar."""
     srgb: bool | None = False
-    """A PNG of it carries the sRGB curve; None: where it is F0 with a colour."""
+    """Integers are sRGB-encoded; None: if F0 is coloured."""
 
 
-# Text documents that go beside the textures: of the job, the textures' names by kind, and the
-# engine.
-Documents = Callable[[ExportJob, dict[str, str], Lit], dict[str, str]]
+# Computes text files from the job, the textures' file names by kind, and the engine's model.
+Documents = Callable[[ExportJob, dict[str, str], EngineModel], dict[str, str]]
 
 
 @dataclass(frozen=True)
 class Preset:
-    """How a library or an engine wants its textures."""
+    """Textures of a library or an engine."""
 
     pattern: str
-    """Of file names, without suffix; fields stem, map, res and format."""
+    """File names without suffix; fields stem, map, res and format."""
     textures: dict[str, PresetTexture]
-    """By what --maps calls them; "height" and "normal" are made here."""
+    """By their names in --maps."""
     normal: NormalMaps = "gl"
-    """The direction it wants."""
+    """Direction of the normal map's green."""
     normal_labels: tuple[str, str] = ("normal_gl", "normal_dx")
-    """What {map} becomes for normals with +Y up and down."""
+    """Values of {map} for normals with +Y up and down."""
     thousand: str = "k"
-    """The letter for 1024 in {res}."""
-    lit: Lit | None = None
-    """How an engine takes them; None for a library."""
+    """Letter for 1024 in {res}."""
+    model: EngineModel | None = None
+    """The engine's reflectance; None for a library."""
     notes: tuple[str, ...] = ()
-    """What users must know, a sentence each."""
+    """Notes for users, a sentence each."""
     documents: Documents | None = None
-    """What goes beside the textures."""
+    """Computes text files to write with the textures."""
 
 
 def plain(kind: str) -> Callable[[PackedMaterial], Picture]:
-    """Makes a map as it is."""
+    """A function that returns a map unchanged."""
     return lambda material: material.piece.picture(kind)
 
 
 def height(label: str, depth: Depth = "16") -> PresetTexture:
-    """The height, coded by one range where it is in whole numbers."""
+    """The height; as integers scaled to a common range."""
     return PresetTexture(label, depth, plain("height"), CODED_HEIGHT)
 
 
 def normal(depth: Depth = "16") -> PresetTexture:
-    """The normal, in the preset's direction."""
+    """The normal map, in the preset's direction."""
     return PresetTexture("", depth, plain("normal"), NORMAL)
 
 
@@ -214,16 +220,16 @@ def bent(label: str, depth: Depth = "8") -> PresetTexture:
 
 
 def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) -> Export:
-    """The textures of a preset.
+    """Convert and pack the textures of a preset.
 
     Raises:
-        UsageError: no such map or field of a name; a name that leaves the folder, or two pictures
-            of one name.
+        UsageError: an unknown map or field of a name; a name outside of the folder, or the same
+            for two textures.
     """
     choice = choice or ExportOptions()
     wanted = [known(one, preset.textures, "--maps") for one in choice.maps]
     pattern = _checked(choice.pattern or preset.pattern)
-    lit = preset.lit and _chosen(job, preset, preset.lit.of(job))
+    model = preset.model and _chosen(job, preset, preset.model.of(job))
     packed: dict[str, tuple[str, TextureFile]] = {}
     for kind, texture in preset.textures.items():
         if wanted and kind not in wanted:
@@ -235,27 +241,27 @@ def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) ->
         elif kind == "height":
             packed[kind] = texture.label, _height(job, texture)
         else:
-            packed[kind] = texture.label, _made(job, lit, texture)
+            packed[kind] = texture.label, _made(job, model, texture)
     names = _names(job, packed, pattern, preset.thousand)
     textures = {names[kind]: made for kind, (_, made) in packed.items()}
     surfaces: dict[str, MadeSurface] = {}
     documents: dict[str, Callable[[Path], bytes]] = {}
-    if lit is not None and not wanted:
+    if model is not None and not wanted:
         kinds = {kind: made for kind, (_, made) in packed.items()}
-        surfaces = {lit.workflow: partial(_surface, lit, kinds)}
-    if preset.documents is not None and lit is not None and not wanted:
-        texts = preset.documents(job, names, lit)
+        surfaces = {model.workflow: partial(_surface, model, kinds)}
+    if preset.documents is not None and model is not None and not wanted:
+        texts = preset.documents(job, names, model)
         documents = {name: _encoded(text) for name, text in texts.items()}
-    facts = _facts(job, preset, wanted) | {"textures": names}
-    if lit is not None and lit.workflow == "metallic":
-        facts["metallic"] = lit.form
-    return Export(textures, documents, surfaces, preset.notes, facts)
+    entries = _entries(job, preset, wanted) | {"textures": names}
+    if model is not None and model.workflow == "metallic":
+        entries["metallic"] = model.form
+    return Export(textures, documents, surfaces, preset.notes, entries)
 
 
-def _chosen(job: ExportJob, preset: Preset, lit: Lit) -> Lit:
-    """With the metallic form that comes nearest, of a metallic workflow."""
+def _chosen(job: ExportJob, preset: Preset, model: EngineModel) -> EngineModel:
+    """The model, of the metallic workflow in the form with the smallest residual."""
 
-    def surface(tried: Lit) -> MadeSurface:
+    def surface(tried: EngineModel) -> MadeSurface:
         made = {
             kind: _made(job, tried, texture)
             for kind, texture in preset.textures.items()
@@ -263,7 +269,7 @@ def _chosen(job: ExportJob, preset: Preset, lit: Lit) -> Lit:
         }
         return partial(_surface, tried, made | {"normal_gl": _normal(job, "16", dx=False)})
 
-    return lit.nearest(job, surface) if lit.workflow == "metallic" else lit
+    return model.nearest(job, surface) if model.workflow == "metallic" else model
 
 
 def _names(
@@ -298,19 +304,19 @@ def _encoded(text: str) -> Callable[[Path], bytes]:
     return lambda _: text.encode()
 
 
-def _facts(job: ExportJob, preset: Preset, wanted: Sequence[str]) -> dict[str, Any]:
+def _entries(job: ExportJob, preset: Preset, wanted: Sequence[str]) -> dict[str, Any]:
     there = wanted or list(preset.textures)
-    facts: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     if "height" in there:
         depth = _height(job, preset.textures["height"]).whole
-        facts |= height_facts(job, *(job.height_code if depth else (1.0, 0.0)))
+        entries |= height_entry(job, *(job.height_code if depth else (1.0, 0.0)))
     if set(there) & {*_SHADED, "orm", "mask", "arm"}:
-        facts |= occlusion_facts(job)
-    return facts
+        entries |= occlusion_entry(job)
+    return entries
 
 
-def _made(job: ExportJob, lit: Lit | None, texture: PresetTexture) -> TextureFile:
-    source = lit or Lit(MATCAP, "specular")
+def _made(job: ExportJob, model: EngineModel | None, texture: PresetTexture) -> TextureFile:
+    source = model or EngineModel(MATCAP, "specular")
 
     def make(piece: MapRows) -> Picture:
         return texture.make(PackedMaterial(piece, source))
@@ -320,7 +326,7 @@ def _made(job: ExportJob, lit: Lit | None, texture: PresetTexture) -> TextureFil
 
 
 def _height(job: ExportJob, texture: PresetTexture) -> TextureFile:
-    """Whole numbers hold the coded height; floats the height itself."""
+    """The height texture: integers hold coded heights, floats plane units."""
     made = TextureFile.of(job, coded_height, texture.depth, CODED_HEIGHT, lossy=False)
     if made.whole:
         return made
@@ -328,7 +334,7 @@ def _height(job: ExportJob, texture: PresetTexture) -> TextureFile:
 
 
 def _normal(job: ExportJob, depth: Depth, *, dx: bool) -> TextureFile:
-    """Whole numbers hold 0.5 + 0.5 n, floats n itself."""
+    """The normal texture: integers hold 0.5 + 0.5 n, floats n."""
     up = "+Y down (DirectX)" if dx else "+Y up (OpenGL)"
     make = coded_normal_dx if dx else coded_normal
     made = TextureFile.of(job, make, depth, f"{NORMAL}, {up}")
@@ -343,36 +349,36 @@ def _ways(normal: NormalMaps) -> tuple[Literal["gl", "dx"], ...]:
     return ("gl", "dx") if normal == "both" else (normal,)
 
 
-def _surface(lit: Lit, textures: dict[str, TextureFile], read: Reader) -> TargetSurface:
-    """What an engine makes of the packed textures."""
+def _surface(model: EngineModel, textures: dict[str, TextureFile], read: Reader) -> TargetSurface:
+    """The reflectance that an engine renders from the packed textures."""
     seen = {kind: read(made) for kind, made in textures.items() if kind not in (*_SHADED, "height")}
     base = seen["base"]
     bent = _seen_normal(textures, seen)
-    if lit.workflow == "specular":
+    if model.workflow == "specular":
         f0 = seen["specular"][:3]
-        below = 1.0 - f0.amax(dim=0, keepdim=True) if lit.conserving else 1.0
+        below = 1.0 - f0.amax(dim=0, keepdim=True) if model.conserving else 1.0
         return TargetSurface(
-            base * below, f0, _seen_roughness(seen), bent, layer=f0, shading=lit.shading
+            base * below, f0, _seen_roughness(seen), bent, layer=f0, shading=model.shading
         )
     channel = 2 if "orm" in seen else 0
     packed = next(seen[kind] for kind in ("orm", "mask", "smooth") if kind in seen)
     metallic = packed[channel : channel + 1]
     if "specular" in seen:
-        dielectric = lit.dielectric[1] * seen["specular"][:1]
+        dielectric = model.dielectric[1] * seen["specular"][:1]
     else:
-        dielectric = metallic * 0.0 + lit.dielectric[0]
+        dielectric = metallic * 0.0 + model.dielectric[0]
     return TargetSurface(
-        lit.below * base * (1.0 - metallic),
+        model.below * base * (1.0 - metallic),
         dielectric * (1.0 - metallic) + base * metallic,
         _seen_roughness(seen),
         bent,
         layer=dielectric,
-        shading=lit.shading,
+        shading=model.shading,
     )
 
 
 def _seen_roughness(seen: dict[str, Tensor]) -> Tensor:
-    """From ORM's green, or smoothness in an alpha."""
+    """Roughness from its own texture, ORM's green, or 1 - smoothness in an alpha channel."""
     if "orm" in seen:
         return seen["orm"][1:2]
     if "roughness" in seen:
@@ -389,7 +395,11 @@ def _seen_normal(textures: dict[str, TextureFile], seen: dict[str, Tensor]) -> T
 
 
 def _checked(pattern: str) -> str:
-    """The pattern itself, every field of it known."""
+    """Return the pattern if all its fields are known.
+
+    Raises:
+        UsageError: an unknown field, or one with a width or conversion.
+    """
     try:
         for _, field, width, conversion in Formatter().parse(pattern):
             if field is not None:
@@ -406,6 +416,6 @@ def _checked(pattern: str) -> str:
 
 
 def _resolution(job: ExportJob, thousand: str) -> str:
-    """The long side: "2k" for 2048, "600" for 600."""
+    """The long side in words: "2k" for 2048, "600" for 600."""
     side = max(job.maps.size)
     return f"{side // 1024}{thousand}" if side % 1024 == 0 else str(side)

@@ -1,4 +1,4 @@
-"""The range of heights that all realisations of a material share."""
+"""The height range that all realisations of a material share."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from matcap.export.job import roomy
 
 
 def material_reach(path: Path, name: str) -> float | None:
-    """How far coded heights reach above and below the undisplaced level, in plane units.
+    """Largest absolute height that coded heights hold, in plane units (ExportJob.reach).
 
-    From the photographed piece, which every realisation rearranges, with room above it.
+    That of the exemplar, which every realisation rearranges, rounded up (roomy).
 
     Args:
-        path: what is exported: a material, or the JSON file or the folder of a map set.
-        name: of the map set, whose material has the same and may lie beside it.
+        path: a material, or the JSON document or folder of a map set.
+        name: of the map set; its material is NAME.matcap in the same folder.
 
     Returns:
-        None where there is no material with an exemplar: the maps themselves decide.
+        None without a material that has an exemplar.
     """
     from matcap.field.material import Material
 
@@ -27,7 +27,7 @@ def material_reach(path: Path, name: str) -> float | None:
     file = path if path.suffix.lower() == ".matcap" else folder / f"{name}.matcap"
     piece = None
     if file.is_file():
-        # What is exported was read; a material beside it that is broken only has no say.
+        # The maps have been read; a damaged material in their folder is ignored.
         with suppress(MatcapError):
             piece = Material.load(file).generator.piece()
     if piece is None:

@@ -1,17 +1,16 @@
 """Shading models of targets, where they differ from matcap's (brdf/cook_torrance.py).
 
-Targets differ in a few ways only: which masking they know, which diffuse lobe, which Fresnel, and
-whether what the specular layer reflects is taken from what lies below it. TargetShading says these
-things of a target; one evaluation serves all of them. Sources:
+They differ in masking, diffuse lobe, Fresnel, and whether the specular layer darkens the diffuse
+part. TargetShading lists these properties; one evaluation serves all targets. Sources:
 
-- glTF 2.0, appendix B: the layer takes F(v.h) from the diffuse part, of the brightest channel;
-  UsdPreviewSurface 2.6 of every channel, and its metals reflect their own colour at grazing.
-- MaterialX 1.39 (OpenPBR, standard_surface), Unreal's Substrate: the layer takes its directional
-  albedo, and what bounces between microfacets is given back (Turquin 2019, eq. 16).
-- Unreal, Godot: Hammon's approximation of height-correlated Smith [hammon2017, slide 83];
-  reflection fades below F0 = 0.02.
-- Unity HDRP: Disney's diffuse (Burley 2012, eq. 4), divided by 1.03571.
-- Unity URP: visibility and Fresnel as one term [karas2015].
+- glTF 2.0, appendix B: the diffuse part is multiplied by 1 - F(v.h) of the brightest channel.
+  UsdPreviewSurface 2.6: of each channel; its metals have their own colour at grazing.
+- MaterialX 1.39 (OpenPBR, standard_surface), Unreal's Substrate: multiplied by 1 - directional
+  albedo of the layer; multiple scattering is compensated [turquin2019, eq. 16].
+- Unreal, Godot: an approximation of height-correlated Smith [hammon2017, slide 83]; F90 falls to 0
+  with F0 below 0.02 [lazarov2013].
+- Unity HDRP: Disney's diffuse [burley2012, eq. 4], divided by 1.03571.
+- Unity URP: visibility and Fresnel in one term [zioma2015].
 """
 
 from __future__ import annotations
@@ -28,37 +27,35 @@ from torch.nn.functional import grid_sample
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS, dot, ggx, normalize, smith_visibility
 
 _DISNEY = 1.0 / 1.03571  # Unity's normalisation
-_FADING = 50.0  # F0 times this is the reflection at grazing, where it fades (Lazarov 2013)
+_FADING = 50.0  # F90 = min(50 F0, 1) [lazarov2013]
 _LEAST_URP = 0.0078125  # URP's smallest alpha: HALF_MIN_SQRT
 _LEAST_URP_COSINE = 0.1  # of (l.h)^2
 
 
 @dataclass(frozen=True)
 class TargetShading:
-    """What a target does with diffuse, F0 and roughness."""
+    """Shading model of a target."""
 
     specular: Literal["microfacet", "mobile"] = "microfacet"
-    """GGX, masking and Fresnel ("microfacet"), or Unity URP's one term ("mobile")."""
+    """D G F / (4 (n.l)(n.v)) with GGX ("microfacet"), or Unity URP's term ("mobile")."""
     masking: Literal["correlated", "separable", "hammon"] = "correlated"
-    """Height-correlated Smith, the product of both directions' ("separable"), or Hammon's
-    approximation."""
+    """Height-correlated Smith, separable Smith, or Hammon's approximation."""
     diffuse: Literal["lambert", "disney"] = "lambert"
-    """Lambert's or Disney's lobe."""
+    """Lambert's or Disney's diffuse lobe."""
     index: float | None = None
-    """F0 of one index of refraction for all texels, whose exact Fresnel a tint scales down to
-    theirs, and which the layer takes its albedo from; None for Schlick's Fresnel."""
+    """F0 of one index of refraction for all texels, whose exact Fresnel is tinted to each texel's
+    F0, and whose albedo darkens the diffuse part; None is Schlick's Fresnel."""
     layer: Literal["half", "albedo"] | None = None
-    """What is taken from the diffuse part: nothing, F(v.h) ("half") or the directional albedo of
-    the specular part."""
+    """Factor on the diffuse part: 1 - F(v.h) ("half"), 1 - directional albedo, or 1 (None)."""
     each: bool = False
-    """Every channel by itself is what the layer takes; else the brightest is."""
+    """... of each channel; else of the brightest one."""
     compensated: bool = False
-    """What bounces between microfacets is added."""
+    """Multiple scattering is compensated."""
     fading: bool = False
-    """Reflection at grazing falls from 1 for F0 below 0.02."""
+    """F90 falls from 1 to 0 with F0 below 0.02."""
     conductor: bool = False
-    """Fresnel's equations for a conductor of that F0 whose edge is white, where standard_surface
-    finds its indices (Gulbrandsen 2014), instead of Schlick's Fresnel."""
+    """Fresnel's equations of a conductor with that F0 and a white edge, as in standard_surface
+    [gulbrandsen2014], instead of Schlick's."""
 
 
 MATCAP = TargetShading()
@@ -66,18 +63,18 @@ MATCAP = TargetShading()
 
 @dataclass(frozen=True)
 class Geometry:
-    """Cosines of a surface under one light from one view, (1, H, W) each."""
+    """Cosines of a surface for one light and view, (1, H, W) each."""
 
     light: Tensor
-    """N.l, not below 0."""
+    """n.l, clamped to 0."""
     view: Tensor
-    """N.v, not below 0."""
+    """n.v, clamped to 0."""
     half: Tensor
-    """N.h."""
+    """n.h."""
     difference: Tensor
-    """V.h."""
+    """v.h."""
     above: Tensor
-    """1 where both are above the surface, else 0."""
+    """1 where light and view are above the surface, else 0."""
 
     @staticmethod
     def of(normal: Tensor, to_light: Tensor, to_view: Tensor) -> Geometry:
@@ -91,14 +88,14 @@ class Geometry:
 
     @cached_property
     def grazing(self) -> Tensor:
-        """(1 - v.h)^5, Schlick's."""
+        """Schlick's (1 - v.h)^5."""
         return (1.0 - self.difference).clamp(0.0, 1.0) ** 5
 
 
 def diffuse_lobe(
     shading: TargetShading, at: Geometry, roughness: Tensor, layer: float | Tensor | None
 ) -> Tensor:
-    """What is seen of the diffuse albedo, in 1/sr; `layer` is the F0 of what lies above it."""
+    """Diffuse BRDF over albedo, in 1/sr; `layer`: F0 of the specular layer above, or None."""
     value = torch.full_like(at.light, 1.0 / math.pi)
     if shading.diffuse == "disney":
         edge = roughness * (2.0 * at.difference.square()) - 0.5  # fd90 - 1, with l.v = 2 v.h^2 - 1
@@ -123,7 +120,7 @@ def diffuse_lobe(
 def specular_lobe(
     shading: TargetShading, at: Geometry, f0: Tensor, f90: float | Tensor, roughness: Tensor
 ) -> Tensor:
-    """What is reflected at the surface, in 1/sr, without n.l."""
+    """Specular BRDF, in 1/sr, without n.l."""
     if shading.specular == "mobile":
         return _mobile(at, f0, roughness)
     alpha = roughness.clamp_min(MIN_ROUGHNESS).square()
@@ -148,7 +145,7 @@ def _fresnel(shading: TargetShading, at: Geometry, f0: Tensor, f90: float | Tens
 
 
 def _dielectric(at: Geometry, f0: float) -> Tensor:
-    """Fresnel's equations for a dielectric of that F0 (Cook and Torrance 1982, eq. 5)."""
+    """Fresnel's equations of a dielectric with that F0 [cook1982, eq. 5]."""
     root = math.sqrt(f0)
     c = at.difference.clamp(0.0, 1.0)
     g = (((1.0 + root) / (1.0 - root)) ** 2 - 1.0 + c.square()).sqrt()
@@ -157,7 +154,7 @@ def _dielectric(at: Geometry, f0: float) -> Tensor:
 
 
 def _conductor(at: Geometry, f0: Tensor) -> Tensor:
-    """Of n = (1 - F0) / (1 + F0), the least with which anything absorbing reflects F0."""
+    """Fresnel's equations of a conductor with the least n possible, (1 - F0) / (1 + F0)."""
     r = f0.clamp(0.0, 0.99)
     n2 = ((1.0 - r) / (1.0 + r)).square()
     k2 = ((n2.sqrt() + 1.0).square() * r - (n2.sqrt() - 1.0).square()).clamp_min(0.0) / (1.0 - r)
@@ -193,10 +190,10 @@ def _mobile(at: Geometry, f0: Tensor, roughness: Tensor) -> Tensor:
 
 
 def directional_albedo(roughness: Tensor, cosine: Tensor) -> tuple[Tensor, Tensor]:
-    """(bias, total): what of the light from one direction is reflected is F0 (total - bias) + bias.
+    """(bias, total) of the lobe's directional albedo, F0 (total - bias) + bias [karis2013].
 
     Args:
-        roughness, cosine: of one shape, (1, H, W); cosine to the view.
+        roughness, cosine: (1, H, W) each; n.v.
     """
     roughness, cosine = torch.broadcast_tensors(roughness, cosine)
     tables = _tables().to(roughness.dtype)
@@ -207,7 +204,7 @@ def directional_albedo(roughness: Tensor, cosine: Tensor) -> tuple[Tensor, Tenso
 
 @lru_cache(maxsize=1)
 def _tables() -> Tensor:
-    """(1, 2, 64, 64): bias and total over roughness and the root of the cosine."""
+    """(1, 2, 64, 64) bias and total, rows by roughness, columns by sqrt(n.v)."""
     from matcap.relight.tables import albedo
 
     made = albedo()

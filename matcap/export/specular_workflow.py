@@ -1,7 +1,7 @@
-"""The specular workflow: a base colour below a specular layer of any F0.
+"""Conversion to the specular workflow: base colour under a specular layer of any F0.
 
-What the layer takes from the diffuse part is put into the base colour beforehand, as far as the
-target's shading is known (fit.py); a colour above 1 is clipped, with a note.
+The base colour is raised by what the layer darkens in the target's shading model (fit.py); values
+above 1 are clipped, with a note.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ if TYPE_CHECKING:
 
 
 def base_colour(piece: MapRows, shading: TargetShading) -> Picture:
-    """(H, W, 3) colour that shows as the diffuse albedo; may exceed 1."""
+    """(H, W, 3) base colour that the target renders as the diffuse albedo; may exceed 1."""
     share = fitted_tables(shading).albedo(piece.picture("specular"), piece.picture("roughness"))
     return piece.picture("diffuse") * share
 
 
 def specular_colour(piece: MapRows, shading: TargetShading) -> Picture:
-    """(H, W[, 3]) F0 that shows as the one that is meant; may exceed 1."""
+    """(H, W[, 3]) F0 that the target renders as the maps' F0; may exceed 1."""
     return fitted_tables(shading).f0(piece.picture("specular"), piece.picture("roughness"))
 
 
 def fitted_roughness(piece: MapRows, shading: TargetShading) -> Picture:
-    """(H, W) roughness that reproduces the intended one in the target's shading model."""
+    """(H, W) roughness that the target renders as the maps' roughness."""
     return fitted_tables(shading).rough(piece.picture("specular"), piece.picture("roughness"))
 
 
 def brightest(job: ExportJob, shading: TargetShading) -> float:
-    """The largest F0 that is written for the target."""
+    """Largest specular_colour of the maps."""
     peaks = (specular_colour(piece, shading).max() for piece in _bands(job))
     return max(1e-4, *(float(one) for one in peaks), 0.0)
 
 
 def clipping_notes(job: ExportJob, shading: TargetShading) -> tuple[str, ...]:
-    """What must be said of texels that reflect more than a layered model allows."""
+    """Note on texels whose base colour exceeds 1."""
     bands = _bands(job)
     over = sum(int((base_colour(piece, shading).max(axis=-1) > 1.0).sum()) for piece in bands)
     if not over:

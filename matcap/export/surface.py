@@ -1,8 +1,7 @@
-"""The reflectance that a target renders, and its error against matcap's.
+"""The reflectance that a target renders from its files, and the residual against matcap's.
 
-A TargetSurface holds the maps as a target's files hold them, rounding included, and how the target
-shades (shading.py). Read next: fit.py, which fits the parameters for a target such that little
-differs.
+A TargetSurface has the target's parameters as read from its files, rounding included, and its
+shading model (shading.py).
 """
 
 from __future__ import annotations
@@ -22,14 +21,13 @@ from matcap.export.job import ExportJob
 from matcap.export.shading import MATCAP, Geometry, TargetShading, diffuse_lobe, specular_lobe
 from matcap.export.texture_file import TextureFile
 
-# Directions under which surfaces are compared, degrees: view and light from the vertical, and the
-# light around it.
+# Directions of the residual, in degrees: angles of view and light to +z, azimuths of the light.
 _VIEWS = (0.0, 45.0)
 _LIGHTS = (15.0, 40.0, 65.0)
 _AROUND = (0.0, 90.0, 180.0, 270.0)
-# At most about this many texels are compared, evenly spread.
+# Largest number of texels that are compared, on a regular grid.
 _TEXELS = 65_536
-_FEW_TEXELS = 4_096
+_FEW_TEXELS = 4_096  # to choose between variants
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ class TargetSurface:
     """Parameters of a target's reflectance, per texel."""
 
     diffuse: Tensor
-    """(3, H, W)."""
+    """(3, H, W) diffuse albedo."""
     f0: Tensor
     """(1, H, W) or (3, H, W) reflectance at normal incidence."""
     roughness: Tensor
@@ -45,20 +43,19 @@ class TargetSurface:
     normal: Tensor
     """(3, H, W), +Y up; need not be of unit length."""
     f90: float | Tensor = 1.0
-    """Reflectance at grazing, a number or a tensor like f0."""
+    """Reflectance at grazing angles, a number or a tensor like f0."""
     layer: float | Tensor | None = None
-    """F0 of a layer above the diffuse part, where the target's shading has one; a number or a
-    tensor like f0."""
+    """F0 of the layer that darkens the diffuse part, a number or a tensor like f0."""
     shading: TargetShading = MATCAP
-    """Of the target."""
+    """Shading model."""
     metal: Tensor | None = None
-    """(1 or 3, H, W) F0 of the part that is metal, where that is another lobe."""
+    """(1 or 3, H, W) F0 of the metallic part, where that is a lobe of its own."""
     share: Tensor | None = None
-    """(1, H, W) of that part; `f0` is of the rest."""
+    """(1, H, W) weight of that lobe; `f0` has weight 1 - share."""
 
     @staticmethod
     def of_maps(maps: MapSet) -> TargetSurface:
-        """What matcap means by a map set."""
+        """The surface with matcap's parameters and shading."""
         return TargetSurface(maps.diffuse, maps.specular, maps.roughness, maps.normal)
 
     def every(self, step: int) -> TargetSurface:
@@ -72,7 +69,7 @@ class TargetSurface:
         )
 
     def shine(self, to_light: Tensor, to_view: Tensor) -> Tensor:
-        """(3, H, W) reflectance times n.l; 0 where light or view is below the surface.
+        """(3, H, W) BRDF times n.l; 0 where light or view is below the surface.
 
         Args:
             to_light, to_view: (3, H, W) or (3, 1, 1) unit vectors.
@@ -88,47 +85,46 @@ class TargetSurface:
         return torch.where(at.above > 0, value, torch.zeros_like(value))
 
 
-# What a target reads from a texture: (C, H, W) float64.
+# Reads a texture as the target does: (C, H, W) float64.
 Reader = Callable[[TextureFile], Tensor]
 MadeSurface = Callable[[Reader], TargetSurface]
 
 
 @dataclass(frozen=True)
 class Residual:
-    """How far a target's light is from matcap's, as a share of matcap's light."""
+    """Absolute difference of reflected light, over matcap's light."""
 
     mean: float
     """Over all texels, views and lights."""
     worst: float
-    """Of any one view and light, over all texels."""
+    """Largest of any one view and light, over all texels."""
 
     def __str__(self) -> str:
         return f"{self.mean:.2%} of the light on average, {self.worst:.2%} at worst"
 
 
 def thinning(width: int, height: int, texels: int = _TEXELS) -> int:
-    """The step between the texels of a map set that are compared."""
+    """Grid step with which at most `texels` texels of a map set are compared."""
     return max(1, math.ceil(math.sqrt(width * height / texels)))
 
 
 def residual(maps: MapSet, surface: TargetSurface) -> Residual:
-    """How far a target's surface is from what matcap means by the maps.
+    """Residual of a target's surface against matcap's.
 
-    Reflected radiance of both, straight from above and at 45 degrees, under lights 15, 40 and 65
-    degrees from the vertical on four sides; absolute differences, summed over at most about
-    65,000 evenly spread texels, divided by matcap's sum.
+    Views at 0 and 45 degrees to +z, lights at 15, 40 and 65 degrees on four sides; the sum of
+    absolute differences of BRDF n.l over at most 65,536 texels, divided by matcap's sum.
     """
     step = thinning(*maps.size)
     return _compared(_lit(TargetSurface.of_maps(maps).every(step)), surface.every(step))
 
 
 def _lit(surface: TargetSurface) -> list[Tensor]:
-    """A surface under every pair of directions."""
+    """BRDF n.l for all DIRECTIONS."""
     return [surface.shine(*directions) for directions in DIRECTIONS]
 
 
 def _compared(meant: list[Tensor], theirs: TargetSurface) -> Residual:
-    """The residual of every texel of a surface, in float64, from what is meant."""
+    """The residual of a surface; `meant`: matcap's BRDF n.l for all DIRECTIONS."""
     off, total, worst = 0.0, 0.0, 0.0
     for directions, true in zip(DIRECTIONS, meant, strict=True):
         error = float((theirs.shine(*directions) - true).abs().sum())
@@ -141,12 +137,12 @@ def _compared(meant: list[Tensor], theirs: TargetSurface) -> Residual:
 def residuals(
     job: ExportJob, surfaces: Mapping[str, MadeSurface], texels: int = _TEXELS
 ) -> dict[str, Residual]:
-    """How far what a target reads is from what the maps mean, over evenly spread texels.
+    """Residuals of several surfaces, from the values that their textures store.
 
     Args:
         job: the maps.
-        surfaces: what the target makes of textures, by name.
-        texels: at most about so many are compared.
+        surfaces: functions from a texture reader to a surface, by name.
+        texels: largest number of texels that are compared.
     """
     step = thinning(*job.maps.size, texels)
     piece = job.piece(slice(None, None, step), slice(None, None, step))
@@ -164,12 +160,12 @@ def residuals(
 
 
 def nearest(job: ExportJob, surfaces: Sequence[MadeSurface], margin: float = 0.0) -> int:
-    """Which of several surfaces is nearest to what the maps mean, over a few texels.
+    """Index of the surface with the smallest mean residual, over _FEW_TEXELS texels.
 
     Args:
         job: the maps.
-        surfaces: what the target makes of textures.
-        margin: share of its residual by which another than the first must be nearer.
+        surfaces: functions from a texture reader to a surface.
+        margin: share of the first one's residual by which another must be smaller.
     """
     named = {str(key): made for key, made in enumerate(surfaces)}
     means = [one.mean for one in residuals(job, named, _FEW_TEXELS).values()]
@@ -184,13 +180,13 @@ def _channels(values: Picture) -> Tensor:
 
 
 def _direction(tilt: float, around: float) -> Tensor:
-    """(3, 1, 1) unit vector at an angle from +z, turned about it; degrees."""
+    """(3, 1, 1) unit vector at an angle to +z and an azimuth, in degrees."""
     t, a = math.radians(tilt), math.radians(around)
     vector = (math.sin(t) * math.cos(a), math.sin(t) * math.sin(a), math.cos(t))
     return torch.tensor(vector, dtype=torch.float64)[:, None, None]
 
 
-# (to_light, to_view) of every comparison.
+# (to_light, to_view) pairs.
 DIRECTIONS: tuple[tuple[Tensor, Tensor], ...] = tuple(
     (_direction(tilt, around), _direction(view, 0.0))
     for view in _VIEWS

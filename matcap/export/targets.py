@@ -1,35 +1,35 @@
-"""Every target that maps can be exported to, and the one function that writes them.
+"""All targets of exports, and the function that writes them.
 
-A target has one form or two: its metallic workflow, and its specular one. The form that comes
-nearest is written, unless another is asked for. What a target's folder holds, `NAME_TARGET.json`
-tells.
+A target has one or two forms: metallic and specular workflow. Unless the user chooses one, the form
+with the smaller residual is written. The sidecar `NAME_TARGET.json` describes the files.
 
 Keys:
     format: "matcap export".
     version: 2.
     matcap: version of the program that wrote it.
-    target: or preset.
-    workflow: the form that was written, "metallic" or "specular"; null where there is only one.
+    target: target or preset.
+    workflow: the form that was written, "metallic" or "specular"; null for targets with one form.
     name: of the map set.
     width: texels.
     height: texels.
     unit: of lengths, "mm" or "plane unit".
-    tile: (width, height) of the piece in that unit.
+    tile: (width, height) of the maps in that unit.
     texel: a texel's side in that unit.
-    height_code: where the target stores heights, `scale`, `midlevel` and `unit`:
+    height_code: of integer or scaled heights, `scale`, `midlevel` and `unit`:
         height = (value - midlevel) * scale.
-    periodic: whether it repeats without a seam.
-    udim: (columns, rows) of a texture set, whose file names say `<UDIM>` for 1001 and on, left
-        bottom first; null where there is none. `width` and `height` are a tile's, `tile` the set's.
+    periodic: whether the maps tile seamlessly.
+    udim: (columns, rows) of a texture set, whose file names have `<UDIM>` for 1001 and on, from the
+        bottom left; null without one. `width` and `height` are a tile's, `tile` the set's.
     seam: step across the border over steps inside, about 1 without a seam.
     files: for each texture its `colour_space`, `depth` and `meaning`.
     documents: names of the other files.
-    residual: `mean` and `worst` share of light that differs from matcap's; null for plain maps.
-    residuals: the same of every form and every way in which the target's programs read the files.
-    occlusion: how ambient occlusion was found: `azimuths`, `reach`, `cavity_reach`, their `unit`.
-    notes: what must be known, a sentence each.
+    residual: difference of reflected light from matcap's, over matcap's: `mean`, and `worst` view
+        and light; null for unconverted maps.
+    residuals: the same for every form and every known reader of the files.
+    occlusion: parameters of ambient occlusion: `azimuths`, `reach`, `cavity_reach`, their `unit`.
+    notes: for users, a sentence each.
     textures: the file of each map, for scripts.
-    metallic: how base colour and metallic were found, "plain", "tinted" or "free"
+    metallic: conversion to the metallic workflow, "plain", "tinted" or "free"
         (matcap/export/metallic.py); only of a metallic workflow.
     provenance: how the material was made.
 """
@@ -71,19 +71,19 @@ FORMAT = "matcap export"
 VERSION = 2
 
 _SEAM = (
-    "These maps do not repeat: there is a seam where they meet themselves. Export the material, "
-    "at sides that are multiples of 16, for maps without one."
+    "These maps have a seam where they repeat. Export the material (.matcap) at sides that are "
+    "multiples of 16 for seamless maps."
 )
 
-# All maps twice, in 32-bit floats: no target takes more.
+# Largest size of an export in bytes a texel: all maps twice, in 32-bit floats.
 _TEXEL_BYTES = 2 * 4 * (3 + 1 + 1 + 1 + 3)
 
-_AS_NEAR = 0.02  # of the residual: by so little no form is nearer than another
+_AS_NEAR = 0.02  # relative difference below which two residuals count as equal
 
-# Programs that find no tiles by their numbers.
+# Targets whose programs do not read UDIM tiles.
 _NO_TILES = ("gltf", "mitsuba", "godot")
 
-# The forms of a target by workflow; one without a name where there is no choice.
+# Exporters of a target by workflow; None where there is no choice.
 Forms = Mapping[Workflow | None, Callable[[ExportJob], Export]]
 
 # Targets with a document of their own.
@@ -94,7 +94,7 @@ DOCUMENTS: dict[str, Forms] = {
     "blender": {None: blender},
     "mitsuba": {None: mitsuba},
 }
-# Presets and, where one has two forms, a name for each.
+# Presets, and a name for each form of those with two.
 PRESETS: tuple[str, ...] = (
     *LIBRARIES,
     *ENGINES,
@@ -105,46 +105,46 @@ TARGETS = (*DOCUMENTS, *PRESETS)
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written."""
+    """A written export."""
 
     folder: Path
-    """Where."""
+    """The folder of its files."""
     files: tuple[str, ...]
-    """Names in it, sorted."""
+    """File names, sorted."""
     residual: Residual | None
-    """How far the target's light is from matcap's; None for plain maps."""
+    """Difference of the target's reflected light from matcap's; None for unconverted maps."""
     notes: tuple[str, ...]
-    """What the user must know, a sentence each."""
+    """Notes for the user, a sentence each."""
     workflow: Workflow | None = None
-    """The form that was written; None where there is only one."""
+    """The form that was written; None for targets with one form."""
     residuals: Mapping[str, Residual] = field(default_factory=dict)
-    """Of every form and every way of reading it, by name."""
+    """Of every form and every known reader, by name."""
 
 
 def check_target(name: str, where: str = "--to") -> str:
-    """The name itself, of a document's target or of a preset.
+    """Return the name of a target or preset.
 
     Raises:
-        UsageError: there is no such name.
+        UsageError: an unknown name.
     """
     return known(name, TARGETS, where)
 
 
 def check_targets(names: Sequence[str], where: str = "--export") -> tuple[str, ...]:
-    """Names of targets, each once, in their order.
+    """Return names of targets without repetitions, in order.
 
     Raises:
-        UsageError: there is no such name.
+        UsageError: an unknown name.
     """
     return tuple(dict.fromkeys(check_target(name, where) for name in names))
 
 
 def export_mapset(folder: Path, target: str) -> Exported:
-    """Write the map set of a folder once more, for a target, into a folder of its name inside.
+    """Export the map set of a folder into a subfolder with the target's name.
 
     Args:
-        folder: holds one map set, or is the JSON file of one.
-        target: as write_export.
+        folder: holds one map set, or is its JSON document.
+        target: one of TARGETS.
 
     Raises:
         UsageError: no such target.
@@ -163,7 +163,7 @@ def export_mapset(folder: Path, target: str) -> Exported:
 
 
 def export_bytes(width: int, height: int) -> int:
-    """Disk space that an export of this size takes at most."""
+    """Upper bound of the disk space of an export, in bytes."""
     return width * height * _TEXEL_BYTES + 1_000_000
 
 
@@ -179,28 +179,28 @@ def write_export(
     """Write maps for a target, all files or none.
 
     Args:
-        job: the maps and how to write them.
+        job: the maps, with format and depth.
         target: one of TARGETS.
-        folder: made when missing; files that an earlier export for the target wrote are replaced.
-        options: workflow, and what presets are asked for; by default the plain form
-            (engines.PLAIN), or what comes nearest.
-        inputs: files that were read, and are not to be replaced.
-        overwrite: replace what others wrote, too.
+        folder: created if missing; files of an earlier export for the target are replaced.
+        options: workflow, and options of presets; the default workflow is engines.PLAIN's, else
+            the one with the smaller residual.
+        inputs: files that were read, and must not be replaced.
+        overwrite: also replace files that matcap did not write.
 
     Raises:
-        UsageError: no such target, or one that does not know the choice, the workflow or texture
-            sets; a file of the maps themselves stands in the way.
+        UsageError: no such target; it has not the map, workflow or texture sets asked for; it
+            would replace a file in `inputs`.
         MatcapError: values that are not finite, a full disk, an unwritable folder, a file that
-            another program wrote.
+            matcap did not write.
     """
     check_target(target)
     forms = DOCUMENTS[target] if target in DOCUMENTS else preset_forms(target, options)
-    # Other programs read $, @, <UDIM>, quotes and the like in names in ways of their own.
+    # Other programs interpret $, @, <UDIM>, quotes and the like in file names.
     plain_name(job.name, what="the map set's name")
     job = replace(job, name=sanitised_name(job.name))
     form = _form(forms, target, options.workflow if options else None)
     _check_tiles(job, target)
-    # Every form is asked what comes of it; only the chosen one makes its files.
+    # Compute the residual of every form; only the chosen one is written.
     made = {name: make(job) for name, make in forms.items()}
     errors = {name: residuals(job, export.surfaces) for name, export in made.items()}
     first = {name: next(iter(one.values()), None) for name, one in errors.items()}
@@ -223,12 +223,12 @@ def write_export(
 
 
 def sidecar_name(name: str, target: str) -> str:
-    """Of the JSON file that lists what an export's folder holds."""
+    """Name of the sidecar of an export."""
     return f"{sanitised_name(name)}_{target}.json"
 
 
 def preset_forms(name: str, choice: ExportOptions | None = None) -> Forms:
-    """The forms of a preset; one of them where the name says which.
+    """The forms of a preset; a name such as "unreal-metallic" selects one.
 
     Raises:
         UsageError: no such preset.
@@ -249,7 +249,11 @@ def preset_forms(name: str, choice: ExportOptions | None = None) -> Forms:
 
 
 def _form(forms: Forms, target: str, workflow: Workflow | None) -> Workflow | None:
-    """The form that was asked for, or the plain one; None for what comes nearest."""
+    """The form that the user chose, else PLAIN's; None to compare residuals.
+
+    Raises:
+        UsageError: the target has not this workflow.
+    """
     if workflow is not None and workflow not in forms:
         names = [name for name in forms if name]
         raise UsageError(
@@ -263,19 +267,21 @@ def _form(forms: Forms, target: str, workflow: Workflow | None) -> Workflow | No
 def _check_tiles(job: ExportJob, target: str) -> None:
     if job.tiles is not None and target in _NO_TILES:
         raise UsageError(
-            f"{target} knows no texture sets", where="--udim", remedy="leave it out, or give --size"
+            f"{target} does not read UDIM tiles",
+            where="--udim",
+            remedy="leave it out, or give --size",
         )
 
 
 def _outputs(export: Export, job: ExportJob, target: str) -> list[str]:
-    """Names of all files to be."""
+    """Names of all files to write."""
     numbers = [FIRST] if job.tiles is None else job.tiles.numbers
     tiles = {name.replace(TOKEN, str(number)) for name in export.textures for number in numbers}
     return [*sorted(tiles), *export.documents, sidecar_name(job.name, target)]
 
 
 def _earlier(folder: Path, target: str) -> set[str]:
-    """Names of the files that earlier exports for a target left in a folder, by their sidecars."""
+    """Names of the files of earlier exports for a target in a folder, from their sidecars."""
     names = set()
     for sidecar in folder.glob(f"*_{target}.json"):
         try:
@@ -297,7 +303,7 @@ def _tile_names(name: str, grid: Sequence[int] | None) -> list[str]:
 def _write(
     export: Export, job: ExportJob, about: Mapping[str, Any], folder: Path
 ) -> tuple[str, ...]:
-    """Write textures, documents and sidecar; gives the files' names, sorted."""
+    """Write textures, documents and sidecar; returns the files' names, sorted."""
     with staged(folder) as stage:
         _write_textures(export.textures, job, stage, FIRST)
         for number, tile in job.others():
@@ -312,7 +318,7 @@ def _write(
 def _write_textures(
     textures: Mapping[str, TextureFile], job: ExportJob, stage: Path, number: int
 ) -> None:
-    """All textures of a job; where it is a tile of a texture set, of that number."""
+    """Write all textures of a job, which is UDIM tile `number` in a texture set."""
 
     def write(named: tuple[str, TextureFile]) -> None:
         name, texture = named
@@ -323,7 +329,7 @@ def _write_textures(
 
 
 def _nearest(errors: Mapping[Workflow | None, Residual | None]) -> Workflow | None:
-    """The form whose light is nearest; of those that are as near, the target's first."""
+    """The form with the smallest residual; of equal ones, the target's first."""
     least = min(_mean(off) for off in errors.values())
     return next(form for form, off in errors.items() if _mean(off) <= (1.0 + _AS_NEAR) * least)
 
@@ -333,7 +339,7 @@ def _mean(off: Residual | None) -> float:
 
 
 def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) -> dict[str, Any]:
-    """NAME_TARGET.json; the module lists its keys."""
+    """The sidecar; the module's docstring lists its keys."""
     width, height = job.maps.size
     across, down = (side * job.unit_length for side in job.extent)
     return {
@@ -361,6 +367,6 @@ def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) ->
         "documents": sorted(made.documents),
         "residual": None if off is None else {"mean": off.mean, "worst": off.worst},
         "notes": [*made.notes, *([] if job.repeats else [_SEAM])],
-        **made.facts,
+        **made.entries,
         "provenance": dict(job.provenance),
     }

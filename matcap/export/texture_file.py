@@ -1,4 +1,4 @@
-"""One texture of an export: how its values are made of the maps, and how a file holds them."""
+"""A texture of an export: its values as a function of the maps, and its file format."""
 
 from __future__ import annotations
 
@@ -18,32 +18,31 @@ from matcap.files.exr import LARGEST_HALF, write_exr
 from matcap.files.png import PNG_HEADER, png_bytes, png_chunk, quantised, swap_red_blue
 from matcap.files.srgb import srgb_decode, srgb_picture
 
-TOKEN = "<UDIM>"  # stands for a tile's number in names of files
-WRITERS = 2  # textures made at a time: each holds one picture in memory
+TOKEN = "<UDIM>"  # stands for a tile's number in file names
+WRITERS = 2  # textures written in parallel: each holds one picture in memory
 _JPEG_QUALITY = 95
 
 
 @dataclass(frozen=True)
 class TextureFile:
-    """A texture as a file holds it."""
+    """Content and encoding of a texture."""
 
     make: Callable[[MapRows], Picture]
-    """(H, W) grey, (H, W, 3) colour or (H, W, 4) with alpha, of a piece of the maps: what the
-    target is to read, texel by texel. Whole code values are clipped to [0, 1]."""
+    """Computes the values that the target should read, of a rectangle of the maps: (H, W),
+    (H, W, 3), or (H, W, 4) with alpha. Integers are clipped to [0, 1]."""
     depth: Depth
-    """Bits of whole numbers ("8", "16"), or floats ("half", "float")."""
+    """Integers of 8 or 16 bits, or floats ("half", "float")."""
     srgb: bool = False
-    """Whole numbers follow the sRGB curve; floats are light itself."""
+    """Integers are sRGB-encoded; floats are linear."""
     meaning: str = ""
-    """What the values are, for the sidecar."""
+    """Meaning of the values, for the sidecar."""
     container: Container = "png"
-    """The file's format."""
+    """File format."""
     udim: bool = False
-    """There is one of every tile of a texture set."""
+    """One file for every tile of a texture set."""
     eight_of_16: bool = False
-    """Readers may drop the lower byte of 16 bits, as browsers do: the upper one is the nearest
-    number of 8 bits, which costs a reader of both at most half such a step, and half-way
-    nothing."""
+    """Choose 16-bit values whose upper byte is the nearest 8-bit value, for browsers, which drop
+    the lower byte; costs readers of 16 bits up to half an 8-bit step."""
 
     @staticmethod
     def of(
@@ -55,18 +54,18 @@ class TextureFile:
         srgb: bool = False,
         lossy: bool = True,
     ) -> TextureFile:
-        """A texture in the file format and depth that was asked for, or is usual.
+        """A texture in the job's format and depth, or in default ones.
 
         Args:
-            job: what is exported, and how.
-            make: its values.
-            usual: depth unless another was asked for.
-            meaning: of its values.
-            srgb: whole numbers follow the sRGB curve.
-            lossy: 8 bits will do; otherwise it stays a PNG where JPEG or WebP was asked for.
+            job: the maps, with format and depth.
+            make: computes the values.
+            usual: default depth.
+            meaning: of the values.
+            srgb: integers are sRGB-encoded.
+            lossy: JPEG and WebP are allowed; otherwise PNG is written instead.
 
         Raises:
-            UsageError: a format that has no such depth.
+            UsageError: the format has not this depth.
         """
         depth, container = job.depth or usual, job.container
         if container in ("jpg", "webp"):
@@ -89,28 +88,30 @@ class TextureFile:
 
     @property
     def suffix(self) -> str:
-        """Of its file, dot included."""
+        """Suffix of the file, with the dot, and with TOKEN in a texture set."""
         return f".{TOKEN}.{self.container}" if self.udim else f".{self.container}"
 
     @property
     def whole(self) -> bool:
-        """Whether the file holds whole numbers."""
+        """Whether the file holds integers."""
         return self.depth in ("8", "16")
 
     @property
     def colour_space(self) -> Literal["sRGB", "linear"]:
-        """How readers must take the file's numbers."""
+        """Colour space that readers must assume."""
         return "sRGB" if self.srgb and self.whole else "linear"
 
     def stored(self, piece: MapRows) -> NDArray[Any]:
-        """The numbers in the file, of a piece of the maps.
+        """The encoded values of a rectangle of the maps.
 
         Raises:
-            MatcapError: a value is not finite.
+            MatcapError: a value is not finite, or too large for half float.
         """
         values = self.make(piece)
         if not np.isfinite(values).all():
-            raise MatcapError("the maps have values that are not finite", remedy="make them again")
+            raise MatcapError(
+                "the maps have values that are not finite", remedy="write the map set again"
+            )
         if self.whole:
             coded = _curved(values) if self.srgb else values
             whole = quantised(coded, bits=int(self.depth))
@@ -125,7 +126,7 @@ class TextureFile:
         return values.astype(np.float16 if self.depth == "half" else np.float32)
 
     def seen(self, piece: MapRows) -> Picture:
-        """The values that a reader gets back: rounded and clipped as the file does."""
+        """The decoded values that a reader gets, with rounding and clipping."""
         stored = self.stored(piece)
         if not self.whole:
             return stored.astype(np.float32)
@@ -136,11 +137,11 @@ class TextureFile:
         return code.astype(np.float32)
 
     def in_browsers(self) -> TextureFile:
-        """The texture as browsers read it: of 8 bits whatever the file has."""
+        """The texture as browsers read it: 8 bits of 16."""
         return replace(self, depth="8") if self.depth == "16" else self
 
     def pixels(self, job: ExportJob) -> NDArray[np.uint8] | NDArray[np.uint16] | Picture:
-        """The whole picture, made a band of rows at a time: little beside the result is held."""
+        """The encoded picture, computed in bands of rows to bound memory."""
         _, height = job.maps.size
         top, *rest = bands(height)
         first = self.stored(job.piece(top))
@@ -151,18 +152,18 @@ class TextureFile:
         return whole
 
     def encoded(self, job: ExportJob, *, tagged: bool = True) -> bytes:
-        """The file as bytes, for PNG, JPEG and WebP.
+        """The file's content, of PNG, JPEG and WebP.
 
         Args:
             job: the maps.
-            tagged: with the colour space and the size of a texel, in a PNG.
+            tagged: PNG states colour space and texel size.
         """
         whole: Any = self.pixels(job)
         if self.container == "png":
             return _tagged(png_bytes(whole), self, job) if tagged else png_bytes(whole)
         import cv2
 
-        # Quality above 100 is lossless to WebP.
+        # For WebP, quality above 100 is lossless.
         flags = (
             [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
              cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
@@ -173,7 +174,7 @@ class TextureFile:
         return encoded.tobytes()
 
     def write(self, path: Path, job: ExportJob) -> None:
-        """Write the file. Not atomic: write into a staged folder.
+        """Write the file; not atomic, so into a staged folder.
 
         Raises:
             MatcapError: a value is not finite.
@@ -190,16 +191,16 @@ class TextureFile:
 
 
 def _curved(values: Picture) -> Picture:
-    """On the sRGB curve; alpha stays as it is."""
+    """Apply the sRGB curve, but for alpha."""
     if values.shape[-1] != 4:
         return srgb_picture(values)
     return np.concatenate([srgb_picture(values[..., :3]), values[..., 3:]], axis=-1)
 
 
 def _tagged(png: bytes, texture: TextureFile, job: ExportJob) -> bytes:
-    """A PNG that says how its numbers are to be read, and how long a texel is if that is known.
+    """Add chunks to a PNG: sRGB and gAMA (or gAMA alone if linear), and pHYs with a texel's size.
 
-    Chunks sRGB and gAMA, or gAMA alone for linear numbers, and pHYs (PNG 3rd edition, 11.3).
+    PNG specification, third edition, section 11.3.
     """
     gamma = 45455 if texture.srgb else 100000
     chunks = png_chunk(b"sRGB", b"\0") if texture.srgb else b""

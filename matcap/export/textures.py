@@ -1,4 +1,4 @@
-"""Result of exporters, and the textures that most of them write."""
+"""Result of an exporter, and the textures that several write."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Workflow = Literal["metallic", "specular"]
 
-# What textures' values are, for sidecars.
+# Meanings of textures' values, for sidecars.
 DIFFUSE = "diffuse albedo, Rec.709"
 SPECULAR = "specular albedo F0"
 ROUGHNESS = "perceptual roughness; GGX alpha is its square"
@@ -29,31 +29,31 @@ SIGNED_NORMAL = "unit normal, each component in [-1, 1]"
 HEIGHT = "height in plane units"
 CODED_HEIGHT = "height = (value - midlevel) * scale"
 BASE = "base colour, Rec.709"
-OCCLUSION = "share of an even sky's light that arrives (ambient occlusion)"
-CAVITY = "the same, with neighbours of a few texels only"
-BENT = "mean direction of what is open, as 0.5 + 0.5 n"
+OCCLUSION = "ambient occlusion: irradiance of a uniform sky over that without occlusion"
+CAVITY = "ambient occlusion by neighbours of a few texels only"
+BENT = "bent normal n, the mean unoccluded direction, as 0.5 + 0.5 n"
 
 
 @dataclass(frozen=True)
 class Export:
-    """Everything that a target's folder holds, before it is written."""
+    """The files of an export, before they are written."""
 
     textures: dict[str, TextureFile]
     """By file name."""
     documents: dict[str, Callable[[Path], bytes]]
-    """By file name; made when the textures stand in the folder that they are given."""
+    """Functions from the folder, with all textures written, to a file's content, by file name."""
     surfaces: dict[str, MadeSurface]
-    """What the target makes of the textures, by form, the one that counts first; none where it has
-    no reflectance of its own."""
+    """Reflectance that the target renders, by form or reader, the main one first; empty for
+    unconverted maps."""
     notes: tuple[str, ...] = ()
-    """What the user must know, a sentence each."""
-    facts: dict[str, Any] = field(default_factory=dict)
-    """Other entries of the sidecar; JSON."""
+    """Notes for the user, a sentence each."""
+    entries: dict[str, Any] = field(default_factory=dict)
+    """Further entries of the sidecar; JSON."""
 
 
 @dataclass(frozen=True)
 class Standard:
-    """The five textures that documents name, for targets that add diffuse and specular."""
+    """The five textures of targets that add diffuse and specular lobe as matcap does."""
 
     diffuse: TextureFile
     specular: TextureFile
@@ -63,7 +63,7 @@ class Standard:
 
     @staticmethod
     def of(job: ExportJob) -> Standard:
-        """PNGs of 16 bits, colours on the sRGB curve; the height in 32-bit float, plane units."""
+        """By default 16-bit PNGs, colours sRGB-encoded; the height in 32-bit float, plane units."""
         return Standard(
             TextureFile.of(job, picture("diffuse"), "16", DIFFUSE, srgb=True),
             TextureFile.of(job, picture("specular"), "16", SPECULAR, srgb=job.coloured),
@@ -73,7 +73,7 @@ class Standard:
         )
 
     def files(self, name: str) -> dict[str, TextureFile]:
-        """By file name."""
+        """The textures by file name."""
         return {
             f"{name}_{kind}{texture.suffix}": texture
             for kind, texture in (
@@ -86,7 +86,7 @@ class Standard:
         }
 
     def surface(self, read: Reader) -> TargetSurface:
-        """What a target that adds diffuse and specular reads."""
+        """The reflectance that the target renders."""
         from matcap.export.surface import TargetSurface
 
         return TargetSurface(
@@ -95,7 +95,7 @@ class Standard:
 
 
 def picture(kind: str) -> Callable[[MapRows], Picture]:
-    """Makes a texture of a map as it is."""
+    """A function that returns a map unchanged."""
     return lambda piece: piece.picture(kind)
 
 
@@ -105,39 +105,39 @@ def coded_normal(piece: MapRows) -> Picture:
 
 
 def coded_normal_dx(piece: MapRows) -> Picture:
-    """(H, W, 3) 0.5 + 0.5 n, green turned around for DirectX."""
+    """(H, W, 3) 0.5 + 0.5 n, +Y down (DirectX)."""
     coded = coded_normal(piece)
     coded[..., 1] = np.float32(1.0) - coded[..., 1]
     return coded
 
 
 def coded_height(piece: MapRows) -> Picture:
-    """(H, W) height in [0, 1], mid-grey undisplaced; see ExportJob.height_code."""
+    """(H, W) height in [0, 1], 0.5 undisplaced (ExportJob.height_code)."""
     scale, midlevel = piece.job.height_code
     coded: Picture = piece.picture("height") / np.float32(scale) + np.float32(midlevel)
     return coded
 
 
 def float_height(job: ExportJob) -> TextureFile:
-    """The height itself in plane units, 32-bit float whatever was asked for of the others."""
+    """The height in plane units, always 32-bit float."""
     container: Container = job.container if job.container == "tx" else "exr"
     return TextureFile(picture("height"), "float", False, HEIGHT, container, job.tiles is not None)
 
 
-def height_facts(job: ExportJob, scale: float, midlevel: float) -> dict[str, Any]:
-    """For the sidecar: height = (value - midlevel) * scale; `scale` in plane units."""
+def height_entry(job: ExportJob, scale: float, midlevel: float) -> dict[str, Any]:
+    """The sidecar's entry: height = (value - midlevel) * scale; `scale` in plane units."""
     return {
         "height_code": {"scale": scale * job.unit_length, "midlevel": midlevel, "unit": job.unit}
     }
 
 
-def occlusion_facts(job: ExportJob) -> dict[str, Any]:
-    """For the sidecar: how ambient occlusion is found."""
+def occlusion_entry(job: ExportJob) -> dict[str, Any]:
+    """The sidecar's entry: parameters of ambient occlusion."""
     from matcap.export.occlusion import settings
 
     return {"occlusion": settings(*job.maps.size)}
 
 
 def signed(coded: Tensor) -> Tensor:
-    """Normals of a normal map with +Y up, as its shader has them."""
+    """Decode normals stored as 0.5 + 0.5 n."""
     return 2.0 * coded - 1.0

@@ -1,4 +1,4 @@
-"""Tiled textures with mipmaps, as renderers page them in: EXR, or TIFF and EXR called .tx."""
+"""Tiled textures with mipmaps, for renderers' texture caches: .exr, or .tx (TIFF or EXR)."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _TILE = 64
 
 
 def write_tiled(path: Path, pixels: NDArray[Any], *, srgb: bool, wrap: str) -> None:
-    """Write (H, W), (H, W, 3) or (H, W, 4) whole numbers or floats, as they are.
+    """Write encoded pixels.
 
     Args:
-        path: .exr, or .tx: an EXR of floats, a TIFF of whole numbers.
-        pixels: the numbers.
-        srgb: whole numbers follow the sRGB curve; the file says so, and mipmaps average light.
+        path: .exr, or .tx: EXR for floats, TIFF for integers.
+        pixels: (H, W), (H, W, 3) or (H, W, 4) integers or floats.
+        srgb: integers are sRGB-encoded; the file states it, and mipmaps average linear light.
         wrap: "periodic" or "clamp".
 
     Raises:

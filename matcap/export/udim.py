@@ -1,8 +1,8 @@
-"""A texture set: tiles of one piece of material, numbered 1001 from the left bottom on (UDIM).
+"""Texture sets (UDIM): adjacent tiles, numbered 1001 + column + 10 row from the bottom left.
 
-Every tile is realised by itself, with some of what lies around it, so that normals and occlusion go
-on over its borders. What a target needs of the whole (an index of refraction, a range of heights)
-is found from the first tile and holds for all. File names and documents say `<UDIM>`.
+Each tile is read with a margin, so that normals and occlusion continue across borders. Constants of
+a target (index of refraction, height range) are computed from the first tile and used for all. File
+names and documents have `<UDIM>` for the number.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ MOST_COLUMNS, MOST_ROWS = 10, 900
 
 @dataclass(frozen=True)
 class TextureSet:
-    """Which tiles there are, and of what.
+    """A grid of tiles of one realisation of a material.
 
     Raises:
         UsageError: too many tiles, or none.
     """
 
     material: Material
-    """By one generator."""
+    """With one generator."""
     columns: int
-    """At most MOST_COLUMNS."""
+    """1 to MOST_COLUMNS."""
     rows: int
-    """At most MOST_ROWS."""
+    """1 to MOST_ROWS."""
     size: tuple[int, int]
     """(width, height) of a tile in texels."""
     seed: int = 0
-    """Which realisation."""
+    """Realisation."""
 
     def __post_init__(self) -> None:
         if not (1 <= self.columns <= MOST_COLUMNS and 1 <= self.rows <= MOST_ROWS):
@@ -55,12 +55,12 @@ class TextureSet:
 
     @property
     def period(self) -> tuple[int, int] | None:
-        """Of the whole set in texels; None where its sides do not allow one."""
+        """(width, height) of the set in texels, if the material can repeat at that size."""
         whole = self.columns * self.size[0], self.rows * self.size[1]
         return None if any(side % self.material.alignment for side in whole) else whole
 
     def tile(self, column: int, row: int) -> tuple[MapSet, MapSet]:
-        """(a tile's maps, the same with their surroundings); rows are counted upwards."""
+        """A tile's maps, and the same with a margin; row 0 is the bottom one."""
         width, height = self.size
         margin = settings(width, height)["reach"]
         wide = self.material.maps(
@@ -76,11 +76,11 @@ class TextureSet:
 
     @property
     def numbers(self) -> list[int]:
-        """Of all tiles, left to right, the lowest row first."""
+        """UDIM numbers of all tiles, left to right, from the bottom row."""
         return numbers_of(self.columns, self.rows)
 
     def others(self) -> Iterator[tuple[int, MapSet, MapSet]]:
-        """(number, maps, the same with their surroundings) of every tile but the first."""
+        """(UDIM number, maps, maps with a margin) of every tile but the first."""
         for row in range(self.rows):
             for column in range(self.columns):
                 if row or column:
@@ -88,7 +88,7 @@ class TextureSet:
 
 
 def numbers_of(columns: int, rows: int) -> list[int]:
-    """The numbers of a texture set's tiles, left to right, the lowest row first."""
+    """UDIM numbers of a grid, left to right, from the bottom row."""
     grid = ((column, row) for row in range(rows) for column in range(columns))
     return [FIRST + column + 10 * row for column, row in grid]
 
@@ -100,24 +100,24 @@ def open_set(
     seed: int = 0,
     read: ReadOptions = AS_IT_IS,
 ) -> tuple[TextureSet, str]:
-    """A texture set of a material file, or of a folder's one material, and its name.
+    """Open a material for a texture set; returns the set and the material's name.
 
     Args:
-        path: what to open.
+        path: a material file, or a folder with one.
         grid: (columns, rows).
         size: (width, height) of a tile in texels.
-        seed: which realisation.
-        read: which of its fields.
+        seed: realisation.
+        read: generator and patch size.
 
     Raises:
-        UsageError: a map set, which has one tile; or too many tiles.
-        MatcapError: no material there, several, or a broken one.
+        UsageError: a map set, which cannot be extended; or too many tiles.
+        MatcapError: no material, several, or a damaged one.
     """
     if path.suffix.lower() != ".matcap" and not any(path.glob("*.matcap")):
         raise UsageError(
-            f"{path} is no material, of which there are tiles",
+            f"{path} is not a material: only a material has further tiles",
             where="--udim",
-            remedy="give the material (.matcap), or leave it out",
+            remedy="give the material (.matcap), or leave out --udim",
         )
     file, material = open_material(path)
     material = material.by(read.generator).varied(read.variety)

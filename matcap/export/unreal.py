@@ -1,6 +1,6 @@
-"""A script that imports the textures into Unreal, and makes a material of them.
+"""A script that imports the textures into Unreal and builds the material.
 
-The script is the same for every material (scripts/unreal_import.py); it reads the sidecar
+The script is the same for every material (scripts/unreal_import.py) and reads the sidecar
 NAME_unreal.json.
 """
 
@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from matcap.export.job import ExportJob
-    from matcap.export.presets import Lit
+    from matcap.export.presets import EngineModel
 
 
-def unreal_import(job: ExportJob, files: dict[str, str], lit: Lit) -> dict[str, str]:
-    """T_NAME_import.py."""
-    del files, lit  # the sidecar states them
+def unreal_import(job: ExportJob, files: dict[str, str], model: EngineModel) -> dict[str, str]:
+    """T_NAME_import.py by file name."""
+    del files, model  # in the sidecar
     script = resources("matcap.export.scripts").joinpath("unreal_import.py").read_text()
     return {f"T_{job.name}_import.py": script}

@@ -1,16 +1,17 @@
-"""A USD stage: a textured plane with UsdPreviewSurface, and MaterialX's OpenPBR; also as .usdz.
+"""A USD stage (.usda, .usdz): a textured plane with UsdPreviewSurface and MaterialX's OpenPBR.
 
-The specular form has `useSpecularWorkflow = 1`, which keeps F0 as it is. Programs that know no such
-workflow (Blender, three.js) take the specular colour for a tint of what `ior` reflects; so that
-reflects all. The metallic form has one index of refraction for all that is no metal.
-UsdPreviewSurface darkens the diffuse part by what is reflected; the base colour makes up for it
-(fit.py). Renderers that know MaterialX take the output `mtlx:surface`, which is closer still.
+- Specular workflow: `useSpecularWorkflow = 1`, which keeps any F0. Programs without it (Blender,
+  three.js) use the specular colour as a tint of the reflection by `ior`, which is therefore set to
+  reflect everything.
+- Metallic workflow: one index of refraction for all dielectrics.
 
-Displacement is a variant, off unless it is chosen: programs that move no surface by it bump normals
-with it, on top of the texture of normals (Blender: 5 to 8 % off at grazing light).
+UsdPreviewSurface darkens the diffuse part under the specular layer; the base colour compensates
+(fit.py). Renderers with MaterialX use the output `mtlx:surface`, which has a smaller residual.
 
-The stage is text (.usda) and counts metres; the package is a zip without compression, every file at
-a multiple of 64 bytes, as USD asks.
+Displacement is a variant, off by default: programs that cannot displace use the height as a bump
+map on top of the normal map (Blender: 5 to 8 % off at grazing light).
+
+Lengths are metres. A .usdz is an uncompressed zip whose files start at multiples of 64 bytes.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from matcap.export.formats import Picture, rgb
 from matcap.export.gltf import ior
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.materialx import INPUTS, Layered
-from matcap.export.presets import Lit, PackedMaterial
+from matcap.export.presets import EngineModel, PackedMaterial
 from matcap.export.shading import TargetShading
 from matcap.export.specular_workflow import base_colour, clipping_notes, specular_colour
 from matcap.export.surface import MadeSurface, Reader, TargetSurface
@@ -46,39 +47,39 @@ from matcap.export.textures import (
     Standard,
     coded_height,
     coded_normal,
-    height_facts,
-    occlusion_facts,
+    height_entry,
+    occlusion_entry,
     picture,
     signed,
 )
 from matcap.files.maker import MAKER
 
 SHADING = TargetShading(layer="half", each=True)
-# What programs do that take UsdPreviewSurface for a Principled BSDF with a tint.
+# Shading of programs that convert UsdPreviewSurface to a Principled BSDF with a specular tint.
 _FALLBACK = TargetShading(layer="half", each=True, compensated=True)
-_MIRROR = 1000.0  # an index of refraction that reflects 0.996 of the light
+_MIRROR = 1000.0  # index of refraction with F0 = 0.996
 _LARGEST_F0 = 0.9
 _ALIGNMENT = 64
 _HEADER = 30  # bytes of a zip's local header, without name and extra field
-# Any time: the same maps give the same bytes.
+# A fixed time, so that the same maps give the same bytes.
 _DATE = (1980, 1, 1, 0, 0, 0)
 _CONTAINERS = ("png", "jpg")
 
 
 @dataclass(frozen=True)
-class _UsdLook:
-    """A material's textures by input, and its numbers."""
+class _UsdMaterial:
+    """The textures and constants of a USD material."""
 
     inputs: dict[str, TextureFile]
-    """Of UsdPreviewSurface: the textures."""
+    """Textures of UsdPreviewSurface by kind."""
     specular: bool
     """Whether useSpecularWorkflow is on."""
     ior: float
     """Index of refraction."""
     layered: Layered
-    """Textures and index of the MaterialX network."""
+    """Textures and index of refraction of the MaterialX network."""
     coloured: bool
-    """F0 has a colour."""
+    """F0 is coloured."""
 
     def files(self, name: str) -> dict[str, str]:
         """File names of all textures by kind."""
@@ -86,17 +87,17 @@ class _UsdLook:
         return {kind: f"{name}_{kind}{made.suffix}" for kind, made in textures.items()}
 
     def textures(self) -> dict[str, TextureFile]:
-        """All of them by kind."""
+        """All textures by kind."""
         kind, second = self.layered.second
         label = "mtlx_specular" if kind == "tint" else "mtlx_metalness"
         return self.inputs | {"mtlx_base": self.layered.base, label: second}
 
 
 def usd_specular(job: ExportJob) -> Export:
-    """NAME.usda beside its textures, and NAME.usdz with all of them inside.
+    """NAME.usda with its textures, and NAME.usdz with all of them inside; specular workflow.
 
     Raises:
-        UsageError: textures of floats were asked for.
+        UsageError: a depth or format that .usdz does not allow.
     """
     _check(job)
 
@@ -108,12 +109,12 @@ def usd_specular(job: ExportJob) -> Export:
     shared = _shared(job)
     inputs = {
         "base_color": TextureFile.of(job, lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
-        # On the sRGB curve, as three.js takes it whatever the stage says.
+        # sRGB-encoded: three.js decodes it regardless of the stage's sourceColorSpace.
         "specular": TextureFile.of(job, tint, "16", SPECULAR, srgb=True),
         "roughness": TextureFile.of(job, picture("roughness"), "16", ROUGHNESS),
         **shared,
     }
-    look = _UsdLook(inputs, True, _MIRROR, Layered.of(job), job.coloured)
+    material = _UsdMaterial(inputs, True, _MIRROR, Layered.of(job), job.coloured)
 
     def surface(read: Reader) -> TargetSurface:
         specular = read(inputs["specular"])[:channels]
@@ -126,7 +127,9 @@ def usd_specular(job: ExportJob) -> Export:
             shading=SHADING,
         )
 
-    in_browsers = replace(look, inputs={kind: one.in_browsers() for kind, one in inputs.items()})
+    in_browsers = replace(
+        material, inputs={kind: one.in_browsers() for kind, one in inputs.items()}
+    )
 
     def doubled(read: Reader) -> TargetSurface:
         seen = _fallback(in_browsers, read)
@@ -136,50 +139,50 @@ def usd_specular(job: ExportJob) -> Export:
 
     surfaces: dict[str, MadeSurface] = {
         "specular": surface,
-        "without it": partial(_fallback, look),
+        "without it": partial(_fallback, material),
         "in three.js": doubled,
     }
-    return _export(job, look, surfaces)
+    return _export(job, material, surfaces)
 
 
 def usd_metallic(job: ExportJob) -> Export:
-    """The same in the metallic workflow.
+    """NAME.usda and NAME.usdz in the metallic workflow.
 
     Raises:
-        UsageError: textures of floats were asked for.
+        UsageError: a depth or format that .usdz does not allow.
     """
     _check(job)
     shared = _shared(job)
-    start = Lit(SHADING, "metallic", even=_LARGEST_F0).of(job)
-    lit = start.nearest(
+    start = EngineModel(SHADING, "metallic", even=_LARGEST_F0).of(job)
+    model = start.nearest(
         job, lambda tried: partial(_seen, tried, _metallic_inputs(job, tried, shared))
     )
-    inputs, index = _metallic_inputs(job, lit, shared), ior(lit.dielectric[0])
-    look = _UsdLook(inputs, False, index, Layered.of(job), job.coloured)
-    made = _export(job, look, {"metallic": partial(_seen, lit, inputs)})
-    return replace(made, facts=made.facts | {"metallic": lit.form})
+    inputs, index = _metallic_inputs(job, model, shared), ior(model.dielectric[0])
+    material = _UsdMaterial(inputs, False, index, Layered.of(job), job.coloured)
+    made = _export(job, material, {"metallic": partial(_seen, model, inputs)})
+    return replace(made, entries=made.entries | {"metallic": model.form})
 
 
 def _metallic_inputs(
-    job: ExportJob, lit: Lit, shared: dict[str, TextureFile]
+    job: ExportJob, model: EngineModel, shared: dict[str, TextureFile]
 ) -> dict[str, TextureFile]:
     return {
         "base_color": TextureFile.of(
-            job, lambda p: PackedMaterial(p, lit).metallic.base, "8", BASE, srgb=True
+            job, lambda p: PackedMaterial(p, model).metallic.base, "8", BASE, srgb=True
         ),
         "metallic": TextureFile.of(
-            job, lambda p: PackedMaterial(p, lit).metallic.metallic, "8", "metallic"
+            job, lambda p: PackedMaterial(p, model).metallic.metallic, "8", "metallic"
         ),
         "roughness": TextureFile.of(job, picture("roughness"), "16", ROUGHNESS),
         **shared,
     }
 
 
-def _seen(lit: Lit, inputs: dict[str, TextureFile], read: Reader) -> TargetSurface:
-    """What a renderer makes of the metallic form."""
+def _seen(model: EngineModel, inputs: dict[str, TextureFile], read: Reader) -> TargetSurface:
+    """The reflectance that renderers show of the metallic workflow."""
     base, metal = read(inputs["base_color"]), read(inputs["metallic"])
-    colour = 1.0 - metal + base * metal  # a metal's own, at grazing too
-    mixed = lit.dielectric[0] * (1.0 - metal) * colour + colour * metal
+    colour = 1.0 - metal + base * metal  # F90: metals keep their colour at grazing angles
+    mixed = model.dielectric[0] * (1.0 - metal) * colour + colour * metal
     return TargetSurface(
         base * (1.0 - metal),
         mixed,
@@ -193,15 +196,15 @@ def _seen(lit: Lit, inputs: dict[str, TextureFile], read: Reader) -> TargetSurfa
 
 def _check(job: ExportJob) -> None:
     if job.depth in ("half", "float"):
-        raise UsageError("a .usdz holds PNGs only", where="--bits", remedy="give 8 or 16")
+        raise UsageError("a .usdz has no float textures", where="--bits", remedy="give 8 or 16")
     if job.container is not None and job.container not in _CONTAINERS:
         raise UsageError(
-            f"a .usdz holds no {job.container}", where="--format", remedy="give png or jpg"
+            f"a .usdz cannot hold {job.container}", where="--format", remedy="give png or jpg"
         )
 
 
 def _shared(job: ExportJob) -> dict[str, TextureFile]:
-    """What both forms have."""
+    """Textures of both workflows."""
     return {
         "normal_gl": TextureFile.of(job, coded_normal, "16", f"{NORMAL}, +Y up (OpenGL)"),
         "height": TextureFile.of(job, coded_height, "16", CODED_HEIGHT, lossy=False),
@@ -209,47 +212,47 @@ def _shared(job: ExportJob) -> dict[str, TextureFile]:
     }
 
 
-def _fallback(look: _UsdLook, read: Reader) -> TargetSurface:
-    """What programs without the specular workflow make of it."""
-    f0 = read(look.inputs["specular"]) * ((look.ior - 1.0) / (look.ior + 1.0)) ** 2
+def _fallback(material: _UsdMaterial, read: Reader) -> TargetSurface:
+    """The reflectance of programs without the specular workflow."""
+    f0 = read(material.inputs["specular"]) * ((material.ior - 1.0) / (material.ior + 1.0)) ** 2
     return TargetSurface(
-        read(look.inputs["base_color"]),
+        read(material.inputs["base_color"]),
         f0,
-        read(look.inputs["roughness"]),
-        signed(read(look.inputs["normal_gl"])),
+        read(material.inputs["roughness"]),
+        signed(read(material.inputs["normal_gl"])),
         layer=f0,
         shading=_FALLBACK,
     )
 
 
 def _export(
-    job: ExportJob, look: _UsdLook, surfaces: dict[str, Callable[[Reader], TargetSurface]]
+    job: ExportJob, material: _UsdMaterial, surfaces: dict[str, Callable[[Reader], TargetSurface]]
 ) -> Export:
     def openpbr(read: Reader) -> TargetSurface:
-        return look.layered.surface(Standard.of(job), read)
+        return material.layered.surface(Standard.of(job), read)
 
-    files, textures = look.files(job.name), look.textures()
-    stage = _stage(job, look, files).encode()
+    files, textures = material.files(job.name), material.textures()
+    stage = _stage(job, material, files).encode()
 
     def package(folder: Path) -> bytes:
-        # Read one by one: all of them are as large as the package.
+        # Read one by one, to bound memory.
         contents = ((file, (folder / file).read_bytes()) for file in files.values())
         return _package(chain([(f"{job.name}.usda", stage)], contents))
 
     documents: dict[str, Callable[[Path], bytes]] = {f"{job.name}.usda": lambda _: stage}
-    if job.tiles is None:  # what opens packages knows no texture sets
+    if job.tiles is None:  # readers of .usdz do not support UDIM
         documents[f"{job.name}.usdz"] = package
     return Export(
         {file: textures[kind] for kind, file in files.items()},
         documents,
         surfaces | {"mtlx": openpbr},
         (*clipping_notes(job, SHADING), *job.size_notes()),
-        height_facts(job, *job.height_code) | occlusion_facts(job),
+        height_entry(job, *job.height_code) | occlusion_entry(job),
     )
 
 
-def _stage(job: ExportJob, look: _UsdLook, files: dict[str, str]) -> str:
-    """The .usda text."""
+def _stage(job: ExportJob, material: _UsdMaterial, files: dict[str, str]) -> str:
+    """The text of the .usda file."""
     x, y = (side * job.metres / 2.0 for side in job.extent)
     columns, rows = job.grid or (1, 1)
     name = _identifier(job.name)
@@ -262,7 +265,7 @@ def _stage(job: ExportJob, look: _UsdLook, files: dict[str, str]) -> str:
         _texture("Height", files["height"], "float outputs:r", scale=scale, bias=-scale * midlevel),
         _texture("Occlusion", files["occlusion"], "float outputs:r"),
     ]
-    if look.specular:
+    if material.specular:
         textures.append(_texture("Specular", files["specular"], "float3 outputs:rgb", "sRGB"))
         link = f"</{name}/Material/Specular.outputs:rgb>"
         workflow = f"""color3f inputs:specularColor.connect = {link}
@@ -272,7 +275,7 @@ def _stage(job: ExportJob, look: _UsdLook, files: dict[str, str]) -> str:
         textures.append(_texture("Metallic", files["metallic"], "float outputs:r"))
         workflow = f"""float inputs:metallic.connect = </{name}/Material/Metallic.outputs:r>
             int inputs:useSpecularWorkflow = 0"""
-    textures.append(_network(look, files))
+    textures.append(_network(material, files))
     shaders = "\n".join(text.replace("@ROOT@", f"/{name}/Material") for text in textures)
     return f'''#usda 1.0
 (
@@ -321,7 +324,7 @@ def Xform "{name}" (
         {{
             uniform token info:id = "UsdPreviewSurface"
             color3f inputs:diffuseColor.connect = </{name}/Material/BaseColor.outputs:rgb>
-            float inputs:ior = {look.ior!r}
+            float inputs:ior = {material.ior!r}
             normal3f inputs:normal.connect = </{name}/Material/Normal.outputs:rgb>
             float inputs:roughness.connect = </{name}/Material/Roughness.outputs:r>
             float inputs:occlusion.connect = </{name}/Material/Occlusion.outputs:r>
@@ -355,13 +358,13 @@ def Xform "{name}" (
 '''  # noqa: E501
 
 
-def _network(look: _UsdLook, files: dict[str, str]) -> str:
-    """OpenPBR as MaterialX has it, in USD's words (UsdMtlx)."""
+def _network(material: _UsdMaterial, files: dict[str, str]) -> str:
+    """The OpenPBR network in USD (UsdMtlx)."""
     taken = INPUTS["open_pbr_surface"]
     kinds = {"color3": "color3f", "float": "float", "vector3": "float3"}
-    second = ("color3", "srgb_texture") if look.coloured else ("float", "raw")
-    kind, node, grey = "tint", "MtlxSpecular", not look.coloured
-    if look.layered.metalness is not None:
+    second = ("color3", "srgb_texture") if material.coloured else ("float", "raw")
+    kind, node, grey = "tint", "MtlxSpecular", not material.coloured
+    if material.layered.metalness is not None:
         second, kind, node, grey = ("float", "raw"), "metalness", "MtlxMetalness", False
     sources = {
         "base_color": ("MtlxBase", files["mtlx_base"], "color3", "srgb_texture"),
@@ -379,7 +382,7 @@ def _network(look: _UsdLook, files: dict[str, str]) -> str:
     text = f"""        def Shader "OpenPBR"
         {{
             uniform token info:id = "ND_open_pbr_surface_surfaceshader"
-{"".join(links)}            float inputs:{taken["ior"][0]} = {look.layered.ior!r}
+{"".join(links)}            float inputs:{taken["ior"][0]} = {material.layered.ior!r}
             token outputs:out
         }}
 
@@ -445,19 +448,19 @@ def _texture(
 
 
 def _identifier(name: str) -> str:
-    """The name as USD lets primitives be called."""
+    """The name as a valid USD identifier."""
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
     return plain if plain[0].isalpha() else f"M_{plain}"
 
 
 def _package(files: Iterable[tuple[str, bytes]]) -> bytes:
-    """A .usdz of names and contents: the first file is the stage."""
+    """The .usdz of (name, content) pairs, the stage first."""
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED) as package:
         for name, content in files:
             info = zipfile.ZipInfo(name, _DATE)
             start = whole.tell() + _HEADER + len(name.encode())
-            # An extra field of no meaning fills up to the next multiple of 64.
+            # Pad with an extra field to the next multiple of 64.
             fill = -(start + 4) % _ALIGNMENT
             info.extra = struct.pack("<HH", 0x1986, fill) + b"\0" * fill
             package.writestr(info, content)

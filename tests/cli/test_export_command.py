@@ -87,7 +87,7 @@ def test_files_of_other_formats(matcap, folder):
     assert (folder / "out" / "moss_diffuse.tx").is_file()
     found = matcap("export", "set", "--to", "gltf", "--format", "tx")
     assert found.code == 2
-    assert "--format: glTF knows no tx; give png, jpg or webp." in found.err
+    assert "--format: glTF cannot hold tx; give png, jpg or webp." in found.err
 
 
 def test_json_tells_what_is_lost(matcap, folder):
@@ -164,10 +164,14 @@ _UDIM_ROWS = (("1011", "1012"), ("1001", "1002"))
         (["--to", "gtlf"], 2, "--to: there is no 'gtlf'; did you mean 'gltf'."),
         (["--to", "unral"], 2, "--to: there is no 'unral'; did you mean 'unreal'."),
         (["--to", "usd", "--name", "{map}"], 2, "--name: this is for presets alone; leave it out."),
-        (["--to", "usd", "--bits", "half"], 2, "--bits: a .usdz holds PNGs only; give 8 or 16."),
+        (
+            ["--to", "usd", "--bits", "half"],
+            2,
+            "--bits: a .usdz has no float textures; give 8 or 16.",
+        ),
         (["--to", "raw", "--maps", "rough"], 2, "did you mean 'roughness'."),
         (["--to", "raw", "--name", "{stem}"], 2, "put {map} into the name."),
-        (["--to", "usd", "--udim", "2x2"], 2, "--udim: set is no material"),
+        (["--to", "usd", "--udim", "2x2"], 2, "--udim: set is not a material"),
         (["--to", "usd", "-o", "set/moss.json"], 3, "a file stands where a folder is needed"),
     ],
 )

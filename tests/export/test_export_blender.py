@@ -53,7 +53,7 @@ def test_the_plane_and_the_relief_are_in_metres(tmp_path, made, monkeypatch, uni
     import sys
 
     done = write_export(ExportJob(made["leather"], "leather", unit), "blender", tmp_path)
-    assert any("no real size" in note for note in done.notes) == (unit is None)
+    assert any("not measured" in note for note in done.notes) == (unit is None)
     corner = Any()
     corner.co = Any()
     corner.co.x, corner.co.y = 0.5, 0.5

@@ -92,7 +92,7 @@ def test_more_light_than_a_layer_allows_is_told(tmp_path):
 
 
 def test_floats_are_refused(tmp_path, made):
-    with pytest.raises(UsageError, match="no textures of floats"):
+    with pytest.raises(UsageError, match="no float textures"):
         write_export(ExportJob(made["leather"], "leather", depth="half"), "gltf", tmp_path)
 
 

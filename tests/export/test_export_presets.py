@@ -264,12 +264,12 @@ class TestForms:
     @pytest.mark.parametrize("f0", [0.045, 0.09])
     def test_what_is_no_metal_is_not_called_one_for_little(self, f0):
         """F0 = 0.09 of a brown leather would be a tenth nearer as a little of a metal."""
-        assert packed(glossy(f0), "unreal-metallic").facts["metallic"] == "plain"
+        assert packed(glossy(f0), "unreal-metallic").entries["metallic"] == "plain"
 
     @pytest.mark.parametrize("preset", ["unreal-metallic", "unity-hdrp-metallic", "godot"])
     def test_rust_beside_steel_is_solved_texel_by_texel(self, preset):
         assert (
-            packed(ExportJob(metals()["rust beside steel"], "rust"), preset).facts["metallic"]
+            packed(ExportJob(metals()["rust beside steel"], "rust"), preset).entries["metallic"]
             == "free"
         )
 
@@ -304,7 +304,7 @@ def test_the_nearest_form_is_written_and_both_are_told(tmp_path, preset):
 def test_unreal_gets_what_every_project_shows_unless_asked(tmp_path):
     done = write_export(glossy(0.09), "unreal", tmp_path)
     assert done.workflow == "metallic" and set(done.residuals) == {"metallic", "specular"}
-    assert any("--workflow specular comes nearer" in note for note in done.notes)
+    assert any("--workflow specular is closer" in note for note in done.notes)
 
 
 def test_a_form_can_be_asked_for(tmp_path):

@@ -57,7 +57,7 @@ def test_a_known_size_goes_into_every_export(tmp_path, made):
     write_mapset(made["leather"], tmp_path, info)
     for target in DOCUMENTS:
         done = export_mapset(tmp_path, target)
-        assert not any("no real size" in note for note in done.notes)
+        assert not any("not measured" in note for note in done.notes)
         sidecar = json.loads((tmp_path / target / f"leather_{target}.json").read_text())
         assert sidecar["unit"] == "mm"
         assert sidecar["tile"][0] == pytest.approx(170.0)

@@ -91,5 +91,5 @@ def test_files_lie_at_multiples_of_64_bytes(tmp_path, made):
 
 
 def test_floats_are_refused(tmp_path, made):
-    with pytest.raises(UsageError, match="PNGs only"):
+    with pytest.raises(UsageError, match="no float textures"):
         write_export(ExportJob(made["leather"], "leather", depth="half"), "usd", tmp_path)

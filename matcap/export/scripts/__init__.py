@@ -1,1 +1,1 @@
-"""Scripts that are copied beside an export and run by other programs' Python; not imported here."""
+"""Scripts that are copied into an export and run in other programs' Python; never imported."""
