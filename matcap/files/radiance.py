@@ -1,4 +1,4 @@
-"""Headers of Radiance HDR images: exposure, primaries and orientation [larson1998].
+"""Headers of Radiance HDR images: exposure, primaries and orientation [ward1991; larson1998].
 
 Lines of text up to an empty one, then the resolution, such as `-Y 512 +X 1024`: axis and number of
 the scanlines, then axis and number of the texels in each; `-Y` is down, `+X` right. Stored radiance

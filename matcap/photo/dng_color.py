@@ -176,7 +176,7 @@ class _Camera:
 
 
 def temperature(white: tuple[float, float]) -> float:
-    """Correlated colour temperature, kelvin, of (x, y) (McCamy 1992), in [1500, 50000]."""
+    """Correlated colour temperature, kelvin, of (x, y) [mccamy1992], in [1500, 50000]."""
     n = (white[0] - 0.3320) / (0.1858 - white[1])
     return float(np.clip(((449.0 * n + 3525.0) * n + 6823.3) * n + 5520.33, 1500.0, 50_000.0))
 

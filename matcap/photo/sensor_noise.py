@@ -1,8 +1,7 @@
 """The sensor's noise: its strength estimated from the mosaic itself, and another draw of it.
 
 Light comes in photons, and amplifiers hiss: a photosite's variance is a straight line in its
-signal (Foi et al., "Practical Poissonian-Gaussian noise modeling and fitting for single-image
-raw-data", 2008). Noise is independent from one photosite to the next; what a lens draws is not.
+signal [foi2008]. Noise is independent from one photosite to the next; what a lens draws is not.
 So the finest structure, that of a checkerboard of single photosites, is nearly all noise, and where
 the picture is plainest it is nothing else.
 
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Mixed second difference: 0 on whatever bends along one direction only, of unit gain for noise
-# (Immerkaer, "Fast noise variance estimation", 1996).
+# [immerkaer1996].
 _CHECKER = np.outer((1.0, -2.0, 1.0), (1.0, -2.0, 1.0)).astype(np.float32) / 6.0
 _SMOOTH = 1.5  # photosites of one colour: standard deviation of the blur that estimates the signal
 _BLOCK = 16  # photosites a side of what a variance is measured in

@@ -1,4 +1,4 @@
-"""Heights whose slopes are nearest to given ones (Frankot and Chellappa 1988, with cosines)."""
+"""Heights whose slopes are nearest to given ones ([frankot1988], with cosines)."""
 
 from __future__ import annotations
 

@@ -64,8 +64,8 @@ def noise_level(plane: Plane) -> float:
 def plainest(plane: Plane, weights: Tensor) -> float:
     """Deviation of the finest structure of log radiance where there is least of it.
 
-    Mixed second differences, which are 0 on whatever bends along one direction only (Immerkaer,
-    "Fast noise variance estimation", 1996), in blocks.
+    Mixed second differences, which are 0 on whatever bends along one direction only
+    [immerkaer1996], in blocks.
     """
     log = (weights * plane.linear.clamp_min(NOISE.darkest).log()).sum(0)
     mixed = log[2:] - 2.0 * log[1:-1] + log[:-2]

@@ -36,7 +36,7 @@ def enlarged(plane: ChannelPlane, shape: tuple[int, ...]) -> ChannelPlane:
 def filled(plane: ChannelPlane, known: NDArray[np.bool_]) -> ChannelPlane:
     """A plane (H, W) whose unknown texels go on from the known ones around them.
 
-    Means of ever larger cells (pull and push: Gortler et al. 1996); 0 where nothing is known.
+    Means of ever larger cells (pull-push [gortler1996]); 0 where nothing is known.
     """
     if known.all() or min(plane.shape) < 2:
         return np.where(known, plane, np.float32(0.0))

@@ -3,7 +3,7 @@
 Near the flash's mirror point a highlight lies over albedo, and where it clips nothing is seen at
 all. The material is stationary, so blocks of maps from where it is well seen are copied there. Of
 many blocks the one is taken that continues its neighbours and, lit here,
-would draw what the photograph shows here (texture transfer, Efros and Freeman 2001). Drawings are
+would draw what the photograph shows here (texture transfer [efros2001]). Drawings are
 compared by correlation: what a block's radiance is off by on the whole is the highlight's fit, and
 blocks chosen by it are all pale ones.
 """

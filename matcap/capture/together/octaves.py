@@ -6,7 +6,7 @@ network's prediction. The truth is modelled as g m + e with e of variance T, so
     y = g m + e + noise,    g = E[y m] / E[m^2],    T = E[(y - g m)^2] - nu.
 
 nu is the variance of the change of y when each photograph is left out in turn: the jackknife
-(Efron 1982), which needs no model of misregistration, shadows or JPEG. m has noise of the first
+[efron1982], which needs no model of misregistration, shadows or JPEG. m has noise of the first
 photograph in it, which has therefore no part in g. So the photographs calibrate the network on
 steep and on flat materials alike. The posterior mean g m + T / (T + nu) (y - g m) is too smooth;
 with the square root of that gain the octave has its energy g^2 E[m^2] + T.

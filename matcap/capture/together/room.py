@@ -1,8 +1,8 @@
 """Ambient light: subtracted from flash photographs, and a photograph by it alone as a measurement.
 
 A photograph without the flash shows albedo under light that hardly changes over the piece. Where
-exposures are known what it shows is what the flash photographs have too much (Aittala et al. 2015
-take two such photographs); and since what the room adds changes slowly and leans one way, what
+exposures are known what it shows is what the flash photographs have too much ([aittala2015]
+takes two such photographs); and since what the room adds changes slowly and leans one way, what
 changes fast in it is albedo, whatever the flash made of that.
 """
 

@@ -1,9 +1,9 @@
 """Shared parameters: gains, flash position, vignetting and photograph registration.
 
 A photograph that is looked up beside its place is explained by slopes that are not there, and then
-nothing seems wrong. So texels may answer to every step (variable projection, Golub and Pereyra
-1973): their numbers are eliminated from the normal equations of some of them, and only what no
-texel's own numbers could explain moves anything.
+nothing seems wrong. So texels may answer to every step (variable projection
+[golub1973]): their numbers are eliminated from the normal equations of some of them, and only
+what no texel's own numbers could explain moves anything.
 """
 
 from __future__ import annotations

@@ -81,7 +81,7 @@ class Stepped:
         relief: (3, H, W) precision of slopes, all other parameters eliminated, prior included:
             of x, of y, and of both together.
         changes: (photographs, NUMBERS, H, W) what numbers change by when each photograph is left
-            out: the jackknife (Efron 1982). Empty where it was not asked for.
+            out: the jackknife [efron1982]. Empty where it was not asked for.
     """
 
     numbers: Tensor
@@ -167,7 +167,7 @@ def _even(view: PieceView, numbers: Tensor) -> PieceView:
 
 
 def weights(residual: Tensor, seen: Tensor, noise: float, settings: SolveSettings) -> Tensor:
-    """What residuals of log radiance weigh (Geman and McClure 1985)."""
+    """What residuals of log radiance weigh [geman1985]."""
     kept = 1.0 / (1.0 + (residual / settings.robust).square()).square()
     return seen * kept / (settings.noise**2 + noise**2)
 

@@ -235,7 +235,7 @@ def _parts(step: Doubles) -> list[Doubles]:
 
 
 def _first_guess(first: PosedCamera, pair: Pair) -> Doubles:
-    """(6,) of a camera by its view of the plane (Collins and Bartoli 2014), from the first's."""
+    """(6,) of a camera by its view of the plane [collins2014], from the first's."""
     points = first.on_plane(pair.first)
     focal = first.lens.focal * pair.focal
     # OpenCV's camera looks along +z with y downwards.

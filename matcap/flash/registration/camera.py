@@ -3,7 +3,7 @@
 The plane's frame is the first photograph's (flash/geometry.py). A point p of it lies at
 q = turn (p - place) in front of a camera, which looks down -z, x right, y up; it is seen at
 u = d q_x / -q_z, v = d q_y / -q_z with d = 1 / tan(fov / 2), the long side in [-1, 1], and drawn
-by the lens at (1 + k1 r^2 + k2 r^4) times that (Brown 1966, without what is off centre).
+by the lens at (1 + k1 r^2 + k2 r^4) times that ([brown1966], radial terms alone).
 """
 
 from __future__ import annotations

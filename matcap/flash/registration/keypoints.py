@@ -1,4 +1,4 @@
-"""Feature matches of two photographs: keypoints by SIFT (Lowe 2004) on even contrast.
+"""Feature matches of two photographs: keypoints by SIFT [lowe2004] on even contrast.
 
 The flash moves with the camera, so light differs and texture does not: contrast is made even
 before anything is looked for, by its mean size around, or where that finds little by histograms.
@@ -34,7 +34,7 @@ class KeypointSettings:
     contrast: float = 0.01
     """Least contrast of a feature; low, for materials are faint."""
     ratio: float = 0.95
-    """A match's distance over the next best's, at most (Lowe 2004)."""
+    """A match's distance over the next best's, at most [lowe2004]."""
     off: float = 2.5
     """Pixels that a match may lie beside a homography."""
     enough: int = 200
@@ -57,7 +57,7 @@ class Keypoints:
     image: Doubles
     """(2, n) image coordinates."""
     described: NDArray[np.float32]
-    """(n, 128) by SIFT, roots of shares (Arandjelovic and Zisserman 2012)."""
+    """(n, 128) by SIFT, roots of shares [arandjelovic2012]."""
     pixel: float
     """A pixel's side in image coordinates."""
     shape: NDArray[np.complex128]
@@ -129,7 +129,7 @@ def even_contrast(grey: NDArray[np.float32], settings: KeypointSettings) -> NDAr
 
 
 def even_histogram(grey: NDArray[np.float32], settings: KeypointSettings) -> NDArray[np.uint8]:
-    """Codes of even histograms, limited in contrast, block by block (CLAHE, Zuiderveld 1994)."""
+    """Codes of even histograms, limited in contrast, block by block (CLAHE [zuiderveld1994])."""
     # A dark photograph's features are as good as a bright one's.
     level = 0.25 / max(float(np.median(grey)), 1e-6)
     codes = (255.0 * srgb_encode((grey * level).clip(0.0, 1.0))).round().astype(np.uint8)
@@ -144,7 +144,7 @@ def matched(
 ) -> tuple[Doubles, Doubles]:
     """(2, n) image coordinates in both of features that agree with one homography.
 
-    Robust by MAGSAC (Barath et al. 2020).
+    Robust by MAGSAC++ [barath2020].
     """
     nothing = np.zeros((2, 0))
     if min(len(first.described), len(second.described)) < 8:
@@ -228,8 +228,9 @@ def _voted(
 ) -> NDArray[np.bool_]:
     """(n,) matches that go along with the one that most go along with.
 
-    A match predicts by its scale and rotation where others around it should be (Lowe 2004, section
-    7.1): one in fifty that is right is found so, where sampling four of them never meets four.
+    A match predicts by its scale and rotation where others around it should be [lowe2004,
+    section 7.1]: one in fifty that is right is found so, where sampling four of them never meets
+    four.
 
     Args:
         one, other: (2, n) image coordinates.

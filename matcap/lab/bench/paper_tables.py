@@ -1,4 +1,4 @@
-"""`matcap bench paper`: the tables of Henzler et al. 2021, section 5, for both generators.
+"""`matcap bench paper`: the tables of [henzler2021, section 5], for both generators.
 
 Map sets are photographed under a flash beside the lens, as the paper does with Mitsuba. Each
 configuration captures the photograph; what comes out is compared with true samples of the material

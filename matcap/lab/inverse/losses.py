@@ -1,10 +1,10 @@
 """Losses of the inverse network.
 
-Beside the maps' own errors: renderings under lights it was not photographed by (Deschaintre et al.
-2018), which say how much an error shows; energies of slope and albedo per band and place, because
-L1 alone shrinks what is in doubt; statistics of the relit pictures, for the same reason; and the
-errors it expects of itself. All pictures of a step at once, as tensors alone, so that what is
-between the network and the statistics can be compiled.
+Beside the maps' own errors: renderings under lights the material was not photographed by
+[deschaintre2018], which weight an error by how much it shows; energies of slope and albedo per
+band and place, and statistics of the relit pictures, because L1 alone shrinks what is in doubt;
+and the errors the network expects of itself. All pictures of a step are evaluated at once, as
+tensors alone, so that everything between the network and the statistics can be compiled.
 """
 
 from __future__ import annotations

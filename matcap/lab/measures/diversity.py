@@ -1,7 +1,7 @@
 """Diversity of several realisations of one material (paper, section 5.2, "diversity").
 
-The paper's is the mean pairwise L1 of VGG features over all realisations, after Henzler, Mitra and
-Ritschel (2020), "Learning a Neural 3D Texture Space from 2D Exemplars"; here the features are those
+The paper's is the mean pairwise L1 of VGG features over all realisations, after
+[henzler2020]; here the features are those
 of RandomFilters (style.py). They are compared place by place, so that the same texture with its
 grains elsewhere counts as another picture; and as features of several scales, not as pixels, so
 that faint noise does not count.

@@ -1,6 +1,6 @@
 """Sliced Wasserstein distance of patches of two textures; no weights, never tuned to.
 
-The sliced Wasserstein distance (Rabin et al. 2011; of patches Elnekave and Weiss 2022): patches of
+The sliced Wasserstein distance [rabin2011], of patches [elnekave2022]: patches of
 3, 7 and 15 texels a side, at three scales, are projected on random directions; along each the
 sorted projections of one picture are compared with those of the other. It knows how often patches
 occur and nothing of where, so it sees colours, edges and grain, and hardly that a crack goes on.

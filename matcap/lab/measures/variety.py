@@ -1,8 +1,7 @@
 """Precision, recall and diversity of generated pictures.
 
-After Kynkaanniemi et al. (2019), "Improved Precision and Recall Metric for Assessing Generative
-Models". Each set of pictures covers the balls around its members that reach to their k-th nearest
-other member; precision is the share of made pictures within the true ones' balls, recall that of
+After [kynkaanniemi2019]. Each set of pictures covers the balls around its members that reach to
+their k-th nearest other member; precision is the share of made pictures within the true ones' balls, recall that of
 true pictures within the made ones'. Distances are those of RandomFilters (style.py), which nothing
 is trained on.
 """

@@ -171,7 +171,7 @@ def _from_middle(count: int) -> NDArray[np.float64]:
 def _sampled(tile: Floats, places: NDArray[np.float64], axis: int) -> Floats:
     """A repeating tile at places along an axis, by cubics through its texels that keep its slopes.
 
-    Catmull and Rom 1974; OpenCV's cubics are steeper by up to a half.
+    [catmull1974]; OpenCV's cubics are steeper by up to a half.
     """
     shape = tuple(-1 if a == axis else 1 for a in range(tile.ndim))
     first = np.floor(places)

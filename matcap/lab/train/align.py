@@ -7,7 +7,7 @@ brightness; EXIF is missing at times, and the field of view is then the assumed 
 lit several times; what does not need its maps is drawn anew every time it is shown.
 
 The loss is the Gaussian negative log-likelihood of both angles under the predicted mean and
-standard deviation (Nix and Weigend 1994; Kendall and Gal 2017). Tilts are uniform, so that the
+standard deviation [nix1994; kendall2017]. Tilts are uniform, so that the
 prediction is a likelihood, to which a capture adds its own prior.
 """
 
@@ -318,7 +318,7 @@ def train_alignment(
 def likelihood_loss(mean: Tensor, log_std: Tensor, tilt: Tensor) -> Tensor:
     """Gaussian negative log-likelihood of angles, but for a constant; of (B, 2) each.
 
-    Weighted by the standard deviation to the power 1/2 (Seitzer et al. 2022, beta-NLL): without it
+    Weighted by the standard deviation to the power 1/2 (beta-NLL [seitzer2022]): without it
     what is hard is given up as uncertain before it is learnt.
     """
     nll = 0.5 * ((tilt - mean) / log_std.exp()).square() + log_std
