@@ -1,7 +1,8 @@
 """Style distances of textures, by statistics that no capture optimises.
 
 1. *Portilla-Simoncelli* [portilla2000] statistics of the grey picture, by plenoptic (extra
-   `bench`), and mean and covariance of its colours. The distance is the mean over groups g of statistics of
+   `bench`), and mean and covariance of its colours. The distance is the mean over
+   groups g of statistics of
 
        |a_g - b_g|_1 / ((|a_g|_1 + |b_g|_1) / 2 + n_g t_g),
 

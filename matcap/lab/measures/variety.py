@@ -1,9 +1,10 @@
 """Precision, recall and diversity of generated pictures.
 
-After [kynkaanniemi2019]. Each set of pictures covers the balls around its members that reach to
-their k-th nearest other member; precision is the share of made pictures within the true ones' balls, recall that of
-true pictures within the made ones'. Distances are those of RandomFilters (style.py), which nothing
-is trained on.
+Improved precision and recall [kynkaanniemi2019]. A set of pictures covers a ball around each of its
+members, with the distance to the k-th nearest other member as radius. Precision is the share of
+generated pictures within the balls of the true ones, recall the share of true pictures within the
+balls of the generated ones. Distances are those of RandomFilters (style.py), on which nothing is
+trained.
 """
 
 from __future__ import annotations
