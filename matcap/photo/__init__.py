@@ -1,4 +1,4 @@
-"""A photograph file to a `Photo`: linear light, white-balanced, oriented; nothing of networks.
+"""Reads photograph files to Photo: linear, white-balanced, oriented; inspection and calibration.
 
-Start reading at `load`; `raw` and `developed` are the two kinds of file.
+Start reading at load.py; raw.py and developed.py are the two kinds of file.
 """

@@ -1,8 +1,9 @@
-"""Where a photograph's border is not what the rest of it is: a table's edge, another sheet.
+"""Detects a border that is not the material, such as a table's edge or another sheet.
 
-Lines of cells along a side are medians of hue and brightness. A border is another thing where
-between two of them there is a step such as nowhere in the middle, and all lines beyond it differ
-from those before it. What drifts, as a flash's light does, has no step.
+The photograph is averaged to cells; each line of cells along a side is reduced to the medians of
+two log hues and log brightness. A border begins at a step between lines that is larger than those
+in the middle, if all lines beyond it differ from those before it. The gradual falloff of a flash
+has no such step.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BorderSettings:
-    """When a border is another thing.
+    """Thresholds of a border.
 
     Attributes:
-        cells: along the long side: a step is as wide as one or two.
-        least: log hue, log hue, log light: what a step must be.
-        unlike: times the steps that nine of ten in the middle do not exceed, likewise.
-        kept: of the step, that all lines beyond it must differ by.
-        before: lines that they must differ from.
-        most: of a side that is proposed to be cut off at each end.
-        dark: of the median: bounds logarithms.
+        cells: along the long side; a step is one or two cells wide.
+        least: least step of the two log hues and log brightness.
+        unlike: least ratio of a step to the 0.9 quantile of those in the middle.
+        kept: share of that limit by which all lines beyond must differ.
+        before: number of lines that they are compared with.
+        most: largest share of a side to crop at each end.
+        dark: added inside logarithms, as a share of the median.
     """
 
     cells: int = 64
@@ -46,18 +47,15 @@ BORDER = BorderSettings()
 
 
 def border_crop(photo: Photo) -> Region | None:
-    """What of a photograph is like its middle, in its file's pixels as it is looked at.
-
-    None where all of it is.
-    """
-    looks = _looks(photo.pixels)
-    rows, columns = looks.shape[1:]
-    ends = [_cut(looks.transpose(0, 2, 1)), _cut(looks.transpose(0, 2, 1)[:, ::-1])]
-    ends += [_cut(looks), _cut(looks[:, ::-1])]
+    """The crop that removes borders, in pixels of the file's upright picture; None without any."""
+    cells = _cells(photo.pixels)
+    rows, columns = cells.shape[1:]
+    ends = [_cut(cells.transpose(0, 2, 1)), _cut(cells.transpose(0, 2, 1)[:, ::-1])]
+    ends += [_cut(cells), _cut(cells[:, ::-1])]
     if not any(ends):
         return None
     left, right, top, bottom = ends
-    # Shares of what lies; turned back a quarter clockwise where the photograph stands.
+    # Shares of the landscape picture, rotated back for portraits.
     box = (left / columns, 1.0 - right / columns, top / rows, 1.0 - bottom / rows)
     if photo.turned:
         box = (1.0 - box[3], 1.0 - box[2], box[0], box[1])
@@ -66,8 +64,8 @@ def border_crop(photo: Photo) -> Region | None:
     return Region(x, y, round(box[1] * width) - x, round(box[3] * height) - y)
 
 
-def _looks(pixels: NDArray[np.float32]) -> Values:
-    """(3, rows, columns) of cells: two log hues, and log light."""
+def _cells(pixels: NDArray[np.float32]) -> Values:
+    """(3, rows, columns) cells: log(R / G), log(B / G), mean log radiance."""
     height, width = pixels.shape[:2]
     columns = min(BORDER.cells, width)
     rows = max(8, round(columns * height / width))
@@ -76,10 +74,10 @@ def _looks(pixels: NDArray[np.float32]) -> Values:
     return np.stack([log[..., 0] - log[..., 1], log[..., 2] - log[..., 1], log.mean(axis=-1)])
 
 
-def _cut(looks: Values) -> int:
-    """How many of the first lines of cells (3, lines, along) are another thing."""
-    _, count, along = looks.shape
-    lines = np.median(looks[:, :, along // 8 : along - along // 8], axis=2)
+def _cut(cells: Values) -> int:
+    """Number of first lines of cells (3, lines, along) that are a border."""
+    _, count, along = cells.shape
+    lines = np.median(cells[:, :, along // 8 : along - along // 8], axis=2)
     steps = np.abs(lines[:, 2:] - lines[:, :-2])  # across line k + 1
     usual = np.quantile(steps[:, count // 4 : count - count // 4], 0.9, axis=1)
     limit = np.maximum(BORDER.least, BORDER.unlike * usual)[:, None]
@@ -88,10 +86,10 @@ def _cut(looks: Values) -> int:
     for at in np.argsort(-over):
         if over[at] <= 1.0:
             break
-        look = int(np.argmax(steps[:, at] / limit[:, 0]))
-        inside = lines[look, at + 2 : at + 2 + BORDER.before]
-        beyond = lines[look, : at + 1] - np.median(inside)
+        plane = int(np.argmax(steps[:, at] / limit[:, 0]))
+        inside = lines[plane, at + 2 : at + 2 + BORDER.before]
+        beyond = lines[plane, : at + 1] - np.median(inside)
         sign = np.sign(beyond[at])
-        if (sign * beyond > BORDER.kept * limit[look, 0]).all():
+        if (sign * beyond > BORDER.kept * limit[plane, 0]).all():
             return int(at) + 2
     return 0

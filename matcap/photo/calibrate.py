@@ -1,11 +1,9 @@
-"""Calibration of a shoot from a photograph of the printed card.
+"""Calibration of a series of photographs from one of a calibration card.
 
-From a ChArUco board (matcap card): millimetres a plane unit, and how squarely the card was seen.
-From a ColorChecker Classic in a RAW: a matrix to true colours, and how bright a white surface is
-under this flash at this exposure, which makes albedo absolute. Both hold for photographs from the
-same distance with the same exposure; exposure is compared by Exif.
-
-The flash's falloff over the chart is fitted with it, as a smooth factor.
+From a ChArUco board (matcap card): millimetres per plane unit, and the card's tilt. From a
+ColorChecker Classic in a RAW: a matrix to true colours, and the radiance of white under this flash,
+which makes albedo absolute. Both hold for photographs from the same distance; differences of
+exposure are compensated by Exif. The flash's falloff over the chart is fitted as a smooth factor.
 """
 
 from __future__ import annotations
@@ -30,31 +28,30 @@ from matcap.photo.photo import Photo
 
 Values = NDArray[np.float64]
 
-_WIDTH = 2048  # pixels across that cards are looked for at
+_WIDTH = 2048  # pixels across at which cards are detected
 _LEAST_CORNERS = 6  # of the board; a homography needs four
-_ROUGH_ROUNDS = 6  # of fit_patches, while patches are still looked for
-_MOVES = 60  # of the patches, each nearer than the last
-_MOST_CLIPPED = 0.02  # share of the places looked at
-# A ColorChecker's grid as OpenCV's box around it: patches and gaps, in patch sides.
-_GAP = 0.15
-_INSIDE = 0.25  # of a patch's side around its middle that is measured, either way
-_WORST_FIT = 0.12  # root-mean-square relative residual beyond which it is no ColorChecker
+_ROUGH_ROUNDS = 6  # of fit_patches during the search for the chart's corners
+_MOVES = 60  # random moves of the corners in that search
+_MOST_CLIPPED = 0.02  # share of clipped samples in patches
+_GAP = 0.15  # between patches of a ColorChecker in OpenCV's box, in patch sides
+_INSIDE = 0.25  # half width of the measured square of a patch, in patch sides
+_WORST_FIT = 0.12  # largest relative RMS residual of a ColorChecker
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What was learnt from one card.
+    """Calibration by one photograph of a card.
 
     Attributes:
-        card: the photograph's name.
-        digest: of all of it; part of a material's identity.
-        millimetres_per_unit: half the long side of the photographed rectangle, or None.
-        tilt: degrees that the card was seen at, or None.
-        matrix: (3, 3) from the photographs' linear colours to true ones, rows; or None.
-        white: radiance of a white diffuser squarely under the flash, in parts of the clip level at
-            the card's exposure, after the matrix; or None.
-        exposure: of the card's photograph, in relative units, or None where Exif lacks it.
-        residual: relative root-mean-square error of the patches, or None.
+        card: name of the photograph.
+        digest: of all other fields; part of a material's identity.
+        millimetres_per_unit: of a plane unit, half the photographed rectangle's long side; or None.
+        tilt: of the card, degrees, or None.
+        matrix: (3, 3) from the photographs' linear colours to true colours, by rows; or None.
+        white: radiance of a white diffuser in the middle of the photograph, in units of the clip
+            level at the card's exposure, after the matrix; or None.
+        exposure: of the card's photograph, as Exif.exposure, or None.
+        residual: relative RMS residual of the patches, or None.
     """
 
     card: str
@@ -67,7 +64,7 @@ class Calibration:
     residual: float | None = None
 
     def document(self) -> dict[str, Any]:
-        """As JSON."""
+        """The calibration for JSON."""
         return {
             "card": self.card,
             "millimetres_per_unit": self.millimetres_per_unit,
@@ -79,14 +76,14 @@ class Calibration:
 
 
 def read_card(path: Path, *, fov: float | None = None) -> Calibration:
-    """Find a board and a chart in a photograph of a card.
+    """Calibrate by the board and the chart in a photograph.
 
     Args:
         path: the photograph.
-        fov: degrees across the long side; by default the file's.
+        fov: degrees across the long side; None is the file's.
 
     Raises:
-        MatcapError: it cannot be read, or shows neither.
+        MatcapError: the photograph cannot be read, or shows neither board nor chart.
     """
     photo = load_photo(path, long_side=_WIDTH, fov=fov, noise=False)
     code = (srgb_encode(np.clip(photo.pixels, 0.0, 1.0).astype(np.float64)) * 255.0).round()
@@ -116,9 +113,9 @@ def read_card(path: Path, *, fov: float | None = None) -> Calibration:
 
 
 def calibrated(photo: Photo, calibration: Calibration) -> Photo:
-    """A photograph in true colours, and with its flash known where the exposures can be compared.
+    """Apply a calibration to a RAW photograph: true colours, and the flash's radiant intensity.
 
-    Only RAWs change: a developed picture's numbers are no light.
+    The intensity needs both photographs' exposures. Developed photographs are returned unchanged.
     """
     if calibration.matrix is None or not photo.radiometric:
         return photo
@@ -128,7 +125,7 @@ def calibrated(photo: Photo, calibration: Calibration) -> Photo:
     exposure, white = photo.exposure, calibration.white
     if white is None or exposure is None or calibration.exposure is None:
         return photo
-    # White reflects I / (pi d^2) where it lies squarely under the flash.
+    # The radiance of white in the middle is I / (pi d^2).
     distance = 1.0 / math.tan(math.radians(photo.fov) / 2.0)
     flash = math.pi * distance**2 * white * exposure / calibration.exposure
     return replace(photo, flash_intensity=flash)
@@ -136,12 +133,12 @@ def calibrated(photo: Photo, calibration: Calibration) -> Photo:
 
 @dataclass(frozen=True)
 class ChartFit:
-    """What the patches of a chart say.
+    """Fit of a chart's patches.
 
     Attributes:
-        matrix: (3, 3) measured to true colours, white kept as bright as it is.
+        matrix: (3, 3) from measured to true colours, which keeps the mean radiance of white.
         white: radiance of white in the middle of the picture, mean of the channels.
-        residual: relative root-mean-square error of the patches.
+        residual: relative RMS residual of the patches.
     """
 
     matrix: Values
@@ -150,21 +147,21 @@ class ChartFit:
 
 
 def fit_patches(measured: Values, places: Values, rounds: int = 100) -> ChartFit:
-    """Colours and falloff from the 24 patches of a ColorChecker.
+    """Fit response and falloff to the 24 patches of a ColorChecker.
 
-    measured = falloff(place) * response @ true, by alternating least squares; falloff is the
-    exponential of a quadratic that is 0 in the middle of the picture.
+    measured = falloff(x, y) * response @ true, with falloff = exp(a x + b y + c (x^2 + y^2)), by
+    alternating least squares of relative errors.
 
     Args:
-        measured: (24, 3) linear.
-        places: (24, 2) image coordinates, the middle at 0.
-        rounds: of the alternation; a few distinguish charts from other patterns.
+        measured: (24, 3) linear colours.
+        places: (24, 2) image coordinates x, y, 0 in the middle.
+        rounds: iterations; a few suffice to distinguish charts from other patterns.
     """
     true = srgb_decode(np.array(PATCHES) / 255.0)
     x, y = places[:, 0], places[:, 1]
     terms = np.stack([x, y, x * x + y * y], axis=1)
     falloff = np.ones(len(measured))
-    weight = 1.0 / (measured.mean(axis=1) + 0.02 * measured.mean())  # relative errors count
+    weight = 1.0 / (measured.mean(axis=1) + 0.02 * measured.mean())
     response = np.eye(3)
     for _ in range(rounds):
         known = true * (falloff * weight)[:, None]
@@ -180,11 +177,11 @@ def fit_patches(measured: Values, places: Values, rounds: int = 100) -> ChartFit
     return ChartFit(np.asarray(np.linalg.inv(response) * white), white, residual)
 
 
-_Board = tuple[Values, Values]  # corners in the picture, and on the card in millimetres
+_Board = tuple[Values, Values]  # (N, 2) corners in the picture, (N, 3) on the card in millimetres
 
 
 def _board(picture: NDArray[np.uint8]) -> _Board | None:
-    """The corners of a ChArUco board; None where there is none."""
+    """Detect the corners of a ChArUco board; None if there is none."""
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     pattern = board()
     corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
@@ -195,23 +192,20 @@ def _board(picture: NDArray[np.uint8]) -> _Board | None:
 
 
 def _pose(corners: Values, on_card: Values, shape: Any, fov: float) -> tuple[float, float]:  # noqa: ANN401
-    """(millimetres a plane unit, tilt in degrees) of a board."""
+    """(millimetres per plane unit, tilt in degrees) from a board's corners."""
     height, width = shape[:2]
     focal = width / 2.0 / math.tan(math.radians(fov) / 2.0)
     camera = np.array([[focal, 0, width / 2 - 0.5], [0, focal, height / 2 - 0.5], [0, 0, 1.0]])
     _, turn, shift = cv2.solvePnP(on_card, corners, camera, None)
     normal = cv2.Rodrigues(turn)[0][:, 2]
-    # Where the middle of the picture meets the card.
+    # Distance along the optical axis.
     distance = abs(float(normal @ shift.ravel() / normal[2]))
     tilt = math.degrees(math.acos(min(1.0, abs(float(normal[2])))))
     return distance * math.tan(math.radians(fov) / 2.0), tilt
 
 
 def _best_chart(picture: NDArray[np.uint8], photo: Photo, seen: _Board | None) -> ChartFit | None:
-    """The chart whose patches fit best, among all that OpenCV takes for one; None if none does.
-
-    Its boxes are rough, and some are no charts: each is moved about until the colours fit.
-    """
+    """The best fit among OpenCV's candidates of a chart, each refined; None if none is good."""
     best: ChartFit | None = None
     for box in _boxes(picture, seen):
         fit = _settled(box, photo)
@@ -221,19 +215,19 @@ def _best_chart(picture: NDArray[np.uint8], photo: Photo, seen: _Board | None) -
 
 
 def _boxes(picture: NDArray[np.uint8], seen: _Board | None) -> Iterator[Values]:
-    """Where charts may be: four corners, from dark skin clockwise."""
+    """Candidate boxes of charts: four corners (4, 2), from the dark skin patch clockwise."""
     shown = picture[..., ::-1].copy()
     if seen is not None:
         card = cv2.findHomography(seen[1], seen[0])[0]
         (x, y), (width, height) = PATCHES_AT, PATCHES_SIZE
         corners = [[x, y], [x + width, y], [x + width, y + height], [x, y + height]]
-        # Corners of the board count from its own, not from the page's.
+        # Board coordinates begin at the board's corner, not at the page's.
         own = np.array([corners], np.float64) - np.array(BOARD_AT)
         yield cv2.perspectiveTransform(own, card)[0]
         hull = cv2.convexHull(seen[0].astype(np.float32)).reshape(-1, 2)
         middle = hull.mean(axis=0)
         around = (middle + 1.5 * (hull - middle)).astype(np.int32)
-        cv2.fillConvexPoly(shown, around, (128, 128, 128))  # its squares look like patches
+        cv2.fillConvexPoly(shown, around, (128, 128, 128))  # its squares resemble patches
     blurred = cv2.GaussianBlur(shown, (0, 0), 1.0)
     for scale, version in ((1.0, shown), (1.0, blurred), (0.6, blurred), (1.6, blurred)):
         sized = cv2.resize(version, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
@@ -248,7 +242,7 @@ def _boxes(picture: NDArray[np.uint8], seen: _Board | None) -> Iterator[Values]:
 
 
 def _settled(box: Values, photo: Photo) -> ChartFit | None:
-    """The best fit near a box, corners moved at random by less and less."""
+    """The best fit near a box, by random moves of its corners of decreasing size."""
     chance = np.random.default_rng(0)
     side = float(np.linalg.norm(box[1] - box[0])) / 6.0
     best: ChartFit | None = None
@@ -266,7 +260,7 @@ def _settled(box: Values, photo: Photo) -> ChartFit | None:
 
 
 def _patches(box: Values, photo: Photo) -> tuple[Values, Values] | None:
-    """(24, 3) linear patch colours and their (24, 2) places; None where they are burnt out."""
+    """(24, 3) median colours of a box's patches and their (24, 2) positions; None if clipped."""
     steps = 1.0 + _GAP
     width, height = 6 + 5 * _GAP, 4 + 3 * _GAP
     flat = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
@@ -282,12 +276,12 @@ def _patches(box: Values, photo: Photo) -> tuple[Values, Values] | None:
         return None
     colours = photo.pixels[at[:, 1], at[:, 0]].reshape(24, -1, 3).astype(np.float64)
     centres = (seen.reshape(24, -1, 2).mean(axis=1) - [columns / 2, rows / 2]) / (columns / 2)
-    # Patches are even: what varies inside one is its border.
+    # The median is robust against a patch's border.
     return np.median(colours, axis=1), centres * [1.0, -1.0]
 
 
 def card_sentence(calibration: Calibration | None) -> str:
-    """What holds for a shoot, in words."""
+    """The calibration as a sentence for the user."""
     if calibration is None:
         return "No card: albedo is relative, lengths are in parts of the photograph."
     said = [f"Card {calibration.card}:"]

@@ -1,7 +1,7 @@
-"""A camera's profile: how much light it loses towards the corners, estimated over a shoot.
+"""Camera profile: the falloff towards the corners, estimated from several photographs.
 
-A phone's LED lights a cone, which a RAW shows as well, and a lens darkens its corners. Both belong
-to the camera, whatever it photographs; flash/camera_profile.py estimates them.
+The falloff of an LED's cone and the lens's vignetting are properties of the camera. They are
+estimated together by flash/camera_profile.py.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ from matcap.errors import UsageError
 from matcap.files.staging import staged_file
 from matcap.files.values import bounded, whole
 
-LEAST = 5  # photographs that make a profile: fewer are no shoot
+LEAST = 5  # least number of photographs for a profile
 FORMAT = "matcap camera profile"
 VERSION = 1
 _MOST_BYTES = 100_000
-_MOST_LOST = 20.0  # as in material files
+_MOST_LOST = 20.0  # largest magnitude of coefficients, as in material files
 
 
 @dataclass(frozen=True)
 class Falloff:
-    """Gaussian of FlashSetup's coefficients (a, b): exp(-a s - b s^2) of the light is left.
+    """Gaussian distribution of FlashSetup's falloff coefficients (a, b).
 
-    s = r^2 / 1.25^2, 1 in the corners of a 4:3 picture, where a + b is the logarithm of what is
-    lost. By default any phone's: fitted on 39 matte photographs of one the sum is 1.07 (0.88 to
-    1.63); others, and lamps without a cone, differ.
+    The falloff is exp(-a s - b s^2), s = r^2 / 1.25^2, so that s = 1 in the corners of a 4:3
+    picture. The default is a wide prior for phones: 39 photographs by one of them had a + b = 1.07
+    on average (0.88 to 1.63).
     """
 
     mean: tuple[float, float] = (0.3, 0.5)
     """Of a and b."""
     deviation: tuple[float, float] = (0.35, 0.7)
-    """Standard, of each."""
+    """Standard deviations of a and b."""
     correlation: float = 0.0
-    """Of the two: photographs determine their sum better than either."""
+    """Of a and b; negative for profiles, as photographs determine a + b best."""
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        """(2, 2)."""
+        """(2, 2) covariance of a and b."""
         first, second = self.deviation
         both = self.correlation * first * second
         return np.array([[first**2, both], [both, second**2]])
@@ -56,17 +56,17 @@ class Falloff:
 
 @dataclass(frozen=True)
 class CameraProfile:
-    """What photographs of one camera say together."""
+    """Falloff of one camera."""
 
     camera: str
-    """Its name: maker, model, lens, focal length and zoom, or what else its photographs share."""
+    """Maker, model, lens, focal length and zoom."""
     falloff: Falloff
-    """Mean and deviations, the scatter between photographs included."""
+    """Its deviations include the scatter between photographs."""
     photographs: int
-    """How many it was estimated over."""
+    """Number of photographs it was estimated from."""
 
     def document(self) -> dict[str, Any]:
-        """As JSON."""
+        """The profile for JSON."""
         return {
             "camera": self.camera,
             "photographs": self.photographs,
@@ -76,7 +76,7 @@ class CameraProfile:
         }
 
     def says(self) -> str:
-        """In a sentence."""
+        """The profile as a sentence for the user."""
         left = np.exp(-sum(self.falloff.mean))
         return (
             f"Profile of {self.camera} over {self.photographs} photographs: its corners get "
@@ -85,7 +85,7 @@ class CameraProfile:
 
 
 def write_camera_profile(path: Path, profile: CameraProfile) -> None:
-    """Write a profile as JSON; the same profile is the same bytes.
+    """Write a profile as JSON; equal profiles give equal bytes.
 
     Raises:
         MatcapError: the file cannot be written.
@@ -96,10 +96,10 @@ def write_camera_profile(path: Path, profile: CameraProfile) -> None:
 
 
 def read_camera_profile(path: Path) -> CameraProfile:
-    """Read a profile's file, with checks.
+    """Read and check a profile's file.
 
     Raises:
-        UsageError: it cannot be read, is none, or says what no camera does.
+        UsageError: the file cannot be read, is not a profile, or has values out of range.
     """
     remedy = "give a file that matcap camera or matcap batch wrote"
     try:

@@ -1,9 +1,9 @@
-"""The calibration card: a ChArUco board that gives millimetres and squareness, and 24 patches.
+"""The printable calibration card: a ChArUco board for scale and tilt, and 24 colour patches.
 
-Drawn as rectangles in millimetres, so that SVG, PDF and the tests' pictures are the same card.
-The patches stand as on a ColorChecker Classic, with its published sRGB values (X-Rite, D65, from
-before November 2014). Print shifts colours: the board is what a printed card is good for; for
-colour lay a real ColorChecker into the shoot.
+Drawn as rectangles in millimetres, for SVG, PDF and tests alike. Patches are arranged as on a
+ColorChecker Classic, with its published sRGB values (X-Rite, D65, before November 2014). Printing
+changes colours, so that a printed card serves for scale; for colours photograph a real
+ColorChecker.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from matcap.files.staging import staged_file
 PAGE = (210.0, 297.0)  # mm, A4
 SQUARES = (7, 5)  # of the board
 SQUARE, MARKER = 24.0, 18.0  # mm, sides
-BOARD_AT = (21.0, 24.0)  # mm, its left top corner on the page
-_PATCH, _GAP, _MARGIN = 23.0, 3.0, 5.0  # mm; the margin is the black frame's
+BOARD_AT = (21.0, 24.0)  # mm, the board's upper left corner on the page
+_PATCH, _GAP, _MARGIN = 23.0, 3.0, 5.0  # mm; _MARGIN is the width of the black frame
 PATCHES_AT = (24.5, 158.0)
 PATCHES_SIZE = (6 * _PATCH + 5 * _GAP, 4 * _PATCH + 3 * _GAP)
-_CELLS = 6  # of a 4 x 4 marker's side, its black border included
+_CELLS = 6  # cells along a 4 x 4 marker's side, including its black border
 
 # sRGB, row by row from dark skin to black.
 PATCHES = (
@@ -43,7 +43,7 @@ _NOTES = (
 
 @dataclass(frozen=True)
 class CardRectangle:
-    """A filled rectangle, millimetres from the page's left top; colour in sRGB."""
+    """A filled rectangle, in millimetres from the page's upper left corner; colour in sRGB."""
 
     x: float
     y: float
@@ -53,7 +53,7 @@ class CardRectangle:
 
 
 def rectangles() -> Iterator[CardRectangle]:
-    """The card, back to front."""
+    """The rectangles of the card, back to front."""
     columns, rows = SQUARES
     for row in range(rows):
         for column in range(columns):
@@ -137,14 +137,14 @@ def _svg() -> bytes:
 
 
 def _texts() -> Iterator[tuple[tuple[float, float], float, str]]:
-    """(place in mm, size in mm, text) of all text; outside board and patches."""
+    """(position in mm, size in mm, text) of all text."""
     yield (BOARD_AT[0], 16.0), 5.0, _TITLE
     for index, text in enumerate(_NOTES):
         yield (BOARD_AT[0], 276.0 + 5.5 * index), 3.6, text
 
 
 def _pdf() -> bytes:
-    """One page of PDF 1.4: rectangles and Helvetica, which every reader has."""
+    """The card as a page of PDF 1.4, with text in Helvetica, which need not be embedded."""
     unit = 72.0 / 25.4  # points a millimetre
     height = PAGE[1]
     drawn = []

@@ -1,9 +1,8 @@
-"""The one table of checks: what `inspect`, report.json and the verdict measure, and their limits.
+"""The table of quality checks of photographs (inspect.py) and captures (capture/verdict).
 
-Photographs are judged by photo/inspect.py, captures by capture/verdict; both take limits, words,
-causes and remedies from here. Severity is one scale: up to 1 is acceptable, up to 2 one sees it
-beside the photograph, up to 3 one sees it without, and beyond it is another material. Limits are
-what a person notices, not what captures reach; where each comes from is in docs/notes/verdict.md.
+A check has limits, message, cause and remedy. Measurements are mapped to one scale of severity: up
+to 1 acceptable, up to 2 visible next to the photograph, up to 3 visible without it, beyond it
+another material. Limits are of what people notice; their sources are in docs/notes/verdict.md.
 """
 
 from __future__ import annotations
@@ -16,22 +15,22 @@ from typing import Any
 
 
 class Rating(Enum):
-    """How good a photograph or a capture is, for what one does with it."""
+    """Rating of a photograph or a capture."""
 
     GOOD = "good"
-    """Like the photograph; use it. Of a photograph: nothing to mend."""
+    """No visible difference from the photograph; of a photograph: nothing to improve."""
     USABLE = "usable"
-    """One sees differences beside the photograph only."""
+    """Differences are visible only next to the photograph."""
     DOUBTFUL = "doubtful"
-    """One sees that something is wrong; look before using it, or photograph again."""
+    """Differences are visible without it; check before use, or photograph again."""
     FAILED = "failed"
-    """Another material than the photographed one; a photograph that suggests another."""
+    """Another material than the photographed one; a photograph that would give one."""
     NOT_JUDGED = "not judged"
-    """Worth knowing; nothing to be rated."""
+    """Information without a rating."""
 
     @staticmethod
     def of(severity: float | None) -> Rating:
-        """The word for a severity: up to 1 good, 2 usable, 3 doubtful, beyond failed."""
+        """The rating of a severity: up to 1 good, 2 usable, 3 doubtful, beyond failed."""
         if severity is None:
             return Rating.NOT_JUDGED
         words = (Rating.GOOD, Rating.USABLE, Rating.DOUBTFUL)
@@ -39,34 +38,34 @@ class Rating(Enum):
 
     @property
     def fit(self) -> bool:
-        """Whether it is fit for use."""
+        """Whether the rating is neither doubtful nor failed."""
         return self not in (Rating.DOUBTFUL, Rating.FAILED)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at."""
+    """Result of one check."""
 
     name: str
-    """A key of CHECKS, or of a note."""
+    """A key of CHECKS, or the name of a note."""
     value: Any
-    """JSON: the measurement, or None where it is not known."""
+    """Measurement as JSON, or None if unknown."""
     rating: Rating
     says: str
-    """What was found: a clause, or sentences."""
+    """Result as a clause, or as sentences."""
     remedy: str = ""
-    """What to do, likewise, or ""."""
+    """What to do, as a clause or sentences; or ""."""
     cause: str = ""
-    """What it comes from, where the measurement itself says so, or ""."""
+    """Likely cause, if the measurement alone determines it; or ""."""
     severity: float = 0.0
-    """On the scale of all checks; 0 where nothing is measured."""
+    """See the module; 0 if nothing is measured."""
 
     def line(self) -> str:
-        """Finding and remedy as sentences."""
+        """Result and remedy as sentences."""
         return f"{sentence(self.says)} {sentence(self.remedy)}".strip()
 
     def document(self) -> dict[str, Any]:
-        """As JSON."""
+        """The finding for JSON."""
         return {
             "value": self.value,
             "unit": CHECKS[self.name].unit if self.name in CHECKS else "",
@@ -80,28 +79,28 @@ class Finding:
 
 @dataclass(frozen=True)
 class QualityCheck:
-    """One row of the table."""
+    """A check."""
 
     key: str
     measures: str
-    """What is measured."""
+    """Name of the measurement."""
     unit: str
     limits: tuple[float, float, float]
-    """Up to which it is good, usable and doubtful; falling where less is worse."""
+    """Values at severity 1, 2 and 3; decreasing where less is worse."""
     says: str
-    """Of a measurement, to be formatted with `value` and what else a caller gives."""
+    """Message, formatted with `value`, `percent` and the caller's words."""
     cause: str = ""
-    """What it comes from where the photograph shows no other cause, or ""."""
+    """Likely cause if the photograph shows no other, or ""."""
     remedy: str = "try --preset high, or {more}"
-    """What to do; `more` is what more photographs would help."""
+    """What to do; `more` is which photographs would help."""
     factor: bool = False
-    """Whether it is a ratio that counts alike above and below 1."""
+    """Whether the measurement is a ratio r, for which r and 1 / r are equally severe."""
 
     def severity(self, value: float) -> float:
-        """A measurement on the common scale, linear between limits (of logarithms for a factor).
+        """Severity of a measurement: 1, 2, 3 at the limits, linear between (in |log| of a factor).
 
-        Where less is worse, severity falls to 0 beyond the first limit within the distance to the
-        second.
+        Where less is worse, it decreases from 1 at the first limit to 0 at as much more than it as
+        the second limit is less.
         """
         limits = self.limits
         if self.factor:
@@ -119,13 +118,13 @@ class QualityCheck:
     def finding(
         self, value: float, severity: float | None = None, *, more: str = "", **words: object
     ) -> Finding:
-        """What is said of a measurement.
+        """The finding of a measurement.
 
         Args:
-            value: measured.
-            severity: of it, where more than the value decides.
-            more: what to photograph (capture/verdict/causes.py).
-            words: that the sentences need beside the value.
+            value: the measurement.
+            severity: None is severity(value).
+            more: which photographs would help (capture/verdict/causes.py).
+            words: further values of the messages.
         """
         severity = self.severity(value) if severity is None else severity
         rating = Rating.of(severity)
@@ -141,19 +140,19 @@ class QualityCheck:
         )
 
     def not_judged(self, says: str) -> Finding:
-        """That it cannot be measured, or that there is nothing to measure."""
+        """The finding where nothing can be measured."""
         return Finding(self.key, None, Rating.NOT_JUDGED, says)
 
 
 def sentence(clause: str) -> str:
-    """A clause as a sentence; sentences as they are."""
+    """A clause as a sentence; sentences are returned unchanged."""
     if not clause or clause.endswith("."):
         return clause
     return f"{clause[0].upper()}{clause[1:]}."
 
 
-_SHOOT = "photograph again, squarely from above, in the dark, a stop darker, RAW if you can"
-_HIGHLIGHT = f"try --preset high, give --fov if you know it, or {_SHOOT}"
+_RETAKE = "photograph again, squarely from above, in the dark, a stop darker, RAW if you can"
+_HIGHLIGHT = f"try --preset high, give --fov if you know it, or {_RETAKE}"
 
 _TABLE = (
     # Of the photograph.
@@ -248,7 +247,7 @@ _TABLE = (
     QualityCheck(
         "confidence", "mean of what the maps' confidence lacks", "share", (0.6, 0.75, 0.9),
         "{percent:.0f} % of the maps is guessed, most of {least}",
-        "clipped, dark or dull parts show little", _SHOOT,
+        "clipped, dark or dull parts show little", _RETAKE,
     ),
     QualityCheck(
         "highlight_residue", "radial variation of a map about the mirror point", "just visible",

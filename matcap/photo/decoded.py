@@ -1,4 +1,4 @@
-"""Decoded: what a reader hands to load_photo, before the picture is turned and judged."""
+"""Decoded: a reader's result, before load_photo orients and checks it."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Decoded:
-    """A picture in linear light, lying as the file stores it.
+    """A linear picture, in the orientation in which the file stores it.
 
     Attributes:
-        pixels: (h, w, 3) float32 linear Rec.709, at least 0, already shrunk to the long side.
+        pixels: (h, w, 3) float32 linear Rec.709, at least 0, downsampled.
         clipped: (h, w) bool.
-        size: (width, height) as stored, before shrinking.
-        orientation: EXIF's 1 to 8, still to be applied.
-        radiometric: proportional to light.
-        gain_map_applied: a DNG lens-shading map was applied.
+        size: (width, height) as stored, before downsampling.
+        orientation: EXIF's 1 to 8, not yet applied.
+        radiometric: whether values are proportional to radiance.
+        gain_map_applied: whether a DNG lens-shading map was applied.
         notes: sentences for the report.
-        clipped_share: of the stored pixels (of a RAW: of the photosites of the colour that clips
-            most), before shrinking, or None where only `clipped` is known.
-        noise: like pixels, see Photo.
+        clipped_share: share of the stored pixels (of a RAW: of the photosites of the colour that
+            clips most) at the clip level, or None if only `clipped` is known.
+        noise: (h, w, 3), see Photo.
         balance: see Photo.
-        opacity: (h, w) float32 in [0, 1], or None where everything is opaque.
+        opacity: (h, w) float32 in [0, 1], or None if all is opaque.
     """
 
     pixels: NDArray[np.float32]

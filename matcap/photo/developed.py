@@ -1,7 +1,7 @@
-"""Developed pictures: code values to linear light, shrunk.
+"""Converts developed pictures from code values to linear Rec.709, and downsamples them.
 
-None of them is radiometric: the camera's or a program's curve is in them, and only the colour
-space's own curve is undone. `lossy` and `lossless` read the files.
+They are not radiometric: the camera's tone curve is unknown, and only the transfer function of the
+colour space is inverted. lossy.py and lossless.py read the files.
 """
 
 from __future__ import annotations
@@ -20,22 +20,23 @@ from matcap.files.stated_color import StatedColor
 from matcap.photo.decoded import Decoded
 from matcap.photo.shrink import Rows, shrink, shrunk_size
 
-_WHITE = 0.995  # light at which colours that are no red, green and blue count as clipped
+_WHITE = 0.995  # linear value at which inks and CIELAB count as clipped
 
 
 @dataclass(frozen=True)
 class Coded:
-    """A picture as code values: rows (first, after the last) give (n, W, 3) of dtype.
+    """A picture of code values.
 
     Attributes:
-        rows: called once for each strip, from the top.
-        width, height: of what rows give.
-        dtype: of the codes.
-        color: what the file says of red, green and blue.
-        other: how to linearise codes that are none of these (inks, CIELAB), and what to say of it.
-        clip_at: share of the largest code that counts as clipped.
-        opacity: (H, W) codes of alpha, or None where all is opaque.
-        size: (width, height) of the file's picture, where decoding has shrunk it.
+        rows: function of (first row, row after the last) to code values (n, W, 3); called once for
+            each strip, from the top.
+        width, height: of these rows.
+        dtype: of the code values.
+        color: colour space of the file.
+        other: lineariser of colours other than RGB (inks, CIELAB), with notes; or None.
+        clip_at: share of the largest code value from which on pixels count as clipped.
+        opacity: (H, W) code values of alpha, or None.
+        size: (width, height) of the file's picture, if the decoder has reduced it.
         notes: sentences for the report.
     """
 
@@ -52,7 +53,13 @@ class Coded:
 
 
 def decode(coded: Coded, long_side: int | None, where: str, orientation: int) -> Decoded:
-    """Linearise and shrink.
+    """Convert to linear Rec.709, and downsample.
+
+    Args:
+        coded: the picture.
+        long_side: of the result, pixels, or None.
+        where: the file, for errors.
+        orientation: EXIF's, passed on.
 
     Raises:
         MatcapError: a value is NaN or infinite.
@@ -84,14 +91,14 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
         clipped,
         coded.size or (coded.width, coded.height),
         orientation,
-        notes=coded.notes + notes + _transparent_alike(coded),
+        notes=coded.notes + notes + _constant_alpha_notes(coded),
         clipped_share=at_limit / (coded.width * coded.height),
         opacity=_opacity(coded, long_side),
     )
 
 
 def three_channels(codes: NDArray[Any]) -> NDArray[Any]:
-    """Grey repeated, alpha dropped: (n, W), (n, W, 1 to 4 or more) to (n, W, 3)."""
+    """(n, W, 3) of (n, W) or (n, W, C): grey is repeated, alpha dropped."""
     if codes.ndim == 2:
         codes = codes[..., None]
     if codes.shape[-1] < 3:
@@ -100,7 +107,7 @@ def three_channels(codes: NDArray[Any]) -> NDArray[Any]:
 
 
 def _opacity(coded: Coded, long_side: int | None) -> NDArray[np.float32] | None:
-    """(h, w) share of each pixel that is more opaque than not; None where there is no shape."""
+    """(h, w) share of a pixel's area with alpha above 0.5; None without alpha, or if constant."""
     codes = coded.opacity
     if codes is None or codes.min() == codes.max():
         return None
@@ -111,8 +118,8 @@ def _opacity(coded: Coded, long_side: int | None) -> NDArray[np.float32] | None:
     return np.asarray(resized / np.float32(255.0), np.float32)
 
 
-def _transparent_alike(coded: Coded) -> tuple[str, ...]:
-    """What is said of a picture that is transparent, but nowhere more than elsewhere."""
+def _constant_alpha_notes(coded: Coded) -> tuple[str, ...]:
+    """Note on a picture of constant alpha below 1."""
     codes = coded.opacity
     if codes is None or codes.min() != codes.max():
         return ()

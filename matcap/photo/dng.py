@@ -1,4 +1,4 @@
-"""DNG tags that LibRaw ignores: lens shading, white balance, JPEG XL compression."""
+"""Reads DNG tags that LibRaw ignores: lens shading, white balance, JPEG XL compression."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _ACTIVE_AREA, _OPCODES_ON_MOSAIC, _OPCODES_AFTER = 50829, 51009, 51022
 
 @dataclass(frozen=True)
 class Corrections:
-    """What else the picture needs.
+    """Corrections of a DNG that matcap applies itself.
 
     Attributes:
-        on_mosaic: OpcodeList2's gain maps, for the linearised samples before demosaicing.
-        after_demosaic: OpcodeList3's.
-        jpeg_xl: the raw picture is compressed with JPEG XL, which LibRaw cannot open.
-        active_area: top, left, bottom, right of what the maps refer to, in the stored picture; the
-            last two excluded. None where the file does not say: all of it.
-        color: white balance and matrix, or None where the file has no colour matrix.
-        notes: what is asked for and not done.
+        on_mosaic: gain maps of OpcodeList2, for linear samples before demosaicing.
+        after_demosaic: gain maps of OpcodeList3.
+        jpeg_xl: whether the raw picture is compressed with JPEG XL, which LibRaw cannot read.
+        active_area: top, left, bottom, right (the last two excluded) of the area that gain maps
+            refer to, in the stored picture; None is all of it.
+        color: white balance and colour matrix, or None if the file has no matrix.
+        notes: on corrections that are not applied.
     """
 
     on_mosaic: tuple[GainMap, ...] = ()
@@ -44,16 +44,16 @@ class Corrections:
 
     @property
     def has_maps(self) -> bool:
-        """Whether there is lens shading to undo."""
+        """Whether there are gain maps."""
         return bool(self.on_mosaic or self.after_demosaic)
 
 
 def read_corrections(path: Path) -> Corrections:
-    """Read a DNG's opcode lists, its colours and the compression of its raw picture.
+    """Read a DNG's opcode lists, colour tags and compression.
 
     Raises:
-        MatcapError: the tags or the gain maps are damaged: falloff would be fitted as light, or
-            the light's colour as the material's.
+        MatcapError: the tags or the gain maps are damaged. Ignoring them would attribute lens
+            shading to the light, or the light's colour to the material.
     """
     import tifffile
 
@@ -75,7 +75,7 @@ def read_corrections(path: Path) -> Corrections:
 
 
 def raw_page(file: Any) -> TiffPage | None:  # noqa: ANN401
-    """The largest raw picture of an open tifffile.TiffFile; previews lie beside it."""
+    """The largest raw picture of an open tifffile.TiffFile, or None."""
     pages = islice(_pages(file), _MOST_PAGES)
     raws = [page for page in pages if int(page.photometric) in (_CFA, _LINEAR_RAW)]
     return max(raws, key=lambda page: page.imagewidth * page.imagelength, default=None)
@@ -101,5 +101,5 @@ def _active_area(page: Any) -> tuple[int, int, int, int] | None:  # noqa: ANN401
 
 
 def _bytes(page: Any, tag: int) -> bytes:  # noqa: ANN401
-    """An opcode list's bytes, or an empty list's."""
+    """Bytes of an opcode list; of an empty one if the tag is absent."""
     return bytes(page.tags[tag].value) if tag in page.tags else bytes(4)

@@ -1,9 +1,9 @@
-"""How a DNG's colours become white-balanced Rec.709 (Adobe DNG 1.7.1, chapter 6).
+"""Conversion of a DNG's camera colours to white-balanced Rec.709 (Adobe DNG 1.7.1, chapter 6).
 
-LibRaw balances by AsShotNeutral alone and knows one matrix. Here the white is AsShotNeutral's or
-AsShotWhiteXY's, or daylight (D65) where the file states none; matrices are interpolated between the
-calibration illuminants by the white's temperature; CameraCalibration, AnalogBalance and
-ForwardMatrix count where they are given. Third illuminants and reduction matrices are left out.
+LibRaw uses AsShotNeutral and a single matrix. Here white is from AsShotNeutral or AsShotWhiteXY, by
+default D65; matrices are interpolated between the calibration illuminants by the white's colour
+temperature; CameraCalibration, AnalogBalance and ForwardMatrix are used. Third illuminants and
+reduction matrices are ignored.
 """
 
 from __future__ import annotations
@@ -41,17 +41,17 @@ _KELVIN = {
     13: 5050.0, 14: 4150.0, 15: 3525.0, 16: 2925.0, 17: 2850.0, 18: 5500.0, 19: 6500.0,
     20: 5500.0, 21: 6500.0, 22: 7500.0, 23: 5000.0, 24: 3200.0,
 }  # fmt: skip
-_ROUNDS = 30  # of looking for the white that a neutral stands for
+_ROUNDS = 30  # iterations of white_of
 
 
 @dataclass(frozen=True)
 class DngColor:
-    """From a DNG's camera colours to Rec.709.
+    """Conversion from a DNG's camera colours to Rec.709.
 
     Attributes:
-        neutral: (3,) camera colours of white; its inverse is what white balance lifts by.
-        matrix: (3, 3) from balanced camera colours to linear Rec.709; rows add up to 1.
-        note: what was done, where the file states no neutral; or "".
+        neutral: (3,) camera colours of white; white balance divides by it.
+        matrix: (3, 3) from white-balanced camera colours to linear Rec.709; rows sum to 1.
+        note: to the user, if the file states no neutral; or "".
     """
 
     neutral: tuple[float, float, float]
@@ -60,13 +60,13 @@ class DngColor:
 
 
 def dng_color(tags: Mapping[int, Any]) -> DngColor | None:
-    """Work out a DNG's colours; None where it has no colour matrix for three colours.
+    """Compute a DNG's conversion; None if it has no matrix for three colours.
 
     Args:
-        tags: values by number, rationals as numerators and denominators in turn.
+        tags: values by tag number; rationals as alternating numerators and denominators.
 
     Raises:
-        ValueError, TypeError: the tags make no sense.
+        ValueError, TypeError: the tags are invalid.
     """
     camera = _Camera.of(tags)
     if camera is None:
@@ -89,13 +89,13 @@ def dng_color(tags: Mapping[int, Any]) -> DngColor | None:
 
 @dataclass(frozen=True)
 class _Camera:
-    """Matrices under one or two illuminants.
+    """Matrices for one or two calibration illuminants.
 
     Attributes:
-        kelvin: of the illuminants.
-        color: XYZ to the reference camera, one each.
-        own: reference camera to this one (AnalogBalance times CameraCalibration), one each.
-        forward: balanced reference camera to XYZ relative to D50, one each, or None.
+        kelvin: colour temperature of each illuminant.
+        color: from XYZ to the reference camera, for each.
+        own: from the reference camera to this one, AnalogBalance times CameraCalibration, for each.
+        forward: from the white-balanced reference camera to XYZ relative to D50, for each; or None.
     """
 
     kelvin: tuple[float, ...]
@@ -107,7 +107,7 @@ class _Camera:
     def of(tags: Mapping[int, Any]) -> _Camera | None:
         color = [_matrix(tags, tag) for tag in _COLOR]
         known = [_KELVIN.get(_whole(tags.get(tag)), 0.0) for tag in _ILLUMINANTS]
-        # Two matrices serve only where both illuminants are known and differ.
+        # Two matrices are used only if both illuminants are known and differ.
         both = color[1] is not None and min(known) > 0.0 and known[0] != known[1]
         kept = [i for i in (0, 1) if color[i] is not None][: 2 if both else 1]
         if not kept:
@@ -133,8 +133,8 @@ class _Camera:
         return np.asarray(self._from_xyz(white) @ _xyz(white))
 
     def white_of(self, neutral: Matrix) -> tuple[float, float]:
-        """The white (x, y) of a neutral: its temperature chooses the matrix that gives it."""
-        white = (0.3457, 0.3585)  # D50, where the specification begins
+        """White (x, y) of camera colours, iteratively, as the matrix depends on its temperature."""
+        white = (0.3457, 0.3585)  # D50, the initial value in the specification
         for _ in range(_ROUNDS):
             x, y, z = np.linalg.solve(self._from_xyz(white), neutral)
             total = x + y + z
@@ -143,12 +143,12 @@ class _Camera:
             estimate = (float(x / total), float(y / total))
             if abs(estimate[0] - white[0]) + abs(estimate[1] - white[1]) < 1e-7:
                 return estimate
-            # Half way on: it may else swing to and fro between two.
+            # A half step, as full ones may oscillate.
             white = ((white[0] + estimate[0]) / 2.0, (white[1] + estimate[1]) / 2.0)
         return white
 
     def to_rec709(self, white: tuple[float, float], neutral: Matrix) -> Matrix:
-        """(3, 3) balanced camera colours to Rec.709, white to white."""
+        """(3, 3) from white-balanced camera colours to Rec.709; white is (1, 1, 1) in both."""
         own = self._mixed(self.own, white)
         if self.forward is not None:
             reference = np.linalg.solve(own, np.diag(neutral))
@@ -167,7 +167,7 @@ class _Camera:
         return np.asarray(self._mixed(self.own, white) @ self._mixed(self.color, white))
 
     def _mixed(self, matrices: tuple[Matrix, ...], white: tuple[float, float]) -> Matrix:
-        """Linear in the inverse temperature between the illuminants, held beyond them."""
+        """Interpolation in inverse temperature between the illuminants, clamped to them."""
         if len(matrices) == 1:
             return matrices[0]
         first, second = (1.0 / kelvin for kelvin in self.kelvin)
@@ -176,7 +176,7 @@ class _Camera:
 
 
 def temperature(white: tuple[float, float]) -> float:
-    """Correlated colour temperature, kelvin, of (x, y) [mccamy1992], in [1500, 50000]."""
+    """Correlated colour temperature of (x, y) in kelvin [mccamy1992], clamped to [1500, 50000]."""
     n = (white[0] - 0.3320) / (0.1858 - white[1])
     return float(np.clip(((449.0 * n + 3525.0) * n + 6823.3) * n + 5520.33, 1500.0, 50_000.0))
 
@@ -206,7 +206,7 @@ def _matrix(tags: Mapping[int, Any], tag: int) -> Matrix | None:
 
 
 def _numbers(value: Any) -> Matrix:  # noqa: ANN401
-    """Rationals as numbers; none where there are none, or a denominator is 0."""
+    """Rationals as numbers; empty if absent or invalid."""
     parts = np.ravel(np.asarray(() if value is None else value, np.float64))
     if len(parts) % 2 or not len(parts) or not parts[1::2].all():
         return np.empty(0)

@@ -1,11 +1,11 @@
-"""Metadata of a photograph: orientation, field of view, flash (Exif 2.32, XMP).
+"""Metadata of a photograph: orientation, field of view, flash, exposure (Exif 2.32, XMP).
 
-| container | where it is said |
+| container | source |
 | --- | --- |
-| JPEG, TIFF, RAW | Exif; XMP where Exif has no orientation or focal length |
+| JPEG, TIFF, RAW | Exif; XMP if Exif has no orientation or focal length |
 | PNG | eXIf, ImageMagick's "Raw profile type exif" and orNT, XMP |
 | WebP | EXIF and XMP |
-| HEIC, AVIF | Exif as the decoder hands it over; the camera matrix (`files/bmff.py`) |
+| HEIC, AVIF | Exif from the decoder; camera matrix (files/bmff.py) |
 """
 
 from __future__ import annotations
@@ -23,46 +23,47 @@ from matcap.files.stated_color import png_chunks, riff_chunks
 
 # mm, diagonal of the 36 x 24 mm frame, which FocalLengthIn35mmFilm refers to (CIPA DCG-001).
 _FILM_DIAGONAL = hypot(36.0, 24.0)
-_LARGEST_XMP = 1 << 22  # bytes that are looked at
-# Millimetres of a unit of FocalPlaneResolutionUnit (Exif 2.32), 4 and 5 as some cameras have them.
+_LARGEST_XMP = 1 << 22  # bytes of XMP that are parsed
+# Millimetres by FocalPlaneResolutionUnit (Exif 2.32); some cameras use 4 and 5.
 _UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
-# Focal plane resolution and FocalLengthIn35mmFilm that differ by more are not of one picture.
+# Ratio of tangents by focal plane resolution and by FocalLengthIn35mmFilm from which on the first
+# is distrusted.
 _CONTRADICTS = 1.5
-_DIFFERS = 1.06  # worth a word: a focal length of 20 mm is rounded by 2.5 %
-_NARROWEST, _WIDEST = 2.0, 150.0  # degrees that lenses for photographs see
-_LARGEST_INFLATED = 1 << 24  # bytes a compressed text may have
+_DIFFERS = 1.06  # ratio from which on there is a note; 20 mm is rounded by 2.5 %
+_NARROWEST, _WIDEST = 2.0, 150.0  # plausible fields of view, degrees
+_LARGEST_INFLATED = 1 << 24  # most bytes of a decompressed text
 
 
 @dataclass(frozen=True)
 class FocalPlane:
-    """A sensor's scale.
+    """Focal length in pixels.
 
     Attributes:
-        pixels: focal length in pixels of a picture of that size.
-        long_side: of that picture, pixels, or None where it is the file's own.
+        pixels: focal length in pixels.
+        long_side: of the picture that these pixels are of; None is the file's.
     """
 
     pixels: float
     long_side: int | None = None
 
     def fov(self, long_side: int) -> float:
-        """Degrees across the long side of a file's picture of so many pixels."""
+        """Field of view in degrees across the long side, `long_side` pixels in the file."""
         return degrees(2.0 * atan((self.long_side or long_side) / 2.0 / self.pixels))
 
 
 @dataclass(frozen=True)
 class Exif:
-    """The few tags that matter.
+    """Metadata that matcap uses.
 
     Attributes:
-        orientation: 1 to 8, how the stored picture lies; 1 is upright.
+        orientation: 1 to 8; 1 is upright.
         film_focal_length: FocalLengthIn35mmFilm, mm, or None.
-        focal_plane: of FocalLength and FocalPlaneXResolution, or of a camera matrix, or None.
-        measured: focal_plane is a camera matrix, which nothing contradicts.
-        flash_fired: or None where the file does not say.
-        exposure: how much light it took in, in units that compare within a shoot: exposure time
-            times sensitivity over the squared f-number; None where the file lacks one.
-        camera: maker, model, lens, focal length and digital zoom; "" where no model is named.
+        focal_plane: from FocalLength and FocalPlaneXResolution, or a camera matrix; or None.
+        measured: whether focal_plane is a camera matrix, which has precedence.
+        flash_fired: None if unknown.
+        exposure: exposure time times sensitivity over the squared f-number, or None; proportional
+            to stored values for the same radiance.
+        camera: maker, model, lens, focal length and digital zoom; "" without a model.
     """
 
     orientation: int = 1
@@ -74,10 +75,10 @@ class Exif:
     camera: str = ""
 
     def view(self, width: int, height: int) -> tuple[float | None, tuple[str, ...]]:
-        """Field of view across the long side in degrees, or None; and what is to be said of it.
+        """Field of view across the long side in degrees, or None; and notes to the user.
 
         Args:
-            width, height: of the file's picture.
+            width, height: of the file's picture, pixels.
         """
         film = None
         if self.film_focal_length is not None:
@@ -85,7 +86,7 @@ class Exif:
         if self.focal_plane is None:
             return film, ()
         own = self.focal_plane.fov(max(width, height))
-        if not _NARROWEST < own < _WIDEST:  # a unit gone wrong
+        if not _NARROWEST < own < _WIDEST:  # a wrong unit
             return film, ()
         if self.measured or film is None:
             return own, ()
@@ -101,23 +102,23 @@ class Exif:
 
 
 def fov_of_film(focal_length: float, width: int, height: int) -> float:
-    """Degrees across the long side of a picture, from FocalLengthIn35mmFilm in mm, over 0.
+    """Field of view across a picture's long side in degrees, from FocalLengthIn35mmFilm in mm.
 
-    The field of view across the diagonal is that of 43.27 mm of film (CIPA DCG-001): 28 mm are
-    65.5 degrees across 3:2, 63.4 across 4:3 and 57.4 across a square.
+    The diagonal corresponds to 43.27 mm of film (CIPA DCG-001): 28 mm are 65.5 degrees across 3:2,
+    63.4 across 4:3 and 57.4 across a square.
     """
     share = max(width, height) / hypot(width, height)
     return degrees(2.0 * atan(share * _FILM_DIAGONAL / 2.0 / focal_length))
 
 
 def read_exif(source: Path | bytes, xmp: bytes = b"") -> Exif:
-    """Read a file's tags, or a block of Exif bytes; what is absent or broken stays at its default.
+    """Read the metadata of a file, or of a block of Exif bytes.
 
-    Never raises for what the file holds: a photograph with broken tags is still a photograph.
+    Absent or damaged tags have their defaults; never raises for a file's content.
 
     Args:
-        source: a file that is there, or Exif bytes.
-        xmp: the packet beside Exif bytes; a file's own is found.
+        source: an existing file, or Exif bytes.
+        xmp: XMP packet that belongs to Exif bytes; ignored for a file.
     """
     if isinstance(source, bytes):
         return _interpret(_tags(io.BytesIO(source.removeprefix(b"Exif\0\0"))), xmp)
@@ -154,7 +155,7 @@ def _of_png(chunks: list[tuple[bytes, bytes]]) -> Exif:
 
 
 def _text(kind: bytes, data: bytes) -> tuple[bytes, bytes]:
-    """Key and text of a PNG's text chunk (PNG 3rd edition, 11.3.3); no text where it is broken."""
+    """Key and text of a PNG's text chunk (PNG 3rd edition, 11.3.3); the text is "" if damaged."""
     key, _, rest = data.partition(b"\0")
     packed = kind == b"zTXt"
     if kind == b"zTXt":
@@ -170,7 +171,7 @@ def _text(kind: bytes, data: bytes) -> tuple[bytes, bytes]:
 
 
 def _hexadecimal(text: bytes) -> bytes:
-    """ImageMagick's raw profile: a name, a length, then hexadecimal digits, in lines."""
+    """Bytes of ImageMagick's raw profile: lines of name, length and hexadecimal digits."""
     lines = text.strip().split(b"\n", 2)
     try:
         return bytes.fromhex(b"".join(lines[2].split()).decode("ascii"))
@@ -179,13 +180,13 @@ def _hexadecimal(text: bytes) -> bytes:
 
 
 def _xmp_of(path: Path, head: bytes) -> bytes:
-    """The XMP packet of a JPEG or TIFF; empty where there is none."""
+    """The XMP packet of a JPEG or TIFF; empty if there is none."""
     try:
         if head.startswith(b"\xff\xd8"):
             from PIL.JpegImagePlugin import JpegImageFile
 
             with path.open("rb") as file, warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of broken tags
+                warnings.simplefilter("ignore")  # about malformed tags
                 return bytes(JpegImageFile(file).info.get("xmp", b""))[:_LARGEST_XMP]
         if head[:4] in (b"II*\0", b"MM\0*"):
             import tifffile
@@ -193,13 +194,13 @@ def _xmp_of(path: Path, head: bytes) -> bytes:
             with tifffile.TiffFile(path) as tiff:
                 tag = tiff.pages.first.tags.get(700)
                 return b"" if tag is None else bytes(tag.value)[:_LARGEST_XMP]
-    except Exception:  # broken files raise anything at all, and are judged by their pixels
+    except Exception:  # parsers raise anything on damaged files; decoding the pixels reports them
         return b""
     return b""
 
 
 def _of_xmp(xmp: bytes, name: bytes) -> int:
-    """A whole number that XMP states as attribute or element, or -1."""
+    """An integer in XMP, as attribute or element; -1 if absent."""
     match = re.search(name + rb"\s*(?:=\s*[\"']|>)\s*(\d{1,5})\b", xmp)
     return int(match[1]) if match else -1
 
@@ -214,7 +215,7 @@ def _exposure(tags: dict[str, Any]) -> float | None:
 
 
 def _camera(tags: dict[str, Any]) -> str:
-    """What of a camera decides how much light its corners lose, in words."""
+    """Name of camera, lens, focal length and zoom, on which the falloff depends."""
     names = ("Image Make", "Image Model", "EXIF LensModel")
     maker, model, lens = (str(getattr(tags.get(name), "values", "")).strip() for name in names)
     if not model:
@@ -228,7 +229,7 @@ def _camera(tags: dict[str, Any]) -> str:
 
 
 def _focal_plane(tags: dict[str, Any]) -> FocalPlane | None:
-    """Of FocalLength and FocalPlaneXResolution, of the size that Exif says the picture has."""
+    """FocalLength times FocalPlaneXResolution, in pixels of the picture size in Exif."""
     length = _ratio(tags, "EXIF FocalLength")
     resolution = _ratio(tags, "EXIF FocalPlaneXResolution")
     unit = _UNITS.get(_number(tags, "EXIF FocalPlaneResolutionUnit"), _UNITS[2])
@@ -240,7 +241,7 @@ def _focal_plane(tags: dict[str, Any]) -> FocalPlane | None:
 
 
 def _ratio(tags: dict[str, Any], name: str) -> float | None:
-    """The tag's first value, where it is a positive number."""
+    """The tag's first value if it is a positive number, else None."""
     try:
         first = tags[name].values[0]
         # Numbers in floating point come as a tuple of one.
@@ -255,7 +256,7 @@ def _tags(file: BinaryIO) -> dict[str, Any]:
 
     try:
         return exifread.process_file(file, details=False, extract_thumbnail=False)
-    except Exception:  # its parser raises anything at all (AssertionError, struct.error, ...)
+    except Exception:  # the parser raises anything (AssertionError, struct.error, ...)
         return {}
 
 

@@ -1,7 +1,7 @@
-"""A DNG's lens-shading GainMap opcodes: parsing and evaluating (Adobe DNG 1.7.1, chapter 7).
+"""Parses and evaluates a DNG's GainMap opcodes, lens shading (Adobe DNG 1.7.1, chapter 7).
 
-Which picture they are applied to is the business of `raw` and `jxl`. Other opcodes are not carried
-out; of those that change more than single bad pixels there is a note.
+raw.py applies them. Other opcodes are not applied; those that change more than single bad pixels
+give a note.
 """
 
 from __future__ import annotations
@@ -13,25 +13,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 _GAIN_MAP = 9  # an opcode (DNG 1.7, chapter 7)
-# Others that change light or place, in words.
+# Other opcodes that change radiance or position, as text for notes.
 _UNDONE = {
     **dict.fromkeys((1, 2, 14), "a lens distortion correction"),
     3: "a radial vignette correction",
     **dict.fromkeys((7, 8, 10, 11, 12, 13), "a correction of rows, columns or values"),
 }
 _HEADER = struct.Struct(">4I 4I 2I 4d I")
-_MOST_POINTS = 1 << 24  # of a map: a file cannot ask for more memory
+_MOST_POINTS = 1 << 24  # of a map; limits the memory that a file can claim
 
 
 @dataclass(frozen=True)
 class GainMap:
-    """Gains on a coarse grid over the active area, for some planes and every so many pixels.
+    """Gains on a coarse grid over the active area.
 
     Attributes:
         area: top, left, bottom, right of the pixels it applies to; the last two excluded.
-        planes: first plane, and the plane after the last.
-        pitch: apply to every so many rows and columns.
-        spacing, origin: of the grid (vertical, horizontal), in parts of the whole picture.
+        planes: first plane it applies to, and the plane after the last.
+        pitch: applies to every pitch-th row and column of the area.
+        spacing, origin: of the grid (vertical, horizontal), in units of the active area's sides.
         gains: (V, H, P) float32; planes beyond P use the last.
     """
 
@@ -45,7 +45,7 @@ class GainMap:
     def at(
         self, rows: NDArray[np.float64], columns: NDArray[np.float64], plane: int
     ) -> NDArray[np.float32]:
-        """Bilinear gains (R, C) at relative positions in [0, 1], held beyond the grid's edge."""
+        """(R, C) bilinear gains at relative positions in [0, 1], clamped to the grid."""
         grid = self.gains[..., min(plane - self.planes[0], self.gains.shape[2] - 1)]
         down = _weights(rows, self.gains.shape[0], self.spacing[0], self.origin[0])
         across = _weights(columns, self.gains.shape[1], self.spacing[1], self.origin[1])
@@ -54,13 +54,13 @@ class GainMap:
 
 @dataclass(frozen=True)
 class Shading:
-    """All gain maps of one opcode list, as they fall on a picture of the active area.
+    """All gain maps of one opcode list, for a picture that shows a part of the active area.
 
     Attributes:
-        maps: their places count from the active area's first pixel.
-        active: the active area's (height, width).
-        size: the picture's (height, width).
-        offset: (row, column) in the active area of the picture's first pixel.
+        maps: in coordinates of the active area.
+        active: (height, width) of the active area.
+        size: (height, width) of the picture.
+        offset: (row, column) of the picture's first pixel in the active area.
     """
 
     maps: tuple[GainMap, ...]
@@ -69,7 +69,7 @@ class Shading:
     offset: tuple[int, int] = (0, 0)
 
     def gains(self, top: int, bottom: int, planes: int) -> NDArray[np.float32]:
-        """Gains (n, W, planes) for the picture's rows top to bottom."""
+        """(n, W, planes) gains for the picture's rows [top, bottom)."""
         total = np.ones((bottom - top, self.size[1], planes), np.float32)
         for gain_map in self.maps:
             rows, down = self._touched(gain_map, np.arange(top, bottom), 0)
@@ -80,7 +80,7 @@ class Shading:
         return total
 
     def largest(self, planes: int) -> float:
-        """The largest gain anywhere, at least 1."""
+        """The largest gain, at least 1."""
         step = 256
         strips = ((top, min(top + step, self.size[0])) for top in range(0, self.size[0], step))
         return max(1.0, *(float(self.gains(*strip, planes).max()) for strip in strips))
@@ -88,7 +88,7 @@ class Shading:
     def _touched(
         self, gain_map: GainMap, pixels: NDArray[np.intp], axis: int
     ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-        """Which of these rows (axis 0) or columns a map applies to, and where those lie in it."""
+        """Mask of rows (axis 0) or columns that a map applies to, and their relative positions."""
         first, last = gain_map.area[axis], gain_map.area[axis + 2]
         sites = pixels + self.offset[axis]
         on_pitch = (sites - first) % gain_map.pitch[axis] == 0
@@ -97,7 +97,7 @@ class Shading:
 
 
 def parse_opcodes(data: bytes) -> tuple[tuple[GainMap, ...], frozenset[str]]:
-    """The gain maps of an OpcodeList's bytes, and what is asked for beside them, in words.
+    """Parse an OpcodeList: its gain maps, and names of other corrections that it has.
 
     Raises:
         ValueError: the bytes are not an opcode list.
@@ -143,7 +143,7 @@ def _parse_map(payload: bytes) -> GainMap:
 def _weights(
     positions: NDArray[np.float64], points: int, spacing: float, origin: float
 ) -> NDArray[np.float32]:
-    """Linear interpolation as a matrix (positions, points); beyond the ends the end's value."""
+    """(positions, points) matrix of linear interpolation, clamped at the ends."""
     if points == 1 or spacing <= 0.0:
         weights = np.zeros((positions.size, points), np.float32)
         weights[:, 0] = 1.0

@@ -1,10 +1,8 @@
 """Quality checks of a photograph before capture, with advice for the next shot.
 
-`inspect_photo` judges a `Photo`; the tilt comes from outside (the coarse fit, as in a capture),
-for photo knows nothing of fits. Every finding has a number, a verdict and a sentence. Places and
-directions are those of the photograph as it is looked at, upright; see `_upright`.
-
-The formulas are this file's own; tests/photo holds them against simulated photographs.
+The tilt is an argument, as it is from the coarse fit of a capture. Positions and directions in
+findings are of the upright photograph (_upright). The measures are verified on simulated
+photographs (tests/photo).
 """
 
 from __future__ import annotations
@@ -26,20 +24,19 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ShotSettings:
-    """How a shot is measured; docs/notes/verdict.md. Limits are in checks.py.
+    """Constants of the measures; docs/notes/verdict.md. Limits are in checks.py.
 
     Attributes:
-        toe: of the median: bounds logarithms in the dark.
-        hot_cells: across; the hot spot is the summit of a paraboloid fitted to log brightness
-            around it.
-        hot_blur: share of the width: deviation of the blur in which the brightest place is looked
-            for.
-        hot_reach: plane units: deviation of the weights of that fit.
-        hot_rounds: of moving it.
-        sharpest: quantile over tiles: what is smooth by nature says nothing of focus.
-        least_detail: squared slope of log light, per pixel, of tiles that have anything in them.
-        usual: differences from tile to tile: log contrast of fine and coarser bands, and two log
-            hues.
+        toe: added inside logarithms, as a share of the median.
+        hot_cells: cells across in which the hot spot is searched.
+        hot_blur: standard deviation of the blur before the maximum is taken, share of the width.
+        hot_reach: standard deviation of the Gaussian window of the paraboloid's fit around the hot
+            spot, share of the width.
+        hot_rounds: iterations of that fit.
+        sharpest: quantile over tiles of the blur, as smooth parts do not show the focus.
+        least_detail: least squared gradient of log radiance, per pixel, of a tile with detail.
+        usual: usual differences between tiles: log contrast of a fine and of a coarser band, and
+            two log hues.
         tiles: along the long side.
     """
 
@@ -55,32 +52,32 @@ class ShotSettings:
 
 
 SHOT = ShotSettings()
-_HDR = "HDR gain map"  # in a note that has a finding of its own
+_HDR = "HDR gain map"  # in notes that have a finding of their own
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """All findings of a photograph, in the order in which they are worth reading."""
+    """All findings of a photograph, in order of importance."""
 
     name: str
     findings: tuple[Finding, ...]
 
     @property
     def rating(self) -> Rating:
-        """The worst of them; what is only worth knowing leaves a photograph good."""
+        """The worst rating of the findings that are rated."""
         judged = [f.rating for f in self.findings if f.rating is not Rating.NOT_JUDGED]
         return max(judged, key=list(Rating).index, default=Rating.GOOD)
 
     @property
     def doubtful(self) -> bool:
-        """Whether the shot had better be taken again."""
+        """Whether the photograph should be taken again."""
         return not self.rating.fit
 
     def __getitem__(self, name: str) -> Finding:
         return next(finding for finding in self.findings if finding.name == name)
 
     def document(self) -> dict[str, Any]:
-        """As JSON."""
+        """The inspection for JSON."""
         return {
             "name": self.name,
             "rating": self.rating.value,
@@ -89,11 +86,11 @@ class Inspection:
 
 
 def inspect_photo(photo: Photo, tilt: tuple[float, float] | None = None) -> Inspection:
-    """Judge a photograph, in a fraction of a second.
+    """Check a photograph, in a fraction of a second.
 
     Args:
-        photo: read at the detail it would be captured at; sharpness is of that.
-        tilt: (tilt_x, tilt_y) in radians as the coarse fit gives it, or None where it is unknown.
+        photo: at the resolution of the capture, which sharpness depends on.
+        tilt: (tilt_x, tilt_y) of the coarse fit, radians, or None.
     """
     place, falloff = hot_spot(photo)
     return Inspection(
@@ -115,11 +112,14 @@ def inspect_photo(photo: Photo, tilt: tuple[float, float] | None = None) -> Insp
 
 
 def hot_spot(photo: Photo) -> tuple[tuple[float, float], float]:
-    """Where the picture is brightest, and by how much.
+    """Position and contrast of the hot spot, the brightest place.
+
+    The maximum of the blurred log radiance is refined to the vertex of a paraboloid, fitted to log
+    radiance around it.
 
     Returns:
-        (x, y) in shares of the width and height of photo.pixels, from the left top; and the ratio
-        of the blurred brightness there to that along the picture's border.
+        (x, y) in shares of the width and height of photo.pixels, from the upper left; and the ratio
+        of the blurred radiance there to the median along the border.
     """
     light = _small(photo.pixels, SHOT.hot_cells).mean(axis=-1)
     light = np.log(light + SHOT.toe * float(np.median(light)) + 1e-9)
@@ -135,7 +135,7 @@ def hot_spot(photo: Photo) -> tuple[tuple[float, float], float]:
         c = np.linalg.lstsq(terms * weight[:, None], light.ravel() * weight, rcond=None)[0]
         bend = np.array([[2.0 * c[3], c[4]], [c[4], 2.0 * c[5]]])
         if np.linalg.eigvalsh(bend)[-1] >= -1e-6:
-            break  # no summit here: the brightest cell it is
+            break  # not a maximum: keep the present position
         step = np.clip(-width * np.linalg.solve(bend, c[1:3]), -0.1 * width, 0.1 * width)
         x = float(np.clip(x + step[0], 0.0, width - 1.0))
         y = float(np.clip(y + step[1], 0.0, height - 1.0))
@@ -145,11 +145,10 @@ def hot_spot(photo: Photo) -> tuple[tuple[float, float], float]:
 
 
 def softness(pixels: NDArray[np.float32]) -> float:
-    """Blur of the sharper parts of a picture in pixels, as a Gaussian's standard deviation; NaN
-    where there is nothing that could be sharp.
+    """Blur of the sharper parts of a picture, a Gaussian's standard deviation in pixels.
 
-    Where gradients of all sizes are equally strong, blur b leaves their energy at scale s
-    proportional to 1 / (b^2 + s^2); two scales give b.
+    NaN if there is no detail. For a texture with equal gradient energy at all scales, blur b leaves
+    an energy at scale s proportional to 1 / (b^2 + s^2); it is computed from s = 1 and 2.
     """
     light = _log_light(pixels)
     one, two = (_tiles(_gradient_energy(light, scale)) for scale in (1.0, 2.0))
@@ -161,39 +160,39 @@ def softness(pixels: NDArray[np.float32]) -> float:
 
 
 def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Values:
-    """(rows, columns) how far tiles differ from what a uniform material would show there.
+    """(rows, columns) difference of tiles from a uniform material, in units of SHOT.usual.
 
-    Compared are contrast in two bands and hue, after what changes evenly with the distance from
-    the hot spot has been taken away: that is the flash's work. 1 is usual, see SHOT.usual.
+    Root sum of squares over the log contrast in two bands and two log hues, each less its
+    regression on functions of the distance from the hot spot, which is an effect of the flash.
 
     Args:
         pixels: (H, W, 3) linear.
-        place: of the hot spot, as hot_spot gives it.
+        place: of the hot spot, from hot_spot.
     """
     light = _log_light(pixels)
     width = light.shape[1]
     fine, middle = (cv2.GaussianBlur(light, (0, 0), width / s) for s in (128.0, 32.0))
     colour = np.log(pixels + SHOT.toe * float(np.median(pixels)) + 1e-9)
-    looks = [
+    measures = [
         0.5 * np.log(_tiles((light - fine) ** 2) + 1e-6),
         0.5 * np.log(_tiles((fine - middle) ** 2) + 1e-6),
         _tiles(colour[..., 0] - colour[..., 1]),
         _tiles(colour[..., 2] - colour[..., 1]),
     ]
-    rows, columns = looks[0].shape
+    rows, columns = measures[0].shape
     y, x = np.mgrid[:rows, :columns].astype(np.float64)
     squared = ((x + 0.5) / columns - place[0]) ** 2
     squared += (((y + 0.5) / rows - place[1]) * pixels.shape[0] / width) ** 2
     terms = np.stack([np.ones_like(x), squared, np.exp(-40.0 * squared)], axis=-1).reshape(-1, 3)
     total = np.zeros_like(x)
-    for look, usual in zip(looks, SHOT.usual, strict=True):
-        even = terms @ np.linalg.lstsq(terms, look.ravel(), rcond=None)[0]
-        total += ((look - even.reshape(look.shape)) / usual) ** 2
+    for measure, usual in zip(measures, SHOT.usual, strict=True):
+        fitted = terms @ np.linalg.lstsq(terms, measure.ravel(), rcond=None)[0]
+        total += ((measure - fitted.reshape(measure.shape)) / usual) ** 2
     return np.sqrt(total)
 
 
 def _flash(photo: Photo, falloff: float) -> Finding:
-    # Files err, and a matte material far from the flash has little falloff: both are needed.
+    # Metadata may be wrong, and matte materials far from the flash have little falloff: use both.
     fired = photo.flash_fired
     severity = CHECKS["flash"].severity(falloff) + {None: 0.0, True: -0.5, False: 2.5}[fired]
     says = {
@@ -209,7 +208,7 @@ def _clipped(photo: Photo) -> Finding:
 
 
 def _border(photo: Photo) -> tuple[Finding, ...]:
-    """What to leave out, where the border is another thing."""
+    """Proposal of a crop, if the border is not the material."""
     crop = None if photo.left_out is not None else border_crop(photo)
     if crop is None:
         return ()
@@ -289,7 +288,7 @@ def _shading_map(photo: Photo) -> Finding:
 
 
 def _reading(photo: Photo) -> tuple[Finding, ...]:
-    """What was assumed, converted or left undone when the file was read."""
+    """Notes of reading the file, as a finding."""
     notes = [note for note in photo.remarks if _HDR not in note]
     if not notes:
         return ()
@@ -310,15 +309,15 @@ def _gain_map(photo: Photo) -> Finding:
 
 
 def _upright(photo: Photo, x: float, y: float) -> tuple[float, float]:
-    """A place in photo.pixels as the place in the picture as one looks at it, in shares.
+    """A position in photo.pixels as a position in the upright picture, both in shares.
 
-    A portrait picture was turned a quarter turn anticlockwise; this turns it back.
+    Portrait photographs are stored rotated by 90 degrees counterclockwise.
     """
     return (1.0 - y, x) if photo.turned else (x, y)
 
 
 def _whereabouts(x: float, y: float) -> str:
-    """Words for a place in shares from the left top."""
+    """A position in shares from the upper left, as text."""
     across = "left" if x < 1 / 3 else "right" if x > 2 / 3 else ""
     down = "upper" if y < 1 / 3 else "lower" if y > 2 / 3 else ""
     if not across and not down:
@@ -329,7 +328,7 @@ def _whereabouts(x: float, y: float) -> str:
 
 
 def _side(right: float, up: float) -> str:
-    """Which side of the picture the sample's plane rises towards."""
+    """The side of the picture towards which the plane approaches the camera, as text."""
     across = "right" if right > 0 else "left"
     down = "upper" if up > 0 else "lower"
     if abs(right) > 2.0 * abs(up):
@@ -357,5 +356,5 @@ def _small(picture: NDArray[np.float32], columns: int) -> Values:
 
 
 def _tiles(picture: NDArray[np.float32]) -> Values:
-    """Means over about square tiles, SHOT.tiles along the long side."""
+    """Averages over about square tiles, SHOT.tiles along the long side."""
     return _small(picture, SHOT.tiles)

@@ -1,7 +1,7 @@
-"""DNGs compressed with JPEG XL (newer ProRAW), which LibRaw cannot open: copied into plain ones.
+"""Decompresses DNGs in JPEG XL (newer ProRAW), which LibRaw cannot read, to temporary copies.
 
-tifffile undoes the compression; the copy has the numbers of the raw picture in one piece and every
-other tag as it was, so that LibRaw develops it as it would have the same DNG uncompressed.
+tifffile decompresses the raw picture. The copy has it as one uncompressed strip, with all other
+tags unchanged.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from tifffile import TiffPage
 
 _BITS, _COMPRESSION, _OFFSETS, _ROWS, _COUNTS, _WHITE = 258, 259, 273, 278, 279, 50717
-# Predictor, tiles, JPEG's tables: of how it was compressed.
+# Predictor, tiles, JPEG tables: tags of the compression, which are dropped.
 _OF_COMPRESSION = (317, 322, 323, 324, 325, 347)
 _SUB_IFDS, _NONE = 330, 1
 _SHORT, _LONG = 3, 4  # types of TIFF
@@ -33,11 +33,11 @@ Read = TypeVar("Read")
 
 
 def read_jxl(path: Path, read: Callable[[Path], Read]) -> Read:
-    """Read a JPEG-XL DNG by what reads plain ones.
+    """Read a JPEG-XL DNG by a function for uncompressed ones.
 
     Raises:
-        MatcapError: imagecodecs, an extra, is not installed; the file is truncated, damaged or of
-            a form that is not supported.
+        MatcapError: imagecodecs, an extra, is not installed; the file is truncated, damaged or not
+            supported.
     """
     try:
         import imagecodecs  # noqa: F401  (tifffile calls it)
@@ -47,16 +47,17 @@ def read_jxl(path: Path, read: Callable[[Path], Read]) -> Read:
         try:
             return read(copy)
         except MatcapError as error:
-            # The temporary path of the copy is kept out of the error.
+            # Without the temporary path.
             raise MatcapError(error.what, where=str(path), remedy=error.remedy) from error
 
 
 @contextmanager
 def plain_copy(path: Path) -> Iterator[Path]:
-    """A DNG whose compression tifffile can undo, without it, while the block runs.
+    """Context of a temporary uncompressed copy of a DNG.
 
     Raises:
-        MatcapError: truncated, damaged, or no raw picture of whole numbers in one or three samples.
+        MatcapError: truncated, damaged, or without a raw picture of integers in one or three
+            samples.
     """
     import tifffile
 
@@ -88,7 +89,7 @@ def _patched(
     samples: NDArray[Any],
     order: str,
 ) -> bytearray:
-    """The file with another directory of the raw picture, whose numbers are to come at the end."""
+    """The file with a new directory for the raw picture, whose samples will be appended."""
     entries = {
         tag.code: data[tag.offset : tag.offset + _ENTRY]
         for tag in page.tags
@@ -122,10 +123,10 @@ def _patched(
 
 
 def _pointer(data: bytes, file: Any, page: TiffPage, order: str) -> int:  # noqa: ANN401
-    """Where the file says where a page's directory is.
+    """Position of the offset that points to a page's directory.
 
     Raises:
-        ValueError: nowhere that is known.
+        ValueError: it is not in a known place.
     """
     places = [4]  # of the first page
     for each in file.pages:

@@ -1,8 +1,4 @@
-"""Which reader a file needs, from its first bytes; the suffix only distinguishes RAWs made as TIFF.
-
-`matcap` trusts content over names: a JPEG called .png is read as a JPEG, a text file called .dng
-is refused as what it is.
-"""
+"""Detects a photograph's format by its first bytes; by suffix only for RAW files that are TIFFs."""
 
 from __future__ import annotations
 
@@ -15,7 +11,7 @@ from matcap.photo.refusals import READABLE, decoding
 
 
 class FileKind(Enum):
-    """The readers there are."""
+    """Formats of photographs."""
 
     RAW = "RAW"
     DNG = "DNG"
@@ -33,7 +29,7 @@ _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _RAW = (b"FUJIFILM", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb", b"\0MRM")
 _HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
 _AVIF_BRANDS = {b"avif", b"avis"}
-# Makers whose RAW files are TIFFs inside, and carry nothing near the start that says so.
+# Suffixes of RAW files that are TIFFs without a signature of their own.
 _RAW_SUFFIXES = frozenset(
     f".{maker}"
     for maker in (
@@ -42,14 +38,14 @@ _RAW_SUFFIXES = frozenset(
     )
 )
 _DNG_VERSION = 50706  # a TIFF tag
-_HEAD = 64  # bytes that are looked at
+_HEAD = 64  # first bytes that are read
 
 
 def file_kind(path: Path) -> FileKind:
-    """Look at a file and say how to read it.
+    """Detect a file's format.
 
     Raises:
-        MatcapError: it is missing, not a file, empty, unreadable, or not a photograph.
+        MatcapError: the file is missing, not a file, empty, unreadable, or not a photograph.
     """
     head = _head(path)
     if head.startswith(_JPEG):
@@ -58,7 +54,7 @@ def file_kind(path: Path) -> FileKind:
         return FileKind.PNG
     if head[4:8] == b"ftyp":
         brands = {head[8:12], *(head[at : at + 4] for at in range(16, len(head), 4))}
-        # Of the brands that both may have, the first others say which.
+        # AVIF first, as AVIF files may have HEIC's generic brands.
         if brands & _AVIF_BRANDS:
             return FileKind.AVIF
         if brands & _HEIC_BRANDS:
@@ -104,7 +100,7 @@ def _head(path: Path) -> bytes:
 
 
 def _of_tiff(path: Path) -> FileKind:
-    """A DNG by its version, a RAW by its suffix or by a sensor's mosaic in it."""
+    """The format of a TIFF: DNG by its version tag, RAW by its suffix or by a raw picture."""
     import tifffile
 
     with decoding(path, "TIFF"), tifffile.TiffFile(path) as file:
@@ -115,7 +111,7 @@ def _of_tiff(path: Path) -> FileKind:
         return FileKind.TIFF
 
 
-# Formats recognised by their first bytes.
+# Other formats by their first bytes, for error messages.
 _KNOWN = {
     b"\x76\x2f\x31\x01": "an OpenEXR picture", b"#?": "a Radiance picture", b"GIF8": "a GIF",
     b"BM": "a BMP picture", b"8BPS": "a Photoshop document", b"%PDF": "a PDF document",
@@ -125,7 +121,7 @@ _KNOWN = {
 
 
 def _guess(head: bytes) -> str:
-    """The format it seems to be, where the first bytes say so."""
+    """Part of a message that names the format by the first bytes, or ""."""
     for begins, what in _KNOWN.items():
         if head.startswith(begins):
             return f" of a kind that is read but {what}"

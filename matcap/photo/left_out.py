@@ -1,8 +1,7 @@
-"""Masked parts of a photograph: outside of a crop, black in a mask, or transparent.
+"""Leaves out parts of a photograph: outside a crop, black in a mask, or transparent.
 
-The photograph keeps its size, so that its middle stays the camera's axis and the flash's foot stays
-where it is; nothing is measured where something is left out, and nothing drawn from there. For
-those that look at a whole picture, what is left out shows the mirror of what is beside it.
+The photograph keeps its size, so that its centre stays on the optical axis. Pixels that are left
+out are not used in measurements. For filters and networks they are replaced by mirrored pixels.
 """
 
 from __future__ import annotations
@@ -21,24 +20,24 @@ from matcap.photo.orient import quarter_turn
 from matcap.photo.photo import Photo
 from matcap.photo.refusals import SHORTEST_SIDE
 
-_LEAST = 0.04  # of a photograph: less holds no texture
-_GREY = 0.5  # of white: what is darker is left out
-_FOLDED = 0.1  # of the shorter side: so far mirrors reach before they turn back
+_LEAST = 0.04  # least share of a photograph that must remain
+_GREY = 0.5  # mask value up to which pixels are left out
+_FOLDED = 0.1  # depth of the mirrored pixels, share of the shorter side
 
-Marks = NDArray[np.bool_]
+Kept = NDArray[np.bool_]
 
 
 def leave_out(photo: Photo, crop: Region | None, mask: Path | None) -> Photo:
-    """A photograph of which only a part is the material.
+    """Restrict a photograph to the part that shows the material.
 
     Args:
         photo: as read, of any size.
-        crop: what is the material, in pixels of the file's picture, upright, from its left top.
-        mask: a picture of that size: white is the material, black is none of it.
+        crop: rectangle of the material, in pixels of the file's upright picture.
+        mask: image of that size: white is the material, black is left out.
 
     Raises:
-        UsageError: a crop outside of the photograph, or too small.
-        MatcapError: no mask, one of another size, or one that leaves too little.
+        UsageError: a crop outside the photograph, or too small.
+        MatcapError: a mask that cannot be read, of another size, or that leaves too little.
     """
     if crop is None and mask is None:
         return photo
@@ -55,21 +54,21 @@ def leave_out(photo: Photo, crop: Region | None, mask: Path | None) -> Photo:
 
 
 def leave_transparent_out(photo: Photo, opacity: NDArray[np.float32], where: str) -> Photo:
-    """A cut-out photograph: what is transparent in it, however little, is not the material.
+    """Restrict a photograph to its opaque pixels.
 
     Args:
         photo: as read.
         opacity: (H, W) of its pixels, in [0, 1].
-        where: the file.
+        where: the file, for errors.
 
     Raises:
-        MatcapError: hardly anything is opaque.
+        MatcapError: too little is opaque.
     """
     return _only(photo, opacity, "what is opaque comes to", where)
 
 
 def _only(photo: Photo, share: NDArray[np.float32], what: str, where: str) -> Photo:
-    """The photograph where share (H, W) is 1, and of what it already was only there."""
+    """Leave out pixels whose share (H, W) of the material is below 1, besides those left out."""
     left_out = share < 1.0 - 1e-3
     if not left_out.any():
         return photo
@@ -93,8 +92,8 @@ def _only(photo: Photo, share: NDArray[np.float32], what: str, where: str) -> Ph
     )
 
 
-def _cropped(crop: Region, width: int, height: int) -> Marks:
-    """(H, W) what lies in a crop."""
+def _cropped(crop: Region, width: int, height: int) -> Kept:
+    """(H, W) mask of a crop."""
     right, bottom = crop.x + crop.width, crop.y + crop.height
     if crop.x < 0 or crop.y < 0 or right > width or bottom > height:
         raise UsageError(
@@ -116,8 +115,8 @@ def _cropped(crop: Region, width: int, height: int) -> Marks:
     return kept
 
 
-def _masked(mask: Path, width: int, height: int) -> Marks:
-    """(H, W) what is white in a mask."""
+def _masked(mask: Path, width: int, height: int) -> Kept:
+    """(H, W) pixels that are white in a mask's file."""
     if not mask.is_file():
         raise MatcapError("there is no such file", where=str(mask), remedy="give a PNG file")
     grey = read_mask(mask)
@@ -131,10 +130,11 @@ def _masked(mask: Path, width: int, height: int) -> Marks:
     return np.asarray(grey > _GREY)
 
 
-def mirrored(left_out: Marks) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """(H, W) rows and columns that each place shows: its own, or where it is left out a mirror's.
+def mirrored(left_out: Kept) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """(H, W) rows and columns to read each pixel from: itself, or a mirrored one if left out.
 
-    Mirrored at the nearest place that is kept, and back again beyond a tenth of the picture.
+    Mirrored at the nearest pixel that is kept; the distance beyond it is folded at _FOLDED of the
+    picture's shorter side.
     """
     rows, columns = left_out.shape
     _, labels = cv2.distanceTransformWithLabels(
@@ -152,6 +152,6 @@ def mirrored(left_out: Marks) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     share = np.where(left_out, folded / np.maximum(distance, 1e-9), 0.0)
     to_y = np.rint(near_y + share * (near_y - y)).astype(np.intp).clip(0, rows - 1)
     to_x = np.rint(near_x + share * (near_x - x)).astype(np.intp).clip(0, columns - 1)
-    # A mirror that lands on what is left out, round a thin strip, shows the nearest place itself.
+    # Where the mirrored pixel is left out, too, the nearest kept pixel is used.
     lost = left_out[to_y, to_x]
     return np.where(lost, near_y, to_y), np.where(lost, near_x, to_x)

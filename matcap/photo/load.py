@@ -1,4 +1,4 @@
-"""load_photo: any photograph file to a Photo, or one sentence on why not."""
+"""Reads a photograph file of any supported format to a Photo."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from matcap.photo.photo import DEFAULT_FOV, Photo
 from matcap.photo.raw import read_raw
 from matcap.photo.refusals import SHORTEST_SIDE
 
-_DARKEST = 1e-3  # linear: a picture with nothing brighter shows no texture
-_MOST_CLIPPED = 0.95  # share of clipped pixels beyond which there is nothing to measure
+_DARKEST = 1e-3  # linear; a picture whose maximum is less counts as black
+_MOST_CLIPPED = 0.95  # largest share of clipped pixels
 
 
 def load_photo(
@@ -36,14 +36,14 @@ def load_photo(
     fov: float | None = None,
     noise: bool = True,
 ) -> Photo:
-    """Read a photograph, whatever it is stored as.
+    """Read a photograph.
 
     Args:
         path: DNG or other RAW, JPEG, PNG, TIFF (8, 16 bits or float), WebP, AVIF, HEIC (extra
-            `heic`). What is transparent in it is left out, as by a mask.
-        long_side: average down to this many pixels along the long side; never up.
-        fov: field of view across the long side, degrees; by default the file's, or 45.
-        noise: draw a RAW's noise once more (Photo.noise), for which it is developed twice.
+            `heic`). Transparent pixels are left out, as by a mask.
+        long_side: downsample to this many pixels along the long side; never upsample.
+        fov: field of view across the long side, degrees; None is the file's, or 45.
+        noise: compute Photo.noise of a RAW, for which it is developed twice.
 
     Returns:
         The photograph in linear light, its long side along x.
@@ -81,7 +81,7 @@ def _photo(
     where: str,
     name: str,
 ) -> Photo:
-    """Turn the picture upright and its long side along x, and judge it."""
+    """Check the picture, and rotate it upright, then to landscape orientation."""
     _check_light(picture, where)
     size = picture.size if picture.orientation < 5 else picture.size[::-1]
     turned = size[1] > size[0]

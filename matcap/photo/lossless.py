@@ -1,7 +1,7 @@
-"""PNG and TIFF of 8 and 16 bits, TIFF in floating point, through OpenImageIO, which keeps 16 bits.
+"""Reads PNG and TIFF of 8 and 16 bits, and TIFF in floating point, by OpenImageIO.
 
-Of a TIFF with several pages the picture is read, not its thumbnails or masks. Inks (CMYK) and
-CIELAB are converted here: OpenImageIO's own conversion of them ignores what their numbers mean.
+Of a TIFF with several pages the largest picture is read, not thumbnails or masks. CMYK and CIELAB
+are converted here, as OpenImageIO's conversion is not colorimetric.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from matcap.photo.refusals import check_size, decoding, unreadable, unsupported
 # TIFF 6.0, and the supplements 1 and 2: PhotometricInterpretation.
 _GREYS, _MASK, _INKS, _LAB, _ICC_LAB = (0, 1), 4, 5, 8, 9
 _REDUCED, _IS_MASK = 1, 4  # bits of NewSubfileType
-_MOST_PAGES = 64  # a damaged file may claim any number of them
-_FORMATS, _FLOATING = (1, 2, 3, 4), 3  # SampleFormat: whole, signed, floating, unsaid
+_MOST_PAGES = 64  # read at most; a damaged file may claim any number
+_FORMATS, _FLOATING = (1, 2, 3, 4), 3  # SampleFormat: unsigned, signed, floating, undefined
 _JPEGS = (6, 7)  # compressions
-# Compressions that every OpenImageIO decodes; what else fails is unsupported, not damaged.
+# Compressions that every OpenImageIO decodes; a failure with others means unsupported.
 _USUAL = {1, 2, 3, 4, 5, 6, 7, 8, 32771, 32773, 32946}
 _SHADOW = 6.0 / 29.0  # where CIE L*'s cube root begins (CIE 15:2004, 8.2.1.1)
 
 
 @dataclass(frozen=True)
 class _Page:
-    """Which picture of a file is read.
+    """The page of a file that is read.
 
     Attributes:
-        index: among its pages.
-        photometric: what its numbers are; -1 for a PNG.
-        compression: its name, and whether everybody decodes it.
-        profile: ICC profile of a TIFF of inks.
-        orientation: EXIF's, of a page that is not the first; None where the file's counts.
-        notes: what is to be said of other pages.
+        index: of the page.
+        photometric: PhotometricInterpretation; -1 for a PNG.
+        compression: its name, and whether it is in _USUAL.
+        profile: ICC profile of a TIFF, or None.
+        orientation: EXIF's, of a page other than the first; None is the file's.
+        notes: on other pages.
     """
 
     index: int = 0
@@ -61,15 +61,15 @@ def read_png_or_tiff(path: Path, form: str, long_side: int | None) -> tuple[Deco
     """Read a PNG or TIFF of 8 or 16 bits, or a TIFF in floating point (taken as linear light).
 
     Raises:
-        MatcapError: truncated, damaged, too small, too large, of a coding that is not supported;
-            NaN or infinite values.
+        MatcapError: truncated, damaged, too small, too large, not supported, or with NaN or
+            infinite values.
     """
     import OpenImageIO as oiio
 
     page = _page_of(path) if form == "TIFF" else _Page()
     with decoding(path, form):
         config = oiio.ImageSpec()
-        config.attribute("oiio:UnassociatedAlpha", 1)  # colours are not to be darkened by alpha
+        config.attribute("oiio:UnassociatedAlpha", 1)  # colours not multiplied by alpha
         config.attribute("oiio:RawColor", int(page.photometric in (_INKS, _LAB, _ICC_LAB)))
         source = oiio.ImageInput.open(str(path), config)
         if source is None:
@@ -119,7 +119,7 @@ def _read_rows(
     stored: str,
     broken: Callable[[], MatcapError],
 ) -> Callable[[int, int], NDArray[Any]]:
-    """Rows (n, W, C) of an open picture, from the top; all at once where it is tiled."""
+    """A function that reads rows (n, W, C) of an open picture, in order from the top."""
     import OpenImageIO as oiio
 
     def rows(top: int, bottom: int) -> NDArray[Any]:
@@ -200,7 +200,7 @@ def _color(path: Path, page: int, dtype: np.dtype[Any]) -> StatedColor:
     color = stated_color(path, page)
     if dtype.kind != "f":
         return color
-    # Floating point is light itself, of whatever primaries are stated, unless a profile says else.
+    # Floating point is linear, in the stated primaries, unless there is a profile.
     space = ColorSpace(LINEAR.name, LINEAR.curves, color.space.matrix)
     return StatedColor(color.profile, space, color.notes)
 
@@ -208,7 +208,7 @@ def _color(path: Path, page: int, dtype: np.dtype[Any]) -> StatedColor:
 def _other(
     path: Path, page: _Page, channels: int, dtype: np.dtype[Any]
 ) -> tuple[Linearise, tuple[str, ...]] | None:
-    """How to linearise what is no red, green and blue; None where it is."""
+    """Lineariser of colours other than RGB, with notes; None for RGB and grey."""
     if page.photometric == _INKS:
         return inks(path, page.profile, dtype)
     if page.photometric not in (_LAB, _ICC_LAB):
@@ -248,7 +248,7 @@ def lab_light(lab: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _stored_type(form: Any) -> str:  # noqa: ANN401
-    """The type to read OpenImageIO's format as: whole numbers of 8 or 16 bits, or float."""
+    """The type to read a format as: uint8, uint16 or float."""
     name = str(form)
     if name in ("half", "float", "double"):
         return "float"
@@ -256,7 +256,7 @@ def _stored_type(form: Any) -> str:  # noqa: ANN401
 
 
 def _below_one(pixels: NDArray[np.float32]) -> tuple[NDArray[np.float32], tuple[str, ...]]:
-    """Scale numbers without a stated maximum so that the largest is 1, the clip level."""
+    """Scale floating-point pixels to a maximum of 1, the clip level, if it is more; with notes."""
     least, largest = float(pixels[..., :3].min()), float(pixels[..., :3].max())
     notes: tuple[str, ...] = ()
     if np.isfinite(least) and least < -1e-3:

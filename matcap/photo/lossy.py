@@ -1,7 +1,7 @@
-"""JPEG, WebP, AVIF and HEIC, through Pillow and pillow-heif: 8 bits, HEIC up to 12.
+"""Reads JPEG, WebP, AVIF and HEIC, by Pillow and pillow-heif: 8 bits, HEIC up to 12.
 
-Pillow decodes JPEG because it reports a truncated file. Its readers are called by name: its general
-one refuses pictures of more than 178 megapixels, which phones take.
+Pillow reports truncated JPEG files. Its readers are called directly, because Image.open refuses
+pictures of more than 178 megapixels, which phones take.
 """
 
 from __future__ import annotations
@@ -27,31 +27,30 @@ from matcap.photo.developed import Coded, decode, three_channels
 from matcap.photo.exif import Exif, FocalPlane, read_exif
 from matcap.photo.refusals import check_size, decoding, missing_extra, unsupported
 
-# Lossy coding rings: what was at 255 comes back at 254 as well.
+# Clip level, as lossy coding may decode 255 to 254.
 _LOSSY_CLIP = 254.0 / 255.0
-# Pixels beyond which a JPEG is decoded at half its size (DCT scaling), where that is enough.
+# Pixels beyond which a JPEG is decoded at half size (DCT scaling), if that suffices.
 _LARGE = 100_000_000
 
-# What marks a picture that carries a second one to brighten it on HDR screens: Ultra HDR and
-# Adobe, Apple, ISO 21496-1.
+# Signatures of HDR gain maps: Ultra HDR and Adobe, Apple, ISO 21496-1.
 _HDR_MARKS = (b"ns.adobe.com/hdr-gain-map", b"aux:hdrgainmap", b"iso:ts:21496:-1")
 _HDR_NOTE = "The file carries an HDR gain map, which was not applied."
-_MODES = {"RGB", "RGBA", "RGBX", "L", "LA"}  # Pillow's, of red, green, blue, grey and alpha
+_MODES = {"RGB", "RGBA", "RGBX", "L", "LA"}  # Pillow's modes that are read directly
 
 
 def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
-    """Read a JPEG; one with a gain map or several pictures gives the first, as it looks.
+    """Read a JPEG, the first of several pictures, without its gain map.
 
     Raises:
-        MatcapError: truncated, damaged, too small, too large, of 12 bits, or of inks without a
-            profile that says their colours.
+        MatcapError: truncated, damaged, too small, too large, of 12 bits, or CMYK without a usable
+            profile.
     """
     from PIL.JpegImagePlugin import JpegImageFile
 
     if coding := unsupported_jpeg(path):
         raise unsupported(path, coding)
     with decoding(path, "JPEG"), warnings.catch_warnings(), path.open("rb") as file:
-        warnings.simplefilter("ignore")  # harmlessly malformed tags
+        warnings.simplefilter("ignore")  # about malformed tags
         image = JpegImageFile(file)
         size = image.size
         check_size(path, *size)
@@ -86,7 +85,7 @@ def read_webp_or_avif(path: Path, form: str, long_side: int | None) -> tuple[Dec
     """Read a WebP or AVIF picture, the first of several.
 
     Raises:
-        MatcapError: truncated, damaged, too small, too large, or this Pillow reads no AVIF.
+        MatcapError: truncated, damaged, too small, too large, or Pillow without AVIF.
     """
     decoder = _pillow_decoder(form)
     if decoder is None:
@@ -99,7 +98,7 @@ def read_webp_or_avif(path: Path, form: str, long_side: int | None) -> tuple[Dec
         if image.mode not in _MODES:
             image = image.convert("RGB")
         pixels, info = np.asarray(image), dict(image.info)
-    # Pillow turns an AVIF's own rotation into Exif's.
+    # Pillow converts an AVIF's rotation to Exif's orientation.
     exif = read_exif(path) if form == "WebP" else read_exif(info.get("exif") or b"")
     notes = (
         () if getattr(image, "n_frames", 1) == 1 else ("The first of several pictures is read.",)
@@ -113,7 +112,7 @@ def read_webp_or_avif(path: Path, form: str, long_side: int | None) -> tuple[Dec
 
 
 def _pillow_decoder(form: str) -> Callable[[BinaryIO], Any] | None:
-    """Pillow's reader of a form; None where it was built without, or is older than AVIF in it."""
+    """Pillow's reader of a format; None if this Pillow does not support it."""
     from PIL import features
 
     try:
@@ -154,10 +153,10 @@ def read_heic(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
 def inks(
     path: Path, profile: bytes | None, dtype: np.dtype[Any]
 ) -> tuple[Linearise, tuple[str, ...]]:
-    """How a file of cyan, magenta, yellow and black is linearised.
+    """Lineariser of a CMYK file, with notes.
 
     Raises:
-        MatcapError: no profile says what colours the inks have.
+        MatcapError: the file has no usable profile.
     """
     lineariser = inks_lineariser_of(profile, dtype) if profile else None
     if lineariser is None:
@@ -170,7 +169,7 @@ def inks(
 
 
 def with_camera_matrix(exif: Exif, properties: bmff.Properties, size: tuple[int, int]) -> Exif:
-    """Exif with a file's own camera matrix before all else; size as decoded."""
+    """Exif with the focal length of a file's camera matrix, if any; `size` is as decoded."""
     if properties.focal_length is None:
         return exif
     pixels = properties.focal_length * size[1 if properties.sideways else 0]
@@ -178,15 +177,15 @@ def with_camera_matrix(exif: Exif, properties: bmff.Properties, size: tuple[int,
 
 
 def _properties(path: Path) -> bmff.Properties:
-    """What the container says; nothing where its boxes are broken: pixels have been read."""
+    """Properties of the container; defaults if its boxes are damaged."""
     try:
         return bmff.primary_properties(path)
-    except Exception:  # struct.error, KeyError, IndexError and what else broken boxes come to
+    except Exception:  # struct.error, KeyError, IndexError and others on damaged boxes
         return bmff.Properties()
 
 
 def _coded(pixels: NDArray[Any], color: StatedColor, notes: tuple[str, ...]) -> Coded:
-    """A decoded picture (H, W) or (H, W, 1 to 4); 2 and 4 channels have alpha."""
+    """Coded of a decoded picture (H, W) or (H, W, 1 to 4); 2 and 4 channels include alpha."""
     alpha = pixels.ndim == 3 and pixels.shape[2] in (2, 4)
     return Coded(
         lambda top, bottom: three_channels(pixels[top:bottom]),
@@ -203,7 +202,7 @@ def _coded(pixels: NDArray[Any], color: StatedColor, notes: tuple[str, ...]) -> 
 def _filled(
     rows: Callable[[int, int], NDArray[Any]], bits: int
 ) -> Callable[[int, int], NDArray[Any]]:
-    """Codes of 10 or 12 bits, which stand at the top of 16, so that the largest is the largest."""
+    """Extend 10 or 12 bits in the upper bits of 16 to the full range, by repeating the bits."""
 
     def filled(top: int, bottom: int) -> NDArray[Any]:
         codes = rows(top, bottom)

@@ -1,4 +1,4 @@
-"""Turning pictures: EXIF orientation, and portrait to landscape."""
+"""Rotates pictures: by EXIF orientation, and from portrait to landscape."""
 
 from __future__ import annotations
 
@@ -11,14 +11,9 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 def upright(picture: NDArray[Scalar], orientation: int) -> NDArray[Scalar]:
-    """Turn a stored picture (H, W, ...) to how it was taken, a view of the same numbers.
-
-    Args:
-        picture: as stored.
-        orientation: EXIF's 1 to 8: which way the stored first row and column lie.
-    """
+    """Upright view of a stored picture (H, W, ...); `orientation` is EXIF's, 1 to 8."""
     if orientation in (5, 6, 7, 8):
-        picture = picture.swapaxes(0, 1)  # stored rows are columns
+        picture = picture.swapaxes(0, 1)
     if orientation in (2, 3, 6, 7):
         picture = picture[:, ::-1]
     if orientation in (3, 4, 7, 8):
@@ -27,5 +22,5 @@ def upright(picture: NDArray[Scalar], orientation: int) -> NDArray[Scalar]:
 
 
 def quarter_turn(picture: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Turn (H, W, ...) a quarter anticlockwise: what was at the right is now at the top."""
+    """Rotate (H, W, ...) by 90 degrees counterclockwise: the right side becomes the top."""
     return np.rot90(picture)

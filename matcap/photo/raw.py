@@ -1,15 +1,15 @@
-"""RAW files through rawpy (LibRaw): scene-linear, camera white balance, Rec.709, nothing more.
+"""Reads RAW files by rawpy (LibRaw): scene-linear, camera white balance, Rec.709.
 
-A DNG's white balance and colours are worked out from its tags (`dng_color`), so that LibRaw hands
-over camera colours and nothing outside Rec.709 is cut off. Of other files they are LibRaw's; where
-a file states no white balance, LibRaw's daylight multipliers are taken, never its grey world.
+A DNG's white balance and colour matrix are computed from its tags (dng_color.py), and LibRaw
+returns camera colours, so that colours outside Rec.709 are not clipped. For other files they are
+LibRaw's; without a stated white balance LibRaw's daylight multipliers are used.
 
-LibRaw ignores a DNG's lens-shading maps, so they are applied to its mosaic before it develops it.
-White balance makes the channels clip at different numbers, so what was clipped is read off the
-mosaic. JPEG-XL DNGs, which it cannot open, go to `jxl`.
+LibRaw ignores a DNG's lens-shading maps; they are applied to the mosaic before it is developed.
+Clipping is detected in the mosaic, as channels clip at different values after white balance.
+JPEG-XL DNGs are decompressed first (jxl.py).
 
-The sensor's noise is drawn once more on the mosaic and developed in the same way: what it looks
-like in the picture, after demosaicing, colours and shrinking, needs no further model.
+Noise is sampled on the mosaic and developed in the same way, so that the effects of demosaicing,
+colour conversion and downsampling on it need no model.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from matcap.photo.refusals import check_size, decoding, unreadable
 from matcap.photo.sensor_noise import find_noise
 from matcap.photo.shrink import Rows, shrink
 
-# Photosites saturate one by one a little below the white level.
+# Share of the white level from which on photosites count as clipped; they saturate a little below.
 CLIP_SHARE = 0.99
 _FULL = 65535  # code values
-_AVERAGED = 6.0  # stored pixels along a pixel's side at which noise has averaged out
+_AVERAGED = 6.0  # downsampling factor from which on noise is neglected
 _OWN_COLOURS = "LibRaw knows no colour matrix of this camera: its colours are taken for Rec.709."
-_SEED = 0  # of the noise that is drawn once more
-# LibRaw's flip (bits: mirror columns, mirror rows, transpose) to EXIF's orientation.
+_SEED = 0  # of the noise sample
+# EXIF's orientation by LibRaw's flip (bits: mirror columns, mirror rows, transpose).
 _ORIENTATION = {0: 1, 1: 2, 2: 4, 3: 3, 4: 5, 5: 8, 6: 6, 7: 7}
 
 
@@ -46,10 +46,11 @@ def read_raw(
     """Develop a RAW file.
 
     Args:
-        path: what LibRaw can open.
-        long_side: of the result; at most half the sensor's, the mosaic is taken two by two.
+        path: a file that LibRaw can read.
+        long_side: of the result, pixels. At half the sensor's or less, the mosaic is averaged by
+            2 x 2 instead of demosaiced.
         corrections: of a DNG; Corrections() for other files.
-        noise: draw the sensor's noise once more; the file is developed twice then.
+        noise: compute Photo.noise, for which the file is developed twice.
 
     Raises:
         MatcapError: truncated, damaged, not supported or too small.
@@ -60,7 +61,7 @@ def read_raw(
         _check_levels(path, raw)
         bayer = raw.raw_pattern is not None and raw.raw_pattern.shape == (2, 2)
         half = bayer and long_side is not None and 2 * long_side <= max(width, height)
-        # LibRaw forgets the flip once it has developed without it.
+        # Before developing, which resets the flip.
         orientation = _ORIENTATION[raw.sizes.flip]
         balance, unstated = _balance(raw, corrections)
         saturated, share = _saturated(raw, balance, bayer, half)
@@ -71,7 +72,7 @@ def read_raw(
         developed, headroom = _develop(raw, corrections, balance, half)
     again = None
     if noisy is not None:
-        # Opened once more: what LibRaw shows of a mosaic changes when it has developed it.
+        # Opened again, as developing changes the mosaic that LibRaw returns.
         with decoding(path, "RAW"), _opened(path) as raw:
             raw.raw_image_visible[...] = noisy
             again, _ = _develop(raw, corrections, balance, half)
@@ -114,7 +115,7 @@ def read_raw(
 
 
 def _noisy(raw: Any) -> NDArray[np.uint16] | None:  # noqa: ANN401
-    """The mosaic with one more draw of its own noise."""
+    """The mosaic with an independent sample of its noise added; None if it is unknown."""
     mosaic = raw.raw_image_visible
     black = np.array(raw.black_level_per_channel, np.float64)[raw.raw_colors_visible[:2, :2]]
     noise = find_noise(mosaic, black, float(raw.white_level))
@@ -127,7 +128,7 @@ def _develop(
     balance: tuple[float, float, float],
     half: bool,
 ) -> tuple[NDArray[np.uint16], float]:
-    """(H, W, 3), or half of it, linear; and what its largest number stands for, 1 at white."""
+    """(H, W, 3), or half its size, linear; and the value that _FULL stands for, 1 at white."""
     import rawpy
 
     width, height = raw.sizes.width, raw.sizes.height
@@ -176,12 +177,10 @@ def _saturated(
     bayer: bool,
     half: bool,
 ) -> tuple[NDArray[np.bool_], float]:
-    """(H, W), or half of it: True where a developed pixel draws on a photosite at its limit.
+    """(H, W) mask, or half its size, of developed pixels that depend on clipped photosites.
 
-    Also the share of photosites at their limit, of the colour that has most of them.
-
-    A channel's limit is the white level, or less where white balance lifts it past the least
-    lifted one's: LibRaw cuts it off there.
+    Also the share of clipped photosites, of the colour with the largest one. A channel with a
+    white-balance gain above 1 is clipped by LibRaw at the white level divided by the gain.
     """
     import cv2
 
@@ -210,7 +209,7 @@ def _saturated(
 
 
 def _two_by_two(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Any of each whole two by two."""
+    """Logical or over 2 x 2 pixels."""
     even = mask[: mask.shape[0] // 2 * 2, : mask.shape[1] // 2 * 2]
     return (even[::2, ::2] | even[1::2, ::2] | even[::2, 1::2] | even[1::2, 1::2]) > 0
 
@@ -219,7 +218,7 @@ def _balance(
     raw: Any,  # noqa: ANN401
     corrections: Corrections,
 ) -> tuple[tuple[float, float, float], str]:
-    """What white balance lifts red, green and blue by, the least by 1; and a note, or ""."""
+    """White-balance gains of red, green and blue, the least 1; and a note to the user, or ""."""
     note = ""
     if corrections.color is not None:
         red, green, blue = (1.0 / channel for channel in corrections.color.neutral)
@@ -240,19 +239,19 @@ def _balance(
 
 
 def _knows_colours(raw: Any) -> bool:  # noqa: ANN401
-    """Whether LibRaw has a matrix of this camera."""
+    """Whether LibRaw has a colour matrix of this camera."""
     own = np.asarray(raw.color_matrix)[:, :3]
     return bool(np.any(raw.rgb_xyz_matrix) or (np.any(own) and not np.allclose(own, np.eye(3))))
 
 
 def _positive(balance: Sequence[float]) -> tuple[float, float, float] | None:
-    """Factors for red, green and blue; None where LibRaw writes zeros for not knowing."""
+    """The first three factors, if positive; LibRaw returns zeros if unknown."""
     red, green, blue = balance[:3]
     return (red, green, blue) if min(red, green, blue) > 0 else None
 
 
 def _shading(maps: tuple[GainMap, ...], corrections: Corrections, raw: Any) -> Shading:  # noqa: ANN401
-    """Maps as they fall on what LibRaw shows: it starts at the next even row and column."""
+    """Gain maps for LibRaw's visible area, which may begin a pixel after the active area."""
     sizes = raw.sizes
     size = (sizes.height, sizes.width)
     visible = (sizes.top_margin, sizes.left_margin)
@@ -268,25 +267,24 @@ def _shading(maps: tuple[GainMap, ...], corrections: Corrections, raw: Any) -> S
 def _prepare(raw: Any, corrections: Corrections) -> tuple[float, int | None]:  # noqa: ANN401
     """Apply lens shading to the mosaic in place.
 
-    OpcodeList3's maps are meant for the demosaiced picture, before its colours are converted.
-    They vary so slowly that a photosite may as well be given the gain of its colour beforehand;
-    afterwards LibRaw would have cut off what lies outside Rec.709.
+    OpcodeList3's maps are defined for the demosaiced picture. As they vary slowly, they are applied
+    to the photosites of each colour instead, because LibRaw would clip the demosaiced picture.
 
     Returns:
-        What a developed value of one stands for, in parts of the file's own white level; and the
-        white level to develop the changed numbers with, None for the file's.
+        The value that a developed 1 stands for, in units of the file's white level; and the white
+        level to develop with, None for the file's.
     """
     samples = raw.raw_image_visible
     flat = samples.ndim == 2
     black = np.array(raw.black_level_per_channel, np.float64)[: 4 if flat else 3]
     if not corrections.has_maps:
-        # LibRaw leaves the black level in the scale of pictures that come demosaiced.
+        # LibRaw does not subtract the black level from the white level of demosaiced files.
         stacked = not flat and black.max() > 0
         return 1.0, int(raw.white_level - black.max()) if stacked else None
     before = _shading(corrections.on_mosaic, corrections, raw)
     after = _shading(corrections.after_demosaic, corrections, raw)
     headroom = before.largest(1 if flat else 3) * after.largest(3)
-    # Everything is stretched to the 16 bits there are: gains then neither clip nor round away.
+    # Scaled to 16 bits, so that gains neither clip nor lose precision.
     white_at = raw.white_level - black.min()
     stretch = (_FULL - black.max()) / (white_at * headroom)
     colors = raw.raw_colors_visible if flat else None

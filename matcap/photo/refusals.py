@@ -8,19 +8,19 @@ from pathlib import Path
 
 from matcap.errors import MatcapError
 
-SHORTEST_SIDE = 64  # pixels: below this no texture is left to look at
-MOST_PIXELS = 260_000_000  # the largest picture that is opened; a header may claim any size
+SHORTEST_SIDE = 64  # pixels, least short side
+MOST_PIXELS = 260_000_000  # larger pictures are not opened; a header may claim any size
 
 READABLE = "give a DNG or other RAW, a JPEG, PNG, TIFF, HEIC, AVIF or WebP"
-# How decoders call what they do not know, rather than what is broken.
+# Words in decoders' errors for unsupported, rather than damaged, files.
 _UNSUPPORTED = ("unsupported", "not supported", "not implemented", "cannot handle", "no decoding")
 
 
 def check_size(path: Path, width: int, height: int) -> None:
-    """Refuse pictures too small to hold a texture, or too large to be a photograph.
+    """Refuse pictures that are too small for a texture, or too large.
 
     Raises:
-        MatcapError: the short side is under SHORTEST_SIDE, or there are over MOST_PIXELS.
+        MatcapError: the short side is less than SHORTEST_SIDE, or there are more than MOST_PIXELS.
     """
     if min(width, height) < SHORTEST_SIDE:
         raise MatcapError(
@@ -38,10 +38,9 @@ def check_size(path: Path, width: int, height: int) -> None:
 
 @contextmanager
 def decoding(path: Path, form: str) -> Iterator[None]:
-    """Turn whatever a foreign decoder raises on a broken file into one MatcapError.
+    """Context that converts a decoder's exceptions on damaged files to MatcapError.
 
-    Only calls into other libraries belong inside: they raise anything at all (struct.error,
-    AssertionError, their own) when the bytes are not what they expected.
+    For calls of other libraries only, which may raise anything (struct.error, AssertionError, ...).
     """
     try:
         yield
@@ -60,7 +59,7 @@ def decoding(path: Path, form: str) -> Iterator[None]:
 
 
 def unreadable(path: Path, form: str) -> MatcapError:
-    """The file starts as a picture of this form and does not go on as one."""
+    """The error for a truncated or damaged file."""
     return MatcapError(
         f"the {form} file is truncated or damaged",
         where=str(path),
@@ -69,7 +68,7 @@ def unreadable(path: Path, form: str) -> MatcapError:
 
 
 def unsupported(path: Path, what: str) -> MatcapError:
-    """The file may be whole; how it is coded is not known here."""
+    """The error for a file whose coding is not supported."""
     return MatcapError(
         f"{what} is not supported",
         where=str(path),
@@ -78,7 +77,7 @@ def unsupported(path: Path, what: str) -> MatcapError:
 
 
 def missing_extra(path: Path, form: str, extra: str) -> MatcapError:
-    """The form is known, and what reads it is not installed."""
+    """The error for a format whose reader is not installed."""
     return MatcapError(
         f"{form} needs a package that is not installed",
         where=str(path),

@@ -1,12 +1,11 @@
-"""The sensor's noise: its strength estimated from the mosaic itself, and another draw of it.
+"""Sensor noise: estimated from the mosaic, and sampled.
 
-Light comes in photons, and amplifiers hiss: a photosite's variance is a straight line in its
-signal [foi2008]. Noise is independent from one photosite to the next; what a lens draws is not.
-So the finest structure, that of a checkerboard of single photosites, is nearly all noise, and where
-the picture is plainest it is nothing else.
+Shot and read noise give a photosite the variance shot * signal + read [foi2008]. Noise is
+independent between photosites, while a lens blurs the image. The response to a checkerboard of
+single photosites is therefore mostly noise, and in the smoothest blocks entirely.
 
-A capture needs it because noise looks like texture: renderings get the same noise before they are
-compared, and the material need not imitate it (space/tuning/finetune.py).
+Captures need it because noise resembles texture: the same noise is added to renderings before they
+are compared with the photograph (space/tuning/finetune.py).
 """
 
 from __future__ import annotations
@@ -18,32 +17,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# Mixed second difference: 0 on whatever bends along one direction only, of unit gain for noise
-# [immerkaer1996].
+# Mixed second difference [immerkaer1996]: 0 for images that are linear along x or y, of unit gain
+# for noise.
 _CHECKER = np.outer((1.0, -2.0, 1.0), (1.0, -2.0, 1.0)).astype(np.float32) / 6.0
-_SMOOTH = 1.5  # photosites of one colour: standard deviation of the blur that estimates the signal
-_BLOCK = 16  # photosites a side of what a variance is measured in
-_TILE = 256  # photosites a side of what is looked at in one piece
-_TILES = 48  # looked at, at most
-_BINS, _BLOCKS_IN_BIN = 16, 20  # by brightness: so many at most, of so many at least
-_PLAIN = 0.1  # share of the blocks of one brightness that is taken to be plain
-# What the plainest tenth of a flat field's blocks vary by, as a share of its noise's variance; the
-# smoothing's own noise is part of it.
+_SMOOTH = 1.5  # standard deviation of the signal's blur, photosites of one colour
+_BLOCK = 16  # photosites a side of a block, in which variance is measured
+_TILE = 256  # photosites a side of a tile
+_TILES = 48  # most tiles that are used
+_BINS, _BLOCKS_IN_BIN = 16, 20  # most bins by signal, and least blocks in a bin
+_PLAIN = 0.1  # quantile of the variance over a bin's blocks, which are taken as textureless
+# That quantile in a flat field, as a share of the noise's variance.
 _FLAT_FIELD = 0.69
-_AGREES = 1.05  # bins farther above the line than this hold texture
-_LEAST_BINS = 4  # that the line is laid through
-_ROUNDING = 1 / 12  # variance of whole numbers
-_DARKEST = 1 / 500  # of the white level; below it relative noise means nothing
-_STRIP_PHOTOSITES = 1 << 20  # looked at in one go
+_AGREES = 1.05  # ratio to the line above which a bin's variance includes texture
+_LEAST_BINS = 4  # for the line's fit
+_ROUNDING = 1 / 12  # variance of rounding to integers
+_DARKEST = 1 / 500  # lower limit of the signal, share of the white level
+_STRIP_PHOTOSITES = 1 << 20  # processed at once
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Variance of a photosite: shot * signal + read, in the file's numbers above black.
+    """Noise model: variance = shot * signal + read, of the file's values above black.
 
     Attributes:
-        shot: numbers that one photon counts for.
-        read: variance in the dark.
+        shot: variance over signal, the value of one photon.
+        read: variance at signal 0.
     """
 
     shot: float
@@ -52,7 +50,7 @@ class SensorNoise:
     def added(
         self, mosaic: NDArray[np.uint16], black: NDArray[np.float64], seed: int
     ) -> NDArray[np.uint16]:
-        """The mosaic (H, W) with one more draw of the noise; black as in `find_noise`."""
+        """The mosaic (H, W) with a sample of the noise added; `black` as in find_noise."""
         generator = np.random.default_rng(seed)
         result = np.empty_like(mosaic)
         step = max(2, _STRIP_PHOTOSITES // mosaic.shape[1] // 2 * 2)
@@ -69,22 +67,22 @@ class SensorNoise:
 def find_noise(
     mosaic: NDArray[np.uint16], black: NDArray[np.float64], white: float
 ) -> SensorNoise | None:
-    """The noise in a Bayer mosaic; an upper bound where all of it is finest texture.
+    """Estimate the noise of a Bayer mosaic; an upper bound if all of it has the finest texture.
 
     Args:
-        mosaic: (H, W) the file's numbers.
-        black: (2, 2) black level of each place in the pattern.
-        white: the level at which photosites saturate.
+        mosaic: (H, W) stored values.
+        black: (2, 2) black level by position in the pattern.
+        white: saturation level.
 
     Returns:
-        The noise, or None of a mosaic with too little that is exposed well.
+        The noise model; None if too few blocks are well exposed.
     """
     pieces = [_measured(tile, black, white) for tile in _tiles(mosaic)]
     variance, shot, read = np.concatenate(pieces, axis=1) if pieces else np.empty((3, 0))
     bins = min(_BINS, variance.size // _BLOCKS_IN_BIN)
     if bins == 0:
         return None
-    # Of photosites of different colours it is the noisy, dark ones that count.
+    # A block's effective signal, dominated by its darker photosites.
     signal = shot / read
     order = np.argsort(signal)
     edges = np.linspace(0, order.size, bins + 1).astype(int)
@@ -97,7 +95,7 @@ def find_noise(
 
 
 def _tiles(mosaic: NDArray[np.uint16]) -> list[NDArray[np.uint16]]:
-    """Evenly spread pieces, each beginning with the pattern."""
+    """At most _TILES tiles, evenly spread, aligned with the pattern."""
     height, width = (side // 2 * 2 for side in mosaic.shape)
     rows, columns = (max(1, side // _TILE) for side in (height, width))
     places = [(row, column) for row in range(rows) for column in range(columns)]
@@ -112,7 +110,7 @@ def _tiles(mosaic: NDArray[np.uint16]) -> list[NDArray[np.uint16]]:
 def _measured(
     tile: NDArray[np.uint16], black: NDArray[np.float64], white: float
 ) -> NDArray[np.float64]:
-    """(3, blocks): relative variance, and what it would be of shot noise and read noise of 1."""
+    """(3, blocks) relative variance, and its value for shot noise of 1 and for read noise of 1."""
     import cv2
 
     numbers = tile.astype(np.float32)
@@ -131,7 +129,7 @@ def _measured(
 
 
 def _blocks(picture: NDArray[Any]) -> NDArray[np.float64]:
-    """Means of whole blocks, in one row."""
+    """(blocks,) means of whole blocks."""
     height, width = (side // _BLOCK for side in picture.shape)
     whole = picture[: height * _BLOCK, : width * _BLOCK]
     shaped = whole.reshape(height, _BLOCK, width, _BLOCK)
@@ -139,7 +137,7 @@ def _blocks(picture: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _lower_line(points: NDArray[np.float64]) -> SensorNoise:
-    """The straight line through those (signal, variance) that hold no texture: the lowest."""
+    """Fit the line to (signal, variance) points, dropping those above it, which include texture."""
     signal, variance = points.T
     kept = np.ones(len(points), bool)
     while True:
@@ -153,7 +151,7 @@ def _lower_line(points: NDArray[np.float64]) -> SensorNoise:
 
 
 def _line(signal: NDArray[np.float64], variance: NDArray[np.float64]) -> SensorNoise:
-    """Least relative squares with neither shot nor read noise negative."""
+    """Least-squares line in relative errors, with non-negative shot and read noise."""
     terms = np.stack([signal, np.ones_like(signal)], axis=1) / variance[:, None]
     ones = np.ones_like(signal)
     if len(signal) > 1:
@@ -168,6 +166,6 @@ def _line(signal: NDArray[np.float64], variance: NDArray[np.float64]) -> SensorN
 
 
 def _tiled(black: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """(H, W) black levels by place."""
+    """(H, W) black levels, by repeating the pattern."""
     rows, columns = np.arange(shape[0])[:, None] % 2, np.arange(shape[1])[None, :] % 2
     return black.astype(np.float32)[rows, columns]

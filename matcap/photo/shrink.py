@@ -1,4 +1,4 @@
-"""Area downsampling in linear light, strip by strip, so that no full-size float copy is made."""
+"""Area downsampling of linear pixels, strip by strip, without a full-size float copy."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 Rows = tuple[NDArray[np.float32], NDArray[np.bool_]]
 ReadRows = Callable[[int, int], Rows]
 
-CLIPPED_SHARE = 0.25  # a shrunk pixel counts as clipped when this much of its area was
-_STRIP_PIXELS = 1 << 20  # made linear in one go
+CLIPPED_SHARE = 0.25  # clipped share of its area from which on a downsampled pixel is clipped
+_STRIP_PIXELS = 1 << 20  # pixels of a strip
 
 
 def shrink(read: ReadRows, width: int, height: int, long_side: int | None) -> Rows:
-    """Average a picture down to a long side, or take it as it is; it is never enlarged.
+    """Downsample a picture by area averages; never upsample.
 
     Args:
         read: (first row, row after the last) -> linear pixels (n, W, 3) and clip mask (n, W).
         width, height: of the whole picture.
-        long_side: of the result, pixels; None for the picture's own.
+        long_side: of the result, pixels; None is the picture's own.
 
     Returns:
         pixels (h, w, 3) float32 and mask (h, w).
@@ -34,7 +34,7 @@ def shrink(read: ReadRows, width: int, height: int, long_side: int | None) -> Ro
         for top, bottom in strips:
             pixels[top:bottom], clipped[top:bottom] = read(top, bottom)
         return pixels, clipped
-    # Columns first, a strip at a time: what is kept between the passes is already narrow.
+    # Along rows first, strip by strip, so that the intermediate result is small.
     narrow = np.empty((height, new_width, 3), np.float32)
     narrow_mask = np.empty((height, new_width), np.float32)
     for top, bottom in strips:
@@ -42,12 +42,12 @@ def shrink(read: ReadRows, width: int, height: int, long_side: int | None) -> Ro
         narrow[top:bottom] = _area(strip, new_width, bottom - top)
         narrow_mask[top:bottom] = _area(mask.astype(np.float32), new_width, bottom - top)
     share = _area(narrow_mask, new_width, new_height)
-    # The margin is for float32 sums: exactly a quarter counts.
+    # With a tolerance for rounding, so that exactly CLIPPED_SHARE counts.
     return _area(narrow, new_width, new_height), share >= CLIPPED_SHARE - 1e-5
 
 
 def shrunk_size(width: int, height: int, long_side: int | None) -> tuple[int, int]:
-    """(width, height) whose longer one is long_side, of the same shape; never larger."""
+    """(width, height) scaled to a long side of at most long_side."""
     longest = max(width, height)
     if long_side is None or long_side >= longest:
         return width, height
