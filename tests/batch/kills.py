@@ -161,8 +161,8 @@ def _check(out: Path, truth: dict[str, str]) -> None:
     for name, found in contents(out).items():
         if truth.get(name) != found:
             lines = difflib.unified_diff(truth.get(name, "").split("\n"), found.split("\n"), n=0)
-            told = "\n".join(line[:200] for line in lines)
-            raise AssertionError(f"{name} is not as the undisturbed run left it:\n{told}")
+            difference = "\n".join(line[:200] for line in lines)
+            raise AssertionError(f"{name} is not as the undisturbed run left it:\n{difference}")
     page = out / "index.html"
     if page.exists():
         assert page.read_text().rstrip().endswith("</html>"), "index.html is torn"

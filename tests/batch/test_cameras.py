@@ -156,8 +156,8 @@ def test_the_command_writes_the_profile_of_a_folder(shoot, tmp_path, capsys):
     assert read_camera_profile(out).photographs == len(NAMES)
     assert "its corners get" in capsys.readouterr().err
     assert main(["inspect", str(shoot / "rust.jpg"), "--camera", str(out), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["photographs"][0]
-    assert told["profile"]["photographs"] == len(NAMES)
+    values = json.loads(capsys.readouterr().out)["photographs"][0]
+    assert values["profile"]["photographs"] == len(NAMES)
     for name in NAMES[:2]:
         (shoot / f"{name}.jpg").unlink()
     assert main(["camera", str(shoot), "-o", str(out)]) == 3

@@ -31,10 +31,10 @@ def test_a_dry_run_predicts_from_a_trial_and_writes_nothing(shoot, tmp_path, cap
     monkeypatch.setattr("matcap.batch.predict._trial", lambda photo, settings: (30.0, 5_000_000))
     out = tmp_path / "out"
     assert main(["batch", str(shoot), "-o", str(out), "--dry-run", "--json", "-j", "1"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["todo"], told["seconds"], told["disk_bytes"]) == (1, 30.0, 5_000_000)
-    assert [row["status"] for row in told["materials"]] == ["to do"]
-    assert told["materials"][0]["superseded"][0].endswith("leather.jpg")
+    values = json.loads(capsys.readouterr().out)
+    assert (values["todo"], values["seconds"], values["disk_bytes"]) == (1, 30.0, 5_000_000)
+    assert [row["status"] for row in values["materials"]] == ["to do"]
+    assert values["materials"][0]["superseded"][0].endswith("leather.jpg")
     assert not out.exists()
     assert main(["batch", str(shoot), "-o", str(out), "--dry-run"]) == 0
     text = capsys.readouterr().out
@@ -66,11 +66,11 @@ def test_what_is_predicted_is_what_a_capture_takes(chosen, steps, seconds, monke
     """A trial of twelve steps at most, a second each, that takes no time besides."""
     asked = []
 
-    def trial(path, settings, told, others=()):
+    def trial(path, settings, on_progress, others=()):
         asked.append(settings)
         stage = "fine-tuning" if settings.generator == "decoder" else "adapt"
         for step in range(settings.steps + 2):
-            told(CaptureProgress(stage, 0.5, float(min(step, settings.steps)), None))
+            on_progress(CaptureProgress(stage, 0.5, float(min(step, settings.steps)), None))
 
     monkeypatch.setattr(pipeline, "capture_file", trial)
     monkeypatch.setattr(outputs, "write_outputs", lambda *_: None)

@@ -38,17 +38,17 @@ class FakeWorkers:
 
     def wait(self, seconds):
         job = self.open.pop(0)
-        told = [Event(job, "progress", Progress("fine-tuning", 0.5))]
+        result = [Event(job, "progress", Progress("fine-tuning", 0.5))]
         answer = self.answer(job)
         if isinstance(answer, int) and not isinstance(answer, bool):
-            return [*told, Event(job, "died", answer)]
+            return [*result, Event(job, "died", answer)]
         if isinstance(answer, Failure):
-            return [*told, Event(job, "done", answer)]
+            return [*result, Event(job, "done", answer)]
         stage = job.run.stage(job.name)
         (stage / "preview.png").write_text("made")
         write_record(stage, {"identity": job.identity, "name": job.name})
         job.run.publish(stage)
-        return [*told, Event(job, "done", {"name": job.name, "doubtful": False})]
+        return [*result, Event(job, "done", {"name": job.name, "doubtful": False})]
 
     def close(self):
         self.open, self.closed = [], True

@@ -22,18 +22,18 @@ PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
 @pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
 def test_every_stage_has_its_share_and_is_told_in_its_order(tmp_path, generator, stages, longest):
     assert sum(stages.values()) == pytest.approx(1.0)
-    told = []
+    lines = []
     settings = CaptureSettings(preset="draft", steps=2, detail=160, generator=generator)
     if generator == "decoder":
         settings = CaptureSettings(preset="standard", steps=2, detail=160, generator=generator)
     result = capture_into(
-        tmp_path / "tile", [PHOTO], settings, OutputSettings((32, 32)), told.append
+        tmp_path / "tile", [PHOTO], settings, OutputSettings((32, 32)), lines.append
     )
-    assert list(dict.fromkeys(now.stage for now in told)) == list(stages)
+    assert list(dict.fromkeys(now.stage for now in lines)) == list(stages)
     assert list(result.stage_seconds) == list(stages)
-    fractions = [now.fraction for now in told]
+    fractions = [now.fraction for now in lines]
     assert fractions == sorted(fractions) and fractions[-1] == pytest.approx(1.0)
-    within = [now for now in told if now.stage == longest]
+    within = [now for now in lines if now.stage == longest]
     assert len(within) >= 4  # begun, every step, done
     report = json.loads((tmp_path / "tile" / "report.json").read_text())
     assert list(report["stage_seconds"]) == list(stages)[:-1]

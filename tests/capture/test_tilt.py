@@ -54,11 +54,11 @@ def test_a_capture_asks_the_branch_and_reports_both_sources(tmp_path, photos, as
     capture_into(tmp_path / "out", photos[:1], settings, OutputSettings((32, 32)))
     assert asked == [photos[0].name]
     camera = json.loads((tmp_path / "out" / "report.json").read_text())["camera"]
-    told = camera["tilt_sources"]
-    assert told["branch"] == [9.0, -6.0]
-    assert told["used"] == pytest.approx([9.0, -6.0], abs=0.3)
-    assert camera["tilt_degrees"] == pytest.approx(told["used"], abs=0.01)
-    assert max(abs(p - b) for p, b in zip(told["picture"], told["branch"], strict=True)) > 1.0
+    values = camera["tilt_sources"]
+    assert values["branch"] == [9.0, -6.0]
+    assert values["used"] == pytest.approx([9.0, -6.0], abs=0.3)
+    assert camera["tilt_degrees"] == pytest.approx(values["used"], abs=0.01)
+    assert max(abs(p - b) for p, b in zip(values["picture"], values["branch"], strict=True)) > 1.0
 
 
 def test_every_photograph_of_a_decoders_set_is_asked(tmp_path, photos, asked):

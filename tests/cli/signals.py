@@ -222,8 +222,10 @@ def main(count: int, commands: Sequence[str] = tuple(COMMANDS)) -> int:
         if found:
             print(struck.said)
     for twice, seconds in ((key, sorted(values)) for key, values in went_on.items() if values):
-        told = [f"{seconds[round(q * (len(seconds) - 1))]:.1f}" for q in (0.5, 0.95, 1.0)]
-        print(f"{'second' if twice else 'only'} signal to the end, s (median, 95 %, worst): {told}")
+        result = [f"{seconds[round(q * (len(seconds) - 1))]:.1f}" for q in (0.5, 0.95, 1.0)]
+        print(
+            f"{'second' if twice else 'only'} signal to the end, s (median, 95 %, worst): {result}"
+        )
     print(f"{wrong} of {2 * count} at fault; {best} captures left the best so far")
     return wrong
 

@@ -219,7 +219,7 @@ def test_the_first_map_set_repeats_unless_its_size_cannot_which_is_said(
 
 
 @pytest.mark.parametrize(
-    ("again", "told"),
+    ("again", "message"),
     [
         (("--preset", "draft"), "a longer one, of preset standard"),
         (("--steps", 3), "a longer one"),
@@ -230,15 +230,15 @@ def test_the_first_map_set_repeats_unless_its_size_cannot_which_is_said(
     ],
 )
 def test_an_earlier_capture_is_not_replaced_by_a_lesser_or_another_one(
-    matcap, pipeline, photo, out, again, told
+    matcap, pipeline, photo, out, again, message
 ):
-    first = ("--size", 16, "--png") if told == "with PNGs" else ("--size", 16)
+    first = ("--size", 16, "--png") if message == "with PNGs" else ("--size", 16)
     assert matcap("capture", photo, "-o", out, *first).code == 0
     before = (out / "leather" / "report.json").read_bytes()
     again = again if "--size" in again else ("--size", 16, *again)
     said = matcap("capture", photo, "-o", out, *again)
     assert said.code == 3
-    assert "the folder has an earlier capture" in said.err and told in said.err
+    assert "the folder has an earlier capture" in said.err and message in said.err
     assert "--overwrite" in said.err
     assert (out / "leather" / "report.json").read_bytes() == before
     assert matcap("capture", photo, "-o", out, *again, "--overwrite").code == 0

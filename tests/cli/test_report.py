@@ -76,9 +76,9 @@ def test_a_limit_that_chooses_the_preset_is_told(captured):
     usual = report(captured)["notes"]
     assert not any("preset" in note for note in usual)
     limited = replace(captured, settings=CaptureSettings(preset="draft", time_limit=9.0))
-    told = report(limited)
-    assert told["effort"]["preset"] == "reference" and told["effort"]["adapted"] == 120
-    (note,) = (note for note in told["notes"] if note not in usual)
+    values = report(limited)
+    assert values["effort"]["preset"] == "reference" and values["effort"]["adapted"] == 120
+    (note,) = (note for note in values["notes"] if note not in usual)
     assert "the preset was reference: at most 120 steps" in note
     counted = replace(captured, settings=CaptureSettings(steps=5, time_limit=9.0))
     assert report(counted)["notes"] == usual

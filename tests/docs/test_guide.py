@@ -21,9 +21,9 @@ def test_options_of_all_lines_exist(page: str, capsys: pytest.CaptureFixture[str
     for line in guide.lines_of(page):
         words = guide.words_of(line)
         assert main([words[0], "--help"]) == 0
-        told = capsys.readouterr().out
+        result = capsys.readouterr().out
         for option in (word for word in words if word.startswith("--")):
-            assert option in told, line
+            assert option in result, line
 
 
 def test_no_line_is_left_out_without_a_reason() -> None:

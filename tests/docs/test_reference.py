@@ -103,20 +103,22 @@ def test_a_material_holds_what_is_told(small, tmp_path):
     with safe_open(tmp_path / "leather.matcap", framework="pt") as file:
         about, tensors = json.loads(file.metadata()["matcap"]), list(file.keys())
     assert set(about) == formats.keys("matcap.field.material", "Metadata")
-    told = [key.replace("*", r"[\w.]+") for key in formats.keys("matcap.field.material", "Tensors")]
-    assert all(any(re.fullmatch(key, name) for key in told) for name in tensors)
-    assert all(any(re.fullmatch(key, name) for name in tensors) for key in told)
+    result = [
+        key.replace("*", r"[\w.]+") for key in formats.keys("matcap.field.material", "Tensors")
+    ]
+    assert all(any(re.fullmatch(key, name) for key in result) for name in tensors)
+    assert all(any(re.fullmatch(key, name) for name in tensors) for key in result)
 
 
 def test_a_map_set_and_its_exports_hold_what_is_told(small, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    maps, told = small.maps(32, 32), formats.keys("matcap.brdf.folder", "Keys")
+    maps, result = small.maps(32, 32), formats.keys("matcap.brdf.folder", "Keys")
     file = write_mapset(maps, "leather", MapSetInfo("leather"), png=True)
-    assert set(json.loads(file.read_text())) == told - {SPECULAR_CHANNELS}
+    assert set(json.loads(file.read_text())) == result - {SPECULAR_CHANNELS}
     gold = replace(maps, specular=maps.specular.expand(3, -1, -1))
     assert (
         set(json.loads(write_mapset(gold, "gold", MapSetInfo("gold"), png=True).read_text()))
-        == told
+        == result
     )
     found = set()
     for target in ("gltf", "blender", "unreal"):
@@ -141,8 +143,8 @@ def test_scenes_take_the_keys_that_are_told():
     ):  # fmt: skip
         assert {field.name for field in fields(kind)} == set(checks)
         assert {field.name for field in fields(kind)} == set(field_docs(kind))
-    told = {kind for _, kind, _ in formats._TABLES}
-    assert told == {Film, Camera, Surface, *(kind for kind, _, _ in scenefile._LIGHTS.values())}
+    result = {kind for _, kind, _ in formats._TABLES}
+    assert result == {Film, Camera, Surface, *(kind for kind, _, _ in scenefile._LIGHTS.values())}
 
 
 class Told:

@@ -164,9 +164,9 @@ def test_an_inspection_and_a_comparison_show_the_colour(tmp_path, capsys):
     said = capsys.readouterr().out
     assert said.count("some of it is metal") == 1 and said.count("without a colour") == 1
     assert main(["inspect", *files, "--json"]) == 0
-    told = [one["exemplar"]["f0"] for one in json.loads(capsys.readouterr().out)["materials"]]
-    assert told[0] == pytest.approx(hue.exemplar.specular.mean((1, 2)), abs=1e-3)
-    assert len(told[1]) == 1
+    result = [one["exemplar"]["f0"] for one in json.loads(capsys.readouterr().out)["materials"]]
+    assert result[0] == pytest.approx(hue.exemplar.specular.mean((1, 2)), abs=1e-3)
+    assert len(result[1]) == 1
     (shown,) = (one for one in each_map(hue.piece()) if one.label.startswith("specular"))
     assert shown.pixels.shape == (144, 176, 3)
     assert np.abs(shown.pixels[..., 0] - shown.pixels[..., 2]).max() > 0.05

@@ -10,7 +10,7 @@ from matcap.export.targets import write_export
 
 
 @pytest.mark.parametrize(
-    ("library", "target", "suffix", "limit", "told"),
+    ("library", "target", "suffix", "limit", "result"),
     [
         (render_three, "gltf", "glb", 0.01, {}),
         # three.js doubles a stage's relief: it takes the texture's scale for the normals' strength.
@@ -20,7 +20,7 @@ from matcap.export.targets import write_export
     ],
 )
 @pytest.mark.parametrize("material", ["leather", "rust"])
-def test_its_picture_is_matcaps(tmp_path, made, material, library, target, suffix, limit, told):
+def test_its_picture_is_matcaps(tmp_path, made, material, library, target, suffix, limit, result):
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if not library.PLACE.is_dir():
         pytest.skip(f"needs `npm install --prefix .node {library.PLACE.name}`")
@@ -31,7 +31,7 @@ def test_its_picture_is_matcaps(tmp_path, made, material, library, target, suffi
     write_export(ExportJob(maps, material), target, tmp_path)
     try:
         found = library.render(
-            tmp_path / f"{material}.{suffix}", maps, light, exposing_intensity(light), **told
+            tmp_path / f"{material}.{suffix}", maps, light, exposing_intensity(light), **result
         )
     except api.Error as error:
         if "Executable" not in str(error):

@@ -138,12 +138,12 @@ def test_damaged_materials_are_refused_by_name(tmp_path):
 
     with safe_open(path, framework="pt") as file:
         metadata = {"matcap": file.metadata()["matcap"]}
-    for change, told in (
+    for change, message in (
         ({"code": torch.zeros(3)}, "code has shape"),
         ({"code": torch.full((CODE_SIZE,), float("nan"))}, "code holds NaN"),
     ):
         write_tensors(bad, {**tensors, **change}, metadata)
-        with pytest.raises(MatcapError, match=told):
+        with pytest.raises(MatcapError, match=message):
             Material.load(bad)
     write_tensors(bad, {k: v for k, v in tensors.items() if k != "code"}, metadata)
     with pytest.raises(MatcapError, match="code is missing"):

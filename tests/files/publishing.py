@@ -203,7 +203,7 @@ class Bench:
                 pass
         recover(out)
 
-    def _check(self, found: dict[str, bytes], told: str, failed: bool) -> None:
+    def _check(self, found: dict[str, bytes], result: str, failed: bool) -> None:
         for version in (self.after, self.before)[: 2 if failed else 1]:
             if found == version:
                 return
@@ -212,7 +212,7 @@ class Bench:
             for name in {*self.before, *self.after, *found}
             if found.get(name) != self.after.get(name)
         )
-        raise AssertionError(f"{self.writer.__name__}: {told}: not the new one: {odd}")
+        raise AssertionError(f"{self.writer.__name__}: {result}: not the new one: {odd}")
 
 
 def trials(bench: Bench, every: int) -> Iterator[tuple[int, str]]:

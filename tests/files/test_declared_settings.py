@@ -30,8 +30,8 @@ BOUNDED = [one for one in ALL if math.isfinite(one.rule.least)]
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_field_is_told_of_below_itself(kind):
-    told = field_docs(kind)
-    assert all(told.get(one.name, "").endswith(".") for one in fields(kind) if one.init)
+    result = field_docs(kind)
+    assert all(result.get(one.name, "").endswith(".") for one in fields(kind) if one.init)
 
 
 def test_no_two_settings_of_a_command_share_a_name():

@@ -162,8 +162,8 @@ def test_a_border_that_is_another_thing_is_proposed_to_be_cut_off():
     standing = replace(edged, turned=True, original_size=(height, width))
     crop = border_crop(standing)
     assert (crop.y, crop.height) == (0, width) and 14 <= crop.x <= 22
-    told = [found for found in inspect_photo(edged).findings if found.name == "crop"]
-    assert "--crop 0,0," in told[0].remedy
+    result = [found for found in inspect_photo(edged).findings if found.name == "crop"]
+    assert "--crop 0,0," in result[0].remedy
     assert not any(found.name == "crop" for found in inspect_photo(photo).findings)
     spotted = photo.pixels * (1.0 + 0.4 * (np.indices((height, width)).sum(0) // 8 % 2))[..., None]
     assert border_crop(replace(photo, pixels=spotted.astype(np.float32))) is None

@@ -118,9 +118,9 @@ def test_what_is_only_worth_knowing_leaves_a_photograph_good(shots):
 
 def test_a_flat_grey_is_not_called_sharp():
     pixels = np.full((64, 64, 3), 0.2, np.float32)
-    told = inspect_photo(photo_from_array(pixels))["sharpness"]
-    assert told.value is None and told.rating is Rating.NOT_JUDGED
-    assert "Its sharpness cannot be measured" in told.says
+    result = inspect_photo(photo_from_array(pixels))["sharpness"]
+    assert result.value is None and result.rating is Rating.NOT_JUDGED
+    assert "Its sharpness cannot be measured" in result.says
 
 
 @pytest.mark.parametrize(

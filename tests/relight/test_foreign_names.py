@@ -210,9 +210,9 @@ def test_of_two_forms_of_a_map_one_is_taken_and_the_other_named(tmp_path):
         "roughness": "mud_rough_8k.png",
         "metallic": "mud_arm_8k.png",
     }
-    told = " ".join(found.left_out)
+    result = " ".join(found.left_out)
     for name in ("mud_bump_8k.png", "mud_nor_dx_8k.png", "mud_diff_8k.jpg"):
-        assert name in told
+        assert name in result
 
 
 def test_what_is_not_understood_is_named_and_hidden_files_are_not(tmp_path):

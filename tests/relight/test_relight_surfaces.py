@@ -152,12 +152,12 @@ FACE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 )
 def test_a_mesh_without_the_normals_that_it_names_has_averages(tmp_path, held, corners, what):
     (tmp_path / "a.obj").write_text(f"{FACE}{held}f {corners}\n")
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as result:
         warnings.simplefilter("always")
         mesh = load_mesh(tmp_path / "a.obj", 2.0)
     np.testing.assert_allclose(mesh.normals, np.broadcast_to([0.0, 0.0, 1.0], (2, 3, 3)))
-    assert bool(told) == bool(what)
-    assert what in " ".join(str(one.message) for one in told)
+    assert bool(result) == bool(what)
+    assert what in " ".join(str(one.message) for one in result)
 
 
 def test_normals_that_are_there_are_kept_beside_averages(tmp_path):

@@ -153,9 +153,9 @@ def test_a_tally_counts_tiles_at_the_border_too():
 
 def test_progress_goes_up_to_the_end_and_an_interruption_ends_it(monkeypatch):
     maps, scene = bumpy(), Scene(Film(64, 200), None, Surface(), (PointLight((0.0, 0.0, 2.0)),))
-    told: list[float] = []
-    Renderer(maps, scene).render(progress=told.append)
-    assert told == sorted(told) and told[-1] == 1.0 and len(told) > 3
+    lines: list[float] = []
+    Renderer(maps, scene).render(progress=lines.append)
+    assert lines == sorted(lines) and lines[-1] == 1.0 and len(lines) > 3
 
     def interrupted(share):
         raise KeyboardInterrupt

@@ -68,11 +68,11 @@ def test_mean_and_deviation_are_about_those_of_white_noise():
 
 def test_realisations_and_lattices_are_independent():
     fields = [structured_field(Patch(s, Rectangle(0, 0, 512, 512))).flatten(1) for s in (1, 2)]
-    told = torch.corrcoef(torch.cat(fields))
+    result = torch.corrcoef(torch.cat(fields))
     cells, streaks = torch.arange(0, 8), torch.arange(8, 12)
     own = torch.cat([cells, streaks])
-    assert float(told[own][:, own + STRUCTURED_CHANNELS].abs().max()) < 0.25
-    apart = told[1:8:2, 1:8:2] - torch.eye(4)
+    assert float(result[own][:, own + STRUCTURED_CHANNELS].abs().max()) < 0.25
+    apart = result[1:8:2, 1:8:2] - torch.eye(4)
     assert float(apart.abs().max()) < 0.25
 
 

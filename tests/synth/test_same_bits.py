@@ -49,8 +49,8 @@ def digests(words, folder):
     found = {}
     for file in sorted(folder.iterdir()):
         if file.suffix == ".json":
-            told = json.loads(file.read_text())
-            content = json.dumps(told | {"matcap": "any"}).encode()
+            result = json.loads(file.read_text())
+            content = json.dumps(result | {"matcap": "any"}).encode()
         else:
             content = read_exr(file).tobytes()
         found[file.name] = hashlib.sha256(content).hexdigest()

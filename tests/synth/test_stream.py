@@ -75,10 +75,10 @@ def test_normals_look_beyond_blocks_and_beyond_the_rectangle(material, tmp_path)
 def test_workers_change_no_byte(material, tmp_path):
     """Threads for few blocks, processes for more: both beside a single thread."""
     area = Rectangle(40, 7, 2 * 128, 26 * 64)
-    told = []
-    write_field(*request(material, area), tmp_path / "1", Work(1, progress=told.append))
-    assert told[-1].fraction == 1.0
-    assert [now.fraction for now in told] == sorted(now.fraction for now in told)
+    lines = []
+    write_field(*request(material, area), tmp_path / "1", Work(1, progress=lines.append))
+    assert lines[-1].fraction == 1.0
+    assert [now.fraction for now in lines] == sorted(now.fraction for now in lines)
     write_field(*request(material, area), tmp_path / "2", Work(2))
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
     write_field(*request(material), tmp_path / "3", Work(3))
@@ -105,10 +105,10 @@ def test_a_killed_run_is_resumed_to_the_same_bytes(material, tmp_path):
     run.send_signal(signal.SIGKILL)
     assert run.wait() == -signal.SIGKILL
     assert [file.name for file in (tmp_path / "cut").iterdir()] == [".m.matcap-part"]
-    told = []
-    again = Work(resume=True, progress=told.append)
+    lines = []
+    again = Work(resume=True, progress=lines.append)
     write_field(*request(material, area), tmp_path / "cut", again)
-    assert 0 < told[-1].resumed < 1
+    assert 0 < lines[-1].resumed < 1
     write_field(*request(material, area), tmp_path / "whole")
     assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
 

@@ -15,15 +15,15 @@ from matcap.synth.synthesise import synthesise
 
 
 def test_a_request_is_written_as_the_field_reads(material, tmp_path):
-    told = []
+    lines = []
     asked = SynthRequest(material, Rectangle(-20, 7, 48, 32), seed=3)
-    file = synthesise(asked, tmp_path / "set", on_precision=told.append)
+    file = synthesise(asked, tmp_path / "set", on_precision=lines.append)
     maps, document = read_mapset(file)
     expected = material.maps(48, 32, seed=3, x=-20, y=7)
     torch.testing.assert_close(maps.height, expected.height)
     assert (document["name"], document["seed"]) == (material.name, 3)
     assert (document["x"], document["y"]) == (-20, 7)
-    assert [choice.name for choice in told] == ["fp32"]
+    assert [choice.name for choice in lines] == ["fp32"]
 
 
 @pytest.mark.parametrize(

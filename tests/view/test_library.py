@@ -28,8 +28,8 @@ def shoot(tmp_path_factory):
     for seed, name in enumerate(("brick", "cloth", "moss")):
         (folder / name).mkdir()
         a_material(name, seed).save(folder / name / f"{name}.matcap")
-    told = {"verdict": {"rating": "good", "sentence": "Nothing speaks against it."}}
-    (folder / "cloth" / "report.json").write_text(json.dumps(told))
+    result = {"verdict": {"rating": "good", "sentence": "Nothing speaks against it."}}
+    (folder / "cloth" / "report.json").write_text(json.dumps(result))
     (folder / "torn").mkdir()
     (folder / "torn" / "torn.matcap").write_bytes(b"torn")
     return folder

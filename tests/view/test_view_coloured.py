@@ -184,13 +184,13 @@ def test_where_there_is_no_page_yet_f0_is_the_mean(tab, served, channels):
     with served(Maps(replace(maps, specular=maps.specular[:channels]), "copper")) as address:
         page = tab(address.url)
         page.loaded()
-        told = page.ask("""["meanDiffuse", "meanF0", "meanSurface"].flatMap((name) => {
+        result = page.ask("""["meanDiffuse", "meanF0", "meanSurface"].flatMap((name) => {
           const { gl, places } = matcap.view;
           return [...gl.getUniform(gl.getParameter(gl.CURRENT_PROGRAM), places[name])];
         })""")
     *_, alpha2, _, _, squares, _ = Maps(maps, "copper").facts.mean
     f0 = METALS["copper"] if channels == 3 else METALS["copper"][:1] * 3
-    assert told == pytest.approx([0, 0, 0, *f0, alpha2, 0, 0, squares])
+    assert result == pytest.approx([0, 0, 0, *f0, alpha2, 0, 0, squares])
 
 
 def test_equal_channels_are_drawn_as_one_is(tab, served):

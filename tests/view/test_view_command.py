@@ -57,8 +57,8 @@ def test_a_map_set_has_no_seed_and_no_blend(tmp_path, material, extra):
 def test_the_photograph_that_the_report_tells_of(tmp_path):
     shot = tmp_path / "shoot" / "leather.dng"
     report = tmp_path / "report.json"
-    for told in ("", "[]", json.dumps({"photograph": {"path": str(shot)}})):
-        report.write_text(told)
+    for result in ("", "[]", json.dumps({"photograph": {"path": str(shot)}})):
+        report.write_text(result)
         assert reported_photograph(tmp_path) is None  # nothing told, or it is gone
     shot.parent.mkdir()
     shot.touch()

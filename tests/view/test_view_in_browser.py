@@ -395,8 +395,8 @@ def test_full_screen_comes_and_goes(tab, address):
 
 def test_no_mode_complains(tab, served):
     """The tab itself objects to whatever the console says."""
-    material, told = photographed()
-    with served(Materials(material, a_material(seed=4)), told) as address:
+    material, result = photographed()
+    with served(Materials(material, a_material(seed=4)), result) as address:
         page = tab(address.url)
         page.loaded()
         size = {"width": 64, "height": 48}
@@ -561,8 +561,8 @@ def photographed():
     """A material that knows its piece, and what lies beside it."""
     material = replace(a_material(example=an_example()), setup=SETUP)
     shade = doubt_picture(material.part(Example).exemplar)
-    told = References(EncodedPicture(jpeg(), "image/jpeg"), shade, ("usable", "Look at it."))
-    return material, told
+    result = References(EncodedPicture(jpeg(), "image/jpeg"), shade, ("usable", "Look at it."))
+    return material, result
 
 
 def of_the_piece(shown, exemplar):
@@ -573,9 +573,9 @@ def of_the_piece(shown, exemplar):
 
 
 def test_the_wipe_between_photograph_own_flash_relit_piece_and_field(tab, served):
-    material, told = photographed()
+    material, result = photographed()
     exemplar = material.part(Example).exemplar
-    with served(Materials(material), told) as address:
+    with served(Materials(material), result) as address:
         page = tab(address.url)
         page.loaded()
         assert not page.page.is_visible("#wipe") and not page.page.is_visible("#right-choice")
@@ -644,8 +644,8 @@ def test_page_fits_its_window(tab, address, size):
 
 def test_enclosed_page_draws_the_same_and_fetches_nothing(tab, material, subject, tmp_path):
     path = tmp_path / "page.html"
-    told = References(EncodedPicture(jpeg(), "image/jpeg"))
-    path.write_text(sealed_page(subject, 256, told), encoding="utf-8")
+    result = References(EncodedPicture(jpeg(), "image/jpeg"))
+    path.write_text(sealed_page(subject, 256, result), encoding="utf-8")
     page = tab(path.as_uri())
     shown = picture(page, x=700, y=-900, span=WIDTH, lamp=LAMP)
     maps = material.maps(1024, 1024, x=700 - 512, y=-900 - 512, period=(256, 256))
@@ -655,9 +655,9 @@ def test_enclosed_page_draws_the_same_and_fetches_nothing(tab, material, subject
 
 
 def test_enclosed_page_plays_as_well(tab, tmp_path):
-    material, told = photographed()
+    material, result = photographed()
     path = tmp_path / "page.html"
-    path.write_text(sealed_page(Materials(material), 256, told), encoding="utf-8")
+    path.write_text(sealed_page(Materials(material), 256, result), encoding="utf-8")
     page = tab(path.as_uri())
     page.loaded()
     home = page.ask("matcap.view.initial()")

@@ -398,8 +398,8 @@ def test_the_verdict_is_the_captures(tmp_path):
     assert read_verdict(tmp_path) is None
     (tmp_path / "report.json").write_text("[]")
     assert read_verdict(tmp_path) is None
-    told = {"verdict": {"rating": "good", "sentence": "It is."}}
-    (tmp_path / "report.json").write_text(json.dumps(told))
+    result = {"verdict": {"rating": "good", "sentence": "It is."}}
+    (tmp_path / "report.json").write_text(json.dumps(result))
     assert read_verdict(tmp_path) == ("good", "It is.")
 
 

@@ -26,19 +26,19 @@ def exemplar(albedo: float, specular: float, *, spread: float = 0.0) -> Exemplar
     )
 
 
-def told(albedo: float, specular: float) -> tuple[float, float]:
+def coarse_estimate(albedo: float, specular: float) -> tuple[float, float]:
     factor = most_probable_scale(exemplar(albedo, specular))
     return albedo * factor, specular * factor
 
 
 def test_black_leather_whose_gloss_is_three_times_its_albedo_is_black() -> None:
-    albedo, specular = told(0.049, 0.132)
+    albedo, specular = coarse_estimate(0.049, 0.132)
     assert specular == pytest.approx(0.04, rel=0.25) and albedo < 0.02
 
 
 def test_black_gloss_is_a_dielectric_unless_its_class_is_metal() -> None:
     """Only the ratio of albedo to F0 is seen: whether it is metal is the coarse fit's to say."""
-    assert told(0.003, 0.8)[1] < 0.1
+    assert coarse_estimate(0.003, 0.8)[1] < 0.1
     piece = exemplar(0.003, 0.8)
     metal = np.ones_like(piece.height[0])
     assert 0.8 * most_probable_scale(piece, metal) > 0.4
@@ -87,7 +87,7 @@ def test_a_metal_of_no_known_hue_is_as_bright_as_any() -> None:
 
 
 def test_what_is_usual_hardly_moves() -> None:
-    assert told(0.3, 0.04) == pytest.approx((0.3, 0.04), rel=0.1)
+    assert coarse_estimate(0.3, 0.04) == pytest.approx((0.3, 0.04), rel=0.1)
 
 
 def test_bright_paper_stays_within_the_light_there_is() -> None:

@@ -18,7 +18,7 @@ def _bumps() -> np.ndarray:
     return (shot.maps.height / shot.maps.texel_size)[0].numpy()
 
 
-def _told(slope: np.ndarray, doubt: float = 0.02) -> Strengths:
+def _estimate(slope: np.ndarray, doubt: float = 0.02) -> Strengths:
     """Slopes that a photograph tells, their energies off by a share of themselves."""
     energy = np.square(slope).sum(1)
     return Strengths(np.zeros_like(slope), slope.copy(), np.ones_like(slope), doubt * energy)
@@ -53,17 +53,17 @@ def test_relief_gets_the_strength_that_is_told_in_every_band() -> None:
         share * band
         for share, band in zip((0.5, 0.5, 0.5, 0.4, 0.2, 0.1, 1), split(height), strict=True)
     ]
-    told = _told(true)
-    found = slope_strengths(equalise(sum(shrunk).astype(np.float32), told))
+    result = _estimate(true)
+    found = slope_strengths(equalise(sum(shrunk).astype(np.float32), result))
     assert np.allclose(np.sqrt(np.square(found).sum(1)), np.sqrt(np.square(true).sum(1)), rtol=0.1)
 
 
 def test_what_is_told_of_some_bands_holds_of_those_nothing_is_told_of() -> None:
     height = _bumps() + 0.02 * np.random.default_rng(0).standard_normal((512, 768))
     true = slope_strengths(height.astype(np.float32))
-    told = _told(true)
-    told.slope[:2], told.doubt[:2] = 0.0, 1.0
-    found = slope_strengths(equalise(np.asarray(0.3 * height, np.float32), told))
+    result = _estimate(true)
+    result.slope[:2], result.doubt[:2] = 0.0, 1.0
+    found = slope_strengths(equalise(np.asarray(0.3 * height, np.float32), result))
     ratio = np.sqrt(np.square(found[:2]).sum(1) / np.square(true[:2]).sum(1))
     assert (ratio > 0.6).all() and (ratio < 1.3).all()
 
@@ -148,17 +148,17 @@ def test_waves_of_any_direction_are_left_as_they_are(way) -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "doubt", "least", "most"),
+    ("result", "doubt", "least", "most"),
     [(2.0, 0.05, 1.9, 2.1), (0.5, 0.05, 0.47, 0.53), (2.0, 100.0, 0.95, 1.3), (2.0, 0.9, 1.3, 2.1)],
 )
 def test_relief_becomes_as_strong_as_the_photograph_says_so_far_as_it_is_sure(
-    told, doubt, least, most
+    result, doubt, least, most
 ) -> None:
     height = _bumps() + 0.02 * np.random.default_rng(0).standard_normal((512, 768))
     height = height.astype(np.float32)
     found = slope_strengths(height)
     own = _strength(equalise(height, None), (slice(None), slice(None)))[0]
-    strengths = _told(told * found, doubt)
+    strengths = _estimate(result * found, doubt)
     now = _strength(equalise(height, strengths), (slice(None), slice(None)))[0]
     assert least < now / own < most
 
@@ -166,7 +166,7 @@ def test_relief_becomes_as_strong_as_the_photograph_says_so_far_as_it_is_sure(
 def test_what_the_photograph_tells_to_be_flat_becomes_flat() -> None:
     height = _bumps()
     drawn = slope_strengths(height)
-    nothing = replace(_told(drawn, 0.02), slope=np.zeros_like(drawn))
+    nothing = replace(_estimate(drawn, 0.02), slope=np.zeros_like(drawn))
     found = slope_strengths(equalise(height, nothing))
     assert np.square(found).sum() < 0.05 * np.square(drawn).sum()
 

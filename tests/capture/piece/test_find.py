@@ -81,8 +81,8 @@ def test_a_leg_after_which_the_piece_looks_otherwise_is_not_taken(
 
     monkeypatch.setattr(sys.modules[adapted.__module__], "adapt", nearer)
     nothing = cast(PhotographTarget, None)  # which what is put in adapt's place does not look at
-    found, told = adapted(sight, reading, nothing, Leg(1, 1.0, (), None, 0, None))
-    assert told.change is not None and told.change.kept is taken
+    found, result = adapted(sight, reading, nothing, Leg(1, 1.0, (), None, 0, None))
+    assert result.change is not None and result.change.kept is taken
     assert (found is reading) is not taken
     assert unexplained(sight, found) < 1.3 * max(before, 0.15)
 

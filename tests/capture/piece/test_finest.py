@@ -73,17 +73,17 @@ def test_the_sensors_noise_is_not_drawn_for_grain(shot) -> None:
     drawn = {}
     for name, maps in (("grain", shot.maps), ("smooth", smooth)):
         linear = render_flash(maps, shot.uniform.setup, shot.points)
-        noisy, told = (
+        noisy, result = (
             0.15 * linear * torch.from_numpy(rng.standard_normal(linear.shape)).float()
             for _ in range(2)
         )
         plane = _plane((linear + noisy).clamp_min(0.0))
-        for noise in (None, told):
+        for noise in (None, result):
             found = finest(_halved(maps), replace(plane, noise=noise), shot.uniform)
             drawn[name, noise is not None] = _fine(piece_maps(found))
     kept = drawn["smooth", True].std() / drawn["smooth", False].std()
     assert float(kept) < 0.3
-    off = [float((drawn["grain", told] - true).square().mean()) for told in (False, True)]
+    off = [float((drawn["grain", result] - true).square().mean()) for result in (False, True)]
     assert off[1] < 0.9 * off[0]
 
 

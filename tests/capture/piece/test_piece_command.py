@@ -31,13 +31,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cv2.imwrite(
         str(photo), (srgb_encode(linear.clip(0.0, 1.0))[..., ::-1] * 65535).astype(np.uint16)
     )
-    told = CliRunner().invoke(
+    result = CliRunner().invoke(
         app,
         ["capture", str(photo), "-o", str(out), "--preset", "instant", "--size", "64x64",
          "--detail", "320",
          "--aligned", "--generator", "example", "-q"],
     )  # fmt: skip
-    assert told.exit_code == 0, told.output
+    assert result.exit_code == 0, result.output
     return out / photo.stem
 
 
@@ -88,8 +88,8 @@ def test_the_preview_shows_the_piece_beside_the_photograph(folder: Path) -> None
 
 
 def test_the_report_says_how_right_it_is(folder: Path) -> None:
-    told = json.loads((folder / "report.json").read_text())["exemplar"]
-    assert 0.0 <= told["error"] < 0.5
-    assert 0.0 <= told["left_out"] < 0.5
-    assert 0.0 < told["strengths"]["relief"] < 1.0
-    assert set(told["confidence"]) == {"diffuse", "specular", "roughness", "height"}
+    values = json.loads((folder / "report.json").read_text())["exemplar"]
+    assert 0.0 <= values["error"] < 0.5
+    assert 0.0 <= values["left_out"] < 0.5
+    assert 0.0 < values["strengths"]["relief"] < 1.0
+    assert set(values["confidence"]) == {"diffuse", "specular", "roughness", "height"}

@@ -82,8 +82,8 @@ def test_a_texel_whose_red_clips_is_told_by_the_others() -> None:
 
     def off(seen: torch.Tensor) -> float:
         refined = refine(_nowhere(truth), errors, clipped, seen, light)
-        told = measured[1:].all(0) & ~measured[0]
-        apart = (refined.departures - truth).diffuse[1:, told]
+        result = measured[1:].all(0) & ~measured[0]
+        apart = (refined.departures - truth).diffuse[1:, result]
         return float((apart - apart.mean(1, keepdim=True)).abs().mean())
 
     assert off(measured) < 0.5 * off(measured.all(0))

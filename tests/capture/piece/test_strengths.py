@@ -35,9 +35,9 @@ def test_slopes_are_found_as_strong_as_they_are(slope: float) -> None:
     here = np.sqrt(np.square(found.slope[band]).sum() / np.square(true[band]).sum())
     assert 0.8 < here < 1.25
     assert found.trust[band].mean() > 0.8
-    told = found.document()
-    assert sum(b["slope"] ** 2 for b in told["bands"]) == pytest.approx(told["relief"] ** 2)
-    assert [tuple(b["waves"]) for b in told["bands"]] == list(BANDS)
+    values = found.document()
+    assert sum(b["slope"] ** 2 for b in values["bands"]) == pytest.approx(values["relief"] ** 2)
+    assert [tuple(b["waves"]) for b in values["bands"]] == list(BANDS)
 
 
 def test_albedo_alone_is_not_taken_for_relief() -> None:

@@ -42,9 +42,9 @@ def test_relief_is_told_without_knowing_anything_but_the_photograph() -> None:
     photo = photo_from_array(linear, long_side=768, fov=65.0, radiometric=True, name="bumps")
     coarse = fit_coarse(photo)
     observed = Observation.of(read_plane(photo, coarse.setup, 768), coarse)
-    told = plane_strengths(observed.plane, observed.inputs)
-    assert told is not None
-    assert told.relief == pytest.approx(true, rel=0.1)
+    result = plane_strengths(observed.plane, observed.inputs)
+    assert result is not None
+    assert result.relief == pytest.approx(true, rel=0.1)
 
 
 def test_inspect_tells_it_of_a_file(tmp_path: Path) -> None:

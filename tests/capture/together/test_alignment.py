@@ -94,12 +94,12 @@ def laid(held):
 
     def over(astray, settings):
         views = tuple(replace(view, astray=astray) for view in found.views)
-        told = []
+        lines = []
         by = aligned(
             replace(found, views=(found.views[0], *views[1:])), maps, doubt, light,
-            radiometric=True, settings=settings, on_progress=told.append,
+            radiometric=True, settings=settings, on_progress=lines.append,
         )  # fmt: skip
-        return found, by, len(told)
+        return found, by, len(lines)
 
     return over
 

@@ -26,16 +26,16 @@ def looked(held, foreign):
 
 
 def test_a_set_is_told_what_it_lacks(looked):
-    told = set_quality(looked)
-    assert told["belong"].value == {"used": 3, "left_out": ["leather_9"]}
-    assert "leather_9 does not belong" in told["belong"].says
+    values = set_quality(looked)
+    assert values["belong"].value == {"used": 3, "left_out": ["leather_9"]}
+    assert "leather_9 does not belong" in values["belong"].says
     # The second camera is moved to the right, the third to the top.
-    assert told["lit_from"].says == "Nothing is lit from the left or bottom."
-    assert told["lit_from"].rating is Rating.NOT_JUDGED
-    assert told["places"].rating is Rating.GOOD
-    assert told["common"].rating is Rating.GOOD
-    assert 1.05 < told["union"].value < 2.0 and "--union" in told["union"].says
-    assert json.loads(json.dumps(told.document()))["rating"] == "doubtful"
+    assert values["lit_from"].says == "Nothing is lit from the left or bottom."
+    assert values["lit_from"].rating is Rating.NOT_JUDGED
+    assert values["places"].rating is Rating.GOOD
+    assert values["common"].rating is Rating.GOOD
+    assert 1.05 < values["union"].value < 2.0 and "--union" in values["union"].says
+    assert json.loads(json.dumps(values.document()))["rating"] == "doubtful"
 
 
 def test_how_far_cameras_are_known_is_told(looked):
@@ -50,32 +50,32 @@ def test_how_far_cameras_are_known_is_told(looked):
 
 
 def test_a_capture_says_where_cameras_are_doubted(looked):
-    def told(doubt):
+    def result(doubt):
         views = tuple(replace(v, doubt=doubt if n else 0.0) for n, v in enumerate(looked.views))
         return SetReport(views, (), (), (), (0.0,) * 4, (0.0, 0.0), (0.0, 0.0)).doubted()
 
-    assert told(0.0015) is None
-    assert "0.3 % of their distance (plaster_1, plaster_2)" in told(0.003)
+    assert result(0.0015) is None
+    assert "0.3 % of their distance (plaster_1, plaster_2)" in result(0.003)
 
 
 def test_directions_are_those_of_the_upright_picture(looked):
     views = tuple(replace(v, photo=replace(v.photo, turned=True)) for v in looked.views)
-    told = set_quality(replace(looked, views=views))
+    values = set_quality(replace(looked, views=views))
     # Turned back clockwise what lay at the right lies at the bottom, and the top at the right.
-    assert told["lit_from"].says == "Nothing is lit from the left or top."
+    assert values["lit_from"].says == "Nothing is lit from the left or top."
 
 
 def test_two_from_the_same_place_are_named(looked):
     again = replace(looked.views[1], photo=replace(looked.views[1].photo, name="again"))
-    told = set_quality(replace(looked, views=(*looked.views, again)))
-    assert told["places"].says == "plaster_1 and again are nearly the same."
-    assert told["places"].value < LOOK.same_place
+    values = set_quality(replace(looked, views=(*looked.views, again)))
+    assert values["places"].says == "plaster_1 and again are nearly the same."
+    assert values["places"].value < LOOK.same_place
 
 
 def test_one_alone_is_poor(looked):
-    told = set_quality(replace(looked, views=looked.views[:1]))
-    assert told.rating is Rating.FAILED
-    assert told["belong"].says.startswith("No other photograph shows the piece of plaster_0.")
+    values = set_quality(replace(looked, views=looked.views[:1]))
+    assert values.rating is Rating.FAILED
+    assert values["belong"].says.startswith("No other photograph shows the piece of plaster_0.")
 
 
 def test_one_photograph_is_no_set(tmp_path):
@@ -99,9 +99,9 @@ def test_inspect_tells_of_sets(tmp_path, capsys):
         paths.append(str(tmp_path / f"plaster_{number}.jpg"))
         write_jpeg(tmp_path / f"plaster_{number}.jpg", one.shot, number)
     assert main(["inspect", "--json", *paths]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["together"]["belong"]["value"]["used"] == 2
-    assert len(told["photographs"]) == 2
+    values = json.loads(capsys.readouterr().out)
+    assert values["together"]["belong"]["value"]["used"] == 2
+    assert len(values["photographs"]) == 2
     assert main(["inspect", "--no-together", *paths]) == 0
     assert "together" not in capsys.readouterr().out
     assert main(["inspect", "--together", *paths]) == 0

@@ -17,12 +17,12 @@ def _waves(seed, deviation):
     return np.asarray(found / found.std(), np.float32)
 
 
-def _told(true, noise):
+def _estimate(true, noise):
     """What photographs tell that are off by noise each, and what it changes without each."""
     every = np.stack([true + noise * _waves(10 + k, 0.0) for k in range(PHOTOGRAPHS)])
-    told = every.mean(0)
-    others = (PHOTOGRAPHS * told - every) / (PHOTOGRAPHS - 1)
-    return told, list(others - told), every[0]
+    result = every.mean(0)
+    others = (PHOTOGRAPHS * result - every) / (PHOTOGRAPHS - 1)
+    return result, list(others - result), every[0]
 
 
 def _energy(found):
@@ -31,9 +31,9 @@ def _energy(found):
 
 def test_noise_goes_and_strength_stays():
     true = _waves(0, 6.0)
-    told, changes, _ = _told(true, 2.0)
-    found = denoised(told, np.zeros_like(true), changes)
-    assert _energy(told - true) > 0.7
+    result, changes, _ = _estimate(true, 2.0)
+    found = denoised(result, np.zeros_like(true), changes)
+    assert _energy(result - true) > 0.7
     assert _energy(found - true) < 0.1
     assert _energy(found) == pytest.approx(1.0, abs=0.1)
 
@@ -41,32 +41,32 @@ def test_noise_goes_and_strength_stays():
 @pytest.mark.parametrize("strength", [0.3, 1.0, 3.0])
 def test_what_was_read_is_calibrated_whatever_its_strength(strength):
     true = _waves(1, 3.0)
-    told, changes, _ = _told(true, 0.5)
-    found = denoised(told, strength * true, changes)
+    result, changes, _ = _estimate(true, 0.5)
+    found = denoised(result, strength * true, changes)
     assert _energy(found) == pytest.approx(1.0, abs=0.07)
     assert _energy(found - true) < 0.03
     # What was read too strong holds nothing back.
     weak = max(1.0 - strength, 0.0) ** 2
-    assert read_error(told, strength * true, changes) == pytest.approx(weak, rel=0.15, abs=0.02)
+    assert read_error(result, strength * true, changes) == pytest.approx(weak, rel=0.15, abs=0.02)
 
 
 def test_what_is_flat_stays_flat():
-    told, changes, _ = _told(np.zeros(SIZE, np.float32), 0.5)
+    result, changes, _ = _estimate(np.zeros(SIZE, np.float32), 0.5)
     nothing = np.zeros(SIZE, np.float32)
-    assert _energy(denoised(told, nothing, changes)) < 0.1 * _energy(told)
-    assert read_error(told, nothing, changes) < 0.1 * _energy(told)
+    assert _energy(denoised(result, nothing, changes)) < 0.1 * _energy(result)
+    assert read_error(result, nothing, changes) < 0.1 * _energy(result)
 
 
 def test_noise_of_the_first_photograph_is_not_taken_for_what_was_read():
     true = _waves(2, 6.0)
-    told, changes, first = _told(true, 1.0)
-    found = denoised(told, first, changes)
-    assert _energy(found - true) < 0.3 * _energy(told - true)
+    result, changes, first = _estimate(true, 1.0)
+    found = denoised(result, first, changes)
+    assert _energy(found - true) < 0.3 * _energy(result - true)
 
 
 def test_what_noise_hides_is_drawn_as_it_was_read():
     true, fine = _waves(3, 6.0), 0.3 * _waves(4, 0.0)
-    told, changes, _ = _told(true, 2.0)
-    plain, drawn = (denoised(told, true + fine, changes, drawn=d) for d in (False, True))
+    result, changes, _ = _estimate(true, 2.0)
+    plain, drawn = (denoised(result, true + fine, changes, drawn=d) for d in (False, True))
     assert _energy(drawn) > _energy(plain) + 0.2 * _energy(fine)
     assert _energy(drawn) < 1.0 + 2.0 * _energy(fine)

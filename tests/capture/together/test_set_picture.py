@@ -30,11 +30,11 @@ def report(**changes):
     straight = PosedCamera.of(FlashSetup(fov=60.0))
     aside = replace(straight, place=straight.place + np.array([0.9, 0.0, 0.0]))
     views = (View(Named("oak_1.jpg"), straight), View(Named("oak_2.jpg"), aside))
-    told = SetReport(
+    result = SetReport(
         views, (0.02, 0.03), (0.04, 0.05), (LeftOut("cat.jpg", "it shows something else"),),
         (0.9, 0.3, 0.4, 0.8), (0.0, 0.2), (0.0, 0.0),
     )  # fmt: skip
-    return replace(told, **changes)
+    return replace(result, **changes)
 
 
 def middle(picture, colour):
@@ -66,9 +66,9 @@ def test_an_interrupted_set_has_predicted_nothing():
 
 
 def test_a_photograph_without_flash_has_a_camera_and_no_spark():
-    told = report()
-    dark = replace(told, views=(told.views[0], replace(told.views[1], flash=False)))
-    drawn = [np.asarray(draw_set(one, PIECE, 900)) for one in (told, dark)]
+    result = report()
+    dark = replace(result, views=(result.views[0], replace(result.views[1], flash=False)))
+    drawn = [np.asarray(draw_set(one, PIECE, 900)) for one in (result, dark)]
     sparks = [int((picture == SPARK).all(-1).sum()) for picture in drawn]
     assert 0 < sparks[1] < sparks[0]
     said = [line for line, _ in set_report_lines(dark)]

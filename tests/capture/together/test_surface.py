@@ -1,4 +1,4 @@
-"""The surface whose slopes are told, each as far as it is told."""
+"""The surface whose slopes are measured, each by its precision."""
 
 import cv2
 import numpy as np
@@ -18,7 +18,7 @@ TEXEL = 2.0 / SIZE[1]
 
 
 @pytest.fixture(scope="module")
-def told():
+def slopes():
     """(2, H, W) slopes of a rough surface."""
     noise = cv2.GaussianBlur(np.random.default_rng(0).normal(size=SIZE), (0, 0), 1.5)
     return slopes_of(torch.from_numpy(0.5 * TEXEL * noise / noise.std()).float()[None], TEXEL)
@@ -34,30 +34,30 @@ def _off(height, slopes):
     return float(left.square().mean().sqrt() / slopes.square().mean().sqrt())
 
 
-def test_slopes_of_a_surface_come_back(told):
-    assert _off(surface_of(told, TEXEL, _precision(100.0, 100.0)), told) < 0.01
+def test_slopes_of_a_surface_come_back(slopes):
+    assert _off(surface_of(slopes, TEXEL, _precision(100.0, 100.0)), slopes) < 0.01
 
 
-def test_what_is_told_along_one_way_tells_the_other(told):
+def test_what_is_told_along_one_way_tells_the_other(slopes):
     """As two photographs do: slopes to a side are measured, those across it are noise."""
     generator = torch.Generator().manual_seed(1)
-    noise = torch.tensor([0.01, 1.0])[:, None, None] * told.std()
-    seen = told + noise * torch.randn(told.shape, generator=generator)
+    noise = torch.tensor([0.01, 1.0])[:, None, None] * slopes.std()
+    seen = slopes + noise * torch.randn(slopes.shape, generator=generator)
     known = _precision(*(noise[:, 0, 0] ** -2).tolist())
     found = surface_of(seen, TEXEL, known, SurfaceSettings(model=0.0))
-    assert _off(found, told) < 0.3 * _off(surface_of(seen, TEXEL), told)
+    assert _off(found, slopes) < 0.3 * _off(surface_of(seen, TEXEL), slopes)
 
 
-def test_what_nobody_knows_of_a_place_moves_nothing(told):
-    wrong = told.clone()
+def test_what_nobody_knows_of_a_place_moves_nothing(slopes):
+    wrong = slopes.clone()
     wrong[:, 30:45, 40:60] = 3.0
     known = _precision(100.0, 100.0).clone()
     known[:, 30:45, 40:60] = 1e-6
     height = surface_of(wrong, TEXEL, known)
     away = torch.ones(SIZE, dtype=torch.bool)
     away[25:50, 35:65] = False
-    off = (slopes_of(height, TEXEL) - told)[:, away].abs().mean()
-    assert off < 0.1 * told.abs().mean()
+    off = (slopes_of(height, TEXEL) - slopes)[:, away].abs().mean()
+    assert off < 0.1 * slopes.abs().mean()
     assert torch.isfinite(height).all()
 
 

@@ -193,13 +193,15 @@ def test_cameras_are_found_and_a_foreign_photograph_is_named(held, foreign):
 
 def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
     _, photos = held
-    told = []
+    lines = []
     settings = CaptureSettings(preset="instant", detail=192)
-    result = capture_photo(photos[0], settings, told.append, others=[photos[1], foreign, photos[2]])
+    result = capture_photo(
+        photos[0], settings, lines.append, others=[photos[1], foreign, photos[2]]
+    )
     stages = [name for name in TOGETHER_STAGES if name not in ("read", "write")]
-    assert list(dict.fromkeys(now.stage for now in told)) == stages
+    assert list(dict.fromkeys(now.stage for now in lines)) == stages
     assert sum(TOGETHER_STAGES.values()) == pytest.approx(1.0)
-    fractions = [now.fraction for now in told]
+    fractions = [now.fraction for now in lines]
     assert fractions == sorted(fractions)
     assert any("leather_9 was left out" in warning for warning in warnings(result))
     assert result.estimate is not None and result.estimate.error < 0.1

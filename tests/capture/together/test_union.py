@@ -225,12 +225,12 @@ def test_a_union_is_written_and_told(captured, tmp_path):
     _, _, result = captured
     result = replace(result, settings=replace(result.settings, aligned=True, preset="high"))
     write_outputs(result, tmp_path / "leather", OutputSettings((32, 32)))
-    told = json.loads((tmp_path / "leather/report.json").read_text())
-    assert told["several"]["union"]["times"] == pytest.approx(result.estimate.several.reach.times)
-    assert any("all that the photographs show" in note for note in told["notes"])
-    assert told["settings"]["union"] is True
-    assert told["effort"]["preset"] == "high" and told["effort"]["adapted"] == 0  # none was run
-    assert not any("its rectangle" in warning for warning in told["warnings"])
+    values = json.loads((tmp_path / "leather/report.json").read_text())
+    assert values["several"]["union"]["times"] == pytest.approx(result.estimate.several.reach.times)
+    assert any("all that the photographs show" in note for note in values["notes"])
+    assert values["settings"]["union"] is True
+    assert values["effort"]["preset"] == "high" and values["effort"]["adapted"] == 0  # none was run
+    assert not any("its rectangle" in warning for warning in values["warnings"])
     # Maps of all of the piece, whose middle is not the photograph's.
     piece, _ = read_mapset(tmp_path / "leather/leather_photo.json")
     assert piece.size == result.estimate.exemplar.size

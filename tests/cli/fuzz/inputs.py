@@ -275,12 +275,12 @@ def _redescribe(data: bytes, chance: random.Random) -> bytes:
 
 def forged(header: dict[str, object], content: bytes) -> dict[str, object]:
     """The header with a digest that is right, as a stranger can make one."""
-    told = header.get("__metadata__") if isinstance(header, dict) else None
-    if not isinstance(told, dict) or not all(isinstance(one, str) for one in told.values()):
+    result = header.get("__metadata__") if isinstance(header, dict) else None
+    if not isinstance(result, dict) or not all(isinstance(one, str) for one in result.values()):
         return header
-    digest = hashlib.new(METHOD, digest_prefix(told))
+    digest = hashlib.new(METHOD, digest_prefix(result))
     digest.update(content)
-    return {**header, "__metadata__": {**told, DIGEST: digest.hexdigest()}}
+    return {**header, "__metadata__": {**result, DIGEST: digest.hexdigest()}}
 
 
 def _changed(value: object, chance: random.Random) -> object:

@@ -28,8 +28,8 @@ def pair(request):
 
 def test_what_the_file_says_counts(pair):
     flash, ambient = pair
-    told = without_flash([flash, flash, replace(ambient, flash_fired=False)])
-    assert list(told) == [2] and "did not fire" in told[2]
+    result = without_flash([flash, flash, replace(ambient, flash_fired=False)])
+    assert list(result) == [2] and "did not fire" in result[2]
     assert without_flash([flash, flash]) == {}
     # That a flash fired is believed, however little of it shows.
     assert without_flash([flash, replace(ambient, flash_fired=True)]) == {}
@@ -37,8 +37,8 @@ def test_what_the_file_says_counts(pair):
 
 def test_light_tells_where_the_file_does_not(pair):
     flash, ambient = (replace(photo, flash_fired=None) for photo in pair)
-    told = without_flash([flash, ambient, flash])
-    assert list(told) == [1] and "no flash shows" in told[1]
+    result = without_flash([flash, ambient, flash])
+    assert list(result) == [1] and "no flash shows" in result[1]
 
 
 def test_where_no_flash_shows_at_all_none_is_named(pair):

@@ -182,8 +182,8 @@ def test_missing_empty_and_other_tables_are_told(tmp_path):
 def test_what_was_measured_for_the_documentation_is_read():
     folder = __import__("pathlib").Path(__file__).parents[3] / "docs" / "bench"
     tables = sorted(folder.glob("*.csv"))
-    told = {path.stem: presentation_of(path) for path in tables if path.stem != "pairs"}
-    assert set(told) == {"fronts", "relight", "tolerances"}
+    result = {path.stem: presentation_of(path) for path in tables if path.stem != "pairs"}
+    assert set(result) == {"fronts", "relight", "tolerances"}
     rows = read(folder / "fronts.csv")
     assert len(rows) == 336 and {row.configuration for row in rows} <= set(WAYS)
     assert all(0.5 < row.number("field") < 10.0 and row.number("seconds") > 1.0 for row in rows)

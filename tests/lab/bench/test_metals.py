@@ -28,18 +28,18 @@ def half(metal, rest) -> torch.Tensor:
 def test_brightness_hue_and_what_lies_beside_are_told_apart() -> None:
     truth = maps(half(GOLD, 0.04))
     blue = GOLD * torch.tensor([0.5, 0.5, 0.6])[:, None, None]
-    told = f0_errors(maps(half(blue, 0.06)), truth)
+    values = f0_errors(maps(half(blue, 0.06)), truth)
     colours = ("red", "green", "blue")
-    assert [told[name] for name in colours] == pytest.approx([0.5, 0.5, 0.6])
+    assert [values[name] for name in colours] == pytest.approx([0.5, 0.5, 0.6])
     mean = float(blue.sum() / GOLD.sum())
     hue = [100.0 * (one / mean - 1.0) for one in (0.5, 0.5, 0.6)]
-    assert [told[f"{name} hue"] for name in colours] == pytest.approx(hue)
-    assert (told["dielectric"], told["true dielectric"]) == pytest.approx((0.06, 0.04))
+    assert [values[f"{name} hue"] for name in colours] == pytest.approx(hue)
+    assert (values["dielectric"], values["true dielectric"]) == pytest.approx((0.06, 0.04))
 
 
 def test_truth_on_a_finer_grid_and_a_grey_answer() -> None:
     truth = maps(GOLD.expand(-1, 8, 16))
     fine = truth.map(lambda m: m.repeat_interleave(2, -1).repeat_interleave(2, -2))
-    told = f0_errors(maps(0.7 * torch.ones(1, 8, 16)), fine)
-    assert math.isnan(told["dielectric"]) and math.isnan(told["red hue"])
-    assert told["red"] == pytest.approx(0.7 / METAL_F0["gold"][0])
+    values = f0_errors(maps(0.7 * torch.ones(1, 8, 16)), fine)
+    assert math.isnan(values["dielectric"]) and math.isnan(values["red hue"])
+    assert values["red"] == pytest.approx(0.7 / METAL_F0["gold"][0])

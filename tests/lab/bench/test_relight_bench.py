@@ -47,9 +47,9 @@ def test_no_tolerance_is_exceeded_and_all_effects_are_exact(measured):
 
 def test_its_page_and_picture_are_of_the_table(measured, folder):
     pytest.importorskip("matplotlib", reason="needs the extra `bench`")
-    told = section(folder / "tolerances.csv", TOLERANCE, folder / "page.md")
-    assert sum(line.startswith("| * | ") for line in told) >= 1
-    assert sum(" | lamp" in line or "steps | " in line for line in told) >= len(TOLERANCES)
+    result = section(folder / "tolerances.csv", TOLERANCE, folder / "page.md")
+    assert sum(line.startswith("| * | ") for line in result) >= 1
+    assert sum(" | lamp" in line or "steps | " in line for line in result) >= len(TOLERANCES)
     assert (folder / "tolerances.png").stat().st_size > 1000
 
 

@@ -23,8 +23,8 @@ from matcap.lab.experiment.results import (
 
 
 def trial(configuration="draft", subject="leather", seconds=1.0, error=2.0, **values):
-    told = {"seconds": seconds, "error": error, **values}
-    return Trial("nsd", configuration, subject, told, machine="a, b")
+    result = {"seconds": seconds, "error": error, **values}
+    return Trial("nsd", configuration, subject, result, machine="a, b")
 
 
 def test_what_is_appended_is_read(tmp_path):
@@ -105,8 +105,8 @@ def test_the_table_has_rows_means_and_the_command():
     assert "| tile | draft | 300 |  |  |" in text
     assert "| mean | draft | 150 | 2.00 |  |" in text
     assert "mean" not in table(rows[:1], "")
-    told = json.loads(as_json(rows))
-    assert told[1]["error"] is None and told[0]["subject"] == "leather"
+    result = json.loads(as_json(rows))
+    assert result[1]["error"] is None and result[0]["subject"] == "leather"
 
 
 def a_mean(name, seconds, error, subjects=8):

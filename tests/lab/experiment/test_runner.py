@@ -73,12 +73,12 @@ def test_other_settings_are_measured_again_and_unknown_versions_count_where_they
 
 
 def test_what_fails_is_told_and_no_row(tmp_path):
-    told, dark = [], MatcapError("it has no light")
+    lines, dark = [], MatcapError("it has no light")
     work = Sum()
     experiment = work.experiment(failing={"two": dark, 5: None})
-    rows = run(experiment, tmp_path / "sum.csv", told.append)
+    rows = run(experiment, tmp_path / "sum.csv", lines.append)
     assert [(row.subject, row.configuration) for row in rows] == [("a", "one")]
-    assert told[1:] == ["a, two: it has no light.", "b: it is dark."]
+    assert lines[1:] == ["a, two: it has no light.", "b: it is dark."]
 
 
 def test_wrong_usage_ends_it_and_so_does_nothing_measured(tmp_path):

@@ -31,14 +31,14 @@ def test_the_truth_scores_as_the_truth(sample: Sample) -> None:
     truth = sample.departures.stacked()
     sure = torch.where(sample.metal > 0.5, 20.0, -20.0)
     answer = torch.cat([truth, torch.zeros(ERRORS, *truth.shape[-2:]), sure])
-    told = score(answer, sample, np.random.default_rng(0))
-    assert told["correlation"] == pytest.approx(1.0, abs=1e-3)
-    off = [told[name] for name in ("tilt_off", "contrast_off", "relit")]
+    result = score(answer, sample, np.random.default_rng(0))
+    assert result["correlation"] == pytest.approx(1.0, abs=1e-3)
+    off = [result[name] for name in ("tilt_off", "contrast_off", "relit")]
     assert off == pytest.approx([0.0, 0.0, 0.0], abs=2e-3)
     answer[5] *= 0.5  # height
     flatter = score(answer, sample, np.random.default_rng(0))
     assert flatter["tilt"] < -0.3
-    assert flatter["relit"] > told["relit"]
+    assert flatter["relit"] > result["relit"]
 
 
 def test_the_photograph_taken_for_albedo_is_no_good_guess(sample: Sample) -> None:

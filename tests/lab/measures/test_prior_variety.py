@@ -46,8 +46,8 @@ def test_the_nearest_is_told():
 def test_distances_are_those_of_single_pictures():
     generator = torch.Generator().manual_seed(0)
     pictures = torch.rand(3, 3, 160, 160, generator=generator)
-    told = describe_pictures(list(pictures))
-    found, style = style_distances(told, told), RandomFilters()
+    result = describe_pictures(list(pictures))
+    found, style = style_distances(result, result), RandomFilters()
     wanted = float(difference(style(pictures[:1]), style(pictures[2:])))
     assert float(found[0, 2]) == pytest.approx(wanted, rel=1e-4)
     assert float(found.diagonal().abs().max()) < 1e-6

@@ -110,8 +110,8 @@ def test_a_bare_metal_is_told_by_the_manifest(tmp_path):
 
     write_set(tmp_path / "plain")
     assert len(read_map_set(tmp_path / "plain").realise(32, 32, 0, 2.0 / 32).specular) == 1
-    told = [{"name": "plain", "remarks": "no metallic map in the source: bare metal, take 1"}]
-    (tmp_path / "manifest.json").write_text(json.dumps(told))
+    result = [{"name": "plain", "remarks": "no metallic map in the source: bare metal, take 1"}]
+    (tmp_path / "manifest.json").write_text(json.dumps(result))
     maps = read_map_set(tmp_path / "plain").realise(32, 32, 0, 2.0 / 32)
     linear = ((np.array([0.6, 0.4, 0.2]) + 0.055) / 1.055) ** 2.4
     assert maps.specular.mean((1, 2)).numpy() == pytest.approx(linear, rel=0.1)

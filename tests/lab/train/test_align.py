@@ -60,9 +60,9 @@ def test_it_learns_which_way_a_ramp_leans():
     """Brighter above means the upper edge is nearer: positive tilt_x."""
     pool = ramps(64)
     network = train_alignment(pool, 40, batch=8)
-    pictures, told = develop(pool, np.random.default_rng(1), radiometric=True).shown()
+    pictures, result = develop(pool, np.random.default_rng(1), radiometric=True).shown()
     with torch.no_grad():
-        mean, _ = network(pictures, told)
+        mean, _ = network(pictures, result)
     error = torch.rad2deg((mean - pool.tilt).abs().mean())
     assert float(error) < 3.5  # of about 5.7 untrained
 

@@ -19,14 +19,14 @@ def shown(pack):
 
 
 def test_the_photograph_itself_is_without_error(shown):
-    told = compared(shown, Made(shown.truth[None], 2.0))
-    assert told == {"seconds": 2.0, "style": 0.0, "XYZ": 0.0, "diversity": 0.0}
+    result = compared(shown, Made(shown.truth[None], 2.0))
+    assert result == {"seconds": 2.0, "style": 0.0, "XYZ": 0.0, "diversity": 0.0}
 
 
 def test_the_photograph_as_albedo_is_one_picture_lit_twice(shown):
     made = evaluate.albedo(shown)
-    told = compared(shown, made)
-    assert told["diversity"] == 0.0 and told["style"] > 0.01
+    values = compared(shown, made)
+    assert values["diversity"] == 0.0 and values["style"] > 0.01
     assert made.pictures.shape == (1, 3, SIZE, SIZE)
 
 
@@ -78,14 +78,14 @@ def test_an_evaluation_writes_its_page_and_a_picture_without_the_photographs(
 def test_only_what_starts_from_the_prior_depends_on_it(prior):
     settings = evaluate.EvaluateSettings()
 
-    def told():
+    def result():
         ways = {**evaluate.ways_of(prior, settings), **evaluate.variants(prior, 2)}
         return {name: way.settings for name, way in ways.items()}
 
-    before = told()
+    before = result()
     with torch.no_grad():
         prior.decoder.head.convolution.weight.mul_(1.1)
-    changed = {name for name, follows in told().items() if follows != before[name]}
+    changed = {name for name, follows in result().items() if follows != before[name]}
     assert changed == {
         "prior, not tuned",
         "prior, 100 steps",
@@ -124,8 +124,8 @@ def test_every_variant_of_the_ablation_lacks_one_part(quick, prior, pack, shown,
 def test_a_capture_is_measured_from_start_to_realisations(prior, shown):
     one = capture(shown, lambda: evaluate.from_nothing(shown, DecoderOnly), 0, 2)
     assert one.pictures.shape == (2, 3, SIZE, SIZE)
-    told = compared(shown, one)
-    assert math.isfinite(told["style"]) and told["diversity"] > 0.1
+    values = compared(shown, one)
+    assert math.isfinite(values["style"]) and values["diversity"] > 0.1
 
 
 def test_an_interrupted_capture_is_no_result(shown, monkeypatch):

@@ -65,9 +65,9 @@ def test_what_it_hands_back_is_what_it_optimised():
 
 @pytest.mark.parametrize("steps", [0, 1, 7])
 def test_the_number_of_steps_is_kept(steps):
-    told = []
-    tuned = tune(lambda *now: told.append(now), steps=steps)
-    assert len(tuned.history) == len(told) == steps
+    lines = []
+    tuned = tune(lambda *now: lines.append(now), steps=steps)
+    assert len(tuned.history) == len(lines) == steps
     assert [step for _, step, _ in tuned.history] == list(range(1, steps + 1))
     assert len(tuned.moments) == len(tuned.decoder.layers())
     assert not tuned.interrupted

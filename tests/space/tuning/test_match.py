@@ -73,13 +73,14 @@ def test_the_matched_material_looks_like_the_photograph(truth, photo):
     wrong = spoilt(truth, 0.7, SHIFT.tolist())
     matched = match_photograph(wrong, plane_of(photo, VALID))
 
-    def told(picture):
+    def values(picture):
         log = picture.log()
         return log.mean((1, 2)), (log - shading(log[None])[0]).std()
 
     def apart(material):
         (mean, contrast), (true_mean, true_contrast) = (
-            told(p) for p in (render_rectified(material.maps(WIDTH, HEIGHT, seed=2), SETUP), photo)
+            values(p)
+            for p in (render_rectified(material.maps(WIDTH, HEIGHT, seed=2), SETUP), photo)
         )
         return float((mean - true_mean).abs().max()), abs(float(contrast / true_contrast) - 1.0)
 

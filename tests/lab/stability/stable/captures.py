@@ -82,8 +82,8 @@ def _piece(found: ExemplarEstimate, seed: int) -> list[torch.Tensor]:
     """The piece's maps, small fields that rearrange them, and what the photograph told."""
     area = Rectangle(0, 0, _FIELD, _FIELD)
     fields = [found.example.varied(variety).maps(seed, area, None) for variety in _VARIETIES]
-    told = found.strengths
-    numbers = [] if told is None else [told.albedo, told.slope, told.trust]
+    values = found.strengths
+    numbers = [] if values is None else [values.albedo, values.slope, values.trust]
     return [torch.from_numpy(array) for array in (found.exemplar.stacked(), *fields, *numbers)]
 
 

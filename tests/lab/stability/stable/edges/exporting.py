@@ -42,8 +42,8 @@ def metallic(g: np.random.Generator) -> Swept:
     f0 = made.dielectric[0] * rest + base.mean(-1) * share
     unclipped = (base < 1.0).all(-1) & (diffuse.max(-1) >= 1e-4)
     # Between a dielectric and a metal F0 is what metals in part may have, not what it was.
-    told = (specular >= lowest) & ((specular <= highest) | (specular >= SURE_METAL))
-    within = unclipped & told
+    result = (specular >= lowest) & ((specular <= highest) | (specular >= SURE_METAL))
+    within = unclipped & result
     where = f"F0 of dielectrics {lowest:g} to {highest:g}"
     found = Swept(made.metallic.size, int((~((share >= 0.0) & (share <= 1.0))).sum()))
     if unclipped.any():
