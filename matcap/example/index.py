@@ -59,7 +59,7 @@ class Index:
     """(H, W) of squares of 4 x 4 texels, square root of the placement cost in units of
     2^LOOKUP.cost_bits; 255 excludes a place."""
     lattice: PhasedLattice | None
-    """Of a regular texture."""
+    """Lattice of a regular texture, or None."""
     left_out: float
     """Share of the exemplar that is unique: it matches no other place."""
 

@@ -52,7 +52,7 @@ class Lookup:
     """Finest first."""
     lattice: PhasedLattice | None
     sizes: PatchSizes
-    """Of the coarsest level's patches."""
+    """Sizes of the coarsest level's patches."""
 
 
 def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:

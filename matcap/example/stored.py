@@ -19,7 +19,7 @@ class Exemplified:
     """A material's exemplar with its name and provenance."""
 
     name: str
-    """Of the material."""
+    """Name of the material."""
     provenance: dict[str, Any]
     """How it was made; JSON."""
     example: Example

@@ -18,15 +18,15 @@ class Summary:
     size: tuple[int, int]
     """(width, height) in texels."""
     periods: tuple[float, ...]
-    """Of its lattice, texels; empty without one."""
+    """Periods of its lattice in texels; empty without one."""
     left_out: float
     """Share that is unique, such as stains, and is not used."""
     variety: float
-    """In [0, 1]; see ReadOptions."""
+    """Variety in [0, 1]; see ReadOptions."""
     patches: tuple[int, int]
     """Largest (width, height) of the field's patches, texels."""
     texel_size: float
-    """In plane units."""
+    """Side of a texel in plane units."""
     f0: tuple[float, ...] = ()
     """Mean specular albedo: one number, or three where it has a colour."""
 

@@ -65,11 +65,11 @@ class Material:
     """An endless material."""
 
     name: str
-    """Of the photograph it came from."""
+    """Name of the photograph it was captured from."""
     generators: Mapping[Generator, FieldGenerator]
     """By name: "example" rearranges the exemplar, "decoder" is the fine-tuned network."""
     texel_size: float
-    """In plane units (half the photograph's long side)."""
+    """Side of a texel in plane units (half the photograph's long side)."""
     setup: FlashSetup
     """Camera and flash of the photograph."""
     provenance: Mapping[str, Any] = field(default_factory=dict)

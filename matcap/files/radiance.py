@@ -26,7 +26,7 @@ class RadianceHeader:
     """A Radiance header."""
 
     length: int
-    """Of the header, bytes."""
+    """Length of the header in bytes."""
     scanlines: int
     """Number of scanlines."""
     texels: int
@@ -38,7 +38,7 @@ class RadianceHeader:
     exposure: NDArray[np.float64]
     """(3,) stored over true radiance."""
     primaries: tuple[float, ...] | None
-    """As EXR's chromaticities, or None."""
+    """Primaries as in EXR's chromaticities, or None."""
 
     def plain(self) -> bytes:
         """A minimal header for the same scanlines, in standard orientation and RGB."""

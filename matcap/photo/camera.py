@@ -35,11 +35,11 @@ class Falloff:
     """
 
     mean: tuple[float, float] = (0.3, 0.5)
-    """Of a and b."""
+    """Means of a and b."""
     deviation: tuple[float, float] = (0.35, 0.7)
     """Standard deviations of a and b."""
     correlation: float = 0.0
-    """Of a and b; negative for profiles, as photographs determine a + b best."""
+    """Correlation of a and b; negative for profiles, as photographs determine a + b best."""
 
     @property
     def covariance(self) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Options of what draws from the prior and of what blends two materials."""
+"""Options of commands that draw materials from the prior or blend two materials."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from pathlib import Path
 from matcap.files import values
 from matcap.files.settings import check_settings, setting
 
-SPREAD = 0.3  # how far from a training photograph's place materials are drawn; docs/notes/prior.md
+SPREAD = 0.3  # default distance from an anchor (prior/anchors.py); docs/notes/prior.md
 _MOST_STEPS = 256
 
 
 @dataclass(frozen=True)
 class DrawOptions:
-    """Where in the prior's space a material is drawn.
+    """Options of drawing a material from the prior.
 
     Raises:
-        UsageError: a number that is out of range.
+        UsageError: a number out of range.
     """
 
     like: Path | None = setting(None, metavar="PHOTO")
-    """Draw near this flash photograph instead of anywhere in the space."""
+    """Draw a material similar to this flash photograph's."""
     spread: float = setting(SPREAD, option="-t", least=0.0, most=1.0, metavar="0..1")
-    """How far from there to draw: 0 is the photograph's own place, 1 anywhere."""
+    """Distance from there: 0 is the photograph itself, 1 is independent of it."""
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -32,30 +32,30 @@ class DrawOptions:
 
 @dataclass(frozen=True)
 class SampleOptions:
-    """How many materials are drawn, from which prior.
+    """Options of `matcap sample`.
 
     Raises:
-        UsageError: a number that is out of range.
+        UsageError: a number out of range.
     """
 
     count: int = setting(16, option="-n", least=1, most=256)
-    """How many."""
+    """Number of materials."""
     seed: int = setting(0, metavar="SEED", parse=values.seed)
-    """Of the first; the others follow."""
+    """Seed of the first material; the next ones add 1."""
     prior: Path | None = setting(None)
-    """A prior's file, instead of the one that comes along."""
+    """File of a prior, instead of the shipped one."""
     materials: Path | None = setting(None, metavar="FOLDER")
-    """Write the materials there, too, a .matcap file each."""
+    """Also write each material to a .matcap file in this folder."""
 
     def __post_init__(self) -> None:
         check_settings(self)
 
 
 def shares(text: str | tuple[float, ...]) -> tuple[float, ...]:
-    """'0.5' to one share, '0:1:5' to five from 0 to 1.
+    """Parse '0.5' to one share, '0:1:5' to five from 0 to 1.
 
     Raises:
-        ValueError: it is neither, or reaches outside.
+        ValueError: invalid text, or shares outside [0, 1].
     """
     if not isinstance(text, str):
         return text
@@ -77,14 +77,14 @@ def shares(text: str | tuple[float, ...]) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class BlendOptions:
-    """Which materials between two are made."""
+    """Options of `matcap blend`."""
 
     shares: tuple[float, ...] = setting(
         (0.5,), option="-t", metavar="T|FROM:TO:COUNT", parse=shares, otherwise="0.5"
     )
-    """How far from A (0) to B (1), once or in up to 256 steps."""
+    """Share of B, from 0 (A) to 1 (B), once or in up to 256 steps."""
     seed: int = setting(0, metavar="SEED", parse=values.seed)
-    """Which piece is shown on the strip."""
+    """Seed of the realisation shown on the strip."""
 
     def __post_init__(self) -> None:
         check_settings(self)

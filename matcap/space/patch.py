@@ -15,13 +15,13 @@ class Patch:
     """Texels at which noise and lattice channels are computed."""
 
     seed: int
-    """Of the realisation, in [-2^63, 2^63)."""
+    """Seed of the realisation, in [-2^63, 2^63)."""
     area: Rectangle
-    """In texels of the level."""
+    """Rectangle in texels of the level."""
     level: int = 0
     """Texels are 2^level times as large."""
     period: Period | None = None
-    """In texels of level 0; None is endless."""
+    """Period in texels of level 0; None is endless."""
     device: torch.device | str = "cpu"
     """Device to compute on; values are the same on every device."""
 

@@ -92,15 +92,15 @@ class DecoderSource:
     """The field of one decoder and seed; picklable."""
 
     decoder: FoldedDecoder
-    """In the precision to compute in."""
+    """The folded decoder, in the precision to compute in."""
     waves: tuple[Wave, ...]
-    """Of the material's lattice."""
+    """Waves of the material's lattice."""
     texel_size: float
-    """In plane units."""
+    """Side of a texel in plane units."""
     seed: int
-    """Of the realisation."""
+    """Seed of the realisation."""
     period: Period | None = None
-    """In texels, multiples of ALIGNMENT; None if the field never repeats."""
+    """Period in texels, multiples of ALIGNMENT; None if the field never repeats."""
     grid: Grid = Grid()
 
     @property

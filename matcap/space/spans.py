@@ -17,7 +17,7 @@ class Spans:
     """Spans of every level along one axis, full resolution first."""
 
     output: Span
-    """Of the raw outputs."""
+    """Span of the raw outputs."""
     joined: tuple[Span, ...]
     """Input of a level's block on the way up (the level below upsampled, skip connection, lattice),
     for levels 0 to DEPTH - 1. The outermost upsampled texel is not valid."""

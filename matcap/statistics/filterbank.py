@@ -28,7 +28,7 @@ class FilterBankConfig:
     crossed: bool = True
     """Whether covariances between successive levels are used."""
     seed: int = 20210
-    """Of the random generator."""
+    """Seed of the random generator."""
 
 
 class FilterBank:

@@ -35,7 +35,7 @@ class LatticeSettings:
     tolerance: float = 0.9
     """Spectral bins: largest distance of a peak from its lattice point."""
     least_variance: float = 1e-4
-    """Of a window of the encoded picture; windows of less are skipped."""
+    """Least variance of a window of the encoded picture; others are skipped."""
     multiples: tuple[int, ...] = (1, 2, 3, 4)
     """Multiples of a peak's period that are tried as the texture's period."""
     clearly: float = 0.05

@@ -59,9 +59,9 @@ class Layout:
 
     width: int
     height: int
-    """In texels."""
+    """Sides in texels."""
     channels: tuple[Channel, ...]
-    """In alphabetical order of their names."""
+    """Channels in alphabetical order of their names."""
     mipmap: bool = False
     """Whether the file has all mip levels, down to one texel."""
     wrap: str = ""

@@ -36,7 +36,7 @@ class OpenedField:
     """Precision of a network; None by example."""
 
 
-def open_field(asked: SynthRequest) -> tuple[SynthRequest, OpenedField]:
+def open_field(request: SynthRequest) -> tuple[SynthRequest, OpenedField]:
     """Open the field of a request; with `tile` "piece" the returned request has the tile's area.
 
     Raises:
@@ -45,35 +45,37 @@ def open_field(asked: SynthRequest) -> tuple[SynthRequest, OpenedField]:
         UsageError: a period out of range, no CUDA device, a generator that the material does not
             have, or a network's option with an exemplar.
     """
-    if asked.tile == "piece":
-        _check_piece(asked)
+    if request.tile == "piece":
+        _check_piece(request)
     exemplified = None
-    if isinstance(asked.material, Path) and asked.blend is None:
+    if isinstance(request.material, Path) and request.blend is None:
         exemplified = (
-            None if asked.read.generator == "decoder" else read_exemplified(asked.material)
+            None if request.read.generator == "decoder" else read_exemplified(request.material)
         )
-    if asked.blend is not None:
-        source, name, provenance, choice = _blend(asked, asked.blend)
+    if request.blend is not None:
+        source, name, provenance, choice = _blend(request, request.blend)
     elif exemplified is not None:
-        source, name, provenance, choice = _of_exemplar(asked, exemplified)
+        source, name, provenance, choice = _of_exemplar(request, exemplified)
     else:
-        source, name, provenance, choice = _of_material(asked)
+        source, name, provenance, choice = _of_material(request)
     if choice is None:
-        _refuse_networks_options(asked)
-    if asked.tile == "piece":
+        _refuse_networks_options(request)
+    if request.tile == "piece":
         width, height = source.period or (0, 0)
-        asked = replace(asked, area=Rectangle(0, 0, width or 0, height or 0))
+        request = replace(request, area=Rectangle(0, 0, width or 0, height or 0))
         provenance |= REPEATS
-    adjust = asked.read.adjustments
+    adjust = request.read.adjustments
     provenance |= {KEY: adjust.text} if adjust.changes else {}
-    provenance |= {"variety": asked.read.variety} if asked.read.variety is not None else {}
-    info = MapSetInfo(asked.name or name, asked.seed, (asked.area.x, asked.area.y), provenance)
-    return asked, OpenedField(adjusted_source(source, adjust), info, choice)
+    provenance |= {"variety": request.read.variety} if request.read.variety is not None else {}
+    info = MapSetInfo(
+        request.name or name, request.seed, (request.area.x, request.area.y), provenance
+    )
+    return request, OpenedField(adjusted_source(source, adjust), info, choice)
 
 
-def _refuse_networks_options(asked: SynthRequest) -> None:
+def _refuse_networks_options(request: SynthRequest) -> None:
     """Raise UsageError for precision and device of an exemplar, which has neither choice."""
-    given = {"--precision": asked.precision != "fp32", "--device": asked.device == "cuda"}
+    given = {"--precision": request.precision != "fp32", "--device": request.device == "cuda"}
     for option in (option for option, holds in given.items() if holds):
         raise UsageError(
             "only the paper's network is computed in a precision and on a device",
@@ -85,68 +87,72 @@ def _refuse_networks_options(asked: SynthRequest) -> None:
 _FieldParts = tuple["Source", str, dict[str, Any], "ChosenPrecision | None"]
 
 
-def _of_exemplar(asked: SynthRequest, exemplified: Exemplified) -> _FieldParts:
+def _of_exemplar(request: SynthRequest, exemplified: Exemplified) -> _FieldParts:
     """The field of an exemplar; imports no PyTorch."""
     example = exemplified.example
-    if asked.tile == "piece":
+    if request.tile == "piece":
         return example.repeating_source(), exemplified.name, dict(exemplified.provenance), None
-    source = example.varied(asked.read.variety).source(asked.seed, asked.period)
+    source = example.varied(request.read.variety).source(request.seed, request.period)
     return source, exemplified.name, dict(exemplified.provenance), None
 
 
-def _of_material(asked: SynthRequest) -> _FieldParts:
+def _of_material(request: SynthRequest) -> _FieldParts:
     from matcap.example.repeat.source import RepeatedSource
     from matcap.field.field import Field
     from matcap.field.source import Network
     from matcap.synth.precision import choose
 
-    material = _loaded(asked.material, asked)
+    material = _loaded(request.material, request)
     name, provenance = material.name, dict(material.provenance)
-    if asked.tile == "piece":
+    if request.tile == "piece":
         maps = material.repeating()
         source: Source = RepeatedSource(maps.stacked().numpy(), maps.texel_size)
         return source, name, provenance, None
     source = Field(
-        material, asked.seed, asked.period, device=asked.device, generator=asked.read.generator
+        material,
+        request.seed,
+        request.period,
+        device=request.device,
+        generator=request.read.generator,
     ).source
     if not isinstance(source, Network):
         return source, name, provenance, None
-    choice = choose(source, asked.precision)
+    choice = choose(source, request.precision)
     return choice.source, name, provenance, choice
 
 
-def _blend(asked: SynthRequest, blend: MaskedBlend) -> _FieldParts:
+def _blend(request: SynthRequest, blend: MaskedBlend) -> _FieldParts:
     """The request's material where the mask is black, the blend's where it is white."""
     from matcap.field.device import find_device
     from matcap.synth.blend import blend_source
     from matcap.synth.mask import read_mask
     from matcap.synth.precision import choose
 
-    start, end = _loaded(asked.material, asked), _loaded(blend.material, asked)
-    over = blend.over or asked.whole
+    start, end = _loaded(request.material, request), _loaded(blend.material, request)
+    over = blend.over or request.whole
     between = blend_source(
-        start, end, read_mask(blend.mask, over, asked.period), asked.seed, asked.period,
-        find_device(asked.device), asked.read.generator,
+        start, end, read_mask(blend.mask, over, request.period), request.seed, request.period,
+        find_device(request.device), request.read.generator,
     )  # fmt: skip
-    choice = choose(between, asked.precision)
+    choice = choose(between, request.precision)
     mask_provenance = {"blend": [start.name, end.name], "mask_over": list(astuple(over))}
     return choice.source, start.name, dict(start.provenance) | mask_provenance, choice
 
 
-def _loaded(material: Path | Material, asked: SynthRequest) -> Material:
+def _loaded(material: Path | Material, request: SynthRequest) -> Material:
     from matcap.field.material import Material
 
     opened = Material.load(material) if isinstance(material, Path) else material
-    return opened.by(asked.read.generator).varied(asked.read.variety)
+    return opened.by(request.read.generator).varied(request.read.variety)
 
 
-def _check_piece(asked: SynthRequest) -> None:
+def _check_piece(request: SynthRequest) -> None:
     """Raise UsageError for options that do not apply to the exemplar as a tile."""
     refused = {
-        "--udim": asked.udim is not None,
-        "--blend": asked.blend is not None,
-        "--variety": asked.read.variety is not None,
-        "--seed": asked.seed != 0,
+        "--udim": request.udim is not None,
+        "--blend": request.blend is not None,
+        "--variety": request.read.variety is not None,
+        "--seed": request.seed != 0,
     }
     for option in (option for option, given in refused.items() if given):
         raise UsageError(

@@ -27,7 +27,7 @@ class Mask:
     """Rectangle of the plane that the image is stretched over. Outside, the border pixels are
     extended; along an axis with a period the image repeats."""
     period: Period | None = None
-    """In texels; along an axis with a period `over` is exactly as long."""
+    """Period in texels; along an axis with a period `over` is exactly as long."""
 
     def shares(self, x: int, y: int, rows: Span, columns: Span) -> Tensor:
         """(rows, columns) float32 shares at texel centres.

@@ -51,18 +51,18 @@ class PlannedMapSet:
         return block_parts(self.area, source.grid, source.period)
 
 
-def check_request(asked: SynthRequest, name: str) -> None:
+def check_request(request: SynthRequest, name: str) -> None:
     """Raise UsageError for an empty or too large rectangle, or a bad name or texture set."""
     plain_name(name)
-    columns, rows = asked.udim or (1, 1)
+    columns, rows = request.udim or (1, 1)
     if not (1 <= columns <= _UDIM_COLUMNS and 1 <= rows <= _UDIM_ROWS):
         raise UsageError(
             f"a texture set of {columns}x{rows} tiles",
             remedy=f"ask for at most {_UDIM_COLUMNS} columns and {_UDIM_ROWS} rows",
         )
-    check_rectangle(asked.area)
-    check_rectangle(asked.whole)
-    side = max(asked.area.width, asked.area.height)
+    check_rectangle(request.area)
+    check_rectangle(request.whole)
+    side = max(request.area.width, request.area.height)
     if side > _LARGEST_SIDE:
         raise UsageError(
             f"a side of {side} texels is more than an OpenEXR file holds",
@@ -70,80 +70,87 @@ def check_request(asked: SynthRequest, name: str) -> None:
         )
 
 
-def bytes_of(asked: SynthRequest) -> int:
+def bytes_of(request: SynthRequest) -> int:
     """Upper bound of the files' size in bytes."""
-    each = EXR_BYTES * (4 / 3 if asked.mipmap else 1)
-    each += PNG_BYTES if asked.png else 0
-    return int(asked.whole.width * asked.whole.height * each) + _SPARE
+    each = EXR_BYTES * (4 / 3 if request.mipmap else 1)
+    each += PNG_BYTES if request.png else 0
+    return int(request.whole.width * request.whole.height * each) + _SPARE
 
 
-def key_of(asked: SynthRequest, field: OpenedField) -> str:
+def key_of(request: SynthRequest, field: OpenedField) -> str:
     """Key that decides whether an interrupted run can be resumed: a digest, and the device.
 
     Requests of equal keys write files of the same bytes.
     """
     digest = hashlib.sha256()
     versions = (MAKER_VERSION, version("torch"))
-    stored = (asked.area, field.info.name, asked.png, asked.normal, asked.single, asked.mipmap)
-    _feed(digest.update, (versions, field.source, *stored, asked.udim))
+    stored = (
+        request.area,
+        field.info.name,
+        request.png,
+        request.normal,
+        request.single,
+        request.mipmap,
+    )
+    _feed(digest.update, (versions, field.source, *stored, request.udim))
     return f"{digest.hexdigest()} {field.source.device_type}"
 
 
-def mapsets_of(asked: SynthRequest, field: OpenedField) -> list[PlannedMapSet]:
+def mapsets_of(request: SynthRequest, field: OpenedField) -> list[PlannedMapSet]:
     """The map sets to write: left to right, the lowest row of a texture set first."""
-    area, columns, rows = asked.area, *(asked.udim or (1, 1))
-    wrap, specular = _wrap(asked, field.source), field.source.specular_channels
+    area, columns, rows = request.area, *(request.udim or (1, 1))
+    wrap, specular = _wrap(request, field.source), field.source.specular_channels
     sets = []
     for row in range(rows):
         for column in range(columns):
             # A texture set's rows are counted upwards.
             x, y = area.x + column * area.width, area.y + (rows - 1 - row) * area.height
-            label = "" if asked.udim is None else f".{udim_number(column, row)}"
+            label = "" if request.udim is None else f".{udim_number(column, row)}"
             pictures = pictures_of(
                 f"{field.info.name}_{{kind}}{label}",
                 (area.width, area.height),
                 specular=specular,
-                single=asked.single,
-                mipmap=asked.mipmap,
+                single=request.single,
+                mipmap=request.mipmap,
                 wrap=wrap,
             )
             place = Rectangle(x, y, area.width, area.height)
-            sets.append(PlannedMapSet(place, pictures, asked.normal))
+            sets.append(PlannedMapSet(place, pictures, request.normal))
     return sets
 
 
 def document_of(
-    asked: SynthRequest, field: OpenedField, heights: tuple[float, float] | None
+    request: SynthRequest, field: OpenedField, heights: tuple[float, float] | None
 ) -> dict[str, Any]:
     """The JSON document of a map set or texture set.
 
     Args:
-        asked: the request.
+        request: the request.
         field: its field.
         heights: (scale, midlevel) of height PNGs, or None without PNGs.
     """
-    source, whole, name = field.source, asked.whole, field.info.name
+    source, whole, name = field.source, request.whole, field.info.name
     period, specular = source.period, source.specular_channels
     document = mapset_document(
         field.info,
-        (asked.area.width, asked.area.height),
+        (request.area.width, request.area.height),
         source.texel_size,
-        periodic=period == (whole.width, whole.height) and asked.udim is None,
-        normal=asked.normal,
+        periodic=period == (whole.width, whole.height) and request.udim is None,
+        normal=request.normal,
         specular=specular,
     )
-    label = "" if asked.udim is None else ".<UDIM>"
-    if asked.udim is not None:
-        document |= {"format": "matcap texture set", "udim": list(asked.udim)}
+    label = "" if request.udim is None else ".<UDIM>"
+    if request.udim is not None:
+        document |= {"format": "matcap texture set", "udim": list(request.udim)}
     if period is not None:
         document["period"] = list(period)
     for kind in MEANINGS:
-        file = f"{name}_{'maps' if asked.single else kind}{label}.exr"
+        file = f"{name}_{'maps' if request.single else kind}{label}.exr"
         document["maps"][kind] = {"file": file, "meaning": meaning_of(kind, specular)}
-        if asked.single:
+        if request.single:
             channels = channels_of(kind, specular=specular, single=True)
             document["maps"][kind]["channels"] = list(channels)
-        if asked.png:
+        if request.png:
             png = f"{name}_{kind}{label}.png"
             document["maps"][kind] |= {"png": png, "png_encoding": PNG_ENCODINGS[kind]}
     if heights is not None:
@@ -151,14 +158,14 @@ def document_of(
     return document
 
 
-def _wrap(asked: SynthRequest, source: Source) -> str:
+def _wrap(request: SynthRequest, source: Source) -> str:
     """OpenImageIO's wrap modes along x and y, for mip-mapped files; "" for others."""
-    if not asked.mipmap:
+    if not request.mipmap:
         return ""
-    whole, period = asked.whole, source.period or (None, None)
+    whole, period = request.whole, source.period or (None, None)
     sides = zip(period, (whole.width, whole.height), strict=True)
     modes = ("periodic" if repeat == side else "clamp" for repeat, side in sides)
-    return "clamp,clamp" if asked.udim else ",".join(modes)
+    return "clamp,clamp" if request.udim else ",".join(modes)
 
 
 def _feed(update: Callable[[bytes], object], value: object) -> None:

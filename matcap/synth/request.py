@@ -42,18 +42,18 @@ class MaskedBlend:
 
 @dataclass(frozen=True)
 class SynthArea:
-    """Which rectangle of the field is made, and what it grows into."""
+    """Options of the rectangle and of the blend."""
 
     size: Size | None = setting(None, metavar="WxH", parse=values.size, otherwise="1024x1024")
-    """Size in texels: 4096x256, or 2K, 4K, 8K; as much as the disk has room for."""
+    """Size in texels: 4096x256, or 2K, 4K, 8K; limited by the disk only."""
     region: Region | None = setting(None, metavar="x,y,w,h", parse=values.region)
-    """A rectangle anywhere in the endless field (y downwards), not --size."""
+    """Rectangle of the endless field (y downwards), instead of --size."""
     blend: Path | None = setting(None, metavar="MATERIAL")
-    """Grow into this material where --mask is white."""
+    """Second material, which is shown where --mask is white."""
     mask: Path | None = setting(None)
-    """Grey picture for --blend, stretched over the rectangle asked for."""
+    """Grey image for --blend, stretched over the whole output."""
     mask_over: Region | None = setting(None, metavar="x,y,w,h", parse=values.region)
-    """Stretch the mask over this instead."""
+    """Rectangle of the field to stretch the mask over instead."""
 
     def __post_init__(self) -> None:
         for name, given in (("--mask", self.mask), ("--mask-over", self.mask_over)):
@@ -72,13 +72,13 @@ class SynthArea:
 
     @property
     def rectangle(self) -> Rectangle:
-        """In texels of the field."""
+        """The rectangle in texels of the field."""
         sides = self.size or values.DEFAULT_SIZE
         return _rectangle(self.region or values.Region(0, 0, sides.width, sides.height))
 
     @property
     def masked_blend(self) -> MaskedBlend | None:
-        """What it grows into."""
+        """The blend with the second material, or None."""
         if self.blend is None or self.mask is None:
             return None
         over = None if self.mask_over is None else _rectangle(self.mask_over)
@@ -127,7 +127,7 @@ class SynthRequest:
     blend: MaskedBlend | None = None
     """Second material, blended in by a mask."""
     precision: Precision = setting("fp32", words=("fp32", "bf16", "auto"))
-    """Of the network. auto: the fastest that changes no map by half an 8-bit step."""
+    """Precision of the network. auto: the fastest that changes no map by half an 8-bit step."""
     device: DeviceName = setting("auto", words=("auto", "cpu", "cuda"))
     """Device that runs the network. auto: CUDA where PyTorch sees such a device."""
 

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 
 def write_field(
-    asked: SynthRequest, field: OpenedField, folder: str | Path, work: Work | None = None
+    request: SynthRequest, field: OpenedField, folder: str | Path, work: Work | None = None
 ) -> Path:
     """Write a rectangle of a field as a map set or a texture set; return the path of its JSON file.
 
@@ -58,23 +58,23 @@ def write_field(
             not finite.
     """
     name, source = field.info.name, field.source
-    check_request(asked, name)
+    check_request(request, name)
     work = work or Work()
     work.check(source.device_type)
     folder = Path(folder)
     if not work.overwrite:
-        document = document_of(asked, field, (1.0, 0.5) if asked.png else None)
+        document = document_of(request, field, (1.0, 0.5) if request.png else None)
         refuse_to_replace(folder, document, files_of(folder, name))
     outputs = [folder / file for file in files_of(folder, name)]
     check_replaceable(outputs, "matcap synth", inputs=work.inputs, overwrite=True)
     left = unfinished_bytes(folder, name) if work.resume else 0
-    check_writable(folder, max(bytes_of(asked) - left, 0), files_of(folder, name))
-    mapsets = mapsets_of(asked, field)
+    check_writable(folder, max(bytes_of(request) - left, 0), files_of(folder, name))
+    mapsets = mapsets_of(request, field)
     with (
-        unfinished(folder, name, key_of(asked, field), resume=work.resume) as stage,
+        unfinished(folder, name, key_of(request, field), resume=work.resume) as stage,
         ExitStack() as stack,
     ):
-        clock = _Clock(asked.whole.width * asked.whole.height, work.progress)
+        clock = _Clock(request.whole.width * request.whole.height, work.progress)
         blocks = sum(1 for mapset in mapsets for _ in mapset.parts(source))
         pool = stack.enter_context(worker_pool(source, work.workers, blocks, work.scheduler))
         sets = []
@@ -85,11 +85,11 @@ def write_field(
                 write_levels(picture, file, work.workers)
                 file.finish()
             sets.append(files)
-        heights = height_coding(sets) if asked.png else None
+        heights = height_coding(sets) if request.png else None
         if heights is not None:
             for files in sets:
                 write_pngs(stage, files, heights)
-        document = document_of(asked, field, heights)
+        document = document_of(request, field, heights)
         text = json.dumps(document, indent=2, allow_nan=False, default=str)
         (stage / f"{name}.json").write_text(text + "\n")
     return folder / f"{name}.json"

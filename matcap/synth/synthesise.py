@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def synthesise(
-    asked: SynthRequest,
+    request: SynthRequest,
     folder: str | Path,
     work: Work | None = None,
     on_precision: Callable[[ChosenPrecision], None] = lambda choice: None,
@@ -28,7 +28,7 @@ def synthesise(
     """Write a request's map set into a folder, all files or none; return the path of its JSON file.
 
     Args:
-        asked: the request.
+        request: the request.
         folder: created if missing.
         work: workers, progress callback and overwriting.
         on_precision: called with a network's precision once it is chosen.
@@ -42,10 +42,10 @@ def synthesise(
         synthesise(SynthRequest(material, Rectangle(0, 0, 4096, 256), seed=7), "more")
     """
     work = work or Work()
-    if work.scheduler and asked.device == "auto":
+    if work.scheduler and request.device == "auto":
         # A cluster's machines may have no CUDA device, and all blocks must come from one kind.
-        asked = replace(asked, device="cpu")
-    asked, opened = open_field(asked)
+        request = replace(request, device="cpu")
+    request, opened = open_field(request)
     if opened.choice is not None:
         on_precision(opened.choice)
-    return write_field(asked, opened, folder, work)
+    return write_field(request, opened, folder, work)

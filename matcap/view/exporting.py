@@ -25,9 +25,9 @@ class ExportRequest:
     size: int
     """Sides in texels; ignored for a map set."""
     seed: int
-    """Of the realisation."""
+    """Seed of the realisation."""
     share: float
-    """Of the second material, in [0, 1]."""
+    """Share of the second material, in [0, 1]."""
     adjust: Adjustments
 
 

@@ -67,7 +67,7 @@ class ExampleLevels:
     example: Example
     seed: int
     averages: Callable[[], ExemplarAverages]
-    """Of the exemplar, computed once for all seeds."""
+    """Returns the averages of the exemplar, computed once for all seeds."""
 
     @property
     def texel_size(self) -> float:

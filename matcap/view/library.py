@@ -30,9 +30,9 @@ class LibraryEntry:
     name: str
     """Name of the file."""
     rating: str = ""
-    """Of the capture's verdict, or ""."""
+    """Rating of the capture's verdict, or ""."""
     sentence: str = ""
-    """Of the verdict, or ""."""
+    """Sentence of the verdict, or ""."""
 
 
 class Library:

@@ -49,14 +49,14 @@ class Place:
 
     level: int
     column: int
-    """Of the level's grid of pages."""
+    """Column in the level's grid of pages."""
     row: int
     seed: int = 0
-    """Of the realisation."""
+    """Seed of the realisation."""
     share: float = 0.0
-    """Of the second material of a blend."""
+    """Share of the second material of a blend."""
     piece: bool = False
-    """Of the exemplar instead of the field."""
+    """Whether the page is of the exemplar instead of the field."""
 
     @property
     def area(self) -> Rectangle:

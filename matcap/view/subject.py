@@ -52,15 +52,15 @@ class ViewFacts:
     """Description of a subject for the page."""
 
     name: str
-    """Of the material or map set."""
+    """Name of the material or map set."""
     second: str
     """Name of the material that it can be blended with, or ""."""
     texel_size: float
-    """In plane units; of the first material."""
+    """Side of a texel of the first material, in plane units."""
     period: tuple[int, int] | None
     """(width, height) in texels, or None for an endless field."""
     seed: int
-    """Of the realisation shown first."""
+    """Seed of the realisation shown first."""
     mean: tuple[float, ...]
     """Mean moments (moments.py), shown until pages arrive."""
     piece: tuple[int, int] | None = None
@@ -203,7 +203,7 @@ class Maps:
     maps: MapSet
     """Without batch dimensions."""
     name: str
-    """Of the set."""
+    """Name of the map set."""
 
     @property
     def facts(self) -> ViewFacts:

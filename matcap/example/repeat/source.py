@@ -27,7 +27,7 @@ class RepeatedSource:
     stacked: Floats
     """(6 or 8, h, w) maps of the tile."""
     texel_size: float
-    """In plane units."""
+    """Side of a texel in plane units."""
     grid: Grid = _BLOCKS
 
     @property

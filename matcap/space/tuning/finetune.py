@@ -55,7 +55,7 @@ class TuneSettings:
     half_precision: bool = True
     """Use bfloat16 in network and features, on processors with bfloat16 instructions."""
     seed: int = 0
-    """Of noise and lattice."""
+    """Seed of noise and lattice."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Tuned:
     """The fine-tuned decoder."""
 
     decoder: Decoder
-    """Of the least running error."""
+    """The decoder of the least running error."""
     moments: tuple[Moments, ...]
     """Frozen statistics it was optimised with."""
     history: tuple[tuple[float, int, float], ...]
