@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from matcap.brdf.maps import MapSet
+from matcap.lab.bench.relight import codes
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
@@ -94,16 +95,6 @@ def random_light(rng: random.Random):
     return EnvironmentLight(radiance=colour)
 
 
-def encoded(radiance: np.ndarray, film: Film) -> np.ndarray:
-    """Codes of the film, not clipped above, so that nothing hides."""
-    light = radiance.astype(np.float64) * film.gain
-    if film.transfer == "linear":
-        return light
-    return np.where(
-        light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055
-    )
-
-
 def worst_difference(seed: int) -> tuple[float, int]:
     """Largest difference of codes between plan and everything, and how many effects were off."""
     rng = random.Random(seed)
@@ -113,9 +104,8 @@ def worst_difference(seed: int) -> tuple[float, int]:
     everything = renderer.render(effects="all")
     off = sum(not step.on for step in planned.plan.steps)
     assert np.isfinite(everything.radiance).all()
-    difference = np.abs(
-        encoded(planned.radiance, planned.film) - encoded(everything.radiance, planned.film)
-    )
+    film = planned.film
+    difference = np.abs(codes(planned.radiance, film) - codes(everything.radiance, film))
     return float(difference.max()), off
 
 

@@ -6,9 +6,9 @@
 import numpy as np
 import pytest
 from loop_calls import unit
-from random_scenes import encoded
 from relight_samples import bumpy
 
+from matcap.lab.bench.relight import codes
 from matcap.relight import render
 from matcap.relight.budget import Budget
 from matcap.relight.effects import area, parallax
@@ -71,11 +71,11 @@ def test_a_budget_is_no_more_than_the_tolerance(film):
     known = np.geomspace(1e-7, 10.0, 3000).astype(np.float32).reshape(3, 1000)
     parts = [budget.radiance(effect, known) for effect in ("area", "environment")]
     for more in (0.0, 1e-3, 0.3):
-        change = encoded(known + more + sum(parts), film) - encoded(known + more, film)
+        change = codes(known + more + sum(parts), film) - codes(known + more, film)
         assert change.max() <= DEFAULT_TOLERANCE * 1.002
     # And at its darkest it is all of it.
-    assert change.max() <= encoded(known + sum(parts), film).max()
-    spent = encoded(known[:, :1] + sum(parts)[:, :1], film) - encoded(known[:, :1], film)
+    assert change.max() <= codes(known + sum(parts), film).max()
+    spent = codes(known[:, :1] + sum(parts)[:, :1], film) - codes(known[:, :1], film)
     assert spent.min() >= 0.98 * DEFAULT_TOLERANCE
 
 
@@ -91,8 +91,8 @@ def difference(maps, scene):
     renderer = Renderer(maps, scene)
     planned = renderer.render()
     everything = renderer.render(effects="all").radiance
-    codes = encoded(planned.radiance, planned.film) - encoded(everything, planned.film)
-    return codes / DEFAULT_TOLERANCE, planned
+    off = codes(planned.radiance, planned.film) - codes(everything, planned.film)
+    return off / DEFAULT_TOLERANCE, planned
 
 
 @pytest.mark.parametrize("name", SCENES)

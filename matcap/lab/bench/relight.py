@@ -153,7 +153,7 @@ def tolerance_experiment(
             return renderer.render(tolerance=steps * _STEP, effects=effects).radiance
 
         film = lit.scene.film or Film()
-        off = np.abs(_codes(render(), film) - _codes(lit.true, film)).max() / _STEP
+        off = np.abs(codes(render(), film) - codes(lit.true, film)).max() / _STEP
         return timed(render, repeats, steps=float(off))
 
     return Experiment(
@@ -256,7 +256,7 @@ def _resized(scene: Scene, width: int) -> Scene:
     return replace(scene, film=replace(film, width=width, height=height))
 
 
-def _codes(radiance: NDArray[np.float32], film: Film) -> NDArray[np.float64]:
+def codes(radiance: NDArray[np.float32], film: Film) -> NDArray[np.float64]:
     """Codes of the film, not clipped above, so that nothing hides."""
     light = radiance.astype(np.float64) * film.gain
     return light if film.transfer == "linear" else srgb_encode(light)

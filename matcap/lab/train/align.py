@@ -14,7 +14,7 @@ prediction is a likelihood, to which a capture adds its own prior.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
@@ -33,7 +33,7 @@ from matcap.lab.simulate.materials.kinds import KINDS, RandomKind, kind_of
 from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
 from matcap.lab.simulate.photograph import PhoneCamera, take
 from matcap.lab.train.pack import decode
-from matcap.lab.train.trainer import RateSchedule, Training, mean, mixed
+from matcap.lab.train.trainer import RateSchedule, Reporting, Training, fit, mixed
 from matcap.photo.photo import DEFAULT_FOV, Photo
 from matcap.space.alignment import WIDTH, Alignment, conditions, tilt_measurement
 from matcap.space.picture import log_colour, picture_coordinates
@@ -297,22 +297,22 @@ def train_alignment(
     network = (network or Alignment()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     assert network is not None
     training = Training(network, {"": rate}, decay=0.0, weight_decay=0.02)
-    schedule = RateSchedule(steps, 30, steps)
     rng = np.random.default_rng(seed)
-    errors: list[float] = []
-    for step in range(steps):
+
+    def loss_of(_step: int) -> tuple[Tensor, Mapping[str, Tensor]]:
         taken = pool.at(torch.from_numpy(rng.integers(0, len(pool.fov), batch)))
         if rng.random() < 0.5:
             taken = mirror(taken)
         pictures, known = develop(_cropped(taken, rng), rng).shown()
         order = torch.from_numpy(np.concatenate([rng.permutation(3), [3, 4]]))
         with mixed("cpu"):
-            estimate, log_std = network(pictures[:, order], known)
-        training.update(likelihood_loss(estimate, log_std, taken.tilt), schedule.share(step))
-        errors.append(math.degrees(float((estimate.detach() - taken.tilt).abs().mean())))
-        if step % 50 == 49:
-            on_progress(f"step {step + 1}  mean error {mean(errors[-50:]):.2f} degrees")
-    return network.eval()
+            estimate, log_std = training.model(pictures[:, order], known)
+        error = torch.rad2deg((estimate - taken.tilt).abs().mean())
+        return likelihood_loss(estimate, log_std, taken.tilt), {"degrees": error}
+
+    reporting = Reporting(50, math.inf, on_progress=on_progress)
+    fit(training, loss_of, RateSchedule(steps, 30, steps), None, reporting)
+    return training.model.eval()
 
 
 def likelihood_loss(mean: Tensor, log_std: Tensor, tilt: Tensor) -> Tensor:

@@ -189,7 +189,7 @@ def fit(
     training: Training[Trained],
     loss_of: LossOf,
     schedule: RateSchedule,
-    folder: Path,
+    folder: Path | None,
     reporting: Reporting,
 ) -> None:
     """Train until the schedule ends, writing checkpoints and curves into a folder.
@@ -198,10 +198,10 @@ def fit(
         training: changed in place.
         loss_of: of a step by its number.
         schedule: of rate and end.
-        folder: made when missing.
+        folder: made when missing; None to write nothing.
         reporting: what is written, and when.
     """
-    curves = Curves(folder / CURVES, training.step)
+    curves = Curves(None if folder is None else folder / CURVES, training.step)
     began = saved = time.monotonic()
     while training.step < schedule.steps and time.monotonic() - began < schedule.seconds:
         loss, parts = loss_of(training.step)
@@ -209,19 +209,20 @@ def fit(
         curves.note({name: float(part.detach()) for name, part in parts.items()})
         if training.step % reporting.every == 0 or training.step == schedule.steps:
             reporting.on_progress(curves.write(training.step, reporting.measure()))
-        if time.monotonic() - saved > 60.0 * reporting.minutes:
+        if folder is not None and time.monotonic() - saved > 60.0 * reporting.minutes:
             training.save(folder)
             saved = time.monotonic()
-    training.save(folder)
+    if folder is not None:
+        training.save(folder)
 
 
 class Curves:
     """A CSV of losses over steps; continues that of the run it resumes."""
 
-    def __init__(self, path: Path, step: int) -> None:
+    def __init__(self, path: Path | None, step: int) -> None:
         self._path, self._notes = path, list[Mapping[str, float]]()
         self._rows: list[dict[str, float]] = []
-        if step and path.is_file():
+        if step and path is not None and path.is_file():
             with path.open(encoding="utf-8") as file:
                 read = [{k: float(v or "nan") for k, v in r.items()} for r in csv.DictReader(file)]
             self._rows = [row for row in read if row["step"] <= step]
@@ -240,11 +241,12 @@ class Curves:
         row |= {name: mean([n[name] for n in self._notes if name in n]) for name in names}
         self._rows.append({**row, **more})
         self._notes.clear()
-        columns = list(dict.fromkeys(name for row in self._rows for name in row))
-        with staged_file(self._path) as path, path.open("w", newline="") as file:
-            writer = csv.DictWriter(file, columns, restval=math.nan, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(self._rows)
+        if self._path is not None:
+            columns = list(dict.fromkeys(name for row in self._rows for name in row))
+            with staged_file(self._path) as path, path.open("w", newline="") as file:
+                writer = csv.DictWriter(file, columns, restval=math.nan, lineterminator="\n")
+                writer.writeheader()
+                writer.writerows(self._rows)
         return "  ".join(f"{name} {value:.4g}" for name, value in self._rows[-1].items())
 
 
