@@ -31,8 +31,8 @@ PIECE_STAGES: Mapping[str, float] = MappingProxyType(
 TOGETHER_STAGES: Mapping[str, float] = MappingProxyType(
     {
         "read": 0.14,
-        "coarse fit": 0.02,
         "register": 0.10,
+        "coarse fit": 0.02,
         "piece": 0.05,
         "strengths": 0.01,
         "refine": 0.05,

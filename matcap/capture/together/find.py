@@ -41,9 +41,10 @@ from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.tuned import INPAINT
+from matcap.capture.settings import DETAIL
 from matcap.capture.together.align import Aligned, aligned, reframed, shrunk
 from matcap.capture.together.hue import achromatic, coloured, on_grid
-from matcap.capture.together.place import fitted, placed
+from matcap.capture.together.place import placed
 from matcap.capture.together.predict import Predictions, predictions
 from matcap.capture.together.readings import ReadView, read_views, with_others
 from matcap.capture.together.room import less_room
@@ -66,7 +67,7 @@ from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.flash.coarse import CoarseFit, fit_coarse, under_flash
 from matcap.flash.extent import Extent
-from matcap.flash.plane import Plane
+from matcap.flash.plane import Plane, read_plane
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.register import Registration
 from matcap.photo.photo import Photo
@@ -207,20 +208,18 @@ def _registered(
     photos: Sequence[Photo], detail: int | None, stage: Stage
 ) -> tuple[Registration, CoarseFit, Plane]:
     """Cameras by what photographs have in common; with them the coarse fit, and the plane."""
-    with stage("coarse fit"):
-        coarse = fitted(photos)
     with stage("register"):
-        registration = placed(photos, coarse)
+        registration = placed(photos)
         if len(registration.views) < 2:
             raise _none_fits(registration)
         registration, _ = less_room(registration)
+    with stage("coarse fit"):
         first, setup = registration.views[0].photo, registration.setup
-        again = fit_coarse(replace(first, fov=setup.fov), tilt=setup.tilt)
-        again = replace(again, tilt_prior=coarse.tilt_prior, picture_tilt=coarse.picture_tilt)
-        coarse = under_flash(again, first.flash_intensity)
+        coarse = fit_coarse(replace(first, fov=setup.fov), tilt=setup.tilt)
+        coarse = under_flash(coarse, first.flash_intensity)
         # What the fit hardly moved at all is the camera still.
         camera = replace(coarse.setup, fov=setup.fov, tilt=setup.tilt)
-        plane, _ = plane_in_detail(first, camera, detail)
+        plane = read_plane(first, camera, detail or DETAIL)
     return registration, replace(coarse, setup=camera), plane
 
 

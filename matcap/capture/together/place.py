@@ -4,29 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from matcap.capture.tilt import fitted as fitted_one
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.ambient import flash_first
 from matcap.flash.registration.register import Registration, register
 from matcap.photo.photo import Photo
 
 
-def fitted(photos: Sequence[Photo]) -> CoarseFit:
-    """The coarse fit of the first photograph with flash, under that where it is known."""
-    return fitted_one(flash_first(photos)[0])
-
-
-def placed(photos: Sequence[Photo], coarse: CoarseFit | None = None) -> Registration:
-    """All cameras of a set.
+def placed(photos: Sequence[Photo]) -> Registration:
+    """All cameras of a set; where the first begins makes no difference (docs/notes/several.md).
 
     Args:
         photos: two or more, in any order; the first with flash gives the frame, or the next one
             where that is blurred.
-        coarse: result of fitted(), if it is known.
     """
     photos = flash_first(photos)
-    registration = register(photos, (coarse or fitted(photos)).setup)
+    registration = register(photos, FlashSetup(fov=photos[0].fov))
     if registration.blurred and len(registration.views) > 2:
         photos = flash_first([*photos[1:], photos[0]])
-        registration = register(photos, fitted(photos).setup)
+        registration = register(photos, FlashSetup(fov=photos[0].fov))
     return registration
