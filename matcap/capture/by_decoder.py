@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from matcap.capture.ending import judged, provenance
 from matcap.capture.method import Method
-from matcap.capture.piece.find import ExemplarEstimate, find_piece
+from matcap.capture.piece.find import Adaptation, ExemplarEstimate, find_piece
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning
@@ -66,7 +66,7 @@ def capture_by_decoder(
 
     estimate = _piece(shot, target, settings, effort, clock) if settings.aligned else None
     went = Tuning(tuned.history, own)
-    return judged(photo, material, plane, shot.waves, settings, clock, estimate, went)
+    return judged(photo, material, shot.rectified, settings, clock, estimate, went)
 
 
 def _tuned_decoder(
@@ -128,15 +128,11 @@ def _piece(
     clock: CaptureClock,
 ) -> ExemplarEstimate:
     """The photographed piece's own maps, beside the decoder's; in a hurry after an interrupt."""
+    steps = 0 if clock.interrupted else effort.adapted
+    adaptation = Adaptation(lambda: target, steps, settings.seed) if steps else None
     with postponed() as stopped:
         estimate = find_piece(
-            shot.plane,
-            shot.coarse,
-            load_inverse(),
-            shot.waves,
-            target=lambda: target,
-            steps=0 if clock.interrupted else effort.adapted,
-            seed=settings.seed,
+            shot.rectified, shot.coarse, load_inverse(), CaptureClock(None), adaptation
         )
     return replace(estimate, interrupted=stopped())
 

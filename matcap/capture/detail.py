@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.settings import DETAIL
-from matcap.flash.geometry import FlashSetup
+from matcap.flash.mirror import lit_mirror
 from matcap.flash.plane import Plane, read_plane
+from matcap.flash.uniform import Uniform
 from matcap.photo.photo import Photo
-from matcap.statistics.lattice import Lattice, Wave, find_lattice
+from matcap.statistics.lattice import Wave, find_lattice
 
 UNION_TIMES = 4  # a piece of several photographs over the first one's texels, at most
 
@@ -88,35 +89,50 @@ def detail_for(linear: Tensor, valid: Tensor) -> int:
     return DETAIL // 2 if coarse_share(linear, valid) > COARSENESS.most_coarse else DETAIL
 
 
-def plane_in_detail(
-    photo: Photo, setup: FlashSetup, detail: int | None = None
-) -> tuple[Plane, Lattice]:
-    """A photograph's plane at a detail, and its lattice.
+@dataclass(frozen=True)
+class Rectified:
+    """A photograph on the plane of its sample, and its regular order.
 
-    Args:
-        photo: read with at least that detail.
-        setup: its geometry.
-        detail: texels across, or None for DETAIL.
+    Attributes:
+        whole: on as many texels as the piece is to have.
+        waves: plane waves of its lattice, cycles a texel of the whole; none where it has none.
+        read: the photograph on as many texels as it is best read on.
     """
-    plane = read_plane(photo, setup, detail or DETAIL)
-    return plane, find_lattice(plane.encoded(), plane.valid)
 
+    whole: Plane
+    waves: tuple[Wave, ...]
+    read: Plane
 
-def to_be_read(plane: Plane, waves: tuple[Wave, ...] = ()) -> tuple[Plane, tuple[Wave, ...]]:
-    """A plane on as many texels as it is best read on, and its waves there.
+    @staticmethod
+    def of(plane: Plane, waves: tuple[Wave, ...] = ()) -> Rectified:
+        """Of a plane, whose waves the network receives as input, however long their period."""
+        columns = plane.size[0]
+        usual = plane.shrunk(DETAIL) if columns > DETAIL else plane
+        suited = usual
+        if columns >= DETAIL and not waves:
+            wanted = detail_for(usual.linear, usual.valid)
+            suited = plane.shrunk(wanted) if wanted != DETAIL else usual
+        return Rectified(plane, waves, suited)
 
-    Args:
-        plane: of at least as many; one of fewer than DETAIL is read as it is.
-        waves: of its regular order, which the network receives as input, however long its period.
+    @staticmethod
+    def of_photo(photo: Photo, fit: Uniform, detail: int) -> Rectified:
+        """Of a photograph read with at least as many pixels as `detail` texels across.
 
-    Returns:
-        The same plane, if it suits.
-    """
-    columns = plane.size[0]
-    usual = plane.shrunk(DETAIL) if columns > DETAIL else plane
-    suited = usual
-    if columns >= DETAIL and not waves:
-        wanted = detail_for(usual.linear, usual.valid)
-        suited = plane.shrunk(wanted) if wanted != DETAIL else usual
-    longer = columns / suited.size[0]
-    return suited, tuple(Wave(longer * wave.fx, longer * wave.fy) for wave in waves)
+        Args:
+            photo: the photograph.
+            fit: its coarse fit.
+            detail: texels across.
+        """
+        plane = read_plane(photo, fit.setup, detail)
+        lattice = find_lattice(plane.encoded(), plane.valid)
+        return Rectified.of(lit_mirror(plane, fit), lattice.waves)
+
+    @property
+    def read_waves(self) -> tuple[Wave, ...]:
+        """Cycles a texel of what is read."""
+        longer = self.whole.size[0] / self.read.size[0]
+        return tuple(Wave(longer * wave.fx, longer * wave.fy) for wave in self.waves)
+
+    def as_read(self) -> Rectified:
+        """As of a piece that is to have no more texels than are read."""
+        return Rectified(self.read, self.read_waves, self.read)

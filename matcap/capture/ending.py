@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.capture.detail import Rectified
 from matcap.capture.piece.find import ExemplarEstimate, piece_maps
 from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning
@@ -20,7 +21,6 @@ from matcap.capture.verdict.residue import highlight_residue
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
 from matcap.flash.coarse import CoarseFit
-from matcap.flash.plane import Plane
 from matcap.flash.render import render_rectified
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
@@ -29,35 +29,35 @@ from matcap.statistics.lattice import Wave
 def judged(
     photo: Photo,
     material: Material,
-    plane: Plane,
-    waves: tuple[Wave, ...],
+    rectified: Rectified,
     settings: CaptureSettings,
     clock: CaptureClock,
     estimate: ExemplarEstimate | None = None,
     tuning: Tuning | None = None,
 ) -> CaptureResult:
     """The material beside its photograph, and the verdict on it; the last stage but writing."""
+    plane, waves = rectified.whole, rectified.waves
     interrupted = clock.interrupted or (estimate is not None and estimate.interrupted)
     with clock.stage("verdict"), postponed() as stopped:
         maps = material.maps(*plane.size, seed=settings.seed)
         with torch.inference_mode():
             rerendered = _picture(render_rectified(maps, material.setup))
-        rectified = compared = _picture(plane.linear)
+        seen = compared = _picture(plane.linear)
         if plane.left_out is not None:
             left_out = plane.left_out.numpy()[..., None]
-            compared = np.where(left_out, rerendered, rectified)  # nothing is said of it
-            rectified = np.where(left_out, np.float32(0.0), rectified)
+            compared = np.where(left_out, rerendered, seen)  # nothing is said of it
+            seen = np.where(left_out, np.float32(0.0), seen)
         about = None if estimate is None else _piece_measurements(estimate, photo, material, waves)
         valid = plane.valid.numpy()
-        seen = measured(photo, material.setup, compared, rerendered, valid, waves, about)
-        verdict = judge(seen)
+        measurements = measured(photo, material.setup, compared, rerendered, valid, waves, about)
+        verdict = judge(measurements)
     return CaptureResult(
         photo=photo,
         material=material,
-        rectified=rectified,
+        rectified=seen,
         rerendered=rerendered,
         maps=maps,
-        measurements=seen,
+        measurements=measurements,
         verdict=verdict,
         stage_seconds=clock.seconds,
         settings=settings,

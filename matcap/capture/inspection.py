@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from matcap.capture.piece.find import Observation
+from matcap.capture.piece.observation import Observation
 from matcap.capture.piece.photographed_strengths import plane_strengths
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.tilt import fitted, tilt_document

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from matcap.capture.together.texels import SolveSettings
 from matcap.statistics.compare import Weights
 from matcap.statistics.filterbank import FilterBankConfig
 
@@ -34,5 +35,7 @@ class Method:
     """Steps of the exemplar, instead of the preset's."""
     weights: Weights = Weights()
     """Of the statistics that textures are compared by."""
+    solving: SolveSettings = SolveSettings()
+    """Of several photographs."""
     measured_tilt: bool = True
     """Whether the alignment branch is asked."""

@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from matcap.capture.detail import plane_in_detail, to_be_read
+from matcap.capture.detail import Rectified
 from matcap.capture.ending import judged, provenance
 from matcap.capture.method import Method
 from matcap.capture.outputs import write_outputs
-from matcap.capture.piece.find import find_piece
+from matcap.capture.piece.find import Adaptation, PhotographEstimate, find_piece
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import (
     DECODER_STAGES,
@@ -28,6 +28,7 @@ from matcap.capture.result import CaptureResult
 from matcap.capture.settings import (
     DETAIL,
     CaptureSettings,
+    Effort,
     OutputSettings,
     check_photographs,
     resolve,
@@ -38,8 +39,6 @@ from matcap.capture.upright import upright
 from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
-from matcap.flash.likeness import PhotographTarget
-from matcap.flash.mirror import lit_mirror
 from matcap.flash.plane import Plane
 from matcap.photo.camera import read_camera_profile
 from matcap.photo.left_out import leave_out
@@ -190,88 +189,77 @@ def capture_under(
 ) -> CaptureResult:
     """The stages between reading and writing; see capture_photo."""
     check_photographs(settings, 1 + len(others))
-    if settings.solves(1 + len(others)):
-        return _captured_together([photo, *others], settings, clock)
-    effort = resolve(settings, method)
-    with clock.stage("coarse fit"):
-        coarse = fitted(photo, measured=method.measured_tilt)
-        detail = settings.detail_of(max(photo.pixels.shape))
-        plane, lattice = plane_in_detail(photo, coarse.setup, detail)
-        plane = lit_mirror(plane, coarse)
-        read, waves = to_be_read(plane, lattice.waves)
-        window = _window(read, method.window, photo.name)
-        shot = CaptureStart(photo, coarse, read, waves, window, others)
-
+    effort = resolve(settings, method, 1 + len(others))
     if settings.generator == "decoder":
         from matcap.capture.by_decoder import capture_by_decoder
 
+        shot = _begun(photo, settings, method, clock, others)
+        shot = replace(shot, rectified=shot.rectified.as_read())
         return upright(capture_by_decoder(shot, settings, effort, method, clock), ())
-
-    def target() -> PhotographTarget:
-        return photograph_target(shot, settings, method)[0]
-
-    estimate = find_piece(
-        read,
-        coarse,
-        load_inverse(),
-        waves,
-        fine=plane,
-        absolute=photo.flash_intensity is not None,
-        target=target if effort.adapted else None,
-        steps=effort.adapted,
-        seconds=lambda: clock.left_for("adapt"),
-        seed=settings.seed,
-        stage=clock.stage,
-        on_progress=lambda share: clock.within("adapt", share),
-    )
+    if others:
+        captured = _of_several([photo, *others], settings, effort, method, clock)
+    else:
+        captured = _of_one(photo, settings, effort, method, clock)
+    estimate, coarse, rectified = captured.estimate, captured.coarse, captured.rectified
+    several = [] if estimate.several is None else estimate.several.document()["photographs"][1:]
     material = Material(
         name=photo.stem,
         generators={"example": estimate.example},
-        texel_size=plane.texel_size,
+        texel_size=rectified.whole.texel_size,
         setup=coarse.setup.dimmed(estimate.scale),
-        provenance=provenance(photo, settings, coarse, effort, []),
+        provenance=provenance(captured.photo, settings, coarse, effort, several),
     )
-    result = judged(photo, material, plane, lattice.waves, settings, clock, estimate)
-    return upright(result, lattice.waves)
+    result = judged(captured.photo, material, rectified, settings, clock, estimate)
+    return upright(result, rectified.waves)
 
 
-def _captured_together(
-    photos: Sequence[Photo], settings: CaptureSettings, clock: CaptureClock
-) -> CaptureResult:
-    """Several photographs of one piece to a material; see capture_photo."""
+def _begun(
+    photo: Photo,
+    settings: CaptureSettings,
+    method: Method,
+    clock: CaptureClock,
+    others: Sequence[Photo] = (),
+) -> CaptureStart:
+    """A photograph under its light, on its plane."""
+    with clock.stage("coarse fit"):
+        coarse = fitted(photo, measured=method.measured_tilt)
+        detail = settings.detail_of(max(photo.pixels.shape))
+        rectified = Rectified.of_photo(photo, coarse, detail)
+        window = _window(rectified.read, method.window, photo.name)
+    return CaptureStart(photo, coarse, rectified, window, others)
+
+
+def _of_one(
+    photo: Photo, settings: CaptureSettings, effort: Effort, method: Method, clock: CaptureClock
+) -> PhotographEstimate:
+    """The exemplar of one photograph."""
+    shot = _begun(photo, settings, method, clock)
+    adaptation = None
+    if effort.adapted:
+        adaptation = Adaptation(
+            lambda: photograph_target(shot, settings, method)[0], effort.adapted, settings.seed
+        )
+    absolute = photo.flash_intensity is not None
+    estimate = find_piece(
+        shot.rectified, shot.coarse, load_inverse(), clock, adaptation, absolute=absolute
+    )
+    return PhotographEstimate(estimate, shot.coarse, shot.rectified, photo)
+
+
+def _of_several(
+    photos: Sequence[Photo],
+    settings: CaptureSettings,
+    effort: Effort,
+    method: Method,
+    clock: CaptureClock,
+) -> PhotographEstimate:
+    """The exemplar of several photographs of one sample."""
     from matcap.capture.together.find import estimate_together
 
-    together = estimate_together(
-        photos,
-        load_inverse(),
-        settings.detail or _less_detail(settings),
-        union=settings.union,
-        stage=clock.stage,
-        on_progress=clock.within,
-    )
-    estimate, coarse, plane = together.estimate, together.coarse, together.plane
-    several = estimate.several
-    material = Material(
-        name=photos[0].stem,
-        generators={"example": estimate.example},
-        texel_size=plane.texel_size,
-        setup=coarse.setup.dimmed(estimate.scale),
-        provenance=provenance(
-            together.photo,
-            settings,
-            coarse,
-            resolve(settings, photographs=len(photos)),
-            [] if several is None else several.document()["photographs"][1:],
-        ),
-    )
-    result = judged(together.photo, material, plane, together.waves, settings, clock, estimate)
-    return upright(result, together.waves)
-
-
-def _less_detail(settings: CaptureSettings) -> int | None:
-    """Texels across of several photographs where preset or time ask for fewer than by default."""
-    texels = resolve(settings).detail
-    return texels if texels < DETAIL else None
+    # As fine as they are solved at best, but where preset or time ask for less.
+    detail = settings.detail or min(effort.detail, DETAIL)
+    solving, union = method.solving, settings.union
+    return estimate_together(photos, load_inverse(), detail, solving, clock, union=union)
 
 
 def _window(plane: Plane, wanted: int, name: str) -> int:

@@ -126,6 +126,10 @@ class CaptureClock:
         """So large a share of a stage is done."""
         self._on_progress(self._now(name, share))
 
+    def telling(self, name: str, begin: float = 0.0, end: float = 1.0) -> Callable[[float], None]:
+        """Callback that takes the share done of a part of a stage."""
+        return lambda share: self.within(name, begin + share * (end - begin))
+
     def tuning(self, share: float, error: float | None, in_a_minute: float | None) -> None:
         """A step of fine-tuning is done."""
         now = self._now("fine-tuning", share)

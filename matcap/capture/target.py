@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from matcap.capture.detail import Rectified
 from matcap.capture.method import Method
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.tilt import fitted
@@ -29,18 +30,26 @@ class CaptureStart:
     Attributes:
         photo: as it is.
         coarse: its coarse fit.
-        plane: the photograph on the texels it is read on.
-        waves: of its regular order, cycles a texel of that.
+        rectified: the photograph on its plane, of a decoder on the texels it is read on.
         window: texels a side of what is compared.
         others: more photographs of the same sample.
     """
 
     photo: Photo
     coarse: CoarseFit
-    plane: Plane
-    waves: tuple[Wave, ...]
+    rectified: Rectified
     window: int
     others: Sequence[Photo] = ()
+
+    @property
+    def plane(self) -> Plane:
+        """The photograph on the texels it is read on."""
+        return self.rectified.read
+
+    @property
+    def waves(self) -> tuple[Wave, ...]:
+        """Of its regular order, cycles a texel of that."""
+        return self.rectified.read_waves
 
 
 def photograph_target(

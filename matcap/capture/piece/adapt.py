@@ -63,40 +63,44 @@ class Change:
     albedo: float
 
 
+@dataclass(frozen=True)
+class Leg:
+    """A leg of adaptation.
+
+    Attributes:
+        steps: of Adam.
+        reach: factor on the prior deviations of the scaling parameters.
+        doubt: standard deviations of the log strength of relief, of each of BANDS, where the
+            photograph measures it.
+        seconds: at most, or infinity.
+        seed: of the order of windows.
+        on_progress: called after every step with the share that is done.
+    """
+
+    steps: int
+    reach: float = 1.0
+    doubt: Sequence[float] = ()
+    seconds: float = math.inf
+    seed: int = 0
+    on_progress: Callable[[float], None] = lambda _share: None
+
+
 @torch.enable_grad()
-def adapt(
-    maps: MapSet,
-    seen: NDArray[np.bool_],
-    scene: PhotographTarget,
-    steps: int,
-    *,
-    reach: float = 1.0,
-    doubt: Sequence[float] = (),
-    seconds: float | None = None,
-    seed: int = 0,
-    on_progress: Callable[[float], None] | None = None,
-) -> Adapted:
+def adapt(maps: MapSet, seen: NDArray[np.bool_], scene: PhotographTarget, leg: Leg) -> Adapted:
     """Maps whose levels, contrasts and strengths of relief are the photograph's everywhere.
 
     Args:
         maps: of the photographed piece, on the plane's grid.
         seen: (H, W) where they are more than a guess.
         scene: the photograph.
-        steps: of Adam.
-        reach: factor on the prior deviations of the scaling parameters.
-        doubt: standard deviations of the log strength of relief, of each of BANDS, where the
-            photograph measures it.
-        seconds: at most, or None.
-        seed: of the order of windows.
-        on_progress: called after every step with the share that is done.
+        leg: how far.
     """
-    if not steps:
+    if not leg.steps:
         return Adapted(maps)
-    scaled = _ScaledMaps(maps, reach, doubt)
+    scaled = _ScaledMaps(maps, leg.reach, leg.doubt)
     seen_corners = corners(seen, scene.windows.size)
-    fitted, validation = _parted(scene.windows.count, seed)
-    fit = _Fit(scaled, scene, seen_corners, fitted, reach)
-    interrupted = fit.run(steps, seconds, seed, on_progress)
+    fitted, validation = _parted(scene.windows.count, leg.seed)
+    interrupted = _Fit(scaled, scene, seen_corners, fitted).run(leg)
     with torch.no_grad():
         change = _judged(scaled, scene, validation, seen_corners)
         return Adapted(scaled.maps() if change.kept else maps, interrupted, change)
@@ -111,25 +115,17 @@ class _Fit:
         scene: the photograph.
         corners: where windows of the maps begin.
         fitted: windows of the photograph that are looked at.
-        reach: of the leg.
     """
 
     scaled: _ScaledMaps
     scene: PhotographTarget
     corners: NDArray[np.int64]
     fitted: Tensor
-    reach: float
 
-    def run(
-        self,
-        steps: int,
-        seconds: float | None,
-        seed: int,
-        on_progress: Callable[[float], None] | None,
-    ) -> bool:
+    def run(self, leg: Leg) -> bool:
         """Fit; whether Ctrl-C ended it. The numbers are the mean of those at the end."""
-        numbers, schedule = self.scaled.numbers, Schedule(steps, seconds, None)
-        order, draw = shuffled(len(self.fitted), seed), np.random.default_rng(seed)
+        numbers, schedule = self.scaled.numbers, Schedule(leg.steps, leg.seconds, None)
+        order, draw = shuffled(len(self.fitted), leg.seed), np.random.default_rng(leg.seed)
         adam = Adam([numbers], ADAPT.betas)
         total, averaged = torch.zeros_like(numbers), 0
         interrupted = False
@@ -139,12 +135,11 @@ class _Fit:
                 (numbers.grad,) = torch.autograd.grad(self._loss(places, draw, schedule), [numbers])
                 if torch.isfinite(numbers.grad).all():
                     falling = min(1.0, (1.0 - schedule.share) / ADAPT.averaged_from)
-                    adam.step(self.reach * ADAPT.rate * falling)
+                    adam.step(leg.reach * ADAPT.rate * falling)
                 if schedule.share >= ADAPT.averaged_from:
                     total, averaged = total + numbers.detach(), averaged + 1
                 schedule.step += 1
-                if on_progress is not None:
-                    on_progress(min(1.0, schedule.step / steps))
+                leg.on_progress(min(1.0, schedule.step / leg.steps))
         except KeyboardInterrupt:
             interrupted = True
         if averaged:

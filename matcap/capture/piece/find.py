@@ -8,11 +8,9 @@ photograph.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -21,43 +19,39 @@ from torch import Tensor
 
 from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.brdf.parameters import SurfaceParameters
+from matcap.capture.detail import Rectified
 from matcap.capture.piece.absolute import most_probable_scale, scaled
-from matcap.capture.piece.adapt import Adapted, Change, adapt
+from matcap.capture.piece.adapt import Adapted, Change, Leg, adapt
 from matcap.capture.piece.classes import Classes, find_mixture
 from matcap.capture.piece.contrast import even_contrast
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.glints import scaled_by_glints
-from matcap.capture.piece.levels import LevelPrior, RingTarget, fit_levels
-from matcap.capture.piece.metal import metal_share, seen_colour, tint
-from matcap.capture.piece.network.inputs import network_inputs
+from matcap.capture.piece.levels import LevelPrior, fit_levels
+from matcap.capture.piece.metal import metal_share
 from matcap.capture.piece.network.network import (
     ExpectedErrors,
     Inverse,
     NetworkAnswer,
-    NetworkInputs,
 )
-from matcap.capture.piece.noise import channel_noise
+from matcap.capture.piece.observation import Observation, seen_share
 from matcap.capture.piece.photographed_strengths import plane_strengths
-from matcap.capture.piece.refine import PieceLight, Refined, flatten, refine, remaining
+from matcap.capture.piece.refine import Refined, flatten, refine, remaining
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.transport import transport
 from matcap.capture.piece.tuned import ADAPT, INPAINT, READ
+from matcap.capture.progress import CaptureClock
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.variety import with_chosen_variety
 from matcap.flash.coarse import CoarseFit
-from matcap.flash.geometry import flash_mirror_point, plane_points
 from matcap.flash.likeness import PhotographTarget
-from matcap.flash.plane import Plane
-from matcap.flash.rectify import inside
+from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 
 if TYPE_CHECKING:
     from matcap.capture.together.set_report import SetReport
-
-Stage = Callable[[str], AbstractContextManager[None]]
 
 
 @dataclass(frozen=True)
@@ -115,61 +109,20 @@ class ExemplarEstimate:
 
 
 @dataclass(frozen=True)
-class Observation:
-    """A photograph of a piece, and its light.
+class PhotographEstimate:
+    """The exemplar of a photograph, or of several of one sample.
 
     Attributes:
-        plane: the photograph; valid where it was seen and lit.
-        coarse: its coarse fit.
-        shown: (3, H, W) bool: seen and lit, or beyond the photograph, by channel.
-        within: (H, W) bool: the material, in the photograph.
-        seen: (H, W) share of each place that was seen, in [0, 1].
-        inputs: of the network.
-        light: the photograph's, at every texel.
-        specular_fraction: (H, W) specular fraction of the uniform material's radiance.
-        noise: (3, H, W) of log radiance, the sensor's or the codes'.
+        estimate: of the exemplar.
+        coarse: fit of the photograph; of several of the first, its camera estimated from all.
+        rectified: the photograph on the plane of that camera.
+        photo: as it is; of several the first, less the ambient light.
     """
 
-    plane: Plane
+    estimate: ExemplarEstimate
     coarse: CoarseFit
-    shown: Tensor
-    within: Tensor
-    seen: NDArray[np.float32]
-    inputs: NetworkInputs
-    light: PieceLight
-    specular_fraction: NDArray[np.float32]
-    noise: Tensor
-
-    @staticmethod
-    def of(plane: Plane, coarse: CoarseFit) -> Observation:
-        """Work out what every stage looks at."""
-        width, height = plane.size
-        points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-        points = plane.extent.placed(points)
-        # What lies beyond the photograph is its mirror, not glare.
-        rows, columns = plane.margins.inside_of((height, width))
-        own = torch.from_numpy(inside((rows, columns), coarse.setup))
-        beyond = ~plane.margins.padded(own)
-        mirrors = beyond if plane.left_out is None else beyond | plane.left_out
-        inputs = network_inputs(plane.linear, plane.valid | mirrors, coarse, points)
-        bright = lit(plane.linear)
-        measured = plane.measured & bright
-        shown = (plane.measured | mirrors) & bright
-        plane = replace(plane, valid=plane.valid & bright, channels=measured)
-        specular_fraction = inputs.gloss[0].clamp(0.0, 1.0).numpy()
-        light = PieceLight.of(coarse, points)
-        seen = seen_share(measured)
-        return Observation(
-            plane,
-            coarse,
-            shown,
-            ~mirrors,
-            seen,
-            inputs,
-            light,
-            specular_fraction,
-            channel_noise(plane),
-        )
+    rectified: Rectified
+    photo: Photo
 
 
 @dataclass(frozen=True)
@@ -203,131 +156,117 @@ class NetworkPrediction:
         return dict(zip(CHANNELS, self.trusted, strict=True))
 
 
+@dataclass(frozen=True)
+class Adaptation:
+    """Texture-statistics fit that is asked for (adapt.py).
+
+    Attributes:
+        target: gives the photograph's statistics.
+        steps: of all legs, at least 1.
+        seed: of the order of windows.
+    """
+
+    target: Callable[[], PhotographTarget]
+    steps: int
+    seed: int = 0
+
+    def legs(self, doubt: Sequence[float], clock: CaptureClock) -> Iterator[Leg]:
+        """Its legs, in the seconds that there still are when each begins."""
+        count = len(ADAPT.legs)
+        for number, reach in enumerate(ADAPT.legs):
+            yield Leg(
+                -(-self.steps // count),
+                reach,
+                doubt,
+                ADAPT.stepping * clock.left_for("adapt") / (count - number),
+                self.seed * count + number,
+                clock.telling("adapt", number / count, (number + 1) / count),
+            )
+
+
 @torch.no_grad()
 def find_piece(
-    plane: Plane,
+    rectified: Rectified,
     coarse: CoarseFit,
     network: Inverse,
-    waves: tuple[Wave, ...] = (),
+    clock: CaptureClock,
+    adaptation: Adaptation | None = None,
     *,
-    fine: Plane | None = None,
     absolute: bool = False,
-    target: Callable[[], PhotographTarget] | None = None,
-    steps: int = 0,
-    seconds: Callable[[], float] | None = None,
-    seed: int = 0,
-    stage: Stage = lambda name: nullcontext(),
-    on_progress: Callable[[float], None] | None = None,
 ) -> ExemplarEstimate:
-    """Maps of the photographed piece, stage by stage.
+    """The exemplar of a photograph, stage by stage.
 
     An interrupt while it is refined or adapted ends with the best so far; one before that goes on.
 
     Args:
-        plane: the photograph, on the texels it is read on.
+        rectified: the photograph.
         coarse: its coarse fit.
         network: reads it (network/store.py).
-        waves: the plane waves of its regular order.
-        fine: the same photograph on more texels, as many as the piece is to have (detail.py);
-            None for as many as it is read on.
+        clock: of the stages.
+        adaptation: to its statistics; None for none.
         absolute: the flash's strength is known, and albedo with it.
-        target: gives the photograph's statistics; without them the piece is not adapted.
-        steps: of adaptation.
-        seconds: of adaptation at most from now on, asked when each leg of it begins.
-        seed: of adaptation.
-        stage: entered with the name of each stage.
-        on_progress: called as the texture-statistics fit goes on with the share that is done.
     """
-    with stage("piece"):
-        observed = Observation.of(plane, coarse)
-        observed, prediction = read_piece(observed, network)
-    with stage("strengths"):
+    whole, changes, interrupted = rectified.whole, list[Change](), False
+    with clock.stage("piece"):
+        observed, prediction = read_piece(Observation.of(rectified.read, coarse), network)
+    with clock.stage("strengths"):
         strengths = measured_relief(observed, prediction)
         observed, prediction = classified(observed, strengthened(observed, prediction, strengths))
-    explained = _Explained(prediction)
-    with explained.until_interrupted():
-        with stage("refine"):
-            explained.prediction = levelled(observed, prediction)
-        if target is not None and steps:
-            with stage("adapt"):
-                doubt = strengths.doubts() if strengths else ()
-                wanted = target()
-                for each in legs(steps, seconds, seed, doubt, on_progress):
-                    explained.adapt(observed, wanted, each)
-    whole = plane if fine is None else fine
-    with stage("inpaint"):
-        tried = INPAINT.tried if steps and not explained.interrupted else INPAINT.tried_at_once
-        exemplar = _in_detail(observed, inpainted(observed, explained.prediction, tried), whole)
-        scale = 1.0 if absolute else most_probable_scale(exemplar, explained.prediction.metal)
-    with stage("index"):
-        example = indexed(scaled(exemplar, scale), waves, whole.size[0] / plane.size[0])
-    return replace(_estimate(observed, whole, explained, strengths, example), scale=scale)
+    try:
+        with clock.stage("refine"):
+            prediction = levelled(observed, prediction)
+        if adaptation is not None:
+            with clock.stage("adapt"):
+                target, doubt = adaptation.target(), strengths.doubts() if strengths else ()
+                for leg in adaptation.legs(doubt, clock):
+                    prediction, result = adapted(observed, prediction, target, leg)
+                    changes += [result.change] if result.change else []
+                    if result.interrupted:
+                        raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        interrupted = True
+    with clock.stage("inpaint"):
+        patient = adaptation is not None and not interrupted
+        tried = INPAINT.tried if patient else INPAINT.tried_at_once
+        exemplar = inpainted(observed, prediction, tried)
+        if whole.size != rectified.read.size:
+            exemplar = finest(exemplar, whole, coarse)
+        scale = 1.0 if absolute else most_probable_scale(exemplar, prediction.metal)
+    with clock.stage("index"):
+        example = indexed(scaled(exemplar, scale), rectified.waves)
+    left = remaining_of(observed, prediction)
+    return ExemplarEstimate(
+        example,
+        strengths,
+        _median(left, observed),
+        float(left.slow.abs().mean()),
+        sharpness(piece_maps(example.exemplar), whole, coarse),
+        tuple(changes),
+        interrupted,
+        scale=scale,
+    )
 
 
-def indexed(exemplar: Exemplar, waves: Sequence[Wave], longer: float = 1.0) -> Example:
+def indexed(exemplar: Exemplar, waves: Sequence[Wave]) -> Example:
     """An exemplar ready to be rearranged, as varied as keeps what is long in it.
 
     Args:
         exemplar: the piece.
-        waves: of its regular order.
-        longer: its texels across over those that the waves' unit is.
+        waves: of its regular order, cycles a texel.
     """
-    return with_chosen_variety(
-        Example.of(exemplar, tuple((w.fx / longer, w.fy / longer) for w in waves))
-    )
+    lattice = tuple((wave.fx, wave.fy) for wave in waves)
+    return with_chosen_variety(Example.of(exemplar, lattice))
 
 
-@dataclass
-class _Explained:
-    """What was reached when re-rendering and adaptation end, or are interrupted."""
-
-    prediction: NetworkPrediction
-    changes: list[Change] = field(default_factory=list)
-    interrupted: bool = False
-
-    @contextmanager
-    def until_interrupted(self) -> Iterator[None]:
-        """What is done in the block, up to an interrupt."""
-        try:
-            yield
-        except KeyboardInterrupt:
-            self.interrupted = True
-
-    def adapt(self, observed: Observation, target: PhotographTarget, leg: Leg) -> None:
-        """One leg more; interrupts with what it reached."""
-        self.prediction, result = adapted(observed, self.prediction, target, leg)
-        self.changes += [result.change] if result.change else []
-        if result.interrupted:
-            raise KeyboardInterrupt
-
-
-def _estimate(
-    observed: Observation,
-    fine: Plane,
-    explained: _Explained,
-    strengths: Strengths | None,
-    example: Example,
-) -> ExemplarEstimate:
-    """The piece, and what its re-rendering leaves of the photograph."""
-    departures, plane = explained.prediction.departures, observed.plane
-    left = remaining(departures, plane.linear, plane.measured, observed.light)
-    return ExemplarEstimate(
-        example=example,
-        strengths=strengths,
-        error=_median(left, observed),
-        slow=float(left.slow.abs().mean()),
-        sharpness=sharpness(piece_maps(example.exemplar), fine, observed.coarse),
-        adaptation=tuple(explained.changes),
-        interrupted=explained.interrupted,
-    )
+def remaining_of(observed: Observation, prediction: NetworkPrediction) -> Refined:
+    """What its re-rendering leaves of the photograph."""
+    plane = observed.plane
+    return remaining(prediction.departures, plane.linear, plane.measured, observed.light)
 
 
 def unexplained(observed: Observation, prediction: NetworkPrediction) -> float:
     """Median difference of log radiance between photograph and re-rendering, where it was seen."""
-    plane = observed.plane
-    return _median(
-        remaining(prediction.departures, plane.linear, plane.measured, observed.light), observed
-    )
+    return _median(remaining_of(observed, prediction), observed)
 
 
 def _median(left: Refined, observed: Observation) -> float:
@@ -338,20 +277,14 @@ def _median(left: Refined, observed: Observation) -> float:
 def read_piece(observed: Observation, network: Inverse) -> tuple[Observation, NetworkPrediction]:
     """Predict the maps; the observation's light gets the specular tint of metal."""
     answer = NetworkAnswer.from_stacked(_read(network, observed.inputs.stacked()))
-    trusted = confidence(answer.errors, observed.seen)
+    trusted = confidence(answer.errors, seen_share(observed.plane.measured))
     trusted[0] *= 1.0 - observed.specular_fraction
     some = metal_share(answer.metal)
     classes = Classes.whole(observed.specular_fraction.shape, metal=observed.coarse.conductor)
     if observed.coarse.conductor:
-        observed = tinted(observed, classes.metal_share)
+        observed = observed.tinted(classes.metal_share)
     logit = None if some is None else answer.metal
     return observed, NetworkPrediction(answer.departures, answer.errors, trusted, logit, classes)
-
-
-def tinted(observed: Observation, metal: Tensor) -> Observation:
-    """The observation with the specular tint seen where shares (1, H, W) are metal."""
-    seen = seen_colour(observed.plane.linear, metal * observed.shown.all(0, keepdim=True))
-    return replace(observed, light=replace(observed.light, hue=tint(metal, seen)))
 
 
 def measured_relief(observed: Observation, prediction: NetworkPrediction) -> Strengths | None:
@@ -375,42 +308,14 @@ def classified(
     """Texels in material classes; what is their own is albedo (a metal's: F0) and relief."""
     classes = prediction.classes
     if prediction.logit is not None:
-        target = replace(
-            _ring_target(
-                observed,
-                prediction.departures,
-                Classes.whole(observed.specular_fraction.shape, metal=False),
-            ),
-            surface=observed.light.uniform,
-        )
+        target = observed.ring_target(prediction.departures, (False,))
+        target = replace(target, surface=observed.light.uniform)
         mixture = find_mixture(prediction.departures, prediction.logit, target)
         if mixture.likely(observed.light.uniform):
             classes = mixture.classes
-            observed = tinted(observed, classes.metal_share)
+            observed = observed.tinted(classes.metal_share)
     settled = classes.settled(prediction.departures)
     return observed, replace(prediction, departures=settled, classes=classes)
-
-
-def _ring_target(
-    observed: Observation, departures: SurfaceParameters, classes: Classes
-) -> RingTarget:
-    """The photograph around its mirror point, of a surface that departs so from the coarse fit."""
-    plane = observed.plane
-    width, height = plane.size
-    x, y = flash_mirror_point(observed.coarse.setup)
-    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    points = plane.extent.placed(points)
-    hue = 1.0 if observed.light.hue is None else observed.light.hue
-    return RingTarget(
-        linear=plane.linear,
-        measured=observed.shown,
-        counts=observed.within,
-        distance=torch.hypot(points[0] - x, points[1] - y),
-        flash=observed.light.flash,
-        normal=observed.light.maps(departures).normal,
-        surface=observed.light.uniform + departures,
-        hues=tuple(hue if metal else 1.0 for metal in classes.metal),
-    )
 
 
 def with_levels(
@@ -418,7 +323,7 @@ def with_levels(
 ) -> NetworkPrediction:
     """The prediction with levels of its classes fitted to how the highlight falls off."""
     classes = prediction.classes
-    target = _ring_target(observed, departures, classes)
+    target = observed.ring_target(departures, classes.metal)
     size = target.distance.shape
     target = target.thinned(LEVEL_TEXELS)
     step = max(1, min(size) // LEVEL_TEXELS)
@@ -449,38 +354,6 @@ def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPre
     return _rerendered(observed, prediction, prediction.departures)
 
 
-@dataclass(frozen=True)
-class Leg:
-    """A leg of adaptation; the attributes are arguments of adapt."""
-
-    steps: int
-    reach: float
-    doubt: Sequence[float]
-    seconds: float | None
-    seed: int
-    on_progress: Callable[[float], None] | None
-
-
-def legs(
-    steps: int,
-    seconds: Callable[[], float] | None,
-    seed: int,
-    doubt: Sequence[float],
-    on_progress: Callable[[float], None] | None,
-) -> Iterator[Leg]:
-    """The legs of so many steps in all, and of as many seconds as there still are."""
-    count = len(ADAPT.legs)
-    for number, reach in enumerate(ADAPT.legs):
-        yield Leg(
-            -(-steps // count),
-            reach,
-            doubt,
-            None if seconds is None else ADAPT.stepping * seconds() / (count - number),
-            seed * count + number,
-            on_progress and _shared(on_progress, number),
-        )
-
-
 def adapted(
     observed: Observation, prediction: NetworkPrediction, target: PhotographTarget, leg: Leg
 ) -> tuple[NetworkPrediction, Adapted]:
@@ -497,12 +370,7 @@ def adapted(
         observed.light.maps(replace(departures, diffuse=albedo), plane.texel_size),
         plane.valid.numpy(),
         target,
-        leg.steps,
-        reach=leg.reach,
-        doubt=leg.doubt,
-        seconds=leg.seconds,
-        seed=leg.seed,
-        on_progress=leg.on_progress,
+        leg,
     )
     if fitted.change is None or not fitted.change.kept:
         return prediction, fitted
@@ -541,20 +409,11 @@ def inpainted(observed: Observation, prediction: NetworkPrediction, tried: int) 
     )
 
 
-def _in_detail(observed: Observation, exemplar: Exemplar, whole: Plane) -> Exemplar:
-    """The exemplar on as many texels as the photograph is to have."""
-    return (
-        exemplar if whole.size == observed.plane.size else finest(exemplar, whole, observed.coarse)
-    )
-
-
 def evened(
     observed: Observation, prediction: NetworkPrediction, departures: SurfaceParameters
 ) -> SurfaceParameters:
     """Departures whose albedo does not drift over the exemplar, beyond what its classes do."""
-    across = (
-        observed.plane.extent.unit(observed.plane.size[0]) if observed.plane.margins.any else None
-    )
+    across = observed.plane.extent.unit(observed.plane.size[0])
     levels = prediction.classes.flat()
     trusted = prediction.confidence["diffuse"]
     return flatten(departures - levels, trusted, observed.specular_fraction, across=across) + levels
@@ -575,11 +434,6 @@ def _rerendered(
         noise=observed.noise,
     )
     return replace(prediction, departures=evened(observed, prediction, refined.departures))
-
-
-def _shared(on_progress: Callable[[float], None], leg: int) -> Callable[[float], None]:
-    """Progress of one leg as a share of all."""
-    return lambda share: on_progress((leg + share) / len(ADAPT.legs))
 
 
 def piece_maps(exemplar: Exemplar) -> MapSet:
@@ -608,22 +462,6 @@ def confidence(
     around = (unit or max(seen.shape)) / READ.confidence_around
     certain = np.stack([np.exp(-smoothed(plane, around)) for plane in doubt])
     return np.ascontiguousarray(certain * seen, dtype=np.float32)
-
-
-def seen_share(measured: Tensor) -> NDArray[np.float32]:
-    """(H, W) in [0, 1]: how far a texel and what is beside it were seen, of channels (3, H, W).
-
-    A clipped texel's neighbours hold some of its light; a sparkle costs them little, while a spot
-    that is burnt out, wide as it is, is not seen at all.
-    """
-    share = measured.float().mean(0).numpy()
-    around = cv2.GaussianBlur(share, (0, 0), READ.spread_of_light, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(np.minimum(share, np.clip(2.0 * around - 1.0, 0.0, 1.0)), np.float32)
-
-
-def lit(linear: Tensor) -> Tensor:
-    """(H, W) bool: where the neighbourhood's radiance (3, H, W) is above the noise."""
-    return torch.from_numpy(smoothed(linear.mean(0).numpy(), READ.unlit_around) > READ.unlit)
 
 
 def _read(network: Inverse, inputs: Tensor) -> Tensor:

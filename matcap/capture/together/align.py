@@ -22,14 +22,13 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.together.hue import achromatic
-from matcap.capture.together.shared import shared_light, shared_step
+from matcap.capture.together.shared import shared_step
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
     SLOPES,
+    Estimate,
+    ParameterPrior,
     SolveSettings,
-    levelled,
-    numbers_of,
-    spread_of,
     stepped,
     under_room,
 )
@@ -39,7 +38,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.adjust import AdjustSettings, Pair, adjust
 from matcap.flash.registration.camera import Doubles, PosedCamera
 from matcap.flash.registration.grid import grid_points
-from matcap.flash.registration.register import RegisteredView, Registration
+from matcap.flash.registration.register import RegisteredView
 
 
 @dataclass(frozen=True)
@@ -90,11 +89,10 @@ class Aligned:
 
     @staticmethod
     def of(
-        registration: Registration, setup: FlashSetup, light: SetLight, extent: Extent = OWN
+        views: tuple[RegisteredView, ...], setup: FlashSetup, light: SetLight, extent: Extent = OWN
     ) -> Aligned:
-        """Where features lie."""
-        place = ViewPlace(np.eye(3), None, registration.views[0].camera.place, extent)
-        views = registration.views
+        """Registered photographs where their features lie."""
+        place = ViewPlace(np.eye(3), None, views[0].camera.place, extent)
         return Aligned(setup, views, (place,) * len(views), light)
 
     @property
@@ -102,31 +100,36 @@ class Aligned:
         """Of the piece."""
         return self.places[0].extent
 
+    def on_grid(self, across: int, down: int, hue: Tensor | None) -> list[PieceView]:
+        """Every photograph on a grid of the piece, the tint of metal taken off (hue.py)."""
+        both = zip(self.views, self.places, strict=True)
+        return [PieceView.of(view, across, down, place, hue) for view, place in both]
+
+    def with_relief(self, height: Tensor) -> Aligned:
+        """Looked up with the parallax of a height (1, h, w) on any grid of the piece."""
+        relief = np.asarray(height[0].numpy(), np.float32)
+        return replace(self, places=tuple(replace(p, relief=relief) for p in self.places))
+
 
 @torch.no_grad()
 def aligned(
-    registration: Registration,
-    prior: MapSet,
-    doubt: Tensor,
-    light: SetLight,
-    *,
-    radiometric: bool,
-    extent: Extent = OWN,
-    settings: AlignSettings | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    begun: Aligned,
+    read: Estimate,
+    solving: SolveSettings,
+    settings: AlignSettings = AlignSettings(),
+    on_progress: Callable[[float], None] = lambda _share: None,
 ) -> Aligned:
     """Cameras, and where every photograph is to be looked up, the first one where it is.
 
     Args:
-        registration: by features.
-        prior, doubt, light, radiometric: as for solve, on the registration's plane.
-        extent: of the piece, and of those.
+        begun: by features (Aligned.of).
+        read: by the network, of the first photograph, on the plane of its camera so far.
+        solving: how texels are solved.
         settings: see AlignSettings.
         on_progress: called with the share that is done.
     """
-    settings, solving = settings or AlignSettings(), SolveSettings()
-    prior, hue = achromatic(prior)
-    views, setup = list(registration.views), registration.setup
+    prior, hue = achromatic(read.maps)
+    views, setup, light, extent = list(begun.views), begun.setup, begun.light, begun.extent
     # Maps were read on the plane of a lens without distortion.
     start = PosedCamera.of(setup)
     places = [ViewPlace(np.eye(3), None, start.place, extent) for _ in views]
@@ -136,32 +139,27 @@ def aligned(
     for level, rounds, steps in zip(settings.levels, settings.rounds, settings.steps, strict=True):
         across = extent.across(max(64, round(level * finest)))
         down = max(8, round(height * across / width))
-        small, unsure = shrunk(prior, doubt, (down, across), extent)
-        small = reframed(small, start, views[0].camera, extent)
-        prior_mean, spread = numbers_of(small), spread_of(unsure, solving)
-        sure = [n for n, v in enumerate(views) if v.astray < settings.surer * small.texel_size]
-        moving = len(sure) < len(views)
-        moved |= set(range(len(views))).difference(sure)
-        for turn in range(rounds if moving or steps else 0):
+        small = replace(read, maps=prior).resized((down, across), extent)
+        small = replace(small, maps=reframed(small.maps, start, views[0].camera, extent))
+        texel, begin = small.maps.texel_size, ParameterPrior.of(small, solving)
+        unsure = {n for n, v in enumerate(views) if v.astray >= settings.surer * texel}
+        moved |= unsure
+        for turn in range(rounds if unsure or steps else 0):
             seen = [
                 PieceView.of(v, across, down, p, hue) for v, p in zip(views, places, strict=True)
             ]
             if turn == 0 or numbers is None:
-                numbers = _begun(seen, numbers, prior_mean, spread, light, radiometric, steps)
-                relief = _relief(numbers, small.texel_size, extent.unit(across), settings)
+                numbers = _begun(seen, numbers, begin, light, solving, steps)
+                relief = _relief(numbers, texel, extent.unit(across), settings)
             seen = under_room(seen, numbers)
-            light, moves = shared_step(
-                seen, numbers, prior_mean, spread, light, radiometric, solving,
-                moving=moving, fixed=sure,
-            )  # fmt: skip
+            light, moves = shared_step(seen, numbers, begin, light, solving, moved=unsure)
             first, both = views[0].camera.place, zip(places, moves, strict=True)
             places = [ViewPlace(p.nudge @ m, relief, first, extent) for p, m in both]
-            if moving:
-                setup, views, places = _posed(registration.setup, views, places, settings)
+            if unsure:
+                setup, views, places = _posed(begun.setup, views, places, settings)
             done += 1
-            if on_progress:
-                on_progress(done / effort)
-            if _farthest(moves) < settings.settled * small.texel_size:
+            on_progress(done / effort)
+            if _farthest(moves) < settings.settled * texel:
                 break
     return Aligned(setup, _less_doubted(views, moved, settings), tuple(places), light)
 
@@ -192,24 +190,20 @@ def _relief(
 def _begun(
     seen: Sequence[PieceView],
     numbers: Tensor | None,
-    prior_mean: Tensor,
-    spread: Tensor,
+    prior: ParameterPrior,
     light: SetLight,
-    radiometric: bool,
+    solving: SolveSettings,
     steps: int,
 ) -> Tensor:
     """Numbers of a level's texels."""
-    solving = SolveSettings()
     if numbers is not None:
-        numbers = F.interpolate(numbers[None], size=prior_mean.shape[1:], mode="bilinear")[0]
+        numbers = F.interpolate(numbers[None], size=prior.mean.shape[1:], mode="bilinear")[0]
     else:
-        dark = under_room(seen, prior_mean)
-        light = shared_light(dark, prior_mean, prior_mean, spread, light, radiometric, solving)
-        numbers = prior_mean
-    seen = under_room(seen, numbers)
-    prior_mean = levelled(prior_mean, light)
+        numbers = prior.mean
+        light, _ = shared_step(under_room(seen, numbers), numbers, prior, light, solving)
+    seen, prior = under_room(seen, numbers), prior.with_gloss_of(light)
     for _ in range(steps):
-        numbers = stepped(seen, numbers, prior_mean, spread, light, solving).numbers
+        numbers = stepped(seen, numbers, prior, light, solving).numbers
     return numbers
 
 
@@ -267,12 +261,3 @@ def _looked_up(channel: Tensor, x: Doubles, y: Doubles) -> Tensor:
         borderMode=cv2.BORDER_REFLECT_101,
     )
     return torch.from_numpy(looked_up)
-
-
-def shrunk(
-    prior: MapSet, doubt: Tensor, size: tuple[int, int], extent: Extent = OWN
-) -> tuple[MapSet, Tensor]:
-    """What was read, and its doubts, on fewer texels."""
-    stacked = F.interpolate(prior.stacked()[None], size=size, mode="area")[0]
-    unsure = F.interpolate(doubt[None], size=size, mode="area")[0]
-    return MapSet.from_stacked(stacked, extent.texel(size[1])), unsure

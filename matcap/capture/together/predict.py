@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -16,7 +16,6 @@ from matcap.capture.together.align import Aligned
 from matcap.capture.together.readings import ReadView, fewer, joined
 from matcap.capture.together.solve import Solved, predicted, solve
 from matcap.capture.together.texels import SolveSettings
-from matcap.capture.together.views import PieceView
 
 
 @dataclass(frozen=True)
@@ -50,9 +49,9 @@ def predictions(
     alignment: Aligned,
     readings: Sequence[ReadView | None],
     solved: Solved,
-    radiometric: bool,
+    solving: SolveSettings,
     hue: Tensor | None = None,
-    settings: PredictSettings | None = None,
+    settings: PredictSettings = PredictSettings(),
 ) -> Predictions | None:
     """Every photograph from all others; None where one flash is all.
 
@@ -63,35 +62,25 @@ def predictions(
         alignment: where photographs lie.
         readings: of each (readings.py).
         solved: by all of them, whose light it begins with.
+        solving: as they were solved.
         hue: metal's (hue.py).
-        radiometric: as for solve.
         settings: see there.
     """
-    settings = settings or PredictSettings()
     first = next(read for read in readings if read is not None)
     height, width = first.numbers.shape[1:]
     across = min(alignment.extent.across(settings.across), width)
     down = max(8, round(height * across / width))
     few = fewer(readings, (down, across))
-    views = [
-        PieceView.of(view, across, down, place, hue)
-        for view, place in zip(alignment.views, alignment.places, strict=True)
-    ]
+    quicker = replace(solving, rounds=settings.rounds, sampled=settings.sampled)
+    views = alignment.on_grid(across, down, hue)
     if sum(view.room is None for view in views) < 2:
         return None
 
     def by(kept: Sequence[int]) -> Solved:
         read = [few[k] for k in kept]
         # A lone photograph too steep to be read is left with what the first was read as.
-        prior, doubt = joined(read if any(read) else few)
-        return solve(
-            [views[k] for k in kept],
-            prior,
-            doubt,
-            solved.light.of_some(kept),
-            radiometric=radiometric,
-            settings=SolveSettings(rounds=settings.rounds, sampled=settings.sampled),
-        )
+        prior = joined(read if any(read) else few)
+        return solve([views[k] for k in kept], prior, solved.light.of_some(kept), quicker)
 
     every = list(range(len(views)))
     whole = by(every)

@@ -20,10 +20,18 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.together.align import Aligned, shrunk
+from matcap.capture.together.align import Aligned
 from matcap.capture.together.hue import achromatic
 from matcap.capture.together.surface import surface_of
-from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, maps_of, numbers_of
+from matcap.capture.together.texels import (
+    ALBEDO,
+    F0,
+    ROUGH,
+    SLOPES,
+    Estimate,
+    maps_of,
+    numbers_of,
+)
 from matcap.capture.together.views import SetLight, ViewPlace
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.extent import OWN, Extent
@@ -35,8 +43,7 @@ UNREAD = 4.0  # log of what a reading is off by where its photograph does not sh
 _NOTHING = 1e-8  # that a reading weighs at its border: its doubt is beyond UNREAD then
 
 Floats = NDArray[np.float32]
-# What a photograph alone is read as, on its own plane: maps, and (4, H, W) log of their errors.
-ReadAlone = Callable[[Plane, CoarseFit], tuple[MapSet, Tensor]]
+ReadAlone = Callable[[Plane, CoarseFit], Estimate]  # of a photograph alone, on its own plane
 
 
 @dataclass(frozen=True)
@@ -117,8 +124,7 @@ class ReadView:
 
 def read_views(
     alignment: Aligned,
-    prior: MapSet,
-    doubt: Tensor,
+    first: Estimate,
     coarse: CoarseFit,
     read: ReadAlone,
     on_progress: Callable[[float], None],
@@ -127,7 +133,7 @@ def read_views(
 
     Args:
         alignment: where they lie, and their light.
-        prior, doubt: read from the first, in the estimated frame.
+        first: read from the first, in the estimated frame.
         coarse: of the first, whose mean material is all of theirs.
         read: one alone.
         on_progress: called with the share that is done.
@@ -136,33 +142,33 @@ def read_views(
         For each photograph, None where it was not read: of the room's light, or too steep.
     """
     extent = alignment.extent
-    own_across = min(READINGS.across, round(extent.unit(prior.size[0])))
+    width, height = first.maps.size
+    own_across = min(READINGS.across, round(extent.unit(width)))
     across = extent.across(own_across)
-    down = max(8, round(prior.size[1] * across / prior.size[0]))
-    small, unsure = shrunk(prior, doubt, (down, across), extent)
-    readings: list[ReadView | None] = [ReadView(numbers_of(small), unsure, extent)]
+    down = max(8, round(height * across / width))
+    small = first.resized((down, across), extent)
+    readings: list[ReadView | None] = [ReadView(numbers_of(small.maps), small.log_error, extent)]
     for number, view in enumerate(alignment.views[1:], 1):
         readings.append(None)
         if view.flash and math.degrees(view.camera.tilt) < READINGS.steepest:
             own = OwnPlane.of(view.camera, alignment.light, number)
             plane = read_plane(view.photo, own.setup, own_across)
-            maps, errors = read(plane, replace(coarse, setup=own.setup))
+            theirs = read(plane, replace(coarse, setup=own.setup))
             place = alignment.places[number]
-            readings[-1] = brought_over(maps, errors, own, view.camera, place, (across, down))
+            readings[-1] = brought_over(theirs, own, view.camera, place, (across, down))
         on_progress(number / (len(alignment.views) - 1))
     return readings
 
 
 def brought_over(
-    maps: MapSet,
-    doubt: Tensor,
+    read: Estimate,
     own: OwnPlane,
     camera: PosedCamera,
     place: ViewPlace,
     size: tuple[int, int],
 ) -> ReadView:
     """A reading of a photograph's own plane on a grid of (across, down) texels of the first's."""
-    width, height = maps.size
+    width, height = read.maps.size
     points = own.here(camera.on_plane(camera.sees(place.points(*size))))
     x = ((points[0] + 1.0) * width / 2.0 - 0.5).astype(np.float32)
     y = ((height - points[1] * width) / 2.0 - 0.5).astype(np.float32)
@@ -171,7 +177,7 @@ def brought_over(
         resampled = cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
         return torch.from_numpy(resampled)
 
-    maps, hue = achromatic(maps)
+    maps, hue = achromatic(read.maps)
     logs = torch.cat([maps.diffuse.clamp_min(1e-3).log(), maps.specular.clamp_min(5e-3).log()])
     stacked = torch.stack([there(c) for c in torch.cat([logs, maps.roughness, maps.height])])
     over = MapSet(
@@ -181,7 +187,7 @@ def brought_over(
         own.scale * stacked[5:],
         place.extent.texel(size[0]),
     )
-    unsure = torch.stack([there(channel, cv2.INTER_LINEAR) for channel in doubt])
+    unsure = torch.stack([there(channel, cv2.INTER_LINEAR) for channel in read.log_error])
     unsure = (unsure + torch.from_numpy(_fading(x, y, (width, height)))).clamp_max(UNREAD)
     tint = None if hue is None else torch.stack([there(c, cv2.INTER_LINEAR) for c in hue])
     return ReadView(numbers_of(over), unsure, place.extent, tint)
@@ -196,8 +202,8 @@ def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
     return np.asarray(-0.5 * np.log(np.maximum(weight, _NOTHING)), np.float32)
 
 
-def joined(readings: Sequence[ReadView | None]) -> tuple[MapSet, Tensor]:
-    """What all readings say, in any order, and (4, H, W) log of what that is expected to be off by.
+def joined(readings: Sequence[ReadView | None]) -> Estimate:
+    """What all readings say, in any order.
 
     Args:
         readings: at least one that is not None.
@@ -216,33 +222,29 @@ def joined(readings: Sequence[ReadView | None]) -> tuple[MapSet, Tensor]:
     texel_size = every[0].extent.texel(numbers.shape[-1])
     precision = torch.stack([slope_precision, slope_precision, torch.zeros_like(slope_precision)])
     height = surface_of(numbers[SLOPES], texel_size, precision)
-    return maps_of(numbers, height, texel_size), doubt
+    return Estimate(maps_of(numbers, height, texel_size), doubt)
 
 
-def with_others(
-    prior: MapSet, doubt: Tensor, readings: Sequence[ReadView | None]
-) -> tuple[MapSet, Tensor]:
-    """What was read from the first photograph, and its doubts, as all readings together say.
+def with_others(first: Estimate, readings: Sequence[ReadView | None]) -> Estimate:
+    """What was read from the first photograph as all readings together say.
 
     What is finer than the grid of the readings stays the first one's.
     """
     alone, together = joined(readings[:1]), joined(readings)
-    size = prior.size[::-1]
+    maps, own = first.maps, readings[0]
 
     def wide(change: Tensor) -> Tensor:
-        return F.interpolate(change[None], size=size, mode="bilinear")[0]
+        return F.interpolate(change[None], size=maps.size[::-1], mode="bilinear")[0]
 
-    unsure = doubt + wide(together[1] - alone[1])
-    first = readings[0]
-    if first is not None and first.extent != OWN:
+    log_error = first.log_error + wide(together.log_error - alone.log_error)
+    if own is not None and own.extent != OWN:
         # Beyond the first one there is no height of it, and only slopes can be added to.
-        numbers = numbers_of(prior) + wide(numbers_of(together[0]) - first.numbers)
-        raised = surface_of(numbers[SLOPES], prior.texel_size)
-        return maps_of(numbers, raised, prior.texel_size), unsure
-    more = wide(numbers_of(together[0]) - numbers_of(alone[0]))
-    raised = prior.height + wide(together[0].height - alone[0].height)
-    maps = maps_of(numbers_of(prior) + more, raised, prior.texel_size)
-    return maps, unsure
+        numbers = numbers_of(maps) + wide(numbers_of(together.maps) - own.numbers)
+        raised = surface_of(numbers[SLOPES], maps.texel_size)
+    else:
+        numbers = numbers_of(maps) + wide(numbers_of(together.maps) - numbers_of(alone.maps))
+        raised = maps.height + wide(together.maps.height - alone.maps.height)
+    return Estimate(maps_of(numbers, raised, maps.texel_size), log_error)
 
 
 def fewer(readings: Sequence[ReadView | None], size: tuple[int, int]) -> list[ReadView | None]:

@@ -8,7 +8,7 @@ what no texel's own numbers could explain moves anything.
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -17,9 +17,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.capture.together.room import RoomLight
 from matcap.capture.together.texels import (
     GLOSS,
     NUMBERS,
+    ParameterPrior,
     SolveSettings,
     derivatives,
     points_of,
@@ -28,12 +30,12 @@ from matcap.capture.together.texels import (
 )
 from matcap.capture.together.views import PieceView, SetLight, light_at
 from matcap.flash.extent import OWN
+from matcap.flash.light import FlashLight
 from matcap.flash.registration.camera import Doubles
 
-_LIGHT = 4  # flash's offset, vignetting
-_SHARED = _LIGHT + 2  # and the level of gloss
-_GAINS = 3
-_MOVES = 8  # of a homography near the identity
+_OFFSET, _VIGNETTING, _GLOSS = slice(0, 2), slice(2, 4), slice(4, 6)
+_LIGHT = slice(0, 4)  # offset and vignetting
+_SHARED, _GAINS, _MOVES = 6, 3, 8  # of all, of a photograph, and of a homography near the identity
 _FOURTH = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], np.float32) / 12.0
 _ROUNDING = 1e-5  # of a diagonal, by which single precision may make it indefinite
 
@@ -73,82 +75,114 @@ class _Samples:
     along: list[Tensor]  # (MOVES, 3, 1, N): what a move of a photograph changes
 
 
-def shared_light(
-    views: Sequence[PieceView],
-    numbers: Tensor,
-    prior_mean: Tensor,
-    spread: Tensor,
-    light: SetLight,
-    radiometric: bool,
-    settings: SolveSettings,
-    shared: SharedSettings | None = None,
-) -> SetLight:
-    """The light of all photographs, where they lie as they do."""
-    light_fitted, _ = shared_step(
-        views, numbers, prior_mean, spread, light, radiometric, settings, shared, moving=False
-    )
-    return light_fitted
-
-
 def shared_step(
     views: Sequence[PieceView],
     numbers: Tensor,
-    prior_mean: Tensor,
-    spread: Tensor,
+    prior: ParameterPrior,
     light: SetLight,
-    radiometric: bool,
     settings: SolveSettings,
-    shared: SharedSettings | None = None,
-    *,
-    moving: bool,
-    fixed: Container[int] = (),
+    shared: SharedSettings = SharedSettings(),
+    moved: Collection[int] = (),
 ) -> tuple[SetLight, list[Doubles]]:
     """The light of all photographs, and (3, 3) each by which they are to be looked up elsewhere.
 
     Args:
         views: of the piece, the first photograph, which stays where it is, first.
         numbers: (NUMBERS, H, W) of its texels so far.
-        prior_mean, spread: their prior and its deviations, likewise.
+        prior: of those.
         light: so far.
-        radiometric: vignetting keeps its value.
         settings, shared: see there.
-        moving: whether photographs may move; else all are the identity.
-        fixed: numbers of photographs that stay where they are all the same.
+        moved: numbers of photographs that may move; of the others it is the identity.
     """
-    shared = shared or SharedSettings()
-    texel = views[0].extent.texel(numbers.shape[-1])
     chosen, joined = _chosen(views, settings.sampled)
     if not joined:
         shared = replace(shared, gain=shared.separate_gain)
-    samples = _sampled(views, chosen, moving)
-    some, prior, doubted = (each.flatten(1)[:, chosen] for each in (numbers, prior_mean, spread))
-    own = _GAINS + (_MOVES if moving else 0)
-    count = _SHARED + own * (len(views) - 1)
-    # Offset, vignetting, gloss; then of every photograph but the first its gains and its move.
-    common = [light.offset, light.vignetting, light.gloss]
-    start = torch.cat([*common, torch.zeros(count - _SHARED)]).double()
-    for k in range(1, len(views)):
-        first = _SHARED + own * (k - 1)
-        start[first : first + _GAINS] = light.gain[k]
-    lost = (1e-3, 1e-3) if radiometric else light.lost
-    deviation = _deviations(len(views), own, lost, fixed, shared)
-    values, some = start.clone(), some.clone()
+    layout = _Layout(len(views), moving=bool(moved))
+    some, mean, deviation = (
+        each.flatten(1)[:, chosen] for each in (numbers, prior.mean, prior.deviation)
+    )
+    problem = _SharedFit(
+        views,
+        _sampled(views, chosen, layout.moving),
+        ParameterPrior(mean, deviation),
+        light,
+        layout,
+        settings,
+    )
+    expected, tight = layout.vector(light), layout.deviations(light, moved, shared)
+    values = expected.clone()
     # Gloss is expected as it was read, whatever was found since.
-    start[_LIGHT:_SHARED] = 0.0
+    expected[_GLOSS] = 0.0
+    farthest = shared.farthest * views[0].extent.texel(numbers.shape[-1])
     for _ in range(shared.steps):
-        system = _eliminated(views, samples, some, prior, doubted, values, light, own, settings)
-        normal = shared.counted * system.normal + torch.diag(deviation**-2)
-        gradient = shared.counted * system.gradient + (start - values) / deviation**2
-        step = torch.linalg.solve(normal, gradient)
-        if moving:
-            step = _limited(step, own, shared.farthest * texel)
+        system = problem.eliminated(some, values)
+        normal = shared.counted * system.normal + torch.diag(tight**-2)
+        gradient = shared.counted * system.gradient + (expected - values) / tight**2
+        step = layout.limited(torch.linalg.solve(normal, gradient), farthest)
         values = values + step.clamp(-1.5, 1.5)
         some = some + system.texels(step)
-    moves = [np.eye(3)]
-    for k in range(1, len(views)):
-        first = _SHARED + own * (k - 1) + _GAINS
-        moves.append(_homography(values[first : first + _MOVES].numpy()) if moving else np.eye(3))
-    return _light_of(values, light, own), moves
+    moves = [_homography(values[layout.move(k)]) for k in range(1, len(views))]
+    return layout.light(values, light), [np.eye(3), *moves]
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where each shared parameter stands in their vector.
+
+    The flash's offset, vignetting, and mean of gloss; then of every photograph but the first its
+    gains and, where photographs move, its move.
+    """
+
+    photographs: int
+    moving: bool
+
+    def own(self, number: int) -> slice:
+        """Of a photograph, from 1."""
+        size = _GAINS + self.moving * _MOVES
+        return slice(_SHARED + size * (number - 1), _SHARED + size * number)
+
+    def gains(self, number: int) -> slice:
+        """Of a photograph."""
+        first = self.own(number).start
+        return slice(first, first + _GAINS)
+
+    def move(self, number: int) -> slice:
+        """Of a photograph; of no length where none moves."""
+        return slice(self.gains(number).stop, self.own(number).stop)
+
+    def vector(self, light: SetLight) -> Tensor:
+        """A light, and no moves."""
+        vector = torch.zeros(self.own(self.photographs - 1).stop, dtype=torch.float64)
+        vector[_OFFSET], vector[_VIGNETTING], vector[_GLOSS] = (
+            each.double() for each in (light.offset, light.vignetting, light.gloss)
+        )
+        for k in range(1, self.photographs):
+            vector[self.gains(k)] = light.gain[k].double()
+        return vector
+
+    def light(self, vector: Tensor, light: SetLight) -> SetLight:
+        """The inverse of vector(); what is not in it is that of a light."""
+        gains = [vector[self.gains(k)] for k in range(1, self.photographs)]
+        gain = torch.stack([torch.zeros(3), *(each.float() for each in gains)])
+        offset, vignetting, gloss = (
+            vector[part].float() for part in (_OFFSET, _VIGNETTING, _GLOSS)
+        )
+        return replace(light, offset=offset, vignetting=vignetting, gloss=gloss, gain=gain)
+
+    def deviations(self, light: SetLight, moved: Collection[int], shared: SharedSettings) -> Tensor:
+        """Of the prior of each."""
+        whole = [shared.offset, shared.offset, *light.lost, *shared.gloss]
+        for number in range(1, self.photographs):
+            moves = shared.astray if number in moved else 1e-9
+            whole += [shared.gain] * _GAINS + [moves] * (self.moving * _MOVES)
+        return torch.tensor(whole, dtype=torch.float64)
+
+    def limited(self, step: Tensor, most: float) -> Tensor:
+        """A step by which no photograph moves farther."""
+        step = step.clone()
+        for k in range(1, self.photographs):
+            step[self.move(k)] = step[self.move(k)].clamp(-most, most)
+        return step
 
 
 def _chosen(views: Sequence[PieceView], count: int) -> tuple[Tensor, bool]:
@@ -219,57 +253,86 @@ class _Eliminated:
         return (self.alone - self.answer @ step.float()).clamp(-0.7, 0.7).T[:, None]
 
 
-def _eliminated(
-    views: Sequence[PieceView],
-    samples: _Samples,
-    some: Tensor,
-    prior: Tensor,
-    spread: Tensor,
-    values: Tensor,
-    light: SetLight,
-    own: int,
-    settings: SolveSettings,
-) -> _Eliminated:
-    count, texels = len(values), some.shape[-1]
-    precision = spread[:, 0].T.square().reciprocal()
-    within = torch.diag_embed(precision)
-    between = torch.zeros(texels, NUMBERS, count)
-    right = precision * (prior - some)[:, 0].T
-    normal = torch.zeros(count, count, dtype=torch.float64)
-    gradient = torch.zeros(count, dtype=torch.float64)
-    # The mean of gloss is seen through every texel's prior alone: hierarchical least squares.
-    level = slice(_LIGHT, _SHARED)
-    right[:, GLOSS] += precision[:, GLOSS] * values[level].float()
-    between[:, GLOSS, level] = -torch.diag_embed(precision[:, GLOSS])
-    normal[level, level] = torch.diag(precision[:, GLOSS].double().sum(0))
-    gradient[level] = -right[:, GLOSS].double().sum(0)
-    now = _light_of(values, light, own)
-    for k, view in enumerate(views):
-        lit = light_at(k, view, now, samples.points)
-        log, own_numbers = derivatives(some, lit, settings.step)
-        first = _SHARED + own * (k - 1)
-        moved = values[first + _GAINS : first + own].float() if k and own > _GAINS else None
-        seen_log = samples.logs[k]
-        if moved is not None:
-            seen_log = seen_log + torch.einsum("i,icxn->cxn", moved, samples.along[k])
-        residual = seen_log - log
-        weight = weights(residual, samples.seen[k], view.noise, settings)[:, 0]
-        columns, places = _by_shared(view, k, samples, some, log, values, light, own, first)
-        weighted = own_numbers * weight
-        within += torch.einsum("icn,jcn->nij", weighted, own_numbers)
-        right += torch.einsum("icn,cn->ni", weighted, residual[:, 0])
-        between[:, :, places] += torch.einsum("icn,jcn->nij", weighted, columns)
-        wide = (columns * weight).double()
-        normal[places[:, None], places] += torch.einsum("icn,jcn->ij", wide, columns.double())
-        gradient[places] += torch.einsum("icn,cn->i", wide, residual[:, 0].double())
-    solved = texels_solved(within, torch.cat([right[..., None], between], dim=-1))
-    alone, answer = solved[..., 0], solved[..., 1:]
-    return _Eliminated(
-        normal - torch.einsum("nij,nik->jk", between.double(), answer.double()),
-        gradient - torch.einsum("nij,ni->j", between.double(), alone.double()),
-        alone,
-        answer,
-    )
+@dataclass(frozen=True)
+class _SharedFit:
+    """Some texels in all photographs, and what is known of them.
+
+    Attributes:
+        views: of all texels.
+        samples: of some.
+        prior: of those texels.
+        light: what no step changes of it.
+        layout: of the shared parameters.
+        settings: see there.
+    """
+
+    views: Sequence[PieceView]
+    samples: _Samples
+    prior: ParameterPrior
+    light: SetLight
+    layout: _Layout
+    settings: SolveSettings
+
+    def eliminated(self, some: Tensor, values: Tensor) -> _Eliminated:
+        """Normal equations at texels' numbers (NUMBERS, 1, N) and shared parameters."""
+        texels, count = some.shape[-1], len(values)
+        precision = self.prior.precision[:, 0].T
+        within = torch.diag_embed(precision)
+        between = torch.zeros(texels, NUMBERS, count)
+        right = precision * (self.prior.mean - some)[:, 0].T
+        normal = torch.zeros(count, count, dtype=torch.float64)
+        gradient = torch.zeros(count, dtype=torch.float64)
+        # The mean of gloss is seen through every texel's prior alone: hierarchical least squares.
+        right[:, GLOSS] += precision[:, GLOSS] * values[_GLOSS].float()
+        between[:, GLOSS, _GLOSS] = -torch.diag_embed(precision[:, GLOSS])
+        normal[_GLOSS, _GLOSS] = torch.diag(precision[:, GLOSS].double().sum(0))
+        gradient[_GLOSS] = -right[:, GLOSS].double().sum(0)
+        for k, view in enumerate(self.views):
+            log, own = derivatives(some, self._lit(k, values), self.settings.step)
+            seen_log = self.samples.logs[k]
+            if k and self.layout.moving:
+                move = values[self.layout.move(k)].float()
+                seen_log = seen_log + torch.einsum("i,icxn->cxn", move, self.samples.along[k])
+            residual = seen_log - log
+            weight = weights(residual, self.samples.seen[k], view.noise, self.settings)[:, 0]
+            columns, places = self._by_shared(k, some, log, values)
+            weighted = own * weight
+            within += torch.einsum("icn,jcn->nij", weighted, own)
+            right += torch.einsum("icn,cn->ni", weighted, residual[:, 0])
+            between[:, :, places] += torch.einsum("icn,jcn->nij", weighted, columns)
+            wide = (columns * weight).double()
+            normal[places[:, None], places] += torch.einsum("icn,jcn->ij", wide, columns.double())
+            gradient[places] += torch.einsum("icn,cn->i", wide, residual[:, 0].double())
+        solved = texels_solved(within, torch.cat([right[..., None], between], dim=-1))
+        alone, answer = solved[..., 0], solved[..., 1:]
+        return _Eliminated(
+            normal - torch.einsum("nij,nik->jk", between.double(), answer.double()),
+            gradient - torch.einsum("nij,ni->j", between.double(), alone.double()),
+            alone,
+            answer,
+        )
+
+    def _lit(self, number: int, values: Tensor) -> FlashLight | RoomLight:
+        light = self.layout.light(values, self.light)
+        return light_at(number, self.views[number], light, self.samples.points)
+
+    def _by_shared(
+        self, number: int, some: Tensor, log: Tensor, values: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """(columns, 3, N) d log L of a photograph / d shared parameter, and which of these."""
+        columns, places = [], list(range(*_LIGHT.indices(len(values))))
+        for index in places:
+            other = values.clone()
+            other[index] += 1e-2
+            shown = rendered(some, [self._lit(number, other)])[0].log()
+            columns.append((shown - log)[:, 0] / 1e-2)
+        if number:
+            columns += [*torch.eye(_GAINS)[..., None].expand(-1, -1, log.shape[-1])]
+            if self.layout.moving:
+                columns += [*-self.samples.along[number][:, :, 0]]
+            own = self.layout.own(number)
+            places += range(own.start, own.stop)
+        return torch.stack(columns), torch.tensor(places)
 
 
 def texels_solved(within: Tensor, sides: Tensor) -> Tensor:
@@ -289,65 +352,9 @@ def texels_solved(within: Tensor, sides: Tensor) -> Tensor:
     return torch.where(sound, solution, 0.0)
 
 
-def _by_shared(
-    view: PieceView,
-    k: int,
-    samples: _Samples,
-    some: Tensor,
-    log: Tensor,
-    values: Tensor,
-    light: SetLight,
-    own: int,
-    first: int,
-) -> tuple[Tensor, Tensor]:
-    """(columns, 3, N) what residuals lose by what is shared, and which of it."""
-    columns = []
-    for index in range(_LIGHT):
-        other = values.clone()
-        other[index] += 1e-2
-        lit = light_at(k, view, _light_of(other, light, own), samples.points)
-        columns.append((rendered(some, [lit])[0].log() - log)[:, 0] / 1e-2)
-    places = list(range(_LIGHT))
-    if k:
-        for channel in range(_GAINS):
-            gain = torch.zeros_like(columns[0])
-            gain[channel] = 1.0
-            columns.append(gain)
-        if own > _GAINS:
-            columns += list(-samples.along[k][:, :, 0])
-        places += range(first, first + own)
-    return torch.stack(columns), torch.tensor(places)
-
-
-def _deviations(
-    photographs: int,
-    own: int,
-    lost: tuple[float, float],
-    fixed: Container[int],
-    shared: SharedSettings,
-) -> Tensor:
-    whole = [shared.offset, shared.offset, *lost, *shared.gloss]
-    for number in range(1, photographs):
-        moves = 1e-9 if number in fixed else shared.astray
-        whole += [shared.gain] * _GAINS + [moves] * (own - _GAINS)
-    return torch.tensor(whole, dtype=torch.float64)
-
-
-def _limited(step: Tensor, own: int, most: float) -> Tensor:
-    """A step by which no photograph moves farther."""
-    step = step.clone()
-    for first in range(_SHARED + _GAINS, len(step), own):
-        step[first : first + _MOVES] = step[first : first + _MOVES].clamp(-most, most)
-    return step
-
-
-def _homography(move: NDArray[np.float64]) -> Doubles:
-    a, b, c, d, e, f, g, h = move
+def _homography(move: Tensor) -> Doubles:
+    """(3, 3) of a move (8,); the identity of one of no length."""
+    if not len(move):
+        return np.eye(3)
+    a, b, c, d, e, f, g, h = move.tolist()
     return np.array([[1.0 + b, c, a], [e, 1.0 + f, d], [-g, -h, 1.0]])
-
-
-def _light_of(values: Tensor, light: SetLight, own: int) -> SetLight:
-    gains = values[_SHARED:].reshape(-1, own)[:, :_GAINS]
-    gain = torch.cat([torch.zeros(1, 3), gains.float()])
-    offset, vignetting, gloss = values[:_SHARED].float().split(2)
-    return replace(light, offset=offset, vignetting=vignetting, gloss=gloss, gain=gain)

@@ -22,7 +22,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.together.octaves import denoised, read_error
-from matcap.capture.together.shared import shared_light
+from matcap.capture.together.shared import shared_step
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
     ALBEDO,
@@ -30,15 +30,16 @@ from matcap.capture.together.texels import (
     GLOSS,
     ROUGH,
     SLOPES,
+    Estimate,
+    ParameterPrior,
     SolveSettings,
     Stepped,
-    levelled,
+    by_map,
     maps_of,
     numbers_of,
     points_of,
     rendered,
     slopes_of,
-    spread_of,
     stepped,
     under_room,
 )
@@ -50,8 +51,7 @@ class Solved:
     """Maps that explain all photographs.
 
     Attributes:
-        maps: the piece's.
-        errors: (4, H, W) log of the deviation of log albedo, log F0, logit roughness and slope.
+        estimate: of the piece.
         light: of all photographs, as found.
         residual: (photographs,) median difference of log radiance of what each shows.
         measured: share of the posterior precision of log albedo, log F0, roughness and slopes that
@@ -60,111 +60,106 @@ class Solved:
         interrupted: ended early, with the best so far.
     """
 
-    maps: MapSet
-    errors: Tensor
+    estimate: Estimate
     light: SetLight
     residual: tuple[float, ...]
     measured: tuple[float, float, float, float]
     read_off: float
     interrupted: bool = False
 
+    @property
+    def maps(self) -> MapSet:
+        """The piece's."""
+        return self.estimate.maps
+
 
 @torch.no_grad()
 def solve(
     views: Sequence[PieceView],
-    prior: MapSet,
-    doubt: Tensor,
+    read: Estimate,
     light: SetLight,
-    *,
-    radiometric: bool,
-    settings: SolveSettings | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    settings: SolveSettings,
     begun: Solved | None = None,
+    on_progress: Callable[[float], None] = lambda _share: None,
 ) -> Solved:
     """Estimate the maps; an interrupt ends with the best so far.
 
     Args:
         views: of the piece, the first photograph first, on the maps' grid.
-        prior: what the network read from the first photograph.
-        doubt: (4, H, W) log of what that is expected to be off by: log albedo, log F0, logit
-            roughness, slope.
+        read: by the network, of the photographs; the prior.
         light: a first guess.
-        radiometric: whether all are RAW: vignetting is then held at none.
         settings: see SolveSettings.
-        on_progress: called with the share that is done.
         begun: the same piece solved on fewer texels: where texels begin, in place of what was read.
+        on_progress: called with the share that is done.
     """
-    settings, on_progress = settings or SolveSettings(), on_progress or (lambda _share: None)
-    return _solve(views, (prior, doubt), light, radiometric, settings, on_progress, begun)
-
-
-def _solve(
-    given: Sequence[PieceView],
-    read: tuple[MapSet, Tensor],
-    light: SetLight,
-    radiometric: bool,
-    settings: SolveSettings,
-    on_progress: Callable[[float], None],
-    begun: Solved | None,
-) -> Solved:
-    """As solve, of what was read and its doubts."""
-    (prior, doubt), prior_mean = read, numbers_of(read[0])
-    views, spread = under_room(given, prior_mean), spread_of(doubt, settings)
-    if not settings.rounds:
-        light = shared_light(views, prior_mean, prior_mean, spread, light, radiometric, settings)
-    # Of the light, which a common error of slopes would move, and of texels.
+    prior, fresh = ParameterPrior.of(read, settings), begun is None
+    numbers = prior.mean.clone() if begun is None else _continued(prior.mean, read.maps, begun)
     off = 0.0 if begun is None else begun.read_off
-    known = _with_least_slope(spread, off)
-    fresh = begun is None and len(settings.rounds) > 0
-    spread = _with_least_slope(spread, settings.slope if fresh else settings.wider * off)
-    numbers = prior_mean.clone() if begun is None else _continued(prior_mean, prior, begun)
+    # Of the light, which a common error of slopes would move, and of texels.
+    known = prior.with_least_slope(off)
+    prior = prior.with_least_slope(settings.slope if fresh else settings.wider * off)
     unit = views[0].extent.unit(numbers.shape[-1])
-    precision, total, done, interrupted = torch.zeros(()), sum(settings.rounds) + 2, 0, False
-    step: Stepped | None = None
+    total, done, interrupted = sum(settings.rounds) + 2, 0, False
+    lit, expected, step = under_room(views, numbers), prior, Stepped.none(numbers)
     try:
         for index, steps in enumerate(settings.rounds):
-            views = under_room(given, numbers)
-            before = light.gloss
-            light = shared_light(views, numbers, prior_mean, known, light, radiometric, settings)
+            lit, before = under_room(views, numbers), light.gloss
+            light, _ = shared_step(lit, numbers, known, light, settings)
             numbers[GLOSS] += (light.gloss - before)[:, None, None]
-            expected = levelled(prior_mean, light)
+            expected = prior.with_gloss_of(light)
+            measures = index == len(settings.rounds) - 1 or (not index and fresh)
             for turn in range(1, steps + 1):
-                each = turn == steps and (
-                    index == len(settings.rounds) - 1 or (not index and fresh)
-                )
-                step = stepped(views, numbers, expected, spread, light, settings, without_each=each)
-                numbers, precision = step.numbers, step.precision
-                done += 1
+                each = measures and turn == steps
+                step = stepped(lit, numbers, expected, light, settings, without_each=each)
+                numbers, done = step.numbers, done + 1
                 on_progress(done / total)
             numbers[SLOPES] = _without_slow(numbers[SLOPES], unit, settings)
-            if index == 0 and step is not None:
-                if fresh:
-                    off = _read_off(numbers, prior_mean, step.changes)
-                    spread = _with_least_slope(known, settings.wider * off)
-                    known = _with_least_slope(known, off)
-                prior_mean = _gloss_prior(prior_mean, numbers - expected, precision, unit, settings)
+            if index == 0 and fresh:
+                off = _read_off(numbers, prior.mean, step.changes)
+                prior = known.with_least_slope(settings.wider * off)
+                known = known.with_least_slope(off)
+            if index == 0:
+                change = numbers - expected.mean
+                mean = _gloss_prior(prior.mean, change, step.precision, unit, settings)
+                prior, known = replace(prior, mean=mean), replace(known, mean=mean)
     except KeyboardInterrupt:
         interrupted = True
-    height = surface_of(numbers[SLOPES], prior.texel_size, None if step is None else step.relief)
-    if step is not None and not interrupted:
-        every = [prior_mean[SLOPES], *step.changes[:, SLOPES]]
-        slow = (_without_slow(each, unit, settings) for each in every)
-        calm, *changes = (surface_of(each, prior.texel_size)[0].numpy() for each in slow)
-        height[0] = torch.from_numpy(denoised(height[0].numpy(), calm, changes, drawn=True))
-        numbers[SLOPES] = slopes_of(height, prior.texel_size)
-        numbers = _step_at_fixed_slopes(views, numbers, expected, spread, light, settings)
-    numbers[SLOPES] = slopes_of(height, prior.texel_size)
-    errors = _errors(precision, spread)
-    maps = maps_of(numbers, height, prior.texel_size)
-    left, shares = _residuals(views, numbers, light, settings), _measured_shares(precision, spread)
-    return Solved(maps, errors, light, left, shares, off, interrupted)
+    height = surface_of(numbers[SLOPES], read.maps.texel_size, step.relief)
+    if not interrupted:
+        height = _denoised(height, lit, step.changes, prior, settings)
+        numbers[SLOPES] = slopes_of(height, read.maps.texel_size)
+        numbers = _step_at_fixed_slopes(lit, numbers, expected, light, settings)
+    numbers[SLOPES] = slopes_of(height, read.maps.texel_size)
+    maps = maps_of(numbers, height, read.maps.texel_size)
+    estimate = Estimate(maps, _log_errors(step.precision, prior))
+    left, shares = _residuals(lit, numbers, light, settings), _shares(step.precision, prior)
+    return Solved(estimate, light, left, shares, off, interrupted)
 
 
-def _with_least_slope(spread: Tensor, slope: float) -> Tensor:
-    """(NUMBERS, H, W) deviations of a prior, those of slopes no less than one."""
-    spread = spread.clone()
-    spread[SLOPES] = spread[SLOPES].clamp_min(slope)
-    return spread
+def _denoised(
+    height: Tensor,
+    views: Sequence[PieceView],
+    changes: Tensor,
+    prior: ParameterPrior,
+    settings: SolveSettings,
+) -> Tensor:
+    """(1, H, W) height as measured without its noise, octave by octave (octaves.py).
+
+    Args:
+        height: as measured.
+        views: that it was measured by.
+        changes: (photographs, NUMBERS, H, W) when each is left out.
+        prior: as it was read.
+        settings: see SolveSettings.
+    """
+    extent, across = views[0].extent, height.shape[-1]
+    read, *others = (
+        surface_of(_without_slow(slopes, extent.unit(across), settings), extent.texel(across))
+        for slopes in (prior.mean[SLOPES], *changes[:, SLOPES])
+    )
+    jackknife = [other[0].numpy() for other in others]
+    calm = denoised(height[0].numpy(), read[0].numpy(), jackknife, drawn=True)
+    return torch.from_numpy(calm)[None]
 
 
 def _continued(prior_mean: Tensor, prior: MapSet, begun: Solved) -> Tensor:
@@ -239,20 +234,19 @@ def _gloss_prior(
 def _step_at_fixed_slopes(
     views: Sequence[PieceView],
     numbers: Tensor,
-    prior_mean: Tensor,
-    spread: Tensor,
+    prior: ParameterPrior,
     light: SetLight,
     settings: SolveSettings,
 ) -> Tensor:
     """Parameters after a step with slopes fixed, albedo denoised (octaves.py)."""
-    tight_spread, tight_mean = spread.clone(), prior_mean.clone()
-    tight_spread[SLOPES] = 1e-4
-    tight_mean[SLOPES] = numbers[SLOPES]
-    step = stepped(views, numbers, tight_mean, tight_spread, light, settings, without_each=True)
+    mean, deviation = prior.mean.clone(), prior.deviation.clone()
+    mean[SLOPES], deviation[SLOPES] = numbers[SLOPES], 1e-4
+    tight = ParameterPrior(mean, deviation)
+    step = stepped(views, numbers, tight, light, settings, without_each=True)
     for channel in range(3):
         measured, read, changes = (
             each.numpy()
-            for each in (step.numbers[channel], prior_mean[channel], step.changes[:, channel])
+            for each in (step.numbers[channel], prior.mean[channel], step.changes[:, channel])
         )
         step.numbers[channel] = torch.from_numpy(denoised(measured, read, changes))
     return step.numbers
@@ -267,26 +261,14 @@ def _read_off(numbers: Tensor, prior_mean: Tensor, changes: Tensor) -> float:
     return math.sqrt(sum(squares) / len(squares))
 
 
-def _errors(precision: Tensor, spread: Tensor) -> Tensor:
+def _log_errors(precision: Tensor, prior: ParameterPrior) -> Tensor:
     """(4, H, W) log deviations of log albedo, log F0, logit roughness and slope."""
-    if precision.ndim == 0:
-        precision = torch.zeros_like(spread)
     # The precision of a parameter alone is optimistic: the others are correlated with it.
-    deviation = (0.25 * precision + spread.square().reciprocal()).rsqrt()
-    return torch.stack(
-        [
-            deviation[ALBEDO].mean(0),
-            deviation[F0],
-            deviation[ROUGH],
-            deviation[SLOPES].mean(0),
-        ]
-    ).log()
+    return by_map((0.25 * precision + prior.precision).rsqrt()).log()
 
 
-def _measured_shares(precision: Tensor, spread: Tensor) -> tuple[float, float, float, float]:
-    if precision.ndim == 0:
-        return (0.0, 0.0, 0.0, 0.0)
-    share = precision / (precision + spread.square().reciprocal())
+def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, float, float, float]:
+    share = precision / (precision + prior.precision)
     every = [share[part].flatten().median().item() for part in (ALBEDO, F0, ROUGH, SLOPES)]
     return every[0], every[1], every[2], every[3]
 

@@ -35,7 +35,7 @@ def surface_of(
     slopes: Tensor,
     texel_size: float,
     precision: Tensor | None = None,
-    settings: SurfaceSettings | None = None,
+    settings: SurfaceSettings = SurfaceSettings(),
 ) -> Tensor:
     """(1, H, W) the height whose central slopes are nearest to slopes (2, H, W).
 
@@ -53,7 +53,6 @@ def surface_of(
     """
     if precision is None:
         return _even_surface(slopes, texel_size, 4)
-    settings = settings or SurfaceSettings()
     height = _even_surface(slopes, texel_size, 2)
     weight = _doubted(precision, settings.model)
     weight = weight / weight[:2].mean().clamp_min(1e-12)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
@@ -30,8 +31,7 @@ class SolveSettings:
     """How several photographs are solved; docs/notes/several.md.
 
     Attributes:
-        rounds: (per-texel steps of each round, a common fit before each); none leaves the maps as
-            they were read, and finds their light alone.
+        rounds: per-texel steps of each round, a common fit before each.
         finer: likewise, of a grid whose texels begin at half as many across.
         coarse: texels across that are solved from the beginning.
         robust: log radiance at which a residual counts half.
@@ -89,6 +89,73 @@ class Stepped:
     relief: Tensor
     changes: Tensor
 
+    @staticmethod
+    def none(numbers: Tensor) -> Stepped:
+        """Before any step: of numbers that no photograph knows of."""
+        one = torch.ones_like(numbers[:1])
+        relief = torch.cat([one, one, 0.0 * one])
+        return Stepped(numbers, torch.zeros_like(numbers), relief, numbers.new_zeros(0))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Maps of the exemplar and their standard deviations.
+
+    Attributes:
+        maps: of the exemplar.
+        log_error: (4, H, W) log of the standard deviations of log albedo, log F0, logit roughness
+            and slope.
+    """
+
+    maps: MapSet
+    log_error: Tensor
+
+    def resized(self, size: tuple[int, int], extent: Extent = OWN) -> Estimate:
+        """On (rows, columns) fewer texels of an extent, means of what they hold."""
+        maps, log_error = (
+            F.interpolate(each[None], size=size, mode="area")[0]
+            for each in (self.maps.stacked(), self.log_error)
+        )
+        return Estimate(MapSet.from_stacked(maps, extent.texel(size[1])), log_error)
+
+
+@dataclass(frozen=True)
+class ParameterPrior:
+    """Gaussian prior of texels' parameters, independent of each other.
+
+    Attributes:
+        mean, deviation: (NUMBERS, ...).
+    """
+
+    mean: Tensor
+    deviation: Tensor
+
+    @staticmethod
+    def of(estimate: Estimate, settings: SolveSettings) -> ParameterPrior:
+        """Of what a network read, no surer than the settings allow."""
+        off = estimate.log_error.clamp(-8.0, 2.0).exp()
+        albedo = off[:1].clamp_min(settings.albedo).expand(3, -1, -1)
+        gloss = off[1:3].clamp_min(settings.gloss)
+        deviation = torch.cat([albedo, gloss, off[3:4].expand(2, -1, -1)])
+        return ParameterPrior(numbers_of(estimate.maps), deviation)
+
+    @property
+    def precision(self) -> Tensor:
+        """(NUMBERS, ...)."""
+        return self.deviation.square().reciprocal()
+
+    def with_gloss_of(self, light: SetLight) -> ParameterPrior:
+        """With the global change of mean F0 and roughness (SetLight.gloss)."""
+        mean = self.mean.clone()
+        mean[GLOSS] += light.gloss[:, None, None]
+        return ParameterPrior(mean, self.deviation)
+
+    def with_least_slope(self, slope: float) -> ParameterPrior:
+        """With deviations of slopes no less than one."""
+        deviation = self.deviation.clone()
+        deviation[SLOPES] = deviation[SLOPES].clamp_min(slope)
+        return ParameterPrior(self.mean, deviation)
+
 
 def numbers_of(maps: MapSet) -> Tensor:
     """(NUMBERS, H, W) of maps; of an F0 with a colour, its mean."""
@@ -114,6 +181,12 @@ def maps_of(numbers: Tensor, height: Tensor, texel_size: float) -> MapSet:
     )
 
 
+def by_map(numbers: Tensor) -> Tensor:
+    """(4, H, W) of (NUMBERS, H, W) of each parameter: means over albedo's channels, over slopes."""
+    albedo, slope = numbers[ALBEDO].mean(0), numbers[SLOPES].mean(0)
+    return torch.stack([albedo, numbers[F0], numbers[ROUGH], slope])
+
+
 def slopes_of(height: Tensor, texel_size: float) -> Tensor:
     """(2, H, W) central slopes of a height (1, H, W)."""
     normal = normals_from_height(height, texel_size)
@@ -130,21 +203,6 @@ def points_of(
         0, rows.start, width, rows.stop - rows.start, (width, height), dtype=torch.float32
     )
     return extent.placed(points)
-
-
-def spread_of(doubt: Tensor, settings: SolveSettings) -> Tensor:
-    """(NUMBERS, H, W) deviations of the prior, of what the network doubts (4, H, W)."""
-    off = doubt.clamp(-8.0, 2.0).exp()
-    albedo = off[:1].clamp_min(settings.albedo).expand(3, -1, -1)
-    gloss = off[1:3].clamp_min(settings.gloss)
-    return torch.cat([albedo, gloss, off[3:4].expand(2, -1, -1)])
-
-
-def levelled(prior_mean: Tensor, light: SetLight) -> Tensor:
-    """(NUMBERS, H, W) prior mean with the global change of F0 and roughness (SetLight.gloss)."""
-    prior_mean = prior_mean.clone()
-    prior_mean[GLOSS] += light.gloss[:, None, None]
-    return prior_mean
 
 
 def rendered(numbers: Tensor, lights: Sequence[FlashLight | RoomLight]) -> list[Tensor]:
@@ -175,8 +233,7 @@ def weights(residual: Tensor, seen: Tensor, noise: float, settings: SolveSetting
 def stepped(
     views: Sequence[PieceView],
     numbers: Tensor,
-    prior_mean: Tensor,
-    spread: Tensor,
+    prior: ParameterPrior,
     light: SetLight,
     settings: SolveSettings,
     *,
@@ -193,7 +250,7 @@ def stepped(
             _system(index, view, rows, numbers[part], light, points, settings)
             for index, view in enumerate(views)
         ]
-        here = numbers[part], prior_mean[part], spread[part]
+        here = numbers[part], ParameterPrior(prior.mean[part], prior.deviation[part])
         moved[part], precision[part], relief[part] = _solved(of_each, *here, settings.damping)
         for k, change in enumerate(changes):
             others = of_each[:k] + of_each[k + 1 :]
@@ -269,20 +326,19 @@ def derivatives(
 def _solved(
     systems: Sequence[tuple[Tensor, Tensor]],
     numbers: Tensor,
-    prior_mean: Tensor,
-    spread: Tensor,
+    prior: ParameterPrior,
     damping: float,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """What Stepped holds, of some rows, by any number of photographs."""
     shape, count = numbers.shape, numbers[0].numel()
     normal = sum((each for each, _ in systems), torch.zeros(count, NUMBERS, NUMBERS))
     gradient = sum((each for _, each in systems), torch.zeros(count, NUMBERS))
-    here, prior = numbers.flatten(1).T, prior_mean.flatten(1).T
-    prior_precision = spread.flatten(1).T.square().reciprocal()
+    here, expected = numbers.flatten(1).T, prior.mean.flatten(1).T
+    prior_precision = prior.deviation.flatten(1).T.square().reciprocal()
     measured_precision = normal.diagonal(dim1=1, dim2=2).clone()
     whole = normal + torch.diag_embed(prior_precision + damping * measured_precision)
     factor, _ = torch.linalg.cholesky_ex(whole)
-    right = gradient + prior_precision * (prior - here)
+    right = gradient + prior_precision * (expected - here)
     step = torch.cholesky_solve(right[..., None], factor)[..., 0]
     step = step.nan_to_num(0.0).clamp(-0.7, 0.7)
     # The factor's last corner is that of the slopes' precision, all else eliminated.

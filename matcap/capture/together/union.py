@@ -22,7 +22,7 @@ from matcap.capture.detail import UNION_TIMES
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.together.hue import on_grid
 from matcap.capture.together.readings import UNREAD, ReadView
-from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, numbers_of
+from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, Estimate, numbers_of
 from matcap.capture.together.views import strips
 from matcap.flash.extent import NO_MARGINS, Extent, Margins
 from matcap.flash.registration.camera import Doubles, Lens, PosedCamera
@@ -232,33 +232,33 @@ def _box(
             high[axis] -= 1
 
 
-def spread_over(maps: MapSet, doubt: Tensor, margins: Margins) -> tuple[MapSet, Tensor]:
+def spread_over(read: Estimate, margins: Margins) -> Estimate:
     """What was read from the first photograph over a larger piece.
 
     Beyond it maps go on smoothly, and are off by as much as the first one's own numbers scatter:
     the material is the same.
 
     Args:
-        maps: on its own grid.
-        doubt: (4, H, W) log of what they are expected to be off by.
+        read: on its own grid.
         margins: of the piece.
     """
     if not margins.any:
-        return maps, doubt
-    own = margins.own(maps.size)
+        return read
+    own = margins.own(read.maps.size)
     known = own.numpy()
-    wide = [filled(plane.numpy(), known) for plane in margins.padded(maps.stacked().float())]
-    over = MapSet.from_stacked(torch.from_numpy(np.stack(wide)), maps.texel_size)
-    scattered = scatter(maps, doubt)[:, None, None]
-    return over, torch.where(own, margins.padded(doubt), scattered)
+    padded = margins.padded(read.maps.stacked().float())
+    wide = torch.from_numpy(np.stack([filled(plane.numpy(), known) for plane in padded]))
+    beyond = scatter(read)[:, None, None]
+    log_error = torch.where(own, margins.padded(read.log_error), beyond)
+    return Estimate(MapSet.from_stacked(wide, read.maps.texel_size), log_error)
 
 
-def scatter(maps: MapSet, doubt: Tensor) -> Tensor:
+def scatter(read: Estimate) -> Tensor:
     """(4,) log of what numbers of maps deviate by, with what they are off by."""
-    numbers = numbers_of(maps)
+    numbers = numbers_of(read.maps)
     parts = (numbers[ALBEDO].mean(0), numbers[F0], numbers[ROUGH], numbers[SLOPES])
     own = torch.stack([part.std() for part in parts]).square()
-    off = (2.0 * doubt.clamp(-8.0, 2.0)).exp().mean((1, 2))
+    off = (2.0 * read.log_error.clamp(-8.0, 2.0)).exp().mean((1, 2))
     return 0.5 * (own + off).log()
 
 

@@ -26,6 +26,7 @@ _FINER = 2  # places a texel's side is seen at
 _MOST_CLIPPED = 0.25  # share of a texel that may have been clipped
 _DARKEST = 1e-5  # linear radiance
 _ROWS = 256  # of texels that are looked up at a time, of a piece larger than a photograph
+RAW_FALLOFF = (1e-3, 1e-3)  # deviations of the vignetting of RAW photographs
 _BORDER = 2.0  # pixels at a photograph's border that are not used
 
 
@@ -43,7 +44,8 @@ class SetLight:
         intensity: (3,) of the first one's flash.
         gloss: (2,) mean of log F0 and of logit roughness, less that of what was read: an error of
             this level scales all slopes.
-        lost: deviations of the exponents of vignetting: the camera's profile's, if it has one.
+        lost: deviations of the exponents of vignetting: the camera's profile's, if it has one; RAW
+            keeps its own.
     """
 
     offset: Tensor
@@ -54,15 +56,22 @@ class SetLight:
     lost: tuple[float, float] = (0.4, 0.6)
 
     @staticmethod
-    def of(setup: FlashSetup, count: int, profile: CameraProfile | None = None) -> SetLight:
-        """A first guess for so many photographs, of a camera with this profile."""
-        light = SetLight(
+    def of(
+        setup: FlashSetup,
+        count: int,
+        profile: CameraProfile | None = None,
+        *,
+        radiometric: bool = False,
+    ) -> SetLight:
+        """A first guess for so many photographs, all RAW or not, of a camera with this profile."""
+        lost = SetLight.lost if profile is None else profile.falloff.deviation
+        return SetLight(
             torch.tensor(setup.offset[:2]).float(),
             torch.tensor([setup.vignetting, setup.vignetting_quartic]),
             torch.zeros(count, 3),
             torch.tensor(setup.intensity).float(),
+            lost=RAW_FALLOFF if radiometric else lost,
         )
-        return light if profile is None else replace(light, lost=profile.falloff.deviation)
 
     def onto(self, setup: FlashSetup) -> FlashSetup:
         """The first photograph's setup, under this light."""

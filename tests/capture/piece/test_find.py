@@ -13,19 +13,17 @@ import torch
 from photographed import photographed
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.adapt import Adapted, Change
+from matcap.capture.detail import Rectified
+from matcap.capture.piece.adapt import Adapted, Change, Leg
 from matcap.capture.piece.find import (
-    Leg,
-    Observation,
+    ExemplarEstimate,
     _read,
     adapted,
     confidence,
     find_piece,
     levelled,
-    lit,
     piece_maps,
     read_piece,
-    seen_share,
     unexplained,
 )
 from matcap.capture.piece.network.network import (
@@ -36,10 +34,12 @@ from matcap.capture.piece.network.network import (
     InverseConfig,
 )
 from matcap.capture.piece.network.store import load_inverse, read_inverse, save_inverse
+from matcap.capture.piece.observation import Observation, lit, seen_share
+from matcap.capture.progress import CaptureClock
 from matcap.errors import MatcapError
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.likeness import PhotographTarget
-from matcap.flash.plane import plane_of
+from matcap.flash.plane import Plane, plane_of
 from matcap.flash.rectify import inside
 
 
@@ -53,9 +53,14 @@ def _plane(clip: float = 1e9):
     return plane_of(clipped, (clipped < clip).all(0)), coarse, shot
 
 
+def _found(plane: Plane, coarse: CoarseFit, network: Inverse | None = None) -> ExemplarEstimate:
+    clock = CaptureClock(None)
+    return find_piece(Rectified.of(plane), coarse, network or load_inverse(), clock)
+
+
 def test_the_piece_re_renders_to_its_photograph() -> None:
     plane, coarse, shot = _plane()
-    found = find_piece(plane, coarse, load_inverse())
+    found = _found(plane, coarse)
     assert found.error < 0.05
     maps = piece_maps(found.exemplar)
     assert maps.size == plane.size
@@ -81,7 +86,7 @@ def test_a_leg_after_which_the_piece_looks_otherwise_is_not_taken(
 
     monkeypatch.setattr(sys.modules[adapted.__module__], "adapt", nearer)
     nothing = cast(PhotographTarget, None)  # which what is put in adapt's place does not look at
-    found, result = adapted(sight, reading, nothing, Leg(1, 1.0, (), None, 0, None))
+    found, result = adapted(sight, reading, nothing, Leg(1))
     assert result.change is not None and result.change.kept is taken
     assert (found is reading) is not taken
     assert unexplained(sight, found) < 1.3 * max(before, 0.15)
@@ -91,14 +96,14 @@ def test_even_an_untaught_network_gives_maps_within_their_ranges() -> None:
     plane, coarse, _ = _plane()
     torch.manual_seed(1)
     network = Inverse(InverseConfig(widths=(8, 8, 12), context=8)).eval().requires_grad_(False)
-    exemplar = find_piece(plane, coarse, network).exemplar  # checks ranges when it is made
+    exemplar = _found(plane, coarse, network).exemplar  # checks ranges when it is made
     assert float(np.abs(exemplar.height).max()) < 1.0
 
 
 def test_nothing_is_trusted_where_nothing_was_seen() -> None:
     plane, coarse, shot = _plane(clip=float(photographed(0.15, 0.15, width=256, height=192)
                                             .linear.quantile(0.98)))  # fmt: skip
-    found = find_piece(plane, coarse, load_inverse())
+    found = _found(plane, coarse)
     unseen = ~plane.valid.numpy()
     assert unseen.any()
     assert float(found.exemplar.confidence[:, unseen].max()) == 0.0
@@ -110,7 +115,7 @@ def test_what_is_crushed_to_black_is_not_read_as_black() -> None:
     plane, coarse, _ = _plane()
     crushed = plane.linear.clone()
     crushed[:, :80, :80] = 2e-4
-    found = find_piece(replace(plane, linear=crushed), coarse, load_inverse()).exemplar
+    found = _found(replace(plane, linear=crushed), coarse).exemplar
     corner = (slice(None), slice(8, 56), slice(8, 56))
     assert float(found.confidence[corner].max()) == 0.0
     assert float(found.diffuse[corner].mean()) > 0.5 * float(found.diffuse[:, 100:].mean())
@@ -123,7 +128,7 @@ def test_what_the_photograph_does_not_reach_is_not_taken_for_glare() -> None:
     seen = torch.from_numpy(inside((height, width), setup))
     assert 0 < int((~seen).sum()) < height * width // 10
     reached = replace(plane, valid=plane.valid & seen)
-    found = find_piece(reached, replace(coarse, setup=setup), load_inverse()).exemplar
+    found = _found(reached, replace(coarse, setup=setup)).exemplar
     beyond = ~seen.numpy()
     ratio = found.diffuse[:, beyond].mean() / found.diffuse[:, ~beyond].mean()
     assert 0.85 < float(ratio) < 1.15  # 1.35 where the network is told of glare there

@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from photographed import photographed
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.detail import to_be_read
+from matcap.capture.detail import Rectified
 from matcap.capture.piece.find import piece_maps
 from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.settings import DETAIL
@@ -115,8 +115,8 @@ def test_coarse_textures_are_read_on_half_and_lattices_as_they_are() -> None:
     y, x = torch.meshgrid(torch.arange(768.0), torch.arange(float(DETAIL)), indexing="ij")
     wide = 0.2 * (0.5 * torch.sin(x / 20.0) * torch.sin(y / 20.0)).exp().expand(3, -1, -1)
     plane = _plane(wide.contiguous())
-    read, waves = to_be_read(plane)
-    assert read.size == (DETAIL // 2, 384) and waves == ()
+    read = Rectified.of(plane)
+    assert read.read.size == (DETAIL // 2, 384) and read.read_waves == ()
     wave = Wave(0.05, 0.0)
-    read, waves = to_be_read(plane, (wave,))
-    assert read is plane and waves == (wave,)
+    read = Rectified.of(plane, (wave,))
+    assert read.read is plane and read.read_waves == (wave,)

@@ -7,8 +7,10 @@ import torch
 from photographed import Photographed, photographed
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.detail import Rectified
 from matcap.capture.piece.find import find_piece, piece_maps
 from matcap.capture.piece.network.store import load_inverse
+from matcap.capture.progress import CaptureClock
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.plane import plane_of
 
@@ -25,7 +27,9 @@ def _found(shot: Photographed, noise: float) -> MapSet:
     coarse = CoarseFit(
         uniform.diffuse, uniform.specular, uniform.roughness, uniform.setup, residual=0.0
     )
-    return piece_maps(find_piece(plane, coarse, load_inverse()).exemplar)
+    return piece_maps(
+        find_piece(Rectified.of(plane), coarse, load_inverse(), CaptureClock(None)).exemplar
+    )
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03])

@@ -8,11 +8,16 @@ import torch
 from seen_views import DOUBT, PHONE, SIZE, seen
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.together.align import AlignSettings, aligned
+from matcap.capture.together.align import Aligned, AlignSettings, aligned
 from matcap.capture.together.shared import shared_step
 from matcap.capture.together.solve import solve
-from matcap.capture.together.texels import SolveSettings, numbers_of, spread_of
-from matcap.capture.together.views import SetLight
+from matcap.capture.together.texels import (
+    Estimate,
+    ParameterPrior,
+    SolveSettings,
+    numbers_of,
+)
+from matcap.capture.together.views import RAW_FALLOFF, SetLight
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.register import register
 
@@ -44,20 +49,15 @@ def moved():
     views, light = seen([_woven(), _woven(), _woven(), _woven(0.4), _woven()])
     flat, settings = _flat(_woven()), SolveSettings()
     doubt = DOUBT.expand(4, *SIZE)
-    found = solve(views, flat, doubt, light, radiometric=True)
+    light = replace(light, lost=RAW_FALLOFF)
+    read = Estimate(flat, doubt)
+    found = solve(views, read, light, settings)
 
     def by(held):
-        _, moves = shared_step(
-            views,
-            numbers_of(found.maps),
-            numbers_of(flat),
-            spread_of(doubt, settings),
-            found.light,
-            True,
-            settings,
-            moving=True,
-            fixed=held,
-        )
+        prior = ParameterPrior.of(read, settings)
+        free = set(range(5)).difference(held)
+        numbers = numbers_of(found.maps)
+        _, moves = shared_step(views, numbers, prior, found.light, settings, moved=free)
         return [float(move[0, 2]) / flat.texel_size for move in moves]
 
     return by
@@ -89,16 +89,17 @@ def laid(held):
         height=torch.zeros(1, rows, columns),
         texel_size=2.0 / columns,
     )
-    light = SetLight.of(FlashSetup(fov=PHONE.fov, intensity=(5.0, 5.0, 5.0)), len(found.views))
+    light = SetLight.of(
+        FlashSetup(fov=PHONE.fov, intensity=(5.0, 5.0, 5.0)), len(found.views), radiometric=True
+    )
     doubt = DOUBT.expand(4, rows, columns)
 
     def over(astray, settings):
         views = tuple(replace(view, astray=astray) for view in found.views)
         lines = []
-        by = aligned(
-            replace(found, views=(found.views[0], *views[1:])), maps, doubt, light,
-            radiometric=True, settings=settings, on_progress=lines.append,
-        )  # fmt: skip
+        begun = Aligned.of((found.views[0], *views[1:]), found.setup, light)
+        read = Estimate(maps, doubt)
+        by = aligned(begun, read, SolveSettings(), settings, on_progress=lines.append)
         return found, by, len(lines)
 
     return over

@@ -16,7 +16,7 @@ from matcap.capture.together.readings import (
     joined,
     with_others,
 )
-from matcap.capture.together.texels import F0, SLOPES, numbers_of
+from matcap.capture.together.texels import F0, SLOPES, Estimate, numbers_of
 from matcap.capture.together.views import SetLight, ViewPlace
 from matcap.flash.geometry import camera_in_plane
 from matcap.flash.registration.camera import PosedCamera
@@ -76,7 +76,7 @@ def test_a_reading_is_brought_over_the_first(cameras):
     maps = replace(maps, height=maps.height / own.scale)
     place = ViewPlace(np.eye(3), None, cameras[0].place)
     doubt = torch.full((4, down, across), -2.0)
-    read = brought_over(maps, doubt, own, cameras[1], place, (SIZE[1], SIZE[0]))
+    read = brought_over(Estimate(maps, doubt), own, cameras[1], place, (SIZE[1], SIZE[0]))
     true = numbers_of(_waves(grid_points(SIZE[1], SIZE[0]), 2.0 / SIZE[1]))
     known = (read.doubt[3] < -1.9)[None].expand_as(true)
     known = known & (torch.nn.functional.avg_pool2d(known.float(), 5, 1, 2) > 0.999)
@@ -89,10 +89,10 @@ def test_no_border_of_a_reading_is_seen(cameras):
     even = _waves(np.zeros((2, 192, 256)), 2.0 / 256)
     place = ViewPlace(np.eye(3), None, cameras[0].place)
     doubt = torch.full((4, 192, 256), -2.0)
-    theirs = brought_over(even, doubt, own, cameras[1], place, (SIZE[1], SIZE[0]))
+    theirs = brought_over(Estimate(even, doubt), own, cameras[1], place, (SIZE[1], SIZE[0]))
     otherwise = numbers_of(_waves(np.zeros((2, *SIZE)), 2.0 / SIZE[1]))
     otherwise[F0] += 1.0
-    both = numbers_of(joined([ReadView(otherwise, torch.full((4, *SIZE), -2.0)), theirs])[0])[F0]
+    both = numbers_of(joined([ReadView(otherwise, torch.full((4, *SIZE), -2.0)), theirs]).maps)[F0]
     assert float(both.max() - both.min()) > 0.4
     steps = torch.cat([both.diff(dim=0).abs().flatten(), both.diff(dim=1).abs().flatten()])
     assert float(steps.max()) < 0.1
@@ -111,14 +111,14 @@ def test_joined_readings_are_nearer_in_any_order_and_the_doubtful_count_less():
     wild = _read(maps, 3.0, generator, math.log(3.0))
 
     def off(readings):
-        return float((numbers_of(joined(readings)[0])[:5] - numbers_of(maps)[:5]).square().mean())
+        return float((numbers_of(joined(readings).maps)[:5] - numbers_of(maps)[:5]).square().mean())
 
     assert off(read) < 0.4 * off(read[:1])
     assert off([*read, wild]) < 1.1 * off(read)
-    forth, back = joined([*read, None])[0], joined([None, *read[::-1]])[0]
+    forth, back = joined([*read, None]).maps, joined([None, *read[::-1]]).maps
     torch.testing.assert_close(forth.stacked(), back.stacked(), atol=1e-4, rtol=0.0)
     # Three are surer than one, but not as if they erred each on their own.
-    surer = float(joined(read)[1].mean() - joined(read[:1])[1].mean())
+    surer = float((joined(read).log_error - joined(read[:1]).log_error).mean())
     assert math.log(1.0 / math.sqrt(3.0)) < surer < -0.1
 
 
@@ -132,14 +132,16 @@ def test_alone_the_first_stays_as_it_was_read_and_others_leave_it_its_fine_waves
         torch.nn.functional.avg_pool2d(maps.stacked()[None], 2)[0], 2.0 / SIZE[1]
     )
     first = ReadView(numbers_of(small), torch.full((4, *SIZE), -2.0))
-    same, unsure = with_others(maps, doubt, [first])
-    torch.testing.assert_close(same.stacked(), maps.stacked(), atol=1e-4, rtol=0.0)
-    torch.testing.assert_close(unsure, doubt)
+    alone = Estimate(maps, doubt)
+    same = with_others(alone, [first])
+    torch.testing.assert_close(same.maps.stacked(), maps.stacked(), atol=1e-4, rtol=0.0)
+    torch.testing.assert_close(same.log_error, doubt)
     darker = ReadView(first.numbers.clone(), first.doubt)
     darker.numbers[:3] -= 0.4
-    both, surer = with_others(maps, doubt, [first, darker, None])
-    torch.testing.assert_close(both.diffuse.log(), maps.diffuse.log() - 0.2, atol=0.01, rtol=0.0)
-    assert (surer < doubt).all()
+    both = with_others(alone, [first, darker, None])
+    log = both.maps.diffuse.log()
+    torch.testing.assert_close(log, maps.diffuse.log() - 0.2, atol=0.01, rtol=0.0)
+    assert (both.log_error < doubt).all()
 
 
 def test_fewer_texels_say_the_same():

@@ -19,11 +19,12 @@ from matcap.capture.together.shared import shared_step
 from matcap.capture.together.solve import predicted, solve
 from matcap.capture.together.texels import (
     SLOPES,
+    Estimate,
+    ParameterPrior,
     SolveSettings,
     numbers_of,
-    spread_of,
 )
-from matcap.capture.together.views import SetLight
+from matcap.capture.together.views import RAW_FALLOFF, SetLight
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.register import register
@@ -59,6 +60,12 @@ def _flat(maps):
 
 
 NOTHING_KNOWN = DOUBT.expand(4, *SIZE)
+SOLVING = SolveSettings()
+
+
+def _solved(views, read, light, log_error=NOTHING_KNOWN):
+    """Of RAW photographs."""
+    return solve(views, Estimate(read, log_error), replace(light, lost=RAW_FALLOFF), SOLVING)
 
 
 def _degrees(one, other):
@@ -68,7 +75,7 @@ def _degrees(one, other):
 def test_five_photographs_tell_relief_that_nothing_else_does():
     maps = _true()
     views, light = seen([maps] * 5, 0.005)
-    found = solve(views, _flat(maps), NOTHING_KNOWN, light, radiometric=True)
+    found = _solved(views, _flat(maps), light)
     assert _degrees(found.maps, maps) < 0.2 * _degrees(_flat(maps), maps)
     off = (found.maps.diffuse.log() - maps.diffuse.log()).abs().mean()
     assert off < 0.03
@@ -81,7 +88,7 @@ def test_more_photographs_tell_more():
     off = []
     for count in (2, 3, 5):
         views, light = seen([maps] * count, 0.01)
-        found = solve(views, _flat(maps), NOTHING_KNOWN, light, radiometric=True)
+        found = _solved(views, _flat(maps), light)
         off.append(_degrees(found.maps, maps))
     assert off[0] > 1.2 * off[1] and off[1] > 1.2 * off[2]
 
@@ -91,36 +98,32 @@ def test_a_photograph_is_predicted_from_the_others():
     views, light = seen([maps] * 5, 0.01)
     some = light.of_some([0, 1, 2, 4])
     kept = [views[k] for k in (0, 1, 2, 4)]
-    found = solve(kept, _flat(maps), NOTHING_KNOWN, some, radiometric=True)
+    found = _solved(kept, _flat(maps), some)
     assert predicted(views[3], found) < 3.0 * max(found.residual)
-    flat = replace(found, maps=_flat(maps))
+    flat = replace(found, estimate=replace(found.estimate, maps=_flat(maps)))
     assert predicted(views[3], flat) > 3.0 * predicted(views[3], found)
 
 
 def test_the_flash_is_found_beside_the_lens():
     maps = _true(3)
     views, light = seen([maps] * 5)
-    numbers, spread = numbers_of(maps), spread_of(NOTHING_KNOWN, SolveSettings())
-    begun = replace(light, offset=torch.zeros(2))
-    found, _ = shared_step(
-        views, numbers, numbers, spread, begun, True, SolveSettings(), moving=False
-    )
+    prior = ParameterPrior.of(Estimate(maps, NOTHING_KNOWN), SOLVING)
+    begun = replace(light, offset=torch.zeros(2), lost=RAW_FALLOFF)
+    found, _ = shared_step(views, prior.mean, prior, begun, SOLVING)
     assert np.abs(found.offset.numpy() - OFFSET).max() < 0.01
 
 
 def test_the_falloff_of_all_photographs_stays_as_near_as_the_camera_s_profile_says():
     maps = _true(3)
     views, light = seen([maps] * 5)
-    numbers, spread = numbers_of(maps), spread_of(NOTHING_KNOWN, SolveSettings())
+    prior = ParameterPrior.of(Estimate(maps, NOTHING_KNOWN), SOLVING)
 
     def off(profile):
         lost = {"vignetting": 0.3, "vignetting_quartic": 0.0}  # the photographs lose nothing
         setup = FlashSetup(offset=(*light.offset.tolist(), 0.0), **lost)
         begun = SetLight.of(setup, 5, profile)
         begun = replace(begun, intensity=light.intensity)
-        found, _ = shared_step(
-            views, numbers, numbers, spread, begun, False, SolveSettings(), moving=False
-        )
+        found, _ = shared_step(views, prior.mean, prior, begun, SOLVING)
         return float(found.vignetting.sum())
 
     narrow = CameraProfile("phone", Falloff((0.3, 0.0), (1e-3, 1e-3)), 9)
@@ -134,7 +137,7 @@ def test_gloss_that_was_read_wrong_does_not_scale_relief():
     views, light = seen([maps] * 5, 0.005)
     read = replace(maps, roughness=maps.roughness - 0.2, height=0.5 * maps.height)
     sure = torch.log(torch.tensor([0.5, 0.05, 0.2, 0.02]))[:, None, None].expand(4, *SIZE)
-    found = solve(views, read, sure, light, radiometric=True)
+    found = _solved(views, read, light, sure)
     assert found.light.gloss[1] > 0.4
     before, after = (numbers_of(each)[SLOPES].square().mean() for each in (maps, found.maps))
     assert 0.75 < float(after / before) < 1.15
@@ -147,19 +150,11 @@ def test_a_photograph_beside_its_place_is_brought_back_though_texels_explain_it(
     views, light = seen([maps] * 5)
     # By two texels to the right: what is looked up there lay two texels further left.
     shifted = [*views[:3], replace(views[3], log=views[3].log.roll(2, dims=2)), *views[4:]]
-    settings = SolveSettings()
     flat = _flat(maps)
-    found = solve(shifted, flat, NOTHING_KNOWN, light, radiometric=True)
-    _, moves = shared_step(
-        shifted,
-        numbers_of(found.maps),
-        numbers_of(flat),
-        spread_of(NOTHING_KNOWN, settings),
-        found.light,
-        True,
-        settings,
-        moving=True,
-    )
+    found = _solved(shifted, flat, light)
+    prior = ParameterPrior.of(Estimate(flat, NOTHING_KNOWN), SOLVING)
+    numbers = numbers_of(found.maps)
+    _, moves = shared_step(shifted, numbers, prior, found.light, SOLVING, moved=range(1, 5))
     texel = maps.texel_size
     assert moves[3][0, 2] > 0.6 * texel
     for number in (1, 2, 4):
@@ -171,13 +166,13 @@ def test_slopes_stay_finite_where_nothing_is_seen():
     maps = _true(5)
     views, light = seen([maps] * 3)
     blind = [replace(view, seen=torch.zeros_like(view.seen)) for view in views]
-    found = solve(blind, maps, NOTHING_KNOWN, light, radiometric=False)
+    found = solve(blind, Estimate(maps, NOTHING_KNOWN), light, SOLVING)
     for channel in found.maps.stacked():
         assert torch.isfinite(channel).all()
     # As it was read, but for what is slow.
     assert _degrees(found.maps, maps) < 0.4 * _degrees(_flat(maps), maps)
     torch.testing.assert_close(found.maps.diffuse, maps.diffuse, atol=0.01, rtol=0.0)
-    assert torch.isfinite(found.errors).all()
+    assert torch.isfinite(found.estimate.log_error).all()
 
 
 def test_cameras_are_found_and_a_foreign_photograph_is_named(held, foreign):

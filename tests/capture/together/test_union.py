@@ -15,7 +15,7 @@ from matcap.capture.piece.find import piece_maps
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together.readings import ReadView, with_others
-from matcap.capture.together.texels import SLOPES, numbers_of
+from matcap.capture.together.texels import SLOPES, Estimate, numbers_of
 from matcap.capture.together.union import (
     UNION,
     Reach,
@@ -128,19 +128,20 @@ def _drawn(size, seed=0):
 
 def test_the_first_reading_goes_on_smoothly_and_is_doubted_by_its_own_scatter():
     maps, doubt = _drawn(SIZE), torch.full((4, *SIZE[::-1]), -2.0)
-    same = spread_over(maps, doubt, NO_MARGINS)
-    assert same[0] is maps and same[1] is doubt
+    read = Estimate(maps, doubt)
+    assert spread_over(read, NO_MARGINS) is read
     assert unread(doubt, Reach.own(SIZE)) is doubt
 
     margins = Margins(right=64, bottom=20)
-    over, unsure = spread_over(maps, doubt, margins)
+    spread = spread_over(read, margins)
+    over, unsure = spread.maps, spread.log_error
     inside = margins.inside(SIZE)
     assert torch.equal(over.stacked()[:, *inside], maps.stacked())
     assert torch.equal(unsure[:, *inside], doubt)
     beyond = over.diffuse[:, :, SIZE[0] + 20 :]
     assert float(beyond.log().std()) < 0.5 * float(maps.diffuse.log().std())
     assert float(beyond.mean()) == pytest.approx(0.3, rel=0.1)
-    torch.testing.assert_close(unsure[:, -1, -1], scatter(maps, doubt))
+    torch.testing.assert_close(unsure[:, -1, -1], scatter(read))
     nowhere = unread(unsure, Reach(margins, SIZE))
     assert (nowhere[:, :, SIZE[0] :] > 3.0).all() and torch.equal(nowhere[:, *inside], doubt)
 
@@ -152,20 +153,21 @@ def test_beyond_the_first_photograph_the_others_reading_holds():
     smooth = torch.nn.functional.avg_pool2d(true.stacked()[None], 5, 1, 2)[0]
     true = MapSet.from_stacked(smooth, 2.0 / SIZE[0])
     first = true.crop(0, 0, *SIZE)
-    over, unsure = spread_over(first, torch.full((4, *SIZE[::-1]), -3.0), margins)
-    unsure = unread(unsure, Reach(margins, SIZE))
+    over = spread_over(Estimate(first, torch.full((4, *SIZE[::-1]), -3.0)), margins)
+    unsure = unread(over.log_error, Reach(margins, SIZE))
+    over = replace(over, log_error=unsure)
     read = [
-        ReadView(numbers_of(over), unsure, extent),
+        ReadView(numbers_of(over.maps), unsure, extent),
         ReadView(numbers_of(true), torch.full_like(unsure, -3.0), extent),
     ]
-    found, doubt = with_others(over, unsure, read)
-    off = (numbers_of(found) - numbers_of(true))[:, 2:-2, 2:-2]
+    found = with_others(over, read)
+    off = (numbers_of(found.maps) - numbers_of(true))[:, 2:-2, 2:-2]
     assert float(off[: SLOPES.start].abs().max()) < 0.01
     # Slopes too, and without a step where the first one ends.
     steep = float(numbers_of(true)[SLOPES].square().mean().sqrt())
     assert float(off[SLOPES].square().mean().sqrt()) < 0.2 * steep
     assert float(off[SLOPES][..., SIZE[0] - 4 : SIZE[0] + 4].square().mean().sqrt()) < 0.4 * steep
-    assert (doubt < -2.5).all()
+    assert (found.log_error < -2.5).all()
 
 
 def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, get_args
@@ -15,7 +14,10 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.network.store import load_inverse
-from matcap.capture.together.find import SetLight, _read_alone, _registered, aligned
+from matcap.capture.progress import TOGETHER_STAGES, CaptureClock
+from matcap.capture.together.align import aligned
+from matcap.capture.together.find import by_features, read_alone, registered
+from matcap.capture.together.texels import SolveSettings
 from matcap.errors import MatcapError
 from matcap.flash.coarse import fit_coarse
 from matcap.flash.registration.camera import PosedCamera
@@ -127,17 +129,11 @@ def outcome_of(made: MadeSet) -> SetOutcome:
 
 def outcome_of_capture(made: MadeSet, detail: int) -> SetOutcome:
     """The same, after photographs were moved by what no texel explains, as a capture does it."""
-
-    def unnamed(_stage: str) -> nullcontext[None]:
-        return nullcontext()
-
-    with torch.no_grad():
-        registration, coarse, plane = _registered(made.photos, detail, unnamed)
-        single = _read_alone(plane, coarse, load_inverse(), unnamed)
-        light = SetLight.of(coarse.setup, len(registration.views), made.photos[0].profile)
-        registration = replace(registration, setup=coarse.setup)
-        placed = aligned(registration, single.maps, single.errors, light, radiometric=True)
-    return compared(made, replace(registration, views=placed.views))
+    network, clock = load_inverse(), CaptureClock(None, TOGETHER_STAGES)
+    found, coarse, plane = registered(made.photos, detail, clock)
+    read = read_alone(plane, coarse, network, clock).estimate
+    placed = aligned(by_features(found, coarse), read, SolveSettings())
+    return compared(made, replace(found, views=placed.views))
 
 
 def compared(made: MadeSet, found: Registration) -> SetOutcome:

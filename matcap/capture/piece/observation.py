@@ -1,0 +1,116 @@
+"""Observation: a rectified photograph, its light at every texel, and what the network is given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.parameters import SurfaceParameters
+from matcap.capture.piece.levels import RingTarget
+from matcap.capture.piece.metal import seen_colour, tint
+from matcap.capture.piece.network.inputs import network_inputs
+from matcap.capture.piece.network.network import NetworkInputs
+from matcap.capture.piece.noise import channel_noise
+from matcap.capture.piece.refine import PieceLight
+from matcap.capture.piece.smooth import smoothed
+from matcap.capture.piece.tuned import READ
+from matcap.flash.coarse import CoarseFit
+from matcap.flash.geometry import flash_mirror_point, plane_points
+from matcap.flash.plane import Plane
+from matcap.flash.rectify import inside
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A rectified photograph, and its light.
+
+    Attributes:
+        plane: the photograph; valid where it was seen and lit.
+        coarse: its coarse fit.
+        points: (3, H, W) plane points of the texels.
+        shown: (3, H, W) bool: seen and lit, or beyond the photograph, by channel.
+        within: (H, W) bool: the material, in the photograph.
+        inputs: of the network.
+        light: the photograph's, at every texel.
+        noise: (3, H, W) standard deviation of log radiance, the sensor's or the codes'.
+    """
+
+    plane: Plane
+    coarse: CoarseFit
+    points: Tensor
+    shown: Tensor
+    within: Tensor
+    inputs: NetworkInputs
+    light: PieceLight
+    noise: Tensor
+
+    @staticmethod
+    def of(plane: Plane, coarse: CoarseFit) -> Observation:
+        """Of a photograph on its plane; what is too dark to be seen is no longer valid."""
+        width, height = plane.size
+        points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+        points = plane.extent.placed(points)
+        # What lies beyond the photograph is its mirror, not glare.
+        own = torch.from_numpy(inside(plane.margins.inside_of((height, width)), coarse.setup))
+        mirrors = ~plane.margins.padded(own)
+        if plane.left_out is not None:
+            mirrors = mirrors | plane.left_out
+        inputs = network_inputs(plane.linear, plane.valid | mirrors, coarse, points)
+        bright = lit(plane.linear)
+        shown = (plane.measured | mirrors) & bright
+        plane = replace(plane, valid=plane.valid & bright, channels=plane.measured & bright)
+        light = PieceLight.of(coarse, points)
+        return Observation(
+            plane, coarse, points, shown, ~mirrors, inputs, light, channel_noise(plane)
+        )
+
+    @property
+    def specular_fraction(self) -> NDArray[np.float32]:
+        """(H, W) specular fraction of the uniform material's radiance."""
+        return np.asarray(self.inputs.gloss[0].clamp(0.0, 1.0).numpy(), np.float32)
+
+    def tinted(self, metal: Tensor) -> Observation:
+        """With the specular tint seen where shares (1, H, W) are metal."""
+        seen = seen_colour(self.plane.linear, metal * self.shown.all(0, keepdim=True))
+        return replace(self, light=replace(self.light, hue=tint(metal, seen)))
+
+    def ring_target(self, departures: SurfaceParameters, metal: tuple[bool, ...]) -> RingTarget:
+        """The photograph around its mirror point, of a surface that departs from the coarse fit.
+
+        Args:
+            departures: of the surface.
+            metal: whether each of its classes is metal.
+        """
+        x, y = flash_mirror_point(self.coarse.setup)
+        hue = 1.0 if self.light.hue is None else self.light.hue
+        return RingTarget(
+            linear=self.plane.linear,
+            measured=self.shown,
+            counts=self.within,
+            distance=torch.hypot(self.points[0] - x, self.points[1] - y),
+            flash=self.light.flash,
+            normal=self.light.maps(departures).normal,
+            surface=self.light.uniform + departures,
+            hues=tuple(hue if each else 1.0 for each in metal),
+        )
+
+
+def seen_share(measured: Tensor) -> NDArray[np.float32]:
+    """(H, W) in [0, 1]: how far a texel and what is beside it were seen, of channels (3, H, W).
+
+    A clipped texel's neighbours hold some of its light; a sparkle costs them little, while a spot
+    that is burnt out, wide as it is, is not seen at all.
+    """
+    share = measured.float().mean(0).numpy()
+    around = cv2.GaussianBlur(share, (0, 0), READ.spread_of_light, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(np.minimum(share, np.clip(2.0 * around - 1.0, 0.0, 1.0)), np.float32)
+
+
+def lit(linear: Tensor) -> Tensor:
+    """(H, W) bool: where the neighbourhood's radiance (3, H, W) is above the noise."""
+    return torch.from_numpy(smoothed(linear.mean(0).numpy(), READ.unlit_around) > READ.unlit)
