@@ -1,5 +1,5 @@
-// The view in the address: what a reload, a bookmark or a link keeps. Only what differs from the
-// beginning is told; whatever in it makes no sense is left out.
+// The view's state in the address's fragment, for reloads, bookmarks and links. Only differences
+// from the initial state are stored; invalid entries are ignored.
 
 import { adjustmentsText, parseAdjustments } from "./adjust.js";
 

@@ -1,4 +1,4 @@
-// Adjustments of a material's look, as matcap/brdf/adjust.py has them: one short text for all.
+// Adjustments of a material's maps, in the same text form as in matcap/brdf/adjust.py.
 
 export const UNCHANGED = { relief: 1, roughness: 0, saturation: 1, brightness: 1, tint: "#ffffff" };
 const RANGES = { relief: [0, 10], roughness: [-1, 1], saturation: [0, 4], brightness: [0, 8] };
@@ -9,7 +9,7 @@ export function adjustmentsText(adjust) {
     .map((name) => `${name}=${adjust[name]}`).join(",");
 }
 
-// What a text says; what it says wrongly is left out.
+// Parse the text; invalid parts are ignored.
 export function parseAdjustments(text) {
   const found = { ...UNCHANGED };
   for (const part of (text || "").split(",")) {
@@ -22,12 +22,12 @@ export function parseAdjustments(text) {
   return found;
 }
 
-// Light of an sRGB code value from 0 to 1 (IEC 61966-2-1).
+// Linear light of an sRGB code value from 0 to 1 (IEC 61966-2-1).
 export function linearOf(code) {
   return code <= 0.04045 ? code / 12.92 : ((code + 0.055) / 1.055) ** 2.4;
 }
 
-// Column by column, what diffuse albedo is multiplied by.
+// Matrix, column by column, that diffuse albedo is multiplied by.
 export function colourMatrix({ saturation, brightness, tint }) {
   const linear = [1, 3, 5].map((at) => linearOf(parseInt(tint.slice(at, at + 2), 16) / 255));
   const light = linear.reduce((sum, value, k) => sum + value * LUMINANCE[k], 0);

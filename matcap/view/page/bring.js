@@ -1,4 +1,4 @@
-// Pictures of one's own that are dropped onto the page, or chosen.
+// The user's own pictures, dropped onto the page or chosen.
 
 import { $ } from "./controls.js";
 

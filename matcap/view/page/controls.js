@@ -1,4 +1,4 @@
-// The panel's choices and sliders, each told once: made where page.html names them.
+// Definitions of the panel's choices and sliders, which are created where page.html names them.
 
 export const $ = (id) => document.getElementById(id);
 export const number = (value, digits = 3) => Number(value.toPrecision(digits)).toString();
@@ -6,7 +6,7 @@ export const number = (value, digits = 3) => Number(value.toPrecision(digits)).t
 const signed = (value) => `${value > 0 ? "+" : ""}${number(value)}`;
 const times = (value) => `× ${number(value)}`;
 
-// By the state's name: legend, columns (0 is all in a row), and what there is to choose.
+// By name of the state: legend, columns (0 is a single row), options.
 export const CHOICES = {
   shape: ["Surface", 0, { plane: "Plane", sphere: "Sphere", cylinder: "Cylinder" }],
   light: ["Light", 3, { point: "Point", studio: "Studio", window: "Window", dusk: "Dusk", own: "Own" }],
@@ -16,7 +16,7 @@ export const CHOICES = {
   right: ["Right of the wipe", 0, { flash: "Flash", piece: "Relit", field: "Endless" }],
 };
 
-// By the state's name, or the adjustment's: label, least, most, step, and how a value is said.
+// By name of the state or adjustment: label, least, most, step, formatting of a value.
 export const ADJUSTED = ["relief", "roughness", "saturation", "brightness"];
 const SLIDERS = {
   exposure: ["Exposure", -4, 4, 0.25, (value) => `${signed(value)} stops`],

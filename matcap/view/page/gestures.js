@@ -1,13 +1,13 @@
-// Pointer, touch and keys to changes of the state.
+// Pointer, touch and keyboard input to changes of the state.
 
 import { FLASH, MAPS } from "./view.js";
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
-// `set` changes the state; `acts` are what keys call beside it; `moved` is told of every drag.
+// `set` changes the state; `acts` are further actions of keys; `moved` is called at every drag.
 export function listen(view, set, acts, moved) {
   const { canvas } = view;
-  // Units of the picture from its middle, y up.
+  // Position in units of the picture from its middle, y up.
   const units = (event) => {
     const box = canvas.getBoundingClientRect(), half = Math.max(box.width, box.height) / 2;
     return [
@@ -42,7 +42,7 @@ export function listen(view, set, acts, moved) {
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, units(event));
-    // A second finger may follow, and would find the light moved.
+    // A second finger may follow, and the light must not have moved then.
     touched = event.pointerType === "touch" && fingers.size === 1;
     if (!touched) canvas.classList.add("moving");
   });
@@ -113,7 +113,7 @@ export function listen(view, set, acts, moved) {
   });
 }
 
-// The wipe is dragged, or moved by arrows.
+// Move the wipe, by dragging or by arrow keys.
 export function listenToWipe(view, wipe, set) {
   const place = (share) => set({ wipe: Math.min(Math.max(share, 0), 1) });
   wipe.addEventListener("pointerdown", (event) => {

@@ -1,4 +1,4 @@
-// A library: every material a sphere, all under one light that follows the pointer.
+// The library: each material on a sphere, under one light that follows the pointer.
 
 import { $ } from "./controls.js";
 import { dressed, followTheme } from "./theme.js";
@@ -44,7 +44,7 @@ class Shelf {
     this.light = [innerWidth * 0.35, innerHeight * 0.3];
   }
 
-  // Draw every sphere that is seen, where its card is.
+  // Draw every visible sphere at the position of its card.
   draw(cards) {
     const { gl, places } = this, ratio = canvas.width / innerWidth;
     const ground = dressed();
@@ -75,7 +75,7 @@ class Shelf {
   }
 }
 
-// Two that are to be blended: the first waits for the second.
+// Two materials to blend: the first waits for the second.
 const blending = { first: null };
 
 function choose(card) {
@@ -190,7 +190,7 @@ function makeCard(material, index) {
   fit();
   filter();
 
-  // Swatches, one after the other, as cards come into view.
+  // Load swatches one after the other, as cards become visible.
   const waiting = [];
   let fetching = false;
   const next = async () => {

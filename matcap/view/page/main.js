@@ -25,7 +25,7 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
 
   followTheme(() => view?.redraw());
 
-  // Said for a while.
+  // Show a message for a few seconds.
   let noticed = 0;
   const tell = (words, wrong = false) => {
     $("notice").textContent = words;
@@ -122,7 +122,7 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
     tell(`saved ${name}`);
   };
-  // A sidecar beside the material: --adjust takes it.
+  // Download a sidecar file of the adjustments, for --adjust.
   $("sidecar").addEventListener("click", () => {
     const text = JSON.stringify({ adjust: adjustmentsText(view.state.adjust) });
     download(new Blob([text], { type: "application/json" }), `${about.name}.adjust.json`);
@@ -136,7 +136,7 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
       const picture = await readSurroundings(file, send);
       view.surround(picture);
       $("bring").textContent = "Another…";
-      // A plane fills the picture, and hides what is around it.
+      // A plane fills the picture and hides the surroundings.
       set(view.state.shape === "plane" ? { shape: "sphere" } : {});
       const round = Math.abs(picture.width / picture.height - 2) < 0.1;
       tell(`lit by ${file.name}${round ? "" : ", which is no whole panorama and is stretched around"}`);
@@ -178,7 +178,7 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
   const help = () => $("keys-dialog").showModal();
   $("help").addEventListener("click", help);
 
-  // The lamp goes around a plane; a sphere or cylinder turns under it.
+  // The lamp moves around a plane; a sphere or cylinder rotates under it.
   let turning = 0;
   const turn = () => {
     const on = !turning;
@@ -200,7 +200,7 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
   };
   $("turn").addEventListener("click", turn);
 
-  // --- manners ----------------------------------------------------------------------------------
+  // --- behaviour --------------------------------------------------------------------------------
   $("hint").textContent = matchMedia("(pointer: coarse)").matches
     ? "Touch to light it, two fingers to wander" : "Move to light it, drag to wander, scroll to zoom";
   const moved = () => $("hint").classList.add("gone");

@@ -1,12 +1,11 @@
-// Pages on the graphics card: pieces of the endless plane, each at a level (a texel of level k is
-// 2^k texels wide) and each complete in itself: it brings what lies around it and its own smaller
-// levels. Pages lie in the layers of texture arrays; a table tells the shader, for every cell of
-// what is seen, the best page there is, and what that one fades in over.
+// Cache of pages on the GPU. A page is a rectangle of the plane at a level (texels 2^k wide), with
+// an apron and its own mip levels. Pages are stored in layers of texture arrays; a table has, for
+// every visible cell, the layer of the best available page, and of the page that it fades in over.
 
 const FADE = 180; // milliseconds in which a page appears
 export const CELLS = 64; // cells of the table along either side; it wraps around
 const UPWARDS = 24; // levels that a cell looks up for something coarser
-// A map's shown range is never narrower, or a flat map would show its rounding noise.
+// Least displayed range of a map; a flat map would otherwise show rounding noise.
 export const LEAST_RANGE = { specular: 0.02, roughness: 0.05, height: 0.002 };
 
 export class Pages {
@@ -28,7 +27,7 @@ export class Pages {
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
   }
 
-  // Bind what is drawn with.
+  // Bind textures and table for drawing.
   bind(units) {
     const { gl } = this;
     for (const name of ["albedo", "surface", "relief", "metal", "table"]) {
@@ -51,7 +50,7 @@ export class Pages {
     this.held.clear();
   }
 
-  // What is wanted now is the last to give way.
+  // Pages that are visible now are evicted last.
   use(places) {
     this.turn += 1;
     for (const { level, column, row } of places) {
@@ -82,8 +81,8 @@ export class Pages {
     this.held.set(Pages.key(level, column, row), page);
   }
 
-  // Tell the table what there is in cells of a level; true while something is still appearing.
-  // The page of `best` is preferred to that of the cell's own level, and that to coarser ones.
+  // Write the table for cells of a level; returns whether a page is still fading in. A page of
+  // level `best` is preferred to one of the cell's own level, and that to coarser ones.
   update(level, best, columns, rows, now, fades) {
     let appearing = false;
     for (let row = rows[0]; row <= rows[1]; row++) {
@@ -106,7 +105,7 @@ export class Pages {
     return appearing;
   }
 
-  // Tell the table's first cell of one page, and nothing else.
+  // Set the table's first cell to one page.
   show(level, column, row) {
     const { gl } = this, page = this.held.get(Pages.key(level, column, row));
     this.#tell(level, column, row, page, null, 0, 0);
@@ -114,7 +113,7 @@ export class Pages {
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 3, 1, gl.RGBA, gl.FLOAT, this.entries.subarray(0, 12));
   }
 
-  // Lowest and highest value of a map in all pages, and never less apart than can be told.
+  // Least and greatest value of a map over all pages, at least the displayed range apart.
   range(map) {
     let low = Infinity, high = -Infinity;
     for (const { ends, used } of this.held.values()) {
@@ -183,7 +182,7 @@ function cellAt(column, row) {
   return 12 * (wrap(row) * CELLS + wrap(column));
 }
 
-// How the shader finds a place: texels to left top of cells of the table's level.
+// Uniforms that map texels to cells of the table's level.
 export const TABLE_GLSL = `
 const float CELLS = ${CELLS}.0;
 `;

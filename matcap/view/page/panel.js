@@ -1,4 +1,4 @@
-// The state in words and on the controls.
+// Shows the state in text and on the controls.
 
 import { adjustmentsText } from "./adjust.js";
 import { $, ADJUSTED, CHOICES, number, offer, option, showSlider } from "./controls.js";
@@ -16,7 +16,7 @@ export function describe(about) {
   const [wide, tall] = about.period || [];
   $("what").textContent = about.period ? `repeats every ${wide} × ${tall} texels`
     : "endless: it never repeats";
-  // A map set and an enclosed tile have one realisation.
+  // A map set and an enclosed tile have only one realisation.
   $("seed-row").hidden = about.period !== null;
   if (about.second) {
     $("share-row").hidden = false;
@@ -27,13 +27,13 @@ export function describe(about) {
   offer("light", "own", false);
   if (about.doubt) {
     $("doubt").src = about.doubt;
-    $("doubt").alt = "Shaded where the photograph tells little";
+    $("doubt").alt = "Shaded where the maps have low confidence";
   }
   if (about.verdict) {
     const [rating, ...rest] = about.verdict;
     const word = document.createElement("b");
     word.textContent = rating;
-    // The sentence may begin with it.
+    // The sentence may begin with the rating.
     const text = rest.join(" ").replace(new RegExp(`^${rating}:? `), "");
     $("verdict").replaceChildren(word, `: ${text}`);
   }
@@ -41,7 +41,7 @@ export function describe(about) {
   $("export").hidden = about.targets.length === 0;
 }
 
-// A length in texels as one reads it.
+// A length in texels as text.
 export function length(view, texels) {
   const millimetres = view.about.millimetres * (view.texelSize || view.about.texel_size) * texels;
   if (!millimetres) return `${number(texels)} texels`;
@@ -98,7 +98,7 @@ export function showState(view) {
   showPiece(view);
 }
 
-// The wipe, what is said of its sides, and the shading over the piece, cut off at the wipe.
+// The wipe with the labels of its sides, and the doubt mask, clipped at the wipe.
 export function showPiece(view) {
   const { state, canvas } = view, shown = view.wiped;
   for (const id of ["piece", "wipe"]) $(id).hidden = !shown;

@@ -1,11 +1,11 @@
-// A picture of one's own surroundings, read from a file: linear radiance as surroundings.js has it.
+// Reads an environment map from a file to linear radiance, in the form of surroundings.js.
 
 import { linearOf } from "./adjust.js";
 
 const WIDEST_READ = 2048; // texels: what is wider is averaged down, as matcap relight does
 const REMEDY = "Give a panorama as .hdr, .exr, .jpg or .png.";
 
-// `decode` sends a file to the server and gives its answer; null where there is no server.
+// `decode` sends a file to the server and returns its answer; null without a server.
 export async function readSurroundings(file, decode) {
   const kind = file.name.split(".").at(-1).toLowerCase();
   if (kind === "hdr") return readHdr(new Uint8Array(await file.arrayBuffer()));
@@ -20,7 +20,7 @@ async function readServed(answer) {
   return { width, height, data: new Float32Array(await answer.arrayBuffer()) };
 }
 
-// What the browser knows, in sRGB: white is radiance 1.
+// Formats that the browser decodes, as sRGB; white is radiance 1.
 async function readCoded(file) {
   const bitmap = await createImageBitmap(file).catch(() => {
     throw new Error(`${file.name} is no picture that this browser reads. ${REMEDY}`);
@@ -39,8 +39,8 @@ async function readCoded(file) {
   return { width, height, data };
 }
 
-// Radiance's format [ward1991]: lines of text, then scanlines of four bytes a pixel, each of the
-// four packed by runs.
+// Radiance HDR [ward1991]: lines of text, then scanlines of four bytes a pixel, each of the four
+// run-length encoded.
 export function readHdr(bytes) {
   const wrong = (what) => new Error(`This .hdr file ${what}. ${REMEDY}`);
   let at = 0;
@@ -78,7 +78,7 @@ export function readHdr(bytes) {
   return { width: across, height: down, data };
 }
 
-// Into four planes; where the next one begins, or -1 where it cannot be read.
+// Decode a scanline into four planes; returns the position of the next one, or -1 if damaged.
 function unpackScanline(bytes, at, planes, width) {
   const packed = bytes[at] === 2 && bytes[at + 1] === 2 && (bytes[at + 2] << 8 | bytes[at + 3]) === width;
   if (!packed) {

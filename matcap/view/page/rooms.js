@@ -1,11 +1,11 @@
-// Surroundings of our own making: dim below, brighter above, and soft lamps.
+// Built-in environments: dim below, brighter above, with soft lamps.
 
 import { directionOf } from "./surroundings.js";
 
 const grey = (value) => [value, value, value];
 
 export const ROOMS = {
-  // A large soft lamp and a smaller one; grey, as the page is.
+  // A large soft lamp and a smaller one, grey.
   studio: {
     base: grey(0.24), rise: grey(0.18),
     lamps: [
@@ -45,7 +45,7 @@ export function roomRadiance({ base, rise, lamps }, d) {
   return light;
 }
 
-// A room as a picture of surroundings.
+// An environment as an equirectangular picture.
 export function roomPicture(room) {
   const width = ROOM_WIDTH, height = ROOM_WIDTH / 2, data = new Float32Array(3 * width * height);
   for (let row = 0, at = 0; row < height; row++) {

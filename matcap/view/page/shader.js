@@ -1,6 +1,6 @@
-// The page's one shader. Units: half the picture's long side on a plane, the radius on a sphere or
-// cylinder. Formulas are those of matcap/relight/lobes.py; the camera is the photograph's, 45
-// degrees across the long side, straight above.
+// The page's shader. Units: half the picture's long side for a plane, the radius for a sphere or
+// cylinder. The reflectance is that of matcap/relight/lobes.py; the camera is that of the
+// photograph, 45 degrees across the long side, straight above.
 
 import { ADJUST_GLSL } from "./adjust.js";
 import { TABLE_GLSL } from "./pages.js";
@@ -58,7 +58,7 @@ SURROUNDINGS
 
 struct Texel { vec3 diffuse; vec3 f0; vec4 surface; float height; };
 
-// A place within a cell, in texels, of the page that an entry names.
+// Texture coordinates, within a table entry's page, of a position in a cell, in texels.
 Texel read(vec4 entry, vec2 along, float mip, bool coloured) {
   if (entry.x < 0.0) return Texel(meanDiffuse, meanF0, meanSurface, 0.0);
   vec3 at = vec3((APRON + entry.yz * PAGE + along * entry.w) / (PAGE + 2.0 * APRON), entry.x);
@@ -69,12 +69,13 @@ Texel read(vec4 entry, vec2 along, float mip, bool coloured) {
 }
 
 Texel readAt(vec2 fromMiddle, float level) {
-  // Rounded, so that what is at a texel's middle is of that texel alone.
+  // Rounded, so that a texel's centre reads that texel alone.
   vec2 place = floor((middle.xy + fromMiddle * tableScale) * 1024.0 + 0.5) / 1024.0;
   vec2 cell = floor(place / PAGE), along = place - cell * PAGE;
   ivec2 at = ivec2(mod(middle.zw + cell, CELLS)) * ivec2(3, 1);
   vec4 under = texelFetch(table, at, 0), over = texelFetch(table, at + ivec2(1, 0), 0);
-  // Share of what appears, both levels; 1 where the first has a coloured F0, 2 where the second.
+  // Weight of the page that fades in, both levels; 1 if the first has a coloured F0, 2 if the
+  // second.
   vec4 more = texelFetch(table, at + ivec2(2, 0), 0);
   Texel found = read(under, along, level - more.y, mod(more.w, 2.0) > 0.5);
   if (more.x <= 0.0) return found;
@@ -94,7 +95,7 @@ vec3 stretched(vec3 value) {
   return (value - range.x) / (range.y - range.x);
 }
 
-// D G / (4 (n.l)(n.v)), and l.h in y.
+// D G / (4 (n.l)(n.v)) in x, l.h in y.
 vec2 ggxSmith(vec3 n, vec3 v, vec3 l, float nv, float nl, float a2) {
   vec3 h = l + v;
   float hh = max(dot(h, h), 1e-20);
@@ -111,7 +112,7 @@ float schlickWeight(float lh) {
   return rest * rest * rest * rest * rest;
 }
 
-// A half vector among the normals that v sees [heitz2018].
+// Sample a half vector from the distribution of visible normals [heitz2018].
 vec3 visibleNormal(vec3 v, float alpha, vec2 at) {
   vec3 stretched = normalize(vec3(alpha * v.xy, v.z));
   float flat2 = dot(stretched.xy, stretched.xy);
@@ -125,7 +126,7 @@ vec3 visibleNormal(vec3 v, float alpha, vec2 at) {
 }
 
 vec3 roomSpecular(vec3 n, vec3 v, mat3 frame, vec3 f0, float a2, float nv) {
-  // A frame around the shading normal.
+  // Tangent frame of the shading normal.
   vec3 t = normalize(abs(n.x) < 0.9 ? cross(n, vec3(1, 0, 0)) : cross(n, vec3(0, 1, 0)));
   mat3 around = mat3(t, cross(n, t), n);
   vec3 seen = v * around;
@@ -138,12 +139,12 @@ vec3 roomSpecular(vec3 n, vec3 v, mat3 frame, vec3 f0, float a2, float nv) {
     vec3 l = reflect(-seen, h);
     vec3 direction = around * l;
     if (l.z <= 0.0 || direction.z <= 0.0) continue;
-    // F G2 / G1, the correlated Smith G over that of the view.
+    // Weight F G2 / G1 with the height-correlated Smith G2.
     float lv = sqrt(a2 + (1.0 - a2) * seen.z * seen.z) / max(seen.z, 1e-6);
     float ll = sqrt(a2 + (1.0 - a2) * l.z * l.z) / l.z;
     float weight = (1.0 + lv) / (lv + ll);
     vec3 fresnel = f0 + (1.0 - f0) * schlickWeight(dot(l, h));
-    // The solid angle that this direction stands for [krivanek2008], blunted less.
+    // Solid angle of the sample [krivanek2008], with a smaller blur.
     float density = a2 / (PI * spread * spread) / (2.0 * max(seen.z, 1e-6) * (1.0 + lv));
     float solid = BLUR / (float(mirrored) * max(density, 1e-9));
     total += radianceFrom(turned * (frame * direction), solid) * (weight * fresnel);
@@ -213,14 +214,14 @@ void main() {
   else if (map == 5) shown = 0.5 + 0.5 * n;
   else {
     vec3 v = normalize(eye - point) * frame;
-    // Where all around is light, a normal that is turned away would be a black speck at an outline:
-    // it is turned back as far as it takes.
+    // A normal that faces away would be a black pixel at the outline under an environment; it is
+    // rotated towards the viewer just enough.
     if (room) n = normalize(n + v * max(GRAZING - dot(n, v), 0.0));
     float nv = max(dot(n, v), 0.0);
     vec3 radiance = vec3(0.0);
     if (nv > 0.0 && v.z > 0.0) {
       if (room) {
-        // A tilted normal sees only what is above the surface itself.
+        // A tilted normal receives light only from above the surface.
         vec3 lambert = texel.diffuse / PI * irradianceOn(turned * (frame * n)) * (0.5 + 0.5 * n.z);
         radiance = lambert + roomSpecular(n, v, frame, texel.f0, a2, nv);
       } else {
@@ -232,7 +233,7 @@ void main() {
           vec2 lobe = ggxSmith(n, v, l, nv, nl, a2);
           vec3 fresnel = texel.f0 + (1.0 - texel.f0) * schlickWeight(lobe.y);
           radiance = (texel.diffuse / PI + fresnel * lobe.x) * intensity * (nl / squared);
-          // Along the axis of a lens without falloff this is 1.
+          // 1 along the optical axis of a lens without falloff.
           vec3 ray = point - eye;
           float axial = dot(ray, lens);
           float tangent = max(dot(ray, ray) / (axial * axial) - 1.0, 0.0);
@@ -245,12 +246,12 @@ void main() {
   colour = vec4(clamp(shown, 0.0, 1.0), 1.0);
 }`;
 
-// Which texture unit each is bound to: two kinds at one unit are an error, though unused. The last
-// is for uploads, which leave those to draw with alone.
+// Texture unit of each sampler: two types at one unit are an error, even if unused. The last unit
+// is for uploads, which must not change the bindings for drawing.
 const UNITS = ["albedo", "surface", "relief", "metal", "table", "radiances", "irradiances", "photograph"];
 export const UNIT = Object.fromEntries([...UNITS, "spare"].map((name, unit) => [name, unit]));
 
-// The program in use, or an error that says what the driver did not like.
+// Compile and link; throws an error with the driver's message.
 export function buildProgram(gl, { width, height, apron }) {
   const source = FRAGMENT.replace("SURROUNDINGS", SURROUNDINGS_GLSL + BITS_GLSL)
     .replace("ADJUST", ADJUST_GLSL).replace("TABLE", `${TABLE_GLSL}

@@ -1,7 +1,7 @@
-// Where pages come from: the server, or the tile inside this document. A page is {levels, texelSize,
-// ends}; each level has its width and height, albedo and F0, surface (alpha squared, slopes along x
-// and y, their variance), relief (height) and metal: F0 of green and blue where it has a colour, and
-// then the one beside the albedo is that of red; else nothing.
+// Sources of pages: the server, or the tile inside this document. A page is {levels, texelSize,
+// ends}; each level has width and height, albedo and F0, surface (alpha^2, slopes along x and y,
+// slope variance), relief (height) and metal (green and blue of a coloured F0, whose red is next to
+// the albedo; else empty).
 
 import { Pyramid, unpackPiece, unpackTile } from "./tile.js";
 
@@ -19,7 +19,7 @@ export class ServedPages {
   }
 }
 
-// The page in an answer.
+// The page of a server's answer.
 export async function pageOf(answer, form) {
   const data = await answer.arrayBuffer();
   const about = JSON.parse(answer.headers.get("X-Page"));
@@ -27,7 +27,7 @@ export async function pageOf(answer, form) {
   return { levels, texelSize: about.texel_size, ends: about.ends };
 }
 
-// A page's bytes as its levels.
+// Split a page's bytes into its levels.
 function cut(data, { width, height, apron, mips }, channels) {
   let at = 0;
   const take = (Kind, count) => {
@@ -61,7 +61,7 @@ export class EnclosedPages {
     this.finest = about.piece_level;
   }
 
-  // Unpacked when it is first looked at.
+  // Unpacked at the first access.
   get #piece() {
     const { enclosed } = this, size = this.texelSize * 2 ** this.finest;
     this.unpacked ||= unpackPiece(enclosed).then(

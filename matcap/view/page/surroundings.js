@@ -1,12 +1,12 @@
-// Surroundings as the shader asks for them: a picture of radiance, latitude by longitude as matcap
-// relight has it (its top is +y, its middle +z, its right half towards -x), with its smaller forms,
-// and the light that falls on every normal.
+// Environment lighting for the shader: an equirectangular picture of radiance, oriented as in
+// matcap relight (top +y, middle +z, right half towards -x), with its mip levels, and irradiance by
+// normal.
 
 const AROUND = 64; // normals of the irradiance, half as many from pole to pole
 const SUMMED = 128; // texels across that it is summed over, at most
 const BRIGHTEST = 6e4; // half floats end at 65504
 
-// The direction of a place in the picture, both coordinates from 0 to 1.
+// Direction of a position in the picture, both coordinates from 0 to 1.
 export function directionOf(u, v) {
   const azimuth = 2 * Math.PI * (u - 0.5), polar = Math.PI * v, ring = Math.sin(polar);
   return [-Math.sin(azimuth) * ring, Math.cos(polar), Math.cos(azimuth) * ring];
@@ -26,7 +26,7 @@ export class Surroundings {
     this.irradiance = this.#texture(gl, [irradianceOf(few)]);
   }
 
-  // Tell the shader.
+  // Set the uniforms.
   use(gl, places, units) {
     gl.activeTexture(gl.TEXTURE0 + units.radiances);
     gl.bindTexture(gl.TEXTURE_2D, this.radiance);
@@ -59,7 +59,7 @@ export class Surroundings {
   }
 }
 
-// Means of four; an odd last row or column is left out.
+// Averages of 2 x 2 texels; an odd last row or column is dropped.
 function smaller({ width, height, data }) {
   const wide = width >> 1, tall = height >> 1, half = new Float32Array(3 * wide * tall);
   for (let row = 0, to = 0; row < tall; row++) {
@@ -74,13 +74,13 @@ function smaller({ width, height, data }) {
   return { width: wide, height: tall, data: half };
 }
 
-// Solid angle of each of a row's texels.
+// Solid angle of a texel by row.
 function solidAngle({ width, height }, row) {
   const edge = (line) => Math.cos((Math.PI * line) / height);
   return ((edge(row) - edge(row + 1)) * 2 * Math.PI) / width;
 }
 
-// Of all channels and directions.
+// Mean over all channels and directions.
 function meanOf(picture) {
   let sum = 0;
   for (let row = 0, at = 0; row < picture.height; row++) {
@@ -90,7 +90,7 @@ function meanOf(picture) {
   return sum;
 }
 
-// Harmonics would be shorter, and wrong by a tenth where a sun sets.
+// Spherical harmonics would be shorter, but a tenth off at a low sun.
 function irradianceOf(picture) {
   const count = picture.width * picture.height;
   const towards = new Float32Array(3 * count), power = new Float32Array(3 * count);
@@ -127,7 +127,7 @@ vec2 placeOf(vec3 d) {
   return vec2(atan(-d.x, z) * 0.5 / PI + 0.5, acos(clamp(d.y, -1.0, 1.0)) / PI);
 }
 
-// Averaged over about a solid angle; 0 for none.
+// Radiance from a direction, averaged over about a solid angle; 0 for a single texel.
 vec3 radianceFrom(vec3 d, float solid) {
   vec2 texels = vec2(textureSize(radiances, 0));
   float texel = 2.0 * PI * PI / (texels.x * texels.y); // at the equator

@@ -1,4 +1,4 @@
-// Light or dark: as the system has it, until the button says otherwise.
+// Light or dark theme: the system's, until the button changes it.
 
 import { $ } from "./controls.js";
 
@@ -11,7 +11,7 @@ export function followTheme(changed) {
   });
 }
 
-// The colour that lies where there is nothing, from 0 to 1.
+// Background colour, components from 0 to 1.
 export function dressed() {
   const colour = getComputedStyle(document.documentElement).getPropertyValue("--stage").trim();
   return [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16) / 255);

@@ -1,11 +1,11 @@
-// The maps inside a document for sending (enclosed.py), and all their smaller forms: what
-// matcap/view/moments.py and level_of_detail.py make of a map set.
+// Unpacks the maps inside a self-contained document (enclosed.py), and computes their mip levels as
+// matcap/view/moments.py and level_of_detail.py do for a map set.
 
 import { linearOf } from "./adjust.js";
 
-// Planes of a tile: diffuse 3, F0 (one, or three where it has a colour), roughness, height.
+// Planes of a tile: diffuse 3, F0 (1, or 3 where it has a colour), roughness, height.
 const planesOf = (channels) => 5 + channels;
-// Moments: both albedos as they are, then alpha squared, slopes along x and y, sum of squares, height.
+// Moments: diffuse and F0, then alpha^2, slopes along x and y, sum of squared slopes, height.
 const MORE = 3; // than planes of a tile
 
 async function bytesOf(text) {
@@ -14,7 +14,7 @@ async function bytesOf(text) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-// All planes in half floats, but for the height in steps.
+// All planes as half floats, but height in steps.
 export async function unpackTile({ size: [width, height], specular_channels, low, span, data }) {
   const bytes = await bytesOf(data);
   const planes = planesOf(specular_channels), count = width * height, words = bytes.length / 2;
@@ -26,7 +26,7 @@ export async function unpackTile({ size: [width, height], specular_channels, low
   return tile;
 }
 
-// Diffuse albedo in a JPEG, the other planes in steps, each less the one before it.
+// Diffuse albedo as JPEG, other planes in steps, as differences from the number before.
 export async function unpackPiece({
   size: [width, height], specular_channels, diffuse, low, span, data,
 }) {
@@ -61,7 +61,7 @@ const wrapped = (value, side) => ((value % side) + side) % side;
 const clamped = (value, side) => Math.min(Math.max(value, 0), side - 1);
 
 export class Pyramid {
-  // Beyond its borders it repeats, or stays as it is there.
+  // Outside its borders it repeats, or its border is extended.
   constructor(tile, width, height, texelSize, repeats = true) {
     this.within = repeats ? wrapped : clamped;
     const count = width * height, rough = tile.length - 2 * count;
@@ -73,7 +73,7 @@ export class Pyramid {
     this.levels = [{ width, height, data: momentsOf(tile, width, height, texelSize, this.within) }];
   }
 
-  // A level's rectangle.
+  // Moments of a rectangle of a level.
   read(level, x, y, wide, tall) {
     while (this.levels.length <= level) this.levels.push(halved(this.levels.at(-1)));
     const { width, height, data } = this.levels[level];
@@ -121,7 +121,7 @@ function momentsOf(tile, width, height, texelSize, within) {
   return moments;
 }
 
-// Means of four; an odd side is two of itself, which are even.
+// Averages of 2 x 2 texels; an odd side is doubled first.
 function halved({ width, height, data }) {
   const wide = width % 2 ? width : width / 2, tall = height % 2 ? height : height / 2;
   const moments = data.length / (width * height), half = new Float32Array(moments * wide * tall);

@@ -1,4 +1,4 @@
-// What is looked at and how, and its picture: state in, pixels out. Knows nothing of controls.
+// The renderer: state in, picture out. Independent of controls.
 
 import { colourMatrix, parseAdjustments } from "./adjust.js";
 import { CELLS, LEAST_RANGE, Pages } from "./pages.js";
@@ -9,12 +9,12 @@ import { dressed } from "./theme.js";
 
 export const SHAPES = ["plane", "sphere", "cylinder"];
 const LIGHTS = ["point", ...Object.keys(ROOMS), "own"];
-// What may lie on the left and on the right of the wipe: the photograph, the photographed piece under
-// the photograph's own flash, that piece as all else is lit, the endless field.
+// What either side of the wipe may show: the photograph, the exemplar under the photograph's flash,
+// the exemplar under the page's light, the endless field.
 export const LEFTS = ["none", "photo", "flash", "piece"];
 export const RIGHTS = ["flash", "piece", "field"];
 export const MAPS = ["lit", "diffuse", "specular", "roughness", "height", "normal"];
-// As the shader has it: a sphere as matcap relight frames it, a cylinder with its whole height.
+// Framing as in the shader: a sphere as in matcap relight, a cylinder with its full height.
 const ROOM_AROUND = { sphere: 1.25, cylinder: 1.6 };
 export const FLASH = 1 / Math.tan(Math.PI / 8);
 const CAMERA = { place: [0, 0, FLASH], lens: [0, 0, -1], lost: [0, 0] };
@@ -30,23 +30,23 @@ const SPARE = { field: 12, piece: 4 }; // pages kept for coarse forms and for wh
 export const GONE = "The server does not answer.";
 
 export class View {
-  // Throws where there is no WebGL2.
+  // Throws without WebGL2.
   constructor(canvas, about, source) {
     const gl = canvas.getContext("webgl2", {
       alpha: false, antialias: false, preserveDrawingBuffer: true, // to be settled in strips
     });
     if (!gl) throw new Error("no WebGL2");
     Object.assign(this, { canvas, gl, source, about });
-    // Small devices hold fewer pages: 130 MB of textures, not 320.
+    // Small devices cache fewer pages: 130 MB of textures, not 320.
     const small = Math.min(screen.width, screen.height) < 700;
     this.pages = new Pages(gl, source.form, small ? 26 : 64);
     this.field = { name: "field", pages: this.pages, finest: 0 };
-    // The photographed piece, where there is one: it may be known less finely than the field.
+    // The exemplar, if there is one; its finest level may be coarser than the field's.
     this.piece = about.piece && { name: "piece", pages: null, finest: about.piece_level };
     this.rooms = new Map(); // surroundings by the light's name, made when they are first seen
     const places = buildProgram(gl, source.form);
     this.places = places;
-    // As moments.py has them: one F0, or three.
+    // F0 has one channel or three, as in moments.py.
     const albedo = about.mean.slice(0, -5), [alpha2, , , squares] = about.mean.slice(-5);
     const f0 = albedo.length > 4 ? albedo.slice(3) : Array(3).fill(albedo[3]);
     gl.uniform3f(places.meanDiffuse, ...albedo.slice(0, 3));
@@ -89,12 +89,12 @@ export class View {
     this.redraw();
   }
 
-  // Texels to a unit.
+  // Texels per unit.
   get scale() {
     return this.state.span / 2;
   }
 
-  // Half of what the picture shows, in texels.
+  // Half the visible extent, in texels.
   #reach() {
     const { width, height } = this.canvas, long = Math.max(width, height);
     if (this.state.shape === "plane") return [width / long, height / long].map((v) => v * this.scale);
@@ -102,7 +102,7 @@ export class View {
     return [(this.scale * Math.PI) / 2, this.scale * upwards];
   }
 
-  // How many times the finest texels must be halved to be no smaller than pixels.
+  // Level whose texels are about as large as pixels.
   get level() {
     const { width, height } = this.canvas, half = Math.max(width, height) / 2;
     let footprint = 1 / half;
@@ -114,12 +114,12 @@ export class View {
     return Math.min(exact, FARTHEST_LEVEL);
   }
 
-  // Lights that there are.
+  // Lights to choose from.
   get lights() {
     return LIGHTS.filter((name) => name !== "own" || this.own);
   }
 
-  // A picture of one's own to be lit by (surroundings.js).
+  // Set an environment map of the user's (surroundings.js).
   surround(picture) {
     this.rooms.get("own")?.dispose(this.gl);
     this.own = new Surroundings(this.gl, picture);
@@ -132,7 +132,7 @@ export class View {
     return Boolean(this.piece) && this.state.left !== "none" && this.state.shape === "plane";
   }
 
-  // What is drawn, the left side of the wipe last.
+  // Layers to draw, the left side of the wipe last.
   get #sides() {
     return this.wiped ? [this.state.right, this.state.left] : ["field"];
   }
@@ -141,14 +141,14 @@ export class View {
     return side === "field" ? this.field : this.piece;
   }
 
-  // Layers whose pages are drawn.
+  // Layers that are drawn from pages.
   get layers() {
     const sides = this.#sides.filter((side) => side !== "photo");
     return [...new Set(sides.map((side) => this.#layerOf(side)))];
   }
 
-  // The texel of a layer in the picture's middle, and how far it reaches either way. The piece's
-  // middle lies where the view begins.
+  // The texel of a layer in the picture's middle, and half its visible extent. The exemplar's
+  // middle is where the view begins.
   #whereabouts(layer) {
     const { x, y } = this.state;
     if (layer === this.field) return { x, y, bounds: [-Infinity, -Infinity, Infinity, Infinity] };
@@ -156,7 +156,7 @@ export class View {
     return { x: x - home.x + wide / 2, y: y - home.y + tall / 2, bounds: [0, 0, wide, tall] };
   }
 
-  // First and last column and row of pages of a level that are seen.
+  // First and last column and row of visible pages of a level.
   seen(level, layer = this.field) {
     const { width, height } = this.source.form, [across, down] = this.#reach();
     const { x, y, bounds } = this.#whereabouts(layer);
@@ -185,9 +185,9 @@ export class View {
     return found.sort((a, b) => a.far - b.far);
   }
 
-  // Pages of what is seen, in the order they are wanted: a coarse form of everything, then what is
-  // sharp, the nearest to the middle first. `best` is the level of the sharp ones: coarser than it
-  // should be where there is no room for all of them.
+  // Visible pages in order of priority: a coarse level of everything, then the sharp level, nearest
+  // to the middle first. `best` is the sharp level, coarser than needed if the cache is too small
+  // for all pages.
   wanted(layer = this.field) {
     let best = Math.max(this.level, layer.finest);
     const room = (layer.pages ? layer.pages.count : PIECES) - SPARE[layer.name];
@@ -217,7 +217,7 @@ export class View {
     });
   }
 
-  // Now that nothing moves, look in all directions: strip by strip, so that nothing waits for it.
+  // While nothing moves, draw with all samples of the environment, in strips to stay responsive.
   #settle(index) {
     const tall = Math.ceil(this.canvas.height / STRIPS);
     this.strip = { bottom: this.canvas.height - (index + 1) * tall, tall };
@@ -226,7 +226,7 @@ export class View {
     if (index + 1 < STRIPS) this.settling = setTimeout(() => this.#settle(index + 1), 0);
   }
 
-  // Draw now; true while something is still appearing.
+  // Draw now; returns whether a page is still fading in.
   draw(now = Infinity, mirrored = MIRRORED) {
     const { gl, places, state, canvas } = this;
     gl.viewport(0, 0, canvas.width, canvas.height);
@@ -268,7 +268,7 @@ export class View {
     let { place: from, lens, lost } = CAMERA, { place, intensity } = this.lamp();
     intensity = [intensity, intensity, intensity];
     if (side === "flash") {
-      // The photograph's long side is two plane units, its middle their origin.
+      // The photograph's long side is two plane units, its middle the origin.
       const { camera, light, axis, intensity: power, vignetting } = about.flash;
       const where = this.#whereabouts(this.piece), [wide, tall] = about.piece;
       const plane = 2 / wide, unit = this.scale * plane;
@@ -284,7 +284,7 @@ export class View {
     gl.uniform3f(places.intensity, ...intensity);
   }
 
-  // The photograph, once it is there.
+  // Load the photograph.
   #photograph() {
     if (this.photo) return this.photo.there;
     const { gl } = this, picture = new Image();
@@ -324,13 +324,13 @@ export class View {
     return appearing;
   }
 
-  // The piece's pages are made when they are first needed.
+  // Pages of the exemplar are created at the first use.
   #open(layer) {
     layer.pages ||= new Pages(this.gl, this.source.form, PIECES);
     return layer.pages;
   }
 
-  // Bind what a layer is drawn with.
+  // Bind textures of a layer for drawing.
   #drawPages(layer, now) {
     this.#open(layer);
     const { best, pages } = this.wanted(layer);
@@ -342,7 +342,7 @@ export class View {
     return appearing;
   }
 
-  // Tell the shader where a layer lies.
+  // Set the uniforms of a layer's position.
   #placed(layer, cells) {
     const { gl, places } = this;
     const { width, height } = this.source.form, where = this.#whereabouts(layer);
@@ -356,7 +356,7 @@ export class View {
     gl.uniform4f(places.bounds, most(left), most(top), most(right), most(below));
   }
 
-  // Where the piece lies, in the canvas's own pixels: left, top, width, height.
+  // Rectangle of the exemplar in the canvas's pixels: left, top, width, height.
   get pieceBox() {
     const { clientWidth, clientHeight } = this.canvas;
     const where = this.#whereabouts(this.piece), [wide, tall] = this.about.piece;
@@ -365,7 +365,7 @@ export class View {
       wide * scale, tall * scale];
   }
 
-  // The piece as large as it fits.
+  // Fit the exemplar to the picture.
   homeward() {
     const { clientWidth, clientHeight } = this.canvas, [wide, tall] = this.about.piece;
     const { x, y } = this.initial();
@@ -373,7 +373,7 @@ export class View {
     return { x, y, span: long * Math.max(wide / clientWidth, tall / clientHeight) };
   }
 
-  // What black and white mean in the map shown.
+  // Values that black and white stand for in the displayed map.
   range() {
     const { map, adjust } = this.state;
     if (!(map in LEAST_RANGE)) return [0, 1];
@@ -383,14 +383,15 @@ export class View {
     return ends;
   }
 
-  // What the picture shows at the surface's middle, in units: half its long side.
+  // Half the visible extent at the surface's middle, in units.
   get spread() {
     if (this.state.shape === "plane") return 1;
     const { width, height } = this.canvas;
     return (ROOM_AROUND[this.state.shape] * Math.max(width, height)) / Math.min(width, height);
   }
 
-  // Where the lamp is and its radiant intensity: white shows as white where it is nearest.
+  // Position of the lamp and its radiant intensity: white is displayed as white where it is
+  // nearest.
   lamp() {
     const [x, y, z] = this.state.lamp;
     if (this.state.shape === "plane") return { place: [x, y, z], intensity: Math.PI * z * z };
@@ -399,7 +400,7 @@ export class View {
     return { place, intensity: Math.PI * away * away };
   }
 
-  // The room turns with the pointer, about y and then x; columns of scene to room.
+  // Matrix from scene to room, by columns; the pointer rotates the room about y and then x.
   #turned() {
     const [x, y] = this.state.lamp;
     const [sx, cx] = [Math.sin(x + 0.35), Math.cos(x + 0.35)];
@@ -407,7 +408,7 @@ export class View {
     return [cx, sy * sx, cy * sx, 0, cy, -sy, -sx, sy * cx, cy * cx];
   }
 
-  // Pages of what is seen that are not there, in the order they are asked for.
+  // Visible pages that are not loaded, in order of priority.
   missing() {
     return this.layers.flatMap((layer) => this.wanted(layer).pages).filter(
       ({ layer, level, column, row }) => !layer.pages || !layer.pages.has(level, column, row),
@@ -450,13 +451,13 @@ export class View {
     }
   }
 
-  // All that is seen has been loaded.
+  // Whether all visible pages are loaded.
   get complete() {
     const unseen = this.#sides.includes("photo") && !this.photo?.there;
     return this.missing().length === 0 && !unseen;
   }
 
-  // What is shown, as a PNG.
+  // The picture as a PNG.
   picture() {
     clearTimeout(this.settling);
     this.draw();
