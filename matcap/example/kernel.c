@@ -89,7 +89,7 @@ static int inside(const Level *l, int32_t x, int32_t y) {
     return x >= l->left && x <= l->right && y >= l->top && y <= l->bottom;
 }
 
-/* Sum of (3 found - wanted)^2 over the dimensions; `wanted` is a sum of three appearance vectors. */
+/* Sum over dimensions of (3 found - wanted)^2; `wanted` is the sum of three appearance vectors. */
 static int32_t squared_difference(const int16_t *found, const int16_t *wanted) {
 #if defined(__SSE2__)
     const __m128i f = _mm_loadu_si128((const __m128i *)found);
@@ -194,8 +194,8 @@ static Place corrected(const Level *l, const Place *here, ptrdiff_t columns,
     return best;
 }
 
-/* Whether places beyond a row's x-th are not all continued by their neighbours: not 0. Places are
-   never negative, so that both coordinates are compared as one number. */
+/* found: for `count` places of a row, 0 if all eight neighbours continue the place. Coordinates are
+   not negative, so that both are compared as one 32-bit number. */
 static void unsettled(const Place *row, ptrdiff_t columns, int32_t step, int32_t count,
                       int32_t *found) {
     memset(found, 0, (size_t)count * sizeof(int32_t));
@@ -212,7 +212,8 @@ static void unsettled(const Place *row, ptrdiff_t columns, int32_t step, int32_t
     }
 }
 
-/* places and scratch: rows x columns. The outermost 8 * passes rows and columns end undefined. */
+/* correction.correct: places and scratch are rows x columns. The outermost 8 * passes rows and
+   columns of the result are undefined. */
 void matcap_correct(const Level *l, Place *places, Place *scratch, int32_t columns, int32_t rows,
                     const uint8_t *odd_columns, const uint8_t *odd_rows, int32_t passes,
                     const Phase *phases) {
@@ -237,8 +238,7 @@ void matcap_correct(const Level *l, Place *places, Place *scratch, int32_t colum
     }
 }
 
-/* Sums of products of PLANES features with PLANES weights for each dimension, one tap after the
-   other; exact, in whatever order they are added. */
+/* Products of a neighbourhood's features with each dimension's weights, in exact integers. */
 static void project(const int16_t *here, ptrdiff_t row, ptrdiff_t step, const int16_t *weights,
                     int32_t *sums) {
     for (int d = 0; d < DIMENSIONS; d++) {
@@ -252,7 +252,7 @@ static void project(const int16_t *here, ptrdiff_t row, ptrdiff_t step, const in
 }
 
 #if defined(MATCAP_AVX2)
-/* The same of two places beside each other: (2, DIMENSIONS) sums. */
+/* project for a place and the next one in the row: (2, DIMENSIONS) sums. */
 __attribute__((target("avx2"))) static void project_two(const int16_t *here, ptrdiff_t row,
                                                         ptrdiff_t step, const int16_t *weights,
                                                         int32_t *sums) {
@@ -366,17 +366,17 @@ typedef struct {
 typedef struct {
     const int16_t *values;                      /* rows x columns x CHANNELS */
     const float *scale;                         /* CHANNELS: of the values */
-    const float *kept;                          /* CHANNELS: 1 where contrast is kept, else 0 */
-    const Offset *offsets;                      /* of nodes: node rows x node_columns */
-    const int32_t *first_column, *first_row;    /* the first of NODES nodes of a texel */
-    const float *column_weights, *row_weights;  /* NODES of each */
-    int32_t columns, rows, node_columns, shift; /* shift: half texels to the grid of the band */
+    const float *kept;                          /* CHANNELS: 1 if the gain g applies, else 0 */
+    const Offset *offsets;                      /* votes: node rows x node_columns */
+    const int32_t *first_column, *first_row;    /* first of a texel's NODES nodes */
+    const float *column_weights, *row_weights;  /* NODES for each texel */
+    int32_t columns, rows, node_columns, shift; /* shift: from half texels to the band's grid */
     float correlation;                          /* r of blend.py */
 } Band;
 
 typedef struct {
     const float *const *planes; /* channels of rows x columns: the exemplar's maps */
-    const Place *places;        /* own, of squares of 2^bits texels */
+    const Place *places;        /* of squares of 2^bits texels */
     int32_t channels, columns, place_columns, bits;
     int32_t left, top; /* texels from the first place to the first texel */
 } Exemplar;
@@ -412,8 +412,8 @@ INLINE void read_band(const Band *b, int32_t x, int32_t y, int32_t half, Texel *
     }
 }
 
-/* The different ones among the votes of a texel's nodes; and how much each weighs in each column of
-   nodes, of the weights of their rows. */
+/* The distinct votes of a texel's nodes; and for each, by column of nodes, the sum of the row weights
+   of the nodes that cast it. */
 static int differing(const Offset *first, ptrdiff_t columns, const float *down, Offset *found,
                      float weights[VOTES][NODES]) {
     int count = 0;
@@ -432,7 +432,7 @@ static int differing(const Offset *first, ptrdiff_t columns, const float *down, 
     return count;
 }
 
-/* What a band's votes change of a row of texels. */
+/* Add a band's contribution to a row of texels. */
 INLINE void vote(const Band *b, int32_t y, int32_t left,
                                                        int32_t count, const Offset *own,
                                                        int32_t half, Texel *total) {
@@ -475,7 +475,7 @@ INLINE void vote(const Band *b, int32_t y, int32_t left,
     }
 }
 
-/* 2^x to 2e-7 of it, for |x| <= 30. */
+/* 2^x with a relative error of 2e-7, for |x| <= 30. */
 INLINE float power(float x) {
     x = x < -30.0f ? -30.0f : x > 30.0f ? 30.0f : x;
     const int32_t whole = (int32_t)(x + 64.5f) - 64;
@@ -511,7 +511,7 @@ INLINE void blend(const Exemplar *e, const Band *bands,
             }
             for (int32_t k = 0; k < count; k++)
                 vote(bands + k, y, left, some, own, mask, total);
-            /* Where nothing was changed, times 1 and plus 0: the exemplar's own to the last bit. */
+            /* Within a patch the factor is 1 and the sum 0: the exemplar's bits are kept. */
             for (int32_t d = 0; d <= last; d++) {
                 const float *plane = e->planes[d];
                 float *to = found + ((ptrdiff_t)d * rows + y) * columns + left;
@@ -533,7 +533,7 @@ INLINE void blend(const Exemplar *e, const Band *bands,
     }
 }
 
-/* found: channels x rows x columns. */
+/* blend.blended: found is channels x rows x columns. */
 WIDE void matcap_blend(const Exemplar *e, const Band *bands, int32_t count, int32_t columns,
                        int32_t rows, float *found) {
     blend(e, bands, count, columns, rows, found);
