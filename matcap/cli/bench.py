@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from matcap.capture.settings import CaptureSettings
+from matcap.cli.fields import NOTHING, Fields, Given, with_settings
 from matcap.cli.laboratory import require_laboratory
 from matcap.cli.options import JsonOption, typed
 from matcap.errors import UsageError
@@ -42,7 +44,6 @@ SetsOption = Annotated[
 OutOption = Annotated[
     Path, typer.Option("--out", "-o", help="Folder for the table, and what it is measured of.")
 ]
-BenchPresetOption = Annotated[str, typer.Option(help="Of the captures.")]
 
 _FRONTS = Path("bench/fronts")
 # Texels and degrees of what `bench fields --phases` measures.
@@ -64,20 +65,14 @@ def _bench() -> None:
 
 
 @app.command()
+@with_settings
 def quality(
     out: OutOption = Path("bench/quality"),
     material: OnlyOption = None,
     method: OnlyOption = None,
-    preset: BenchPresetOption = "standard",
-    steps: Annotated[
-        int | None, typer.Option(min=0, help="Fine-tuning steps, instead of the preset's.")
-    ] = None,
-    time_limit: Annotated[
-        float | None,
-        typer.Option(
-            "--time", parser=typed(values.duration), metavar="TIME", help="For each capture."
-        ),
-    ] = None,
+    given: Annotated[
+        Given, Fields(CaptureSettings, only=("preset", "steps", "time_limit"))
+    ] = NOTHING,
     detail: Annotated[
         int, typer.Option(min=64, max=8192, help="Texels along the photograph's long side.")
     ] = 1024,
@@ -89,12 +84,11 @@ def quality(
     1 is indistinguishable. Prints the table.
     """
     from matcap.capture import pipeline
-    from matcap.capture.settings import CaptureSettings
     from matcap.lab.bench.methods import field_maps
     from matcap.lab.bench.quality import ABOUT, METHODS, quality_experiment
     from matcap.lab.measures.evaluator import EvaluationSettings
 
-    captured = CaptureSettings(preset, steps, time_limit, detail=detail, generator="decoder")
+    captured = CaptureSettings(**given, detail=detail, generator="decoder")
     evaluation = EvaluationSettings(detail=detail, size=384)
     experiment = quality_experiment(
         lambda photo: field_maps(pipeline.capture_file(photo, captured).material, evaluation.width),
@@ -108,14 +102,12 @@ def quality(
 
 
 @app.command()
+@with_settings
 def floors(
     material: MaterialArgument = None,
     sets: SetsOption = None,
     out: OutOption = Path("bench/floors"),
-    detail: Annotated[
-        int | None,
-        typer.Option(min=128, max=4096, help="Of the captures; their own choice by default."),
-    ] = None,
+    given: Annotated[Given, Fields(CaptureSettings, only=("preset", "detail"))] = NOTHING,
     judged: Annotated[
         int, typer.Option(min=256, max=4096, help="Texels along the long side that are compared.")
     ] = 512,
@@ -123,7 +115,6 @@ def floors(
         float, typer.Option(min=-8.0, max=8.0, help="Exposure offset (EV) from the camera's own.")
     ] = 0.0,
     jpeg: Annotated[bool, typer.Option("--jpeg", help="Photographs are JPEGs, not RAW.")] = False,
-    preset: BenchPresetOption = "standard",
     photographs: Annotated[
         list[int] | None,
         typer.Option(
@@ -160,7 +151,6 @@ def floors(
     other true samples under new lights, by the style that SqueezeNet sees: normalised style
     distances, 1 is indistinguishable. Prints the table, with values of the maps and of the truth.
     """
-    from matcap.capture.settings import CaptureSettings
     from matcap.lab.bench import nsd, several
     from matcap.lab.measures.evaluator import EvaluationSettings
     from matcap.lab.measures.squeezenet import WEIGHTS
@@ -170,7 +160,7 @@ def floors(
 
     camera = PhoneCamera(width=pixels, height=3 * pixels // 8 * 2)
     evaluation = EvaluationSettings(judged, judged // 2, camera, weights=weights or WEIGHTS)
-    settings = nsd.PhotographSettings(CaptureSettings(preset, detail=detail), stops, jpeg)
+    settings = nsd.PhotographSettings(CaptureSettings(**given), stops, jpeg)
     chosen = subjects(material or (), sets)
     if not photographs:
         _print(nsd.nsd_experiment(chosen, out, settings, evaluation), out, nsd.ABOUT)
@@ -187,7 +177,7 @@ def metals(
     sets: SetsOption = None,
     out: OutOption = Path("bench/metals"),
     detail: Annotated[int, typer.Option(min=128, max=4096, help="Of the captures.")] = 512,
-    preset: BenchPresetOption = "instant",
+    preset: Annotated[str, typer.Option(help="Of the captures.")] = "instant",
     pixels: Annotated[
         int, typer.Option(min=256, max=8192, help="Of photographs, along the long side.")
     ] = 1600,
@@ -202,7 +192,6 @@ def metals(
     is none, texel by texel. Prints the table.
     """
     from matcap.brdf.metals import METAL_F0
-    from matcap.capture.settings import CaptureSettings
     from matcap.lab.bench.metals import ABOUT, metals_experiment
     from matcap.lab.simulate.photograph import PhoneCamera
     from matcap.lab.simulate.specimen import subjects
