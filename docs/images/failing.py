@@ -1,8 +1,10 @@
-"""Photographs that break what a capture assumes, simulated, to see what comes out of them.
+"""Simulated photographs that break an assumption of a capture, and what comes out of them.
 
-python docs/images/failing.py FOLDER
+python docs/images/failing.py FOLDER              the photographs, as JPEGs
+python docs/images/failing.py FOLDER sheet.jpg    the same, captured with --preset draft, verdicts
+                                                  printed: docs/images/failing.jpg
 
-What is said and made of each is described in docs/notes/verdict.md.
+docs/notes/verdict.md describes each.
 """
 
 from __future__ import annotations
@@ -17,8 +19,12 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from PIL import Image
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.pipeline import capture_file
+from matcap.capture.preview import panels
+from matcap.capture.settings import CaptureSettings
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.materials.kinds import kind_of
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, take, true_maps
@@ -113,16 +119,28 @@ def check() -> Shot:
     return take(realise, CAMERA, LEVEL)
 
 
+# In the order of the sheet's rows.
 SHOTS: dict[str, Callable[[], Shot]] = {
-    "painting": painting,
-    "knot": knot,
-    "tilted": tilted,
-    "no-flash": no_flash,
-    "lamp": lamp,
-    "polished": polished,
     "brushed": brushed,
     "check": check,
+    "knot": knot,
+    "lamp": lamp,
+    "no-flash": no_flash,
+    "painting": painting,
+    "polished": polished,
+    "tilted": tilted,
 }
+COLUMNS = ("photograph", "re-rendered", "light from the top", "diffuse")
+PANEL = (264, 198)  # pixels, width and height
+
+
+def row(photograph: Path) -> NDArray[np.uint8]:
+    """(height, 4 x width, 3) sRGB codes of COLUMNS for the capture of a photograph."""
+    result = capture_file(photograph, CaptureSettings(preset="draft"))
+    print(photograph.stem, result.verdict.sentence(), flush=True)
+    shown = {panel.label: panel.pixels for panel in panels(result)}
+    small = [cv2.resize(shown[label], PANEL, interpolation=cv2.INTER_AREA) for label in COLUMNS]
+    return np.rint(255.0 * np.concatenate(small, axis=1).clip(0.0, 1.0)).astype(np.uint8)
 
 
 def _lit(
@@ -139,6 +157,10 @@ def _lit(
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
-    for name, make in SHOTS.items():
-        write_jpeg(folder / f"{name}.jpg", make(), 1)
-        print(folder / f"{name}.jpg")
+    files = [folder / f"{name}.jpg" for name in SHOTS]
+    for file in files:
+        write_jpeg(file, SHOTS[file.stem](), 1)
+        print(file, flush=True)
+    if len(sys.argv) > 2:
+        sheet = np.concatenate([row(file) for file in files], axis=0)
+        Image.fromarray(sheet).save(sys.argv[2], "JPEG", quality=82)

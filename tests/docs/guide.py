@@ -66,10 +66,10 @@ def prepare(folder: Path, page: str) -> None:
 
     photos = ROOT / "examples" / "photos"
     shutil.copytree(ROOT / "examples", folder / "examples")
-    (folder / "shoot").mkdir()
+    (folder / "photos").mkdir()
     for name, photo in (
         ("leather.dng", "leather.dng"), ("cloth.jpg", "tile.jpg"), ("photo.jpg", "tile.jpg"),
-        ("shoot/a.dng", "leather.dng"),
+        ("photos/a.dng", "leather.dng"),
     ):  # fmt: skip
         shutil.copy(photos / photo, folder / name)
     shutil.copy(ROOT / "examples" / "scenes" / "flash.toml", folder / "scene.toml")

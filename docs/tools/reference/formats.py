@@ -36,10 +36,10 @@ _SCENE = """\
 One table of each kind, and any number of `[[light]]`; all may be left out, and so may every key
 that has a default. An unknown key is an error that names the nearest right one. Lengths are plane
 units, angles degrees, colours linear Rec.709. Files are relative to the scene file: `.exr` or
-`.hdr` for surroundings, `.obj` for a mesh. Examples: `examples/scenes`.
+`.hdr` for environment maps, `.obj` for a mesh. Examples: `examples/scenes`.
 """
 _SETTINGS = """\
-In a shoot's folder or beside it. Keys are the names of [matcap batch](commands.md#matcap-batch)'s
+In the folder of photographs or beside it. Keys are the names of [matcap batch](commands.md#matcap-batch)'s
 options, with `_` or `-`; options win over the file. Paths are relative to the file.
 """
 _TABLES = (
@@ -111,7 +111,7 @@ def _scene() -> Iterator[str]:
 
 
 def _settings() -> list[str]:
-    """What a shoot's file may set."""
+    """Keys of a batch's settings file."""
     return table(
         ["key", "default", "what"],
         ([f"`{name}`", _toml(one.default), one.help] for name, one in SETTINGS.items()),
