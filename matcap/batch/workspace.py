@@ -42,7 +42,7 @@ _SWAPS = 16  # attempts to rename while another run renames to the same name
 
 @dataclass(frozen=True)
 class Run:
-    """Workspace of one run."""
+    """One process's run of a batch: its staging folder and the locks it holds in the output."""
 
     out: Path
     """The output folder."""

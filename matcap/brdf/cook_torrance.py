@@ -93,7 +93,7 @@ class Angles:
 
     @staticmethod
     def exact(normal: Tensor, to_light: Tensor, to_view: Tensor) -> Angles:
-        """Of unit vectors (..., 3, H, W); accurate for highlights of any width."""
+        """Angles of unit vectors (..., 3, H, W), in float64: for highlights of any width."""
         # float64: where h is nearly n, the cross product is a difference of nearly equal products,
         # and an error of 1e-7 is a tenth of the narrowest highlight.
         half = normalize(to_light.double() + to_view.double())
@@ -113,7 +113,7 @@ class Angles:
 
     @staticmethod
     def quick(normal: Tensor, to_light: Tensor, to_view: Tensor) -> Angles:
-        """Of unit vectors (..., 3, H, W), in their own precision: for fits.
+        """Angles of unit vectors (..., 3, H, W), in the vectors' own precision: for fits.
 
         In float32 lobes are within 1 % of exact() from roughness SINGLE_ROUGHNESS up. Cosines are
         clamped to LEAST_COSINE, so that gradients do not vanish at the horizon.

@@ -105,7 +105,7 @@ class MapSet:
         return replace(rotated, painted=torch.stack([x, y, z], dim=-3))
 
     def crop(self, x: int, y: int, width: int, height: int) -> MapSet:
-        """The rectangle whose left top texel is column x, row y."""
+        """The width x height texels from column x, row y (top left), no longer periodic."""
         cut = self.map(lambda m: m[..., y : y + height, x : x + width])
         return replace(cut, periodic=False)
 

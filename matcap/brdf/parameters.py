@@ -107,7 +107,7 @@ class SurfaceParameters:
 
     @staticmethod
     def from_levels(levels: Tensor) -> SurfaceParameters:
-        """The inverse of levels()."""
+        """A flat, uniform surface with these levels (5,), the inverse of levels()."""
         diffuse, specular, roughness = levels[:, None, None].split(list(REFLECTANCE.values()))
         return SurfaceParameters(diffuse, specular, roughness, torch.zeros_like(specular))
 

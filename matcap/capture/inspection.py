@@ -90,7 +90,7 @@ def _gloss(coarse: CoarseFit, plane: Plane) -> tuple[Finding, ...]:
     contrast = profile.contrast[0]
     says = f"the highlight is {contrast:.1f} times as bright as a matte surface would be there"
     if profile.bound:
-        says += f", or more: {profile.clipped[0]:.0%} of its core is clipped"
+        says += f", or more: {profile.clipped[0]:.0%} of the highlight is clipped"
     findings = [Finding("highlight", round(contrast, 3), Rating.NOT_JUDGED, says)]
     if profile.glints:
         deviation = math.hypot(*(before for before, _ in profile.glints))

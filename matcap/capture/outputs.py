@@ -73,8 +73,8 @@ def no_repeat(size: tuple[int, int], alignment: int) -> str:
     """What is said of maps that have a seam."""
     width, height = size
     return (
-        f"Maps of {width}x{height} do not repeat: there is a seam where they meet themselves; "
-        f"sides that are multiples of {alignment} have none."
+        f"Maps of {width}x{height} do not repeat: tiled, they show a seam. For seamless maps, "
+        f"choose sides that are multiples of {alignment}."
     )
 
 

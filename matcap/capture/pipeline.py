@@ -72,18 +72,18 @@ def read_photograph(
     detail = max(settings.detail or 0, _MATCHED) if several else settings.most_detail
     if several and (settings.crop or settings.mask):
         raise UsageError(
-            "several photographs of one piece show it in other places",
+            "one rectangle or mask cannot fit several photographs, each taken from another place",
             where="--crop" if settings.crop else "--mask",
-            remedy="leave it out: what does not belong is found by itself",
+            remedy="leave it out: what does not belong to the piece is detected",
         )
     photo = load_photo(path, long_side=detail, fov=settings.fov, noise=noise)
     if settings.camera is not None:
         photo = photo.known_by(read_camera_profile(settings.camera))
     if several and photo.left_out is not None:
         raise MatcapError(
-            "a part of the picture is transparent, which several photographs do not know of",
+            "a part of the picture is transparent, which is not supported with --together",
             where=str(path),
-            remedy="give them as they were taken: what does not belong is found by itself",
+            remedy="give the photograph as it was taken: what does not belong is detected",
         )
     return leave_out(photo, settings.crop, settings.mask)
 

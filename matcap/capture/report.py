@@ -222,8 +222,9 @@ def warnings(result: CaptureResult) -> Iterable[str]:
         yield from _union(result.estimate.several, result.settings)
     if result.estimate is not None and result.estimate.strengths is None:
         yield (
-            "The photograph is too small or too much of it unseen to measure its relief: it is "
-            "as the network reads it. Photograph again a stop darker, or from further away."
+            "The photograph is too small, or too much of it clipped or masked, to measure the "
+            "strength of its relief: it is the network's estimate. Photograph again a stop darker, "
+            "or from further away."
         )
 
 
@@ -231,8 +232,8 @@ def _union(several: SetReport, settings: CaptureSettings) -> Iterable[str]:
     """What became of a union that was asked for, where it is not all."""
     if several.reach is None and settings.union:
         yield (
-            "The photographs show hardly more than the first one: the piece is its rectangle. "
-            "Move the phone farther from one to the next, by up to half a picture."
+            "The other photographs show hardly more than the first one, so --union makes the maps "
+            "no larger. Move the phone farther from one to the next, by up to half a picture."
         )
     limited = several.reach and several.reach.warns()
     if limited:
@@ -250,7 +251,10 @@ def _rules(result: CaptureResult) -> Iterable[str]:
     settings, effort = result.settings, result.effort
     if settings.solves(result.photographs):
         if settings.time_limit is not None:
-            yield "Several photographs are solved, not adapted: a time limit decides their detail."
+            yield (
+                "Several photographs are solved in one pass, without steps that --time could "
+                "limit: it decides their detail instead."
+            )
     elif effort.preset != settings.preset:
         yield (
             "A time limit or a target decided when to stop, so the preset was "
@@ -259,8 +263,8 @@ def _rules(result: CaptureResult) -> Iterable[str]:
         )
     if settings.width_cm is None:
         yield (
-            "The size of the sample is unknown: lengths are in plane units, halves of the "
-            "photograph's long side. --width-cm says how much that spans."
+            "The size of the sample is unknown: heights are in units of half the photograph's long "
+            "side. Give --width-cm, the width that the photograph shows."
         )
 
 

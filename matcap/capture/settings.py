@@ -307,13 +307,13 @@ def check_photographs(settings: CaptureSettings, photographs: int) -> None:
     """
     if settings.union and photographs < 2:
         raise UsageError(
-            "one photograph alone is no union",
+            "one photograph cannot be extended by others",
             where="--union",
             remedy="give two or more of one piece, and --together",
         )
     if settings.steps is not None and settings.solves(photographs):
         raise UsageError(
-            "several photographs of one piece are solved, not adapted step by step",
+            "several photographs are solved in one pass, without steps",
             where="--steps",
             remedy="leave it out, or give --generator decoder",
         )
@@ -338,15 +338,15 @@ def resolve(
         )
     if settings.target is not None and settings.generator != "decoder":
         raise UsageError(
-            "a target is an error of the decoder",
+            "only fine-tuning of a decoder has a target",
             where="--target",
             remedy="give --generator decoder with it, or --time in its place",
         )
     if settings.union and settings.generator == "decoder":
         raise UsageError(
-            "a decoder has no piece that could be larger",
+            "a decoder uses no exemplar that could be extended",
             where="--union",
-            remedy="leave it out, or --generator decoder",
+            remedy="leave out --union or --generator decoder",
         )
     effort = PRESETS[settings.preset]
     if settings.steps is not None:

@@ -41,7 +41,7 @@ def camera(
     profile = estimated_profile(cameras[0], photos, CaptureSettings(**given))
     if profile is None:
         raise MatcapError(
-            f"{len(photos)} photographs determine no profile",
+            f"{len(photos)} photographs are too few for a camera's profile",
             where=str(source),
             remedy="give five or more that can be used, of different materials",
         )

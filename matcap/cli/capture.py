@@ -44,8 +44,8 @@ def capture(
         bool,
         typer.Option(
             "--together",
-            help="All photographs show the same piece from several places: one material of all of "
-            "them, called as the first, which gives it its frame.",
+            help="The photographs show the same piece from several places: make one material of "
+            "them all, in the frame of the first photograph and under its name.",
         ),
     ] = False,
     overwrite: OverwriteOption = False,

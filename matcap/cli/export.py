@@ -73,18 +73,28 @@ def export(
     presets_alone = {"pattern": "--name", "maps": "--maps", "normal": "--normal"}
     for option in (option for name, option in presets_alone.items() if name in written):
         if target in DOCUMENTS:
-            raise UsageError("this is for presets alone", where=option, remedy="leave it out")
+            raise UsageError(
+                f"only presets have this option, and {target} is a scene format",
+                where=option,
+                remedy="leave it out",
+            )
     read, area = chosen(ReadOptions, reading), chosen(ExportArea, of)
     size, udim, seed, tile = area.size, area.udim, area.seed, area.tile
     changes = read.adjustments
     if udim is not None and read.normals is not None:
-        raise UsageError("this is for map sets alone", where="--normals", remedy="leave it out")
+        raise UsageError(
+            "only a map set has normals of its own, and UDIM tiles are made from a material",
+            where="--normals",
+            remedy="leave it out",
+        )
     if udim is not None and changes.changes:
-        raise UsageError("a texture set is not adjusted", where="--adjust", remedy="leave it out")
+        raise UsageError(
+            "UDIM tiles cannot be adjusted", where="--adjust", remedy="leave one of the two out"
+        )
     given = {"--size": size, "--udim": udim, "--seed": seed, "--variety": read.variety}
     for option in (option for option, value in given.items() if value is not None and tile):
         raise UsageError(
-            "the photographed piece is one, of a size of its own",
+            "the photographed piece is one map set of fixed size, not drawn by a seed",
             where=f"{option} with --tile piece",
             remedy="leave one of the two out",
         )

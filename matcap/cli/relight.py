@@ -76,7 +76,9 @@ def relight(
     if light and scene is not None:
         raise UsageError("a scene has its own lights", where="--light", remedy="leave it out")
     if animate is not None and sheet is not None:
-        raise UsageError("a sheet does not move", where="--sheet", remedy="leave one out")
+        raise UsageError(
+            "--animate writes frames, --sheet one picture", where="--sheet", remedy="leave one out"
+        )
     read = chosen(ReadOptions, reading)
     if maps_from is not None and read != ReadOptions(read.generator):
         refused = {"adjust": "are not adjusted", "variety": "have no pieces"}
@@ -84,7 +86,11 @@ def relight(
         why = refused.get(name, "have their own")
         raise UsageError(f"maps of others {why}", where=f"--{name}", remedy="leave it out")
     if explain_map is not None and (animate is not None or sheet is not None):
-        raise UsageError("this is of one picture", where="--explain-map", remedy="leave it out")
+        raise UsageError(
+            "the map of effects describes a single picture, not --animate or --sheet",
+            where="--explain-map",
+            remedy="leave it out",
+        )
     check_path(out, moving=animate is not None)
     if explain_map is not None:
         check_tiles_path(explain_map)

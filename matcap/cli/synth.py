@@ -88,7 +88,7 @@ def synth(
     is_piece = given.get("tile") == "piece"
     if is_piece and {"size", "region"} & {*where}:
         raise UsageError(
-            "the photographed piece has a size of its own",
+            "the photographed piece has a fixed size",
             where="--tile piece",
             remedy="leave --size and --region out, or let the field repeat, with --tile alone",
         )

@@ -181,7 +181,11 @@ def _band(
 
 
 def _share(tangent: Tensor, side: Tensor, nz: Tensor) -> Tensor:
-    """Integral of (n.w) cos(e) over elevations e from atan(tangent) to the zenith."""
+    """Irradiance per azimuth of a uniform sky above the horizon, for a unit normal n.
+
+    With w = (cos e, sin e) in the vertical plane of the azimuth and n.w = side cos e + nz sin e,
+    the integral of (n.w) cos(e) de from e = atan(tangent) to pi/2, 0 where negative.
+    """
     squared = tangent.square()
     below = 1.0 / (1.0 + squared)
     left = side * (math.pi / 2.0 - torch.atan(tangent) - tangent * below)

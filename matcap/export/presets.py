@@ -121,7 +121,10 @@ class EngineModel:
     """Form of the metallic workflow (metallic.py)."""
 
     def of(self, job: ExportJob) -> EngineModel:
-        """The model for a job: sets the mean F0 of its dielectrics if `even` allows it."""
+        """The model for a job: an engine with one F0 for all dielectrics gets the job's mean.
+
+        At most `even`, the largest such F0 of the engine; None leaves `dielectric`.
+        """
         if self.even is None:
             return self
         mean = mean_channel(job.specular)
@@ -206,12 +209,12 @@ def occlusion(label: str, depth: Depth = "8") -> PresetTexture:
 
 
 def cavity(label: str, depth: Depth = "8") -> PresetTexture:
-    """Occlusion by the nearest neighbours."""
+    """Texture of occlusion by texels within CAVITY_REACH."""
     return PresetTexture(label, depth, plain("cavity"), CAVITY)
 
 
 def bent(label: str, depth: Depth = "8") -> PresetTexture:
-    """Bent normals, +Y up."""
+    """Texture of bent normals (mean unoccluded directions), +Y up."""
 
     def made(material: PackedMaterial) -> Picture:
         return np.float32(0.5) + np.float32(0.5) * material.piece.picture("bent")

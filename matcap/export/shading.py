@@ -154,7 +154,10 @@ def _dielectric(at: Geometry, f0: float) -> Tensor:
 
 
 def _conductor(at: Geometry, f0: Tensor) -> Tensor:
-    """Fresnel's equations of a conductor with the least n possible, (1 - F0) / (1 + F0)."""
+    """Fresnel's equations of a conductor with that F0 and the least index [gulbrandsen2014].
+
+    n = (1 - F0) / (1 + F0), k from F0; F0 is clamped to 0.99.
+    """
     r = f0.clamp(0.0, 0.99)
     n2 = ((1.0 - r) / (1.0 + r)).square()
     k2 = ((n2.sqrt() + 1.0).square() * r - (n2.sqrt() - 1.0).square()).clamp_min(0.0) / (1.0 - r)

@@ -213,7 +213,7 @@ def _shared(job: ExportJob) -> dict[str, TextureFile]:
 
 
 def _fallback(material: _UsdMaterial, read: Reader) -> TargetSurface:
-    """The reflectance of programs without the specular workflow."""
+    """The reflectance as rendered by programs that ignore `useSpecularWorkflow`."""
     f0 = read(material.inputs["specular"]) * ((material.ior - 1.0) / (material.ior + 1.0)) ** 2
     return TargetSurface(
         read(material.inputs["base_color"]),

@@ -51,7 +51,7 @@ def join(
             raise MatcapError(
                 f"at {plane.size[0]} x {plane.size[1]} texels it is too narrow",
                 where=photo.name,
-                remedy="raise --detail, or take it out of the group",
+                remedy="raise --detail, or leave the photograph out",
             )
         gain = _brightness(coarse) / _brightness(fit)
         compared = replace(plane.brightened(gain), encoding=scene.encoding)

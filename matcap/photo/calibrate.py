@@ -106,7 +106,7 @@ def read_card(path: Path, *, fov: float | None = None) -> Calibration:
         raise MatcapError(
             "no card is seen here, neither a ChArUco board nor, in a RAW, a ColorChecker",
             where=str(path),
-            remedy="photograph the card whole and sharp, or take the photograph out of the shoot",
+            remedy="photograph the card whole and sharp, or remove this photograph from the folder",
         )
     digest = hashlib.sha256(repr(calibration).encode()).hexdigest()
     return replace(calibration, digest=digest)

@@ -206,7 +206,8 @@ _TABLE = (
     ),
     QualityCheck(
         "highlight_place", "distance between centres of the highlights", "tolerances",
-        (1.0, 2.6, 5.0), "the highlight is {off:.0f} % of the picture's long side off",
+        (1.0, 2.6, 5.0),
+        "the highlight is displaced by {off:.0f} % of the picture's long side",
         "the light's place or the field of view is wrong", _HIGHLIGHT,
     ),
     QualityCheck(
@@ -216,7 +217,7 @@ _TABLE = (
     ),
     QualityCheck(
         "light", "log luminance that goes with place as light does", "share", (0.12, 0.22, 0.4),
-        "brightness is distributed otherwise than in the photograph, by {percent:.0f} %", "",
+        "shading across the picture differs from the photograph's by {percent:.0f} %", "",
         "{more}",
     ),
     QualityCheck(
@@ -226,8 +227,8 @@ _TABLE = (
     QualityCheck(
         "texture", "difference of texture statistics", "of the photograph's parts among themselves",
         (1.1, 1.5, 2.3),
-        "the texture differs from the photograph's by {value:.1f} times what the photograph's own "
-        "parts differ by",
+        "the texture differs from the photograph {value:.1f} times as much as two parts of the "
+        "photograph differ from each other",
     ),
     QualityCheck(
         "contrast", "contrast of a band of texture, re-rendered over photographed", "times",
@@ -235,28 +236,31 @@ _TABLE = (
     ),
     QualityCheck(
         "order", "likeness a period further that is lost", "share", (0.3, 0.5, 0.75),
-        "{kept:.0f} % of the photograph's regular order is kept",
+        "the pattern is {kept:.0f} % as regular as in the photograph",
         "the pattern's period was not found exactly, or it bends",
         "try --preset high, or photograph it flat and from nearer",
     ),
     QualityCheck(
         "piece", "log radiance that the maps of the photographed piece leave", "share",
         (0.12, 0.22, 0.4),
-        "maps of the photographed piece leave {percent:.0f} % of its light unexplained",
+        "re-rendered from its maps, the photographed piece differs from the photograph by "
+        "{percent:.0f} %",
     ),
     QualityCheck(
         "confidence", "mean of what the maps' confidence lacks", "share", (0.6, 0.75, 0.9),
-        "{percent:.0f} % of the maps is guessed, most of {least}",
-        "clipped, dark or dull parts show little", _RETAKE,
+        "{percent:.0f} % of the maps is the network's guess rather than measured, most of all "
+        "{least}",
+        "clipped, dark or matte parts of a photograph say little of gloss and relief", _RETAKE,
     ),
     QualityCheck(
         "highlight_residue", "radial variation of a map about the mirror point", "just visible",
-        (1.0, 2.0, 4.0), "the highlight's residue is in the maps: {amount}",
-        "the highlight was taken for the material's own", "{more}",
+        (1.0, 2.0, 4.0), "the flash's highlight has left a spot in the maps: {amount}",
+        "part of the highlight was taken for colour or gloss of the material", "{more}",
     ),
     QualityCheck(
         "flash_offset", "distance of the flash from the lens", "plane units", (0.25, 0.35, 0.6),
-        "the light seems to be {off:.0f} % of the picture's long side beside the lens",
+        "the light seems to be {off:.0f} % of the picture's long side away from the lens, where "
+        "no phone has its flash",
         "other light, or a wrong field of view",
         "switch other lights off, and give --fov if you know it",
     ),

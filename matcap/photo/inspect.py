@@ -226,7 +226,7 @@ def _hot_spot(photo: Photo, place: tuple[float, float]) -> Finding:
 
 def _tilt(photo: Photo, tilt: tuple[float, float] | None) -> Finding:
     if tilt is None:
-        return CHECKS["tilt"].not_judged("the tilt was not looked at")
+        return CHECKS["tilt"].not_judged("the tilt was not measured")
     # The slope of the plane towards the camera, along x (right) and y (up) of photo.pixels.
     right, up = -math.degrees(tilt[1]), math.degrees(tilt[0])
     if photo.turned:
@@ -236,7 +236,7 @@ def _tilt(photo: Photo, tilt: tuple[float, float] | None) -> Finding:
         degrees, side=f": the sample's {side} side was nearer", raised=side
     )
     if finding.rating is Rating.GOOD:
-        says = f"the phone was square enough to the sample: {degrees:.1f} degrees off"
+        says = f"the phone was square to the sample, within {degrees:.1f} degrees"
         finding = replace(finding, says=says)
     value = {"degrees": round(degrees, 2), "right": round(right, 2), "up": round(up, 2)}
     return replace(finding, value=value)
@@ -247,7 +247,7 @@ def _sharpness(photo: Photo) -> Finding:
     width = photo.pixels.shape[1]
     if math.isnan(blur):
         return CHECKS["sharpness"].not_judged(
-            "Its sharpness cannot be measured: it is the same all over. "
+            "Sharpness cannot be measured, because the picture has no detail. "
             "Check by eye that the focus was on the sample."
         )
     finding = CHECKS["sharpness"].finding(blur, details=2.0 * blur, width=width)

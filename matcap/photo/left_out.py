@@ -64,7 +64,7 @@ def leave_transparent_out(photo: Photo, opacity: NDArray[np.float32], where: str
     Raises:
         MatcapError: too little is opaque.
     """
-    return _only(photo, opacity, "what is opaque comes to", where)
+    return _only(photo, opacity, "its transparency leaves", where)
 
 
 def _only(photo: Photo, share: NDArray[np.float32], what: str, where: str) -> Photo:
@@ -100,7 +100,7 @@ def _cropped(crop: Region, width: int, height: int) -> Kept:
             f"{crop.x},{crop.y},{crop.width},{crop.height} reaches beyond the photograph of "
             f"{width} x {height} pixels",
             where="--crop",
-            remedy="give x,y,w,h within it, from its left top as it is looked at",
+            remedy="give x,y,w,h within it, in pixels of the upright picture from its top left",
         )
     if min(crop.width, crop.height) < SHORTEST_SIDE or crop.width * crop.height < _LEAST * (
         width * height
@@ -125,7 +125,7 @@ def _masked(mask: Path, width: int, height: int) -> Kept:
             f"the mask is {grey.shape[1]} x {grey.shape[0]} pixels, the photograph "
             f"{width} x {height}",
             where=str(mask),
-            remedy="paint it over the photograph as it is looked at, at its full size",
+            remedy="paint it over the upright photograph, at its full size",
         )
     return np.asarray(grey > _GREY)
 

@@ -121,7 +121,7 @@ class Block:
 
     @cached_property
     def _all_tiles(self) -> Array:
-        """Tile indices without immediate repetitions."""
+        """Tile index of every run of consecutive pixels in one tile."""
         return self.tiles[np.flatnonzero(np.diff(self.tiles, prepend=-1))]
 
     @cached_property

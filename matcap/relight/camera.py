@@ -16,7 +16,7 @@ _CORNER_SQUARED = 1.25**2
 
 @dataclass(frozen=True)
 class View:
-    """A camera and the picture it takes."""
+    """A camera at a position with orthonormal axes, and the pixel grid of its picture."""
 
     position: Array
     """(3,) in plane units."""

@@ -54,7 +54,7 @@ class Sampler:
         return np.clip(column, 0.0, width - 1.0), np.clip(row, 0.0, height - 1.0)
 
     def covered(self, footprint: Array) -> Array:
-        """Footprints in texels, of footprints in plane units."""
+        """Sides of pixels' footprints, converted from plane units to texels."""
         return footprint * np.float32(self.repeat / self.texture.texel_size)
 
     def read(self, place: tuple[Array, Array], footprint: Array | None = None) -> SurfaceSample:

@@ -51,16 +51,20 @@ class Albedo:
 
     @cached_property
     def fine_total(self) -> Array:
-        """`total` at 1024 roughnesses, flat: value + i (next value along mu - value)."""
+        """`total` interpolated to 1024 roughnesses, flattened by rows, as complex numbers.
+
+        Real part: the value; imaginary part: the next value along mu minus it, so that a linear
+        interpolation reads one number.
+        """
         return _fine(self.total)
 
     @cached_property
     def fine_bias(self) -> Array:
-        """`bias` at 1024 roughnesses, as fine_total."""
+        """`bias` in the layout of fine_total."""
         return _fine(self.bias)
 
     def near(self, alpha: Array) -> Array:
-        """Index of the first entry of an alpha's row in `lost`: the nearest of 512, as float32."""
+        """Index in `lost` of (nearest tabulated alpha, mu = 0); an integer, as float32."""
         return np.rint(alpha * np.float32(_ALPHAS - 1)) * np.float32(_COSINES)
 
     def missing(self, near: Array, mu: Array) -> Array:
@@ -91,7 +95,7 @@ class Albedo:
 
 
 def _between(table: Array, places: Array) -> Array:
-    """Rows of a table at places in [0, 1], linearly interpolated."""
+    """A table's rows, uniform in [0, 1], linearly interpolated at (n,) places: (n, columns)."""
     y = places * (_SIZE - 1.0)
     i = np.minimum(y.astype(np.intp), _SIZE - 2)
     share = (y - i)[:, None]

@@ -106,7 +106,7 @@ class Texture:
 
     @cached_property
     def extremes(self) -> Extremes:
-        """Extremes over all texels."""
+        """Largest and smallest values of the maps and slopes over all texels, for bounds."""
         height = self.height[0]
         # A bilinear cell's derivatives are between those along its sides.
         across = np.abs(np.roll(height, -1, axis=1) - height)

@@ -78,7 +78,7 @@ def _refuse_networks_options(request: SynthRequest) -> None:
     given = {"--precision": request.precision != "fp32", "--device": request.device == "cuda"}
     for option in (option for option, holds in given.items() if holds):
         raise UsageError(
-            "only the paper's network is computed in a precision and on a device",
+            "only the decoder (the paper's network) has a choice of precision and device",
             where=option,
             remedy="leave it out, or give --generator decoder",
         )
@@ -156,7 +156,7 @@ def _check_piece(request: SynthRequest) -> None:
     }
     for option in (option for option, given in refused.items() if given):
         raise UsageError(
-            "the photographed piece is one, of a size of its own",
+            "the photographed piece is one map set of fixed size, not drawn by a seed",
             where=f"{option} with --tile piece",
             remedy=f"leave {option} out, or let the field repeat, with --tile alone",
         )

@@ -67,7 +67,7 @@ class SynthArea:
             )
         if self.size is not None and self.region is not None:
             raise UsageError(
-                "a rectangle has a size of its own", where="--region", remedy="leave --size out"
+                "a rectangle already has a size", where="--region", remedy="leave --size out"
             )
 
     @property
@@ -188,7 +188,7 @@ class Work:
             )
         if self.scheduler is not None and device_type != "cpu":
             raise UsageError(
-                "a cluster computes on its processors",
+                "a dask cluster computes on CPUs only",
                 where="--scheduler",
                 remedy="leave --device out, or --scheduler",
             )

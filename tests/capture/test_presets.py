@@ -22,7 +22,7 @@ def test_steps_of_several_photographs_are_refused_but_in_a_batch_of_single_ones(
     settings = CaptureSettings(steps=7)
     check_photographs(settings, 1)
     check_photographs(replace(settings, generator="decoder"), 3)
-    with pytest.raises(UsageError, match="--steps: several photographs of one piece are solved"):
+    with pytest.raises(UsageError, match="--steps: several photographs are solved"):
         check_photographs(settings, 3)
     assert settings.of_sample(1) is settings
     check_photographs(settings.of_sample(3), 3)

@@ -163,7 +163,11 @@ _UDIM_ROWS = (("1011", "1012"), ("1001", "1002"))
         (["--to", "usd", "--size", "99999999"], 2, "has a side of more than 65536"),
         (["--to", "gtlf"], 2, "--to: there is no 'gtlf'; did you mean 'gltf'."),
         (["--to", "unral"], 2, "--to: there is no 'unral'; did you mean 'unreal'."),
-        (["--to", "usd", "--name", "{map}"], 2, "--name: this is for presets alone; leave it out."),
+        (
+            ["--to", "usd", "--name", "{map}"],
+            2,
+            "--name: only presets have this option, and usd is a scene format; leave it out.",
+        ),
         (
             ["--to", "usd", "--bits", "half"],
             2,

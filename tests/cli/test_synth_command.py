@@ -208,7 +208,7 @@ def test_default_folders_tell_what_differs(matcap, material, tmp_path):
 
 def test_a_region_and_a_size_exclude_each_other(matcap, material):
     said = matcap("synth", material, "--size", 16, "--region", "0,0,8,8")
-    assert said.code == 2 and "--region: a rectangle has a size of its own" in said.err
+    assert said.code == 2 and "--region: a rectangle already has a size" in said.err
 
 
 def test_sizes_as_people_say_them():

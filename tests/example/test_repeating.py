@@ -169,7 +169,7 @@ def test_synth_and_export_write_the_piece_that_repeats(tmp_path, capsys):
     assert main(["export", file, "--to", "raw", "--tile", "piece", "-q", "-o", textures]) == 0
     for more in (["--size", "64"], ["--region", "0,0,8,8"], ["--seed", "3"], ["--variety", "0"]):
         assert main(["synth", file, "--tile", "piece", *more, "-o", folder]) == 2
-        assert "size of its own" in capsys.readouterr().err
+        assert "fixed size" in capsys.readouterr().err
     assert main(["export", file, "--to", "raw", "--tile", "piece", "--size", "64"]) == 2
 
 

@@ -136,7 +136,11 @@ def test_foreign_maps(run, tmp_path):
         (("m", "--scene", "nowhere.toml"), 3, "no such file"),
         (("m", "--scene", "scene.toml", "--light", "top"), 2, "its own lights"),
         (("m", "--effects", "+shadow"), 2, "is not an effect to switch"),
-        (("m", "--sheet", "2x2", "--animate", "light-orbit", "-o", "a.gif"), 2, "does not move"),
+        (
+            ("m", "--sheet", "2x2", "--animate", "light-orbit", "-o", "a.gif"),
+            2,
+            "--sheet one picture",
+        ),
         (("nowhere",), 3, "no such file"),
         (("--maps-from", "nowhere"), 3, "no such folder"),
     ],

@@ -91,7 +91,7 @@ def test_a_run_is_not_resumed_on_another_device(material, tmp_path):
 
 
 def test_a_cluster_is_not_sent_to_cuda(material, tmp_path):
-    with pytest.raises(UsageError, match="processors"):
+    with pytest.raises(UsageError, match="CPUs"):
         write_field(*claimed(request(material)), tmp_path, Work(scheduler="tcp://127.0.0.1:9"))
 
 

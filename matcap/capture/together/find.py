@@ -175,7 +175,7 @@ def registered(
 def _none_fits(registration: Registration) -> MatcapError:
     each = "; ".join(f"{one.name}: {one.why}" for one in registration.left_out)
     return MatcapError(
-        f"no other photograph can be laid over {registration.views[0].photo.name} ({each})",
+        f"no other photograph can be registered to {registration.views[0].photo.name} ({each})",
         remedy="photograph the same piece from the same distance, moved by a third of it each time",
     )
 

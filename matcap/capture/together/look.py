@@ -111,8 +111,10 @@ def _belonging(registration: Registration) -> Finding:
 def _room(registration: Registration) -> tuple[str, ...]:
     dark = [view.photo for view in registration.views if not view.flash]
     known = all(view.photo.exposure is not None for view in registration.views)
-    helps = "is taken off the others" if known else "helps with albedo"
-    return tuple(f"{photo.name} was taken without flash: what it shows {helps}." for photo in dark)
+    helps = "is subtracted from the others" if known else "helps to estimate albedo"
+    return tuple(
+        f"{photo.name} was taken without flash: its ambient light {helps}." for photo in dark
+    )
 
 
 def _sides(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
@@ -134,7 +136,7 @@ def _sides(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
             "lit_from",
             value,
             Rating.NOT_JUDGED if len(dark) < len(_SIDES) else Rating.DOUBTFUL,
-            f"Nothing is lit from the {_listed(dark, 'or')}.",
+            f"No photograph lights the piece from the {_listed(dark, 'or')}.",
             f"Photograph again with the phone moved by a third of its distance to the "
             f"{_listed(dark, 'and')}{each}.",
         ),
@@ -152,14 +154,19 @@ def _places(views: Sequence[RegisteredView]) -> Finding:
                 same.append(f"{one.photo.name} and {other.photo.name}")
     steep = [v for v in views if math.degrees(v.camera.tilt) > LOOK.steep]
     value = None if math.isinf(nearest) else round(nearest, 3)
-    said = [f"{pair} are nearly the same." for pair in same]
+    said = [f"{pair} were taken from nearly the same place." for pair in same]
     said += [
-        f"{v.photo.name} was taken at {math.degrees(v.camera.tilt):.0f} degrees." for v in steep
+        f"{v.photo.name} was taken {math.degrees(v.camera.tilt):.0f} degrees off vertical."
+        for v in steep
     ]
     if not said:
         return Finding("places", value, Rating.GOOD, "All were taken from different places.")
     remedy = "Move the phone by a third of its distance from one to the next." if same else ""
-    remedy += " Stay within 45 degrees: the far side is covered by few pixels." if steep else ""
+    remedy += (
+        " Stay within 45 degrees of vertical: the far side is covered by few pixels."
+        if steep
+        else ""
+    )
     return Finding("places", value, Rating.DOUBTFUL, " ".join(said), remedy.strip())
 
 
@@ -169,11 +176,11 @@ def _cameras(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
         return ()
     worst = max(views, key=lambda view: view.doubt)
     value = {view.photo.name: round(view.doubt, 5) for view in views[1:]}
-    says = f"Where cameras stood is known to {100 * worst.doubt:.2f} % of their distance"
+    says = f"Camera positions are uncertain by {100 * worst.doubt:.2f} % of their distance"
     if worst.doubt <= DOUBTED:
         return (Finding("cameras", value, Rating.GOOD, f"{says}."),)
-    says += f" so far ({worst.photo.name}): shading goes with the flash."
-    remedy = "A capture, which reckons with shading, brings them to about half of that or less."
+    says += f" ({worst.photo.name}), because the flash's shading moves with the camera."
+    remedy = "Nothing to do: a capture models the shading, and halves this or better."
     return (Finding("cameras", value, Rating.NOT_JUDGED, says, remedy),)
 
 
@@ -188,7 +195,7 @@ def _common(views: Sequence[RegisteredView]) -> Finding:
         round(alone, 3),
         Rating.DOUBTFUL,
         says,
-        "Turn the phone towards the middle of the piece each time, so that all of it is seen.",
+        "Aim the phone at the middle of the piece each time, so that all of it is in the picture.",
     )
 
 
@@ -200,11 +207,9 @@ def _union(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
     reach = reach_of(views, (LOOK.detail, round(LOOK.detail * rows / columns)))
     value = round(reach.times, 2)
     if not reach.margins.any:
-        says = "They show hardly more than the first one: with --union the piece is no larger."
+        says = "They show hardly more than the first one: --union makes the maps no larger."
     else:
-        says = (
-            f"They show {value:g} times as much as the first one: --union makes it all the piece."
-        )
+        says = f"They show {value:g} times the first one's area: --union makes maps of all of it."
     return (Finding("union", value, Rating.GOOD, says),)
 
 

@@ -64,8 +64,8 @@ class SetReport:
             return None
         worst, names = max(view.doubt for view in far), ", ".join(v.photo.name for v in far)
         return (
-            f"Where cameras stood is known to {100 * worst:.1f} % of their distance ({names}): "
-            "light comes from a little beside where it is taken to come from."
+            f"Camera positions are uncertain by {100 * worst:.1f} % of their distance ({names}), "
+            "and so are directions of light: relief may lean slightly."
         )
 
     def document(self) -> dict[str, Any]:

@@ -93,7 +93,7 @@ class Reach:
         """A sentence."""
         width, height = self.margins.around(self.size)
         return (
-            f"The piece is all that the photographs show: {width} x {height} texels, "
+            f"The maps cover all that the photographs show: {width} x {height} texels, "
             f"{self.times:.1f} times the first photograph's."
         )
 
@@ -102,9 +102,8 @@ class Reach:
         if not self.limited:
             return None
         return (
-            f"{1.0 - self.covered:.0%} of what the photographs show lies outside the maps, which "
-            f"have {self.times:.1f} times the first photograph's texels and may take no more "
-            "memory: "
+            f"{1.0 - self.covered:.0%} of what the photographs show is left out of the maps, which "
+            f"already have {self.times:.1f} times the first photograph's texels, the most allowed: "
             "capture it separately, or give a smaller --detail."
         )
 

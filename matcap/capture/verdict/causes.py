@@ -153,23 +153,24 @@ def _all(measured: CauseMeasurements) -> Iterator[Cause]:
     yield Cause(
         "anisotropic highlight",
         (measured.streak - 1.0) / (CAUSES.streak - 1.0),
-        f"the highlight is a streak, {measured.streak:.1f} times as long as a round one would be: "
-        "gloss depends on direction, which the maps cannot represent",
-        "shade it as anisotropic where you use it",
+        f"the highlight is a streak {measured.streak:.1f} times as long as wide: the reflection is "
+        "anisotropic, as of brushed metal, which the maps cannot represent",
+        "use an anisotropic shader in the renderer",
         _HIGHLIGHT | {"light", "piece"},
     )
     even = 0.0 <= measured.side <= CAUSES.even
     yield Cause(
         "no flash",
         1.0 if even and not measured.fired else 0.0,
-        "no flash shows: a side is as bright as the middle",
+        "the flash did not fire: the border is as bright as the middle",
         "photograph again with the flash on, in a dark room",
         _LIGHT,
     )
     yield Cause(
         "light from a side",
         0.0 if even else 1.0 + measured.side / CAUSES.side,
-        f"one side is {math.exp(measured.side):.1f} times as bright as the middle",
+        f"other light from one side: there it is {math.exp(measured.side):.1f} times as bright as "
+        "in the middle",
         DARK,
         _LIGHT,
     )
@@ -177,35 +178,38 @@ def _all(measured: CauseMeasurements) -> Iterator[Cause]:
     yield Cause(
         "room light",
         0.0 if bent else measured.room / CAUSES.room,
-        f"{min(measured.room, 1.0):.0%} of the light in the dark parts is not the flash's",
+        f"{min(measured.room, 1.0):.0%} of the light in the dark parts is room light, not flash",
         DARK,
         _LEVELS,
     )
     yield Cause(
         "tone curve",
         measured.curve / CAUSES.curve if bent else 0.0,
-        "the camera bent brightness: bright and dark parts differ otherwise than light does",
+        "the camera applied a tone curve, so that pixel values are not proportional to light",
         "take RAW (DNG)",
         _LEVELS,
     )
     yield Cause(
         "clipping by channel",
         measured.channels / CAUSES.channels,
-        f"single channels are clipped on {100.0 * measured.channels:.0f} % of the photograph",
+        f"one or two of red, green and blue are clipped on {100.0 * measured.channels:.0f} % of "
+        "the photograph, which changes its colour there",
         "photograph again a stop darker",
         _CLIPPED,
     )
     yield Cause(
         "steep relief",
         measured.tilt / CAUSES.tilt,
-        f"relief leans by {measured.tilt:.0f} degrees on the mean, which one flash hardly measures",
+        f"the relief's mean slope is {measured.tilt:.0f} degrees, too steep to be measured from "
+        "one flash position",
         more_photographs(measured.photographs),
         _RELIEF,
     )
     yield Cause(
         "large drawing",
         (1.0 - measured.variety) / (1.0 - CAUSES.variety),
-        "what is drawn hangs together over much of the photograph",
+        "the pattern's features are almost as large as the photograph, which leaves too little to "
+        "rearrange",
         "use it with --variety 0, or photograph more of it from further away",
         _DRAWING,
     )

@@ -37,7 +37,7 @@ RESIDUES: Mapping[str, tuple[float, str]] = {
     "albedo": (0.05, "diffuse differs there by a factor of {:.2f}"),
     "specular": (0.15, "specular differs there by a factor of {:.2f}"),
     "roughness": (0.025, "roughness differs there by {:.2f}"),
-    "grain": (0.3, "relief is stronger or weaker there by a factor of {:.2f}"),
+    "grain": (0.3, "the relief's slopes differ there by a factor of {:.2f}"),
 }
 
 
@@ -100,7 +100,7 @@ def highlight_contrast(seen: Measurements) -> Finding:
         return check.not_judged("nothing is glossy in the photograph or in its re-rendering")
     ratio = max(known, key=check.severity)
     clipped = 0.0 if profile is None or not profile.bound else profile.clipped[0]
-    bound = f", as far as is seen: {clipped:.0%} of its core is clipped" if clipped else ""
+    bound = f", or less: {clipped:.0%} of the photograph's highlight is clipped" if clipped else ""
     return check.finding(ratio, bound=bound)
 
 
@@ -134,7 +134,7 @@ def _order(seen: Measurements) -> Iterator[Finding]:
         return
     before, after = seen.order
     if before < FINDINGS.plain_order:
-        yield CHECKS["order"].not_judged("the regular order is too faint to be seen")
+        yield CHECKS["order"].not_judged("the photograph shows no regular pattern to compare")
         return
     kept = max(after, 0.0) / before
     yield CHECKS["order"].finding(1.0 - kept, kept=100.0 * min(kept, 1.0))

@@ -62,7 +62,7 @@ class CaptureVerdict:
         remedy = worst.remedy or more_photographs(self.photographs)
         if worst.cause:
             return f"Likely cause: {worst.cause}", remedy
-        return "The photograph shows no cause", remedy
+        return "The photograph shows no cause for it", remedy
 
     def document(self) -> dict[str, Any]:
         """As JSON."""

@@ -115,9 +115,12 @@ def register(
     for index in range(1, len(photos)):
         first, second, pixel = finder.matched(photos[0], photos[index])
         if first.shape[1] < settings.matches:
-            why = f"too little of it is found in {photos[0].name} ({first.shape[1]} matches)"
+            why = (
+                f"only {first.shape[1]} of its features match {photos[0].name}, "
+                f"at least {settings.matches} are needed"
+            )
             if repeats_itself(photos[0]):
-                why += ", whose pattern repeats itself: let all show a border, or a mark laid on it"
+                why += "; its pattern repeats: let all photographs show a border or a mark"
             left_out[index] = why
             continue
         ratio = FlashSetup(fov=photos[index].fov).distance / FlashSetup(fov=photos[0].fov).distance
@@ -198,17 +201,20 @@ def _wrong(
     for index, number in numbers.items():
         camera, off = adjusted.cameras[number + 1], adjusted.off[number]
         if not np.isfinite(camera.place).all() or camera.place[2] <= 0.05:
-            wrong.append((math.inf, index, "no camera could have taken it of a flat piece"))
+            wrong.append((math.inf, index, "its matches fit no camera position above a flat piece"))
         elif off > settings.off:
-            why = f"its matches lie {off:.1f} pixels beside each other: is the piece flat?"
+            why = f"its matches are {off:.1f} pixels off: the piece moved or is not flat"
             wrong.append((off / settings.off, index, why))
         elif math.degrees(camera.tilt) > settings.steepest:
-            why = f"its camera would lean by {math.degrees(camera.tilt):.0f} degrees"
+            why = (
+                f"its camera is {math.degrees(camera.tilt):.0f} degrees off vertical, at most "
+                f"{settings.steepest:.0f} are allowed"
+            )
             wrong.append((1.0, index, why))
         else:
             alike = likeness(first, RegisteredView(photos[index], camera), settings)
             if alike < settings.alike:
-                why = f"where it was found it does not look like {photos[0].name}, or it is blurred"
+                why = f"it differs from {photos[0].name} at the same place, or is blurred"
                 wrong.append((1.0 + settings.alike - alike, index, why))
     return [(index, why) for _, index, why in sorted(wrong, reverse=True)]
 

@@ -61,7 +61,7 @@ def bound(limits: SceneBounds) -> Bound:
     tilt = 1.0 if limits.slope > 0.0 else 0.0
     reason = f"radiance differs by up to {limits.environment_variation:.2g} from its mean"
     if limits.environment_variation == 0.0:
-        reason = "tilted normals face what lies below the surface"
+        reason = "tilted normals face below the horizon"
     return Bound(limits.environment_variation * both + tilt * limits.environment * both, reason)
 
 

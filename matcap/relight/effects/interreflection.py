@@ -44,7 +44,7 @@ def bound(limits: SceneBounds) -> Bound:
         return Bound(0.0, "the surface is flat")
     steepest = math.atan(limits.relief_slope)
     hidden = math.pi * (1.0 - math.cos(steepest) ** 3)
-    reason = f"slopes of up to {math.degrees(steepest):.3g} degrees face each other"
+    reason = f"slopes of up to {math.degrees(steepest):.3g} degrees light each other"
     return Bound(limits.lambert**2 * light * hidden, reason)
 
 

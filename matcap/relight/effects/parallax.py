@@ -33,7 +33,10 @@ def bound(limits: SceneBounds) -> Bound:
     """0 on a flat surface; else the picture's largest radiance."""
     if limits.relief == 0.0:
         return Bound(0.0, "the surface is flat")
-    return Bound(limits.largest_radiance, f"relief of {limits.relief:.2g} moves what is seen")
+    return Bound(
+        limits.largest_radiance,
+        f"heights of {limits.relief:.2g} shift texels",
+    )
 
 
 def shift(

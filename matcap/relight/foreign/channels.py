@@ -168,7 +168,7 @@ class _Set:
                 del self.files[kind]
 
     def _judge_height(self) -> None:
-        """Take a file named as height for a normal map if its colours are: Unity's BumpMap."""
+        """Reclassify a file named as height (Unity's BumpMap) whose colours are a normal map's."""
         if "height" not in self.files or not looks_like_normals(self._pixels("height")):
             return
         file = self.files.pop("height")
@@ -270,7 +270,11 @@ class _Set:
         return clipped
 
     def _fitted(self, values: Array, size: tuple[int, int], pixels: Pixels) -> Array:
-        """(C, H, W) resampled to the set's (width, height)."""
+        """(C, H, W) resampled to the set's (width, height): area mean down, bilinear up.
+
+        Raises:
+            MatcapError: another aspect ratio.
+        """
         import cv2
 
         width, height = values.shape[2], values.shape[1]

@@ -27,7 +27,7 @@ class Shape(Protocol):
         ...
 
     def seen_by(self, view: View) -> Shape:
-        """The shape with what it precomputes for a view."""
+        """This shape, prepared for hits() of a view: a mesh rasterises which face each pixel sees."""
         ...
 
     def hits(self, view: View, top: int, bottom: int) -> Hits:
