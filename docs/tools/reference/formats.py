@@ -39,8 +39,9 @@ units, angles degrees, colours linear Rec.709. Files are relative to the scene f
 `.hdr` for environment maps, `.obj` for a mesh. Examples: `examples/scenes`.
 """
 _SETTINGS = """\
-In the folder of photographs or beside it. Keys are the names of [matcap batch](commands.md#matcap-batch)'s
-options, with `_` or `-`; options win over the file. Paths are relative to the file.
+In the folder of photographs or beside it. Keys are the names of the options of
+[matcap batch](commands.md#matcap-batch), with `_` or `-`. Options override the file. Paths are
+relative to the file.
 """
 _TABLES = (
     ("[film]", scene.Film, None),

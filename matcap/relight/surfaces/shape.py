@@ -27,7 +27,7 @@ class Shape(Protocol):
         ...
 
     def seen_by(self, view: View) -> Shape:
-        """This shape, prepared for hits() of a view: a mesh rasterises which face each pixel sees."""
+        """This shape, prepared for a view: a mesh rasterises the face that each pixel sees."""
         ...
 
     def hits(self, view: View, top: int, bottom: int) -> Hits:
