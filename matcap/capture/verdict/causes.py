@@ -206,7 +206,7 @@ def _all(measured: CauseMeasurements) -> Iterator[Cause]:
         _RELIEF,
     )
     yield Cause(
-        "large drawing",
+        "large features",
         (1.0 - measured.variety) / (1.0 - CAUSES.variety),
         "the pattern's features are almost as large as the photograph, which leaves too little to "
         "rearrange",

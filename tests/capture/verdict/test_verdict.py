@@ -161,7 +161,7 @@ SHOWN = [
     ({"curve": 0.3, "developed": True}, "tone curve", {"colour": (0.2, 0.0, -0.25)}),
     ({"channels": 0.2}, "clipping by channel", shot_with("clipped", 0.2)),
     ({"tilt": 35.0}, "steep relief", {"texture": 2.0}),
-    ({"variety": 0.1}, "large drawing", {"order": (0.5, 0.05)}),
+    ({"variety": 0.1}, "large features", {"order": (0.5, 0.05)}),
 ]
 
 
