@@ -35,14 +35,14 @@ def inspect(
     captured: Annotated[Given, Fields(CaptureSettings, only=("fov", "camera"))] = NOTHING,
     as_json: JsonOption = False,
 ) -> None:
-    """Say how good photographs are, and what to do at the next shot.
+    """Rate photographs before they are captured, and say what to change at the next one.
 
-    Flash, clipping, hot spot, tilt, sharpness, sameness all over, what kind of file it is, how
-    strong highlight and glints are, and relief and albedo's contrast, where the photograph measures
-    them. Ratings are the verdict's: "-" usable, "?" doubtful, "!" failed. Of several photographs of
-    one piece: which do not belong, from where nothing is lit, which are nearly the same. Of a
-    material: its exemplar, what of it is left out, its F0, and what the verdict on its capture says
-    of highlight and glints.
+    Checks flash, clipping, hot spot, tilt, sharpness and uniformity; prints the kind of file, the
+    strength of highlight and glints, and the contrast of relief and albedo where it can be
+    measured. Ratings are those of a capture's verdict: "-" usable, "?" doubtful, "!" failed. Of
+    several photographs of one piece: which do not belong to it, which sides no photograph lights,
+    which are nearly the same. Of a material: its exemplar, the share of it left out, its F0, and
+    highlight and glints of its verdict.
     """
     from matcap.files.names import are_a_series
     from matcap.photo.camera import read_camera_profile
