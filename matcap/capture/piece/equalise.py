@@ -119,9 +119,3 @@ def _wanted(height: Height, strengths: Strengths | None) -> Doubles:
     if strengths is None:
         return drawn
     return posterior_energies(drawn, np.square(strengths.slope).sum(1), strengths.doubt)
-
-
-def slopes(height: Height) -> tuple[Height, Height]:
-    """(H, W) slopes along x and along y, which points up."""
-    down, across = np.gradient(height)
-    return np.asarray(across, np.float32), np.asarray(-down, np.float32)

@@ -23,7 +23,6 @@ from matcap.brdf.parameters import SurfaceParameters
 from matcap.flash.light import FlashLight, Incidence
 
 DARKEST = 1e-5  # radiance
-LEVELS = 5  # of a class, as SurfaceParameters.levels has them
 _STEP = 0.03  # of logit roughness, for differences
 
 

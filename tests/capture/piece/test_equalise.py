@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from photographed import photographed
 
-from matcap.capture.piece.equalise import equalise, slopes
+from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.smooth import split
 from matcap.capture.piece.strengths import BANDS, Strengths, slope_strengths
 
@@ -16,6 +16,12 @@ from matcap.capture.piece.strengths import BANDS, Strengths, slope_strengths
 def _bumps() -> np.ndarray:
     shot = photographed(0.2, 0.0, width=768, height=512)
     return (shot.maps.height / shot.maps.texel_size)[0].numpy()
+
+
+def slopes(height):
+    """(H, W) slopes along x and along y, which points up."""
+    down, across = np.gradient(height)
+    return across, -down
 
 
 def _estimate(slope: np.ndarray, doubt: float = 0.02) -> Strengths:
