@@ -7,13 +7,17 @@ import json
 import random
 import re
 import struct
+import sys
+import zlib
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
+import tifffile
 import torch
-from PIL import Image, ImageCms
+from PIL import Image, PngImagePlugin
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
@@ -30,6 +34,9 @@ from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.freeze import freeze
 from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "photo"))
+from icc_files import ink_profile, matrix_profile
 
 SCENE = """
 [film]
@@ -82,16 +89,10 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
     write_dng(folder / "plain.dng", shot, Sensor(), 1)
     write_dng(folder / "shaded.dng", shot, Sensor(shading=0.4), 1)
     write_jpeg(folder / "exif.jpg", shot, 1)
-    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    Image.fromarray((code >> 8).astype(np.uint8)).save(folder / "icc.jpg", icc_profile=profile)
+    photographs = _write_photographs(folder, (code >> 8).astype(np.uint8))
     for name, pixels, form in (
-        ("8.png", (code >> 8).astype(np.uint8), "uint8"),
-        ("16.png", code, "uint16"),
-        ("8.tif", (code >> 8).astype(np.uint8), "uint8"),
-        ("16.tif", code, "uint16"),
-        ("float.tif", light, "float"),
-        ("light.exr", light, "half"),
-    ):
+        ("16.png", code, "uint16"), ("16.tif", code, "uint16"), ("light.exr", light, "half"),
+    ):  # fmt: skip
         _write(folder / name, pixels, form)
     (folder / "scene.toml").write_text(SCENE)
     (folder / "matcap.toml").write_text(SETTINGS)
@@ -110,10 +111,9 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
     )
     return {
         "photo": [
-            *(folder / f"{name}.dng" for name in ("plain", "shaded")),
-            *(folder / f"{name}.jpg" for name in ("exif", "icc")),
-            *(folder / f"{name}.png" for name in ("8", "16")),
-            *(folder / f"{name}.tif" for name in ("8", "16", "float")),
+            *(folder / name for name in ("plain.dng", "shaded.dng", "exif.jpg")),
+            *(folder / name for name in ("16.png", "16.tif")),
+            *photographs,
         ],
         "exr": [folder / "light.exr", folder / "set" / "set_height.exr"],
         "picture": surroundings,
@@ -126,6 +126,39 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
         "record": [folder / "record.json"],
         "mesh": [folder / "mesh.obj"],
     }
+
+
+def _write_photographs(folder: Path, codes: np.ndarray) -> list[Path]:
+    """Of every kind that is read, with what they may state of themselves."""
+    place = folder / "photographs"
+    place.mkdir()
+    alpha = np.where(np.arange(codes.shape[1]) > 20, 255, 0).astype(np.uint8)
+    cut_out = Image.fromarray(np.dstack([codes, np.broadcast_to(alpha, codes.shape[:2])]))
+    picture, exif = Image.fromarray(codes), Image.Exif()
+    exif.update({0x0112: 6})
+    exif.get_ifd(0x8769).update({0xA405: 26, 0xA001: 65535, 0x920A: 4.0, 0xA20E: 1000.0})
+    xmp = b'<x tiff:Orientation="3" exif:FocalLengthIn35mmFilm="26"/>'
+    picture.save(place / "a.jpg", exif=exif, xmp=xmp, icc_profile=matrix_profile())
+    picture.convert("CMYK").save(place / "inks.jpg", icc_profile=ink_profile())
+    cut_out.save(place / "a.png", exif=exif, icc_profile=matrix_profile())
+    stated = PngImagePlugin.PngInfo()
+    stated.add(b"gAMA", struct.pack(">I", 55_000))
+    primaries = 31_270, 32_900, 68_000, 32_000, 26_500, 69_000, 15_000, 6_000
+    stated.add(b"cHRM", struct.pack(">8I", *primaries))
+    picture.convert("L").save(place / "grey.png", pnginfo=stated)
+    cut_out.save(place / "a.webp", exif=exif, xmp=xmp)
+    picture.save(place / "a.avif", exif=exif)
+    deep = codes.astype(np.uint16) * 257
+    with tifffile.TiffWriter(place / "pages.tif") as file:
+        file.write(codes[:64, :64], photometric="rgb", subfiletype=1)
+        file.write(deep, photometric="rgb", compression="zlib", iccprofile=matrix_profile())
+    tifffile.imwrite(place / "lab.tif", codes, photometric="cielab")
+    tifffile.imwrite(place / "float.tif", (codes / 255).astype(np.float32), photometric="rgb")
+    if find_spec("pillow_heif"):
+        import pillow_heif
+
+        pillow_heif.from_pillow(picture).save(place / "a.heic", exif=exif.tobytes())
+    return sorted(place.iterdir())
 
 
 def _write_surroundings(folder: Path) -> list[Path]:
@@ -208,7 +241,21 @@ def spoil(data: bytes, kind: str, others: list[bytes], chance: random.Random) ->
         ways += [lambda d: _flip(d[:1024], chance) + d[1024:]] * 2
     for _ in range(chance.choice((1, 1, 1, 2, 3))):
         data = chance.choice(ways)(data)
-    return data
+    # Hardly any changed PNG would be read with a wrong check sum.
+    return _summed(data) if data[:4] == b"\x89PNG" and chance.random() < 0.5 else data
+
+
+def _summed(data: bytes) -> bytes:
+    """A PNG with right check sums."""
+    mended, at = bytearray(data), 8
+    while at + 12 <= len(data):
+        (size,) = struct.unpack_from(">I", data, at)
+        end = at + 8 + size
+        if end + 4 > len(data):
+            break
+        struct.pack_into(">I", mended, end, zlib.crc32(data[at + 4 : end]))
+        at = end + 4
+    return bytes(mended)
 
 
 def _flip(data: bytes, chance: random.Random) -> bytes:
