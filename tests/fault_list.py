@@ -160,7 +160,8 @@ FAULTS = (
           "pass", "relight/test_relight_edges.py -k no_ray"),
     Fault("lines are triangles", "relight load_mesh", "(area > _SMALLEST * size ** 2).any()",
           "True", "relight/test_relight_edges.py -k no_area"),
-    Fault("half floats overflow", "files _check", "np.abs(pixels).max(initial=0.0) > LARGEST_HALF",
+    Fault("half floats overflow", "files check_representable",
+          "np.abs(pixels).max(initial=0.0) > LARGEST_HALF",
           "np.abs(pixels).max(initial=0.0) > np.inf",
           "relight/test_relight_edges.py -k half_float"),
     # Capture.

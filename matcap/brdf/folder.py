@@ -48,7 +48,7 @@ from matcap.brdf.other_normals import note_other_normals, painted_normals
 from matcap.brdf.seam import seam_ratio
 from matcap.brdf.stated import SPECULAR_CHANNELS, NormalSource, NormalStyle, stated_maps
 from matcap.errors import MatcapError
-from matcap.files.exr import read_exr_named, write_exr
+from matcap.files.exr import read_exr, write_exr
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.names import plain_name
 from matcap.files.png import write_png
@@ -189,7 +189,7 @@ def read_mapset(
     maps = {}
     for kind, channels in stated.channels.items():
         name, named = stated.files[kind]
-        picture = read_exr_named(file.parent / name, size=stated.size, channels=named)
+        picture = read_exr(file.parent / name, size=stated.size, channels=named)
         pixels = as_saved(picture, channels, str(file.parent / name))
         if pixels.shape[2] != channels:
             raise MatcapError(

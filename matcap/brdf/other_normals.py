@@ -14,7 +14,7 @@ import numpy as np
 
 from matcap.brdf.edited import without_alpha
 from matcap.errors import MatcapError
-from matcap.files.exr import read_exr_named
+from matcap.files.exr import read_exr
 from matcap.files.names import name_fault
 from matcap.files.note import note
 
@@ -47,7 +47,7 @@ def note_other_normals(maps: MapSet, document: dict[str, Any], folder: Path) -> 
     if name is None or name_fault(name) or not (folder / name).is_file():
         return
     try:
-        stored = read_exr_named(folder / name, size=maps.size, channels=about.get("channels"))
+        stored = read_exr(folder / name, size=maps.size, channels=about.get("channels"))
     except (MatcapError, TypeError, ValueError) as error:
         what = error.what if isinstance(error, MatcapError) else "its channels are unknown"
         note(f"{folder / name}: {what}; {_ANSWER}")
@@ -77,7 +77,7 @@ def painted_normals(document: dict[str, Any], folder: Path, size: tuple[int, int
             "the map set names no file of normals", where=str(folder), remedy=_WITHOUT
         )
     where = str(folder / name)
-    pixels = without_alpha(read_exr_named(folder / name, size=size))
+    pixels = without_alpha(read_exr(folder / name, size=size))
     if pixels.shape[2] != 3:
         raise MatcapError(
             f"has {pixels.shape[2]} channels instead of 3", where=where, remedy=_WITHOUT

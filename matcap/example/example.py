@@ -27,7 +27,7 @@ from matcap.example.lattice import GRID, Frequency
 from matcap.example.lookup import Lookup, prepare
 from matcap.example.normals import with_normals
 from matcap.example.patch_sizes import PatchSizes
-from matcap.example.repeat.source import RepeatedSource
+from matcap.example.repeat.source import BLOCKS, RepeatedSource
 from matcap.example.tuned import BLEND
 from matcap.field.blocks import RING, Grid
 from matcap.field.plane import Period, Rectangle, check_period, check_seed, check_variety
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 PREFIX = "example."  # of the names of its tensors in a file
 _GRID = 1536  # texels of the grid's longer side, at most
-# Wider than a decoder's: for small blocks most time goes into the margin.
-_BLOCKS = Grid(1024, 256)
 
 
 @dataclass(frozen=True)
@@ -288,7 +286,7 @@ class ExampleSource:
     seed: int
     period: Period | None
     texel_size: float
-    grid: Grid = _BLOCKS
+    grid: Grid = BLOCKS
 
     @property
     def specular_channels(self) -> int:

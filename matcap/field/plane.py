@@ -8,9 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from matcap.errors import UsageError
-
-COORDINATE_LIMIT = 2**40  # texels either way
-SEED_LIMIT = 2**63
+from matcap.files.values import COORDINATE_LIMIT as COORDINATE_LIMIT
+from matcap.files.values import SEED_LIMIT
 
 # Period of a field in texels along x and y; None for an axis along which it never repeats.
 Period = tuple[int | None, int | None]

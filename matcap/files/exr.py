@@ -35,7 +35,7 @@ def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool, mark: str 
     """
     import OpenEXR
 
-    _check(path, pixels, half=half)
+    check_representable(path.name, pixels, half=half)
     stored = np.ascontiguousarray(pixels, dtype=np.float16 if half else np.float32)
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
@@ -57,22 +57,22 @@ def write_exr_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) 
     import OpenEXR
 
     for plane in channels.values():
-        _check(path, plane, half=True)
+        check_representable(path.name, plane, half=True)
     stored = {name: np.ascontiguousarray(plane, np.float16) for name, plane in channels.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     _write(path, header, stored)
 
 
-def _check(path: Path, pixels: NDArray[np.float32], *, half: bool) -> None:
+def check_representable(name: str, pixels: NDArray[np.float32], *, half: bool) -> None:
     """Raise MatcapError for values that the file cannot represent."""
     if not np.isfinite(pixels).all():
         raise MatcapError(
-            "has values that are not finite", where=path.name, remedy="make the maps again"
+            "has values that are not finite", where=name, remedy="make the maps again"
         )
     if half and np.abs(pixels).max(initial=0.0) > LARGEST_HALF:
         raise MatcapError(
             "has values too large for half float (65504)",
-            where=path.name,
+            where=name,
             remedy="scale them down",
         )
 
@@ -88,23 +88,6 @@ def _write(path: Path, header: dict[str, Any], channels: dict[str, Any]) -> None
         raise OSError(errno.ENOSPC if full else errno.EIO, str(error)) from error
 
 
-def read_exr(
-    path: Path, *, size: tuple[int, int] | None = None, channels: Sequence[str] | None = None
-) -> NDArray[np.float32]:
-    """Read (H, W, C) float32 from an EXR file.
-
-    Args:
-        path: the file.
-        size: expected (width, height); checked before any pixel is read.
-        channels: names to read, in this order; None is all, in the file's order.
-
-    Raises:
-        MatcapError: missing, not an EXR file, truncated, corrupt, of another size, without a
-            channel, or with values that are not finite.
-    """
-    return read_exr_named(path, size=size, channels=channels).pixels
-
-
 @dataclass(frozen=True)
 class NamedChannels:
     """Content of an EXR file."""
@@ -117,10 +100,20 @@ class NamedChannels:
     """Chromaticities x, y of red, green, blue and white, or None."""
 
 
-def read_exr_named(
+def read_exr(
     path: Path, *, size: tuple[int, int] | None = None, channels: Sequence[str] | None = None
 ) -> NamedChannels:
-    """read_exr, with the names of the channels and the primaries."""
+    """Read an EXR file.
+
+    Args:
+        path: the file.
+        size: expected (width, height); checked before any pixel is read.
+        channels: names to read, in this order; None is all, in the file's order.
+
+    Raises:
+        MatcapError: missing, not an EXR file, truncated, corrupt, of another size, without a
+            channel, or with values that are not finite.
+    """
     import OpenImageIO as oiio
 
     remedy = "write the map set again"

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 _SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
 _KILO = 1024  # texels: 2K is 2048
-LIMIT = 2**40  # largest magnitude of coordinates of the endless field
-SEEDS = 2**63  # seeds are in [-SEEDS, SEEDS)
+COORDINATE_LIMIT = 2**40  # texels, largest magnitude of coordinates of the endless field
+SEED_LIMIT = 2**63  # seeds are in [-SEED_LIMIT, SEED_LIMIT)
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def seed(text: str | int) -> int:
         return text
     if not re.fullmatch(r"\s*[+-]?\d{1,30}\s*", text):
         raise ValueError(f"'{text[:40]}' is not a whole number")
-    if not -SEEDS <= int(text) < SEEDS:
+    if not -SEED_LIMIT <= int(text) < SEED_LIMIT:
         raise ValueError(f"'{text}' is out of range; give one from -2^63 to 2^63 - 1")
     return int(text)
 
@@ -138,7 +138,7 @@ def region(text: str | Region) -> Region:
         raise ValueError(f"'{text}' is not a rectangle such as -100,0,512,512") from None
     if width < 1 or height < 1:
         raise ValueError(f"'{text}' has a side of zero or less")
-    if max(abs(x), abs(y), abs(x + width), abs(y + height)) > LIMIT:
+    if max(abs(x), abs(y), abs(x + width), abs(y + height)) > COORDINATE_LIMIT:
         raise ValueError(f"'{text}' reaches outside the field, -2^40 to 2^40")
     return Region(x, y, width, height)
 

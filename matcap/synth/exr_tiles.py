@@ -20,8 +20,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.errors import MatcapError
-from matcap.files.exr import LARGEST_HALF
+from matcap.files.exr import check_representable
 from matcap.files.rec709 import REC709
 
 TILE = 64
@@ -209,16 +208,7 @@ def stored(channel: Channel, values: NDArray[np.float32], name: str) -> NDArray[
     Raises:
         MatcapError: a value is not finite, or too large for half float.
     """
-    if not np.isfinite(values).all():
-        raise MatcapError(
-            "has values that are not finite", where=name, remedy="make the material again"
-        )
-    if channel.half and np.abs(values).max(initial=0.0) > LARGEST_HALF:
-        raise MatcapError(
-            "has values too large for half float (65504)",
-            where=name,
-            remedy="make the material again",
-        )
+    check_representable(name, values, half=channel.half)
     return values.astype(channel.dtype)
 
 

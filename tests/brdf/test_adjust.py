@@ -150,7 +150,7 @@ def test_export_and_relight_adjust_too(tmp_path, maps):
         assert main(["export", str(tmp_path / where), "--to", "raw", "-o", out, "-q", *more]) == 0
     from matcap.files.exr import read_exr
 
-    lit = [read_exr(tmp_path / f"{name}.exr") for name in "ab"]
+    lit = [read_exr(tmp_path / f"{name}.exr").pixels for name in "ab"]
     np.testing.assert_allclose(lit[0], lit[1], rtol=5e-3, atol=1e-4)
     sidecar = json.loads((tmp_path / "a" / "wall_raw.json").read_text())
     assert sidecar["provenance"]["adjust"] == "relief=2,brightness=0.5"

@@ -43,7 +43,7 @@ def test_an_opaque_alpha_is_left_out_of_every_map(written):
     folder, expected = written
     for kind in ("diffuse", "specular", "roughness", "height", "normal"):
         file = folder / f"leather_{kind}.exr"
-        found = read_exr(file)
+        found = read_exr(file).pixels
         planes = [*np.moveaxis(found, -1, 0)]
         planes = planes if len(planes) == 3 else planes * 3
         resave(file, *planes, np.ones(found.shape[:2]))
@@ -52,16 +52,16 @@ def test_an_opaque_alpha_is_left_out_of_every_map(written):
 
 def test_grey_as_grey_and_alpha_or_as_three_channels(written):
     folder, expected = written
-    (plane,) = np.moveaxis(read_exr(folder / "leather_roughness.exr"), -1, 0)
+    (plane,) = np.moveaxis(read_exr(folder / "leather_roughness.exr").pixels, -1, 0)
     resave(folder / "leather_roughness.exr", plane, np.ones_like(plane), names="YA")
-    (plane,) = np.moveaxis(read_exr(folder / "leather_height.exr"), -1, 0)
+    (plane,) = np.moveaxis(read_exr(folder / "leather_height.exr").pixels, -1, 0)
     resave(folder / "leather_height.exr", plane, plane, plane)
     same(quietly(folder), expected)
 
 
 def test_a_transparent_alpha_is_told(written):
     folder, expected = written
-    planes = np.moveaxis(read_exr(folder / "leather_diffuse.exr"), -1, 0)
+    planes = np.moveaxis(read_exr(folder / "leather_diffuse.exr").pixels, -1, 0)
     resave(folder / "leather_diffuse.exr", *planes, np.full(planes[0].shape, 0.5))
     with pytest.warns(Note, match="transparency is not used"):
         same(read_mapset(folder)[0], expected)
@@ -69,7 +69,7 @@ def test_a_transparent_alpha_is_told(written):
 
 def test_a_colour_where_there_can_be_none_is_refused(written):
     folder, _ = written
-    (plane,) = np.moveaxis(read_exr(folder / "leather_roughness.exr"), -1, 0)
+    (plane,) = np.moveaxis(read_exr(folder / "leather_roughness.exr").pixels, -1, 0)
     resave(folder / "leather_roughness.exr", plane, 0.9 * plane, plane)
     with pytest.raises(MatcapError, match="3 channels instead of 1"):
         read_mapset(folder)

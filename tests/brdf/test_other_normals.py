@@ -39,7 +39,7 @@ def painted(normals):
 def test_an_edited_normal_is_told(tmp_path, maps, change, said):
     write_mapset(maps, tmp_path, MapSetInfo("moss"))
     file = tmp_path / "moss_normal.exr"
-    write_exr(file, change(read_exr(file)).astype(np.float32), half=False)
+    write_exr(file, change(read_exr(file).pixels).astype(np.float32), half=False)
     with pytest.warns(Note, match=f"moss_normal.exr: {said}.*it is not read"):
         read_mapset(tmp_path)
 
@@ -67,7 +67,7 @@ def test_a_set_without_a_normal_file_is_whole(tmp_path, maps):
 def test_what_was_painted_is_read_where_it_is_asked_for(tmp_path, maps, style):
     write_mapset(maps, tmp_path, MapSetInfo("moss"), normal=style)
     file = tmp_path / "moss_normal.exr"
-    normals = read_exr(file)
+    normals = read_exr(file).pixels
     normals[5:15, 5:15] = (0.36, 0.48 if style == "gl" else -0.48, 0.8)
     write_exr(file, 2.0 * normals, half=False)  # of no unit length
     found, _ = read_mapset(tmp_path, normals="file")
@@ -97,6 +97,6 @@ def test_relief_that_is_adjusted_takes_the_painting_along(tmp_path, maps):
 def test_what_is_no_normal_is_refused_where_it_is_asked_for(tmp_path, maps, change, said):
     write_mapset(maps, tmp_path, MapSetInfo("moss"))
     file = tmp_path / "moss_normal.exr"
-    write_exr(file, change(read_exr(file)).astype(np.float32), half=False)
+    write_exr(file, change(read_exr(file).pixels).astype(np.float32), half=False)
     with pytest.raises(MatcapError, match=f"moss_normal.exr.*{said}"):
         read_mapset(tmp_path, normals="file")

@@ -65,7 +65,7 @@ def test_a_lone_rectangle_is_cut_from_the_same_field(matcap, folder):
 def test_a_material_relights_without_a_map_set(matcap, folder):
     material, picture = folder / "noise.matcap", folder / "a.exr"
     assert matcap("relight", material, "--size", "40x30", "-o", picture).code == 0
-    assert read_exr(picture).shape == (30, 40, 3)
+    assert read_exr(picture).pixels.shape == (30, 40, 3)
 
 
 def test_a_material_is_for_everybody_whom_other_files_are_for(folder):

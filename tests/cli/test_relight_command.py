@@ -34,12 +34,12 @@ def test_the_current_folder_under_the_default_light(matcap, folder):
 def test_linear_radiance_by_suffix_and_lights_by_place(matcap, folder):
     for light, name in [("0,0,2,4", "near.exr"), ("0,0,2,8", "bright.exr"), ("left", "left.exr")]:
         assert matcap("relight", folder / "grey.json", "--light", light, "-o", name, "-q").code == 0
-    near, bright = read_exr(folder / "near.exr"), read_exr(folder / "bright.exr")
+    near, bright = read_exr(folder / "near.exr").pixels, read_exr(folder / "bright.exr").pixels
     assert near.shape == (24, 32, 3)
     assert np.allclose(bright, 2 * near, rtol=1e-5)
     # The middle: albedo / pi * intensity / distance^2.
     assert near[12, 16, 0] == pytest.approx(0.18 / np.pi * 4 / 4, rel=0.01)
-    left = read_exr(folder / "left.exr")[12, :, 0]
+    left = read_exr(folder / "left.exr").pixels[12, :, 0]
     assert left[2] > 1.5 * left[-3]
 
 

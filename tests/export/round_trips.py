@@ -161,7 +161,7 @@ def blender_picture(file, maps, place=NAMED_LIGHTS["top"], *, corrected=True) ->
     subprocess.run([str(w) for w in words], check=True, capture_output=True)
     # A lamp of P watts has a radiant intensity of P / (4 pi).
     scale = exposing_intensity(place) * 4.0 * np.pi / 1000.0
-    return read_exr(out)[..., :3] * scale
+    return read_exr(out).pixels[..., :3] * scale
 
 
 def materials(paths, metallic):

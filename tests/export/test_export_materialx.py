@@ -85,7 +85,7 @@ def test_heights_are_real(tmp_path, made, read_materialx, unit, metres):
     assert lift.getInput("scale").getValue() == pytest.approx(metres)
     assert lift.getInput("scale").getUnit() == ("meter" if unit else "")
     file = lift.getConnectedNode("displacement").getInput("file").getValueString()
-    assert np.array_equal(read_exr(tmp_path / file)[..., 0], made["leather"].height[0])
+    assert np.array_equal(read_exr(tmp_path / file).pixels[..., 0], made["leather"].height[0])
     sidecar = json.loads((tmp_path / "leather_materialx.json").read_text())
     assert sidecar["unit"] == ("mm" if unit else "plane unit")
     assert sidecar["tile"][0] == pytest.approx(2.0 * (unit or 1.0))

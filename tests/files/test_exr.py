@@ -18,8 +18,8 @@ def picture():
 def test_float_is_exact_and_half_is_rounded_to_nearest(tmp_path, picture):
     write_exr(tmp_path / "f.exr", picture, half=False)
     write_exr(tmp_path / "h.exr", picture, half=True)
-    assert np.array_equal(read_exr(tmp_path / "f.exr"), picture)
-    assert np.array_equal(read_exr(tmp_path / "h.exr"), picture.astype(np.float16))
+    assert np.array_equal(read_exr(tmp_path / "f.exr").pixels, picture)
+    assert np.array_equal(read_exr(tmp_path / "h.exr").pixels, picture.astype(np.float16))
 
 
 def test_grey_is_one_channel_y(tmp_path, picture):

@@ -37,7 +37,7 @@ def test_picture_formats_by_suffix(tmp_path):
     image = np.full((4, 5, 3), 0.21404114, dtype=np.float32)
     image[0, 0] = 7.5
     write_picture(image, tmp_path / "new" / "a.exr")
-    assert np.array_equal(read_exr(tmp_path / "new" / "a.exr"), image)
+    assert np.array_equal(read_exr(tmp_path / "new" / "a.exr").pixels, image)
     write_picture(image, tmp_path / "a.PNG")
     assert read(tmp_path / "a.PNG")[1, 1].tolist() == [128, 128, 128]
     assert read(tmp_path / "a.PNG")[0, 0].tolist() == [255, 255, 255]

@@ -26,7 +26,7 @@ STAGES = ("flat direct light", "parallax", "shadows", "interreflection")
 
 
 def reference(name: str) -> np.ndarray:
-    return read_exr(FOLDER / f"{name}.exr")
+    return read_exr(FOLDER / f"{name}.exr").pixels
 
 
 def errors(found: np.ndarray, expected: np.ndarray) -> tuple[float, float]:

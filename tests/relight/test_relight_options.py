@@ -52,7 +52,7 @@ def test_default_picture_is_one_pixel_a_texel(run, tmp_path):
 def test_exr_is_radiance_and_png_is_exposed_codes(run):
     assert run("m", "--scene", "scene.toml", "-o", "a.exr", "-q")[0] == 0
     assert run("m", "--scene", "scene.toml", "-o", "a.png", "-q")[0] == 0
-    radiance = read_exr(Path("a.exr"))
+    radiance = read_exr(Path("a.exr")).pixels
     assert radiance.shape == (16, 20, 3)
     codes = cv2.imread("a.png")[..., ::-1]
     np.testing.assert_array_equal(codes, np.rint(srgb_picture(radiance / 2.0) * 255))
@@ -98,7 +98,7 @@ def test_animations(run):
     video = cv2.VideoCapture("a.mp4")
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 3
     video.release()
-    frames = [read_exr(Path(f"b_{i:04d}.exr")) for i in range(3)]
+    frames = [read_exr(Path(f"b_{i:04d}.exr")).pixels for i in range(3)]
     assert frames[0].shape == (12, 16, 3)
     assert not np.array_equal(frames[0], frames[1])
 
@@ -106,7 +106,7 @@ def test_animations(run):
 def test_turntable_ends_where_it_began(run):
     options = ("--scene", "turntable", "--size", "12", "--animate", "turntable", "-q")
     assert run("m", *options, "--frames", "2", "-o", "b.exr")[0] == 0
-    assert read_exr(Path("b_0001.exr")).any()
+    assert read_exr(Path("b_0001.exr")).pixels.any()
 
 
 def test_sheet(run):

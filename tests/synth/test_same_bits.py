@@ -52,7 +52,7 @@ def digests(words, folder):
             result = json.loads(file.read_text())
             content = json.dumps(result | {"matcap": "any"}).encode()
         else:
-            content = read_exr(file).tobytes()
+            content = read_exr(file).pixels.tobytes()
         found[file.name] = hashlib.sha256(content).hexdigest()
     return found
 

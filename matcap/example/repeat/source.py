@@ -17,7 +17,7 @@ from matcap.field.plane import Period, Rectangle
 if TYPE_CHECKING:
     from torch import Tensor
 
-_BLOCKS = Grid(1024, 256)
+BLOCKS = Grid(1024, 256)  # wider than a decoder's: for small blocks most time goes into the margin
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class RepeatedSource:
     """(6 or 8, h, w) maps of the tile."""
     texel_size: float
     """Side of a texel in plane units."""
-    grid: Grid = _BLOCKS
+    grid: Grid = BLOCKS
 
     @property
     def period(self) -> Period:

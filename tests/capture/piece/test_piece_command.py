@@ -44,7 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_piece_is_written_beside_the_material(folder: Path) -> None:
     name = folder.name
     maps, document = read_mapset(folder / f"{name}_photo.json")
-    trusted = read_exr(folder / f"{name}_photo_confidence.exr")
+    trusted = read_exr(folder / f"{name}_photo_confidence.exr").pixels
     assert trusted.shape == (maps.size[1], maps.size[0], 4)
     assert 0.0 <= trusted.min() <= trusted.max() <= 1.0
     assert document["provenance"]["of"] == "the photographed piece"

@@ -79,7 +79,7 @@ def textures(g: np.random.Generator) -> Swept:
                 # The curve itself is worked out in 32-bit floats.
                 read, step = srgb_decode(read), error + _CURVE
         else:
-            read = read_exr(path)[..., 0].astype(np.float64)
+            read = read_exr(path).pixels[..., 0].astype(np.float64)
             step = np.maximum(np.abs(values) * 2.0**-11, 2.0**-25) if depth == "half" else 1e-30
     held = np.abs(stored.seen(job.piece(slice(0, len(values)))) - read).max() <= 1e-6 * max(
         float(values.max()), 1e-6
