@@ -23,6 +23,10 @@ PackArgument = Annotated[Path, typer.Argument(metavar="PACK", help="Made by `pri
 PriorOption = Annotated[
     Path | None, typer.Option(help="A prior's file, instead of the one that comes along.")
 ]
+ResultsOption = Annotated[
+    Path,
+    typer.Option("--out", "-o", help="Folder for the table, the picture and single results."),
+]
 
 
 @app.callback()
@@ -174,10 +178,7 @@ def anchors(
 def evaluate(
     pack: PackArgument,
     prior: PriorOption = None,
-    out: Annotated[
-        Path,
-        typer.Option("--out", "-o", help="Folder for the table, the picture and single results."),
-    ] = Path("bench/prior"),
+    out: ResultsOption = Path("bench/prior"),
     steps: Annotated[int, typer.Option(min=1, help="Fine-tuning steps from the prior.")] = 100,
     longer: Annotated[int, typer.Option(min=1, help="Steps from nothing beside them.")] = 1000,
     materials: Annotated[int, typer.Option(min=1, help="How many held-out ones.")] = 12,
@@ -194,20 +195,15 @@ def evaluate(
     from matcap.space.prior.store import load_prior
 
     settings = EvaluateSettings(steps, longer, materials)
-    table = run_evaluation(
-        load_prior(prior), Pack.load(pack), settings, out, _command(), _printer(quiet)
-    )
-    typer.echo(table)
+    given = load_prior(prior), Pack.load(pack), settings, out, _command(), _printer(quiet)
+    typer.echo(run_evaluation(*given))
 
 
 @app.command()
 def ablate(
     pack: PackArgument,
     prior: PriorOption = None,
-    out: Annotated[
-        Path,
-        typer.Option("--out", "-o", help="Folder for the table, the picture and single results."),
-    ] = Path("bench/prior"),
+    out: ResultsOption = Path("bench/prior"),
     steps: Annotated[int, typer.Option(min=1, help="Of fine-tuning.")] = 350,
     materials: Annotated[int, typer.Option(min=1, help="How many held-out ones.")] = 12,
     quiet: QuietOption = False,
@@ -216,14 +212,13 @@ def ablate(
 
     Results are kept and gone on from as `prior evaluate` does.
     """
-    from matcap.lab.train.evaluate import EvaluateSettings, run_ablation
+    from matcap.lab.train.evaluate import EvaluateSettings, run_evaluation
     from matcap.lab.train.pack import Pack
     from matcap.space.prior.store import load_prior
 
     settings = EvaluateSettings(steps, materials=materials)
-    typer.echo(
-        run_ablation(load_prior(prior), Pack.load(pack), settings, out, _command(), _printer(quiet))
-    )
+    given = load_prior(prior), Pack.load(pack), settings, out, _command(), _printer(quiet)
+    typer.echo(run_evaluation(*given, ablation=True))
 
 
 @app.command()

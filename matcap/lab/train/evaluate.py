@@ -81,30 +81,19 @@ def run_evaluation(
     out: Path,
     command: str,
     on_progress: Callable[[str], None] = lambda line: None,
+    *,
+    ablation: bool = False,
 ) -> str:
-    """Measure, write prior-evaluation.csv, .md and .jpg into a folder, and give the page."""
+    """Measure, write prior-evaluation (or prior-ablation) .csv, .md and .jpg, and give the page."""
     entries = first_of_each(pack.reporting)[: settings.materials]
-    rows = measured("prior-evaluation", ways_of(prior, settings), entries, out, on_progress)
-    dead = (
-        f"Codes of the training photographs: {prior.about.get('dead_dimensions', '?')} of "
-        f"{CODE_SIZE} dimensions dead."
-    )
-    return _page("prior-evaluation", rows, out, command, dead)
-
-
-def run_ablation(
-    prior: Prior,
-    pack: Pack,
-    settings: EvaluateSettings,
-    out: Path,
-    command: str,
-    on_progress: Callable[[str], None] = lambda line: None,
-) -> str:
-    """Measure, write prior-ablation.csv, .md and .jpg into a folder, and give the page."""
-    entries = first_of_each(pack.reporting)[: settings.materials]
-    ways = variants(prior, settings.steps, settings.realisations)
-    rows = measured("prior-ablation", ways, entries, out, on_progress)
-    return _page("prior-ablation", rows, out, command)
+    if ablation:
+        name, more = "prior-ablation", ""
+        ways = variants(prior, settings.steps, settings.realisations)
+    else:
+        name, ways = "prior-evaluation", ways_of(prior, settings)
+        dead = prior.about.get("dead_dimensions", "?")
+        more = f"Codes of the training photographs: {dead} of {CODE_SIZE} dimensions dead."
+    return _page(name, measured(name, ways, entries, out, on_progress), out, command, more)
 
 
 def measured(
@@ -236,7 +225,7 @@ def _without_tilt(shown: Photographed) -> Photographed:
     return photographed(replace(shown.entry, coarse=straight))
 
 
-def _page(name: str, rows: Sequence[Trial], out: Path, command: str, more: str = "") -> str:
+def _page(name: str, rows: Sequence[Trial], out: Path, command: str, more: str) -> str:
     """The table as a page, and a sheet beside it: a column a material, a row a method."""
     methods = [m for m in dict.fromkeys(row.configuration for row in rows) if m != ALBEDO]
     materials = list(dict.fromkeys(row.subject for row in rows))

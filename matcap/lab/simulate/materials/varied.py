@@ -161,7 +161,7 @@ def _random_layer(rng: np.random.Generator, hue: Colour) -> Layer:
         pattern=pattern,
         shape=shape,
         first=first,
-        second=_related_finish(rng, first, hue),
+        second=_related_finish(rng, first),
         depth=1.0,
         grain=grain,
         tone=_log_uniform(rng, 0.01, 0.3),
@@ -216,7 +216,7 @@ def _random_finish(rng: np.random.Generator, hue: Colour) -> Finish:
     return Finish(hue, rng.uniform(0.025, 0.07), rng.uniform(0.15, 0.92))
 
 
-def _related_finish(rng: np.random.Generator, first: Finish, hue: Colour) -> Finish:
+def _related_finish(rng: np.random.Generator, first: Finish) -> Finish:
     """A finish that goes with another: a shade of it, or something else at times."""
     if rng.random() < 0.25:
         return _random_finish(rng, _natural_colour(rng))
