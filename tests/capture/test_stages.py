@@ -20,7 +20,7 @@ PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
     [("example", PIECE_STAGES, "adapt"), ("decoder", DECODER_STAGES, "fine-tuning")],
 )
 @pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
-def test_every_stage_has_its_share_and_is_told_in_its_order(tmp_path, generator, stages, longest):
+def test_every_stage_has_its_share_and_is_reported_in_order(tmp_path, generator, stages, longest):
     assert sum(stages.values()) == pytest.approx(1.0)
     lines = []
     settings = CaptureSettings(preset="draft", steps=2, detail=160, generator=generator)
@@ -87,4 +87,5 @@ print(sorted(name for name in sys.modules if name.startswith(("matcap.space", "m
     assert done.returncode == 0, done.stderr
     loaded = set(ast.literal_eval(done.stdout.strip().splitlines()[-1]))
     branch = {"alignment", "picture", "residual"}
+    branch.add("options")  # of the command line; it loads neither PyTorch nor the prior
     assert loaded == {"matcap.space"} | {f"matcap.space.{name}" for name in branch}
