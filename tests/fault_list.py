@@ -267,7 +267,7 @@ FAULTS = (
           "capture/piece/test_equalise.py -k shown_best"),
     Fault("equalise: whatever the photograph says", "capture _wanted", "strengths is None", "True",
           "capture/piece/test_equalise.py -k sure"),
-    Fault("equalise: however little it is trusted", "capture.piece.posterior posterior_energies",
+    Fault("equalise: however little it is trusted", "capture.piece.equalise posterior_energies",
           "doubt[:, None] + STRENGTH.least_energy", "STRENGTH.least_energy",
           "capture/piece/test_equalise.py -k sure"),
     Fault("equalise: weaker for stronger", "capture equalise", "wanted / drawn", "drawn / wanted",

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from matcap.capture.piece.observation import Observation
-from matcap.capture.piece.photographed_strengths import plane_strengths
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.tilt import fitted, tilt_document
 from matcap.capture.verdict.highlight import highlight_profile
@@ -57,10 +56,9 @@ def inspect_file(
     photo = load_photo(path, long_side=detail, fov=fov, noise=False)
     photo = photo if profile is None else photo.known_by(profile)
     coarse, plane = _rectified(photo)
-    observed = Observation.of(plane, coarse)
     return InspectedPhotograph(
         _quality(photo, coarse, plane),
-        plane_strengths(observed.plane, observed.inputs),
+        Observation.of(plane, coarse).strengths(),
         tilt_document(coarse),
     )
 

@@ -22,12 +22,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.smooth import split
+from matcap.capture.piece.smooth import smoothed, split
 from matcap.capture.piece.tuned import ADAPT
 from matcap.flash.adam import Adam
 from matcap.flash.likeness import PhotographTarget, compare_windows, render_windows, shuffled
 from matcap.flash.penalty import price
 from matcap.flash.schedule import Schedule
+
+Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -301,3 +303,28 @@ def corners(seen: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
     windows = (windows + total[:-size, :-size]) / size**2
     least = min(ADAPT.seen, float(np.quantile(windows, 0.75)))
     return np.argwhere(windows >= least)
+
+
+def even_contrast(albedo: Floats, weight: Floats) -> Floats:
+    """Log albedo (3, H, W) whose bands vary as much everywhere as where they are seen.
+
+    A stationary sample has the same contrast everywhere; under a highlight albedo hardly shows, and
+    the network's answer fades.
+
+    Args:
+        albedo: as the network gives it.
+        weight: (H, W) how far it is seen, in [0, 1].
+    """
+    local = weight + np.float32(ADAPT.contrast_unseen)
+    under = smoothed(local, ADAPT.contrast_around)
+    grey = split(albedo.mean(0))
+    channels = [split(channel) for channel in albedo]
+    even = np.stack([bands[-1] for bands in channels])
+    for index, band in enumerate(grey[:-1]):
+        squared = np.square(band)
+        wanted = np.sqrt((squared * weight).sum() / max(float(weight.sum()), 1e-9))
+        here = np.sqrt(smoothed(squared * local, ADAPT.contrast_around) / under)
+        gain = wanted / np.maximum(here, ADAPT.contrast_faintest)
+        gain = gain.clip(ADAPT.contrast_least, ADAPT.contrast_most)
+        even += gain * np.stack([bands[index] for bands in channels])
+    return even

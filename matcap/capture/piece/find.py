@@ -21,9 +21,8 @@ from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.detail import Rectified
 from matcap.capture.piece.absolute import most_probable_scale, scaled
-from matcap.capture.piece.adapt import Adapted, Change, Leg, adapt
+from matcap.capture.piece.adapt import Adapted, Change, Leg, adapt, even_contrast
 from matcap.capture.piece.classes import Classes, find_mixture
-from matcap.capture.piece.contrast import even_contrast
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.glints import scaled_by_glints
@@ -35,7 +34,6 @@ from matcap.capture.piece.network.network import (
     NetworkAnswer,
 )
 from matcap.capture.piece.observation import Observation, seen_share
-from matcap.capture.piece.photographed_strengths import plane_strengths
 from matcap.capture.piece.refine import Refined, flatten, refine, remaining
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.strengths import Strengths
@@ -290,7 +288,7 @@ def read_piece(observed: Observation, network: Inverse) -> tuple[Observation, Ne
 def measured_relief(observed: Observation, prediction: NetworkPrediction) -> Strengths | None:
     """Relief and albedo energies measured by the photograph; None where too little can be used."""
     shown = observed.light.slope_sensitivity(observed.light.maps(prediction.departures))
-    return plane_strengths(observed.plane, observed.inputs, shown)
+    return observed.strengths(shown)
 
 
 def strengthened(

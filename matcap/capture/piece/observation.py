@@ -15,10 +15,11 @@ from matcap.capture.piece.levels import RingTarget
 from matcap.capture.piece.metal import seen_colour, tint
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import NetworkInputs
-from matcap.capture.piece.noise import channel_noise
+from matcap.capture.piece.noise import channel_noise, channel_weights, noise_level
 from matcap.capture.piece.refine import PieceLight
-from matcap.capture.piece.smooth import smoothed
-from matcap.capture.piece.tuned import READ
+from matcap.capture.piece.smooth import filled, smoothed
+from matcap.capture.piece.strengths import Strengths, measure_strengths
+from matcap.capture.piece.tuned import READ, STRENGTH
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.geometry import flash_mirror_point, plane_points
 from matcap.flash.plane import Plane
@@ -74,6 +75,30 @@ class Observation:
         """(H, W) specular fraction of the uniform material's radiance."""
         return np.asarray(self.inputs.gloss[0].clamp(0.0, 1.0).numpy(), np.float32)
 
+    def strengths(self, read: Tensor | None = None) -> Strengths | None:
+        """Relief spectrum that the photograph measures; None where too little of it can be used.
+
+        The sensitivity to slope is the coarse fit's, which is nearer to the truth than that of the
+        predicted maps (docs/notes/capture.md); the difference of both adds to the deviation.
+
+        Args:
+            read: (2, H, W) d log L / d slope of the predicted maps. Bare metal between rust has
+                three times the sensitivity of both together.
+        """
+        plane, use = self.plane, self.plane.measured.numpy()
+        # What is clipped is at least as bright as it looks.
+        channels = zip(self.inputs.log.numpy(), use, strict=True)
+        whole = [np.maximum(filled(channel, seen), channel) for channel, seen in channels]
+        weights = channel_weights(self.noise).numpy()
+        return measure_strengths(
+            np.asarray((weights * whole).sum(0), np.float32),
+            _even(self.inputs.slope_sensitivity),
+            use.mean(0, dtype=np.float32),
+            noise_level(plane),
+            matte=(1.0 - self.inputs.gloss[0]).clamp(0.0, 1.0).numpy(),
+            also=None if read is None else _even(read),
+        )
+
     def tinted(self, metal: Tensor) -> Observation:
         """With the specular tint seen where shares (1, H, W) are metal."""
         seen = seen_colour(self.plane.linear, metal * self.shown.all(0, keepdim=True))
@@ -114,3 +139,8 @@ def seen_share(measured: Tensor) -> NDArray[np.float32]:
 def lit(linear: Tensor) -> Tensor:
     """(H, W) bool: where the neighbourhood's radiance (3, H, W) is above the noise."""
     return torch.from_numpy(smoothed(linear.mean(0).numpy(), READ.unlit_around) > READ.unlit)
+
+
+def _even(sensitivity: Tensor) -> NDArray[np.float32]:
+    """Sensitivity (2, H, W) of neighbourhoods."""
+    return np.stack([smoothed(s, STRENGTH.response_around) for s in sensitivity.numpy()])

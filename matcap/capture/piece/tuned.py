@@ -86,7 +86,7 @@ class StrengthSettings:
         response_around: texels, deviation of the blur of the sensitivity.
         together, each_band: deviations of the logarithm of energies that networks draw from true
             ones: of all bands, and of each beside. Half or twice as much hardly matters.
-        posterior_reach, posterior_step: range and step of the log factors tried (posterior.py).
+        posterior_reach, posterior_step: range and step of the log factors tried (equalise.py).
         least_energy: squared slope.
         even_around: texels, deviation of a neighbourhood. Less evens out a cell beside its groove
             (at 20 a leather loses 0.1 floors and a cloth gains as much), more leaves arcs around

@@ -42,7 +42,6 @@ from matcap.capture.piece.tuned import INPAINT
 from matcap.capture.progress import CaptureClock
 from matcap.capture.together.align import Aligned, aligned, reframed
 from matcap.capture.together.hue import achromatic, coloured, on_grid
-from matcap.capture.together.place import placed
 from matcap.capture.together.predict import predictions
 from matcap.capture.together.readings import ReadView, read_views, with_others
 from matcap.capture.together.room import less_room
@@ -67,7 +66,7 @@ from matcap.flash.coarse import CoarseFit, fit_coarse, under_flash
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.registration.camera import PosedCamera
-from matcap.flash.registration.register import Registration
+from matcap.flash.registration.register import Registration, register_in_any_order
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 
@@ -158,7 +157,7 @@ def registered(
         MatcapError: no other photograph shows the same piece.
     """
     with clock.stage("register"):
-        registration = placed(photos)
+        registration = register_in_any_order(photos)
         if len(registration.views) < 2:
             raise _none_fits(registration)
         registration, _ = less_room(registration)

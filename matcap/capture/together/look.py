@@ -14,12 +14,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.together.place import placed
 from matcap.capture.together.union import reach_of
 from matcap.errors import MatcapError
 from matcap.flash.registration.doubt import DOUBTED
 from matcap.flash.registration.grid import grid_points
-from matcap.flash.registration.register import RegisteredView, Registration
+from matcap.flash.registration.register import RegisteredView, Registration, register_in_any_order
 from matcap.photo.checks import Finding, Rating
 from matcap.photo.inspect import Inspection
 from matcap.photo.load import load_photo
@@ -64,7 +63,7 @@ def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection
             "one photograph is no set", where=str(paths[0]), remedy="give two or more of one piece"
         )
     photos = [load_photo(path, long_side=LOOK.detail, fov=fov, noise=False) for path in paths]
-    return set_quality(placed(photos))
+    return set_quality(register_in_any_order(photos))
 
 
 def set_quality(registration: Registration) -> Inspection:

@@ -78,7 +78,7 @@ def adjust(
     pairs: Sequence[Pair],
     *,
     known: bool,
-    settings: AdjustSettings | None = None,
+    settings: AdjustSettings = AdjustSettings(),
 ) -> Adjusted:
     """Cameras of photographs that have something in common with the first.
 
@@ -88,7 +88,6 @@ def adjust(
         known: whether the field of view is given by EXIF.
         settings: see AdjustSettings.
     """
-    settings = settings or AdjustSettings()
     focal = settings.known_focal if known else settings.assumed_focal
     deviation = np.array([focal, *settings.bent, settings.tilt, settings.tilt])
     common = np.array([0.0, 0.0, 0.0, *setup.tilt])

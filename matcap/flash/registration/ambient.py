@@ -33,7 +33,7 @@ def flash_first(photos: Sequence[Photo]) -> list[Photo]:
 
 
 def without_flash(
-    photos: Sequence[Photo], settings: AmbientSettings | None = None
+    photos: Sequence[Photo], settings: AmbientSettings = AmbientSettings()
 ) -> dict[int, str]:
     """Numbers of photographs that the flash did not light, each with the rest of a sentence.
 
@@ -44,7 +44,6 @@ def without_flash(
         photos: of one piece.
         settings: see AmbientSettings.
     """
-    settings = settings or AmbientSettings()
     falloff = [hot_spot(photo)[1] for photo in photos]
     lit = [
         photo.flash_fired is True or (photo.flash_fired is None and bright >= settings.shown)

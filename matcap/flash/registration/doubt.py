@@ -60,7 +60,9 @@ class Doubts:
     by: one that is moved and turned sees the plane alike."""
 
 
-def doubts(fit: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings | None = None) -> Doubts:
+def doubts(
+    fit: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings = DoubtSettings()
+) -> Doubts:
     """Standard deviations of camera positions and of the photographs' registration.
 
     Args:
@@ -68,7 +70,7 @@ def doubts(fit: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings | None 
         pairs: the matches they were fitted to.
         settings: see DoubtSettings.
     """
-    covariance = _covariance(fit, pairs, settings or DoubtSettings())
+    covariance = _covariance(fit, pairs, settings)
     cameras, others = fit.cameras, range(1, len(fit.cameras))
     return Doubts(
         np.array([_off(cameras, number, covariance) for number in others]),

@@ -67,9 +67,9 @@ class Keypoints:
 class KeypointFinder:
     """Keypoints of photographs, each looked for once and only when asked for."""
 
-    def __init__(self, settings: KeypointSettings | None = None) -> None:
+    def __init__(self, settings: KeypointSettings = KeypointSettings()) -> None:
         """With settings."""
-        self._settings = settings or KeypointSettings()
+        self._settings = settings
         self._cached: dict[tuple[int, int], Keypoints] = {}
 
     def matched(self, first: Photo, second: Photo) -> tuple[Doubles, Doubles, float]:

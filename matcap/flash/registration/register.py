@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.adjust import Adjusted, Pair, adjust
-from matcap.flash.registration.ambient import without_flash
+from matcap.flash.registration.ambient import flash_first, without_flash
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.doubt import doubts
 from matcap.flash.registration.grid import grid_points, to_pixels
@@ -89,8 +89,25 @@ class Registration:
     """Whether the first one is, beside the others."""
 
 
+def register_in_any_order(photos: Sequence[Photo]) -> Registration:
+    """Register photographs; the first with flash gives the frame, or the next if that is blurred.
+
+    The first camera begins above the plane: where it begins makes no difference
+    (docs/notes/several.md).
+
+    Args:
+        photos: two or more, in any order.
+    """
+    photos = flash_first(photos)
+    registration = register(photos, FlashSetup(fov=photos[0].fov))
+    if registration.blurred and len(registration.views) > 2:
+        photos = flash_first([*photos[1:], photos[0]])
+        registration = register(photos, FlashSetup(fov=photos[0].fov))
+    return registration
+
+
 def register(
-    photos: Sequence[Photo], setup: FlashSetup, settings: RegisterSettings | None = None
+    photos: Sequence[Photo], setup: FlashSetup, settings: RegisterSettings = RegisterSettings()
 ) -> Registration:
     """Find where the cameras of all photographs stood; the first one's frame is the piece's.
 
@@ -102,7 +119,6 @@ def register(
     Raises:
         MatcapError: the first was taken without the flash that the others show.
     """
-    settings = settings or RegisterSettings()
     finder = KeypointFinder()
     pairs, left_out = dict[int, Pair](), dict[int, str]()
     dark = without_flash(photos)

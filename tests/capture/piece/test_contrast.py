@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from photographed import photographed
 
-from matcap.capture.piece.contrast import even_contrast
+from matcap.capture.piece.adapt import even_contrast
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,7 @@ from arrays import photo_from_array
 from photographed import photographed
 from typer.testing import CliRunner
 
-from matcap.capture.piece.find import Observation
-from matcap.capture.piece.photographed_strengths import plane_strengths
+from matcap.capture.piece.observation import Observation
 from matcap.capture.piece.strengths import slope_strengths
 from matcap.cli.main import app
 from matcap.files.srgb import srgb_encode
@@ -41,8 +40,7 @@ def test_relief_is_told_without_knowing_anything_but_the_photograph() -> None:
     linear, true = _shot(768, 576)
     photo = photo_from_array(linear, long_side=768, fov=65.0, radiometric=True, name="bumps")
     coarse = fit_coarse(photo)
-    observed = Observation.of(read_plane(photo, coarse.setup, 768), coarse)
-    result = plane_strengths(observed.plane, observed.inputs)
+    result = Observation.of(read_plane(photo, coarse.setup, 768), coarse).strengths()
     assert result is not None
     assert result.relief == pytest.approx(true, rel=0.1)
 

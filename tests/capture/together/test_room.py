@@ -11,7 +11,6 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.pipeline import capture_into
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together.look import set_quality
-from matcap.capture.together.place import placed
 from matcap.capture.together.room import RoomLight, evenly_lit, less_room
 from matcap.capture.together.solve import solve
 from matcap.capture.together.texels import (
@@ -23,7 +22,7 @@ from matcap.capture.together.texels import (
 )
 from matcap.capture.together.views import RAW_FALLOFF, PieceView, SetLight, light_at
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.registration.register import RegisteredView, Registration
+from matcap.flash.registration.register import RegisteredView, Registration, register_in_any_order
 from matcap.lab.simulate.hand_held import Hand, Room, hold, take_several, take_without_flash
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
 from matcap.lab.simulate.specimen import EXAMPLES
@@ -194,7 +193,7 @@ def _smeared(photo):
 
 def test_a_blurred_photograph_is_named(held):
     _, photos = held
-    found = placed([photos[0], photos[1], _smeared(photos[2])])
+    found = register_in_any_order([photos[0], photos[1], _smeared(photos[2])])
     assert [view.photo.name for view in found.views] == ["plaster_0", "plaster_1"]
     assert [one.name for one in found.left_out] == ["smeared_plaster_2"]
     assert "it is blurred" in found.left_out[0].why
@@ -204,6 +203,6 @@ def test_a_blurred_photograph_is_named(held):
 
 def test_a_blurred_first_photograph_gives_no_frame(held):
     _, photos = held
-    found = placed([_smeared(photos[0]), photos[1], photos[2]])
+    found = register_in_any_order([_smeared(photos[0]), photos[1], photos[2]])
     assert [view.photo.name for view in found.views] == ["plaster_1", "plaster_2"]
     assert [one.name for one in found.left_out] == ["smeared_plaster_0"]
