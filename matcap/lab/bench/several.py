@@ -24,7 +24,6 @@ from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
 from matcap.lab.measures.maps import MapsOff, compared_numbers
 from matcap.lab.simulate.hand_held import (
     Hand,
-    HandShot,
     Room,
     hold,
     take_several,
@@ -33,8 +32,6 @@ from matcap.lab.simulate.hand_held import (
     true_maps_on,
 )
 from matcap.lab.simulate.specimen import Specimen
-from matcap.lab.simulate.write_dng import write_dng
-from matcap.lab.simulate.write_jpeg import write_jpeg
 
 ABOUT = (
     "NSD: normalised style distance of the exemplar; 1 is indistinguishable from another sample. "
@@ -109,11 +106,12 @@ def several_experiment(
         realise = subject.pieces(subject.seed)
         cameras = hold(phone, hand, max(counts), subject.seed)
         shots = take_several(realise, phone, cameras, hand, subject.seed)
-        paths = [_write(subject, shot, n, out, jpeg=settings.jpeg) for n, shot in enumerate(shots)]
+        jpeg = settings.jpeg
+        paths = [subject.write(one.shot, out, n, jpeg=jpeg) for n, one in enumerate(shots)]
         unlit = []
         if ambient.room:
             shot = take_without_flash(realise, phone, cameras, hand, subject.seed + 1)
-            unlit = [_write(subject, shot, len(paths), out, jpeg=settings.jpeg)]
+            unlit = [subject.write(shot.shot, out, len(paths), jpeg=jpeg)]
         evaluator = Evaluator(subject, shots[0].shot.setup, evaluation, {"NSD": style})
         return TakenSubject(subject, paths, unlit, cameras, evaluator, hand)
 
@@ -202,15 +200,6 @@ def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     whole = replace(MapSet.from_stacked(planes[:6], exemplar.texel_size), painted=planes[6:])
     errors = asdict(MapsOff.of(exemplar, whole, known))
     return {"times": reach.times, **{f"{name} beyond": value for name, value in errors.items()}}
-
-
-def _write(subject: Specimen, shot: HandShot, number: int, out: Path, *, jpeg: bool) -> Path:
-    path = out / f"{subject.name.replace(':', '-')}_{number}.{'jpg' if jpeg else 'dng'}"
-    if jpeg:
-        write_jpeg(path, shot.shot, subject.seed + number)
-    else:
-        write_dng(path, shot.shot, subject.sensor, subject.seed + number)
-    return path
 
 
 def _median(values: Sequence[float]) -> float:

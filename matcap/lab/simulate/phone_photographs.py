@@ -24,7 +24,6 @@ from matcap.flash.registration.camera import PosedCamera
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import PhoneCamera, Realise
 from matcap.lab.simulate.specimen import Specimen
-from matcap.lab.simulate.write_dng import write_dng
 
 _BRIGHTNESS = (0.133, 0.35)  # of the clip level: median, and deviation of the logarithm
 _CLIPPED = ((0.0, 0.5, 0.75, 0.95, 1.0), (0.0, 0.0, 5e-4, 0.01, 0.02))  # shares, by quantile
@@ -73,7 +72,7 @@ class PhonePhotographs:
             MatcapError: the folder cannot be written.
         """
         subject = self.specimen
-        paths = [out / f"{subject.name.replace(':', '-')}_{number}.dng" for number in range(count)]
+        paths = [subject.path(out, number) for number in range(count)]
         sidecar = out / "setup.json"
         if not all(path.exists() for path in (sidecar, *paths)):
             cameras = hold(self.phone, self.hand, count, subject.seed)
@@ -81,8 +80,8 @@ class PhonePhotographs:
             cameras[0] = PosedCamera.of(first, self.hand.bent)
             realise = subject.pieces(subject.seed)
             shots = take_several(realise, self.phone, cameras, self.hand, subject.seed)
-            for number, (path, shot) in enumerate(zip(paths, shots, strict=True)):
-                write_dng(path, shot.shot, subject.sensor, subject.seed + number)
+            for number, shot in enumerate(shots):
+                subject.write(shot.shot, out, number)
             sidecar.write_text(json.dumps({"intensity": shots[0].shot.setup.intensity}))
         red, green, blue = json.loads(sidecar.read_text())["intensity"]
         setup = FlashSetup(fov=self.phone.fov, offset=self.hand.flash, tilt=self.tilt)

@@ -55,6 +55,22 @@ class Specimen:
         """True maps of the plane rectangle x in [-1, 1], one texel a pixel."""
         return true_maps(self.realise, camera, self.setup)
 
+    def path(self, out: Path, number: int | None = None, *, jpeg: bool = False) -> Path:
+        """The file of a photograph, or of one of several, in a folder."""
+        name = self.name.replace(":", "-") + ("" if number is None else f"_{number}")
+        return out / f"{name}.{'jpg' if jpeg else 'dng'}"
+
+    def write(
+        self, shot: Shot, out: Path, number: int | None = None, *, jpeg: bool = False
+    ) -> Path:
+        """Write a shot of it, raising MatcapError where that fails; see path()."""
+        path, seed = self.path(out, number, jpeg=jpeg), self.seed + (number or 0)
+        if jpeg:
+            write_jpeg(path, shot, seed)
+        else:
+            write_dng(path, shot, self.sensor, seed)
+        return path
+
 
 def realisation(material: str, seed: int) -> Realise:
     """One piece of a named material, of any size and detail."""
@@ -119,12 +135,7 @@ def photograph(
     gain = 2.0**ev
     red, green, blue = (gain * channel for channel in shot.setup.intensity)
     shot = Shot(gain * shot.linear, shot.setup.with_intensity((red, green, blue)), camera)
-    path = out / f"{specimen.name.replace(':', '-')}.{'jpg' if jpeg else 'dng'}"
-    if jpeg:
-        write_jpeg(path, shot, specimen.seed)
-    else:
-        write_dng(path, shot, specimen.sensor, specimen.seed)
-    return path, shot
+    return specimen.write(shot, out, jpeg=jpeg), shot
 
 
 def subjects(names: Iterable[str], sets: Path | None = None) -> list[Specimen]:
