@@ -86,6 +86,7 @@ def provenance(
             "roughness": coarse.roughness,
             "residual": coarse.residual,
             "lobes": [list(lobe) for lobe in coarse.lobes],
+            "tone_exponent": coarse.tone.exponent,
             "tilt_degrees": tilt_document(coarse),
         },
     }

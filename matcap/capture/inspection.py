@@ -55,7 +55,7 @@ def inspect_file(
     """
     photo = load_photo(path, long_side=detail, fov=fov, noise=False)
     photo = photo if profile is None else photo.known_by(profile)
-    coarse, plane = _rectified(photo)
+    photo, coarse, plane = _rectified(photo)
     return InspectedPhotograph(
         _quality(photo, coarse, plane),
         Observation.of(plane, coarse).strengths(),
@@ -65,12 +65,14 @@ def inspect_file(
 
 def photograph_quality(photo: Photo) -> Inspection:
     """How good a photograph is, read at the detail it is captured at."""
-    return _quality(photo, *_rectified(photo))
+    return _quality(*_rectified(photo))
 
 
-def _rectified(photo: Photo) -> tuple[CoarseFit, Plane]:
+def _rectified(photo: Photo) -> tuple[Photo, CoarseFit, Plane]:
+    """The photograph with its tone curve undone, its coarse fit, and its plane."""
     coarse = fitted(photo)
-    return coarse, read_plane(photo, coarse.setup, photo.pixels.shape[1])
+    photo = photo.linearised(coarse.tone)
+    return photo, coarse, read_plane(photo, coarse.setup, photo.pixels.shape[1])
 
 
 def _quality(photo: Photo, coarse: CoarseFit, plane: Plane) -> Inspection:

@@ -220,9 +220,10 @@ def _begun(
     clock: CaptureClock,
     others: Sequence[Photo] = (),
 ) -> CaptureStart:
-    """A photograph under its light, on its plane."""
+    """A photograph without its tone curve, under its light, on its plane."""
     with clock.stage("coarse fit"):
         coarse = fitted(photo, measured=method.measured_tilt)
+        photo = photo.linearised(coarse.tone)
         detail = settings.detail_of(max(photo.pixels.shape))
         rectified = Rectified.of_photo(photo, coarse, detail)
         window = _window(rectified.read, method.window, photo.name)
@@ -243,7 +244,7 @@ def _of_one(
     estimate = find_piece(
         shot.rectified, shot.coarse, load_inverse(), clock, adaptation, absolute=absolute
     )
-    return PhotographEstimate(estimate, shot.coarse, shot.rectified, photo)
+    return PhotographEstimate(estimate, shot.coarse, shot.rectified, shot.photo)
 
 
 def _of_several(

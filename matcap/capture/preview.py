@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from matcap.capture.result import CaptureResult
     from matcap.flash.geometry import FlashSetup
 from matcap.photo.checks import Rating
+from matcap.photo.tone import ToneCurve
 
 _COLUMNS = 4  # panels side by side
 _CROP, _GAP, _LABEL = 256, 12, 26  # pixels
@@ -47,6 +48,11 @@ _RATED = {
 _LIGHTS = {"left": (-2.5, 0.0, 1.5), "top": (0.0, 2.0, 1.2)}
 # A map's shown range is never narrower than this, or a flat map would show its rounding noise.
 _LEAST_SPAN = {"specular": 0.02, "roughness": 0.05, "height": 0.002}
+
+
+def _developed(result: CaptureResult, linear: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Code values of a picture (H, W, 3) as the camera develops it."""
+    return srgb_picture((result.photo.tone or ToneCurve()).developed(linear))
 
 
 @dataclass(frozen=True)
@@ -124,8 +130,8 @@ def _headline(result: CaptureResult, width: int) -> Image.Image:
 
 def panels(result: CaptureResult) -> Iterable[Panel]:
     """Everything there is to see of a material, as code values of the photograph's rectangle."""
-    yield Panel("photograph", srgb_picture(result.rectified))
-    yield Panel("re-rendered", srgb_picture(result.rerendered))
+    yield Panel("photograph", _developed(result, result.rectified))
+    yield Panel("re-rendered", _developed(result, result.rerendered))
     yield relit("top", result.maps, result.rerendered, result.material.setup)
     yield from each_map(result.maps)
     yield Panel("normal", 0.5 + 0.5 * _picture(result.maps, "normal"))
@@ -144,8 +150,8 @@ def piece_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[
     maps, setup = piece_maps(estimate.framed), result.material.setup
     with torch.inference_mode():
         rerendered = render_rectified(maps, setup).movedim(0, -1).numpy()
-    yield Panel("photograph", srgb_picture(result.rectified))
-    yield Panel("re-rendered", srgb_picture(rerendered))
+    yield Panel("photograph", _developed(result, result.rectified))
+    yield Panel("re-rendered", _developed(result, rerendered))
     for side in _LIGHTS:
         yield relit(side, maps, rerendered, setup)
     yield from each_map(maps)

@@ -75,7 +75,10 @@ def photograph_target(
         weights=method.weights,
         expected=coarse.logits(),
     )
-    others = [(photo, fitted(photo)) for photo in shot.others]
+    fits = [fitted(photo) for photo in shot.others]
+    others = [
+        (photo.linearised(fit.tone), fit) for photo, fit in zip(shot.others, fits, strict=True)
+    ]
     return join(target, coarse, others, plane.size[0]) if others else (target, [])
 
 

@@ -9,9 +9,10 @@ lens and flash. It is fitted twice, as a dielectric (F0 near 0.04, any albedo) a
 F0 cannot: it makes black lacquer metal, and metal a matte surface under a narrow flash.
 The whole picture is seen in coarse cells, and the highlight, which may be smaller than one of
 them, in a patch of cells of its own scale. Clipped cells are lower bounds. Weak priors decide what
-one photograph cannot: how much of the brightness is flash and how much is albedo, or a little tilt
-from a little offset. The highlight's own centre is evidence of both: there the plane mirrors the
-flash into the lens. Several starting points, because highlights have local minima.
+one photograph cannot: how much of the brightness is flash and how much is albedo, a little tilt
+from a little offset, or the contrast of a tone curve (photo/tone.py) from falloff. The highlight's
+own centre is evidence of tilt and offset: there the plane mirrors the flash into the lens. Several
+starting points, because highlights have local minima.
 
 What it leaves out: texture. A bumpy surface spreads its highlight, so the roughness found here is
 an upper estimate; fine-tuning brings it down as bumps appear.
@@ -35,8 +36,9 @@ from matcap.flash.highlight import SURROUNDINGS, Highlight, find_highlight, ligh
 from matcap.flash.light import FlashLight, log_vignette
 from matcap.flash.rectify import CLIPPING
 from matcap.flash.uniform import Uniform
-from matcap.photo.camera import Falloff
+from matcap.photo.camera import CameraResponse
 from matcap.photo.photo import Photo
+from matcap.photo.tone import SHOULDER, ToneCurve
 
 _STEP = 1e-5  # of a parameter, all of which are of order 1, for differences
 _DARKEST = 1e-12  # radiance, so that there is a logarithm
@@ -151,16 +153,16 @@ class TiltPrior:
 
 
 @dataclass(frozen=True)
-class FalloffEvidence:
-    """A photograph's Gaussian likelihood of the falloff: exp(h x - x L x / 2) up to a factor.
+class CameraEvidence:
+    """A photograph's Gaussian likelihood of x = (a, b, log c): exp(h x - x L x / 2) up to a factor.
 
     Attributes:
-        shift: (2,) h, L times the likeliest x = (with r^2, with r^4).
-        precision: L: its first entry, the one off the diagonal, and the last.
+        shift: (3,) h, L times the likeliest x (CameraResponse).
+        precision: (3, 3) L.
     """
 
-    shift: tuple[float, float]
-    precision: tuple[float, float, float]
+    shift: tuple[float, ...]
+    precision: tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -176,7 +178,8 @@ class CoarseFit(Uniform):
         tilt_prior: the measurement of the tilt that was given, if any.
         picture_tilt: (tilt_x, tilt_y) in radians that the picture's cells alone come to, where
             there was one.
-        falloff: what the picture says of the falloff; None of fits that were made up.
+        tone: the picture's tone curve; the identity where it has none.
+        camera: what the picture says of its camera's response; None of fits that were made up.
     """
 
     residual: float
@@ -185,7 +188,8 @@ class CoarseFit(Uniform):
     odds: float = math.inf
     tilt_prior: TiltPrior | None = None
     picture_tilt: tuple[float, float] | None = None
-    falloff: FalloffEvidence | None = None
+    tone: ToneCurve = ToneCurve()
+    camera: CameraEvidence | None = None
 
 
 @dataclass(frozen=True)
@@ -200,6 +204,7 @@ class Unknowns:
         offset: (2,) of the flash from the camera, plane units.
         tilt: (2,) radians.
         vignetting: (2,) with r^2 and with r^4, as FlashSetup has them.
+        tone: (1,) log of the tone curve's exponent.
         share: (1,) logit of the narrow lobe's, or None.
         wider: (1,) log of how much further the other's logit of roughness is, or None.
     """
@@ -211,18 +216,19 @@ class Unknowns:
     offset: Tensor
     tilt: Tensor
     vignetting: Tensor
+    tone: Tensor
     share: Tensor | None = None
     wider: Tensor | None = None
 
     def vector(self) -> Tensor:
-        """(12,), or (14,) of two lobes."""
+        """(13,), or (15,) of two lobes."""
         parts = (getattr(self, f.name) for f in fields(self))
         return torch.cat([part for part in parts if part is not None])
 
     @staticmethod
     def of(vector: Tensor) -> Unknowns:
         """The inverse of vector()."""
-        one_lobe = (3, 1, 1, 1, 2, 2, 2)
+        one_lobe = (3, 1, 1, 1, 2, 2, 2, 1)
         return Unknowns(
             *vector.split(one_lobe if len(vector) == sum(one_lobe) else (*one_lobe, 1, 1))
         )
@@ -249,6 +255,7 @@ _DIELECTRIC_MEAN = Unknowns(
     offset=_numbers(0.0, 0.0),
     tilt=_numbers(0.0, 0.0),
     vignetting=_numbers(0.0, 0.0),
+    tone=_numbers(0.0),
 )
 _DIELECTRIC_DEVIATION = Unknowns(
     albedo=_numbers(1.5, 1.5, 1.5),
@@ -258,12 +265,14 @@ _DIELECTRIC_DEVIATION = Unknowns(
     offset=_numbers(0.12, 0.12),
     tilt=_numbers(0.05, 0.05),
     vignetting=_numbers(1.0, 1.0),
+    tone=_numbers(1.0),
 )
 _CONDUCTOR_F0 = (math.log(0.5), 0.5)
 # Of two lobes beside.
 _PARTED_MEAN = {"share": _numbers(0.0), "wider": _numbers(0.0)}
 _PARTED_DEVIATION = {"share": _numbers(1.5), "wider": _numbers(0.7)}
-_FALLOFF = [10, 11]  # where Unknowns.vector() has the falloff
+_INDEX = Unknowns.of(torch.arange(13))  # of each unknown in vector(), of two lobes as well
+_CAMERA = torch.cat([_INDEX.vignetting, _INDEX.tone])
 # Logit of roughness: matte, satin, glossy, mirror-like.
 _STARTS = (0.8, -0.4, -1.4, -2.2)
 # Multiples of the roughness that a highlight's width means: clipping widens it.
@@ -310,7 +319,7 @@ def fit_coarse(
 ) -> CoarseFit:
     """Fit a uniform material and its setup to a photograph, in about a second.
 
-    The falloff's prior is of the profile of the photograph's camera; without one any phone's.
+    The prior of falloff and tone curve is the profile of the photograph's camera, or any phone's.
 
     Args:
         photo: any size; only its blurred form is looked at.
@@ -337,14 +346,12 @@ def fit_coarse(
 class _Prior:
     """A hypothesis: Gaussian prior of the unknowns, and whether they are a conductor's.
 
-    `deviation` is of each with the others known; `coupling` the precision that the falloff's two
-    coefficients have in common. `alone` is the tilt's mean and deviation without a measurement of
-    it, where there is one.
+    `precision` is (13, 13), the inverse covariance. `alone` is the tilt's mean and deviation
+    without a measurement of it, where there is one.
     """
 
     mean: Unknowns
-    deviation: Unknowns
-    coupling: float
+    precision: Tensor
     conductor: bool
     at_lens: bool
     alone: tuple[Tensor, Tensor] | None
@@ -364,7 +371,8 @@ class _Fitted:
     residual: float
     conductor: bool
     own_tilt: tuple[float, float] | None
-    falloff: FalloffEvidence
+    tone: ToneCurve
+    camera: CameraEvidence
 
 
 def _prior(
@@ -374,10 +382,12 @@ def _prior(
     *,
     conductor: bool,
 ) -> _Prior:
-    falloff = Falloff() if photo.profile is None else photo.profile.falloff
-    mean = replace(_DIELECTRIC_MEAN, vignetting=_numbers(*falloff.mean))
-    own, coupling = torch.from_numpy(falloff.precision).diagonal(), falloff.precision[0, 1]
-    deviation = replace(_DIELECTRIC_DEVIATION, vignetting=own.rsqrt())
+    camera = CameraResponse() if photo.profile is None else photo.profile.response
+    camera = camera if photo.tone_mapped else camera.linear
+    mean = replace(
+        _DIELECTRIC_MEAN, vignetting=_numbers(*camera.mean[:2]), tone=_numbers(camera.mean[2])
+    )
+    deviation = _DIELECTRIC_DEVIATION
     if conductor:
         level, scatter = _CONDUCTOR_F0
         mean = replace(mean, albedo=_numbers(*[level] * 3))
@@ -393,7 +403,9 @@ def _prior(
         alone = (mean.tilt, deviation.tilt)
         place, std = tilt_prior.times(*alone)
         mean, deviation = replace(mean, tilt=place), replace(deviation, tilt=std)
-    return _Prior(mean, deviation, float(coupling), conductor, tilt is not None, alone)
+    precision = torch.diag(deviation.vector().pow(-2))
+    precision[_CAMERA[:, None], _CAMERA] = torch.from_numpy(camera.precision)
+    return _Prior(mean, precision, conductor, tilt is not None, alone)
 
 
 def _fit_as(
@@ -411,8 +423,9 @@ def _fit_as(
             evidence=evidence,
             rings=_rings(highlight),
             prior=prior.mean.vector(),
-            precision=unit / prior.deviation.vector().square(),
-            coupling=unit * prior.coupling,
+            precision=unit * prior.precision,
+            unit=unit,
+            shoulder=SHOULDER if photo.tone_mapped else 0.0,
             conductor=prior.conductor,
         )
         for each in cells
@@ -422,13 +435,13 @@ def _fit_as(
     tried.sort(key=lambda candidate: candidate[0])
     if photo.radiometric:
         last = last.whitened(tried[0][1])
-        last, unit = last.trusting(tried[0][1], unit)
+        last = last.trusting(tried[0][1])
     worth = _distinct([start for _, start in tried])[: COARSE.kept]
     if last.cells.hidden:
         worth.append(_matte(tried[0][1]))
     single = _mattest([_levenberg_marquardt(last, each, COARSE.iterations[1]) for each in worth])
     # Two lobes locate the highlight better; then one lobe is fitted there.
-    two = last.with_two_lobes(unit)
+    two = last.with_two_lobes()
     both = Unknowns.of(_levenberg_marquardt(two, _parted(single), COARSE.iterations[1])[1])
     start = replace(
         Unknowns.of(single), offset=both.offset, tilt=both.tilt, vignetting=both.vignetting
@@ -440,12 +453,22 @@ def _fit_as(
     residual = float(rest.square().mean().sqrt()) if rest.numel() else 0.0
     own = None
     if prior.alone is not None:
-        without = whole.with_tilt(*prior.alone, prior.deviation.tilt)
+        without = whole.with_tilt(*prior.alone)
         unmeasured = Unknowns.of(_levenberg_marquardt(without, best, COARSE.iterations[0])[1])
         tilt_x, tilt_y = unmeasured.tilt.tolist()
         own = (tilt_x, tilt_y)
-    seen = last.falloff_evidence(best, unit)
-    return _Fitted(cost, unit, Unknowns.of(best), both, residual, prior.conductor, own, seen)
+    tone = ToneCurve(math.exp(float(Unknowns.of(best).tone)), last.shoulder)
+    return _Fitted(
+        cost=cost,
+        unit=last.unit,
+        best=Unknowns.of(best),
+        both=both,
+        residual=residual,
+        conductor=prior.conductor,
+        own_tilt=own,
+        tone=tone if photo.tone_mapped else ToneCurve(),
+        camera=last.camera_evidence(best),
+    )
 
 
 def _coarse_fit(fitted: _Fitted, fov: float, odds: float) -> CoarseFit:
@@ -476,7 +499,8 @@ def _coarse_fit(fitted: _Fitted, fov: float, odds: float) -> CoarseFit:
         lobes=tuple((float(share), float(wide)) for share, wide in fitted.both.lobes),
         conductor=fitted.conductor,
         odds=odds,
-        falloff=fitted.falloff,
+        tone=fitted.tone,
+        camera=fitted.camera,
     )
 
 
@@ -501,7 +525,7 @@ def under_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
 
 
 def render_coarse(fit: CoarseFit, width: int, height: int) -> NDArray[np.float64]:
-    """(height, width, 3) linear picture of a coarse fit as its photograph's camera sees it."""
+    """(height, width, 3) picture of a coarse fit as in its photograph, tone curve included."""
     across, up, _ = fit.setup.offset
     unknowns = Unknowns(
         albedo=_numbers(*fit.diffuse).log(),
@@ -511,10 +535,12 @@ def render_coarse(fit: CoarseFit, width: int, height: int) -> NDArray[np.float64
         offset=_numbers(across, up),
         tilt=_numbers(*fit.setup.tilt),
         vignetting=_numbers(fit.setup.vignetting, fit.setup.vignetting_quartic),
+        tone=_numbers(0.0),
     )
     image = _image_grid(width, height).flatten(1)
     light = _log_radiance(unknowns.vector(), image, fit.setup.distance).exp()
-    return np.ascontiguousarray(light.reshape(3, height, width).permute(1, 2, 0).numpy())
+    picture = np.ascontiguousarray(light.reshape(3, height, width).permute(1, 2, 0).numpy())
+    return fit.tone.developed(picture)
 
 
 def _see(photo: Photo, highlight: Highlight | None, level: int) -> _Cells:
@@ -635,8 +661,10 @@ class _Problem:
         highlight: whose centre is evidence, or None.
         evidence: its weight, as share of the picture's.
         rings: (2, 3 * directions) image coordinates: its middle, half width and surroundings.
-        prior, precision: (12,) or (14,) the prior's mean and inverse variance.
-        coupling: precision that the falloff's coefficients have in common.
+        prior: (n,) the prior's mean, of 13 or 15 parameters.
+        precision: (n, n) Hessian of the prior's cost.
+        unit: cost of a nat of the prior.
+        shoulder: of the tone curve.
         whitening: (3, 3) of the channels of cells that no bound concerns; None for as they are.
         conductor: `albedo` of the parameters is F0, and nothing is diffuse.
     """
@@ -648,13 +676,19 @@ class _Problem:
     rings: Tensor
     prior: Tensor
     precision: Tensor
-    coupling: float
+    unit: float
+    shoulder: float = 0.0
     whitening: Tensor | None = None
     conductor: bool = False
 
     def log_radiance(self, parameters: Tensor, image: Tensor) -> Tensor:
-        """(3, n) at image coordinates (2, n)."""
-        return _log_radiance(parameters, image, self.distance, conductor=self.conductor)
+        """(3, n) at image coordinates (2, n), as the picture has it."""
+        linear = _log_radiance(parameters, image, self.distance, conductor=self.conductor)
+        if self.shoulder == 0.0:
+            return linear
+        # The logarithm of ToneCurve.developed().
+        power = Unknowns.of(parameters).tone.exp() * linear
+        return power - (1.0 + self.shoulder * power.expm1()).log()
 
     def whitened(self, parameters: Tensor) -> _Problem:
         """The same with channels compared as the texture left at some parameters calls for.
@@ -669,48 +703,35 @@ class _Problem:
         rest = cells.differences(self.log_radiance(parameters, cells.image))
         return replace(self, whitening=_whitening(rest[:, whole], cells.weight[whole]))
 
-    def trusting(self, parameters: Tensor, unit: float) -> tuple[_Problem, float]:
-        """The same with a prior that weighs what the residuals at some parameters call for.
-
-        Args:
-            parameters: of a first fit.
-            unit: what a nat of the prior costs so far; returned as it is then.
-        """
+    def trusting(self, parameters: Tensor) -> _Problem:
+        """The same with a prior that weighs what the residuals of a first fit call for."""
         count = self.cells.observed.numel()
         rest = self.residuals(parameters)[:count].clamp(-0.5, 0.5)
         variance = (self.weight[:count] * rest.square()).sum() / self.weight[:count].sum()
         nat = float(variance) / COARSE.cells_that_count
-        scale = nat / unit
-        return replace(self, precision=self.precision * scale, coupling=self.coupling * scale), nat
+        return replace(self, precision=self.precision * (nat / self.unit), unit=nat)
 
-    def with_two_lobes(self, unit: float) -> _Problem:
+    def with_two_lobes(self) -> _Problem:
         """The same with the share of the narrow lobe, and how much wider the other is."""
-        prior, precision = Unknowns.of(self.prior), Unknowns.of(self.precision)
-        parted = {name: unit / each.square() for name, each in _PARTED_DEVIATION.items()}
-        return replace(
-            self,
-            prior=replace(prior, **_PARTED_MEAN).vector(),
-            precision=replace(precision, **parted).vector(),
-        )
+        mean = replace(Unknowns.of(self.prior), **_PARTED_MEAN).vector()
+        parted = torch.cat([each.pow(-2) for each in _PARTED_DEVIATION.values()])
+        precision = torch.block_diag(self.precision, self.unit * torch.diag(parted))
+        return replace(self, prior=mean, precision=precision)
 
-    def with_tilt(self, mean: Tensor, std: Tensor, now: Tensor) -> _Problem:
-        """The same with another prior of the tilt, (2,) each; `now` is the deviation it has."""
-        prior, precision = Unknowns.of(self.prior), Unknowns.of(self.precision)
-        scaled = precision.tilt * (now / std).square()
+    def with_tilt(self, mean: Tensor, std: Tensor) -> _Problem:
+        """The same with another prior of the tilt, (2,) each."""
+        precision = self.precision.clone()
+        precision[_INDEX.tilt, _INDEX.tilt] = self.unit * std.pow(-2)
         return replace(
-            self,
-            prior=replace(prior, tilt=mean).vector(),
-            precision=replace(precision, tilt=scaled).vector(),
+            self, prior=replace(Unknowns.of(self.prior), tilt=mean).vector(), precision=precision
         )
 
     def at(self, place: Unknowns) -> _Problem:
         """The same with offset and tilt held."""
-        prior, tight = Unknowns.of(self.prior), _numbers(1e6, 1e6)
-        return replace(
-            self,
-            prior=replace(prior, offset=place.offset, tilt=place.tilt).vector(),
-            precision=replace(Unknowns.of(self.precision), offset=tight, tilt=tight).vector(),
-        )
+        fixed, precision = torch.cat([_INDEX.offset, _INDEX.tilt]), self.precision.clone()
+        precision[fixed, fixed] = 1e6
+        prior = replace(Unknowns.of(self.prior), offset=place.offset, tilt=place.tilt)
+        return replace(self, prior=prior.vector(), precision=precision)
 
     @property
     def weight(self) -> Tensor:
@@ -758,40 +779,34 @@ class _Problem:
             return difference
         return torch.cat([difference, COARSE.huber * self._evidence(parameters, self.highlight)])
 
-    def prior_hessian(self) -> Tensor:
-        """(n, n) of the prior's cost."""
-        hessian = torch.diag(self.precision)
-        hessian[_FALLOFF, _FALLOFF[::-1]] = self.coupling
-        return hessian
-
     def quadratic(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """(n, n) Gauss-Newton Hessian of the cost and (n,) its gradient, but for brightening."""
         r = self.residuals(parameters)
         jacobian = _jacobian(self.residuals, parameters, r)
         weight = self.weight * COARSE.huber / r.abs().clamp_min(COARSE.huber)
-        prior = self.prior_hessian()
-        hessian = (jacobian * weight[:, None]).T @ jacobian + prior
-        return hessian, jacobian.T @ (weight * r) + prior @ (parameters - self.prior)
+        hessian = (jacobian * weight[:, None]).T @ jacobian + self.precision
+        return hessian, jacobian.T @ (weight * r) + self.precision @ (parameters - self.prior)
 
-    def falloff_evidence(self, parameters: Tensor, unit: float) -> FalloffEvidence:
-        """What the picture alone says of the falloff, by Laplace's method at the parameters.
+    def camera_evidence(self, parameters: Tensor) -> CameraEvidence:
+        """What the picture alone says of its camera, by Laplace's method at the parameters.
 
-        The Hessian over a nat's cost, `unit`, is the posterior's precision; its Schur complement
-        over all other unknowns is the falloff's. Less its prior's, that is the likelihood's.
+        The Hessian over a nat's cost is the posterior's precision; its Schur complement over all
+        other unknowns is the camera's. Less its prior's, that is the likelihood's.
         """
         hessian, gradient = self.quadratic(parameters)
-        best = (parameters - torch.linalg.solve(hessian, gradient))[_FALLOFF]
-        posterior = torch.linalg.inv(torch.linalg.inv(hessian / unit)[_FALLOFF][:, _FALLOFF])
-        prior = self.prior_hessian()[_FALLOFF][:, _FALLOFF] / unit
-        first, second = (posterior @ best - prior @ self.prior[_FALLOFF]).tolist()
-        (own, both), (_, other) = (posterior - prior).tolist()
-        return FalloffEvidence((first, second), (own, both, other))
+        best = (parameters - torch.linalg.solve(hessian, gradient))[_CAMERA]
+        covariance = torch.linalg.inv(hessian / self.unit)
+        posterior = torch.linalg.inv(covariance[_CAMERA[:, None], _CAMERA])
+        prior = self.precision[_CAMERA[:, None], _CAMERA] / self.unit
+        shift = posterior @ best - prior @ self.prior[_CAMERA]
+        likelihood = posterior - prior
+        symmetric = 0.5 * (likelihood + likelihood.T)
+        return CameraEvidence(tuple(shift.tolist()), tuple(map(tuple, symmetric.tolist())))
 
     def brightening(self, parameters: Tensor) -> Tensor:
         """(n,) precision at 0 that holds a falloff which has become negative."""
-        vignetting, precision = Unknowns.of(parameters).vignetting, Unknowns.of(self.precision)
-        nat = precision.intensity * _DIELECTRIC_DEVIATION.intensity.square()
-        precision_there = torch.where(vignetting < 0.0, nat / COARSE.brightening**2, 0.0)
+        vignetting = Unknowns.of(parameters).vignetting
+        precision_there = torch.where(vignetting < 0.0, self.unit / COARSE.brightening**2, 0.0)
         return replace(
             Unknowns.of(torch.zeros_like(parameters)), vignetting=precision_there
         ).vector()
@@ -803,7 +818,7 @@ class _Problem:
             r < COARSE.huber, 0.5 * r.square(), COARSE.huber * (r - 0.5 * COARSE.huber)
         )
         deviation = parameters - self.prior
-        prior = 0.5 * deviation @ self.prior_hessian() @ deviation
+        prior = 0.5 * deviation @ self.precision @ deviation
         prior = prior + 0.5 * (parameters.square() * self.brightening(parameters)).sum()
         return float((self.weight * huber).sum() + prior)
 

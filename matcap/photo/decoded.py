@@ -18,6 +18,7 @@ class Decoded:
         size: (width, height) as stored, before downsampling.
         orientation: EXIF's 1 to 8, not yet applied.
         radiometric: whether values are proportional to radiance.
+        linear: whether codes are proportional to light, so that a tone curve is unlikely.
         gain_map_applied: whether a DNG lens-shading map was applied.
         notes: sentences for the report.
         clipped_share: share of the stored pixels (of a RAW: of the photosites of the colour that
@@ -32,6 +33,7 @@ class Decoded:
     size: tuple[int, int]
     orientation: int = 1
     radiometric: bool = False
+    linear: bool = False
     gain_map_applied: bool = False
     notes: tuple[str, ...] = ()
     clipped_share: float | None = None

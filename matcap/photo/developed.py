@@ -93,8 +93,17 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
         orientation,
         notes=coded.notes + notes + _constant_alpha_notes(coded),
         clipped_share=at_limit / (coded.width * coded.height),
+        linear=coded.other is None and _is_linear(linearise, coded.dtype),
         opacity=_opacity(coded, long_side),
     )
+
+
+def _is_linear(linearise: Linearise, dtype: np.dtype[Any]) -> bool:
+    """Whether codes are proportional to light: half of the largest is half of its light."""
+    largest = np.iinfo(dtype).max if np.issubdtype(dtype, np.integer) else 1.0
+    codes = (np.array([0.5, 1.0])[:, None, None] * np.full((1, 1, 3), largest)).astype(dtype)
+    half, whole = linearise(codes).mean(axis=(1, 2))
+    return bool(abs(half / whole - 0.5) < 0.01)
 
 
 def three_channels(codes: NDArray[Any]) -> NDArray[Any]:

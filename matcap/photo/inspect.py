@@ -272,11 +272,14 @@ def _radiometric(photo: Photo) -> Finding:
     if photo.radiometric:
         says = "A RAW: its numbers are proportional to light."
         return Finding("radiometric", True, Rating.GOOD, says)
+    says = "A developed picture: albedo is relative"
+    if photo.tone is not None:
+        says += f", its tone curve raises contrast to the power {photo.tone.exponent:.2f}"
     return Finding(
         "radiometric",
         False,
         Rating.NOT_JUDGED,
-        "A developed picture: albedo is relative, the camera's tone curve is not known.",
+        f"{says}.",
         "Photograph RAW (DNG) where the phone can.",
     )
 

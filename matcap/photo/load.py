@@ -24,6 +24,7 @@ from matcap.photo.orient import quarter_turn, upright
 from matcap.photo.photo import DEFAULT_FOV, Photo
 from matcap.photo.raw import read_raw
 from matcap.photo.refusals import SHORTEST_SIDE
+from matcap.photo.tone import ToneCurve
 
 _DARKEST = 1e-3  # linear; a picture whose maximum is less counts as black
 _MOST_CLIPPED = 0.95  # largest share of clipped pixels
@@ -109,6 +110,7 @@ def _photo(
         exposure=exif.exposure,
         balance=picture.balance,
         camera=exif.camera,
+        tone=ToneCurve() if picture.linear else None,
     )
     if picture.opacity is None:
         return photo

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.photo.camera import CameraProfile
+from matcap.photo.tone import ToneCurve
 
 FULL = 0.95  # of the clip level: channels of a clipped pixel above this count as clipped
 DEFAULT_FOV = 45.0  # degrees across the long side, if unknown, as in the paper
@@ -43,7 +44,8 @@ class Photo:
         exposure: Exif.exposure, or None; values are proportional to it for the same radiance.
         balance: white-balance gains by channel, or None.
         camera: maker, model, lens, focal length and zoom; "" if unknown.
-        profile: of the camera, the prior of its falloff; or None.
+        profile: of the camera, the prior of its falloff and tone curve; or None.
+        tone: the tone curve that was removed from `pixels`; None if one may still be in them.
     """
 
     pixels: NDArray[np.float32]
@@ -66,6 +68,18 @@ class Photo:
     balance: tuple[float, float, float] | None = None
     camera: str = ""
     profile: CameraProfile | None = None
+    tone: ToneCurve | None = None
+
+    @property
+    def tone_mapped(self) -> bool:
+        """Whether a tone curve that is not known is in `pixels`."""
+        return self.tone is None and not self.radiometric
+
+    def linearised(self, tone: ToneCurve) -> Photo:
+        """The same with a tone curve undone, or as it is where none is in it."""
+        if not self.tone_mapped:
+            return self
+        return replace(self, pixels=tone.linear(self.pixels), tone=tone)
 
     @property
     def stem(self) -> str:

@@ -11,10 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from uniform import a_setup, photograph
+from uniform import a_setup, camera_response, photograph
 
 from matcap.flash.coarse import TiltPrior, fit_coarse
-from matcap.photo.camera import CameraProfile, Falloff
+from matcap.photo.camera import CameraProfile
+from matcap.photo.tone import SHOULDER, ToneCurve
 
 # torch's forward-mode derivatives warn once, when first used.
 pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
@@ -119,17 +120,17 @@ def test_a_trend_of_colour_is_not_taken_for_the_light():
 
 
 @pytest.mark.parametrize(
-    ("lost", "falloff"),
-    [((0.4, 0.9), None), ((0.6, 1.2), Falloff((0.6, 1.2), (0.1, 0.2)))],
+    ("lost", "response"),
+    [((0.4, 0.9), None), ((0.6, 1.2), camera_response((0.6, 1.2, 0.12), (0.1, 0.2, 0.08)))],
     ids=["as phones have it", "stronger, and known"],
 )
-def test_a_cone_of_flash_light_is_the_cameras_and_not_the_materials(lost, falloff):
+def test_a_cone_of_flash_light_is_the_cameras_and_not_the_materials(lost, response):
     """Photographs lose light with r^4 on top of r^2; albedo and gloss are as without."""
     setup, photo = made(roughness=0.5)
     coned = replace(setup, vignetting=lost[0], vignetting_quartic=lost[1])
     plain = fit_coarse(replace(photo, radiometric=False))
     taken = replace(photograph(coned, roughness=0.5), radiometric=False)
-    profile = falloff and CameraProfile("phone", falloff, 9)
+    profile = response and CameraProfile("phone", response, 9)
     cone = fit_coarse(replace(taken, profile=profile))
     assert cone.setup.vignetting_quartic > plain.setup.vignetting_quartic + 0.5 * lost[1]
     assert cone.residual < 0.03
@@ -190,3 +191,18 @@ def test_measurement_and_prior_weigh_by_their_precisions():
     )
     assert mean.tolist() == pytest.approx([0.24, 0.2])
     assert std.tolist() == pytest.approx([(25.0 + 100.0) ** -0.5, 50.0**-0.5])
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.25])
+def test_the_tone_curve_is_told_from_falloff_where_the_camera_is_known(exponent):
+    """Undone, it leaves the light as it was before development."""
+    setup = replace(a_setup(intensity=10.0), vignetting=0.4, vignetting_quartic=0.6)
+    light = photograph(setup, roughness=0.4, noise=0.01)
+    curve = ToneCurve(exponent, SHOULDER)
+    taken = replace(light, pixels=curve.developed(light.pixels), radiometric=False)
+    profile = CameraProfile("phone", camera_response((0.4, 0.6, 0.12), (0.02, 0.02, 0.3)), 9)
+    fit = fit_coarse(replace(taken, profile=profile))
+    assert fit.tone.exponent == pytest.approx(exponent, abs=0.05)
+    undone = taken.linearised(fit.tone)
+    away = np.abs(np.log(undone.pixels / light.pixels))[light.pixels < 0.8]
+    assert np.median(away) < 0.5 * np.median(np.abs(np.log(taken.pixels / light.pixels)))

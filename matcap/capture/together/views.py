@@ -64,7 +64,7 @@ class SetLight:
         radiometric: bool = False,
     ) -> SetLight:
         """A first guess for so many photographs, all RAW or not, of a camera with this profile."""
-        lost = SetLight.lost if profile is None else profile.falloff.deviation
+        lost = SetLight.lost if profile is None else profile.response.deviation[:2]
         return SetLight(
             torch.tensor(setup.offset[:2]).float(),
             torch.tensor([setup.vignetting, setup.vignetting_quartic]),
