@@ -20,6 +20,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
 from matcap.brdf.parameters import Reflectance
+from matcap.capture.piece.gradient_blend import composed
 from matcap.capture.piece.refine import PieceLight
 from matcap.capture.piece.tuned import INPAINT
 from matcap.example.exemplar import Exemplar
@@ -80,14 +81,20 @@ def transport(
     places.sort(key=lambda p: -float(trusted[_block(p)].mean()))
     photograph = _Photograph(exemplar, linear, valid, light)
     chosen = _choose(places, lenders, drawn, ~hidden, photograph, tried)
-    laid, share = _laid(chosen, drawn.laid, hidden)
-    maps = drawn.stacked + share * (laid - drawn.laid)
+    source, copied = _sources(chosen, hidden)
+    # One F0 and one roughness are a class's, and have steps where classes meet.
+    maps = drawn.laid[:, source[0], source[1]]
+    texel = exemplar.texel_size
+    log_albedo = np.log(drawn.laid[DIFFUSE].clip(INPAINT.darkest))
+    drawing = np.concatenate([log_albedo, drawn.laid[HEIGHT] / texel])
+    *albedo, fine = composed(drawing, source, copied, INPAINT.reach)
+    slow = drawn.stacked[HEIGHT] - drawn.laid[HEIGHT]
     return replace(
         exemplar,
-        diffuse=maps[DIFFUSE].clip(0.0, 1.0),
+        diffuse=np.where(copied, np.exp(np.stack(albedo)), exemplar.diffuse).clip(0.0, 1.0),
         specular=maps[SPECULAR].clip(0.0, 1.0),
         roughness=maps[ROUGHNESS].clip(0.0, 1.0),
-        height=maps[HEIGHT],
+        height=np.where(copied, fine * texel + slow, exemplar.height),
     )
 
 
@@ -221,22 +228,25 @@ def _discontinuity(
     return np.asarray(difference.clip(0.0, INPAINT.farthest).mean((1, 2)), np.float32)
 
 
-def _laid(
-    chosen: dict[tuple[int, int], tuple[int, int]], maps: Floats, hidden: NDArray[np.bool_]
-) -> tuple[Floats, Floats]:
-    """(6 or 8, H, W) blocks side by side, and (H, W) the share of them in the result."""
+def _sources(
+    chosen: dict[tuple[int, int], tuple[int, int]], hidden: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """(2, H, W) the texel that each is copied from, and (H, W) which are copied.
+
+    Where blocks overlap, a texel is of the one in which it lies deeper.
+    """
     texels = np.arange(INPAINT.block)
-    inside = np.minimum(texels + 1, INPAINT.block - texels) / INPAINT.overlap
-    ramp = np.minimum(inside, 1.0)
-    weight = (np.outer(ramp, ramp) ** INPAINT.sharpness + 1e-6).astype(np.float32)
-    total, weights = np.zeros_like(maps), np.zeros(maps.shape[-2:], np.float32)
-    for place, source in chosen.items():
-        total[:, *_block(place)] += weight * maps[:, *_block(source)]
-        weights[_block(place)] += weight
-    covered = weights > 0.0
-    share = cv2.GaussianBlur((hidden & covered).astype(np.float32), (0, 0), INPAINT.edge) * covered
-    laid = total / np.maximum(weights, np.float32(1e-9))
-    return np.asarray(laid, np.float32), np.asarray(share, np.float32)
+    inside = np.minimum(texels + 1, INPAINT.block - texels)
+    deep = np.minimum.outer(inside, inside)
+    source, deepest = np.indices(hidden.shape), np.zeros(hidden.shape, np.int64)
+    for place, donor in chosen.items():
+        here = _block(place)
+        deeper = (deep > deepest[here]) & hidden[here]
+        deepest[here] = np.where(deeper, deep, deepest[here])
+        moved = np.array(donor)[:, None, None] - np.array(place)[:, None, None]
+        own = np.indices(hidden.shape)[:, *here]
+        source[:, *here] = np.where(deeper, own + moved, source[:, *here])
+    return source, deepest > 0
 
 
 def _drawn(exemplar: Exemplar, known: NDArray[np.bool_]) -> _Drawn:

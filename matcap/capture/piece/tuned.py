@@ -280,7 +280,6 @@ class InpaintSettings:
             likelier ones and takes as much longer.
         block: texels a side: long enough for pieces of a drawing, short enough to be found.
         overlap: texels that neighbours share.
-        sharpness: of the border between two: the nearer block's texels, hardly mixed.
         trusted: confidence of albedo, as a share of the well seen places', of donors. More inpaints
             places that are seen well enough: at 0.93 wood lost 0.4 floors.
         well_seen: quantile of confidence that counts as well seen.
@@ -294,7 +293,7 @@ class InpaintSettings:
             metal that only the highlight shows. More inpaints more, and loses those.
         thinned: texels a side of which one is lit.
         farthest: squared, in deviations: differences beyond it are edges that do not meet.
-        edge: texels, deviation of the soft edge towards what is kept.
+        reach: texels, over which the two sides of a seam come together.
         darkest: linear radiance.
     """
 
@@ -302,7 +301,6 @@ class InpaintSettings:
     tried_at_once: int = 40
     block: int = 48
     overlap: int = 12
-    sharpness: float = 8.0
     trusted: float = 0.75
     well_seen: float = 0.75
     most_hidden: float = 0.2
@@ -314,7 +312,7 @@ class InpaintSettings:
     shown: float = 0.5
     thinned: int = 4
     farthest: float = 4.0
-    edge: float = 4.0
+    reach: float = 24.0
     darkest: float = 1e-4
 
 

@@ -1,0 +1,97 @@
+"""Gradient-domain composition of maps whose texels are copied from elsewhere [perez2003].
+
+Texel p shows v(p) = m(s(p)), with s(p) = p where the maps are kept. The composition u minimises,
+over the texels that are not kept,
+
+    sum_pq (u(q) - u(p) - g(p, q))^2 + sum_p (u(p) - v(p))^2 / reach^2,
+
+over pairs of neighbours p, q. g is the mean of the differences that the sources of p and of q have
+there, of those whose texels are kept ones: within a block that of the maps, so that every drawing
+stays as it is; across a seam it has no step, and the two sides drift together within `reach`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+Sources = NDArray[np.int64]
+
+_ITERATIONS = 400
+_TOLERANCE = 1e-3  # of the residual's norm, over that at the start
+
+
+def composed(maps: Floats, source: Sources, free: NDArray[np.bool_], reach: float) -> Floats:
+    """Maps copied from their sources without steps at seams.
+
+    Args:
+        maps: (C, H, W) m.
+        source: (2, H, W) row and column of s(p); the texel itself where it is not free.
+        free: (H, W) texels that are not kept.
+        reach: texels, over which the two sides of a seam come together.
+
+    Returns:
+        (C, H, W) u; m where not free.
+    """
+    if not free.any():
+        return maps
+    rows, columns = (np.flatnonzero(free.any(axis=axis)) for axis in (1, 0))
+    box = tuple(
+        slice(max(0, line[0] - 1), min(side, line[-1] + 2))
+        for line, side in zip((rows, columns), free.shape, strict=True)
+    )
+    inside, here = free[box], source[:, *box]
+    copied = maps[:, here[0], here[1]].astype(np.float64)
+    wanted = np.zeros_like(copied)
+    for axis in (0, 1):
+        first, last = _ends(axis)
+        step = np.array([[[1 - axis]], [[axis]]])
+        before, after = copied[:, *first], copied[:, *last]
+        ahead, has_ahead = _at(maps, here[:, *first] + step, free)
+        behind, has_behind = _at(maps, here[:, *last] - step, free)
+        drawn = has_ahead * (ahead - before) + has_behind * (after - behind)
+        known = has_ahead + has_behind
+        torn = np.where(known > 0.0, after - before - drawn / np.maximum(known, 1.0), 0.0)
+        wanted[:, *first] += torn
+        wanted[:, *last] -= torn
+    result = maps.copy()
+    shown = copied + _solved(wanted * inside, inside, reach)
+    result[:, *box] = np.where(inside, shown, maps[:, *box])
+    return result
+
+
+def _solved(right: NDArray[np.float64], free: NDArray[np.bool_], reach: float) -> Floats:
+    """Conjugate gradients for c in (L + reach^-2) c = right, 0 where not free, (C, h, w) each."""
+    solution = np.zeros_like(right)
+    residual, direction = right.copy(), right.copy()
+    energy = start = float(np.square(residual).sum())
+    for _ in range(_ITERATIONS):
+        if energy <= _TOLERANCE**2 * start:
+            break
+        image = direction / reach**2
+        for axis in (0, 1):
+            first, last = _ends(axis)
+            difference = direction[:, *last] - direction[:, *first]
+            image[:, *first] -= difference
+            image[:, *last] += difference
+        image *= free
+        length = energy / float((direction * image).sum())
+        solution += length * direction
+        residual -= length * image
+        before, energy = energy, float(np.square(residual).sum())
+        direction = residual + (energy / before) * direction
+    return solution.astype(np.float32)
+
+
+def _ends(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """All but the last and all but the first line along an axis."""
+    every, first, last = slice(None), slice(None, -1), slice(1, None)
+    return ((first, every), (last, every)) if axis == 0 else ((every, first), (every, last))
+
+
+def _at(maps: Floats, places: Sources, free: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """(C, h, w) maps at places (2, h, w), and (h, w) 1 where those are kept texels, else 0."""
+    rows, columns = (np.clip(p, 0, side - 1) for p, side in zip(places, free.shape, strict=True))
+    kept = (rows == places[0]) & (columns == places[1]) & ~free[rows, columns]
+    return maps[:, rows, columns], kept.astype(np.float32)
