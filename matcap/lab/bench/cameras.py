@@ -21,13 +21,14 @@ from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take, true_maps
 from matcap.lab.simulate.specimen import Specimen
+from matcap.lab.simulate.write_jpeg import PHONE
 from matcap.photo.camera import CameraProfile
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
 
 ABOUT = (
-    "lost: log of the light that corners lose, as fitted; metal: 1 where taken for it. Errors of "
-    "simulated ones: of lost and of roughness, and of log F0, log albedo and their difference, "
+    "lost: log of the light that corners lose, as fitted; exponent: of the tone curve; metal: 1 "
+    "where taken for it. Errors of simulated ones: of lost and of roughness, and of log F0, log albedo and their difference, "
     "which alone a photograph determines without knowing its flash."
 )
 _PHONE = PhoneCamera(width=512, height=384)
@@ -56,7 +57,7 @@ def camera_experiment(
         photographs: real ones of one camera.
         specimens: simulated materials.
         falloff: what the simulated camera loses with r^2 and r^4.
-        developed: simulated photographs are no RAW; one that loses nothing to a tone curve.
+        developed: simulated photographs are no RAW, but developed with a phone's tone curve.
     """
 
     def simulated(specimen: Specimen) -> CameraSubject:
@@ -64,7 +65,8 @@ def camera_experiment(
         setup = replace(specimen.setup, vignetting=lost, vignetting_quartic=more)
         piece = specimen.pieces(specimen.seed)
         photo = as_photo(take(piece, _PHONE, setup), specimen.seed, specimen.name)
-        photo = replace(photo, radiometric=not developed)
+        if developed:
+            photo = replace(photo, radiometric=False, pixels=PHONE.developed(photo.pixels))
         return CameraSubject(photo, true_maps(piece, _PHONE, setup), sum(falloff))
 
     def real(path: Path) -> CameraSubject:
@@ -100,7 +102,12 @@ def camera_experiment(
 def fit_errors(subject: CameraSubject, fit: CoarseFit) -> Mapping[str, Value]:
     """Parameters of a coarse fit, and their errors against the truth."""
     lost = fit.setup.vignetting + fit.setup.vignetting_quartic
-    said = {"lost": lost, "metal": float(fit.conductor), "roughness": fit.roughness}
+    said = {
+        "lost": lost,
+        "exponent": fit.tone.exponent,
+        "metal": float(fit.conductor),
+        "roughness": fit.roughness,
+    }
     names = ("lost off", "roughness off", "F0 off", "albedo off", "F0 over albedo off")
     if subject.truth is None:
         return said | dict.fromkeys(names, math.nan)

@@ -17,7 +17,7 @@ from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.kinds import RandomKind, kind_of, kinds_known
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, take, true_maps
 from matcap.lab.simulate.write_dng import Sensor, write_dng
-from matcap.lab.simulate.write_jpeg import write_jpeg
+from matcap.lab.simulate.write_jpeg import PHONE, write_jpeg
 
 _PHOTOGRAPHED = 11  # seed of the piece that is photographed, where no example says one
 _SETUP = FlashSetup(offset=(0.10, 0.05, 0.0), tilt=(0.02, -0.02))
@@ -66,7 +66,7 @@ class Specimen:
         """Write a shot of it, raising MatcapError where that fails; see path()."""
         path, seed = self.path(out, number, jpeg=jpeg), self.seed + (number or 0)
         if jpeg:
-            write_jpeg(path, shot, seed)
+            write_jpeg(path, shot, seed, PHONE)
         else:
             write_dng(path, shot, self.sensor, seed)
         return path
@@ -123,7 +123,7 @@ def photograph(
         camera: that takes the photograph.
         out: the folder, made when missing.
         ev: exposure offset in stops, above what the camera would choose.
-        jpeg: a JPEG, instead of a DNG.
+        jpeg: a JPEG as a phone develops it, instead of a DNG.
 
     Returns:
         The file, and the truth.

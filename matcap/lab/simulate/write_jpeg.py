@@ -13,18 +13,28 @@ from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged_file
 from matcap.lab.simulate.photograph import Shot, expose
 from matcap.lab.simulate.write_dng import exif_of
+from matcap.photo.tone import ToneCurve
 
+# x^1.3 / (x^1.3 + 0.8^1.3), scaled to 1 at 1.
+PHONE = ToneCurve(1.3, 1.0 / (1.0 + 0.8**1.3))
 _QUALITY = 95
 _EXIF_IFD = 34665
 
 
-def write_jpeg(path: Path, shot: Shot, seed: int) -> None:
+def write_jpeg(path: Path, shot: Shot, seed: int, tone: ToneCurve | None = None) -> None:
     """Write a shot as a JPEG of quality 95; the same arguments give the same file.
+
+    Args:
+        path: of the file.
+        shot: what reached the sensor.
+        seed: of the sensor's noise.
+        tone: curve that it is developed with; the colour space's alone by default.
 
     Raises:
         MatcapError: the file cannot be written.
     """
-    code = srgb_picture(expose(shot, seed).astype(np.float32))
+    linear = expose(shot, seed).astype(np.float32)
+    code = srgb_picture((tone or ToneCurve()).developed(linear))
     picture = Image.fromarray(np.round(code * 255.0).astype(np.uint8))
     exif = Image.Exif()
     exif.update({271: "matcap", 272: "simulated phone", 274: 1})
