@@ -28,8 +28,8 @@ from matcap.photo.photo import Photo
 
 ABOUT = (
     "lost: log of the light that corners lose, as fitted; exponent: of the tone curve; metal: 1 "
-    "where taken for it. Errors of simulated ones: of lost and of roughness, and of log F0, log albedo and their difference, "
-    "which alone a photograph determines without knowing its flash."
+    "where taken for it. Errors of simulated ones: of lost and of roughness, and of log F0, log "
+    "albedo and their difference, which alone a photograph determines without knowing its flash."
 )
 _PHONE = PhoneCamera(width=512, height=384)
 _WIDTH = 512  # pixels across of real ones
