@@ -72,11 +72,11 @@ class Photo:
 
     @property
     def tone_mapped(self) -> bool:
-        """Whether a tone curve that is not known is in `pixels`."""
+        """Whether an unknown tone curve may be in `pixels`."""
         return self.tone is None and not self.radiometric
 
     def linearised(self, tone: ToneCurve) -> Photo:
-        """The same with a tone curve undone, or as it is where none is in it."""
+        """The photograph without a tone curve; unchanged if it has none."""
         if not self.tone_mapped:
             return self
         return replace(self, pixels=tone.linear(self.pixels), tone=tone)
