@@ -165,9 +165,9 @@ def registered(
         first, setup = registration.views[0].photo, registration.setup
         coarse = fit_coarse(replace(first, fov=setup.fov), tilt=setup.tilt)
         coarse = under_flash(coarse, first.flash_intensity)
-        linear = [
+        linear = tuple(
             replace(view, photo=view.photo.linearised(coarse.tone)) for view in registration.views
-        ]
+        )
         first, registration = linear[0].photo, replace(registration, views=linear)
         # What the fit hardly moved at all is the camera still.
         camera = replace(coarse.setup, fov=setup.fov, tilt=setup.tilt)
