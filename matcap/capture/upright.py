@@ -20,7 +20,7 @@ from matcap.example.example import Example
 from matcap.flash.render import render_rectified
 from matcap.statistics.lattice import Wave
 
-LIES = "The photograph is a portrait: a decoder's maps of it lie a quarter turn anticlockwise."
+LIES = "The photograph is a portrait: a decoder's maps of it are turned anticlockwise by a quarter."
 
 
 def upright(result: CaptureResult, waves: Sequence[Wave]) -> CaptureResult:

@@ -82,7 +82,9 @@ def synth(
     targets = exported.get("targets", ())
     if targets and (given.get("single") or given.get("udim")):
         raise UsageError(
-            "only plain map sets are exported", where="--export", remedy="leave --single or --udim"
+            "only a map set of single files can be exported",
+            where="--export",
+            remedy="leave out --single or --udim",
         )
     asked_area = chosen(SynthArea, where)
     is_piece = given.get("tile") == "piece"
@@ -109,8 +111,8 @@ def synth(
     left = 0 if working.get("resume") else unfinished_bytes(folder, name)
     if left and not quiet:
         typer.echo(
-            f"note: an interrupted run left {left / 1e6:.1f} MB here, which this one begins anew; "
-            "--resume would go on with them",
+            f"note: an interrupted run left {left / 1e6:.1f} MB of partial files here, which are "
+            "discarded; --resume would continue them",
             err=True,
         )
     try:

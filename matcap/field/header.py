@@ -56,7 +56,7 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
             about = _about(file.metadata(), path)
             if not digest_matches(path, file.metadata()):
                 raise MatcapError(
-                    "the file is damaged: its digest is another than when it was written",
+                    "the file is damaged: its content does not match its digest",
                     where=str(path),
                     remedy=REMEDY,
                 )

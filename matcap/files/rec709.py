@@ -48,7 +48,7 @@ def rec709_from(primaries: Sequence[float]) -> Matrix | None:
     adapted = np.linalg.solve(_BRADFORD, scale[:, None] * (_BRADFORD @ own))
     matrix = np.linalg.solve(target, adapted)
     if not np.isfinite(matrix).all() or np.abs(matrix).max() > 100.0:
-        raise ValueError("the primaries are no basis of colours")
+        raise ValueError("the primaries do not span a colour space")
     matrix /= matrix.sum(axis=1, keepdims=True)  # grey stays grey, to the last bit
     return None if np.abs(matrix - np.eye(3)).max() < _SAME else np.asarray(matrix, np.float64)
 

@@ -127,9 +127,9 @@ def _parse_map(payload: bytes) -> GainMap:
         raise ValueError("a gain map is cut short")
     gains = np.frombuffer(payload, ">f4", count, _HEADER.size).astype(np.float32)
     if min(pitch) < 1 or not (np.isfinite(gains).all() and gains.min() > 0.0):
-        raise ValueError("a gain map's numbers make no sense")
+        raise ValueError("a gain map has invalid numbers")
     if not all(np.isfinite(spacing)) or not all(np.isfinite(origin)):
-        raise ValueError("a gain map's grid makes no sense")
+        raise ValueError("a gain map has an invalid grid")
     return GainMap(
         area,
         (plane, plane + planes),

@@ -124,7 +124,7 @@ def _guess(head: bytes) -> str:
     """Part of a message that names the format by the first bytes, or ""."""
     for begins, what in _KNOWN.items():
         if head.startswith(begins):
-            return f" of a kind that is read but {what}"
+            return f" in a supported format but {what}"
     if head[4:8] == b"ftyp":
         return " but a video or another container"
     if all(byte in b"\t\n\r\f\x1b" or 32 <= byte < 127 for byte in head):
