@@ -31,18 +31,18 @@ MaterialArgument = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="[MATERIAL]...",
-        help="Simulated materials by name, kinds (weave, or weave:7 for another), map sets.",
+        help="Simulated materials, kinds (weave; weave:7 is another draw) or map sets.",
     ),
 ]
 OnlyOption = Annotated[
-    list[str] | None, typer.Option(help="Only this one; may be given several times.")
+    list[str] | None, typer.Option(help="Measure only this one; may be repeated.")
 ]
 SetsOption = Annotated[
     Path | None,
-    typer.Option(help="Folder of artists' map sets; without names, all of them are taken."),
+    typer.Option(help="Folder of artists' map sets; all of them if none is named."),
 ]
 OutOption = Annotated[
-    Path, typer.Option("--out", "-o", help="Folder for the table, and what it is measured of.")
+    Path, typer.Option("--out", "-o", help="Folder for the table and the captures measured.")
 ]
 
 _FRONTS = Path("bench/fronts")
@@ -109,20 +109,23 @@ def floors(
     out: OutOption = Path("bench/floors"),
     given: Annotated[Given, Fields(CaptureSettings, only=("preset", "detail"))] = NOTHING,
     judged: Annotated[
-        int, typer.Option(min=256, max=4096, help="Texels along the long side that are compared.")
+        int,
+        typer.Option(
+            min=256, max=4096, help="Texels along the long side at which pictures are compared."
+        ),
     ] = 512,
     stops: Annotated[
         float, typer.Option(min=-8.0, max=8.0, help="Exposure offset (EV) from the camera's own.")
     ] = 0.0,
-    jpeg: Annotated[bool, typer.Option("--jpeg", help="Photographs are JPEGs, not RAW.")] = False,
+    jpeg: Annotated[bool, typer.Option("--jpeg", help="Simulate JPEGs instead of RAW.")] = False,
     photographs: Annotated[
         list[int] | None,
         typer.Option(
-            min=1, max=12, help="Of one sample, from so many places; may be given several times."
+            min=1, max=12, help="Photographs per sample, from different places; may be repeated."
         ),
     ] = None,
     pixels: Annotated[
-        int, typer.Option(min=320, max=8192, help="Across the photographs, which are 4:3.")
+        int, typer.Option(min=320, max=8192, help="Width of the photographs, which are 4:3.")
     ] = 1600,
     room: Annotated[
         float,
@@ -138,11 +141,11 @@ def floors(
         typer.Option(
             "--union",
             help="With --photographs: the phone is moved by half a picture each time, and each "
-            "count is captured also as all that they show.",
+            "count is also captured with --union.",
         ),
     ] = False,
     weights: Annotated[
-        Path | None, typer.Option(help="SqueezeNet 1.1 by ncnn, instead of what comes along.")
+        Path | None, typer.Option(help="SqueezeNet 1.1 of ncnn, instead of the included weights.")
     ] = None,
 ) -> None:
     """How far captures are from the truth, by a measure that nothing is tuned by.
@@ -176,14 +179,14 @@ def metals(
     material: MaterialArgument = None,
     sets: SetsOption = None,
     out: OutOption = Path("bench/metals"),
-    detail: Annotated[int, typer.Option(min=128, max=4096, help="Of the captures.")] = 512,
-    preset: Annotated[str, typer.Option(help="Of the captures.")] = "instant",
+    detail: Annotated[int, typer.Option(min=128, max=4096, help="--detail of captures.")] = 512,
+    preset: Annotated[str, typer.Option(help="--preset of captures.")] = "instant",
     pixels: Annotated[
-        int, typer.Option(min=256, max=8192, help="Of photographs, along the long side.")
+        int, typer.Option(min=256, max=8192, help="Pixels along the photographs' long side.")
     ] = 1600,
     known: Annotated[
         bool,
-        typer.Option("--known-flash", help="The flash's strength is known, as by a card."),
+        typer.Option("--known-flash", help="Give captures the flash's intensity, as a card does."),
     ] = False,
 ) -> None:
     """F0 of metals by channel, its hue, and that of what is no metal beside it.
@@ -208,7 +211,7 @@ def fields(
     sets: SetsOption = None,
     phases: Annotated[
         bool,
-        typer.Option("--phases", help="Also lattices of 2.5 to 300 texels, turned by some angle."),
+        typer.Option("--phases", help="Also measure rotated lattices of 2.5 to 300 texels."),
     ] = False,
     out: OutOption = Path("bench/fields"),
 ) -> None:
@@ -232,14 +235,14 @@ def fields(
 def gloss(
     slope: Annotated[
         list[float] | None,
-        typer.Option(min=0.0, max=1.0, help="Of bumps; may be given several times; 0 if not."),
+        typer.Option(min=0.0, max=1.0, help="Slope of bumps; may be repeated; default 0."),
     ] = None,
     stops: Annotated[
         list[int] | None,
-        typer.Option(min=-3, max=6, help="Exposure offsets (EV); 0 to 3 if not given."),
+        typer.Option(min=-3, max=6, help="Exposure offset (EV); may be repeated; default 0 to 3."),
     ] = None,
     piece: Annotated[
-        bool, typer.Option("--piece", help="Of the captured exemplar, not the coarse fit alone.")
+        bool, typer.Option("--piece", help="Measure the exemplar, not only the coarse fit.")
     ] = False,
     out: OutOption = Path("bench/gloss"),
 ) -> None:
@@ -258,14 +261,14 @@ def camera(
     material: MaterialArgument = None,
     sets: SetsOption = None,
     photographs: Annotated[
-        Path | None, typer.Option(help="Folder of real ones by one camera, instead of simulated.")
+        Path | None, typer.Option(help="Folder of real photographs by one camera.")
     ] = None,
-    begins: Annotated[str, typer.Option(help="Only real ones whose names begin so.")] = "",
+    begins: Annotated[str, typer.Option(help="Beginning of the names to take.")] = "",
     falloff: Annotated[
         tuple[float, float],
-        typer.Option(help="Log of the light that simulated corners lose with r^2 and with r^4."),
+        typer.Option(help="Simulated falloff: coefficients of r^2 and r^4 in the log."),
     ] = (0.6, 1.2),
-    jpeg: Annotated[bool, typer.Option("--jpeg", help="Simulated ones are no RAW.")] = False,
+    jpeg: Annotated[bool, typer.Option("--jpeg", help="Simulate JPEGs, not RAW.")] = False,
     out: OutOption = Path("bench/camera"),
 ) -> None:
     """What one falloff for all photographs of a camera changes in their coarse fits.
@@ -285,14 +288,16 @@ def camera(
 @app.command()
 def highlight(
     photographs: Annotated[
-        list[Path] | None, typer.Argument(help="Real photographs; those without a highlight pass.")
+        list[Path] | None,
+        typer.Argument(help="Real photographs; without a highlight they are skipped."),
     ] = None,
     simulated: Annotated[
-        int, typer.Option(min=0, help="So many simulated photographs, of known offset and tilt.")
+        int, typer.Option(min=0, help="Number of simulated photographs, of known offset and tilt.")
     ] = 0,
-    seed: Annotated[int, typer.Option(min=0, help="Of the simulated ones.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the simulated photographs.")] = 0,
     states_fov: Annotated[
-        bool, typer.Option("--fov/--no-fov", help="Whether the simulated ones state theirs.")
+        bool,
+        typer.Option("--fov/--no-fov", help="State the field of view in simulated photographs."),
     ] = True,
     out: OutOption = Path("bench/highlight"),
 ) -> None:
@@ -329,7 +334,7 @@ def repetition(
             help="Simulated materials by name, or .matcap files; six simulated ones by default.",
         ),
     ] = None,
-    size: Annotated[int, typer.Option(min=512, max=8192, help="Texels a side.")] = 4096,
+    size: Annotated[int, typer.Option(min=512, max=8192, help="Texels per side.")] = 4096,
     out: OutOption = Path("bench/repetition"),
 ) -> None:
     """Whether a field by example shows its tricks.
@@ -347,21 +352,21 @@ def fronts(
     out: OutOption = _FRONTS,
     sets: Annotated[
         Path | None,
-        typer.Option(help="Folder of artists' map sets, of which six held out ones are taken."),
+        typer.Option(help="Folder of artists' map sets; six held-out ones are used."),
     ] = None,
     point: Annotated[
         list[str] | None,
-        typer.Option(help="Only this way of capturing; may be given several times. See --list."),
+        typer.Option(help="Measure only this point of --list; may be repeated."),
     ] = None,
     material: Annotated[
         list[str] | None,
-        typer.Option(help="Only this one, of names, kinds or sets; may be given several times."),
+        typer.Option(help="Measure only this material, kind or set; may be repeated."),
     ] = None,
     seed: Annotated[
-        list[int] | None, typer.Option(help="Of the captures; may be given several times. 0.")
+        list[int] | None, typer.Option(help="Seed of captures; may be repeated; default 0.")
     ] = None,
     show: Annotated[
-        bool, typer.Option("--list", help="Print points and materials, and end.")
+        bool, typer.Option("--list", help="Print points and materials, and exit.")
     ] = False,
 ) -> None:
     """Error, seconds and memory of captures, over work, photographs, detail, time and generators.
@@ -386,13 +391,13 @@ def fronts(
 @app.command()
 def pairs(
     folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="That bench fronts wrote.")
+        Path, typer.Argument(metavar="FOLDER", help="Folder that `bench fronts` wrote.")
     ] = _FRONTS,
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for pages of pairs and pairs.csv.")
     ] = Path("bench/pairs"),
-    count: Annotated[int, typer.Option("-n", min=1, help="How many.")] = 40,
-    seed: Annotated[int, typer.Option(min=0, help="Of which ones, and of their sides.")] = 0,
+    count: Annotated[int, typer.Option("-n", min=1, help="Number of pairs.")] = 40,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the choice and of sides.")] = 0,
 ) -> None:
     """Captures of the fronts side by side, without names, the truth between them.
 
@@ -408,19 +413,19 @@ def pairs(
 def relight(
     scenes: Annotated[
         list[Path] | None,
-        typer.Argument(help="Scene files, or studio, sunset, turntable; these without any."),
+        typer.Argument(help="Scene files or names; default: studio, sunset, turntable."),
     ] = None,
     json: JsonOption = False,
     tolerances: Annotated[
         bool,
-        typer.Option("--tolerances", help="Time against accuracy instead, tolerance by tolerance."),
+        typer.Option("--tolerances", help="Measure time against accuracy, by tolerance."),
     ] = False,
     mitsuba: Annotated[
-        bool, typer.Option("--mitsuba", help="The named scenes against Mitsuba 3 instead.")
+        bool, typer.Option("--mitsuba", help="Compare the named scenes with Mitsuba 3.")
     ] = False,
     out: OutOption = Path("bench/relight"),
     width: Annotated[
-        int, typer.Option(min=16, max=4096, help="Of the pictures of --tolerances.")
+        int, typer.Option(min=16, max=4096, help="Width of the pictures of --tolerances.")
     ] = 256,
 ) -> None:
     """What relighting costs, and what leaving effects out saves.
@@ -449,20 +454,23 @@ def synth(
     size: Annotated[
         values.Size,
         typer.Option(
-            parser=typed(values.size), metavar="WxH", show_default="4096x256", help="Of the map."
+            parser=typed(values.size),
+            metavar="WxH",
+            show_default="4096x256",
+            help="Size of the map.",
         ),
     ] = values.Size(4096, 256),  # noqa: B008
     network: Annotated[
-        list[str] | None, typer.Option(help="shipped or paper; both by default.")
+        list[str] | None, typer.Option(help="shipped or paper; default: both.")
     ] = None,
     block: Annotated[
         list[str] | None,
-        typer.Option(metavar="WxH", help="Of the field; may be given several times."),
+        typer.Option(metavar="WxH", help="Block of the field; may be repeated."),
     ] = None,
     workers: Annotated[
-        list[int] | None, typer.Option("--workers", "-j", min=1, help="Threads; 1 and 2.")
+        list[int] | None, typer.Option("--workers", "-j", min=1, help="Threads; default: 1 and 2.")
     ] = None,
-    repeats: Annotated[int, typer.Option(min=1, help="Of which the median counts.")] = 3,
+    repeats: Annotated[int, typer.Option(min=1, help="Repetitions; the median counts.")] = 3,
 ) -> None:
     """What the endless field costs, beside the paper's form of the same network.
 
@@ -499,7 +507,7 @@ def report(
         typer.Argument(metavar="TABLE...", help="CSVs of bench fronts and bench relight."),
     ],
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="The page; a picture goes beside every CSV.")
+        Path, typer.Option("--out", "-o", help="The page; a plot is written beside every CSV.")
     ] = Path("docs/notes/accuracy-and-time.md"),
 ) -> None:
     """Write the page on accuracy and time from what was measured.
@@ -518,15 +526,15 @@ def report(
 
 @app.command()
 def paper(
-    sets: Annotated[Path, typer.Argument(metavar="FOLDER", help="Of artists' map sets.")],
+    sets: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of artists' map sets.")],
     out: OutOption = Path("bench/paper"),
     material: OnlyOption = None,
     configuration: OnlyOption = None,
     steps: Annotated[
-        int | None, typer.Option(min=1, help="Of fine-tuning; as of `standard` by default.")
+        int | None, typer.Option(min=1, help="Steps of fine-tuning; default: those of `standard`.")
     ] = None,
     vgg16: Annotated[
-        Path | None, typer.Option(help="VGG-16's weights (safetensors), for its own columns.")
+        Path | None, typer.Option(help="VGG-16 weights (safetensors), for the VGG-16 columns.")
     ] = None,
 ) -> None:
     """The tables of Henzler et al. 2021 for their generator and for the default.

@@ -28,7 +28,7 @@ def compare(
     photo: Annotated[
         list[Path] | None,
         typer.Option(
-            show_default="what each was made from",
+            show_default="the one each was made from",
             help="A photograph to show beside both; given twice, of A and of B.",
         ),
     ] = None,

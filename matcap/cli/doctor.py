@@ -13,7 +13,7 @@ def doctor(
     json: JsonOption = False,
     self_test: Annotated[
         bool,
-        typer.Option("--self-test/--no-self-test", help="Also try it all on a small material."),
+        typer.Option("--self-test/--no-self-test", help="Also run every step on a small material."),
     ] = True,
 ) -> None:
     """Print versions, devices and extras, and test whether all of it works.

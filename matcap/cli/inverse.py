@@ -12,11 +12,11 @@ from matcap.cli.options import QuietOption, typed
 from matcap.files import values
 
 app = typer.Typer(
-    help="Train the network that reads a photograph's own maps.", no_args_is_help=True
+    help="Train the network that predicts maps from a photograph.", no_args_is_help=True
 )
 
 TrainingArgument = Annotated[
-    Path, typer.Argument(metavar="FOLDER", help="Where training is kept; made when missing.")
+    Path, typer.Argument(metavar="FOLDER", help="Folder of the training; created if missing.")
 ]
 
 
@@ -30,37 +30,40 @@ def _inverse() -> None:
 def train(
     folder: TrainingArgument,
     steps: Annotated[
-        int, typer.Option(min=1, help="To have done in all at the end of this leg.")
+        int, typer.Option(min=1, help="Total number of steps at which training ends.")
     ] = 1_000_000,
     time_limit: Annotated[
         float | None,
         typer.Option(
-            "--time", parser=typed(values.duration), metavar="TIME", help="Of this leg: 25m."
+            "--time",
+            parser=typed(values.duration),
+            metavar="TIME",
+            help="Time limit of this run, such as 25m.",
         ),
     ] = None,
-    rate: Annotated[float, typer.Option(help="Adam's rate.")] = 4e-4,
+    rate: Annotated[float, typer.Option(help="Learning rate of Adam.")] = 4e-4,
     cooling: Annotated[
-        int, typer.Option(min=0, help="Steps before the last over which the rate falls to nothing.")
+        int, typer.Option(min=0, help="Last steps, over which the rate falls to 0.")
     ] = 0,
-    batch: Annotated[int, typer.Option(min=1, help="Photographs a step.")] = 1,
+    batch: Annotated[int, typer.Option(min=1, help="Photographs per step.")] = 1,
     size: Annotated[
-        tuple[int, int], typer.Option(help="Texels of a photograph across and down, by 32.")
+        tuple[int, int], typer.Option(help="Width and height of a photograph, multiples of 32.")
     ] = (224, 160),
     compiled: Annotated[
-        bool, typer.Option(help="Compile the losses: minutes at first, quicker after.")
+        bool, typer.Option(help="Compile the losses: takes minutes, then steps are faster.")
     ] = False,
     workers: Annotated[
-        int, typer.Option(min=0, help="Processes that make photographs; 0 for none.")
+        int, typer.Option(min=0, help="Processes that simulate photographs; 0: this one does.")
     ] = 1,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     maps: Annotated[
-        Path | None, typer.Option(help="Real materials beside simulated ones (`inverse pack`).")
+        Path | None, typer.Option(help="Real map sets (`inverse pack`), beside simulated ones.")
     ] = None,
     real: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of photographs of real materials.")
     ] = 0.5,
     begin: Annotated[
-        Path | None, typer.Option("--from", help="A network's file that a first leg goes on from.")
+        Path | None, typer.Option("--from", help="A network's file from which training starts.")
     ] = None,
     quiet: QuietOption = False,
 ) -> None:
@@ -95,9 +98,9 @@ def pack(
 @app.command()
 def evaluate(
     networks: Annotated[
-        list[Path], typer.Argument(help="Networks' files, or folders of trainings.")
+        list[Path], typer.Argument(help="Files of networks, or folders of trainings.")
     ],
-    maps: Annotated[Path, typer.Option(help="Real materials (`inverse pack`).")],
+    maps: Annotated[Path, typer.Option(help="Real map sets (`inverse pack`).")],
 ) -> None:
     """Judge networks by what none was trained on: real sets and simulated kinds held out."""
     from matcap.lab.inverse import evaluate as judge
@@ -115,13 +118,14 @@ def evaluate(
 
 @app.command()
 def distributions(
-    maps: Annotated[Path, typer.Option(help="Real materials (`inverse pack`).")],
+    maps: Annotated[Path, typer.Option(help="Real map sets (`inverse pack`).")],
     photographs: Annotated[Path, typer.Option(help="A folder of flash photographs, JPEGs.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="The picture.")],
-    count: Annotated[int, typer.Option(min=2, help="Photographs drawn of each kind.")] = 300,
-    size: Annotated[
-        tuple[int, int], typer.Option(help="Texels of a photograph across and down.")
-    ] = (160, 128),
+    count: Annotated[int, typer.Option(min=2, help="Number of photographs of each kind.")] = 300,
+    size: Annotated[tuple[int, int], typer.Option(help="Width and height of a photograph.")] = (
+        160,
+        128,
+    ),
     quiet: QuietOption = False,
 ) -> None:
     """Plot what training draws against what real materials and photographs are like."""
@@ -148,10 +152,10 @@ def ship(
     ),
     before: Annotated[
         Path | None,
-        typer.Option("--from", help="The network it went on from, met by 1 - share of the way."),
+        typer.Option("--from", help="A network to interpolate with, weighted by 1 - share."),
     ] = None,
     share: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Of the way from there to the training's.")
+        float, typer.Option(min=0.0, max=1.0, help="Weight of the trained network.")
     ] = 0.5,
     quiet: QuietOption = False,
 ) -> None:

@@ -17,11 +17,13 @@ if TYPE_CHECKING:
 
     from matcap.lab.train.state import TrainConfig
 
-app = typer.Typer(help="Train and measure the space of materials.", no_args_is_help=True)
+app = typer.Typer(
+    help="Train and measure the prior, a latent space of materials.", no_args_is_help=True
+)
 
-PackArgument = Annotated[Path, typer.Argument(metavar="PACK", help="Made by `prior corpus`.")]
+PackArgument = Annotated[Path, typer.Argument(metavar="PACK", help="File made by `prior corpus`.")]
 PriorOption = Annotated[
-    Path | None, typer.Option(help="A prior's file, instead of the one that comes along.")
+    Path | None, typer.Option(help="A prior's file, instead of the included one.")
 ]
 ResultsOption = Annotated[
     Path,
@@ -38,11 +40,12 @@ def _prior() -> None:
 @app.command()
 def corpus(
     folder: Annotated[
-        Path | None, typer.Argument(metavar="FOLDER", help="Of photographs named MATERIAL_*.jpg.")
+        Path | None,
+        typer.Argument(metavar="FOLDER", help="Folder of photographs named MATERIAL_*.jpg."),
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="The pack.")] = Path("corpus.pack"),
     simulated: Annotated[int, typer.Option(min=0, help="Simulated photographs to add.")] = 0,
-    seed: Annotated[int, typer.Option(min=0, help="Of the simulated ones.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of simulated photographs.")] = 0,
     quiet: QuietOption = False,
 ) -> None:
     """Pack photographs for training; what cannot be read is left out and listed."""
@@ -64,9 +67,9 @@ def train(
     pack: PackArgument,
     config: Annotated[Path, typer.Option(help="TOML; see docs/guide/train-a-prior.md.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for checkpoints and curves.")],
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue from the checkpoint.")] = False,
     begin: Annotated[
-        Path | None, typer.Option("--start", help="A prior whose networks are trained on.")
+        Path | None, typer.Option("--start", help="A prior from whose networks training starts.")
     ] = None,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     quiet: QuietOption = False,
@@ -114,7 +117,7 @@ def align(
     materials: Annotated[
         int, typer.Option(min=16, help="Simulated materials, each photographed three times.")
     ] = 2000,
-    steps: Annotated[int, typer.Option(min=1, help="Of 24 photographs.")] = 8000,
+    steps: Annotated[int, typer.Option(min=1, help="Training steps, of 24 photographs.")] = 8000,
     quiet: QuietOption = False,
 ) -> None:
     """Train the alignment branch, which measures every capture's tilt, on simulated photographs."""
@@ -130,13 +133,14 @@ def align(
 
 @app.command()
 def make(
-    out: Annotated[Path, typer.Option("--out", "-o", help="The prior; its card lies beside it.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="The prior; its card is written beside it.")
+    ],
     folder: Annotated[
-        Path | None, typer.Argument(metavar="[FOLDER]", help="Of photographs named MATERIAL_*.jpg.")
+        Path | None,
+        typer.Argument(metavar="[FOLDER]", help="Folder of photographs named MATERIAL_*.jpg."),
     ] = None,
-    recipe: Annotated[
-        Path | None, typer.Option(help="TOML; the one that comes with matcap by default.")
-    ] = None,
+    recipe: Annotated[Path | None, typer.Option(help="TOML; default: the included one.")] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Make a prior of photographs: corpus, training, finishing, alignment branch and card.
@@ -180,8 +184,10 @@ def evaluate(
     prior: PriorOption = None,
     out: ResultsOption = Path("bench/prior"),
     steps: Annotated[int, typer.Option(min=1, help="Fine-tuning steps from the prior.")] = 100,
-    longer: Annotated[int, typer.Option(min=1, help="Steps from nothing beside them.")] = 1000,
-    materials: Annotated[int, typer.Option(min=1, help="How many held-out ones.")] = 12,
+    longer: Annotated[
+        int, typer.Option(min=1, help="Fine-tuning steps from random weights.")
+    ] = 1000,
+    materials: Annotated[int, typer.Option(min=1, help="Number of held-out materials.")] = 12,
     quiet: QuietOption = False,
 ) -> None:
     """Measure a prior on held-out photographs and unseen simulated materials.
@@ -204,8 +210,8 @@ def ablate(
     pack: PackArgument,
     prior: PriorOption = None,
     out: ResultsOption = Path("bench/prior"),
-    steps: Annotated[int, typer.Option(min=1, help="Of fine-tuning.")] = 350,
-    materials: Annotated[int, typer.Option(min=1, help="How many held-out ones.")] = 12,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of fine-tuning.")] = 350,
+    materials: Annotated[int, typer.Option(min=1, help="Number of held-out materials.")] = 12,
     quiet: QuietOption = False,
 ) -> None:
     """Measure captures of held-out photographs without one part of the method each.
@@ -228,9 +234,10 @@ def variety(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for the table and the picture.")
     ] = Path("bench/prior"),
-    draws: Annotated[int, typer.Option(min=8, help="How many materials to draw.")] = 256,
+    draws: Annotated[int, typer.Option(min=8, help="Number of materials to draw.")] = 256,
     simulated: Annotated[
-        int, typer.Option(min=8, help="Unseen simulated photographs beside the held-out ones.")
+        int,
+        typer.Option(min=8, help="Simulated photographs to compare with, beside held-out ones."),
     ] = 64,
     quiet: QuietOption = False,
 ) -> None:

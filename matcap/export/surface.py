@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.brdf.maps import MapSet
 from matcap.export.formats import Picture
 from matcap.export.job import ExportJob
 from matcap.export.shading import MATCAP, Geometry, TargetShading, diffuse_lobe, specular_lobe
@@ -52,21 +50,6 @@ class TargetSurface:
     """(1 or 3, H, W) F0 of the metallic part, where that is a lobe of its own."""
     share: Tensor | None = None
     """(1, H, W) weight of that lobe; `f0` has weight 1 - share."""
-
-    @staticmethod
-    def of_maps(maps: MapSet) -> TargetSurface:
-        """The surface with matcap's parameters and shading."""
-        return TargetSurface(maps.diffuse, maps.specular, maps.roughness, maps.normal)
-
-    def every(self, step: int) -> TargetSurface:
-        """Every step-th texel of every step-th row, in float64."""
-
-        def thin(value: Any) -> Any:  # noqa: ANN401
-            return value[..., ::step, ::step].double() if isinstance(value, Tensor) else value
-
-        return TargetSurface(
-            **{field.name: thin(getattr(self, field.name)) for field in fields(self)}
-        )
 
     def shine(self, to_light: Tensor, to_view: Tensor) -> Tensor:
         """(3, H, W) BRDF times n.l; 0 where light or view is below the surface.
@@ -108,23 +91,17 @@ def thinning(width: int, height: int, texels: int = _TEXELS) -> int:
     return max(1, math.ceil(math.sqrt(width * height / texels)))
 
 
-def residual(maps: MapSet, surface: TargetSurface) -> Residual:
-    """Residual of a target's surface against matcap's.
-
-    Views at 0 and 45 degrees to +z, lights at 15, 40 and 65 degrees on four sides; the sum of
-    absolute differences of BRDF n.l over at most 65,536 texels, divided by matcap's sum.
-    """
-    step = thinning(*maps.size)
-    return _compared(_lit(TargetSurface.of_maps(maps).every(step)), surface.every(step))
-
-
-def _lit(surface: TargetSurface) -> list[Tensor]:
+def shine_all(surface: TargetSurface) -> list[Tensor]:
     """BRDF n.l for all DIRECTIONS."""
     return [surface.shine(*directions) for directions in DIRECTIONS]
 
 
-def _compared(meant: list[Tensor], theirs: TargetSurface) -> Residual:
-    """The residual of a surface; `meant`: matcap's BRDF n.l for all DIRECTIONS."""
+def compared(meant: list[Tensor], theirs: TargetSurface) -> Residual:
+    """Residual of a surface against matcap's.
+
+    Views at 0 and 45 degrees to +z, lights at 15, 40 and 65 degrees on four sides; the sum of
+    absolute differences of BRDF n.l, divided by the sum of matcap's, `meant` (shine_all).
+    """
     off, total, worst = 0.0, 0.0, 0.0
     for directions, true in zip(DIRECTIONS, meant, strict=True):
         error = float((theirs.shine(*directions) - true).abs().sum())
@@ -155,8 +132,8 @@ def residuals(
 
     kinds = ("diffuse", "specular", "roughness", "normal")
     diffuse, specular, roughness, normal = (_channels(piece.picture(kind)) for kind in kinds)
-    meant = _lit(TargetSurface(diffuse, specular, roughness, normal))
-    return {name: _compared(meant, made(read)) for name, made in surfaces.items()}
+    meant = shine_all(TargetSurface(diffuse, specular, roughness, normal))
+    return {name: compared(meant, made(read)) for name, made in surfaces.items()}
 
 
 def nearest(job: ExportJob, surfaces: Sequence[MadeSurface], margin: float = 0.0) -> int:

@@ -57,11 +57,9 @@ class MapSource(Protocol):
     @property
     def texel_size(self) -> float:
         """A texel's side in plane units."""
-        ...
 
     def maps(self, width: int, height: int, *, seed: int, x: int, y: int) -> MapSet:
         """The rectangle whose left top texel is (x, y)."""
-        ...
 
 
 @dataclass(frozen=True)

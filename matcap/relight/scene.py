@@ -182,13 +182,12 @@ def exposing_intensity(position: Vector) -> float:
     return math.pi * squared / cosine
 
 
-def scene_from_light(text: str, *, film: Film | None = None) -> Scene:
+def scene_from_light(text: str) -> Scene:
     """A scene with the maps' own extent, from straight above, under one point light.
 
     Args:
         text: a named light (flash, top, left), or "x,y,z" or "x,y,z,intensity" in plane units;
             the default intensity is exposing_intensity.
-        film: of the picture; by default one pixel a texel.
 
     Raises:
         UsageError: neither a name nor three or four numbers; a light that is not above the plane.
@@ -199,7 +198,7 @@ def scene_from_light(text: str, *, film: Film | None = None) -> Scene:
     else:
         position, intensity = _parse_light(text)
     light = PointLight(position, (intensity, intensity, intensity))
-    return Scene(film=film, surface=Surface(size=None), lights=(light,))
+    return Scene(film=None, surface=Surface(size=None), lights=(light,))
 
 
 # Limits of lights given on the command line: plane units, radiant intensity.

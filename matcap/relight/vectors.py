@@ -16,9 +16,9 @@ Array = NDArray[Any]
 Vec = tuple[Array, Array, Array]
 
 
-def vec(vector: tuple[float, float, float], dtype: Any = np.float32) -> Vec:  # noqa: ANN401
-    """A constant vector as three 0-d arrays."""
-    x, y, z = (np.asarray(c, dtype=dtype) for c in vector)
+def vec(vector: tuple[float, float, float]) -> Vec:
+    """A constant vector as three 0-d float32 arrays."""
+    x, y, z = (np.asarray(c, dtype=np.float32) for c in vector)
     return x, y, z
 
 

@@ -2,7 +2,7 @@
 
 For each material (by default the metals of metals.py) the least residual that a target's shading
 can have whatever is written: every texel has the diffuse albedo, F0 by channel and roughness that
-leave the least sum of absolute differences over the directions of surface.residual. Radiance is
+leave the least sum of absolute differences over surface.DIRECTIONS. Radiance is
 linear in albedo and F0 where roughness is given, so each channel is a fit of two numbers, by
 reweighted least squares, over a grid of roughness. A metallic form says less: none is nearer.
 """
@@ -12,9 +12,10 @@ from pathlib import Path
 
 import torch
 from metals import metals
+from target_surfaces import every, of_maps
 
 from matcap.export.shading import Geometry, TargetShading, diffuse_lobe, specular_lobe
-from matcap.export.surface import DIRECTIONS, TargetSurface
+from matcap.export.surface import DIRECTIONS
 from matcap.field.opened import open_tile
 
 SHADINGS = {
@@ -29,7 +30,7 @@ LEAST = 1e-7  # radiance: a difference below counts as its square
 
 def least_residual(maps, shading) -> float:
     """Share of all light that differs, where every texel is as near as it can be."""
-    true = TargetSurface.of_maps(maps).every(max(1, maps.size[0] // TEXELS))
+    true = every(of_maps(maps), max(1, maps.size[0] // TEXELS))
     meant = torch.stack([true.shine(*pair) for pair in DIRECTIONS])
     best = torch.full(meant.shape[-2:], torch.inf, dtype=torch.float64)
     for factor in ROUGHNESS:

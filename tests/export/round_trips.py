@@ -23,12 +23,13 @@ import render_three
 from chromium import browsing
 from exported import unlike
 from metals import metals
+from target_surfaces import residual
 
 import matcap
 from matcap.export import presets
 from matcap.export.engines import ENGINES
 from matcap.export.job import ExportJob
-from matcap.export.surface import residual, residuals
+from matcap.export.surface import residuals
 from matcap.export.targets import DOCUMENTS, preset_forms, write_export
 from matcap.field.opened import open_tile
 from matcap.files.exr import read_exr

@@ -7,12 +7,12 @@ import pytest
 import torch
 from exported import MATERIALS, METALS
 from read_gltf import complaints, has_validator, opened, surface
+from target_surfaces import residual
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.export.job import ExportJob
 from matcap.export.options import ExportOptions
-from matcap.export.surface import residual
 from matcap.export.targets import write_export
 from matcap.export.texture_file import TextureFile
 from matcap.export.textures import picture as plain

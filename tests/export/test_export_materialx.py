@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 from exported import MATERIALS, METALS
+from target_surfaces import residual
 
 from matcap.export.job import ExportJob
-from matcap.export.surface import residual
 from matcap.export.targets import write_export
 from matcap.files.exr import read_exr
 

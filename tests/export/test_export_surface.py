@@ -3,15 +3,16 @@
 import pytest
 import torch
 from exported import MATERIALS
+from target_surfaces import every, of_maps, residual
 
 from matcap.brdf.maps import MapSet
 from matcap.export.shading import TargetShading
-from matcap.export.surface import TargetSurface, residual
+from matcap.export.surface import TargetSurface
 
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_the_maps_themselves_have_none(made, name):
-    off = residual(made[name], TargetSurface.of_maps(made[name]))
+    off = residual(made[name], of_maps(made[name]))
     assert off.mean == off.worst == 0.0
 
 
@@ -51,7 +52,7 @@ def test_the_maps_themselves_have_none(made, name):
 def test_every_parameter_counts(made, change):
     from dataclasses import replace
 
-    true = TargetSurface.of_maps(made["rust"])
+    true = of_maps(made["rust"])
     assert residual(made["rust"], replace(true, **change(true))).worst > 1e-3
 
 
@@ -63,7 +64,7 @@ def test_a_tenth_more_light_is_a_tenth(made):
     )
     true = TargetSurface(maps.diffuse, black.specular, black.roughness, black.normal, f90=0.0)
     light = torch.tensor([0.0, 0.6, 0.8], dtype=torch.float64)[:, None, None]
-    more, less = (s.every(1).shine(light, light) for s in (rough, true))
+    more, less = (every(s, 1).shine(light, light) for s in (rough, true))
     assert torch.allclose(more, 1.1 * less, rtol=1e-6)
 
 
@@ -77,5 +78,5 @@ def test_shine_is_the_reflectance_matcap_renders_with(made):
     expected = cook_torrance(maps.diffuse, maps.specular, maps.roughness, maps.normal, *full) * dot(
         maps.normal, full[0]
     )
-    found = TargetSurface.of_maps(maps).shine(light, view)
+    found = of_maps(maps).shine(light, view)
     assert torch.allclose(found, expected.clamp_min(0.0), rtol=1e-6, atol=1e-9)

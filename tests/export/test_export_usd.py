@@ -5,10 +5,10 @@ import zipfile
 
 import pytest
 from exported import MATERIALS, METALS
+from target_surfaces import residual
 
 from matcap.errors import UsageError
 from matcap.export.job import ExportJob
-from matcap.export.surface import residual
 from matcap.export.targets import write_export
 
 

@@ -24,19 +24,15 @@ class Shape(Protocol):
 
     def framed(self, film: Film) -> float:
         """Span of the picture's long side at the origin that shows all of it, in plane units."""
-        ...
 
     def seen_by(self, view: View) -> Shape:
         """This shape, prepared for a view: a mesh rasterises the face that each pixel sees."""
-        ...
 
     def hits(self, view: View, top: int, bottom: int) -> Hits:
         """Intersections of the rays of rows."""
-        ...
 
     def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
         """Box around the visible points, and the largest side of a pixel's footprint."""
-        ...
 
 
 @dataclass(frozen=True)
