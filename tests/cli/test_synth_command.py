@@ -222,4 +222,4 @@ def test_a_run_that_begins_anew_says_that_it_could_go_on(matcap, material, tmp_p
     part.mkdir(parents=True)
     (part / "leather_height.exr").write_bytes(bytes(2_000_000))
     said = matcap("synth", material, "--size", "32x16", "-o", "set")
-    assert said.code == 0 and "left 2.0 MB here" in said.err and "--resume" in said.err
+    assert said.code == 0 and "left 2.0 MB of partial files" in said.err and "--resume" in said.err
