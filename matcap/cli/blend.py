@@ -9,7 +9,7 @@ import typer
 
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
 from matcap.cli.options import QuietOption, ReplaceOption
-from matcap.space.options import BlendOptions
+from matcap.field.draw_options import BlendOptions
 
 _MARK = "matcap blend"  # what its strip says of who wrote it
 _STRIP = "strip.png"

@@ -9,7 +9,7 @@ import typer
 
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
 from matcap.cli.options import QuietOption, ReplaceOption
-from matcap.space.options import DrawOptions, SampleOptions
+from matcap.field.draw_options import DrawOptions, SampleOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable

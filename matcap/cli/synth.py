@@ -15,9 +15,9 @@ from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
 from matcap.cli.options import OverwriteOption, QuietOption
 from matcap.cli.plain_command import PlainCommand
 from matcap.errors import ExitCode, UsageError
+from matcap.field.draw_options import DrawOptions
 from matcap.field.options import ReadOptions
 from matcap.files import values
-from matcap.space.options import DrawOptions
 from matcap.synth.request import SynthArea, SynthRequest, Work
 
 if TYPE_CHECKING:

@@ -87,5 +87,4 @@ print(sorted(name for name in sys.modules if name.startswith(("matcap.space", "m
     assert done.returncode == 0, done.stderr
     loaded = set(ast.literal_eval(done.stdout.strip().splitlines()[-1]))
     branch = {"alignment", "picture", "residual"}
-    branch.add("options")  # of the command line; it loads neither PyTorch nor the prior
     assert loaded == {"matcap.space"} | {f"matcap.space.{name}" for name in branch}

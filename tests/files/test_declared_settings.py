@@ -12,10 +12,10 @@ from matcap.capture.settings import CaptureSettings, InspectSettings, OutputSett
 from matcap.cli.main import main
 from matcap.errors import UsageError
 from matcap.export.options import ExportArea, ExportOptions
+from matcap.field.draw_options import BlendOptions, DrawOptions, SampleOptions
 from matcap.field.options import ReadOptions
 from matcap.files.settings import field_docs, nearest, settings_in
 from matcap.relight.options import RelightOptions
-from matcap.space.options import BlendOptions, DrawOptions, SampleOptions
 from matcap.synth.request import SynthArea, SynthRequest, Work
 from matcap.view.options import ViewOptions
 

@@ -22,6 +22,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from matcap.errors import MatcapError, UsageError
+from matcap.field.draw_options import SPREAD
 from matcap.field.header import DAMAGED
 from matcap.field.material import Material
 from matcap.files.tensors import StoredTensors, write_tensors
@@ -32,7 +33,6 @@ from matcap.photo.photo import Photo
 from matcap.space.decoder import CODE_SIZE, Decoder
 from matcap.space.encoder import BACKBONES, Encoder, EncoderConfig
 from matcap.space.freeze import freeze
-from matcap.space.options import SPREAD
 from matcap.space.picture import picture
 from matcap.space.prior.anchors import Anchor, Anchors, ConditionalMean, nowhere
 from matcap.space.prior.base import VARYING, base_of, fold

@@ -1,4 +1,4 @@
-"""Options of commands that draw materials from the prior or blend two materials."""
+"""Options of what draws materials from the prior, and of what blends two; space is not loaded."""
 
 from __future__ import annotations
 
