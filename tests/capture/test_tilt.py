@@ -37,15 +37,16 @@ def asked(monkeypatch):
     return names
 
 
-@pytest.fixture
-def photos(tmp_path):
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory):
     """Two photographs of one piece."""
+    folder = tmp_path_factory.mktemp("photographs")
     phone = PhoneCamera(width=480, height=360, supersampling=1)
     hand = Hand()
     shots = take_several(EXAMPLES["tile"].realise, phone, hold(phone, hand, 2, 3), hand, 3)
     for index, held in enumerate(shots):
-        write_jpeg(tmp_path / f"tile_{index}.jpg", held.shot, index)
-    return sorted(tmp_path.glob("tile_*.jpg"))
+        write_jpeg(folder / f"tile_{index}.jpg", held.shot, index)
+    return sorted(folder.glob("tile_*.jpg"))
 
 
 @pytest.mark.parametrize("generator", ["example", "decoder"])
