@@ -21,7 +21,6 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import smoothed
-from matcap.capture.together.hue import achromatic
 from matcap.capture.together.shared import shared_step
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
@@ -30,8 +29,9 @@ from matcap.capture.together.texels import (
     ParameterPrior,
     SolveSettings,
     stepped,
-    under_room,
+    under_fitted_ambient,
 )
+from matcap.capture.together.tint import achromatic
 from matcap.capture.together.views import PieceView, SetLight, ViewPlace
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
@@ -50,8 +50,8 @@ class AlignSettings:
         finest: texels across at most.
         rounds: of moving on each, at most.
         settled: texels: where no photograph is moved by more, a grid is done with.
-        steps: of all texels' numbers on each, for relief's parallax; on the finest level only the
-            texels that are sampled move.
+        steps: per-texel steps on each, for relief's parallax; on the finest level only the texels
+            that are sampled move.
         slow: deviation of what counts as slow in heights, as a share of the long side.
         pixel: plane units that photographs are expected to lie beside their places.
         doubtful: of what cameras may be off by for their features, what is left: shading is known
@@ -100,10 +100,10 @@ class Aligned:
         """Of the piece."""
         return self.places[0].extent
 
-    def on_grid(self, across: int, down: int, hue: Tensor | None) -> list[PieceView]:
-        """Every photograph on a grid of the piece, the tint of metal taken off (hue.py)."""
+    def on_grid(self, across: int, down: int, tint: Tensor | None) -> list[PieceView]:
+        """Every photograph on a grid of the piece, the tint of metal taken off (tint.py)."""
         both = zip(self.views, self.places, strict=True)
-        return [PieceView.of(view, across, down, place, hue) for view, place in both]
+        return [PieceView.of(view, across, down, place, tint) for view, place in both]
 
     def with_relief(self, height: Tensor) -> Aligned:
         """Looked up with the parallax of a height (1, h, w) on any grid of the piece."""
@@ -128,13 +128,13 @@ def aligned(
         settings: see AlignSettings.
         on_progress: called with the share that is done.
     """
-    prior, hue = achromatic(read.maps)
+    prior, tint = achromatic(read.maps)
     views, setup, light, extent = list(begun.views), begun.setup, begun.light, begun.extent
     # Maps were read on the plane of a lens without distortion.
     start = PosedCamera.of(setup)
     places = [ViewPlace(np.eye(3), None, start.place, extent) for _ in views]
     (width, height), finest = prior.size, min(extent.unit(prior.size[0]), settings.finest)
-    numbers, relief, moved = None, None, set[int]()
+    parameters, relief, moved = None, None, set[int]()
     done, effort = 0, len(settings.levels) * (1 + max(settings.rounds))
     for level, rounds, steps in zip(settings.levels, settings.rounds, settings.steps, strict=True):
         across = extent.across(max(64, round(level * finest)))
@@ -146,13 +146,13 @@ def aligned(
         moved |= unsure
         for turn in range(rounds if unsure or steps else 0):
             seen = [
-                PieceView.of(v, across, down, p, hue) for v, p in zip(views, places, strict=True)
+                PieceView.of(v, across, down, p, tint) for v, p in zip(views, places, strict=True)
             ]
-            if turn == 0 or numbers is None:
-                numbers = _begun(seen, numbers, begin, light, solving, steps)
-                relief = _relief(numbers, texel, extent.unit(across), settings)
-            seen = under_room(seen, numbers)
-            light, moves = shared_step(seen, numbers, begin, light, solving, moved=unsure)
+            if turn == 0 or parameters is None:
+                parameters = _begun(seen, parameters, begin, light, solving, steps)
+                relief = _relief(parameters, texel, extent.unit(across), settings)
+            seen = under_fitted_ambient(seen, parameters)
+            light, moves = shared_step(seen, parameters, begin, light, solving, moved=unsure)
             first, both = views[0].camera.place, zip(places, moves, strict=True)
             places = [ViewPlace(p.nudge @ m, relief, first, extent) for p, m in both]
             if unsure:
@@ -180,31 +180,33 @@ def _farthest(moves: Sequence[Doubles]) -> float:
 
 
 def _relief(
-    numbers: Tensor, texel_size: float, unit: float, settings: AlignSettings
+    parameters: Tensor, texel_size: float, unit: float, settings: AlignSettings
 ) -> NDArray[np.float32]:
     """(H, W) height that has parallax; what is slow in a surface made of slopes is not known."""
-    height = surface_of(numbers[SLOPES], texel_size)[0].numpy()
+    height = surface_of(parameters[SLOPES], texel_size)[0].numpy()
     return height - smoothed(height, settings.slow * unit)
 
 
 def _begun(
     seen: Sequence[PieceView],
-    numbers: Tensor | None,
+    parameters: Tensor | None,
     prior: ParameterPrior,
     light: SetLight,
     solving: SolveSettings,
     steps: int,
 ) -> Tensor:
     """Numbers of a level's texels."""
-    if numbers is not None:
-        numbers = F.interpolate(numbers[None], size=prior.mean.shape[1:], mode="bilinear")[0]
+    if parameters is not None:
+        parameters = F.interpolate(parameters[None], size=prior.mean.shape[1:], mode="bilinear")[0]
     else:
-        numbers = prior.mean
-        light, _ = shared_step(under_room(seen, numbers), numbers, prior, light, solving)
-    seen, prior = under_room(seen, numbers), prior.with_gloss_of(light)
+        parameters = prior.mean
+        light, _ = shared_step(
+            under_fitted_ambient(seen, parameters), parameters, prior, light, solving
+        )
+    seen, prior = under_fitted_ambient(seen, parameters), prior.with_gloss_of(light)
     for _ in range(steps):
-        numbers = stepped(seen, numbers, prior, light, solving).numbers
-    return numbers
+        parameters = stepped(seen, parameters, prior, light, solving).parameters
+    return parameters
 
 
 def _posed(

@@ -1,7 +1,7 @@
 """Estimate the exemplar from several photographs: named stages, from values to values.
 
-The first photograph is read as one alone would be; cameras are found, and photographs brought over
-each other; then each is read, and together they decide what one left open.
+Registration by features, coarse fit and network prediction of the first photograph; registration by
+rendering; predictions of all, fused; joint estimation of all maps; inpainting and indexing.
 """
 
 from __future__ import annotations
@@ -41,21 +41,21 @@ from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.tuned import INPAINT
 from matcap.capture.progress import CaptureClock
 from matcap.capture.together.align import Aligned, aligned, reframed
-from matcap.capture.together.hue import achromatic, coloured, on_grid
+from matcap.capture.together.ambient_light import without_ambient
 from matcap.capture.together.predict import predictions
 from matcap.capture.together.readings import ReadView, read_views, with_others
-from matcap.capture.together.room import less_room
 from matcap.capture.together.set_report import SetReport
 from matcap.capture.together.solve import Solved, solve
 from matcap.capture.together.texels import Estimate, SolveSettings
+from matcap.capture.together.tint import achromatic, coloured, on_grid
 from matcap.capture.together.union import (
     Reach,
-    hue_over,
     reach_of,
     rounded_off,
     scatter,
     seen_by_any,
     spread_over,
+    tint_over,
     unread,
 )
 from matcap.capture.together.views import PieceView, SetLight
@@ -73,7 +73,7 @@ from matcap.statistics.lattice import Wave
 
 @dataclass(frozen=True)
 class SinglePrediction:
-    """What a photograph alone is read as.
+    """Estimate by one photograph alone.
 
     Attributes:
         estimate: on its plane's texels.
@@ -117,27 +117,27 @@ def estimate_together(
     poses, interrupted = _aligned(begun, read, settings, clock)
     rectified = Rectified.of_photo(first, replace(coarse, setup=poses.setup), detail)
     posed = PosedCamera.of(registration.setup), poses.views[0].camera
-    maps, hue = achromatic(reframed(read.maps, *posed, reach.extent))
+    maps, tint = achromatic(reframed(read.maps, *posed, reach.extent))
     read, readings = Estimate(maps, unread(read.log_error, reach)), None
     if not interrupted:
         readings = _readings(poses, read, coarse, network, clock)
         interrupted = readings is None
     if readings is not None:
         read = with_others(read, readings)
-    hue = hue_over(hue, readings, reach)
+    tint = tint_over(tint, readings, reach)
     if reach.margins.any:
         most = scatter(single.estimate)[:, None, None]
         read = replace(read, log_error=torch.minimum(read.log_error, most))
     with clock.stage("solve"):
-        poses, views, solved = _solved(poses, read, hue, settings, clock)
+        poses, views, solved = _solved(poses, read, tint, settings, clock)
     interrupted |= solved.interrupted
     coarse = replace(coarse, setup=solved.light.onto(poses.setup))
     with clock.stage("predict"):
         known = None if interrupted else readings
-        ahead = None if known is None else predictions(poses, known, solved, settings, hue)
+        ahead = None if known is None else predictions(poses, known, solved, settings, tint)
     with clock.stage("inpaint"):
         reach, whole, solved = _whole(rectified.whole, poses, reach, solved, settings)
-        exemplar = _inpainted(Observation.of(whole, coarse), solved, hue, views)
+        exemplar = _inpainted(Observation.of(whole, coarse), solved, tint, views)
     with clock.stage("index"):
         example, scale = _indexed(first, exemplar, single.metal, rectified.waves, reach)
     report = SetReport.of(registration, poses, solved, ahead, reach)
@@ -160,7 +160,7 @@ def registered(
         registration = register_in_any_order(photos)
         if len(registration.views) < 2:
             raise _none_fits(registration)
-        registration, _ = less_room(registration)
+        registration, _ = without_ambient(registration)
     with clock.stage("coarse fit"):
         first, setup = registration.views[0].photo, registration.setup
         coarse = fit_coarse(replace(first, fov=setup.fov), tilt=setup.tilt)
@@ -187,7 +187,7 @@ def _none_fits(registration: Registration) -> MatcapError:
 def read_alone(
     plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock
 ) -> SinglePrediction:
-    """A photograph read alone, on its plane's texels."""
+    """Estimate by one photograph alone, on its plane's texels: prediction, relief, classes."""
     with clock.stage("piece"):
         read = Rectified.of(plane).read
         observed, prediction = read_piece(Observation.of(read, coarse), network)
@@ -215,7 +215,7 @@ def by_features(registration: Registration, coarse: CoarseFit, extent: Extent = 
 def _aligned(
     begun: Aligned, read: Estimate, settings: SolveSettings, clock: CaptureClock
 ) -> tuple[Aligned, bool]:
-    """Photographs brought over each other, and whether that was interrupted: as they were then."""
+    """Photographs registered by rendering, or as they were by features if that is interrupted."""
     try:
         with clock.stage("align"):
             tell = clock.telling("align")
@@ -227,7 +227,7 @@ def _aligned(
 def _readings(
     poses: Aligned, first: Estimate, coarse: CoarseFit, network: Inverse, clock: CaptureClock
 ) -> list[ReadView | None] | None:
-    """What each photograph is read as; None where that was interrupted."""
+    """The network's prediction of each photograph; None where that was interrupted."""
 
     def read(plane: Plane, fit: CoarseFit) -> Estimate:
         return read_alone(plane, fit, network, CaptureClock(None)).estimate
@@ -242,14 +242,14 @@ def _readings(
 def _solved(
     poses: Aligned,
     read: Estimate,
-    hue: Tensor | None,
+    tint: Tensor | None,
     settings: SolveSettings,
     clock: CaptureClock,
 ) -> tuple[Aligned, list[PieceView], Solved]:
-    """All photographs on the piece's grid, and what they make of it: coarse, then fine.
+    """Joint estimation on a grid of half the texels across, then on all.
 
-    Photographs were brought over each other by relief as it was read, which is too flat; by the
-    coarse grid's they are looked up with their whole parallax.
+    Photographs were registered with the parallax of predicted relief, which is too flat; on the
+    fine grid they are resampled with that of the relief estimated on the coarse one.
     """
     begun: Solved | None = None
     light, done = poses.light, 0.0
@@ -257,12 +257,12 @@ def _solved(
     if poses.extent.unit(across) >= 2 * settings.coarse:
         done = 0.4
         half = (round(down / 2), round(across / 2))
-        views = poses.on_grid(half[1], half[0], hue)
+        views = poses.on_grid(half[1], half[0], tint)
         small = read.resized(half, poses.extent)
         begun = solve(views, small, light, settings, on_progress=clock.telling("solve", 0.0, done))
         light, settings = begun.light, replace(settings, rounds=settings.finer)
         poses = poses.with_relief(begun.maps.height)
-    views = poses.on_grid(across, down, hue)
+    views = poses.on_grid(across, down, tint)
     tell = clock.telling("solve", done, 1.0)
     return poses, views, solve(views, read, light, settings, begun, tell)
 
@@ -283,14 +283,14 @@ def _whole(
 
 
 def _inpainted(
-    observed: Observation, solved: Solved, hue: Tensor | None, views: Sequence[PieceView]
+    observed: Observation, solved: Solved, tint: Tensor | None, views: Sequence[PieceView]
 ) -> Exemplar:
     """The solved maps with the specular tint of metal, inpainted under the highlight."""
-    if hue is not None:
+    if tint is not None:
         observed = replace(
-            observed, light=replace(observed.light, hue=on_grid(hue, solved.maps.size))
+            observed, light=replace(observed.light, hue=on_grid(tint, solved.maps.size))
         )
-    maps = coloured(solved.maps, hue)
+    maps = coloured(solved.maps, tint)
     seen = torch.stack([view.seen.float().mean(0) for view in views]).amax(0)
     errors = ExpectedErrors.from_stacked(solved.estimate.log_error)
     unit = None

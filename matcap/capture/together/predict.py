@@ -20,7 +20,7 @@ from matcap.capture.together.texels import SolveSettings
 
 @dataclass(frozen=True)
 class PredictSettings:
-    """How it is found out."""
+    """How each is predicted; docs/notes/several.md."""
 
     across: int = 224
     """Texels; a prediction's error is that of shading and gloss, which show there."""
@@ -35,7 +35,7 @@ class Predictions:
     """Leave-one-out prediction errors and residuals, (photographs,) each.
 
     Both on the same few texels, of maps solved there, gain and balance fitted: a photograph's grain
-    is in both or in neither. Medians of log radiance; NaN of one by the room's light.
+    is in both or in neither. Medians of log radiance; NaN of one by ambient light.
     """
 
     predicted: tuple[float, ...]
@@ -50,7 +50,7 @@ def predictions(
     readings: Sequence[ReadView | None],
     solved: Solved,
     solving: SolveSettings,
-    hue: Tensor | None = None,
+    tint: Tensor | None = None,
     settings: PredictSettings = PredictSettings(),
 ) -> Predictions | None:
     """Every photograph from all others; None where one flash is all.
@@ -63,17 +63,17 @@ def predictions(
         readings: of each (readings.py).
         solved: by all of them, whose light it begins with.
         solving: as they were solved.
-        hue: metal's (hue.py).
+        tint: metal's (tint.py).
         settings: see there.
     """
     first = next(read for read in readings if read is not None)
-    height, width = first.numbers.shape[1:]
+    height, width = first.parameters.shape[1:]
     across = min(alignment.extent.across(settings.across), width)
     down = max(8, round(height * across / width))
     few = fewer(readings, (down, across))
     quicker = replace(solving, rounds=settings.rounds, sampled=settings.sampled)
-    views = alignment.on_grid(across, down, hue)
-    if sum(view.room is None for view in views) < 2:
+    views = alignment.on_grid(across, down, tint)
+    if sum(view.ambient is None for view in views) < 2:
         return None
 
     def by(kept: Sequence[int]) -> Solved:
@@ -86,7 +86,7 @@ def predictions(
     whole = by(every)
     ahead, own = [], []
     for index, view in enumerate(views):
-        lit = view.room is None
+        lit = view.ambient is None
         own.append(predicted(view, whole) if lit else math.nan)
         others = [k for k in every if k != index]
         ahead.append(predicted(view, by(others)) if lit else math.nan)

@@ -1,9 +1,11 @@
 """Network predictions of each photograph, fused in the first one's frame.
 
-Each is read on a plane of its own, upright before its own camera, as one alone would be, under the
-light that alignment found. Brought over the first, what they say of a texel is joined by what each
-expects to be off by, in any order. Half of what readings are off by is the network's habit and
-shared by all: more readings make that no smaller.
+Each photograph is rectified to the plane facing its own camera, where the network knows photographs
+from, under the light that alignment found. Resampled to the first one's texels, predictions of a
+parameter are averaged with weights 1 / sigma^2, sigma being what the network expects to be off by.
+Half of their error variance is a bias common to all predictions, which averaging does not reduce:
+
+    variance = shared min sigma^2 + (1 - shared) / sum (1 / sigma^2).
 """
 
 from __future__ import annotations
@@ -21,7 +23,6 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.together.align import Aligned
-from matcap.capture.together.hue import achromatic
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
     ALBEDO,
@@ -30,8 +31,9 @@ from matcap.capture.together.texels import (
     SLOPES,
     Estimate,
     maps_of,
-    numbers_of,
+    parameters_of,
 )
+from matcap.capture.together.tint import achromatic
 from matcap.capture.together.views import SetLight, ViewPlace
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.extent import OWN, Extent
@@ -48,17 +50,16 @@ ReadAlone = Callable[[Plane, CoarseFit], Estimate]  # of a photograph alone, on 
 
 @dataclass(frozen=True)
 class ReadingSettings:
-    """How readings are joined; docs/notes/several.md."""
+    """How predictions are fused; docs/notes/several.md."""
 
     across: int = 384
-    """Texels that all but the first are read on: what is finer is the first one's."""
+    """Texels across, of all predictions but the first: what is finer is the first one's."""
     steepest: float = 35.0
-    """Degrees of tilt beyond which a photograph is not read: no training has seen it."""
+    """Degrees of tilt beyond which the network was not trained."""
     shared: float = 0.5
-    """Of what readings are off by, in squares: the network's habit, which more of them do not
-    lessen."""
+    """Share of the error variance that is common to all predictions."""
     fades: float = 0.12
-    """Of a reading's width: as wide a border counts less and less, to nothing."""
+    """Width of the border along which weights fall to 0, as a share of the prediction's width."""
 
 
 READINGS = ReadingSettings()
@@ -66,7 +67,7 @@ READINGS = ReadingSettings()
 
 @dataclass(frozen=True)
 class OwnPlane:
-    """The plane's frame that belongs to a camera, in that of the first."""
+    """Frame of the plane that faces a camera, within the first photograph's frame."""
 
     setup: FlashSetup
     """Of the camera and its flash, in its own frame."""
@@ -110,16 +111,16 @@ class OwnPlane:
 
 @dataclass(frozen=True)
 class ReadView:
-    """What was read from a photograph, on the first one's texels."""
+    """The network's prediction of a photograph, on the first one's texels."""
 
-    numbers: Tensor
-    """(NUMBERS, H, W)."""
+    parameters: Tensor
+    """(PARAMETERS, H, W)."""
     doubt: Tensor
-    """(4, H, W) log of what it is expected to be off by (solve.py)."""
+    """(4, H, W) log standard deviations, as Estimate.log_error."""
     extent: Extent = OWN
     """Of those texels."""
-    hue: Tensor | None = None
-    """(3, H, W) metal's, that was taken off (hue.py), where it was read of any."""
+    tint: Tensor | None = None
+    """(3, H, W) metal's, that was taken off (tint.py), where it was read of any."""
 
 
 def read_views(
@@ -129,7 +130,7 @@ def read_views(
     read: ReadAlone,
     on_progress: Callable[[float], None],
 ) -> list[ReadView | None]:
-    """What every photograph is read as, one at a time.
+    """The network's prediction of every photograph, one at a time.
 
     Args:
         alignment: where they lie, and their light.
@@ -139,7 +140,7 @@ def read_views(
         on_progress: called with the share that is done.
 
     Returns:
-        For each photograph, None where it was not read: of the room's light, or too steep.
+        For each photograph, None where it was not read: by ambient light, or too steep.
     """
     extent = alignment.extent
     width, height = first.maps.size
@@ -147,7 +148,7 @@ def read_views(
     across = extent.across(own_across)
     down = max(8, round(height * across / width))
     small = first.resized((down, across), extent)
-    readings: list[ReadView | None] = [ReadView(numbers_of(small.maps), small.log_error, extent)]
+    readings: list[ReadView | None] = [ReadView(parameters_of(small.maps), small.log_error, extent)]
     for number, view in enumerate(alignment.views[1:], 1):
         readings.append(None)
         if view.flash and math.degrees(view.camera.tilt) < READINGS.steepest:
@@ -167,7 +168,7 @@ def brought_over(
     place: ViewPlace,
     size: tuple[int, int],
 ) -> ReadView:
-    """A reading of a photograph's own plane on a grid of (across, down) texels of the first's."""
+    """A prediction resampled from a photograph's own plane to (across, down) of the first's."""
     width, height = read.maps.size
     points = own.here(camera.on_plane(camera.sees(place.points(*size))))
     x = ((points[0] + 1.0) * width / 2.0 - 0.5).astype(np.float32)
@@ -177,7 +178,7 @@ def brought_over(
         resampled = cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
         return torch.from_numpy(resampled)
 
-    maps, hue = achromatic(read.maps)
+    maps, tint = achromatic(read.maps)
     logs = torch.cat([maps.diffuse.clamp_min(1e-3).log(), maps.specular.clamp_min(5e-3).log()])
     stacked = torch.stack([there(c) for c in torch.cat([logs, maps.roughness, maps.height])])
     over = MapSet(
@@ -189,12 +190,12 @@ def brought_over(
     )
     unsure = torch.stack([there(channel, cv2.INTER_LINEAR) for channel in read.log_error])
     unsure = (unsure + torch.from_numpy(_fading(x, y, (width, height)))).clamp_max(UNREAD)
-    tint = None if hue is None else torch.stack([there(c, cv2.INTER_LINEAR) for c in hue])
-    return ReadView(numbers_of(over), unsure, place.extent, tint)
+    tint = None if tint is None else torch.stack([there(c, cv2.INTER_LINEAR) for c in tint])
+    return ReadView(parameters_of(over), unsure, place.extent, tint)
 
 
 def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
-    """Log by which doubt grows towards a reading's border: maps would show where one begins."""
+    """(H, W) added to log errors, so that weights fall smoothly to 0 at a prediction's border."""
     width, height = size
     within = np.minimum(np.minimum(x, width - 1 - x), np.minimum(y, height - 1 - y))
     share = (within / (READINGS.fades * width)).clip(0.0, 1.0)
@@ -203,7 +204,7 @@ def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
 
 
 def joined(readings: Sequence[ReadView | None]) -> Estimate:
-    """What all readings say, in any order.
+    """Precision-weighted mean of predictions, in any order, and its errors.
 
     Args:
         readings: at least one that is not None.
@@ -211,24 +212,24 @@ def joined(readings: Sequence[ReadView | None]) -> Estimate:
     every = [read for read in readings if read is not None]
     weights = torch.stack([(-2.0 * read.doubt.clamp(-8.0, 8.0)).exp() for read in every])
     whole = weights.sum(0)
-    numbers = torch.zeros_like(every[0].numbers)
+    parameters = torch.zeros_like(every[0].parameters)
     for part, kind in ((ALBEDO, 0), (F0, 1), (ROUGH, 2), (SLOPES, 3)):
         for read, weight in zip(every, weights, strict=True):
-            numbers[part] += weight[kind] / whole[kind] * read.numbers[part]
+            parameters[part] += weight[kind] / whole[kind] * read.parameters[part]
     # Where all err alike they are off by as much as the best of them.
     alike = weights.amax(0).reciprocal()
     doubt = 0.5 * (READINGS.shared * alike + (1.0 - READINGS.shared) / whole).log()
     slope_precision = (-2.0 * doubt[3]).exp()
-    texel_size = every[0].extent.texel(numbers.shape[-1])
+    texel_size = every[0].extent.texel(parameters.shape[-1])
     precision = torch.stack([slope_precision, slope_precision, torch.zeros_like(slope_precision)])
-    height = surface_of(numbers[SLOPES], texel_size, precision)
-    return Estimate(maps_of(numbers, height, texel_size), doubt)
+    height = surface_of(parameters[SLOPES], texel_size, precision)
+    return Estimate(maps_of(parameters, height, texel_size), doubt)
 
 
 def with_others(first: Estimate, readings: Sequence[ReadView | None]) -> Estimate:
-    """What was read from the first photograph as all readings together say.
+    """The first photograph's prediction changed by what fusion with the others changes.
 
-    What is finer than the grid of the readings stays the first one's.
+    What is finer than the grid of the predictions stays the first one's.
     """
     alone, together = joined(readings[:1]), joined(readings)
     maps, own = first.maps, readings[0]
@@ -239,18 +240,22 @@ def with_others(first: Estimate, readings: Sequence[ReadView | None]) -> Estimat
     log_error = first.log_error + wide(together.log_error - alone.log_error)
     if own is not None and own.extent != OWN:
         # Beyond the first one there is no height of it, and only slopes can be added to.
-        numbers = numbers_of(maps) + wide(numbers_of(together.maps) - own.numbers)
-        raised = surface_of(numbers[SLOPES], maps.texel_size)
+        parameters = parameters_of(maps) + wide(parameters_of(together.maps) - own.parameters)
+        raised = surface_of(parameters[SLOPES], maps.texel_size)
     else:
-        numbers = numbers_of(maps) + wide(numbers_of(together.maps) - numbers_of(alone.maps))
+        parameters = parameters_of(maps) + wide(
+            parameters_of(together.maps) - parameters_of(alone.maps)
+        )
         raised = maps.height + wide(together.maps.height - alone.maps.height)
-    return Estimate(maps_of(numbers, raised, maps.texel_size), log_error)
+    return Estimate(maps_of(parameters, raised, maps.texel_size), log_error)
 
 
 def fewer(readings: Sequence[ReadView | None], size: tuple[int, int]) -> list[ReadView | None]:
-    """Readings on fewer texels, (rows, columns)."""
+    """Predictions on (rows, columns) fewer texels."""
 
     def small(values: Tensor) -> Tensor:
         return F.interpolate(values[None], size=size, mode="area")[0]
 
-    return [one and ReadView(small(one.numbers), small(one.doubt), one.extent) for one in readings]
+    return [
+        one and ReadView(small(one.parameters), small(one.doubt), one.extent) for one in readings
+    ]

@@ -2,8 +2,8 @@
 
 A photograph that is looked up beside its place is explained by slopes that are not there, and then
 nothing seems wrong. So texels may answer to every step (variable projection
-[golub1973]): their numbers are eliminated from the normal equations of some of them, and only
-what no texel's own numbers could explain moves anything.
+[golub1973]): their parameters are eliminated from the normal equations of some of them, and only
+what no texel's own parameters could explain moves anything.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.together.room import RoomLight
+from matcap.capture.together.ambient_light import AmbientLight
 from matcap.capture.together.texels import (
     GLOSS,
-    NUMBERS,
+    PARAMETERS,
     ParameterPrior,
     SolveSettings,
     derivatives,
@@ -42,7 +42,7 @@ _ROUNDING = 1e-5  # of a diagonal, by which single precision may make it indefin
 
 @dataclass(frozen=True)
 class SharedSettings:
-    """How what is shared is found; docs/notes/several.md.
+    """Estimation of the shared parameters; docs/notes/several.md.
 
     Attributes:
         steps: Gauss-Newton steps.
@@ -77,29 +77,31 @@ class _Samples:
 
 def shared_step(
     views: Sequence[PieceView],
-    numbers: Tensor,
+    parameters: Tensor,
     prior: ParameterPrior,
     light: SetLight,
     settings: SolveSettings,
     shared: SharedSettings = SharedSettings(),
     moved: Collection[int] = (),
 ) -> tuple[SetLight, list[Doubles]]:
-    """The light of all photographs, and (3, 3) each by which they are to be looked up elsewhere.
+    """Gauss-Newton steps on all shared parameters, texels eliminated (Schur complement).
+
+    Returns the light and (3, 3) homographies by which photographs are to be looked up elsewhere.
 
     Args:
         views: of the piece, the first photograph, which stays where it is, first.
-        numbers: (NUMBERS, H, W) of its texels so far.
+        parameters: (PARAMETERS, H, W) of texels so far.
         prior: of those.
         light: so far.
         settings, shared: see there.
-        moved: numbers of photographs that may move; of the others it is the identity.
+        moved: indices of photographs that may move; of the others it is the identity.
     """
     chosen, joined = _chosen(views, settings.sampled)
     if not joined:
         shared = replace(shared, gain=shared.separate_gain)
     layout = _Layout(len(views), moving=bool(moved))
     some, mean, deviation = (
-        each.flatten(1)[:, chosen] for each in (numbers, prior.mean, prior.deviation)
+        each.flatten(1)[:, chosen] for each in (parameters, prior.mean, prior.deviation)
     )
     problem = _SharedFit(
         views,
@@ -113,7 +115,7 @@ def shared_step(
     values = expected.clone()
     # Gloss is expected as it was read, whatever was found since.
     expected[_GLOSS] = 0.0
-    farthest = shared.farthest * views[0].extent.texel(numbers.shape[-1])
+    farthest = shared.farthest * views[0].extent.texel(parameters.shape[-1])
     for _ in range(shared.steps):
         system = problem.eliminated(some, values)
         normal = shared.counted * system.normal + torch.diag(tight**-2)
@@ -245,11 +247,11 @@ class _Eliminated:
 
     normal: Tensor
     gradient: Tensor
-    alone: Tensor  # (N, NUMBERS) texels' step if nothing shared moves
-    answer: Tensor  # (N, NUMBERS, count) what it loses by a step of what is shared
+    alone: Tensor  # (N, PARAMETERS) texels' step if nothing shared moves
+    answer: Tensor  # (N, PARAMETERS, count) what it loses by a step of what is shared
 
     def texels(self, step: Tensor) -> Tensor:
-        """(NUMBERS, 1, N) step of texels' numbers with one of what is shared."""
+        """(PARAMETERS, 1, N) step of texels' parameters with one of what is shared."""
         return (self.alone - self.answer @ step.float()).clamp(-0.7, 0.7).T[:, None]
 
 
@@ -274,11 +276,11 @@ class _SharedFit:
     settings: SolveSettings
 
     def eliminated(self, some: Tensor, values: Tensor) -> _Eliminated:
-        """Normal equations at texels' numbers (NUMBERS, 1, N) and shared parameters."""
+        """Normal equations at texels' parameters (PARAMETERS, 1, N) and shared parameters."""
         texels, count = some.shape[-1], len(values)
         precision = self.prior.precision[:, 0].T
         within = torch.diag_embed(precision)
-        between = torch.zeros(texels, NUMBERS, count)
+        between = torch.zeros(texels, PARAMETERS, count)
         right = precision * (self.prior.mean - some)[:, 0].T
         normal = torch.zeros(count, count, dtype=torch.float64)
         gradient = torch.zeros(count, dtype=torch.float64)
@@ -312,7 +314,7 @@ class _SharedFit:
             answer,
         )
 
-    def _lit(self, number: int, values: Tensor) -> FlashLight | RoomLight:
+    def _lit(self, number: int, values: Tensor) -> FlashLight | AmbientLight:
         light = self.layout.light(values, self.light)
         return light_at(number, self.views[number], light, self.samples.points)
 
@@ -336,14 +338,14 @@ class _SharedFit:
 
 
 def texels_solved(within: Tensor, sides: Tensor) -> Tensor:
-    """(N, NUMBERS, k) solutions of every texel's normal equations (N, NUMBERS, NUMBERS).
+    """(N, PARAMETERS, k) solutions of every texel's normal equations (N, PARAMETERS, PARAMETERS).
 
     Some are singular in single precision: their solution is set to 0, where a step of any size
     would propagate into the shared parameters.
 
     Args:
         within: symmetric, positive but for rounding.
-        sides: (N, NUMBERS, k) right-hand sides.
+        sides: (N, PARAMETERS, k) right-hand sides.
     """
     damped = within + torch.diag_embed(_ROUNDING * within.diagonal(dim1=-2, dim2=-1))
     factor, failed = torch.linalg.cholesky_ex(damped)

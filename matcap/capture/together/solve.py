@@ -36,12 +36,12 @@ from matcap.capture.together.texels import (
     Stepped,
     by_map,
     maps_of,
-    numbers_of,
+    parameters_of,
     points_of,
     rendered,
     slopes_of,
     stepped,
-    under_room,
+    under_fitted_ambient,
 )
 from matcap.capture.together.views import PieceView, SetLight, light_at, strips
 
@@ -93,46 +93,46 @@ def solve(
         on_progress: called with the share that is done.
     """
     prior, fresh = ParameterPrior.of(read, settings), begun is None
-    numbers = prior.mean.clone() if begun is None else _continued(prior.mean, read.maps, begun)
+    parameters = prior.mean.clone() if begun is None else _continued(prior.mean, read.maps, begun)
     off = 0.0 if begun is None else begun.read_off
     # Of the light, which a common error of slopes would move, and of texels.
     known = prior.with_least_slope(off)
     prior = prior.with_least_slope(settings.slope if fresh else settings.wider * off)
-    unit = views[0].extent.unit(numbers.shape[-1])
+    unit = views[0].extent.unit(parameters.shape[-1])
     total, done, interrupted = sum(settings.rounds) + 2, 0, False
-    lit, expected, step = under_room(views, numbers), prior, Stepped.none(numbers)
+    lit, expected, step = under_fitted_ambient(views, parameters), prior, Stepped.none(parameters)
     try:
         for index, steps in enumerate(settings.rounds):
-            lit, before = under_room(views, numbers), light.gloss
-            light, _ = shared_step(lit, numbers, known, light, settings)
-            numbers[GLOSS] += (light.gloss - before)[:, None, None]
+            lit, before = under_fitted_ambient(views, parameters), light.gloss
+            light, _ = shared_step(lit, parameters, known, light, settings)
+            parameters[GLOSS] += (light.gloss - before)[:, None, None]
             expected = prior.with_gloss_of(light)
             measures = index == len(settings.rounds) - 1 or (not index and fresh)
             for turn in range(1, steps + 1):
                 each = measures and turn == steps
-                step = stepped(lit, numbers, expected, light, settings, without_each=each)
-                numbers, done = step.numbers, done + 1
+                step = stepped(lit, parameters, expected, light, settings, without_each=each)
+                parameters, done = step.parameters, done + 1
                 on_progress(done / total)
-            numbers[SLOPES] = _without_slow(numbers[SLOPES], unit, settings)
+            parameters[SLOPES] = _without_slow(parameters[SLOPES], unit, settings)
             if index == 0 and fresh:
-                off = _read_off(numbers, prior.mean, step.changes)
+                off = _read_off(parameters, prior.mean, step.changes)
                 prior = known.with_least_slope(settings.wider * off)
                 known = known.with_least_slope(off)
             if index == 0:
-                change = numbers - expected.mean
+                change = parameters - expected.mean
                 mean = _gloss_prior(prior.mean, change, step.precision, unit, settings)
                 prior, known = replace(prior, mean=mean), replace(known, mean=mean)
     except KeyboardInterrupt:
         interrupted = True
-    height = surface_of(numbers[SLOPES], read.maps.texel_size, step.relief)
+    height = surface_of(parameters[SLOPES], read.maps.texel_size, step.relief)
     if not interrupted:
         height = _denoised(height, lit, step.changes, prior, settings)
-        numbers[SLOPES] = slopes_of(height, read.maps.texel_size)
-        numbers = _step_at_fixed_slopes(lit, numbers, expected, light, settings)
-    numbers[SLOPES] = slopes_of(height, read.maps.texel_size)
-    maps = maps_of(numbers, height, read.maps.texel_size)
+        parameters[SLOPES] = slopes_of(height, read.maps.texel_size)
+        parameters = _step_at_fixed_slopes(lit, parameters, expected, light, settings)
+    parameters[SLOPES] = slopes_of(height, read.maps.texel_size)
+    maps = maps_of(parameters, height, read.maps.texel_size)
     estimate = Estimate(maps, _log_errors(step.precision, prior))
-    left, shares = _residuals(lit, numbers, light, settings), _shares(step.precision, prior)
+    left, shares = _residuals(lit, parameters, light, settings), _shares(step.precision, prior)
     return Solved(estimate, light, left, shares, off, interrupted)
 
 
@@ -148,7 +148,7 @@ def _denoised(
     Args:
         height: as measured.
         views: that it was measured by.
-        changes: (photographs, NUMBERS, H, W) when each is left out.
+        changes: (photographs, PARAMETERS, H, W) when each is left out.
         prior: as it was read.
         settings: see SolveSettings.
     """
@@ -166,7 +166,9 @@ def _continued(prior_mean: Tensor, prior: MapSet, begun: Solved) -> Tensor:
     """Numbers of a finer grid: what a coarser one changed of what was read, and its fine bands."""
     size = begun.maps.size[::-1]
     small = F.interpolate(prior.stacked()[None].float(), size=size, mode="area")[0]
-    change = numbers_of(begun.maps) - numbers_of(MapSet.from_stacked(small, begun.maps.texel_size))
+    change = parameters_of(begun.maps) - parameters_of(
+        MapSet.from_stacked(small, begun.maps.texel_size)
+    )
     return prior_mean + F.interpolate(change[None], size=prior_mean.shape[1:], mode="bilinear")[0]
 
 
@@ -175,10 +177,10 @@ def predicted(view: PieceView, solved: Solved) -> float:
 
     Its gain and balance are its own and are fitted first.
     """
-    numbers = numbers_of(solved.maps)
+    parameters = parameters_of(solved.maps)
     size = view.log.shape[-2:]
     light = replace(solved.light, gain=torch.zeros(1, 3))
-    shown = rendered(numbers, [light_at(0, view, light, points_of(size, extent=view.extent))])[
+    shown = rendered(parameters, [light_at(0, view, light, points_of(size, extent=view.extent))])[
         0
     ].log()
     off = view.log - shown
@@ -210,8 +212,8 @@ def _gloss_prior(
     """Prior of F0 and roughness: the mean of neighbouring estimates, weighted by their precision.
 
     Args:
-        prior_mean: (NUMBERS, H, W) so far.
-        off: likewise, what numbers are off by from it.
+        prior_mean: (PARAMETERS, H, W) so far.
+        off: likewise, difference of the parameters from it.
         precision: likewise, of each parameter by the photographs.
         unit: texels of the long side.
         settings: see SolveSettings.
@@ -233,29 +235,29 @@ def _gloss_prior(
 
 def _step_at_fixed_slopes(
     views: Sequence[PieceView],
-    numbers: Tensor,
+    parameters: Tensor,
     prior: ParameterPrior,
     light: SetLight,
     settings: SolveSettings,
 ) -> Tensor:
     """Parameters after a step with slopes fixed, albedo denoised (octaves.py)."""
     mean, deviation = prior.mean.clone(), prior.deviation.clone()
-    mean[SLOPES], deviation[SLOPES] = numbers[SLOPES], 1e-4
+    mean[SLOPES], deviation[SLOPES] = parameters[SLOPES], 1e-4
     tight = ParameterPrior(mean, deviation)
-    step = stepped(views, numbers, tight, light, settings, without_each=True)
+    step = stepped(views, parameters, tight, light, settings, without_each=True)
     for channel in range(3):
         measured, read, changes = (
             each.numpy()
-            for each in (step.numbers[channel], prior.mean[channel], step.changes[:, channel])
+            for each in (step.parameters[channel], prior.mean[channel], step.changes[:, channel])
         )
-        step.numbers[channel] = torch.from_numpy(denoised(measured, read, changes))
-    return step.numbers
+        step.parameters[channel] = torch.from_numpy(denoised(measured, read, changes))
+    return step.parameters
 
 
-def _read_off(numbers: Tensor, prior_mean: Tensor, changes: Tensor) -> float:
+def _read_off(parameters: Tensor, prior_mean: Tensor, changes: Tensor) -> float:
     """Standard deviation of predicted slopes, measured by the photographs."""
     squares = [
-        read_error(numbers[k].numpy(), prior_mean[k].numpy(), changes[:, k].numpy())
+        read_error(parameters[k].numpy(), prior_mean[k].numpy(), changes[:, k].numpy())
         for k in range(SLOPES.start, SLOPES.stop)
     ]
     return math.sqrt(sum(squares) / len(squares))
@@ -274,15 +276,15 @@ def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, float, flo
 
 
 def _residuals(
-    views: Sequence[PieceView], numbers: Tensor, light: SetLight, settings: SolveSettings
+    views: Sequence[PieceView], parameters: Tensor, light: SetLight, settings: SolveSettings
 ) -> tuple[float, ...]:
     left = []
     for k, view in enumerate(views):
         off = []
-        for rows in strips(numbers.shape[1], settings.rows):
-            points = points_of(numbers.shape[-2:], rows, view.extent)
+        for rows in strips(parameters.shape[1], settings.rows):
+            points = points_of(parameters.shape[-2:], rows, view.extent)
             lit = light_at(k, view, light, points)
-            shown = rendered(numbers[:, rows], [lit])[0].log()
+            shown = rendered(parameters[:, rows], [lit])[0].log()
             off.append((view.log[:, rows] - shown)[view.seen[:, rows]].abs())
         every = torch.cat(off)
         left.append(float(every.median()) if every.numel() else math.nan)

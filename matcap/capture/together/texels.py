@@ -1,6 +1,6 @@
 """Per-texel parameters, and their Gauss-Newton step on all photographs.
 
-Seven a texel: logarithms of albedo by channel and of F0, logit of roughness, two slopes.
+Seven a texel: log diffuse albedo (3), log F0, logit roughness, slopes along x and y.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_height, normals_from_slopes
-from matcap.capture.together.room import RoomLight, evenly_lit
+from matcap.capture.together.ambient_light import AmbientLight, evenly_lit
 from matcap.capture.together.views import PieceView, SetLight, light_at, logarithm, radiance, strips
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import plane_points
@@ -23,7 +23,7 @@ from matcap.flash.light import FlashLight
 
 ALBEDO, F0, ROUGH, SLOPES = slice(0, 3), 3, 4, slice(5, 7)
 GLOSS = slice(3, 5)  # F0 and ROUGH
-NUMBERS = 7
+PARAMETERS = 7
 
 
 @dataclass(frozen=True)
@@ -76,25 +76,25 @@ class Stepped:
     """Texels after a step.
 
     Attributes:
-        numbers: (NUMBERS, H, W).
-        precision: (NUMBERS, H, W) of each parameter alone, by the photographs.
+        parameters: (PARAMETERS, H, W).
+        precision: (PARAMETERS, H, W) of each parameter alone, by the photographs.
         relief: (3, H, W) precision of slopes, all other parameters eliminated, prior included:
             of x, of y, and of both together.
-        changes: (photographs, NUMBERS, H, W) what numbers change by when each photograph is left
-            out: the jackknife [efron1982]. Empty where it was not asked for.
+        changes: (photographs, PARAMETERS, H, W) change when each photograph is left out: the
+            jackknife [efron1982]. Empty where it was not asked for.
     """
 
-    numbers: Tensor
+    parameters: Tensor
     precision: Tensor
     relief: Tensor
     changes: Tensor
 
     @staticmethod
-    def none(numbers: Tensor) -> Stepped:
-        """Before any step: of numbers that no photograph knows of."""
-        one = torch.ones_like(numbers[:1])
+    def none(parameters: Tensor) -> Stepped:
+        """Before any step: parameters without a measurement."""
+        one = torch.ones_like(parameters[:1])
         relief = torch.cat([one, one, 0.0 * one])
-        return Stepped(numbers, torch.zeros_like(numbers), relief, numbers.new_zeros(0))
+        return Stepped(parameters, torch.zeros_like(parameters), relief, parameters.new_zeros(0))
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class ParameterPrior:
     """Gaussian prior of texels' parameters, independent of each other.
 
     Attributes:
-        mean, deviation: (NUMBERS, ...).
+        mean, deviation: (PARAMETERS, ...).
     """
 
     mean: Tensor
@@ -137,11 +137,11 @@ class ParameterPrior:
         albedo = off[:1].clamp_min(settings.albedo).expand(3, -1, -1)
         gloss = off[1:3].clamp_min(settings.gloss)
         deviation = torch.cat([albedo, gloss, off[3:4].expand(2, -1, -1)])
-        return ParameterPrior(numbers_of(estimate.maps), deviation)
+        return ParameterPrior(parameters_of(estimate.maps), deviation)
 
     @property
     def precision(self) -> Tensor:
-        """(NUMBERS, ...)."""
+        """(PARAMETERS, ...)."""
         return self.deviation.square().reciprocal()
 
     def with_gloss_of(self, light: SetLight) -> ParameterPrior:
@@ -157,8 +157,8 @@ class ParameterPrior:
         return ParameterPrior(self.mean, deviation)
 
 
-def numbers_of(maps: MapSet) -> Tensor:
-    """(NUMBERS, H, W) of maps; of an F0 with a colour, its mean."""
+def parameters_of(maps: MapSet) -> Tensor:
+    """(PARAMETERS, H, W) of maps; of an F0 with a colour, its mean."""
     slopes = slopes_of(maps.height, maps.texel_size)
     return torch.cat(
         [
@@ -170,21 +170,21 @@ def numbers_of(maps: MapSet) -> Tensor:
     ).float()
 
 
-def maps_of(numbers: Tensor, height: Tensor, texel_size: float) -> MapSet:
-    """Maps of numbers, and of the height (1, H, W) whose slopes they hold."""
+def maps_of(parameters: Tensor, height: Tensor, texel_size: float) -> MapSet:
+    """Maps of parameters, and of the height (1, H, W) whose slopes they hold."""
     return MapSet(
-        diffuse=numbers[ALBEDO].exp().clamp(1e-3, 0.98),
-        specular=numbers[F0 : F0 + 1].exp().clamp(5e-3, 0.98),
-        roughness=torch.sigmoid(numbers[ROUGH : ROUGH + 1]).clamp(0.03, 0.98),
+        diffuse=parameters[ALBEDO].exp().clamp(1e-3, 0.98),
+        specular=parameters[F0 : F0 + 1].exp().clamp(5e-3, 0.98),
+        roughness=torch.sigmoid(parameters[ROUGH : ROUGH + 1]).clamp(0.03, 0.98),
         height=height,
         texel_size=texel_size,
     )
 
 
-def by_map(numbers: Tensor) -> Tensor:
-    """(4, H, W) of (NUMBERS, H, W) of each parameter: means over albedo's channels, over slopes."""
-    albedo, slope = numbers[ALBEDO].mean(0), numbers[SLOPES].mean(0)
-    return torch.stack([albedo, numbers[F0], numbers[ROUGH], slope])
+def by_map(parameters: Tensor) -> Tensor:
+    """(4, H, W) of (PARAMETERS, H, W): means over the channels of albedo, and over both slopes."""
+    albedo, slope = parameters[ALBEDO].mean(0), parameters[SLOPES].mean(0)
+    return torch.stack([albedo, parameters[F0], parameters[ROUGH], slope])
 
 
 def slopes_of(height: Tensor, texel_size: float) -> Tensor:
@@ -205,23 +205,23 @@ def points_of(
     return extent.placed(points)
 
 
-def rendered(numbers: Tensor, lights: Sequence[FlashLight | RoomLight]) -> list[Tensor]:
-    """Radiance (3, h, w) of numbers (NUMBERS, h, w) in each light."""
-    normal = normals_from_slopes(numbers[5:6], numbers[6:7])
-    matte, f0 = numbers[ALBEDO].exp(), numbers[F0 : F0 + 1].exp()
-    rough = torch.sigmoid(numbers[ROUGH : ROUGH + 1])
+def rendered(parameters: Tensor, lights: Sequence[FlashLight | AmbientLight]) -> list[Tensor]:
+    """Radiance (3, h, w) of parameters (PARAMETERS, h, w) in each light."""
+    normal = normals_from_slopes(parameters[5:6], parameters[6:7])
+    matte, f0 = parameters[ALBEDO].exp(), parameters[F0 : F0 + 1].exp()
+    rough = torch.sigmoid(parameters[ROUGH : ROUGH + 1])
     return [radiance(light, matte, f0, rough, normal) for light in lights]
 
 
-def under_room(views: Sequence[PieceView], numbers: Tensor) -> list[PieceView]:
+def under_fitted_ambient(views: Sequence[PieceView], parameters: Tensor) -> list[PieceView]:
     """Photographs, the ambient one with its illumination fitted to the current parameters."""
-    return [view if view.room is None else _even(view, numbers) for view in views]
+    return [view if view.ambient is None else _even(view, parameters) for view in views]
 
 
-def _even(view: PieceView, numbers: Tensor) -> PieceView:
-    shown = logarithm(numbers[ALBEDO].exp() + numbers[F0 : F0 + 1].exp())
-    log, lean = evenly_lit(view.log, view.seen, shown, numbers[SLOPES])
-    return replace(view, log=log, room=RoomLight(lean))
+def _even(view: PieceView, parameters: Tensor) -> PieceView:
+    shown = logarithm(parameters[ALBEDO].exp() + parameters[F0 : F0 + 1].exp())
+    log, lean = evenly_lit(view.log, view.seen, shown, parameters[SLOPES])
+    return replace(view, log=log, ambient=AmbientLight(lean))
 
 
 def weights(residual: Tensor, seen: Tensor, noise: float, settings: SolveSettings) -> Tensor:
@@ -232,7 +232,7 @@ def weights(residual: Tensor, seen: Tensor, noise: float, settings: SolveSetting
 
 def stepped(
     views: Sequence[PieceView],
-    numbers: Tensor,
+    parameters: Tensor,
     prior: ParameterPrior,
     light: SetLight,
     settings: SolveSettings,
@@ -240,17 +240,17 @@ def stepped(
     without_each: bool = False,
 ) -> Stepped:
     """A Gauss-Newton step of every texel; `without_each` of the photographs as well."""
-    moved, precision = torch.empty_like(numbers), torch.empty_like(numbers)
-    relief = torch.empty(3, *numbers.shape[1:])
-    changes = torch.zeros(len(views) * without_each, *numbers.shape)
-    for rows in strips(numbers.shape[1], settings.rows):
+    moved, precision = torch.empty_like(parameters), torch.empty_like(parameters)
+    relief = torch.empty(3, *parameters.shape[1:])
+    changes = torch.zeros(len(views) * without_each, *parameters.shape)
+    for rows in strips(parameters.shape[1], settings.rows):
         part = slice(None), rows
-        points = points_of(numbers.shape[-2:], rows, views[0].extent)
+        points = points_of(parameters.shape[-2:], rows, views[0].extent)
         of_each = [
-            _system(index, view, rows, numbers[part], light, points, settings)
+            _system(index, view, rows, parameters[part], light, points, settings)
             for index, view in enumerate(views)
         ]
-        here = numbers[part], ParameterPrior(prior.mean[part], prior.deviation[part])
+        here = parameters[part], ParameterPrior(prior.mean[part], prior.deviation[part])
         moved[part], precision[part], relief[part] = _solved(of_each, *here, settings.damping)
         for k, change in enumerate(changes):
             others = of_each[:k] + of_each[k + 1 :]
@@ -267,17 +267,17 @@ def _system(
     index: int,
     view: PieceView,
     rows: slice,
-    numbers: Tensor,
+    parameters: Tensor,
     light: SetLight,
     points: Tensor,
     settings: SolveSettings,
 ) -> tuple[Tensor, Tensor]:
     """Normal equations (N, 7, 7) and right-hand sides (N, 7) of some rows of a photograph."""
-    count = numbers[0].numel()
-    normal, gradient = torch.zeros(NUMBERS, NUMBERS, count), torch.zeros(NUMBERS, count)
+    count = parameters[0].numel()
+    normal, gradient = torch.zeros(PARAMETERS, PARAMETERS, count), torch.zeros(PARAMETERS, count)
     seen = view.seen[:, rows]
     if seen.any():
-        log, shown = derivatives(numbers, light_at(index, view, light, points), settings.step)
+        log, shown = derivatives(parameters, light_at(index, view, light, points), settings.step)
         residual = view.log[:, rows] - log
         weight = weights(residual, seen, view.noise, settings).flatten(1)
         weighted = shown * weight
@@ -286,35 +286,40 @@ def _system(
             own = weighted[channel, channel]
             normal[channel, channel] = own * shown[channel, channel]
             normal[3:, channel] = own * shown[3:, channel]
-        for number in range(3, NUMBERS):
+        for number in range(3, PARAMETERS):
             normal[number:, number] = (weighted[number] * shown[number:]).sum(1)
         gradient = (weighted * residual.flatten(1)).sum(1)
-    for number in range(NUMBERS):
+    for number in range(PARAMETERS):
         normal[number, number + 1 :] = normal[number + 1 :, number]
     return normal.permute(2, 0, 1), gradient.T
 
 
 def derivatives(
-    numbers: Tensor, light: FlashLight | RoomLight, step: float
+    parameters: Tensor, light: FlashLight | AmbientLight, step: float
 ) -> tuple[Tensor, Tensor]:
-    """Log radiance (3, h, w) of numbers, and what it gains by each of them (NUMBERS, 3, h * w).
+    """Log radiance (3, h, w), and its Jacobian (PARAMETERS, 3, h * w).
 
-    By differences of a step, but for albedo, which adds its own share.
+    d log L / d log albedo is the diffuse share of the radiance; the others are forward differences.
+
+    Args:
+        parameters: (PARAMETERS, h, w).
+        light: at those texels.
+        step: of the differences.
     """
-    matte, f0 = numbers[ALBEDO].exp(), numbers[F0 : F0 + 1].exp()
-    rough = torch.sigmoid(numbers[ROUGH : ROUGH + 1])
-    x, y = numbers[5:6], numbers[6:7]
+    matte, f0 = parameters[ALBEDO].exp(), parameters[F0 : F0 + 1].exp()
+    rough = torch.sigmoid(parameters[ROUGH : ROUGH + 1])
+    x, y = parameters[5:6], parameters[6:7]
     incidence = light.onto(normals_from_slopes(x, y))
     diffuse = incidence.diffuse(matte)
     log = logarithm(diffuse + incidence.specular(f0, rough))
-    rougher = torch.sigmoid(numbers[ROUGH : ROUGH + 1] + step)
+    rougher = torch.sigmoid(parameters[ROUGH : ROUGH + 1] + step)
     moved = [
         diffuse + incidence.specular(f0 * math.exp(step), rough),
         diffuse + incidence.specular(f0, rougher),
         light.onto(normals_from_slopes(x + step, y)).radiance(matte, f0, rough),
         light.onto(normals_from_slopes(x, y + step)).radiance(matte, f0, rough),
     ]
-    shown = torch.zeros(NUMBERS, 3, log[0].numel())
+    shown = torch.zeros(PARAMETERS, 3, log[0].numel())
     for number, each in enumerate(moved, start=F0):
         shown[number] = ((logarithm(each) - log) / step).flatten(1)
     share = (diffuse / log.exp()).flatten(1)
@@ -325,15 +330,15 @@ def derivatives(
 
 def _solved(
     systems: Sequence[tuple[Tensor, Tensor]],
-    numbers: Tensor,
+    parameters: Tensor,
     prior: ParameterPrior,
     damping: float,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """What Stepped holds, of some rows, by any number of photographs."""
-    shape, count = numbers.shape, numbers[0].numel()
-    normal = sum((each for each, _ in systems), torch.zeros(count, NUMBERS, NUMBERS))
-    gradient = sum((each for _, each in systems), torch.zeros(count, NUMBERS))
-    here, expected = numbers.flatten(1).T, prior.mean.flatten(1).T
+    shape, count = parameters.shape, parameters[0].numel()
+    normal = sum((each for each, _ in systems), torch.zeros(count, PARAMETERS, PARAMETERS))
+    gradient = sum((each for _, each in systems), torch.zeros(count, PARAMETERS))
+    here, expected = parameters.flatten(1).T, prior.mean.flatten(1).T
     prior_precision = prior.deviation.flatten(1).T.square().reciprocal()
     measured_precision = normal.diagonal(dim1=1, dim2=2).clone()
     whole = normal + torch.diag_embed(prior_precision + damping * measured_precision)

@@ -20,9 +20,9 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.detail import UNION_TIMES
 from matcap.capture.piece.smooth import filled, smoothed
-from matcap.capture.together.hue import on_grid
 from matcap.capture.together.readings import UNREAD, ReadView
-from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, Estimate, numbers_of
+from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, Estimate, parameters_of
+from matcap.capture.together.tint import on_grid
 from matcap.capture.together.views import strips
 from matcap.flash.extent import NO_MARGINS, Extent, Margins
 from matcap.flash.registration.camera import Doubles, Lens, PosedCamera
@@ -232,10 +232,9 @@ def _box(
 
 
 def spread_over(read: Estimate, margins: Margins) -> Estimate:
-    """What was read from the first photograph over a larger piece.
+    """The first photograph's estimate continued smoothly over a larger piece.
 
-    Beyond it maps go on smoothly, and are off by as much as the first one's own numbers scatter:
-    the material is the same.
+    The error beyond it is the standard deviation of its own parameters: the material is the same.
 
     Args:
         read: on its own grid.
@@ -253,9 +252,9 @@ def spread_over(read: Estimate, margins: Margins) -> Estimate:
 
 
 def scatter(read: Estimate) -> Tensor:
-    """(4,) log of what numbers of maps deviate by, with what they are off by."""
-    numbers = numbers_of(read.maps)
-    parts = (numbers[ALBEDO].mean(0), numbers[F0], numbers[ROUGH], numbers[SLOPES])
+    """(4,) log standard deviation over the exemplar of each map's parameter, errors included."""
+    parameters = parameters_of(read.maps)
+    parts = (parameters[ALBEDO].mean(0), parameters[F0], parameters[ROUGH], parameters[SLOPES])
     own = torch.stack([part.std() for part in parts]).square()
     off = (2.0 * read.log_error.clamp(-8.0, 2.0)).exp().mean((1, 2))
     return 0.5 * (own + off).log()
@@ -278,29 +277,29 @@ def rounded_off(maps: MapSet, known: Tensor, slow: float) -> MapSet:
     return MapSet.from_stacked(torch.from_numpy(planes), maps.texel_size)
 
 
-def hue_over(
-    hue: Tensor | None, readings: Sequence[ReadView | None] | None, reach: Reach
+def tint_over(
+    tint: Tensor | None, readings: Sequence[ReadView | None] | None, reach: Reach
 ) -> Tensor | None:
-    """Metal's hue (3, H, W) over a piece: beyond the first photograph as the others are read.
+    """Metal's tint (3, H, W) over a piece: beyond the first photograph as the others are read.
 
     Args:
-        hue: as the first was read, going on beyond it; None where it shows no metal's.
+        tint: as the first was read, going on beyond it; None where it shows no metal's.
         readings: of each, the first one first; None where nothing was read.
         reach: of the piece.
     """
-    if hue is None or readings is None or not reach.margins.any:
-        return hue
+    if tint is None or readings is None or not reach.margins.any:
+        return tint
     total, weights = torch.zeros(3, 1, 1), torch.zeros(1, 1)
     for read in readings[1:]:
         if read is not None:
             weight = (-2.0 * read.doubt[1]).exp()
-            total = total + weight * (torch.ones(3, 1, 1) if read.hue is None else read.hue)
+            total = total + weight * (torch.ones(3, 1, 1) if read.tint is None else read.tint)
             weights = weights + weight
     if weights.shape == (1, 1):
-        return hue
-    beyond = on_grid(total / weights, (hue.shape[-1], hue.shape[-2]))
-    counted = on_grid(weights[None], (hue.shape[-1], hue.shape[-2])) > math.exp(-UNREAD)
-    return torch.where(counted & ~reach.margins.own(reach.size), beyond, hue)
+        return tint
+    beyond = on_grid(total / weights, (tint.shape[-1], tint.shape[-2]))
+    counted = on_grid(weights[None], (tint.shape[-1], tint.shape[-2])) > math.exp(-UNREAD)
+    return torch.where(counted & ~reach.margins.own(reach.size), beyond, tint)
 
 
 def unread(doubt: Tensor, reach: Reach) -> Tensor:

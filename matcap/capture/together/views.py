@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.together.hue import on_grid
-from matcap.capture.together.room import ROOM, RoomLight
+from matcap.capture.together.ambient_light import AMBIENT, AmbientLight
+from matcap.capture.together.tint import on_grid
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import FlashLight, log_vignette
@@ -35,15 +35,15 @@ Doubles = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SetLight:
-    """What all photographs of a piece share, and what each has of its own.
+    """Light of all photographs: what they share, and the gains of each.
 
     Attributes:
         offset: (2,) of the flash beside the lens, camera frame, plane units.
         vignetting: (2,) exponents with r^2 and r^4 (flash/geometry.py).
-        gain: (photographs, 3) logarithm of what a channel is brighter by than the first's.
+        gain: (photographs, 3) log of each channel's exposure over the first photograph's.
         intensity: (3,) of the first one's flash.
-        gloss: (2,) mean of log F0 and of logit roughness, less that of what was read: an error of
-            this level scales all slopes.
+        gloss: (2,) change of mean log F0 and mean logit roughness from the prediction: an error of
+            these scales all slopes.
         lost: deviations of the exponents of vignetting: the camera's profile's, if it has one; RAW
             keeps its own.
     """
@@ -89,7 +89,7 @@ class SetLight:
 
 @dataclass(frozen=True)
 class ViewPlace:
-    """Where a photograph is looked up for a texel.
+    """Map from texels of the piece to points at which a photograph is looked up.
 
     Attributes:
         nudge: (3, 3) homography of the plane (align.py).
@@ -130,7 +130,7 @@ class PieceView:
         log: (3, H, W) logarithm of its radiance.
         seen: (3, H, W) bool, by channel: in the picture and not clipped.
         camera: where it stood.
-        room: what lit it where that was not its flash.
+        ambient: the light, where that was not its flash.
         noise: of log radiance, what it is off by beside what a flash photograph is.
         extent: of the grid.
     """
@@ -139,7 +139,7 @@ class PieceView:
     log: Tensor
     seen: Tensor
     camera: PosedCamera
-    room: RoomLight | None = None
+    ambient: AmbientLight | None = None
     noise: float = 0.0
     extent: Extent = OWN
 
@@ -149,7 +149,7 @@ class PieceView:
         across: int,
         down: int,
         place: ViewPlace | None = None,
-        hue: Tensor | None = None,
+        tint: Tensor | None = None,
     ) -> PieceView:
         """A registered photograph on a grid of (down, across) texels.
 
@@ -157,7 +157,7 @@ class PieceView:
             view: the photograph.
             across, down: texels.
             place: where it is looked up; None for where features lie.
-            hue: (3, H, W) metal's, on any grid, which is taken off it (hue.py).
+            tint: (3, H, W) metal's, on any grid, which is taken off it (tint.py).
         """
         photo = view.photo
         rows, columns = photo.pixels.shape[:2]
@@ -182,11 +182,11 @@ class PieceView:
         shown = torch.from_numpy(np.ascontiguousarray(log.transpose(2, 0, 1)))
         return PieceView(
             photo.name,
-            shown if hue is None else shown - on_grid(hue, (across, down)).log(),
+            shown if tint is None else shown - on_grid(tint, (across, down)).log(),
             torch.from_numpy(np.ascontiguousarray(seen.transpose(2, 0, 1))),
             view.camera,
-            None if view.flash else RoomLight(),
-            0.0 if view.flash else ROOM.noise,
+            None if view.flash else AmbientLight(),
+            0.0 if view.flash else AMBIENT.noise,
             OWN if place is None else place.extent,
         )
 
@@ -209,10 +209,10 @@ def _shrunk(picture: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.f
 
 def light_at(
     number: int, view: PieceView, light: SetLight, points: Tensor
-) -> FlashLight | RoomLight:
+) -> FlashLight | AmbientLight:
     """Of a photograph's number, the light at plane points (3, h, w)."""
-    if view.room is not None:
-        return replace(view.room, strength=light.gain[number].exp()[:, None, None])
+    if view.ambient is not None:
+        return replace(view.ambient, strength=light.gain[number].exp()[:, None, None])
     camera = view.camera
     turn = torch.from_numpy(camera.turn).to(points)
     place = torch.from_numpy(camera.place).to(points)
@@ -225,7 +225,7 @@ def light_at(
 
 
 def radiance(
-    light: FlashLight | RoomLight, matte: Tensor, specular: Tensor, rough: Tensor, normal: Tensor
+    light: FlashLight | AmbientLight, matte: Tensor, specular: Tensor, rough: Tensor, normal: Tensor
 ) -> Tensor:
     """(3, h, w) of albedo, F0 and roughness with normals (3, h, w)."""
     return light.onto(normal).radiance(matte, specular, rough).clamp_min(_DARKEST)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.together.texels import numbers_of, points_of, rendered
+from matcap.capture.together.texels import parameters_of, points_of, rendered
 from matcap.capture.together.views import PieceView, SetLight, light_at
 from matcap.lab.simulate.hand_held import Hand, hold
 from matcap.lab.simulate.photograph import PhoneCamera
@@ -31,6 +31,6 @@ def seen(pieces: Sequence[MapSet], noise: float = 0.0) -> tuple[list[PieceView],
         empty = torch.zeros(3, *SIZE)
         view = PieceView("made", empty, empty == 0.0, camera)
         lit = light_at(number, view, light, points_of(SIZE))
-        log = rendered(numbers_of(maps), [lit])[0].log()
+        log = rendered(parameters_of(maps), [lit])[0].log()
         views.append(replace(view, log=log + noise * torch.randn(log.shape, generator=generator)))
     return views, light

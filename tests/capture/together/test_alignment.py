@@ -15,7 +15,7 @@ from matcap.capture.together.texels import (
     Estimate,
     ParameterPrior,
     SolveSettings,
-    numbers_of,
+    parameters_of,
 )
 from matcap.capture.together.views import RAW_FALLOFF, SetLight
 from matcap.flash.geometry import FlashSetup
@@ -56,7 +56,7 @@ def moved():
     def by(held):
         prior = ParameterPrior.of(read, settings)
         free = set(range(5)).difference(held)
-        numbers = numbers_of(found.maps)
+        numbers = parameters_of(found.maps)
         _, moves = shared_step(views, numbers, prior, found.light, settings, moved=free)
         return [float(move[0, 2]) / flat.texel_size for move in moves]
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.together.hue import achromatic, coloured, on_grid
+from matcap.capture.together.tint import achromatic, coloured, on_grid
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_rectified
 

@@ -16,7 +16,7 @@ from matcap.capture.together.readings import (
     joined,
     with_others,
 )
-from matcap.capture.together.texels import F0, SLOPES, Estimate, numbers_of
+from matcap.capture.together.texels import F0, SLOPES, Estimate, parameters_of
 from matcap.capture.together.views import SetLight, ViewPlace
 from matcap.flash.geometry import camera_in_plane
 from matcap.flash.registration.camera import PosedCamera
@@ -77,11 +77,11 @@ def test_a_reading_is_brought_over_the_first(cameras):
     place = ViewPlace(np.eye(3), None, cameras[0].place)
     doubt = torch.full((4, down, across), -2.0)
     read = brought_over(Estimate(maps, doubt), own, cameras[1], place, (SIZE[1], SIZE[0]))
-    true = numbers_of(_waves(grid_points(SIZE[1], SIZE[0]), 2.0 / SIZE[1]))
+    true = parameters_of(_waves(grid_points(SIZE[1], SIZE[0]), 2.0 / SIZE[1]))
     known = (read.doubt[3] < -1.9)[None].expand_as(true)
     known = known & (torch.nn.functional.avg_pool2d(known.float(), 5, 1, 2) > 0.999)
     assert 0.4 < known.float().mean() < 1.0
-    assert float((read.numbers - true)[known].abs().max()) < 0.03
+    assert float((read.parameters - true)[known].abs().max()) < 0.03
 
 
 def test_no_border_of_a_reading_is_seen(cameras):
@@ -90,16 +90,18 @@ def test_no_border_of_a_reading_is_seen(cameras):
     place = ViewPlace(np.eye(3), None, cameras[0].place)
     doubt = torch.full((4, 192, 256), -2.0)
     theirs = brought_over(Estimate(even, doubt), own, cameras[1], place, (SIZE[1], SIZE[0]))
-    otherwise = numbers_of(_waves(np.zeros((2, *SIZE)), 2.0 / SIZE[1]))
+    otherwise = parameters_of(_waves(np.zeros((2, *SIZE)), 2.0 / SIZE[1]))
     otherwise[F0] += 1.0
-    both = numbers_of(joined([ReadView(otherwise, torch.full((4, *SIZE), -2.0)), theirs]).maps)[F0]
+    both = parameters_of(joined([ReadView(otherwise, torch.full((4, *SIZE), -2.0)), theirs]).maps)[
+        F0
+    ]
     assert float(both.max() - both.min()) > 0.4
     steps = torch.cat([both.diff(dim=0).abs().flatten(), both.diff(dim=1).abs().flatten()])
     assert float(steps.max()) < 0.1
 
 
 def _read(maps, off, generator, doubt):
-    numbers = numbers_of(maps)
+    numbers = parameters_of(maps)
     noise = off * torch.randn(numbers.shape, generator=generator)
     return ReadView(numbers + noise, torch.full((4, *SIZE), doubt))
 
@@ -111,7 +113,9 @@ def test_joined_readings_are_nearer_in_any_order_and_the_doubtful_count_less():
     wild = _read(maps, 3.0, generator, math.log(3.0))
 
     def off(readings):
-        return float((numbers_of(joined(readings).maps)[:5] - numbers_of(maps)[:5]).square().mean())
+        return float(
+            (parameters_of(joined(readings).maps)[:5] - parameters_of(maps)[:5]).square().mean()
+        )
 
     assert off(read) < 0.4 * off(read[:1])
     assert off([*read, wild]) < 1.1 * off(read)
@@ -131,13 +135,13 @@ def test_alone_the_first_stays_as_it_was_read_and_others_leave_it_its_fine_waves
     small = MapSet.from_stacked(
         torch.nn.functional.avg_pool2d(maps.stacked()[None], 2)[0], 2.0 / SIZE[1]
     )
-    first = ReadView(numbers_of(small), torch.full((4, *SIZE), -2.0))
+    first = ReadView(parameters_of(small), torch.full((4, *SIZE), -2.0))
     alone = Estimate(maps, doubt)
     same = with_others(alone, [first])
     torch.testing.assert_close(same.maps.stacked(), maps.stacked(), atol=1e-4, rtol=0.0)
     torch.testing.assert_close(same.log_error, doubt)
-    darker = ReadView(first.numbers.clone(), first.doubt)
-    darker.numbers[:3] -= 0.4
+    darker = ReadView(first.parameters.clone(), first.doubt)
+    darker.parameters[:3] -= 0.4
     both = with_others(alone, [first, darker, None])
     log = both.maps.diffuse.log()
     torch.testing.assert_close(log, maps.diffuse.log() - 0.2, atol=0.01, rtol=0.0)
@@ -146,10 +150,10 @@ def test_alone_the_first_stays_as_it_was_read_and_others_leave_it_its_fine_waves
 
 def test_fewer_texels_say_the_same():
     maps = _waves(grid_points(SIZE[1], SIZE[0]), 2.0 / SIZE[1])
-    read = ReadView(numbers_of(maps), torch.full((4, *SIZE), -2.0))
+    read = ReadView(parameters_of(maps), torch.full((4, *SIZE), -2.0))
     (one, none) = fewer([read, None], (SIZE[0] // 2, SIZE[1] // 2))
     assert none is None and one is not None
-    coarse = numbers_of(_waves(grid_points(SIZE[1] // 2, SIZE[0] // 2), 4.0 / SIZE[1]))
+    coarse = parameters_of(_waves(grid_points(SIZE[1] // 2, SIZE[0] // 2), 4.0 / SIZE[1]))
     inner = (slice(None), slice(2, -2), slice(2, -2))
-    torch.testing.assert_close(one.numbers[inner], coarse[inner], atol=0.02, rtol=0.0)
-    assert one.numbers[SLOPES].abs().max() > 0.1
+    torch.testing.assert_close(one.parameters[inner], coarse[inner], atol=0.02, rtol=0.0)
+    assert one.parameters[SLOPES].abs().max() > 0.1

@@ -10,13 +10,13 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.capture.pipeline import capture_into
 from matcap.capture.settings import CaptureSettings, OutputSettings
+from matcap.capture.together.ambient_light import AmbientLight, evenly_lit, without_ambient
 from matcap.capture.together.look import set_quality
-from matcap.capture.together.room import RoomLight, evenly_lit, less_room
 from matcap.capture.together.solve import solve
 from matcap.capture.together.texels import (
     Estimate,
     SolveSettings,
-    numbers_of,
+    parameters_of,
     points_of,
     rendered,
 )
@@ -57,7 +57,7 @@ def _registration(lit, **changes):
 
 def test_what_the_room_added_is_taken_off(lit):
     bright, dark, _ = lit
-    cleaned, share = less_room(_registration(lit))
+    cleaned, share = without_ambient(_registration(lit))
     assert share > 0.1
     for view, shot, true in zip(cleaned.views, bright, dark, strict=False):
         before = shot.shot.linear / shot.shot.exposure
@@ -73,20 +73,20 @@ def test_what_the_room_added_is_taken_off(lit):
 
 def test_exposures_that_are_not_known_change_nothing(lit):
     registration = _registration(lit, exposure=None)
-    assert less_room(registration) == (registration, 0.0)
+    assert without_ambient(registration) == (registration, 0.0)
 
 
 def test_exposures_that_are_told_wrongly_leave_light(lit):
     registration = _registration(lit, exposure=_photo(lit[2], 9, "room").exposure / 100.0)
-    cleaned, _ = less_room(registration)
+    cleaned, _ = without_ambient(registration)
     for view, before in zip(cleaned.views[:-1], registration.views[:-1], strict=True):
         assert (view.photo.pixels >= 0.04 * before.photo.pixels).all()
         assert view.photo.pixels.mean() > 0.2 * before.photo.pixels.mean()
 
 
 def test_white_balance_goes_into_what_is_taken_off(lit):
-    plain, _ = less_room(_registration(lit))
-    lifted, _ = less_room(_registration(lit, balance=(2.0, 1.0, 1.0)))
+    plain, _ = without_ambient(_registration(lit))
+    lifted, _ = without_ambient(_registration(lit, balance=(2.0, 1.0, 1.0)))
     added = [
         _registration(lit).views[0].photo.pixels - one.views[0].photo.pixels
         for one in (plain, lifted)
@@ -102,7 +102,7 @@ def test_what_was_clipped_stays_so(lit):
     full[100:110] = True
     pixels = np.where(full[..., None], np.float32(1.0), first.photo.pixels)
     view = replace(first, photo=replace(first.photo, pixels=pixels, clipped=full))
-    cleaned, _ = less_room(replace(registration, views=(view, *registration.views[1:])))
+    cleaned, _ = without_ambient(replace(registration, views=(view, *registration.views[1:])))
     assert (cleaned.views[0].photo.pixels[full] == 1.0).all()
 
 
@@ -130,15 +130,15 @@ def _view(maps, camera, light, number, room=None):
     empty = torch.zeros(3, *SIZE)
     view = PieceView("made", empty, empty == 0.0, camera, room, 0.0)
     lit = light_at(number, view, light, points_of(SIZE))
-    return replace(view, log=rendered(numbers_of(maps), [lit])[0].log())
+    return replace(view, log=rendered(parameters_of(maps), [lit])[0].log())
 
 
 def test_a_windows_side_is_found_and_its_slow_light_taken_off():
     maps = _maps()
-    numbers = numbers_of(maps)
+    numbers = parameters_of(maps)
     normal = maps.normal
     log = (
-        RoomLight((0.4, -0.2)).onto(normal).radiance(maps.diffuse, maps.specular, maps.roughness)
+        AmbientLight((0.4, -0.2)).onto(normal).radiance(maps.diffuse, maps.specular, maps.roughness)
     ).log()
     log = log + torch.linspace(-0.5, 0.5, SIZE[1])
     even = (maps.diffuse + maps.specular).log()
@@ -154,7 +154,7 @@ def test_the_rooms_light_tells_albedo_that_one_flash_does_not():
     cameras = hold(PHONE, Hand(), 1, 1)
     light = SetLight(torch.zeros(2), torch.zeros(2), torch.zeros(2, 3), torch.full((3,), 5.0))
     flash = _view(maps, cameras[0], light, 0)
-    room = replace(_view(maps, cameras[0], light, 1, RoomLight((0.3, 0.1))), noise=0.05)
+    room = replace(_view(maps, cameras[0], light, 1, AmbientLight((0.3, 0.1))), noise=0.05)
     mean = maps.diffuse.mean((1, 2), keepdim=True).expand(3, *SIZE).contiguous()
     flat = replace(maps, diffuse=mean, height=torch.zeros(1, *SIZE))
     doubt = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.5]))[:, None, None].expand(4, *SIZE)

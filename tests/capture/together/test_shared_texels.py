@@ -5,24 +5,24 @@ from __future__ import annotations
 import torch
 
 from matcap.capture.together.shared import texels_solved
-from matcap.capture.together.texels import NUMBERS
+from matcap.capture.together.texels import PARAMETERS
 
 
 def test_sound_texels_are_solved() -> None:
-    draw = torch.randn(5, NUMBERS, 12, generator=torch.Generator().manual_seed(0))
+    draw = torch.randn(5, PARAMETERS, 12, generator=torch.Generator().manual_seed(0))
     within = draw @ draw.mT
-    sides = torch.ones(5, NUMBERS, 2)
+    sides = torch.ones(5, PARAMETERS, 2)
     found = texels_solved(within, sides)
     assert torch.allclose(within @ found, sides, atol=1e-2)
 
 
 def test_texels_told_many_times_over_answer_finitely_or_nothing() -> None:
     # One direction told by 1e9, all others by next to nothing: rounding makes it indefinite.
-    steep = torch.linspace(0.2, 1.0, NUMBERS)
-    within = 1e9 * steep[:, None] * steep + 1e-3 * torch.eye(NUMBERS)
+    steep = torch.linspace(0.2, 1.0, PARAMETERS)
+    within = 1e9 * steep[:, None] * steep + 1e-3 * torch.eye(PARAMETERS)
     lost = within.clone()
     lost[0, 0] -= 2e3
-    found = texels_solved(torch.stack([within, lost, -within]), 1e3 * torch.ones(3, NUMBERS, 1))
+    found = texels_solved(torch.stack([within, lost, -within]), 1e3 * torch.ones(3, PARAMETERS, 1))
     assert bool(torch.isfinite(found).all())
     assert float(found.abs().max()) < 1e6
     assert not found[2].any()

@@ -23,7 +23,7 @@ from matcap.capture.together.texels import (
     Estimate,
     ParameterPrior,
     SolveSettings,
-    numbers_of,
+    parameters_of,
 )
 from matcap.capture.together.views import RAW_FALLOFF, SetLight
 from matcap.errors import MatcapError
@@ -140,7 +140,7 @@ def test_gloss_that_was_read_wrong_does_not_scale_relief():
     sure = torch.log(torch.tensor([0.5, 0.05, 0.2, 0.02]))[:, None, None].expand(4, *SIZE)
     found = _solved(views, read, light, sure)
     assert found.light.gloss[1] > 0.4
-    before, after = (numbers_of(each)[SLOPES].square().mean() for each in (maps, found.maps))
+    before, after = (parameters_of(each)[SLOPES].square().mean() for each in (maps, found.maps))
     assert 0.75 < float(after / before) < 1.15
     assert found.read_off > 0.3 * float(before.sqrt())
 
@@ -154,7 +154,7 @@ def test_a_photograph_beside_its_place_is_brought_back_though_texels_explain_it(
     flat = _flat(maps)
     found = _solved(shifted, flat, light)
     prior = ParameterPrior.of(Estimate(flat, NOTHING_KNOWN), SOLVING)
-    numbers = numbers_of(found.maps)
+    numbers = parameters_of(found.maps)
     _, moves = shared_step(shifted, numbers, prior, found.light, SOLVING, moved=range(1, 5))
     texel = maps.texel_size
     assert moves[3][0, 2] > 0.6 * texel

@@ -15,16 +15,16 @@ from matcap.capture.piece.find import piece_maps
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together.readings import ReadView, with_others
-from matcap.capture.together.texels import SLOPES, Estimate, numbers_of
+from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
 from matcap.capture.together.union import (
     UNION,
     Reach,
-    hue_over,
     reach_of,
     scatter,
     seen_by_any,
     sees,
     spread_over,
+    tint_over,
     unread,
 )
 from matcap.cli.main import main
@@ -157,14 +157,14 @@ def test_beyond_the_first_photograph_the_others_reading_holds():
     unsure = unread(over.log_error, Reach(margins, SIZE))
     over = replace(over, log_error=unsure)
     read = [
-        ReadView(numbers_of(over.maps), unsure, extent),
-        ReadView(numbers_of(true), torch.full_like(unsure, -3.0), extent),
+        ReadView(parameters_of(over.maps), unsure, extent),
+        ReadView(parameters_of(true), torch.full_like(unsure, -3.0), extent),
     ]
     found = with_others(over, read)
-    off = (numbers_of(found.maps) - numbers_of(true))[:, 2:-2, 2:-2]
+    off = (parameters_of(found.maps) - parameters_of(true))[:, 2:-2, 2:-2]
     assert float(off[: SLOPES.start].abs().max()) < 0.01
     # Slopes too, and without a step where the first one ends.
-    steep = float(numbers_of(true)[SLOPES].square().mean().sqrt())
+    steep = float(parameters_of(true)[SLOPES].square().mean().sqrt())
     assert float(off[SLOPES].square().mean().sqrt()) < 0.2 * steep
     assert float(off[SLOPES][..., SIZE[0] - 4 : SIZE[0] + 4].square().mean().sqrt()) < 0.4 * steep
     assert (found.log_error < -2.5).all()
@@ -180,11 +180,11 @@ def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():
     first = ReadView(numbers, doubt, extent)
     other = ReadView(numbers, torch.full((4, *whole), -2.0), extent, gold)
     grey = torch.ones(3, *whole)
-    found = hue_over(grey, [first, other, None], reach)
+    found = tint_over(grey, [first, other, None], reach)
     assert torch.equal(found[..., : SIZE[0]], grey[..., : SIZE[0]])
     torch.testing.assert_close(found[..., SIZE[0] :], gold[..., SIZE[0] :])
-    assert hue_over(None, [first, other], reach) is None
-    assert torch.equal(hue_over(grey, [first, None], reach), grey)
+    assert tint_over(None, [first, other], reach) is None
+    assert torch.equal(tint_over(grey, [first, None], reach), grey)
 
 
 @pytest.fixture(scope="module")

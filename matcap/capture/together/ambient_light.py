@@ -2,7 +2,7 @@
 
 A photograph without the flash shows albedo under light that hardly changes over the piece. Where
 exposures are known what it shows is what the flash photographs have too much ([aittala2015]
-takes two such photographs); and since what the room adds changes slowly and leans one way, what
+takes two such photographs); and since ambient light changes slowly and leans one way, what
 changes fast in it is albedo, whatever the flash made of that.
 """
 
@@ -25,28 +25,32 @@ Picture = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class RoomSettings:
-    """How the room's light is dealt with; docs/notes/several.md."""
+class AmbientLightSettings:
+    """Model of ambient light; docs/notes/several.md."""
 
     noise: float = 0.08
-    """Of log radiance, what the model of a room's light is off by."""
+    """Standard deviation of log radiance from the model of ambient light."""
     slow: float = 0.08
-    """Deviation of what the room lights otherwise from place to place, as a share of the long
+    """Deviation of the blur below which differences in illumination lie, as a share of the long
     side."""
     steepest: float = 1.0
-    """Of a window's lean: log radiance by slope."""
+    """Largest |d log L / d slope| of light from one side."""
     faintest: float = 0.05
-    """Share of a pixel's light that stays when the room's is taken off."""
+    """Least share of a pixel's radiance that is left after subtraction."""
     bound: float = 0.005
-    """Share of pixels that may be darker than the room alone would make them."""
+    """Share of pixels that may be darker than ambient light alone would make them."""
 
 
-ROOM = RoomSettings()
+AMBIENT = AmbientLightSettings()
 
 
 @dataclass(frozen=True)
-class RoomIncidence:
-    """A room's light that arrives at a relief: even, and mirrored by F0 from all around."""
+class AmbientIncidence:
+    """Ambient light that arrives at a relief: L = (diffuse albedo + F0) E.
+
+    Attributes:
+        irradiance: (..., 1 or 3, h, w) E.
+    """
 
     irradiance: Tensor
 
@@ -64,26 +68,26 @@ class RoomIncidence:
 
 
 @dataclass(frozen=True)
-class RoomLight:
-    """Light of a room, the same all over the piece but for the side it comes from."""
+class AmbientLight:
+    """Ambient light, the same all over the piece: log E = lean . slope + log strength."""
 
     lean: tuple[float, float] = (0.0, 0.0)
-    """(2,) what log radiance gains with slope, for light from one side."""
+    """d log L / d slope along x and y, of light from one side."""
     strength: Tensor | None = None
     """(3, 1, 1) of all of it; None for 1."""
 
-    def onto(self, normal: Tensor) -> RoomIncidence:
+    def onto(self, normal: Tensor) -> AmbientIncidence:
         """What arrives at a relief of unit normals (3, h, w)."""
         slopes = -normal[:2] / normal[2:].clamp_min(1e-3)
         leant = self.lean[0] * slopes[:1] + self.lean[1] * slopes[1:]
         lit = leant.clamp(-2.0, 2.0).exp()
-        return RoomIncidence(lit if self.strength is None else lit * self.strength)
+        return AmbientIncidence(lit if self.strength is None else lit * self.strength)
 
 
 def evenly_lit(
     log: Tensor, seen: Tensor, rendered: Tensor, slopes: Tensor
 ) -> tuple[Tensor, tuple[float, float]]:
-    """A photograph by the room's light less what of it is slow, and how much its light leans.
+    """An ambient photograph without slow differences in illumination, and the lean of its light.
 
     Args:
         log, seen: (3, h, w) its log radiance, and where it shows it.
@@ -92,7 +96,7 @@ def evenly_lit(
     """
     off = (log - rendered).numpy()
     mask = seen.float().numpy()
-    deviation = ROOM.slow * max(log.shape[1:])
+    deviation = AMBIENT.slow * max(log.shape[1:])
 
     def fast(plane: Picture, weight: Picture) -> Picture:
         whole = smoothed(weight, deviation)
@@ -119,67 +123,70 @@ def _leaning(left: Picture, slopes: Picture, seen: NDArray[np.bool_]) -> tuple[f
         rest = y - lean @ x
         spread = 1.5 * float(np.median(np.abs(rest))) + 1e-6
         weight = np.asarray(1.0 / (1.0 + np.square(rest / (2.0 * spread))), np.float64)
-    most = ROOM.steepest
+    most = AMBIENT.steepest
     return (float(np.clip(lean[0], -most, most)), float(np.clip(lean[1], -most, most)))
 
 
-def less_room(registration: Registration) -> tuple[Registration, float]:
-    """Flash photographs without what the room added, and the share of the first one's light it was.
+def without_ambient(registration: Registration) -> tuple[Registration, float]:
+    """Flash photographs less their ambient light, and the share that it was of the first one's.
 
-    Unchanged, and 0, where no photograph shows the room's light, or its exposure is not known.
+    Unchanged, and 0, where no photograph is by ambient light alone, or an exposure is unknown.
     """
-    *lit, room = registration.views
-    if room.flash:
+    *lit, ambient = registration.views
+    if ambient.flash:
         return registration, 0.0
     cleaned, shares = [], []
     for view in lit:
-        amount = _amount(view.photo, room.photo)
+        amount = _amount(view.photo, ambient.photo)
         if amount is None:
             return registration, 0.0
-        photo, share = _without(view, room, amount)
+        photo, share = _without(view, ambient, amount)
         cleaned.append(replace(view, photo=photo))
         shares.append(share)
-    return replace(registration, views=(*cleaned, room)), shares[0]
+    return replace(registration, views=(*cleaned, ambient)), shares[0]
 
 
-def _amount(flash: Photo, room: Photo) -> NDArray[np.float64] | None:
-    """(3,) how much larger the room's light is in a flash photograph's numbers than in its own."""
-    if flash.exposure is None or room.exposure is None:
+def _amount(flash: Photo, ambient: Photo) -> NDArray[np.float64] | None:
+    """(3,) ambient radiance in a flash photograph's pixel values over that in its own photograph's.
+
+    Ratio of exposures and white balances; None where an exposure is unknown.
+    """
+    if flash.exposure is None or ambient.exposure is None:
         return None
     balance = np.ones(3)
-    if flash.balance is not None and room.balance is not None:
-        balance = np.array(flash.balance) / np.array(room.balance)
-    return flash.exposure / room.exposure * balance
+    if flash.balance is not None and ambient.balance is not None:
+        balance = np.array(flash.balance) / np.array(ambient.balance)
+    return flash.exposure / ambient.exposure * balance
 
 
 def _without(
-    view: RegisteredView, room: RegisteredView, amount: NDArray[np.float64]
+    view: RegisteredView, ambient: RegisteredView, amount: NDArray[np.float64]
 ) -> tuple[Photo, float]:
     photo = view.photo
-    added = _seen_from(view, room) * amount.astype(np.float32)
-    # Nothing can be darker than the room alone makes it: exposure metadata is wrong at times.
+    added = _seen_from(view, ambient) * amount.astype(np.float32)
+    # Nothing can be darker than under ambient light alone: exposure metadata is wrong at times.
     small = (64, max(8, round(64 * photo.pixels.shape[0] / photo.pixels.shape[1])))
     light, theirs = (
         np.asarray(cv2.resize(each, small, interpolation=cv2.INTER_AREA), np.float32)
         for each in (photo.pixels, added)
     )
     ratio = light / np.maximum(theirs, np.float32(1e-6))
-    most = np.asarray(np.quantile(ratio.reshape(-1, 3), ROOM.bound, axis=0)).clip(max=1.0)
+    most = np.asarray(np.quantile(ratio.reshape(-1, 3), AMBIENT.bound, axis=0)).clip(max=1.0)
     added *= np.asarray(most, np.float32)
     share = float(np.median(added.mean(2) / np.maximum(photo.pixels.mean(2), 1e-6)))
-    left = np.maximum(photo.pixels - added, ROOM.faintest * photo.pixels)
+    left = np.maximum(photo.pixels - added, AMBIENT.faintest * photo.pixels)
     # What was clipped is a lower bound still, of whatever light.
     full = photo.clipped[..., None] & (photo.pixels > FULL)
     left = np.where(full, photo.pixels, left)
     note = (
-        f"{100.0 * share:.0f} % of its light was ambient, measured by {room.photo.name} and "
+        f"{100.0 * share:.0f} % of its light was ambient, measured by {ambient.photo.name} and "
         "subtracted."
     )
     return replace(photo, pixels=left, notes=(*photo.notes, note)), share
 
 
-def _seen_from(view: RegisteredView, room: RegisteredView) -> Picture:
-    """(H, W, 3) what the room lights, as a flash photograph's camera would have seen it."""
+def _seen_from(view: RegisteredView, ambient: RegisteredView) -> Picture:
+    """(H, W, 3) the ambient photograph resampled to a flash photograph's pixels."""
     rows, columns = view.photo.pixels.shape[:2]
     # Looked up on few places: a camera's view of a plane is smooth.
     grid = (max(2, rows // 16), max(2, columns // 16))
@@ -187,11 +194,13 @@ def _seen_from(view: RegisteredView, room: RegisteredView) -> Picture:
         (np.arange(grid[0]) + 0.5) / grid[0], (np.arange(grid[1]) + 0.5) / grid[1], indexing="ij"
     )
     image = np.stack([2.0 * u - 1.0, (1.0 - 2.0 * v) * rows / columns])
-    there = room.camera.sees(view.camera.on_plane(image))
-    height, width = room.photo.pixels.shape[:2]
+    there = ambient.camera.sees(view.camera.on_plane(image))
+    height, width = ambient.photo.pixels.shape[:2]
     x, y = (
         cv2.resize(each, (columns, rows), interpolation=cv2.INTER_LINEAR)
         for each in to_pixels(there, width, height)
     )
-    pixels = cv2.remap(room.photo.pixels, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    pixels = cv2.remap(
+        ambient.photo.pixels, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     return np.asarray(pixels, np.float32)
