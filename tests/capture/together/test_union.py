@@ -114,7 +114,7 @@ def test_a_piece_grows_no_larger_than_memory_allows_and_says_so():
     far = [_view(_camera())] + [_view(_camera(x=1.5 * n, y=1.1 * n)) for n in range(1, 5)]
     reach = reach_of(far, SIZE)
     assert reach.limited and reach.times <= UNION.most
-    assert "lies outside the maps" in reach.warns()
+    assert "is left out of the maps" in reach.warns()
     few = reach_of(far, SIZE, replace(UNION, texels=1.2 * SIZE[0] * SIZE[1]))
     assert few.times <= 1.2 and few.covered < reach.covered
 
