@@ -55,7 +55,7 @@ def in_rec709(colours: MapPixels, primaries: tuple[float, ...] | None, where: st
         matrix = None if primaries is None else rec709_from(primaries)
     except ValueError as error:
         raise MatcapError(
-            f"its chromaticities are no colour space ({error})",
+            f"its chromaticities span no colour space ({error})",
             where=where,
             remedy="save it in Rec.709",
         ) from error

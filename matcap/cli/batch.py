@@ -76,7 +76,7 @@ def batch(
         raise typer.Exit(ExitCode.DONE)
     _print_results(prepared.entries, out, as_json=as_json, quiet=quiet)
     if code == ExitCode.INTERRUPTED and all(e.state != "left" for e in prepared.entries):
-        typer.echo("matcap: interrupted when all of it was done.", err=True)
+        typer.echo("matcap: interrupted after the last sample was finished.", err=True)
     raise typer.Exit(code)
 
 

@@ -92,7 +92,7 @@ def synth(
         raise UsageError(
             "the photographed piece has a fixed size",
             where="--tile piece",
-            remedy="leave --size and --region out, or let the field repeat, with --tile alone",
+            remedy="leave out --size and --region, or give --tile alone for a periodic texture",
         )
     area = asked_area.rectangle
     subject, name = _subject(material, given.get("seed", 0), near)

@@ -351,7 +351,7 @@ def linear_colours(
     try:
         matrix = rec709_from(pixels.primaries)
     except ValueError:
-        return colours, ("The file's primaries are no colour space: Rec.709 assumed.",)
+        return colours, ("The file's primaries span no colour space: Rec.709 assumed.",)
     if matrix is None:
         return colours, ()
     turned = colours @ matrix.T.astype(np.float32)

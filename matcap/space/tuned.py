@@ -106,7 +106,7 @@ class TunedDecoder:
         raise UsageError(
             "a decoder holds no photographed piece that could repeat",
             where="--tile piece",
-            remedy="let its field repeat, with --tile alone, or capture with --generator example",
+            remedy="give --tile alone for a periodic texture, or capture with --generator example",
         )
 
     def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -158,5 +158,5 @@ def _check_piece(request: SynthRequest) -> None:
         raise UsageError(
             "the photographed piece is one map set of fixed size, not drawn by a seed",
             where=f"{option} with --tile piece",
-            remedy=f"leave {option} out, or let the field repeat, with --tile alone",
+            remedy=f"leave out {option}, or give --tile alone for a periodic texture",
         )

@@ -20,4 +20,4 @@ def test_an_interrupt_after_the_last_material_is_said(tmp_path, monkeypatch, cap
     monkeypatch.setattr(matcap.batch.whole, "work_off", done)
     assert main(["batch", str(shoot), "-o", str(tmp_path / "out")]) == 130
     said = capsys.readouterr().err
-    assert "1 made" in said and "matcap: interrupted when all of it was done." in said
+    assert "1 made" in said and "matcap: interrupted after the last sample was finished." in said

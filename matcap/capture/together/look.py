@@ -60,7 +60,9 @@ def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection
     """
     if len(paths) < 2:
         raise MatcapError(
-            "one photograph is no set", where=str(paths[0]), remedy="give two or more of one piece"
+            "one photograph cannot be compared with others",
+            where=str(paths[0]),
+            remedy="give two or more of one piece",
         )
     photos = [load_photo(path, long_side=LOOK.detail, fov=fov, noise=False) for path in paths]
     return set_quality(register_in_any_order(photos))

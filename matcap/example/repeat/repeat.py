@@ -58,7 +58,7 @@ def repeated(
         raise UsageError(
             f"a piece of {width} x {height} texels is too small to repeat",
             where="--tile piece",
-            remedy=f"capture it with at least {_LEAST} texels a side, or let its field repeat",
+            remedy=f"capture it with at least {_LEAST} texels per side, or give --tile alone",
         )
     level = flatten(maps)
     seen = _seen(level, texel_size)

@@ -74,7 +74,7 @@ def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
             network.load_state_dict(state)
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise MatcapError(
-            f"this is no inverse network, or it is damaged ({error})",
+            f"this is not an inverse network's file, or it is damaged ({error})",
             where=str(path),
             remedy=_REMEDY,
         ) from error
