@@ -69,7 +69,7 @@ def test_the_report_holds_what_was_done(matcap, pipeline, photo, out):
     tuning = report["tuning"]
     assert tuning["error"] == 0.5 and tuning["relative_error"] == 2.0
     assert report["error"] == {"piece": None, "field": None}  # too small a picture
-    assert "no flash" in report["verdict"]["sentence"]
+    assert "flash did not fire" in report["verdict"]["sentence"]
     assert tuning["error_over_time"][0] == {"seconds": 0.5, "step": 1, "error": 0.9}
     assert report["stage_seconds"] == {"coarse fit": 0.5, "fine-tuning": 0.5}
     assert report["camera"]["tilt_degrees"] == [0.0, 0.0]
