@@ -9,7 +9,7 @@ from pathlib import Path
 from matcap.files import values
 from matcap.files.settings import check_settings, setting
 
-SPREAD = 0.3  # default distance from an anchor (prior/anchors.py); docs/notes/prior.md
+SPREAD = 0.3  # default distance from an anchor (space/prior/anchors.py); docs/notes/prior.md
 _MOST_STEPS = 256
 
 
