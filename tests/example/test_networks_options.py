@@ -29,7 +29,7 @@ def path(tmp_path):
     ],
 )
 def test_a_rearranged_piece_has_no_precision_and_no_device(path, option, given):
-    with pytest.raises(UsageError, match=f"{option}: only the paper's network"):
+    with pytest.raises(UsageError, match=f"{option}: only the decoder"):
         open_field(SynthRequest(path, Rectangle(0, 0, 8, 8), **given))
 
 

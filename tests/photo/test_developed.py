@@ -122,7 +122,7 @@ def test_opaque_alpha_and_next_to_nothing(tmp_path, codes):
     assert photo.left_out is None and photo.notes == ()
     alpha[:, 3:] = 0
     Image.fromarray(np.dstack([codes, alpha])).save(tmp_path / "b.png")
-    with pytest.raises(MatcapError, match="opaque comes to"):
+    with pytest.raises(MatcapError, match="its transparency leaves 2.3 %"):
         load_photo(tmp_path / "b.png")
 
 

@@ -150,6 +150,7 @@ def causes(measured: CauseMeasurements) -> tuple[Cause, ...]:
 
 
 def _all(measured: CauseMeasurements) -> Iterator[Cause]:
+    """Every cause, whatever its strength."""
     yield Cause(
         "anisotropic highlight",
         (measured.streak - 1.0) / (CAUSES.streak - 1.0),
@@ -158,6 +159,27 @@ def _all(measured: CauseMeasurements) -> Iterator[Cause]:
         "use an anisotropic shader in the renderer",
         _HIGHLIGHT | {"light", "piece"},
     )
+    yield from _of_light(measured)
+    yield Cause(
+        "steep relief",
+        measured.tilt / CAUSES.tilt,
+        f"the relief's mean slope is {measured.tilt:.0f} degrees, too steep to be measured from "
+        "one flash position",
+        more_photographs(measured.photographs),
+        _RELIEF,
+    )
+    yield Cause(
+        "large features",
+        (1.0 - measured.variety) / (1.0 - CAUSES.variety),
+        "the pattern's features are almost as large as the photograph, which leaves too little to "
+        "rearrange",
+        "use it with --variety 0, or photograph more of it from further away",
+        _DRAWING,
+    )
+
+
+def _of_light(measured: CauseMeasurements) -> Iterator[Cause]:
+    """Causes in the light or in how the camera recorded it."""
     even = 0.0 <= measured.side <= CAUSES.even
     yield Cause(
         "no flash",
@@ -196,22 +218,6 @@ def _all(measured: CauseMeasurements) -> Iterator[Cause]:
         "the photograph, which changes its colour there",
         "photograph again a stop darker",
         _CLIPPED,
-    )
-    yield Cause(
-        "steep relief",
-        measured.tilt / CAUSES.tilt,
-        f"the relief's mean slope is {measured.tilt:.0f} degrees, too steep to be measured from "
-        "one flash position",
-        more_photographs(measured.photographs),
-        _RELIEF,
-    )
-    yield Cause(
-        "large features",
-        (1.0 - measured.variety) / (1.0 - CAUSES.variety),
-        "the pattern's features are almost as large as the photograph, which leaves too little to "
-        "rearrange",
-        "use it with --variety 0, or photograph more of it from further away",
-        _DRAWING,
     )
 
 
