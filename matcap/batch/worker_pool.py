@@ -74,11 +74,11 @@ class Processes:
         self._working: dict[Connection, tuple[_Worker, Any]] = {}
 
     def busy(self) -> int:
-        """See BatchWorkers."""
+        """As BatchWorkers.busy."""
         return len(self._working)
 
     def start(self, job: Any) -> None:  # noqa: ANN401
-        """See BatchWorkers."""
+        """As BatchWorkers.start."""
         while self._idle:
             worker = self._idle.pop()
             if worker.give(job):
@@ -89,7 +89,7 @@ class Processes:
         self._working[worker.pipe] = (worker, job)
 
     def wait(self, seconds: float) -> list[Event]:
-        """See BatchWorkers."""
+        """As BatchWorkers.wait."""
         events = []
         for pipe in connection.wait(list(self._working), seconds):
             assert isinstance(pipe, Connection)
@@ -107,7 +107,7 @@ class Processes:
         return events
 
     def close(self) -> None:
-        """See BatchWorkers."""
+        """As BatchWorkers.close."""
         for worker in [*self._idle, *(worker for worker, _ in self._working.values())]:
             worker.kill()
         self._idle, self._working = [], {}
@@ -191,15 +191,15 @@ class Machines:
         self._jobs: dict[RemoteResult, Any] = {}
 
     def busy(self) -> int:
-        """See BatchWorkers."""
+        """As BatchWorkers.busy."""
         return len(self._jobs)
 
     def start(self, job: Any) -> None:  # noqa: ANN401
-        """See BatchWorkers."""
+        """As BatchWorkers.start."""
         self._jobs[self._cluster.submit(_there, self._work, self._prepare, job)] = job
 
     def wait(self, seconds: float) -> list[Event]:
-        """See BatchWorkers."""
+        """As BatchWorkers.wait."""
         limit = time.monotonic() + seconds
         while not any(one.done() for one in self._jobs) and time.monotonic() < limit:
             time.sleep(_POLL_EVERY)
@@ -214,7 +214,7 @@ class Machines:
         return events
 
     def close(self) -> None:
-        """See BatchWorkers."""
+        """As BatchWorkers.close."""
         for one in self._jobs:
             one.cancel()
         self._jobs = {}

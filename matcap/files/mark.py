@@ -82,7 +82,7 @@ def check_replaceable(
     for path in paths:
         if path.resolve() in read:
             raise UsageError(
-                "this is what the same command reads", where=str(path), remedy="choose another name"
+                "the same command reads this file", where=str(path), remedy="choose another name"
             )
         if not path.exists() or overwrite:
             continue

@@ -89,7 +89,7 @@ def test_no_command_writes_over_what_it_reads(matcap, place, words):
     (place / "maps" / "moss_diffuse.exr").rename(place / "maps" / "a_diffuse.exr")
     before = everything(place)
     said = matcap(*words, "--overwrite")
-    assert said.code == 2 and "this is what the same command reads" in said.err
+    assert said.code == 2 and "the same command reads this file" in said.err
     assert everything(place) == before
 
 
@@ -158,7 +158,7 @@ def test_a_mask_is_not_replaced_by_what_is_made_with_it(matcap, place):
         "synth", "a.matcap", "--size", "16", "-j", "1", "--png", "--blend", "b.matcap",
         "--mask", "a_diffuse.png", "-o", ".", "--overwrite",
     )  # fmt: skip
-    assert said.code == 2 and "this is what the same command reads" in said.err
+    assert said.code == 2 and "the same command reads this file" in said.err
 
 
 @pytest.mark.parametrize("name", ["../../victim/keep", "../x", "/tmp/x", ".keep", "a\nb", "a\0b"])

@@ -48,18 +48,18 @@ class Mesh:
     """(rows, W) index of the visible triangle of each pixel, or -1; filled by seen_by()."""
 
     def framed(self, film: Film) -> float:
-        """See Shape."""
+        """As Shape.framed."""
         size = np.ptp(self.corners.reshape(-1, 3), axis=0)
         long, short = max(film.width, film.height), min(film.width, film.height)
         # The longest side fits the picture's short side; + depth, for perspective.
         return float(size.max() * _MARGIN * long / short + size[2])
 
     def seen_by(self, view: View) -> Mesh:
-        """See Shape."""
+        """As Shape.seen_by."""
         return Mesh(self.corners, self.normals, self.places, _visible(self.corners, view))
 
     def hits(self, view: View, top: int, bottom: int) -> Hits:
-        """See Shape."""
+        """As Shape.hits."""
         face = self.seen[top:bottom, slice(*view.across)]
         seen = face >= 0
         face = np.where(seen, face, 0)
@@ -86,7 +86,7 @@ class Mesh:
         return hits_of(view, point, frame, spot, seen, along, direction)  # type: ignore[arg-type]
 
     def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
-        """See Shape."""
+        """As Shape.region."""
         lift = max(abs(relief.low), abs(relief.high))
         low = (self.corners.min(axis=(0, 1)) - lift).tolist()
         high = (self.corners.max(axis=(0, 1)) + lift).tolist()

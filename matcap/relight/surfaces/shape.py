@@ -42,19 +42,19 @@ class Flat:
     extent: tuple[float, float]
 
     def framed(self, film: Film) -> float:
-        """See Shape."""
+        """As Shape.framed."""
         return max(self.extent)
 
     def seen_by(self, view: View) -> Shape:
-        """See Shape."""
+        """As Shape.seen_by."""
         return self
 
     def hits(self, view: View, top: int, bottom: int) -> Hits:
-        """See Shape."""
+        """As Shape.hits."""
         return plane_hits(view, top, bottom, self.extent)
 
     def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
-        """See Shape."""
+        """As Shape.region."""
         return plane_region(view, self.extent, (relief.low, relief.high))
 
 
@@ -66,16 +66,16 @@ class Round:
     cylinder: bool
 
     def framed(self, film: Film) -> float:
-        """See Shape."""
+        """As Shape.framed."""
         sides = max(film.width, film.height) / min(film.width, film.height)
         return 2.0 * self.radius * _MARGIN * sides
 
     def seen_by(self, view: View) -> Shape:
-        """See Shape."""
+        """As Shape.seen_by."""
         return self
 
     def hits(self, view: View, top: int, bottom: int) -> Hits:
-        """See Shape."""
+        """As Shape.hits."""
         if self.cylinder:
             return cylinder_hits(view, top, bottom, self.radius, 2.0 * self.radius)
         return sphere_hits(view, top, bottom, self.radius)
