@@ -1,10 +1,10 @@
 """Registration to a tenth of a texel, by rendering the maps for each photograph.
 
-Features are found to half a pixel, and shift with relief and light. So maps are solved coarsely
-and, texels answering, every photograph but the first is moved until all explain it best
-(shared.py), coarse to fine; relief's parallax goes along. A coarse grid errs by a part of its
-texels, and where threads are as fine as these by whole ones: a photograph whose features are surer
-than that stays where they are.
+Feature matches are accurate to half a pixel, and shift with relief and light. So the maps are
+estimated on coarse to fine grids and every photograph but the first is warped by the homography
+that minimises the residual of log radiance, texel parameters eliminated (shared.py), parallax of
+the relief included. The error on a grid is a fraction of a texel, or whole texels where threads are
+as fine: a photograph with a smaller error by features is not moved on that grid.
 """
 
 from __future__ import annotations
@@ -43,19 +43,19 @@ from matcap.flash.registration.register import RegisteredView
 
 @dataclass(frozen=True)
 class AlignSettings:
-    """How photographs are brought over each other; trades time for texels.
+    """Settings of the registration by rendering; larger grids are more accurate and slower.
 
     Attributes:
-        levels: texels across of the grids, coarse to fine, over the piece's.
-        finest: texels across at most.
-        rounds: of moving on each, at most.
-        settled: texels: where no photograph is moved by more, a grid is done with.
-        steps: per-texel steps on each, for relief's parallax; on the finest level only the texels
-            that are sampled move.
-        slow: deviation of what counts as slow in heights, as a share of the long side.
-        pixel: plane units that photographs are expected to lie beside their places.
-        doubtful: of what cameras may be off by for their features, what is left: shading is known
-            now (docs/notes/several.md).
+        levels: texels across of the grids, coarse to fine, as shares of the exemplar's.
+        finest: most texels across.
+        rounds: most registration rounds on each grid.
+        settled: texels; a grid ends when no photograph is moved farther in a round.
+        steps: Gauss-Newton steps per texel on each grid, for the relief's parallax; on the finest
+            only the sampled texels move.
+        slow: standard deviation of the Gaussian high-pass of heights, as a share of the long side.
+        pixel: expected registration error by features, plane units.
+        doubtful: factor on the cameras' standard deviations by features: shading, their main error,
+            is modelled now (docs/notes/several.md).
         surer: texels: a photograph with a smaller registration error by features is not moved
             on a grid.
     """
@@ -73,13 +73,13 @@ class AlignSettings:
 
 @dataclass(frozen=True)
 class Aligned:
-    """Photographs brought over each other.
+    """Photographs registered to each other.
 
     Attributes:
-        setup: of the first, its tilt and field of view as found.
+        setup: of the first, with the estimated tilt and field of view.
         views: photographs with their cameras, the first one first.
-        places: where each is looked up.
-        light: of all of them.
+        places: of each, the map from texels to the plane points at which it is sampled.
+        light: of all photographs.
     """
 
     setup: FlashSetup
@@ -97,16 +97,16 @@ class Aligned:
 
     @property
     def extent(self) -> Extent:
-        """Of the piece."""
+        """Extent of the exemplar on the plane."""
         return self.places[0].extent
 
     def on_grid(self, across: int, down: int, tint: Tensor | None) -> list[PieceView]:
-        """Every photograph on a grid of the piece, the tint of metal taken off (tint.py)."""
+        """Every photograph on a grid of (down, across) texels, divided by `tint` (tint.py)."""
         both = zip(self.views, self.places, strict=True)
         return [PieceView.of(view, across, down, place, tint) for view, place in both]
 
     def with_relief(self, height: Tensor) -> Aligned:
-        """Looked up with the parallax of a height (1, h, w) on any grid of the piece."""
+        """The same with the parallax of a height (1, h, w) on any grid, plane units."""
         relief = np.asarray(height[0].numpy(), np.float32)
         return replace(self, places=tuple(replace(p, relief=relief) for p in self.places))
 
@@ -119,14 +119,14 @@ def aligned(
     settings: AlignSettings = AlignSettings(),
     on_progress: Callable[[float], None] = lambda _share: None,
 ) -> Aligned:
-    """Cameras, and where every photograph is to be looked up, the first one where it is.
+    """Register all photographs to the first by rendering, and refit their cameras.
 
     Args:
-        begun: by features (Aligned.of).
-        read: by the network, of the first photograph, on the plane of its camera so far.
-        solving: how texels are solved.
+        begun: registration by features (Aligned.of).
+        read: the network's prediction of the first photograph, on the plane of `begun`.
+        solving: of the per-texel steps.
         settings: see AlignSettings.
-        on_progress: called with the share that is done.
+        on_progress: called with the share that is done, in [0, 1].
     """
     prior, tint = achromatic(read.maps)
     views, setup, light, extent = list(begun.views), begun.setup, begun.light, begun.extent
@@ -174,7 +174,7 @@ def _less_doubted(
 
 
 def _farthest(moves: Sequence[Doubles]) -> float:
-    """Plane units that any photograph is moved by, anywhere."""
+    """Largest displacement by any of the homographies (3, 3), plane units."""
     points = grid_points(8, 6).reshape(3, -1)
     return max(float(np.abs(_moved(move, points) - points).max()) for move in moves)
 
@@ -182,7 +182,7 @@ def _farthest(moves: Sequence[Doubles]) -> float:
 def _relief(
     parameters: Tensor, texel_size: float, unit: float, settings: AlignSettings
 ) -> NDArray[np.float32]:
-    """(H, W) height that has parallax; what is slow in a surface made of slopes is not known."""
+    """(H, W) height for parallax, high-passed: slopes do not determine low frequencies."""
     height = surface_of(parameters[SLOPES], texel_size)[0].numpy()
     return height - smoothed(height, settings.slow * unit)
 
@@ -195,7 +195,7 @@ def _begun(
     solving: SolveSettings,
     steps: int,
 ) -> Tensor:
-    """Numbers of a level's texels."""
+    """(PARAMETERS, H, W) initial parameters of a level: after some steps from `parameters`."""
     if parameters is not None:
         parameters = F.interpolate(parameters[None], size=prior.mean.shape[1:], mode="bilinear")[0]
     else:

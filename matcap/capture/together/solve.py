@@ -1,10 +1,11 @@
 """Joint estimation of all maps from all photographs (photometric multi-view).
 
-Per texel Gauss-Newton steps on log radiance, robust against shadows, parallax and what no
-reflectance explains (Geman and McClure's weights), held by what the network read from the first
-photograph, with its own doubt (texels.py). Between rounds, what all texels share is found from some
-of them (shared.py). Gloss is measured where a highlight crosses: elsewhere it is interpolated,
-weighted by precision. At last slopes become a surface, and albedo and gloss follow.
+MAP estimate by Gauss-Newton steps on log radiance at every texel (texels.py). Geman-McClure weights
+limit the influence of shadows, parallax and other outliers; the prior is Gaussian, with the
+network's predictions as mean and its expected errors as standard deviation. The shared parameters
+(gains, flash position, vignetting) are fitted between rounds to a sample of texels (shared.py). F0
+and roughness are measured only under highlights; elsewhere they are interpolated, weighted by
+precision. Finally slopes are integrated to a height, and albedo, F0 and roughness refitted to it.
 """
 
 from __future__ import annotations
@@ -51,12 +52,12 @@ class Solved:
     """Maps that explain all photographs.
 
     Attributes:
-        estimate: of the piece.
-        light: of all photographs, as found.
-        residual: (photographs,) median difference of log radiance of what each shows.
+        estimate: maps and their standard deviations.
+        light: fitted shared parameters and gains.
+        residual: (photographs,) median absolute residual of log radiance of each.
         measured: share of the posterior precision of log albedo, log F0, roughness and slopes that
             photographs contribute rather than the prior, in [0, 1]; medians over texels.
-        read_off: standard deviation of predicted slopes, measured by the photographs.
+        read_off: standard deviation of the network's slopes, measured by the photographs.
         interrupted: ended early, with the best so far.
     """
 
@@ -69,7 +70,7 @@ class Solved:
 
     @property
     def maps(self) -> MapSet:
-        """The piece's."""
+        """The estimated maps."""
         return self.estimate.maps
 
 
@@ -85,12 +86,12 @@ def solve(
     """Estimate the maps; an interrupt ends with the best so far.
 
     Args:
-        views: of the piece, the first photograph first, on the maps' grid.
-        read: by the network, of the photographs; the prior.
-        light: a first guess.
+        views: photographs on the maps' grid, the first photograph first.
+        read: the network's prediction, fused over photographs: mean and deviation of the prior.
+        light: initial value.
         settings: see SolveSettings.
-        begun: the same piece solved on fewer texels: where texels begin, in place of what was read.
-        on_progress: called with the share that is done.
+        begun: solution on a coarser grid, to start from; None to start from `read`.
+        on_progress: called with the share that is done, in [0, 1].
     """
     prior, fresh = ParameterPrior.of(read, settings), begun is None
     parameters = prior.mean.clone() if begun is None else _continued(prior.mean, read.maps, begun)
@@ -143,13 +144,13 @@ def _denoised(
     prior: ParameterPrior,
     settings: SolveSettings,
 ) -> Tensor:
-    """(1, H, W) height as measured without its noise, octave by octave (octaves.py).
+    """(1, H, W) height denoised octave by octave (octaves.py), plane units.
 
     Args:
-        height: as measured.
-        views: that it was measured by.
-        changes: (photographs, PARAMETERS, H, W) when each is left out.
-        prior: as it was read.
+        height: (1, H, W), estimated from all photographs.
+        views: the photographs.
+        changes: (photographs, PARAMETERS, H, W) change when each is left out (jackknife).
+        prior: whose mean slopes are the network's.
         settings: see SolveSettings.
     """
     extent, across = views[0].extent, height.shape[-1]
@@ -163,7 +164,7 @@ def _denoised(
 
 
 def _continued(prior_mean: Tensor, prior: MapSet, begun: Solved) -> Tensor:
-    """Numbers of a finer grid: what a coarser one changed of what was read, and its fine bands."""
+    """(PARAMETERS, H, W) prior mean plus upsampled (estimate - prior mean) of a coarse grid."""
     size = begun.maps.size[::-1]
     small = F.interpolate(prior.stacked()[None].float(), size=size, mode="area")[0]
     change = parameters_of(begun.maps) - parameters_of(
@@ -173,9 +174,9 @@ def _continued(prior_mean: Tensor, prior: MapSet, begun: Solved) -> Tensor:
 
 
 def predicted(view: PieceView, solved: Solved) -> float:
-    """Median difference of log radiance of a photograph that had no part in the maps.
+    """Median absolute residual of log radiance of a photograph not used for the maps.
 
-    Its gain and balance are its own and are fitted first.
+    Each channel's gain is fitted to it first. NaN where it shows nothing.
     """
     parameters = parameters_of(solved.maps)
     size = view.log.shape[-2:]
@@ -193,9 +194,9 @@ def predicted(view: PieceView, solved: Solved) -> float:
 
 
 def _without_slow(slopes: Tensor, unit: float, settings: SolveSettings) -> Tensor:
-    """Slopes without low frequencies, which absorb small errors of cameras and lights.
+    """High-pass filtered slopes; low frequencies hold errors of cameras and lights.
 
-    A sheet that lies bent or leans is no relief of its material either.
+    They also hold the bend and tilt of the sheet, which are not relief of the material.
     """
     deviation = settings.slow * unit
     slow = [torch.from_numpy(smoothed(plane, deviation)) for plane in slopes.numpy()]
@@ -209,13 +210,13 @@ def _gloss_prior(
     unit: float,
     settings: SolveSettings,
 ) -> Tensor:
-    """Prior of F0 and roughness: the mean of neighbouring estimates, weighted by their precision.
+    """Prior mean with F0 and roughness moved by the precision-weighted local mean of `off`.
 
     Args:
-        prior_mean: (PARAMETERS, H, W) so far.
-        off: likewise, difference of the parameters from it.
-        precision: likewise, of each parameter by the photographs.
-        unit: texels of the long side.
+        prior_mean: (PARAMETERS, H, W).
+        off: (PARAMETERS, H, W) current parameters less the prior mean.
+        precision: (PARAMETERS, H, W) contributed by the photographs.
+        unit: texels along the first photograph's long side.
         settings: see SolveSettings.
     """
     prior_mean = prior_mean.clone()
@@ -255,7 +256,7 @@ def _step_at_fixed_slopes(
 
 
 def _read_off(parameters: Tensor, prior_mean: Tensor, changes: Tensor) -> float:
-    """Standard deviation of predicted slopes, measured by the photographs."""
+    """Standard deviation of the network's slopes, measured by the photographs (octaves.py)."""
     squares = [
         read_error(parameters[k].numpy(), prior_mean[k].numpy(), changes[:, k].numpy())
         for k in range(SLOPES.start, SLOPES.stop)
@@ -264,7 +265,7 @@ def _read_off(parameters: Tensor, prior_mean: Tensor, changes: Tensor) -> float:
 
 
 def _log_errors(precision: Tensor, prior: ParameterPrior) -> Tensor:
-    """(4, H, W) log deviations of log albedo, log F0, logit roughness and slope."""
+    """(4, H, W) log standard deviation of log albedo, log F0, logit roughness and slope."""
     # The precision of a parameter alone is optimistic: the others are correlated with it.
     return by_map((0.25 * precision + prior.precision).rsqrt()).log()
 

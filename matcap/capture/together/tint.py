@@ -1,11 +1,11 @@
-"""Specular tint of metal in a set: divided out while solving, and multiplied back.
+"""Specular tint of metal: divided out before the multi-view solution, multiplied back after it.
 
-With F0 = tint f, f being its mean over channels, radiance by channel is
+With F0 = tint f, f the mean of F0 over channels, and irradiance E, radiance by channel is
 
     L = E (diffuse / pi + tint f lobe) = tint E (diffuse / tint / pi + f lobe).
 
-So log L - log tint is solved for an albedo of diffuse / tint and one F0 a texel, as of all other
-materials. Schlick's rise to 1 at grazing angles, which has no tint, is neglected.
+So log L - log tint is solved for the albedo diffuse / tint and an achromatic F0 = f, as of all
+other materials. Schlick's achromatic rise to 1 at grazing angles is neglected.
 """
 
 from __future__ import annotations
@@ -20,7 +20,10 @@ from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS
 
 
 def achromatic(maps: MapSet) -> tuple[MapSet, Tensor | None]:
-    """Maps as they are solved, and the tint (3, H, W) that was taken off; None where F0 is grey."""
+    """Maps with diffuse / tint and mean F0 (1, H, W), and tint (3, H, W); None for grey F0.
+
+    tint = F0 / mean of F0 over channels.
+    """
     if maps.specular.shape[-3] < COLOURED:
         return maps, None
     mean = maps.specular.mean(-3, keepdim=True).clamp_min(F0_LIMITS[0])
@@ -30,7 +33,7 @@ def achromatic(maps: MapSet) -> tuple[MapSet, Tensor | None]:
 
 
 def coloured(maps: MapSet, tint: Tensor | None) -> MapSet:
-    """The inverse; tint on any grid."""
+    """The inverse of achromatic: diffuse and F0 times a tint (3, h, w) on any grid."""
     if tint is None:
         return maps
     here = on_grid(tint, maps.size)
@@ -42,7 +45,7 @@ def coloured(maps: MapSet, tint: Tensor | None) -> MapSet:
 
 
 def on_grid(tint: Tensor, size: tuple[int, int]) -> Tensor:
-    """(3, h, w) of a tint on another grid of (width, height) texels."""
+    """(3, height, width) tint resampled bilinearly to `size` = (width, height)."""
     if tint.shape[-2:] == size[::-1]:
         return tint
     return F.interpolate(tint[None], size=size[::-1], mode="bilinear", align_corners=False)[0]
