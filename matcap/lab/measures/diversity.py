@@ -1,10 +1,9 @@
 """Diversity of several realisations of one material (paper, section 5.2, "diversity").
 
-The paper's is the mean pairwise L1 of VGG features over all realisations, after
-[henzler2020]; here the features are those
-of RandomFilters (style.py). They are compared place by place, so that the same texture with its
-grains elsewhere counts as another picture; and as features of several scales, not as pixels, so
-that faint noise does not count.
+The paper's is the mean pairwise L1 distance of VGG features over all realisations, after
+[henzler2020]; here the features are RandomFilters' (style.py). They are compared pixel by pixel:
+the same texture with its features displaced is another picture. Features of several scales, not
+pixels, make the measure robust to noise.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ def diversity(pictures: Tensor) -> float:
     """Mean pairwise distance between sRGB pictures (N, 3, H, W) of the same size and light.
 
     The distance of two is the mean over levels of |a - b|_1 / ((|a|_1 + |b|_1) / 2), a and b the
-    features of all places: 0 for the same picture, at most 2. One picture alone has 0.
+    features of all pixels: 0 for equal pictures, at most 2. A single picture has 0.
     """
     levels = RandomFilters().features(pictures)
     distances = [

@@ -1,7 +1,7 @@
 """The evaluator: true samples of a material, relit as a camera sees them, to compare maps with.
 
-Found maps are compared with other samples of the material than the photographed one, so that
-nothing wins by pixel alignment, and under lights that they were not photographed by.
+Estimated maps are compared with samples of the material other than the photographed one, so that
+pixel alignment gives no advantage, and under lights other than the photograph's.
 """
 
 from __future__ import annotations
@@ -28,31 +28,31 @@ Intensity = tuple[float, float, float]  # of the flash that goes with maps
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """What pictures are compared."""
+    """Sizes, lights and true samples of the comparison."""
 
     detail: int = 512
-    """Texels along the photograph's long side of the pictures compared."""
+    """Texels along the photograph's long side, at the resolution compared."""
 
     size: int = 256
-    """Texels a side of them, at least 128; of the middle of the plane."""
+    """Side of the compared central square, texels; at least 128."""
 
     camera: PhoneCamera = field(default_factory=PhoneCamera)
-    """That takes the photograph, whose blur true samples have."""
+    """Camera of the photograph; its blur is applied to true samples."""
 
     truths: int = 3
-    """True samples, at least 2."""
+    """Number of true samples, at least 2."""
 
     first: int | None = None
     """Seed of the first; by default the one after the photographed sample's."""
 
     finer: int = 4
-    """True radiance is averaged over this many texels a side: it has detail below a pixel."""
+    """True samples are shaded at this many texels a pixel, along each side, and averaged."""
 
     every: int = 2
-    """Every so manieth of the bench's ten lights is used."""
+    """Step through the bench's ten lights: 2 uses every second one."""
 
     weights: Path = WEIGHTS
-    """SqueezeNet's, by ncnn."""
+    """SqueezeNet's weights file (ncnn)."""
 
     @property
     def squeezenet(self) -> SqueezeNetStyle:
@@ -61,12 +61,12 @@ class EvaluationSettings:
 
     @property
     def width(self) -> float:
-        """Of the square compared, in plane units."""
+        """Side of the compared square, plane units."""
         return self.size * 2.0 / self.detail
 
 
 class Evaluator:
-    """True samples of a material, relit and described by one or more kinds of statistics."""
+    """True samples of a material, relit, with their texture statistics by one or more styles."""
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class Evaluator:
             subject: the material.
             flash: the true setup of the photograph.
             settings: sizes and lights.
-            styles: what pictures are compared by, by name.
+            styles: texture statistics by name.
         """
         whole = bench_scene(flash)
         self.scene = BenchScene(whole.distance, whole.lights[:: settings.every])
@@ -96,25 +96,25 @@ class Evaluator:
 
     @cached_property
     def pictures(self) -> list[Tensor]:
-        """(L, 3, H, W) of each true sample under the evaluator's lights."""
+        """(L, 3, H, W) pictures of each true sample under the evaluator's lights."""
         return self.relit_truths(self.scene)
 
     @property
     def own_scene(self) -> BenchScene:
-        """The photograph's own light, alone."""
+        """Scene lit by the photograph's own flash alone."""
         x, y, z = self.flash.offset
         light = BenchLight((x, y, z + self.flash.distance), 1.0)
         return BenchScene(self.flash.distance, (light,))
 
     def relit_truths(self, scene: BenchScene) -> list[Tensor]:
-        """(L, 3, H, W) of each true sample under a scene's lights."""
+        """(L, 3, H, W) pictures of each true sample under a scene's lights."""
         size, intensity = (self.settings.size,) * 2, self.flash.intensity
         return [
             relight_all(maps, intensity, scene, size=size, blur=self._blur) for maps in self.truths
         ]
 
     def relit(self, maps: MapSet, intensity: Intensity, scene: BenchScene | None = None) -> Tensor:
-        """(L, 3, H, W) of maps under the flash that goes with them, as truths are compared."""
+        """(L, 3, H, W) pictures of maps; `intensity` is the flash's, estimated with them."""
         floats = maps.map(lambda m: m.detach().float())
         return relight_all(floats, intensity, scene or self.scene, size=(self.settings.size,) * 2)
 
@@ -124,9 +124,9 @@ class Evaluator:
         """Normalised style distance of pictures (L, 3, H, W) under a scene's lights.
 
         Args:
-            pictures: as of `relit`.
-            style: by which statistics; the first by default.
-            scene: the evaluator's by default.
+            pictures: from `relit`.
+            style: name of the statistics; the first by default.
+            scene: camera and lights; the evaluator's by default.
         """
         name, scene = style or next(iter(self.styles)), scene or self.scene
         if (name, scene) not in self._distances:
@@ -135,11 +135,11 @@ class Evaluator:
         return self._distances[name, scene].of(pictures)
 
     def nsd_of(self, maps: MapSet, intensity: Intensity) -> float:
-        """Normalised style distance of the middle of maps under the flash that goes with them."""
+        """Normalised style distance of the maps' central square; `intensity` as of `relit`."""
         return self.nsd(self.relit(self.middle(maps), intensity))
 
     def middle(self, maps: MapSet) -> MapSet:
-        """The middle square that is compared.
+        """Crop of maps to the central square that is compared.
 
         Raises:
             MatcapError: the maps are smaller.
@@ -154,5 +154,5 @@ class Evaluator:
         return maps.crop((width - side) // 2, (height - side) // 2, side, side)
 
     def side(self, texel_size: float) -> int:
-        """Texels of a size along the side of what is compared."""
+        """Side of the compared square in texels of a size (plane units)."""
         return round(self.settings.width / texel_size)

@@ -20,15 +20,15 @@ _RINGS = 0.84  # of the shorter half side: radii whose rings lie in the map whol
 
 
 def mirror_point(scene: BenchScene, place: tuple[float, float, float]) -> tuple[float, float]:
-    """Where a mirror in the plane shows the scene's camera a light at a place; plane units."""
+    """Mirror point in the plane of a light at a place, for the scene's camera; plane units."""
     share = scene.distance / (scene.distance + place[2])
     return share * place[0], share * place[1]
 
 
 def highlight_contrast(maps: MapSet, scene: BenchScene) -> float:
-    """Mean radiance at the mirror point over an even matte surface's, relative to far from it.
+    """Mean of L / L_matte near the mirror point over its mean far from it; 1 is a matte surface.
 
-    Geometric mean over the scene's lights; 1 is a matte surface.
+    L_matte is a uniform matte plane's radiance. Geometric mean over the scene's lights.
 
     Args:
         maps: in the middle of the plane, wide enough to hold every light's mirror point.
@@ -52,14 +52,14 @@ def highlight_contrast(maps: MapSet, scene: BenchScene) -> float:
 
 
 def imprint(plane: Tensor, towards: tuple[float, float]) -> float:
-    """What of a map is drawn in rings around the flash's mirror point, in [-1, 1]; 0 if nothing.
+    """Radial anisotropy of a map about the flash's mirror point, in [-1, 1]; 0 if isotropic.
 
-    Energy of gradients towards the point less that across, over their sum, averaged over sectors
-    of rings that lie in the map whole; of the octave in which it is largest.
+    (E_r - E_t) / (E_r + E_t), E the mean squares of radial and tangential gradients of a band of
+    one octave over a disc around the point; the octave where it is largest in magnitude.
 
     Args:
         plane: (H, W) a map, or its logarithm.
-        towards: the point, in halves of the width from the middle.
+        towards: x, y of the point from the middle, in half widths.
     """
     values = plane.detach().numpy().astype(np.float32)
     height, width = values.shape
@@ -79,7 +79,7 @@ def imprint(plane: Tensor, towards: tuple[float, float]) -> float:
             for k in range(_SECTORS)
         ]
         energies.append(np.array(sums).mean(0))
-    # An octave in which next to nothing is drawn says nothing.
+    # The ratio of an octave with hardly any gradient energy is noise.
     least = max(_LEAST * max(float(each.sum()) for each in energies), 1e-12)
     ratios = [float((a - b) / (a + b)) for a, b in energies if a + b > least]
     return max(ratios, key=abs, default=0.0)

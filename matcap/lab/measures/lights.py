@@ -18,7 +18,7 @@ from matcap.lab.simulate.photograph import in_strips
 
 LIGHTS = 10
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
-# Degrees from the plane's normal: well away from a flash beside the lens, and not yet grazing.
+# Degrees from the plane's normal: far from the photograph's flash, and not yet grazing.
 _NEAREST, _FURTHEST = 25.0, 65.0
 _DISTANCES = (1.5, 3.0)  # plane units
 _MIRRORED = 5
@@ -44,8 +44,8 @@ class BenchScene:
     """Where camera and lights are.
 
     Attributes:
-        distance: of the camera from the plane, straight above its middle.
-        lights: that shine one at a time.
+        distance: height of the camera above the plane's middle, plane units.
+        lights: point lights, used one at a time.
     """
 
     distance: float
@@ -55,14 +55,14 @@ class BenchScene:
 def bench_scene(flash: FlashSetup) -> BenchScene:
     """The photograph's camera and the bench's fixed lights, spread over the hemisphere in a spiral.
 
-    Each light is as strong as makes a white matte plane's middle as bright as a flash at the
-    camera's place does, so that one exposure fits all.
+    Each light gives the plane's middle the irradiance of a flash at the camera, so that one
+    exposure fits all: strength (d / d_camera)^2 / cos theta.
     """
     lights = []
     for index in range(LIGHTS):
         share = (index + 0.5) / LIGHTS
         polar = math.radians(_NEAREST + (_FURTHEST - _NEAREST) * share)
-        # Near and far take turns, so that height and distance are not bound together.
+        # Near and far alternate, so that height and distance are uncorrelated.
         distance = _DISTANCES[0] + (_DISTANCES[1] - _DISTANCES[0]) * ((3 * index) % LIGHTS) / 9.0
         around = index * _GOLDEN_ANGLE
         place = (
@@ -78,8 +78,8 @@ def bench_scene(flash: FlashSetup) -> BenchScene:
 def mirrored_scene(flash: FlashSetup) -> BenchScene:
     """The photograph's camera and five lights whose mirror images lie in the picture.
 
-    At 5 to 20 degrees from the plane's normal and at the camera's height, as strong as of
-    `bench_scene`: only under such lights is gloss seen.
+    At 5 to 20 degrees from the plane's normal and at the camera's height, with the strengths of
+    `bench_scene`. Only such lights show the specular lobe's peak.
     """
     lights = []
     for index in range(_MIRRORED):
@@ -102,18 +102,17 @@ def relight(
 ) -> Tensor:
     """(3, H, W) float32 sRGB picture in [0, 1] of maps in the middle of the plane.
 
-    The light's strength is relative to the flash that goes with the maps, so the gain between
-    flash and albedo, unknown from one photograph, cancels. Exposure is the photograph's;
-    clipped at 1.
+    The light's strength is relative to the flash estimated with the maps, so the scale between
+    flash and albedo, ambiguous in one photograph, cancels. The photograph's exposure, clipped at 1.
 
     Args:
         maps: one map set without batch dimensions.
-        intensity: of the flash that goes with the maps.
-        scene: where the camera is.
-        light: where and how strong.
+        intensity: radiant intensity of the flash estimated with the maps.
+        scene: the camera.
+        light: the light.
         size: (H, W) of the picture, the maps' by default: radiance of finer maps is averaged over
             its pixels as a sensor does, that of coarser ones interpolated.
-        blur: standard deviation of the lens's blur before that, in texels.
+        blur: standard deviation of the lens's blur before resampling, in texels.
     """
     width, height = maps.size
     camera = torch.tensor([0.0, 0.0, scene.distance])
@@ -150,7 +149,7 @@ def relight_all(
 
 
 def _resized(linear: Tensor, size: tuple[int, int]) -> Tensor:
-    """Means of a picture (3, H, W) over larger pixels, or it interpolated on smaller ones."""
+    """A picture (3, H, W) resized: area means for larger pixels, interpolated for smaller."""
     height, width = linear.shape[-2:]
     if size == (height, width):
         return linear

@@ -28,11 +28,11 @@ class MapNumbers:
     """Standard deviation of the logarithm of diffuse albedo's luminance."""
 
     roughness: float
-    """Mean."""
+    """Mean perceptual roughness."""
 
     @staticmethod
     def of(maps: MapSet) -> MapNumbers:
-        """Of one map set."""
+        """Statistics of one map set."""
         luminance = torch.tensor(LUMINANCE)[:, None, None] * maps.diffuse.float()
         return MapNumbers(
             float(maps.normal[2].clamp(-1.0, 1.0).acos().rad2deg().mean()),
@@ -43,23 +43,23 @@ class MapNumbers:
 
 @dataclass(frozen=True)
 class MapsOff:
-    """What maps are off by."""
+    """Errors of maps against true maps of the same texels."""
 
     normals: float
-    """Degrees, where the truth leans by more than 3; NaN where it nowhere does."""
+    """Mean angle between normals, degrees, where the true tilt exceeds 3; NaN if nowhere."""
 
     flat: float
-    """Degrees that flat maps would be off there."""
+    """The same error of a flat normal map, degrees: the mean true tilt there."""
 
     albedo: float
-    """Mean absolute difference of log albedo, its median left out."""
+    """Mean absolute difference of log albedo, after subtracting the median difference."""
 
     roughness: float
-    """Mean absolute difference."""
+    """Mean absolute difference of perceptual roughness."""
 
     @staticmethod
     def of(estimate: MapSet, true: MapSet, where: Tensor | None = None) -> MapsOff:
-        """Of maps, or of some of their texels, (H, W) bool."""
+        """Errors over all texels, or over those of `where`, (H, W) bool."""
         here = torch.ones(estimate.size[::-1], dtype=torch.bool) if where is None else where
         off = (true.normal.float() * estimate.normal).sum(0).clamp(-1.0, 1.0).acos().rad2deg()
         lean = true.normal[2].clamp(-1.0, 1.0).acos().rad2deg()

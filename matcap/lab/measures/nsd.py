@@ -1,16 +1,16 @@
 """Normalised style distance (NSD): style distance to the truth, over that of two true samples.
 
-The style distance by SqueezeNet, which nothing is tuned by, is that of Gram matrices of its first
+The style distance by SqueezeNet, to which no setting is tuned, compares Gram matrices of its first
 convolution and its fire modules, at two scales. The distance of two Gram matrices is relative,
 
     |A - B|_1 / ((|A|_1 + |B|_1) / 2),
 
 and the measure is the mean over layers and scales: 0 for equal pictures, at most 2, and symmetric.
-It sees open cells and broken threads, which a bank of linear filters hardly does.
+It responds to open cells and broken threads, which linear filter banks hardly do.
 
-Normalised, it is divided by the distance between true samples of the same material: 1 is
-indistinguishable from another sample. Over a whole picture true samples differ half as much as over
-a quarter of it, so the whole says more (leather 0.12 and 0.19).
+NSD divides it by the mean distance between true samples of the same material: 1 is
+indistinguishable from another sample. Larger pictures discriminate better: true samples of leather
+differ by 0.12 over the whole picture, by 0.19 over a quarter of it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class SqueezeNetStyle:
     """Statistics of SqueezeNet's responses, a Style."""
 
     def __init__(self, network: SqueezeNet | None = None) -> None:
-        """Take a network; by default the one that comes along."""
+        """Take a network; by default SqueezeNet with the packaged weights."""
         self._network = network or SqueezeNet.load()
 
     @torch.no_grad()
@@ -56,18 +56,18 @@ class SqueezeNetStyle:
 
 
 def style_distance(style: Style, first: Tensor, second: Tensor) -> float:
-    """Of sRGB-encoded pictures (B, 3, H, W) in [0, 1] under the same lights, by any statistics."""
+    """Mean style distance of sRGB-encoded pictures (B, 3, H, W) in [0, 1], of the same lights."""
     return float(difference(style(first), style(second)).mean())
 
 
 class NormalisedStyleDistance:
-    """NSD to true samples of one material, by one kind of statistics."""
+    """NSD to true samples of one material, by one style."""
 
     def __init__(self, style: Style, truths: Sequence[Tensor]) -> None:
         """Describe true samples.
 
         Args:
-            style: what pictures are compared by.
+            style: the texture statistics compared.
             truths: two or more samples of the material, none of them the photographed one, each
                 (L, 3, H, W), relit from L directions.
         """

@@ -1,9 +1,9 @@
 """Sliced Wasserstein distance of patches of two textures; no weights, never tuned to.
 
-The sliced Wasserstein distance [rabin2011], of patches [elnekave2022]: patches of
-3, 7 and 15 texels a side, at three scales, are projected on random directions; along each the
-sorted projections of one picture are compared with those of the other. It knows how often patches
-occur and nothing of where, so it sees colours, edges and grain, and hardly that a crack goes on.
+The sliced Wasserstein distance [rabin2011] of patches [elnekave2022]: patches of 3, 7 and 15 texels
+a side, at three scales, are projected on random directions, and the sorted projections of the two
+pictures are compared. It depends on the distribution of patches, not on their positions: sensitive
+to colours, edges and grain, hardly to structures longer than a patch, such as cracks.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Seam contrast of a field: differences across seams over differences inside the exemplar.
 
-Style distance is blind to a cut. So each pair of neighbouring texels that the exemplar did not show
-side by side is asked how far it differs, in log albedo and in slope, and that is divided by what
-the exemplar's own neighbours differ by: 1 where seams are indistinguishable.
+Style distances hardly respond to seams. A seam is a pair of neighbouring texels whose source texels
+are not neighbours in the exemplar. Seam contrast is a quantile of the differences across seams, in
+log albedo or in slope, over the same quantile of the exemplar's: 1 is indistinguishable.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ _FEWEST = 100  # pairs: with fewer, no value
 
 @dataclass(frozen=True)
 class SeamContrast:
-    """Differences of neighbours at seams over those of the exemplar's own neighbours.
+    """Differences across seams over differences between neighbours of the exemplar.
 
     Attributes:
-        median: of all pairs' differences, over the exemplar's median.
-        high: their 99th percentile over the exemplar's.
+        median: ratio of the medians.
+        high: ratio of the 99th percentiles.
     """
 
     median: float
@@ -34,11 +34,11 @@ class SeamContrast:
 def seam_contrast(
     maps: Floats, places: NDArray[np.int64], exemplar: Floats, texel_size: float
 ) -> dict[str, SeamContrast] | None:
-    """Of "albedo" (log, over its channels) and "slope"; None where there are hardly any seams.
+    """Seam contrast of "albedo" (log, RGB) and "slope"; None where there are too few seams.
 
     Args:
         maps: (6 or 8, H, W) of the field.
-        places: (H, W, 2) x, y of the exemplar that each texel shows, in texels of it.
+        places: (H, W, 2) x, y of each texel's source in the exemplar, texels.
         exemplar: (6 or 8, h, w) maps.
         texel_size: in plane units.
     """
@@ -68,5 +68,5 @@ def _seen(maps: Floats, texel_size: float) -> tuple[Floats, Floats]:
 
 
 def _steps(planes: Floats) -> list[Floats]:
-    """How far neighbours along each axis differ: the root of the sum of squares over planes."""
+    """Euclidean distance over channels between neighbours, along y and along x."""
     return [np.sqrt(np.square(np.diff(planes, axis=axis)).sum(axis=0)) for axis in (1, 2)]

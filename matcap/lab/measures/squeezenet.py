@@ -84,7 +84,7 @@ class SqueezeNet(nn.Module):
 
 
 def _fill(convolution: nn.Conv2d, data: bytes, offset: int, path: Path) -> int:
-    """Fill a convolution from `offset` on; where the next one begins."""
+    """Read a convolution's weights and bias at `offset`; gives the offset after them."""
     weight, bias = convolution.weight, convolution.bias
     assert bias is not None
     weights_at = offset + 4

@@ -6,10 +6,10 @@
 
        |a_g - b_g|_1 / ((|a_g|_1 + |b_g|_1) / 2 + n_g t_g),
 
-   n_g numbers to a group. The denominator makes a group's term a relative error of at most 2, so
-   that no group dominates; t_g is a size below which the statistic is too small to be seen and
-   must not be amplified: 0.05 for correlations, 0.2 for skew and kurtosis, 0.005 (about one 8-bit
-   code value) for means and deviations, its square for variances.
+   with n_g values to a group. The denominator makes a group's term a relative error of at most 2,
+   so that no group dominates; t_g is a threshold of visibility, which keeps small values from being
+   amplified: 0.05 for correlations, 0.2 for skew and kurtosis, 0.005 (about one 8-bit code value)
+   for means and deviations, its square for variances.
 2. *Random filters* of other sizes (7, 11, 13) and another seed than capture's, on a pyramid of four
    levels, rectified: the mean over levels and over {Gram matrices, means} of the same relative L1,
    with t = 0. The raw colours are among the means.
@@ -35,7 +35,7 @@ _CODE_VALUE = 0.005
 _CORRELATION = 0.05
 _MOMENT = 0.2
 
-# Groups of plenoptic's statistics and the size below which each cannot be seen.
+# Groups of plenoptic's statistics and each one's threshold of visibility t_g.
 _GROUPS: Mapping[str, float] = {
     "auto_correlation_magnitude": _CORRELATION,
     "auto_correlation_reconstructed": _CORRELATION,
@@ -55,11 +55,11 @@ _PIXEL_MOMENTS = (("skew", 2, _MOMENT), ("kurtosis", 3, _MOMENT))
 
 @dataclass(frozen=True)
 class Group:
-    """Statistics that are compared as one.
+    """Statistics that enter the distance as one term.
 
     Attributes:
         values: (B, N) of B pictures.
-        unseen: size below which they are too small to be seen.
+        unseen: threshold of visibility t_g.
     """
 
     values: Tensor
@@ -70,7 +70,7 @@ StyleStatistics = dict[str, Group]
 
 
 class Style(Protocol):
-    """A kind of statistics: pictures (B, 3, H, W) in sRGB to groups."""
+    """Texture statistics: sRGB pictures (B, 3, H, W) in [0, 1] to groups."""
 
     def __call__(self, pictures: Tensor) -> StyleStatistics:
         """Describe."""
@@ -123,7 +123,7 @@ class PortillaSimoncelli:
 
 
 class RandomFilters:
-    """Gram matrices and means of random filters that capture does not know."""
+    """Gram matrices and means of random filters other than capture's."""
 
     def __init__(self) -> None:
         self._bank = FilterBank(FilterBankConfig(sizes=(7, 11, 13), filters=20, levels=4, seed=777))
@@ -141,7 +141,7 @@ class RandomFilters:
 
     @torch.no_grad()
     def features(self, pictures: Tensor) -> list[Tensor]:
-        """Rectified responses (B, filters, h, w) at every level of (B, 3, H, W), place by place."""
+        """Rectified responses (B, filters, h, w) at every pyramid level of (B, 3, H, W)."""
         return self._bank.maps(pictures, pyramid(pictures, self._bank.config.levels))
 
 
@@ -153,6 +153,6 @@ def _relative(first: Group, second: Group) -> Tensor:
 
 
 def _finite(statistics: Tensor) -> Tensor:
-    """(B, N): plenoptic fills what is redundant by symmetry with NaN, the same in every picture."""
+    """(B, N) without plenoptic's NaN, which mark entries redundant by symmetry."""
     flat = statistics.flatten(1)
     return flat[:, torch.isfinite(flat[0])]

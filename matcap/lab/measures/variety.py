@@ -1,10 +1,9 @@
 """Precision, recall and diversity of generated pictures.
 
-Improved precision and recall [kynkaanniemi2019]. A set of pictures covers a ball around each of its
-members, with the distance to the k-th nearest other member as radius. Precision is the share of
-generated pictures within the balls of the true ones, recall the share of true pictures within the
-balls of the generated ones. Distances are those of RandomFilters (style.py), on which nothing is
-trained.
+Improved precision and recall [kynkaanniemi2019]. Each picture of a set has a ball whose radius is
+the distance to its k-th nearest neighbour in the set. Precision is the share of generated pictures
+within the balls of the true ones, recall the share of true pictures within the balls of the
+generated ones. Distances are those of RandomFilters (style.py), used by no training.
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ class Variety:
     """Precision, recall and diversity of generated pictures against a set of true ones.
 
     Attributes:
-        precision: share of the made ones that look like a true one, 0 to 1.
-        recall: share of the true ones that look like a made one, 0 to 1.
-        mean_distance: mean style distance of two made ones, 0 to 2.
-        mean_distance_true: mean style distance of two true ones.
-        nearest: (made,) the true picture nearest to each made one.
+        precision: share of generated pictures within the balls of true ones, 0 to 1.
+        recall: share of true pictures within the balls of generated ones, 0 to 1.
+        mean_distance: mean style distance of two generated pictures, 0 to 2.
+        mean_distance_true: mean style distance of two true pictures, 0 to 2.
+        nearest: (generated,) index of the true picture nearest to each generated one.
     """
 
     precision: float
@@ -45,7 +44,7 @@ class Variety:
 
 
 def variety(made: StyleStatistics, true: StyleStatistics, neighbour: int = NEIGHBOUR) -> Variety:
-    """Compare statistics of made pictures with those of true ones, more than `neighbour` each."""
+    """Compare generated pictures with true ones, more than `neighbour` (k) each."""
     across = style_distances(made, true)
     within, within_true = style_distances(made, made), style_distances(true, true)
     return Variety(
@@ -58,13 +57,13 @@ def variety(made: StyleStatistics, true: StyleStatistics, neighbour: int = NEIGH
 
 
 def describe_pictures(pictures: Sequence[Tensor]) -> StyleStatistics:
-    """Statistics of sRGB pictures (3, H, W), one by one: thousands of features take memory."""
+    """Statistics of sRGB pictures (3, H, W), computed one by one to save memory."""
     style = RandomFilters()
     return joined([style(picture[None]) for picture in pictures])
 
 
 def joined(parts: Sequence[StyleStatistics]) -> StyleStatistics:
-    """Statistics of all pictures of several."""
+    """Statistics of several batches, concatenated along the pictures."""
     return {
         name: Group(torch.cat([part[name].values for part in parts]), group.unseen)
         for name, group in parts[0].items()
@@ -84,7 +83,7 @@ def style_distances(first: StyleStatistics, second: StyleStatistics) -> Tensor:
 
 
 def reaches(within: Tensor, neighbour: int) -> Tensor:
-    """(N,) distance of every member to its neighbour-th nearest other one, from (N, N)."""
+    """(N,) distance to the k-th nearest neighbour, from distances (N, N); k is `neighbour`."""
     return within.sort(dim=1).values[:, neighbour]  # the first is the member itself
 
 
@@ -95,5 +94,5 @@ def mean_pairwise(within: Tensor) -> float:
 
 
 def _covered(across: Tensor, reach: Tensor) -> float:
-    """Share of N pictures that lie in the ball of any of M others, from (N, M) and (M,)."""
+    """Share of N pictures in the ball of any of M, from distances (N, M) and radii (M,)."""
     return float((across <= reach).any(dim=1).float().mean())

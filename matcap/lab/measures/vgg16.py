@@ -1,8 +1,8 @@
 """Gram matrices of VGG-16 [simonyan2015], which the paper measures style by.
 
-The weights are not matcap's to give: a safetensors file with tensors conv1_1.weight to
-conv4_3.bias, by path. The paper says "VGG" and leaves open which network, layers and scale; here
-they are relu1_2, 2_2, 3_3 and 4_3, and the relative L1 difference of style.py.
+The user supplies the weights: a safetensors file with tensors conv1_1.weight to conv4_3.bias. The
+paper says "VGG" without network, layers or scale; here they are VGG-16's relu1_2, 2_2, 3_3 and
+4_3, and the relative L1 difference of style.py.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Vgg16Style:
         return activations
 
     def __call__(self, pictures: Tensor) -> StyleStatistics:
-        """Describe (B, 3, H, W)."""
+        """Gram matrices of each block, of sRGB pictures (B, 3, H, W) in [0, 1]."""
         return {
             f"block {number}": Group(gram(features)[:, :-1, :-1].flatten(1), 0.0)
             for number, features in enumerate(self.features(pictures), 1)

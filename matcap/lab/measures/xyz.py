@@ -17,7 +17,7 @@ BINS = 64
 
 
 def xyz_histograms(picture: Tensor) -> NDArray[np.float64]:
-    """(3, BINS) shares of the pixels of an sRGB picture (3, H, W) in [0, 1], by X, Y and Z."""
+    """(3, BINS) normalised histograms of X, Y and Z of an sRGB picture (3, H, W) in [0, 1]."""
     light = srgb_decode(picture.double().flatten(1).numpy())
     white = REC709_TO_XYZ.sum(axis=1, keepdims=True)
     shares = (REC709_TO_XYZ @ light / white).clip(0.0, 1.0)
@@ -28,8 +28,7 @@ def xyz_histograms(picture: Tensor) -> NDArray[np.float64]:
 def xyz_difference(first: Tensor, second: Tensor) -> float:
     """Half the L1 difference of histograms of sRGB pictures (3, H, W), the mean of X, Y and Z.
 
-    It is the share of pixels that are of a colour the other picture has no pixel for: 0 for the
-    same colours in any order, 1 for no colour in common. The pictures may differ in size.
+    0 for equal histograms, 1 for disjoint ones. The pictures may differ in size.
     """
     difference = np.abs(xyz_histograms(first) - xyz_histograms(second)).sum(axis=1)
     return float(difference.mean() / 2.0)
