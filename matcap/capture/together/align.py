@@ -151,7 +151,7 @@ def aligned(
             if turn == 0 or parameters is None:
                 parameters = _begun(seen, parameters, begin, light, solving, steps)
                 relief = _relief(parameters, texel, extent.unit(across), settings)
-            seen = under_fitted_ambient(seen, parameters)
+            seen = under_fitted_ambient(seen, parameters, light)
             light, moves = shared_step(seen, parameters, begin, light, solving, moved=unsure)
             first, both = views[0].camera.place, zip(places, moves, strict=True)
             places = [ViewPlace(p.nudge @ m, relief, first, extent) for p, m in both]
@@ -201,9 +201,9 @@ def _begun(
     else:
         parameters = prior.mean
         light, _ = shared_step(
-            under_fitted_ambient(seen, parameters), parameters, prior, light, solving
+            under_fitted_ambient(seen, parameters, light), parameters, prior, light, solving
         )
-    seen, prior = under_fitted_ambient(seen, parameters), prior.with_gloss_of(light)
+    seen, prior = under_fitted_ambient(seen, parameters, light), prior.with_gloss_of(light)
     for _ in range(steps):
         parameters = stepped(seen, parameters, prior, light, solving).parameters
     return parameters

@@ -8,7 +8,7 @@ changes fast in it is albedo, whatever the flash made of that.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -18,23 +18,28 @@ from torch import Tensor
 
 from matcap.capture.piece.smooth import smoothed
 from matcap.flash.registration.grid import to_pixels
-from matcap.flash.registration.register import RegisteredView, Registration
+from matcap.flash.registration.register import RegisteredView
 from matcap.photo.photo import FULL, Photo
 
 Picture = NDArray[np.float32]
+Views = tuple[RegisteredView, ...]  # one without flash at most, last
 
 
 @dataclass(frozen=True)
 class AmbientLightSettings:
     """Model of ambient light; docs/notes/several.md."""
 
-    noise: float = 0.08
+    noise: float = 0.05
     """Standard deviation of log radiance from the model of ambient light."""
     slow: float = 0.08
     """Deviation of the blur below which differences in illumination lie, as a share of the long
     side."""
-    steepest: float = 1.0
-    """Largest |d log L / d slope| of light from one side."""
+    lean: tuple[float, float, float] = (0.0, 0.0, 0.5)
+    """Expected of AmbientLight.lean."""
+    leaning: float = 0.25
+    """Deviation of its x and y."""
+    darkest: float = 0.05
+    """Irradiance of any normal, over that of a level surface, at least."""
     faintest: float = 0.05
     """Least share of a pixel's radiance that is left after subtraction."""
     bound: float = 0.005
@@ -69,30 +74,30 @@ class AmbientIncidence:
 
 @dataclass(frozen=True)
 class AmbientLight:
-    """Ambient light, the same all over the piece: log E = lean . slope + log strength."""
+    """Ambient light: irradiance as spherical harmonics of first order [ramamoorthi2001].
 
-    lean: tuple[float, float] = (0.0, 0.0)
-    """d log L / d slope along x and y, of light from one side."""
+    Over that of a level surface of normal (0, 0, 1) it is 1 + x n_x + y n_y + z (n_z - 1).
+    """
+
+    lean: Tensor = field(default_factory=lambda: torch.tensor(AMBIENT.lean))
+    """(3,) x, y and z; an even sky has (0, 0, 0.5)."""
     strength: Tensor | None = None
     """(3, 1, 1) of all of it; None for 1."""
 
     def onto(self, normal: Tensor) -> AmbientIncidence:
         """What arrives at a relief of unit normals (3, h, w)."""
-        slopes = -normal[:2] / normal[2:].clamp_min(1e-3)
-        leant = self.lean[0] * slopes[:1] + self.lean[1] * slopes[1:]
-        lit = leant.clamp(-2.0, 2.0).exp()
+        off = torch.cat([normal[:2], normal[2:] - 1.0])
+        lit = 1.0 + torch.tensordot(self.lean.to(off), off, 1)[None]
+        lit = lit.clamp_min(AMBIENT.darkest)
         return AmbientIncidence(lit if self.strength is None else lit * self.strength)
 
 
-def evenly_lit(
-    log: Tensor, seen: Tensor, rendered: Tensor, slopes: Tensor
-) -> tuple[Tensor, tuple[float, float]]:
-    """An ambient photograph without slow differences in illumination, and the lean of its light.
+def evenly_lit(log: Tensor, seen: Tensor, rendered: Tensor) -> Tensor:
+    """An ambient photograph without slow differences in illumination.
 
     Args:
         log, seen: (3, h, w) its log radiance, and where it shows it.
-        rendered: (3, h, w) log radiance of the maps so far under light from everywhere.
-        slopes: (2, h, w) of them.
+        rendered: (3, h, w) log radiance of the maps so far in that light.
     """
     off = (log - rendered).numpy()
     mask = seen.float().numpy()
@@ -104,46 +109,26 @@ def evenly_lit(
         return np.asarray(left, np.float32)
 
     left = np.stack([fast(each, weight) for each, weight in zip(off, mask, strict=True)])
-    leaning = np.stack([fast(each, mask.mean(0)) for each in slopes.numpy()])
-    lean = _leaning(left.mean(0), leaning, mask.min(0) > 0.0)
-    # What the lean explains is no error of the photograph's: it stays in it.
-    return rendered + torch.from_numpy(left), lean
+    return rendered + torch.from_numpy(left)
 
 
-def _leaning(left: Picture, slopes: Picture, seen: NDArray[np.bool_]) -> tuple[float, float]:
-    """What log radiance (h, w) gains with slopes (2, h, w), robustly."""
-    if seen.sum() < 100:
-        return (0.0, 0.0)
-    x, y = slopes[:, seen].astype(np.float64), left[seen].astype(np.float64)
-    weight: NDArray[np.float64] = np.ones_like(y)
-    lean = np.zeros(2)
-    for _ in range(4):
-        normal = (x * weight) @ x.T + 1e-3 * len(y) * 0.01 * np.eye(2)
-        lean = np.asarray(np.linalg.solve(normal, (x * weight) @ y), np.float64)
-        rest = y - lean @ x
-        spread = 1.5 * float(np.median(np.abs(rest))) + 1e-6
-        weight = np.asarray(1.0 / (1.0 + np.square(rest / (2.0 * spread))), np.float64)
-    most = AMBIENT.steepest
-    return (float(np.clip(lean[0], -most, most)), float(np.clip(lean[1], -most, most)))
-
-
-def without_ambient(registration: Registration) -> tuple[Registration, float]:
+def without_ambient(views: Views) -> tuple[Views, float]:
     """Flash photographs less their ambient light, and the share that it was of the first one's.
 
     Unchanged, and 0, where no photograph is by ambient light alone, or an exposure is unknown.
     """
-    *lit, ambient = registration.views
+    *lit, ambient = views
     if ambient.flash:
-        return registration, 0.0
+        return views, 0.0
     cleaned, shares = [], []
     for view in lit:
         amount = _amount(view.photo, ambient.photo)
         if amount is None:
-            return registration, 0.0
+            return views, 0.0
         photo, share = _without(view, ambient, amount)
         cleaned.append(replace(view, photo=photo))
         shares.append(share)
-    return replace(registration, views=(*cleaned, ambient)), shares[0]
+    return (*cleaned, ambient), shares[0]
 
 
 def _amount(flash: Photo, ambient: Photo) -> NDArray[np.float64] | None:

@@ -15,6 +15,7 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.brdf.maps import MapSet
 from matcap.capture.detail import Rectified
 from matcap.capture.piece.absolute import most_probable_scale, scaled
 from matcap.capture.piece.classes import Classes
@@ -42,6 +43,7 @@ from matcap.capture.piece.tuned import INPAINT
 from matcap.capture.progress import CaptureClock
 from matcap.capture.together.align import Aligned, aligned, reframed
 from matcap.capture.together.ambient_light import without_ambient
+from matcap.capture.together.pair import on_albedo
 from matcap.capture.together.predict import predictions
 from matcap.capture.together.readings import ReadView, read_views, with_others
 from matcap.capture.together.set_report import SetReport
@@ -110,11 +112,12 @@ def estimate_together(
         MatcapError: no other photograph shows the same piece.
     """
     registration, coarse, plane = registered(photos, detail, clock)
-    first, single = registration.views[0].photo, read_alone(plane, coarse, network, clock)
+    single = read_alone(plane, coarse, network, clock)
     reach = reach_of(registration.views, plane.size) if union else Reach.own(plane.size)
     read = spread_over(single.estimate, reach.margins)
     begun = by_features(registration, coarse, reach.extent)
-    poses, interrupted = _aligned(begun, read, settings, clock)
+    poses, interrupted = _aligned(begun, single.estimate.maps, read, settings, clock)
+    first = poses.views[0].photo
     rectified = Rectified.of_photo(first, replace(coarse, setup=poses.setup), detail)
     posed = PosedCamera.of(registration.setup), poses.views[0].camera
     maps, tint = achromatic(reframed(read.maps, *posed, reach.extent))
@@ -160,15 +163,17 @@ def registered(
         registration = register_in_any_order(photos)
         if len(registration.views) < 2:
             raise _none_fits(registration)
-        registration, _ = without_ambient(registration)
     with clock.stage("coarse fit"):
-        first, setup = registration.views[0].photo, registration.setup
+        first, setup = without_ambient(registration.views)[0][0].photo, registration.setup
         coarse = fit_coarse(replace(first, fov=setup.fov), tilt=setup.tilt)
         coarse = under_flash(coarse, first.flash_intensity)
         linear = tuple(
             replace(view, photo=view.photo.linearised(coarse.tone)) for view in registration.views
         )
-        first, registration = linear[0].photo, replace(registration, views=linear)
+        first, registration = (
+            without_ambient(linear)[0][0].photo,
+            replace(registration, views=linear),
+        )
         # What the fit hardly moved at all is the camera still.
         camera = replace(coarse.setup, fov=setup.fov, tilt=setup.tilt)
         plane = read_plane(first, camera, detail)
@@ -179,7 +184,7 @@ def _none_fits(registration: Registration) -> MatcapError:
     each = "; ".join(f"{one.name}: {one.why}" for one in registration.left_out)
     return MatcapError(
         f"no other photograph can be registered to {registration.views[0].photo.name} ({each})",
-        remedy="photograph the same piece from the same distance, moved by a third of it each time",
+        remedy="photograph the same piece again, sharp, with two thirds of it in common",
     )
 
 
@@ -213,12 +218,21 @@ def by_features(registration: Registration, coarse: CoarseFit, extent: Extent = 
 
 
 def _aligned(
-    begun: Aligned, read: Estimate, settings: SolveSettings, clock: CaptureClock
+    begun: Aligned, own: MapSet, read: Estimate, settings: SolveSettings, clock: CaptureClock
 ) -> tuple[Aligned, bool]:
-    """Photographs registered by rendering, or as they were by features if that is interrupted."""
+    """Photographs registered by rendering, or as they were by features if that is interrupted.
+
+    Args:
+        begun: where features lie.
+        own: maps of the first photograph's rectangle.
+        read: of the piece.
+        settings: of the solution.
+        clock: of the stages.
+    """
     try:
         with clock.stage("align"):
-            tell = clock.telling("align")
+            views, _ = without_ambient(on_albedo(begun.views, begun.setup, own))
+            begun, tell = replace(begun, views=views), clock.telling("align")
             return aligned(begun, read, settings, on_progress=tell), False
     except KeyboardInterrupt:
         return begun, True

@@ -112,10 +112,9 @@ def _belonging(registration: Registration) -> Finding:
 def _room(registration: Registration) -> tuple[str, ...]:
     dark = [view.photo for view in registration.views if not view.flash]
     known = all(view.photo.exposure is not None for view in registration.views)
-    helps = "is subtracted from the others" if known else "helps to estimate albedo"
-    return tuple(
-        f"{photo.name} was taken without flash: its ambient light {helps}." for photo in dark
-    )
+    also = " and is subtracted from the others" if known else ""
+    helps = f"its ambient light tells albedo from relief{also}"
+    return tuple(f"{photo.name} was taken without flash: {helps}." for photo in dark)
 
 
 def _sides(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:

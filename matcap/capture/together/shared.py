@@ -49,6 +49,7 @@ class SharedSettings:
         counted: what a texel weighs: neighbours lie beside their truth together.
         offset: deviation of the flash's place from where it is expected, plane units.
         gloss: deviations of the mean of log F0 and of logit roughness from what was read.
+        known_gloss: the same where one flash photograph is all there is: what it tells was read.
         gain: deviation of a photograph's gain, log.
         separate_gain: the same where no texel of a larger exemplar is in two photographs.
         astray: deviation of a photograph's registration, plane units.
@@ -59,6 +60,7 @@ class SharedSettings:
     counted: float = 0.03
     offset: float = 0.06
     gloss: tuple[float, float] = (0.1, 1.0)
+    known_gloss: tuple[float, float] = (0.01, 0.01)
     gain: float = 1.5
     separate_gain: float = 0.03
     astray: float = 0.004
@@ -96,6 +98,8 @@ def shared_step(
         settings, shared: see there.
         moved: indices of photographs that may move; of the others it is the identity.
     """
+    if sum(view.ambient is None for view in views) == 1:
+        shared = replace(shared, gloss=shared.known_gloss)
     chosen, joined = _chosen(views, settings.sampled)
     if not joined:
         shared = replace(shared, gain=shared.separate_gain)

@@ -23,6 +23,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.together.octaves import denoised, read_error
+from matcap.capture.together.pair import as_steep, with_lean
 from matcap.capture.together.shared import shared_step
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
@@ -99,18 +100,17 @@ def solve(
     # Of the light, which a common error of slopes would move, and of texels.
     known = prior.with_least_slope(off)
     prior = prior.with_least_slope(settings.slope if fresh else settings.wider * off)
-    unit = views[0].extent.unit(parameters.shape[-1])
     total, done, interrupted = sum(settings.rounds) + 2, 0, False
-    lit, expected, step = under_fitted_ambient(views, parameters), prior, Stepped.none(parameters)
+    light, unit = with_lean(views, prior.mean, light), views[0].extent.unit(parameters.shape[-1])
+    lit, expected, step = list(views), prior, Stepped.none(parameters)
     try:
         for index, steps in enumerate(settings.rounds):
-            lit, before = under_fitted_ambient(views, parameters), light.gloss
+            lit, before = under_fitted_ambient(views, parameters, light), light.gloss
             light, _ = shared_step(lit, parameters, known, light, settings)
             parameters[GLOSS] += (light.gloss - before)[:, None, None]
             expected = prior.with_gloss_of(light)
-            measures = index == len(settings.rounds) - 1 or (not index and fresh)
             for turn in range(1, steps + 1):
-                each = measures and turn == steps
+                each = turn == steps and (not settings.rounds[index + 1 :] or (fresh and not index))
                 step = stepped(lit, parameters, expected, light, settings, without_each=each)
                 parameters, done = step.parameters, done + 1
                 on_progress(done / total)
@@ -128,6 +128,7 @@ def solve(
     height = surface_of(parameters[SLOPES], read.maps.texel_size, step.relief)
     if not interrupted:
         height = _denoised(height, lit, step.changes, prior, settings)
+        height = as_steep(height, lit, parameters, light)
         parameters[SLOPES] = slopes_of(height, read.maps.texel_size)
         parameters = _step_at_fixed_slopes(lit, parameters, expected, light, settings)
     parameters[SLOPES] = slopes_of(height, read.maps.texel_size)

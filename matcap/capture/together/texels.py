@@ -213,15 +213,16 @@ def rendered(parameters: Tensor, lights: Sequence[FlashLight | AmbientLight]) ->
     return [radiance(light, matte, f0, rough, normal) for light in lights]
 
 
-def under_fitted_ambient(views: Sequence[PieceView], parameters: Tensor) -> list[PieceView]:
-    """Photographs, the ambient one with its illumination fitted to the current parameters."""
-    return [view if view.ambient is None else _even(view, parameters) for view in views]
+def under_fitted_ambient(
+    views: Sequence[PieceView], parameters: Tensor, light: SetLight
+) -> list[PieceView]:
+    """Photographs, the ambient one without slow differences from the current parameters."""
 
+    def even(view: PieceView) -> PieceView:
+        shown = rendered(parameters, [AmbientLight(light.lean)])[0].log()
+        return replace(view, log=evenly_lit(view.log, view.seen, shown))
 
-def _even(view: PieceView, parameters: Tensor) -> PieceView:
-    shown = logarithm(parameters[ALBEDO].exp() + parameters[F0 : F0 + 1].exp())
-    log, lean = evenly_lit(view.log, view.seen, shown, parameters[SLOPES])
-    return replace(view, log=log, ambient=AmbientLight(lean))
+    return [view if view.ambient is None else even(view) for view in views]
 
 
 def weights(residual: Tensor, seen: Tensor, noise: float, settings: SolveSettings) -> Tensor:

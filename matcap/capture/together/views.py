@@ -46,6 +46,7 @@ class SetLight:
             these scales all slopes.
         lost: deviations of the exponents of vignetting: the camera's profile's, if it has one; RAW
             keeps its own.
+        lean: (3,) of ambient light, of the photograph without flash (AmbientLight).
     """
 
     offset: Tensor
@@ -54,6 +55,7 @@ class SetLight:
     intensity: Tensor
     gloss: Tensor = field(default_factory=lambda: torch.zeros(2))
     lost: tuple[float, float] = (0.4, 0.6)
+    lean: Tensor = field(default_factory=lambda: torch.tensor(AMBIENT.lean))
 
     @staticmethod
     def of(
@@ -212,7 +214,7 @@ def light_at(
 ) -> FlashLight | AmbientLight:
     """Of a photograph's number, the light at plane points (3, h, w)."""
     if view.ambient is not None:
-        return replace(view.ambient, strength=light.gain[number].exp()[:, None, None])
+        return AmbientLight(light.lean, light.gain[number].exp()[:, None, None])
     camera = view.camera
     turn = torch.from_numpy(camera.turn).to(points)
     place = torch.from_numpy(camera.place).to(points)

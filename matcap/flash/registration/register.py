@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.registration.adjust import Adjusted, Pair, adjust
+from matcap.flash.registration.adjust import Adjusted, AdjustSettings, Pair, adjust
 from matcap.flash.registration.ambient import flash_first, without_flash
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.doubt import doubts
@@ -40,6 +40,9 @@ class RegisterSettings:
     """Texels across that are compared."""
     shifted: int = 5
     """Texels to all sides where the correlation must be lower."""
+    straight: AdjustSettings = AdjustSettings(bent=(0.003, 0.001))
+    """Priors where only one photograph has flash: its features lie beside those of the others as
+    if a lens distorted them, for shading goes with the light."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +147,8 @@ def register(
     known = photos[0].fov_source != "assumed" and photos[0].fov != DEFAULT_FOV
     blurred = False
     while True:
-        adjusted = adjust(setup, list(pairs.values()), known=known)
+        priors = settings.straight if all(index in dark for index in pairs) else AdjustSettings()
+        adjusted = adjust(setup, list(pairs.values()), known=known, settings=priors)
         wrong = _wrong(photos, dict(zip(pairs, range(len(pairs)), strict=True)), adjusted, settings)
         if not wrong:
             blurred, wrong = _blurred(photos, list(pairs), dark, adjusted)

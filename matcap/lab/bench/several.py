@@ -99,7 +99,9 @@ def several_experiment(
         evaluation: what is compared.
         ambient: what else is varied.
     """
-    hand = replace(ambient.hand, room=Room(ambient.room) if ambient.room else None)
+    hand = replace(
+        ambient.hand, room=Room(ambient.room, uneven=0.35, hidden=True) if ambient.room else None
+    )
     style, phone = evaluation.squeezenet, evaluation.camera
 
     def prepare(subject: Specimen) -> TakenSubject:

@@ -28,6 +28,8 @@ from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, in_strips
 
 Doubles = NDArray[np.float64]
 
+_COMPASS = [(math.cos(k * math.pi / 4.0), math.sin(k * math.pi / 4.0)) for k in range(8)]
+_SKYLINE = 150.0  # texels: relief farther away hides hardly any sky
 _MEETINGS = 3  # rounds in which a ray finds the relief; slopes are below 1 nearly everywhere
 
 
@@ -40,12 +42,16 @@ class Room:
         window: share of it that comes from one direction.
         towards: where the window is, any length.
         colour: of all of it, by channel.
+        uneven: log irradiance gained per plane unit towards the window.
+        hidden: whether relief hides a part of the sky from itself (ambient occlusion).
     """
 
     level: float = 0.06
     window: float = 0.5
     towards: tuple[float, float, float] = (0.6, 0.3, 0.75)
     colour: tuple[float, float, float] = (1.1, 1.0, 0.85)
+    uneven: float = 0.0
+    hidden: bool = False
 
     def on(self, maps: MapSet) -> NDArray[np.float32]:
         """(H, W, 3) radiance of a piece, from wherever it is looked at.
@@ -56,11 +62,42 @@ class Room:
         way = way / way.norm()
         normal = maps.normal.double()
         facing = (normal * way[:, None, None]).sum(0).clamp_min(0.0) / way[2]
-        arrives = (1.0 - self.window) * 0.5 * (1.0 + normal[2]) + self.window * facing
+        sky = _open_sky(maps) if self.hidden else 0.5 * (1.0 + normal[2])
+        arrives = (1.0 - self.window) * sky + self.window * facing
+        if self.uneven:
+            arrives = arrives * (self.uneven * _along(maps, way)).exp()
         even = maps.diffuse.double() * arrives + maps.specular.double()
         colour = torch.tensor(self.colour, dtype=torch.float64)[:, None, None]
         lit = self.level / math.pi * colour * even
         return np.ascontiguousarray(lit.float().permute(1, 2, 0).numpy())
+
+
+def _along(maps: MapSet, way: Tensor) -> Tensor:
+    """(H, W) plane units from the middle of a piece in a horizontal direction."""
+    width, height = maps.size
+    flat = way[:2] / way[:2].norm().clamp_min(1e-9)
+    x = (torch.arange(width, dtype=torch.float64) - 0.5 * (width - 1)) * maps.texel_size
+    y = (0.5 * (height - 1) - torch.arange(height, dtype=torch.float64)) * maps.texel_size
+    return flat[0] * x + flat[1] * y[:, None]
+
+
+def _open_sky(maps: MapSet) -> Tensor:
+    """(H, W) share of an even sky's irradiance that reaches a piece, by its horizons [max1988].
+
+    In eight directions, at distances growing by a half; the sky's lower part is left out below the
+    horizon, and slopes that face away from it have one, too.
+    """
+    height = (maps.height[0] / maps.texel_size).float()
+    share = torch.zeros_like(height)
+    for x, y in _COMPASS:
+        horizon, far = torch.zeros_like(height), 1.0
+        while far < _SKYLINE:
+            dx, dy = round(far * x), round(far * y)
+            there = torch.roll(height, (-dy, -dx), (0, 1)) - height
+            horizon = torch.maximum(horizon, there / math.hypot(dx, dy))
+            far = max(far + 1.0, 1.5 * far)
+        share += 1.0 / (1.0 + horizon.square())  # cos^2 of its elevation
+    return share.double() / len(_COMPASS)
 
 
 @dataclass(frozen=True)

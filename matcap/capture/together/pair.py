@@ -1,0 +1,303 @@
+"""One photograph with the flash and one without: registered on albedo, relief by their ratio.
+
+What a flash shades lies on the flash's side of every bump, what a window shades on the window's:
+features of the two shift against each other, by several texels towards the border. Albedo does not
+move with the light. So the ambient photograph is registered to the log albedo that the network
+reads from the flash photograph, by a homography of greatest correlation
+(ECC: [evangelidis2008]), from which the camera follows.
+
+Albedo cancels in the ratio of the two. To first order its logarithm is (g - l) . s, where g and l
+are d log L / d slope under the flash and under the room's light: what varies in it is relief. So
+energies of slopes are measured by octave and direction as of one photograph (piece/strengths.py),
+with noise and misregistration in place of albedo.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.piece.equalise import equalise
+from matcap.capture.piece.smooth import smoothed, split
+from matcap.capture.piece.strengths import BANDS, measure_strengths
+from matcap.capture.piece.tuned import STRENGTH
+from matcap.capture.together.ambient_light import AMBIENT, Views
+from matcap.capture.together.texels import ALBEDO, SLOPES, points_of, rendered
+from matcap.capture.together.views import PieceView, SetLight, light_at
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.registration.camera import Lens, PosedCamera
+from matcap.flash.registration.grid import grid_points, to_pixels
+from matcap.flash.registration.register import RegisteredView
+
+Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PairSettings:
+    """Registration of an ambient photograph, and relief by it; docs/notes/several.md."""
+
+    bands: tuple[tuple[float, float], ...] = (
+        (128.0, 64.0),
+        (64.0, 32.0),
+        (32.0, 16.0),
+        (16.0, 8.0),
+    )
+    """Texels: waves that are compared, longest and shortest of each octave."""
+    around: float = 24.0
+    """Texels over which contrast is evened."""
+    shrunk: tuple[float, ...] = (4.0, 2.0, 1.0)
+    """Texels a side that are averaged, coarse to fine."""
+    steps: int = 60
+    """Of ECC on each grid, at most."""
+    least: float = 0.2
+    """Correlation below which the photograph stays where its features are."""
+    thinned: int = 16
+    """Every so manieth texel, by which the camera is found."""
+    pixel: float = 2e-4
+    """Plane units that it may still lie beside the albedo, one deviation."""
+    step: float = 0.1
+    """Of differences, log albedo and slope."""
+    windows: float = 40.0
+    """The long side over the deviation of what the contrast is averaged over."""
+    surer: float = 1.0
+    """Texels: a photograph with a smaller registration error by features stays where they are."""
+    finest: float = 4.0
+    """Texels: waves that are shorter keep the energy they have."""
+    slow: float = 16.0
+    """Of the ratio, the long side over the deviation of what is light's, not relief's."""
+
+
+SETTINGS = PairSettings()
+
+
+def on_albedo(views: Views, setup: FlashSetup, read: MapSet) -> Views:
+    """Registered photographs, the camera of one without flash refitted.
+
+    Args:
+        views: registered by features.
+        setup: of the first photograph, as its coarse fit has it.
+        read: of the first photograph, on its plane in that setup.
+
+    Returns:
+        Unchanged where none is without flash, or it correlates too little.
+    """
+    first, room = views[0], views[-1]
+    if room.flash:
+        return views
+    if room.astray < SETTINGS.surer * read.texel_size:
+        return (*views[:-1], replace(room, astray=SETTINGS.pixel))
+    grid = grid_points(*read.size)
+    there = _seen(views, setup, grid)
+    albedo = _evened(read.diffuse.clamp_min(1e-3).log().mean(0).numpy())
+    moved = _correlated(albedo, _evened(_looked_up(room, there)))
+    if moved is None:
+        return views
+    thin = slice(None, None, SETTINGS.thinned)
+    points = grid[:, thin, thin].reshape(3, -1)
+    second = _seen(views, setup, _moved(points, moved, read.size))
+    plane = first.camera.on_plane(PosedCamera.of(setup).sees(points))
+    camera = _camera(plane, second, room.camera.lens)
+    refitted = replace(room, camera=camera, astray=SETTINGS.pixel)
+    return (*views[:-1], refitted)
+
+
+def _seen(views: Views, setup: FlashSetup, points: Doubles) -> Doubles:
+    """(2, ...) where the ambient photograph shows points (3, ...) of the plane in a setup."""
+    return views[-1].camera.sees(views[0].camera.on_plane(PosedCamera.of(setup).sees(points)))
+
+
+def _moved(points: Doubles, move: Floats, size: tuple[int, int]) -> Doubles:
+    """Points (3, n) of a grid's plane, moved by a homography of its texels."""
+    across, down = size
+    texels = np.stack([0.5 * (points[0] + 1.0) * across, 0.5 * (down - points[1] * across)]) - 0.5
+    x, y, w = move.astype(np.float64) @ np.vstack([texels, np.ones_like(texels[:1])])
+    x, y = (x / w + 0.5) * 2.0 / across - 1.0, (down - 2.0 * (y / w + 0.5)) / across
+    return np.stack([x, y, np.zeros_like(x)])
+
+
+def _camera(plane: Doubles, image: Doubles, lens: Lens) -> PosedCamera:
+    """The camera that sees points (3, n) of the plane at image coordinates (2, n)."""
+    # OpenCV's camera looks along +z with y downwards.
+    straight = lens.undone(image) * np.array([[1.0], [-1.0]])
+    seen, matrix = straight.T.copy(), np.diag([lens.focal, lens.focal, 1.0])
+    _, turn, shift = cv2.solvePnP(plane.T.copy(), seen, matrix, None, flags=cv2.SOLVEPNP_IPPE)
+    turn, shift = cv2.solvePnPRefineLM(plane.T.copy(), seen, matrix, None, turn, shift)
+    rotation = np.asarray(cv2.Rodrigues(turn)[0], np.float64)
+    return PosedCamera(np.diag([1.0, -1.0, -1.0]) @ rotation, -rotation.T @ shift.ravel(), lens)
+
+
+def _looked_up(view: RegisteredView, image: Doubles) -> Floats:
+    """(h, w) grey log radiance of a photograph at image coordinates (2, h, w)."""
+    pixels = view.photo.pixels
+    rows, columns = pixels.shape[:2]
+    shrink = min(1.0, 2.0 * image.shape[2] / columns)
+    size = (round(columns * shrink), round(rows * shrink))
+    log = np.log(np.maximum(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), 1e-4)).mean(2)
+    x, y = to_pixels(image, *size)
+    looked_up = cv2.remap(log, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
+    return np.asarray(looked_up, np.float32)
+
+
+def _evened(log: Floats) -> Floats:
+    """(h, w) some octaves of a picture over the contrast around."""
+    fine = np.sum(split(np.asarray(log, np.float32), SETTINGS.bands)[:-1], axis=0)
+    around = cv2.GaussianBlur(fine * fine, (0, 0), SETTINGS.around)
+    return np.asarray(fine / np.sqrt(around + 1e-6), np.float32)
+
+
+def _correlated(fixed: Floats, moving: Floats) -> Floats | None:
+    """(3, 3) homography of texels by which the second is to be looked up; None where it fails."""
+    move, correlation = np.eye(3, dtype=np.float32), 0.0
+    for factor in SETTINGS.shrunk:
+        scale = np.diag([1.0 / factor, 1.0 / factor, 1.0]).astype(np.float32)
+        small = [
+            cv2.resize(each, None, fx=1.0 / factor, fy=1.0 / factor, interpolation=cv2.INTER_AREA)
+            for each in (fixed, moving)
+        ]
+        start = np.asarray(scale @ move @ np.linalg.inv(scale), np.float32)
+        stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, SETTINGS.steps, 1e-6)
+        try:
+            correlation, fitted = cv2.findTransformECC(
+                small[0], small[1], start, cv2.MOTION_HOMOGRAPHY, stop
+            )
+        except cv2.error:  # nothing in common
+            return None
+        move = np.asarray(np.linalg.inv(scale) @ fitted @ scale, np.float32)
+    return move if correlation > SETTINGS.least else None
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """Log radiance of a photograph with flash over that of one without, albedo cancelled.
+
+    Attributes:
+        log: (H, W), less what is slow in it.
+        sensitivity: (2, H, W) d log / d slope along x and y (upwards), of neighbourhoods.
+        matte: (H, W) diffuse share of the flash photograph's radiance.
+        use: (H, W) 1 where both were seen and not clipped, else 0.
+    """
+
+    log: Floats
+    sensitivity: Floats
+    matte: Floats
+    use: Floats
+
+    @staticmethod
+    def of(views: Sequence[PieceView], parameters: Tensor, light: SetLight) -> Ratio:
+        """Of the first and the last of views, to first order about a flat piece.
+
+        Args:
+            views: the first with flash, the last without.
+            parameters: (PARAMETERS, H, W) of texels so far; their gloss and mean albedo count.
+            light: of all.
+        """
+        some = ((0, views[0]), (len(views) - 1, views[-1]))
+        points, step = points_of(parameters.shape[1:], extent=views[0].extent), SETTINGS.step
+        lights = [light_at(number, view, light, points) for number, view in some]
+        flat = parameters.clone()
+        flat[ALBEDO] = flat[ALBEDO].mean((1, 2), keepdim=True)
+        flat[SLOPES] = 0.0
+
+        def logs(which: slice, change: float) -> list[Tensor]:
+            moved = flat.clone()
+            moved[which] += change
+            return [each.log() for each in rendered(moved, lights)]
+
+        even = logs(ALBEDO, 0.0)
+        shares = [(b - e) / step for b, e in zip(logs(ALBEDO, step), even, strict=True)]
+        share = shares[0] / shares[1].clamp_min(1e-3)
+
+        def ratio(flash: Tensor, room: Tensor) -> Floats:
+            return np.asarray((flash - share * room).mean(0).numpy(), np.float32)
+
+        along = []
+        for number in range(SLOPES.start, SLOPES.stop):
+            which = slice(number, number + 1)
+            both = zip(logs(which, step), logs(which, -step), strict=True)
+            change = ratio(*((up - down) / (2.0 * step) for up, down in both))
+            along.append(smoothed(change, STRENGTH.response_around))
+        use = (views[0].seen & views[-1].seen).all(0).numpy().astype(np.float32)
+        left = ratio(*(view.log - e for (_, view), e in zip(some, even, strict=True)))
+        left = (left - _mean(left, use, max(use.shape) / SETTINGS.slow)) * use
+        return Ratio(left, np.stack(along), shares[0].mean(0).numpy(), use)
+
+
+def with_lean(views: Sequence[PieceView], parameters: Tensor, light: SetLight) -> SetLight:
+    """The light, the side that a room's comes from found by the contrast of the ratio.
+
+    Relief of slope energy S in all directions alike has the energy A + S |g - l|^2 / 2 in the
+    ratio: least where both lights lean alike, g = l. Quadratic in g, by weighted least squares.
+    Unchanged where no photograph is without flash.
+
+    Args: as of Ratio.of.
+    """
+    if views[-1].ambient is None:
+        return light
+    light = replace(light, lean=torch.tensor(AMBIENT.lean))
+    ratio = Ratio.of(views, parameters, light)
+    around = max(ratio.use.shape) / SETTINGS.windows
+    band = np.sum(split(ratio.log)[:4], axis=0)
+    energy = _mean(np.square(band), ratio.use, around)
+    x, y = (smoothed(each, around) for each in ratio.sensitivity)
+    seen = smoothed(ratio.use, around) > 0.8
+    seen_share = float(seen.mean())
+    seen[np.indices(seen.shape).sum(0) % SETTINGS.thinned > 0] = False
+    if seen.sum() < 100:
+        return light
+    terms = np.stack([np.ones_like(x), x, y, x * x + y * y])[:, seen].astype(np.float64)
+    wanted = energy[seen].astype(np.float64)
+    weight: Doubles = np.ones_like(wanted)
+    for _ in range(8):
+        normal = (terms * weight) @ terms.T
+        fitted = np.linalg.solve(
+            normal + 1e-9 * np.trace(normal) * np.eye(4), terms @ (weight * wanted)
+        )
+        weight = 1.0 / np.square(np.maximum(fitted @ terms, 0.2 * wanted.mean()))
+    relief = max(float(fitted[3]), 1e-9)
+    # Windows that overlap count as one.
+    alike = weight.size * 4.0 * np.pi * around**2 / seen_share / ratio.use.size
+    scatter = float((weight * np.square(fitted @ terms - wanted)).mean()) * alike
+    variance = scatter * np.linalg.inv(normal).diagonal()
+    lean = fitted[1:3] / (2.0 * relief)
+    unsure = (variance[1:3] + np.square(2.0 * lean) * variance[3]) / (2.0 * relief) ** 2
+    lean = lean * AMBIENT.leaning**2 / (AMBIENT.leaning**2 + unsure)
+    lean = np.clip(lean, -2.0 * AMBIENT.leaning, 2.0 * AMBIENT.leaning)
+    return replace(light, lean=torch.tensor([*lean.tolist(), AMBIENT.lean[2]]))
+
+
+def as_steep(
+    height: Tensor, views: Sequence[PieceView], parameters: Tensor, light: SetLight
+) -> Tensor:
+    """A height (1, H, W), its slopes as strong in each octave and direction as the ratio's.
+
+    Unchanged but for one photograph with the flash and one without.
+
+    Args:
+        height: in plane units.
+        views, parameters, light: as of Ratio.of.
+    """
+    if len(views) != 2 or views[1].ambient is None:
+        return height
+    texel = views[0].extent.texel(height.shape[-1])
+    texels = np.asarray(height[0].numpy() / texel, np.float32)
+    ratio = Ratio.of(views, parameters, light)
+    strengths = measure_strengths(ratio.log, ratio.sensitivity, ratio.use, matte=ratio.matte)
+    # What lies beside its place by a part of a texel looks like fine relief.
+    unsure = [shortest < SETTINGS.finest for _, shortest in BANDS]
+    strengths = strengths and replace(strengths, doubt=np.where(unsure, np.inf, strengths.doubt))
+    even = equalise(texels, strengths, ratio.sensitivity)
+    return texel * torch.from_numpy(split(texels)[-1] + even)[None]
+
+
+def _mean(plane: Floats, use: Floats, around: float) -> Floats:
+    """(H, W) weighted means of a plane's neighbourhoods."""
+    weight = np.maximum(smoothed(use, around), np.float32(1e-3))
+    return np.asarray(smoothed(plane * use, around) / weight, np.float32)
