@@ -2,8 +2,8 @@
 
     python clocked.py COMMAND...
 
-Prints them as JSON and ends with the command's exit code. It stands between the bench and the
-command and imports nothing, for a child's memory begins with what its parent holds.
+Prints them as JSON and exits with the command's code. A small process between the bench and the
+command, without matcap or torch: a child's peak memory starts at its parent's.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import time
 
 
 def main(command: list[str]) -> int:
-    """Run; the command's exit code."""
+    """Run the command; returns its exit code."""
     began = time.monotonic()
     done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=sys.stderr, check=False)
     clock = time.monotonic() - began

@@ -32,29 +32,29 @@ class Presentation:
 
     title: str
     about: str
-    """What was measured and what the columns count."""
+    """What was measured, and what each column means."""
 
     axes: tuple[str, str]
-    """Columns whose Pareto front is sought: cost, error."""
+    """Columns of the plot and the Pareto front: cost, error."""
 
     base: str | None = None
-    """The configuration that those of fewer subjects are paired with, and whose subjects are
-    listed; see results.means."""
+    """Baseline: configurations measured on fewer subjects are given by their ratio to it
+    (results.means), and its subjects are listed."""
 
     listed_with: tuple[str, ...] = ()
-    """Configurations that stand beside it in the table by subject."""
+    """Further configurations in the table by subject."""
 
     labels: Mapping[str, str] = field(default_factory=dict)
-    """What configurations are also called."""
+    """Display names of configurations."""
 
     separate_groups: frozenset[str] = frozenset()
-    """Groups that are compared with no other: their subjects are others'."""
+    """Groups measured on other subjects, hence compared only among themselves."""
 
     least: float | None = None
-    """The error is drawn over decades, down to this."""
+    """Lower limit of a logarithmic error axis; None for a linear one."""
 
     picture: bool = True
-    """Whether a picture stands beside the table."""
+    """Whether a plot is drawn."""
 
 
 def write_page(
@@ -63,14 +63,14 @@ def write_page(
     command: Sequence[str],
     more: Mapping[Path, Sequence[str]] = MappingProxyType({}),
 ) -> str:
-    """Write the page, and a picture beside every CSV; gives the page's text.
+    """Write the page and a plot next to every CSV; returns the page's text.
 
-    What stands below `BY_HAND` in the page is kept.
+    The existing page's text below `BY_HAND` is kept.
 
     Args:
         tables: CSVs that experiments wrote.
-        page: where the text goes.
-        command: that writes the page, quoted on it.
+        page: the Markdown file.
+        command: the command that writes the page, quoted on it.
         more: lines after a table's section.
 
     Raises:
@@ -89,7 +89,7 @@ def write_page(
 
 
 def section(table: Path, form: Presentation, page: Path) -> list[str]:
-    """A table's lines, and its picture beside it.
+    """Markdown lines of a table's section; draws its plot next to the CSV.
 
     Raises:
         MatcapError: it cannot be read or is empty; matplotlib is missing.
@@ -146,7 +146,7 @@ def _means(averages: Sequence[Mean], form: Presentation) -> list[str]:
 
 
 def _by_subject(rows: Sequence[Trial], form: Presentation) -> list[str]:
-    """Errors of the base and what stands beside it, the worst subjects first."""
+    """Errors by subject of the baseline and of `listed_with`, the worst subjects first."""
     error = form.axes[1]
     names = [form.base, *form.listed_with]
     first = {(row.configuration, row.subject): row for row in rows if row.seed == 0}

@@ -27,11 +27,11 @@ def draw(
     Args:
         averages: the means; whiskers show the spread over their subjects.
         path: of the picture.
-        axes: columns across and up; the one across over decades.
+        axes: columns along x (logarithmic) and y.
         title: above it.
-        labels: configurations that are named off the front too, by what they are called.
-        least: the one up goes over decades, down to this; None where it does not.
-        best: the front, of those measured on as many subjects as any by default.
+        labels: names to write next to configurations that are not on the front.
+        least: lower limit of a logarithmic y axis; None for a linear one.
+        best: the front; by default of the configurations measured on the most subjects.
 
     Raises:
         MatcapError: matplotlib is not installed, or the file cannot be written.
@@ -74,7 +74,7 @@ def draw(
 
 
 def new_figure(size: tuple[float, float]) -> Any:  # noqa: ANN401
-    """A figure of so many inches that belongs to no window: nothing global is touched.
+    """A figure of (width, height) inches without a window or pyplot's global state.
 
     Raises:
         MatcapError: matplotlib is not installed.
@@ -93,7 +93,7 @@ def new_figure(size: tuple[float, float]) -> Any:  # noqa: ANN401
 
 
 def save_figure(figure: Any, path: Path) -> None:  # noqa: ANN401
-    """As a PNG, the same bytes for the same figure.
+    """Write a figure as a PNG; the same figure gives the same bytes.
 
     Raises:
         MatcapError: the file cannot be written.

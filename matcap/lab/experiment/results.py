@@ -1,7 +1,7 @@
 """Results of experiments: a CSV with a row a trial, its table, means and Pareto front.
 
-A row is appended as soon as it is measured, so that an experiment can be stopped and taken up
-again. A table whose rows have a column that the file lacks is written anew, whole.
+A row is appended as soon as it is measured, so that an experiment can be stopped and resumed. A row
+with a column that the file lacks makes the whole file be written anew.
 """
 
 from __future__ import annotations
@@ -39,37 +39,37 @@ class Trial:
     seed: int = 0
     machine: str = ""
     version: str = ""
-    """Of the source and settings that measured it (runner.Experiment.version)."""
+    """Hash of the source and settings that measured it (runner.Experiment.version)."""
 
     @property
     def key(self) -> tuple[str, str, str, int]:
-        """What makes it the same trial made again."""
+        """Identity of the trial: a later row of the same key replaces an earlier one."""
         return self.experiment, self.configuration, self.subject, self.seed
 
     @property
     def line(self) -> str:
-        """In one line, for progress."""
+        """The trial in one line, for progress."""
         parts = (f"{name} {shown(value)}" for name, value in self.values.items() if shown(value))
         seed = f", seed {self.seed}" if self.seed else ""
         return f"{self.subject}, {self.configuration}{seed}: {', '.join(parts)}"
 
     def number(self, column: str) -> float:
-        """Of a column; NaN where there is none."""
+        """A column's number; NaN where there is none."""
         value = self.values.get(column, math.nan)
         return value if isinstance(value, float | int) else math.nan
 
 
 @dataclass(frozen=True)
 class Mean:
-    """A configuration over all its subjects; each number by column."""
+    """Averages of a configuration over its subjects, by column."""
 
     configuration: str
     group: str
     subjects: int
-    """How many."""
+    """Number of subjects."""
 
     seeds: int
-    """How many each subject was measured with, at least."""
+    """Number of seeds of the subject with the fewest."""
 
     values: Mapping[str, float]
     """Means over the subjects' means over seeds."""
@@ -78,10 +78,10 @@ class Mean:
     """Standard deviations over the subjects."""
 
     scatter: Mapping[str, float]
-    """Standard deviations over seeds, their means over the subjects; NaN with one seed."""
+    """Standard deviations over seeds, averaged over the subjects; NaN with one seed."""
 
     def __getitem__(self, column: str) -> float:
-        """The mean; NaN where there is none."""
+        """A column's mean; NaN where there is none."""
         return self.values.get(column, math.nan)
 
 
@@ -105,7 +105,7 @@ def read(path: Path) -> list[Trial]:
 
 
 def append(path: Path, row: Trial) -> None:
-    """Add a row in place of a torn one, if a sweep was killed; the heading where it is new."""
+    """Append a row, with the header if the file is new; replaces a last line that is incomplete."""
     before = path.read_bytes() if path.exists() else b""
     kept = before[: before.rfind(b"\n") + 1]
     names = next(csv.reader(kept.decode().splitlines()), [])
@@ -121,18 +121,18 @@ def append(path: Path, row: Trial) -> None:
 
 
 def columns_of(rows: Iterable[Trial]) -> list[str]:
-    """Names of all values, in the order of the first row that has each."""
+    """Names of all columns, in order of first appearance."""
     return list(dict.fromkeys(name for row in rows for name in row.values))
 
 
 def means(rows: Iterable[Trial], base: str | None = None) -> list[Mean]:
-    """Means over the subjects, in the order of the first row; the last of a key counts.
+    """Means over the subjects, in order of first appearance; of equal keys the last row counts.
 
     Args:
-        rows: what there is.
-        base: a configuration that others are paired with: one of fewer subjects is given by its
-            ratio to it on the same ones, for subjects differ by more than configurations do. None
-            for plain means.
+        rows: the trials.
+        base: baseline. A configuration measured on fewer subjects gets the baseline's mean times
+            its ratio to the baseline on the shared subjects, because subjects differ by more than
+            configurations do. None for plain means.
     """
     latest = {row.key: row for row in rows}
     by_configuration: dict[str, dict[str, list[Trial]]] = {}
@@ -147,13 +147,13 @@ def means(rows: Iterable[Trial], base: str | None = None) -> list[Mean]:
 
 
 def comparable(averages: Sequence[Mean]) -> list[Mean]:
-    """Those measured on as many subjects as any."""
+    """The configurations measured on the largest number of subjects."""
     most = max((mean.subjects for mean in averages), default=0)
     return [mean for mean in averages if mean.subjects == most]
 
 
 def front(averages: Sequence[Mean], x: str, y: str) -> list[Mean]:
-    """The Pareto front, least x first: of none are both as small."""
+    """The Pareto front by ascending x: no other configuration is as small in both x and y."""
     best, least = [], math.inf
     for mean in sorted(averages, key=lambda mean: (mean[x], mean[y])):
         if mean[y] < least:
@@ -163,13 +163,13 @@ def front(averages: Sequence[Mean], x: str, y: str) -> list[Mean]:
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> list[str]:
-    """Lines of a table: so many first columns to the left, numbers to the right."""
+    """Lines of a table: the first `words` columns left-aligned, numbers right-aligned."""
     rule = ["---"] * words + ["---:"] * (len(head) - words)
     return ["| " + " | ".join(line) + " |" for line in (head, rule, *rows)]
 
 
 def table(rows: Sequence[Trial], command: str, about: str = "") -> str:
-    """All rows and, of several subjects, a configuration's mean over them."""
+    """All rows and, if there are several subjects, each configuration's mean, in Markdown."""
     columns = columns_of(rows)
     seeds = len({row.seed for row in rows}) > 1
     lines = [
@@ -190,7 +190,7 @@ def table(rows: Sequence[Trial], command: str, about: str = "") -> str:
 
 
 def as_json(rows: Sequence[Trial]) -> str:
-    """The rows as a JSON list, nothing where there is no number."""
+    """The rows as a JSON list; null where there is no number."""
     entries = [
         {"subject": row.subject, "configuration": row.configuration, "seed": row.seed}
         | {n: None if v != v else v for n, v in row.values.items()}
@@ -200,7 +200,7 @@ def as_json(rows: Sequence[Trial]) -> str:
 
 
 def shown(value: Value) -> str:
-    """Three digits of a number, nothing for NaN; words as they are."""
+    """A number to three digits, an empty string for NaN; words unchanged."""
     if isinstance(value, str):
         return value
     if math.isnan(value):
@@ -209,7 +209,7 @@ def shown(value: Value) -> str:
 
 
 def machine() -> str:
-    """The processor, its cores and the threads in use, and the system."""
+    """Processor, number of cores and threads, and operating system."""
     import torch
 
     return (
@@ -234,7 +234,7 @@ def _mean_of(
     base: Mapping[str, Sequence[Trial]],
     columns: Sequence[str],
 ) -> Mean:
-    """Of one configuration's trials by subject."""
+    """Averages of one configuration from its trials by subject."""
 
     def over_seeds(column: str, trials: Mapping[str, Sequence[Trial]]) -> dict[str, float]:
         return {subject: _mean([t.number(column) for t in of]) for subject, of in trials.items()}

@@ -5,8 +5,8 @@ An experiment names its subjects, its configurations and its measures:
 - a *subject* is a name and a function that prepares it once (takes its photographs, relights true
   samples);
 - a *configuration* is a name and a function of the prepared subject and a seed (captures it);
-- a *measure* is a function of the prepared subject and what the configuration made of it, to named
-  numbers and words, which are columns of the CSV.
+- a *measure* is a function of the prepared subject and the configuration's outcome to named numbers
+  and words, the columns of the CSV.
 
 To add one, write the function and list it in the experiment. Read next: results.py, which keeps
 the rows and aggregates them.
@@ -37,10 +37,10 @@ class Configuration(Generic[Subject, Outcome]):
     """One configuration of an experiment: a function of a prepared subject and a seed."""
 
     run: Callable[[Subject, int], Outcome]
-    """Of a prepared subject and a seed."""
+    """(prepared subject, seed) to the outcome."""
 
     group: str = ""
-    """What it varies; configurations of a group share a colour of the plot."""
+    """The option varied; configurations of a group share a colour in the plot."""
 
     settings: object = None
     """Everything else its values depend on, compared by its `repr`."""
@@ -48,34 +48,34 @@ class Configuration(Generic[Subject, Outcome]):
 
 @dataclass(frozen=True)
 class Experiment(Generic[Subject, Outcome]):
-    """What is measured of what."""
+    """Subjects, configurations and measures."""
 
     name: str
     """As in `matcap bench NAME`."""
 
     subjects: Mapping[str, Callable[[], Subject]]
-    """By name, each with what prepares it; called only where something of it is left to do."""
+    """Preparation functions by name, called only if a trial of the subject is missing."""
 
     configurations: Mapping[str, Configuration[Subject, Outcome]]
     """By name."""
 
     measures: Sequence[Measure[Subject, Outcome]]
-    """In the order of their columns; `seconds` that the configuration took stands before them."""
+    """In the order of their columns, which follow the configuration's run time, `seconds`."""
 
     seeds: Sequence[int] = (0,)
-    """Of the configurations."""
+    """Seeds that each configuration runs with."""
 
     skips: Callable[[str, str], bool] = field(default=lambda _subject, _configuration: False)
-    """Whether a subject is not asked of a configuration."""
+    """(subject, configuration): whether that trial is left out."""
 
     settings: object = None
     """Everything else its values depend on, compared by its `repr`."""
 
     any_version: bool = False
-    """Rows that another version of the source measured count: of sweeps that take hours."""
+    """Rows measured by another version of the source are kept: for sweeps of hours."""
 
     def version(self, configuration: str) -> str:
-        """Eight hexadecimal digits of matcap's source and a configuration's settings."""
+        """Hash of the source and a configuration's settings, eight hexadecimal digits."""
         source = "" if self.any_version else source_version()
         identity = f"{source}{self.settings!r}{self.configurations[configuration].settings!r}"
         return hashlib.sha256(identity.encode()).hexdigest()[:8]
@@ -86,13 +86,13 @@ def run(
     table: Path,
     on_progress: Callable[[str], None] = lambda _line: None,
 ) -> list[Trial]:
-    """Measure what the table lacks, row by row, and give the experiment's rows of it.
+    """Measure the trials that the table lacks, append them, and return the experiment's rows.
 
-    A row that is there is not measured again while matcap's source and the experiment's settings
-    are the same. What cannot be captured is reported by `on_progress` and left out.
+    A row is measured again only if matcap's source or the experiment's settings have changed.
+    Captures that fail are reported by `on_progress` and left out.
 
     Raises:
-        UsageError: a subject or a configuration was asked for what cannot be.
+        UsageError: a subject or a configuration was given invalid options.
         MatcapError: the table cannot be read or written; nothing could be measured.
     """
     versions = {name: experiment.version(name) for name in experiment.configurations}
@@ -148,10 +148,10 @@ def run(
 
 
 def choose(known: Mapping[str, Outcome], names: Sequence[str]) -> dict[str, Outcome]:
-    """Those of these names; all without any.
+    """The entries of these names; all entries if no names are given.
 
     Raises:
-        UsageError: there is none of a name.
+        UsageError: a name is unknown.
     """
     for name in names:
         if name not in known:
@@ -162,7 +162,7 @@ def choose(known: Mapping[str, Outcome], names: Sequence[str]) -> dict[str, Outc
 
 @cache
 def source_version() -> str:
-    """Of the package's files, networks included."""
+    """Hash of the package's files, networks included."""
     digest = hashlib.sha256()
     package = find_spec("matcap")
     for folder in package.submodule_search_locations or () if package else ():
