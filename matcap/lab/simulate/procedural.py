@@ -53,18 +53,18 @@ class Canvas:
         return ((np.arange(self.height, dtype=np.float64) + 0.5) * self.texel_size)[:, None]
 
     def stream(self, label: str) -> np.random.Generator:
-        """Random numbers of this seed that belong to one label alone."""
+        """Generator of the label's own stream of this seed."""
         return np.random.default_rng([self.seed, zlib.crc32(label.encode())])
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """What wavelengths a noise field is made of, in plane units.
+    """Amplitude spectrum of a noise field; wavelengths in plane units.
 
     Attributes:
-        coarse: wavelengths well above this are left out.
-        fine: wavelengths well below this are left out.
-        slope: amplitude falls as frequency to this power in between; 1 is natural, 0 is white.
+        coarse: long-wavelength cutoff.
+        fine: short-wavelength cutoff.
+        slope: amplitude is f^-slope in between; 1 is natural, 0 is white.
         stretch: how much longer features are along the grain than across it.
         angle: direction of the grain, radians anticlockwise from x.
     """
@@ -76,14 +76,14 @@ class Spectrum:
     angle: float = 0.0
 
     def frequency(self, fx: Raster, fy: Raster) -> Raster:
-        """Isotropic frequency that (fx, fy), y downwards, counts as."""
+        """Length of (fx, fy), y downwards, after undoing stretch and angle; cycles a plane unit."""
         cosine, sine = math.cos(self.angle), math.sin(self.angle)
         along = (fx * cosine - fy * sine) * self.stretch
         across = fx * sine + fy * cosine
         return np.hypot(along, across)
 
     def amplitude(self, fx: Raster, fy: Raster) -> Raster:
-        """Amplitude at (fx, fy), in cycles per plane unit; 0 at no frequency."""
+        """Amplitude at (fx, fy), in cycles per plane unit; 0 at frequency 0."""
         f = self.frequency(fx, fy)
         safe = np.maximum(f, 1e-9)
         rise = -np.expm1(-((safe * self.coarse) ** 4))
@@ -91,7 +91,7 @@ class Spectrum:
         return np.where(f > 0, rise * fall * safe**-self.slope, 0.0)
 
     def limits(self) -> tuple[float, float]:
-        """Largest frequencies along x and y."""
+        """Largest frequencies along x and y, cycles per plane unit."""
         cosine, sine = abs(math.cos(self.angle)), abs(math.sin(self.angle))
         top = _CUTOFF / self.fine
         return (
@@ -119,7 +119,7 @@ def _synthesise(canvas: Canvas, label: str, spectrum: Spectrum, *, unit_slope: b
     row = np.arange(-last_y, last_y + 1)[:, None]
     fx, fy = column / extent_x, row / extent_y
     amplitude = spectrum.amplitude(fx, fy)
-    # Columns beside the zeroth stand for themselves and their mirror image.
+    # Columns other than the zeroth count twice: for themselves and their conjugates.
     weight = np.where(column == 0, 1.0, 2.0)
     measure = (2.0 * math.pi) ** 2 * (fx**2 + fy**2) if unit_slope else 1.0
     power = float((weight * measure * amplitude**2).sum())
@@ -146,9 +146,9 @@ class VoronoiCells:
     Attributes:
         nearest: (H, W) distance to the nearest point, in cell sizes.
         second: (H, W) distance to the second nearest point, in cell sizes.
-        index: (H, W) which cell; below `count`.
-        count: how many cells there are.
-        offset: two (H, W) fields, from the nearest point to here, in cell sizes, x and y down.
+        index: (H, W) index of the cell, below `count`.
+        count: number of cells.
+        offset: two (H, W) fields, x and y from the nearest point, in cell sizes, y downwards.
     """
 
     nearest: Raster
@@ -159,7 +159,7 @@ class VoronoiCells:
 
     @property
     def border(self) -> Raster:
-        """(H, W) 0 on the border of two cells, growing inwards, in cell sizes."""
+        """(H, W) second - nearest, in cell sizes: 0 on the border of two cells."""
         return self.second - self.nearest
 
     def draw(self, generator: np.random.Generator) -> Raster:
@@ -180,9 +180,9 @@ def cells(
     """Voronoi cells of about `size` plane units.
 
     Args:
-        canvas: where.
-        label: of its random numbers.
-        size: spacing of the points.
+        canvas: rectangle and seed.
+        label: random stream.
+        size: spacing of the points, plane units.
         jitter: 0 for a square grid to 1 for points anywhere in their square.
         stretch: how much longer cells are along the grain than across it.
         angle: direction of the grain, radians anticlockwise from x.
@@ -257,10 +257,10 @@ class Weave:
 
     Attributes:
         height: (H, W) in thread spacings.
-        warp_on_top: (H, W) bool, the thread along y is the one seen.
+        warp_on_top: (H, W) bool, the thread along y is on top.
         column, row: (H, W) index of the thread along y, and of the one along x.
-        across: (H, W) place across the thread that is seen, -1 to 1.
-        along: (H, W) place along it, in thread spacings.
+        across: (H, W) coordinate across the top thread, -1 to 1.
+        along: (H, W) coordinate along the top thread, in thread spacings.
     """
 
     height: Raster
@@ -281,11 +281,11 @@ def weave(u: Raster, v: Raster, *, over: int = 1, fill: float = 0.95, depth: flo
     """A weave of round threads.
 
     Args:
-        u: (H, W) place across the threads along y, in thread spacings, not negative.
+        u: (H, W) coordinate across the threads along y, in thread spacings, not negative.
         v: (H, W) likewise, across the threads along x.
-        over: how many threads a thread passes over at a time: 1 plain weave, 2 or 3 twill.
+        over: number of threads a thread passes over: 1 plain weave, 2 or 3 twill.
         fill: a thread's width as share of the spacing.
-        depth: how far threads go up and down, in thread spacings.
+        depth: amplitude of a thread's centre line, in thread spacings.
     """
     column, row = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
     across_u = (2.0 * (u - column) - 1.0) / fill
@@ -318,7 +318,7 @@ def smoothstep(low: float, high: float, value: Raster) -> Raster:
 
 
 def mix(first: Raster, second: Raster, share: Raster) -> Raster:
-    """First where share is 0, second where it is 1; colours are (3, 1, 1) or (3, H, W)."""
+    """(1 - share) first + share second; colours are (3, 1, 1) or (3, H, W)."""
     return first + (second - first) * share
 
 

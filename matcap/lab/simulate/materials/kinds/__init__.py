@@ -1,8 +1,8 @@
 """Random materials of nameable kinds (bricks, wood, felt), each with random parameters.
 
-`random_material` (varied.py) draws patterns; this draws things: gravel, knits, bonds, hammered
-metal, planks. Where features lie, `place.py`; their numbers, `draws.py`; what all have in common,
-`surface_fields.py`; one file a group of kinds.
+`random_material` (varied.py) draws abstract patterns; this draws gravel, knits, bonds, hammered
+metal, planks. Placement is in `place.py`, random parameters in `draws.py`, what all share in
+`surface_fields.py`; each further file holds a group of kinds.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ COLOURED_METALS: Mapping[str, Kind] = MappingProxyType(
     }
 )
 
-# The piece on which a relief's slope is measured: texels, and their size in plane units.
+# The sample on which a relief's slope is measured: width, height in texels, size in plane units.
 _SAMPLE = (256, 192, 2.0 / 512.0)
 
 
@@ -90,8 +90,8 @@ class RandomKind:
 
     Attributes:
         kind: a key of kinds_known().
-        number: what its parameters are drawn from.
-        depth: plane units of height to a unit of its relief.
+        number: seed of its parameters.
+        depth: plane units per unit of height.
     """
 
     kind: str
@@ -108,7 +108,7 @@ class RandomKind:
 
 
 def kinds_known() -> Mapping[str, Kind]:
-    """All of them by name."""
+    """KINDS and COLOURED_METALS by name."""
     return {**KINDS, **COLOURED_METALS}
 
 
@@ -119,7 +119,7 @@ def random_kind(rng: np.random.Generator) -> RandomKind:
 
 
 def kind_of(kind: str, number: int) -> RandomKind:
-    """The material of a kind whose parameters are drawn from a number."""
+    """The material of a kind with parameters of seed `number`."""
     steepness = log_uniform(np.random.default_rng([number, 1]), *kinds_known()[kind].slopes)
     width, height, texel = _SAMPLE
     relief = RandomKind(kind, number, 1.0)._lay(Canvas(width, height, texel, 0), 1.0)[1]

@@ -1,7 +1,7 @@
 """Metals whose F0 has a colour: plain sheets, anodised, streaked, beaten, rusted, leafed.
 
-Kinds of their own, with names of their own (COLOURED_METALS in this folder's `__init__`): the
-stream that training draws from (`random_kind`) has none of them, and stays what it was.
+Listed as COLOURED_METALS in this folder's `__init__`, apart from KINDS: `random_kind`, which
+training draws from, leaves them out, so that its stream is unchanged.
 """
 
 from __future__ import annotations
@@ -37,10 +37,9 @@ _BOLE = np.array([0.24, 0.055, 0.032])  # red clay that leaf is laid on
 
 
 def metal_colour(rng: np.random.Generator) -> Colours:
-    """(3,) F0, linear Rec.709, of a metal as one meets it: mostly a known one, at times anodised.
+    """(3,) F0, linear Rec.709, of a random metal: mostly a known one, at times anodised.
 
-    A little darker, warmer or cooler than a table's. For whatever draws metals: this file's kinds,
-    and training.
+    Tabulated F0 with random brightness and warmth. Used by this file's kinds and by training.
     """
     if chance(rng, _ANODISED):
         return anodised_f0(rng)
@@ -53,8 +52,8 @@ def metal_colour(rng: np.random.Generator) -> Colours:
 def anodised_f0(rng: np.random.Generator) -> Colours:
     """(3,) F0 of dyed aluminium: blue or red more often than any other hue, always saturated.
 
-    Light crosses the dyed oxide, is mirrored by the metal and crosses it again; its own surface
-    mirrors a little that has no colour.
+    F0 = R + (1 - R)^2 F_Al t, R the achromatic reflectance of the oxide's surface, F_Al aluminium's
+    F0 and t the dye's transmittance.
     """
     hue = float(rng.choice([0.0, 0.61])) + 0.03 * rng.standard_normal()
     if chance(rng, 0.3):
@@ -78,7 +77,7 @@ def _sheet(name: str, canvas: Canvas, rng: np.random.Generator) -> SurfaceFields
 
 
 def _dirt(rng: np.random.Generator, where: Raster) -> Raster:
-    """What little a clean metal gives off in all directions."""
+    """Low diffuse albedo of a clean metal."""
     grey = shade(rng, np.array([0.004, 0.0037, 0.0033]) + 0.01, 0.2) - 0.01
     return np.clip(grey, 0.0, None)[:, None, None] * np.exp(0.4 * where)
 
@@ -98,7 +97,7 @@ def anodised(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
 
 
 def streaked(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
-    """Brushed metal of any colour: no lobe is longer one way, but slopes and gloss are."""
+    """Brushed metal of any colour: anisotropic slopes and roughness, isotropic lobes."""
     colour = metal_colour(rng)[:, None, None]
     under = metal.brushed(canvas, rng)
     return replace(under, diffuse=0.1 * under.diffuse, specular=_tinted(colour, under.specular))
@@ -112,13 +111,13 @@ def beaten(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
 
 
 def _tinted(colour: Raster, grey: Raster | float) -> Raster:
-    """(3, H, W) a metal's colour, as unevenly bright as a grey one."""
+    """(3, H, W) a metal's colour with the brightness variation of a grey F0."""
     values = np.asarray(grey)
     return np.asarray(colour * values / values.mean())
 
 
 def rusted(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
-    """Steel and its rust side by side: here a metal without diffuse light, there none at all."""
+    """Steel with hardly any diffuse albedo, in part covered by dielectric rust."""
     size = log_uniform(rng, 0.06, 0.15)
     patch = noise(canvas, "patch", Spectrum(1.3 * size, 0.012, slope=1.6))
     crumbs = noise(canvas, "crumbs", Spectrum(0.03, 0.006, slope=0.8))

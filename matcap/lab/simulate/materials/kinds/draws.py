@@ -1,4 +1,4 @@
-"""Random parameters: scales, colours that surfaces have, and numbers that belong to one piece."""
+"""Random parameters: scales, natural colours, and uniform numbers by index (hashes)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from matcap.lab.simulate.procedural import Canvas, Raster
 Whole = NDArray[np.int64]
 Colours = NDArray[np.float64]  # (3,) linear Rec.709 albedo
 
-# Diffuse albedos, linear Rec.709, of what surfaces are commonly made of.
+# Diffuse albedos, linear Rec.709, of common materials.
 STONES = np.array(
     [
         [0.42, 0.40, 0.37],
@@ -75,19 +75,19 @@ def chance(rng: np.random.Generator, probability: float) -> bool:
 
 
 def angle(rng: np.random.Generator) -> float:
-    """A direction of grain: along the picture's sides as often as any other, in radians."""
+    """A direction of grain, radians: half the time along the picture's sides."""
     if chance(rng, 0.5):
         return float(rng.choice([0.0, math.pi / 2]) + rng.normal(0.0, 0.03))
     return float(rng.uniform(0.0, math.pi))
 
 
 def natural(rng: np.random.Generator, palette: Colours) -> Colours:
-    """A colour near one of a palette's (N, 3)."""
+    """(3,) a random colour near one of a palette's (N, 3)."""
     return shade(rng, palette[rng.integers(len(palette))], 0.3, 0.08)
 
 
 def dye(rng: np.random.Generator) -> Colours:
-    """Any hue, greys and browns more often than others."""
+    """(3,) a random colour, greys and browns more often than others."""
     if chance(rng, 0.4):
         return natural(rng, np.concatenate([STONES, WOODS]))
     saturation, value = rng.beta(2.0, 1.5), log_uniform(rng, 0.03, 0.8)
@@ -95,9 +95,9 @@ def dye(rng: np.random.Generator) -> Colours:
 
 
 def shade(rng: np.random.Generator, of: Colours, tone: float, hue: float = 0.06) -> Colours:
-    """A relative of a colour: log-normal in brightness by `tone`, in warmth by `hue`.
+    """(3,) a random variation of a colour: log-normal in brightness by `tone`, warmth by `hue`.
 
-    Dirt, heat and age move colours between warm and cool; green against magenta hardly moves.
+    Dirt, heat and age change colours along warm-cool, hardly along green-magenta.
     """
     light, warm, green = rng.standard_normal(3)
     warmth, tint = np.array([1.0, 0.1, -1.1]), np.array([-0.12, 0.12, -0.12])
@@ -106,7 +106,7 @@ def shade(rng: np.random.Generator, of: Colours, tone: float, hue: float = 0.06)
 
 
 def shades(rng: np.random.Generator, of: Colours, count: int, tone: float) -> Colours:
-    """(count, 3) relatives of a colour."""
+    """(count, 3) random variations of a colour."""
     return np.stack([shade(rng, of, tone, 0.4 * tone) for _ in range(count)])
 
 
@@ -116,9 +116,9 @@ def dielectric(rng: np.random.Generator) -> float:
 
 
 def piece(canvas: Canvas, label: str, *indices: Whole) -> Raster:
-    """A uniform number in [0, 1) for every tuple of whole numbers, any sign, of this seed.
+    """A uniform number in [0, 1) for every tuple of integers, any sign: a hash with the seed.
 
-    The finaliser of SplitMix64 [steele2014], once an index.
+    The finaliser of SplitMix64 [steele2014], applied once per index.
     """
     key = (canvas.seed * 0x9E3779B97F4A7C15 + zlib.crc32(label.encode())) % 2**64
     state: NDArray[np.uint64] = np.array(key, dtype=np.uint64)
@@ -131,7 +131,7 @@ def piece(canvas: Canvas, label: str, *indices: Whole) -> Raster:
 
 
 def streaks(canvas: Canvas, label: str, across: Raster, *indices: Whole) -> Raster:
-    """Smooth random lines in [-1, 1]: a function of `across` alone, another for other indices."""
+    """Smooth random lines in [-1, 1]: a function of `across` for each tuple of indices."""
     first = np.floor(across).astype(np.int64)
     t = across - first
     t = t * t * (3.0 - 2.0 * t)

@@ -1,4 +1,4 @@
-"""Where the pieces of a material lie: turned lattices, borders of cells, overlapping stamps."""
+"""Placement of a material's elements: rotated lattices, borders of cells, overlapping stamps."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _CHUNK = 200_000
 def turned(
     canvas: Canvas, label: str, angle: float, bend: float, reach: float
 ) -> tuple[Raster, Raster]:
-    """(H, W) plane coordinates along and across a direction, in plane units, slightly bent.
+    """(H, W) plane coordinates along and across a direction, in plane units, slightly warped.
 
     Args:
-        canvas: where.
-        label: of the random bend and origin.
+        canvas: rectangle and seed.
+        label: random stream of the warp and the origin.
         angle: of the first coordinate, radians anticlockwise from x.
-        bend: wavelength of the bending, plane units.
-        reach: its standard deviation, plane units.
+        bend: wavelength of the warp, plane units.
+        reach: standard deviation of the warp, plane units.
     """
     cosine, sine = math.cos(angle), math.sin(angle)
     start = canvas.stream(label + " start").uniform(0.0, 10.0, size=2)
@@ -39,7 +39,7 @@ def turned(
 
 
 def warp(canvas: Canvas, label: str, size: float, reach: float) -> tuple[Raster, Raster]:
-    """Two displacement fields of a wavelength and a standard deviation, for `cells`."""
+    """Two displacement fields of wavelength `size` and deviation `reach`, plane units."""
     spectrum = Spectrum(coarse=1.5 * size, fine=0.4 * size)
     return (
         reach * noise(canvas, label + " warp x", spectrum),
@@ -56,11 +56,11 @@ def rim(canvas: Canvas, cell: VoronoiCells) -> Raster:
 
 @dataclass(frozen=True)
 class Scatter:
-    """Stamps thrown on the plane.
+    """Randomly placed stamps.
 
     Attributes:
-        x, y: (N,) their centres in plane units, y downwards; some lie outside the canvas.
-        reach: (N,) half a side of the square that holds each, in plane units.
+        x, y: (N,) centres in plane units, y downwards; some lie outside the canvas.
+        reach: (N,) half the side of each one's bounding square, in plane units.
     """
 
     x: Raster
@@ -69,23 +69,23 @@ class Scatter:
 
     @property
     def count(self) -> int:
-        """How many."""
+        """Number of stamps."""
         return self.x.size
 
 
 # Offsets from the centre (n, P, P) in plane units, right and down, and which stamps (n, 1, 1):
-# heights (n, P, P), -inf where the stamp is not.
+# heights (n, P, P), -inf outside the stamp.
 Profile = Callable[[Raster, Raster, Whole], Raster]
 
 
 def scatter(
     canvas: Canvas, label: str, pitch: float, reach: Callable[[np.random.Generator, int], Raster]
 ) -> Scatter:
-    """One stamp to a square of side `pitch`, anywhere in it.
+    """One stamp to each square of side `pitch`, uniformly distributed in it.
 
     Args:
-        canvas: where.
-        label: of its random numbers.
+        canvas: rectangle and seed.
+        label: random stream.
         pitch: plane units.
         reach: (generator, N) to (N,) half sides in plane units, at most 8 pitches.
     """
@@ -99,10 +99,10 @@ def scatter(
 
 
 def splat(canvas: Canvas, stamps: Scatter, profile: Profile) -> tuple[Raster, Whole]:
-    """Lay stamps over one another; the highest is seen.
+    """Upper envelope of overlapping stamps.
 
     Returns:
-        (H, W) height, -inf where no stamp lies, and (H, W) which stamp is seen, -1 where none.
+        (H, W) height, -inf where there is no stamp, and (H, W) index of the top stamp, else -1.
     """
     texel = canvas.texel_size
     shape = (canvas.height, canvas.width)
@@ -140,7 +140,7 @@ def splat(canvas: Canvas, stamps: Scatter, profile: Profile) -> tuple[Raster, Wh
 
 
 def spun(dx: Raster, dy: Raster, turn: Raster) -> tuple[Raster, Raster]:
-    """Offsets along and across a direction, radians."""
+    """Offsets along and across a direction `turn`, radians."""
     cosine, sine = np.cos(turn), np.sin(turn)
     return dx * cosine - dy * sine, dx * sine + dy * cosine
 
@@ -148,13 +148,13 @@ def spun(dx: Raster, dy: Raster, turn: Raster) -> tuple[Raster, Raster]:
 def polygons(
     generator: np.random.Generator, count: int, corners: int = 6, ragged: float = 0.5
 ) -> Callable[[Raster, Raster, Whole], Raster]:
-    """Convex stones of radius about 1: (u, v, which) to how far inside, 1 in the middle.
+    """Convex polygons of radius about 1: (u, v, index) to 1 in the middle, 0 on the border.
 
     Args:
-        generator: of their shapes.
-        count: how many stones.
+        generator: random numbers of the shapes.
+        count: number of polygons.
         corners: sides of each.
-        ragged: 0 for regular ones, to 1.
+        ragged: irregularity, 0 to 1.
     """
     step = 2.0 * math.pi / corners
     turn = generator.uniform(0.0, 2.0 * math.pi, (count, 1)) + step * np.arange(corners)
@@ -185,17 +185,17 @@ def paths(
     """Chains of short straight pieces: fibres, scratches.
 
     Args:
-        canvas: where.
-        label: of its random numbers.
+        canvas: rectangle and seed.
+        label: random stream.
         pitch: one chain to a square of this side, plane units.
-        pieces: how many to a chain.
+        pieces: number of pieces to a chain.
         step: length of a piece, plane units.
-        curl: standard deviation of the turn from piece to piece, radians.
+        curl: standard deviation of the angle between successive pieces, radians.
         direction: (generator, N) to (N,) the chains' directions, radians.
         reach: half the width of a piece, plane units.
 
     Returns:
-        Stamps that hold the pieces, (N,) the pieces' directions and (N,) whose chain each is of.
+        The pieces as stamps, (N,) their directions, radians, and (N,) the index of their chain.
     """
     span = 0.5 * pieces * step
     width, height = canvas.extent
@@ -204,7 +204,7 @@ def paths(
     count = columns * rows
     start_x = (np.arange(columns)[None, :] + generator.random((rows, columns))) * pitch - span
     start_y = (np.arange(rows)[:, None] + generator.random((rows, columns))) * pitch - span
-    # A steady turn, which makes arcs, and an unsteady one, which makes wriggles.
+    # Constant curvature makes arcs, random curvature wriggles.
     steady = generator.standard_normal((count, 1)) * np.arange(pieces)
     unsteady = np.cumsum(generator.standard_normal((count, pieces)), axis=1)
     turn = direction(generator, count)[:, None] + curl * (0.5 * steady + unsteady)

@@ -1,8 +1,7 @@
 """Fields of a surface (albedo, roughness, height) of each kind, and the finish common to all.
 
-A kind draws its parameters from one generator and its realisation from the canvas. It says where
-its cavities are; the finish ties darkness and gloss to them, adds fine grain and brings the relief
-to its slope.
+A kind draws its parameters from one generator and its realisation from the canvas, and marks its
+cavities. The finish darkens and roughens these, adds fine grain and scales the relief to a slope.
 """
 
 from __future__ import annotations
@@ -34,8 +33,8 @@ class SurfaceFields:
         diffuse: albedo, linear Rec.709.
         specular: F0; (3, H, W), linear Rec.709, where it has a colour.
         roughness: perceptual.
-        height: of any scale; the finish brings it to its slope.
-        cavity: 0 where the surface is open to 1 in its grooves.
+        height: of any scale; the finish scales it to a slope.
+        cavity: 0 on tops to 1 in grooves.
     """
 
     diffuse: Raster
@@ -55,8 +54,8 @@ class Kind:
 
     Attributes:
         lay: realises one of them.
-        slopes: between which root mean square slopes its relief is drawn.
-        grain: between which root mean square slopes its fine grain is drawn.
+        slopes: range of the relief's root mean square slope.
+        grain: range of the fine grain's root mean square slope.
         darkest: least diffuse albedo.
     """
 
@@ -79,7 +78,7 @@ class _Finish:
 def finish(
     canvas: Canvas, kind: Kind, depth: float, parameters: np.random.Generator
 ) -> tuple[MapSet, Raster]:
-    """Maps of a kind's realisation and the height of its relief before grain at that depth."""
+    """Maps of a realisation, and (H, W) its relief, `depth` times the height, without grain."""
     how = _draw_finish(parameters)
     steepness = log_uniform(parameters, *kind.grain)
     surface = kind.lay(canvas, parameters)
@@ -100,13 +99,13 @@ def finish(
 
 
 def _rounded(canvas: Canvas, height: Raster) -> Raster:
-    """Steps are never sharper than wear and the lens leave them."""
+    """Height with steps smoothed, as by wear and the lens's blur."""
     deviation = _EDGE / canvas.texel_size
     return np.asarray(cv2.GaussianBlur(np.ascontiguousarray(height), (0, 0), deviation))
 
 
 def _draw_finish(rng: np.random.Generator) -> _Finish:
-    """Dirt gathers in cavities and polish on tops, in three of four; and at times nothing does."""
+    """Cavities darker, and rougher, in 3 of 4 materials each, else the opposite; none in 15 %."""
     tied = not chance(rng, 0.15)
     coarse = log_uniform(rng, 0.01, 0.06)
     return _Finish(
