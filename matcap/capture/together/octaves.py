@@ -1,15 +1,15 @@
-"""Octave by octave: a map measured by photographs is combined with the network's prediction of it.
+"""Wiener estimate of a map, octave by octave, from its measurement and the network's prediction.
 
-In an octave let y be the map measured by photographs, with noise of variance nu, and m the
+In an octave let y be the map estimated from photographs, with noise of variance nu, and m the
 network's prediction. The truth is modelled as g m + e with e of variance T, so
 
     y = g m + e + noise,    g = E[y m] / E[m^2],    T = E[(y - g m)^2] - nu.
 
 nu is the variance of the change of y when each photograph is left out in turn: the jackknife
-[efron1982], which needs no model of misregistration, shadows or JPEG. m has noise of the first
-photograph in it, which has therefore no part in g. So the photographs calibrate the network on
-steep and on flat materials alike. The posterior mean g m + T / (T + nu) (y - g m) is too smooth;
-with the square root of that gain the octave has its energy g^2 E[m^2] + T.
+[efron1982], which needs no model of misregistration, shadows or JPEG. m contains noise of the first
+photograph, so g is estimated from y without that photograph. The posterior mean
+g m + T / (T + nu) (y - g m) is too smooth; with the square root of the gain T / (T + nu) the
+octave has its expected energy g^2 E[m^2] + T.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _NOISE = 1.0  # share of itself that the noise's variance may be off by
 
 @dataclass(frozen=True)
 class _Octave:
-    """A band of a map.
+    """An octave band of a map, in the module's symbols.
 
     Attributes:
         measured, read: (H, W) y and m.
@@ -49,7 +49,7 @@ class _Octave:
 
     @staticmethod
     def of(measured: Floats, others: Floats, read: Floats, noise: Floats, wave: float) -> _Octave:
-        """Of maps by all photographs and by all but the first; `wave`: longest wave, texels."""
+        """Estimate g and T; `others`: without the first photograph, `wave`: longest, texels."""
         weight = 1.0 / noise
         # g has the prior 1 +- 1, and is never negative.
         count = measured.size / wave**2
@@ -62,14 +62,14 @@ class _Octave:
         return _Octave(measured, read, noise, np.float32(gain), np.float32(error))
 
     def posterior(self, gain: np.float32) -> Floats:
-        """(H, W) with a gain in place of g of what was read, and the energy T of the rest."""
+        """(H, W) gain m + sqrt(T / (T + nu)) (y - g m)."""
         kept = np.sqrt(self.error / (self.error + self.noise), dtype=np.float32)
         return gain * self.read + kept * (self.measured - self.gain * self.read)
 
     def drawn(self) -> np.float32:
         """Gain of the network's prediction at which the octave has its expected energy.
 
-        The energy measured by photographs is uncertain by their noise, the prediction's by itself.
+        That energy is a mean of the measured and the predicted one, by their uncertainties.
         """
         read, noise = float(np.square(self.read).mean()), float(self.noise.mean())
         seen = float(self.gain) ** 2 * read + float(self.error)
@@ -81,22 +81,22 @@ class _Octave:
 def denoised(
     measured: Floats, read: Floats, changes: Sequence[Floats] | Floats, *, drawn: bool = False
 ) -> Floats:
-    """(H, W) a map with every octave's noise taken off, and its energy kept.
+    """(H, W) denoised map, each octave with its expected energy.
 
     Args:
-        measured: (H, W) by all photographs.
-        read: (H, W) by the network.
+        measured: (H, W) estimate from all photographs.
+        read: (H, W) the network's prediction.
         changes: (H, W) each, change of `measured` when one photograph is left out.
-        drawn: what noise hides is drawn as it was read.
+        drawn: use _Octave.drawn as the gain of `read`, not g: energy that noise hides is then kept.
     """
     bands = [o.posterior(o.drawn() if drawn else o.gain) for o in _octaves(measured, read, changes)]
     return np.asarray(np.sum(bands, axis=0), np.float32)
 
 
 def read_error(measured: Floats, read: Floats, changes: Sequence[Floats] | Floats) -> float:
-    """Variance of what was read too weak, or in the wrong places, all octaves together.
+    """Error variance of the prediction: sum over octaves of T + max(g - 1, 0)^2 E[m^2].
 
-    Args: as of denoised.
+    Arguments as of denoised.
     """
     return sum(
         float(o.error) + max(float(o.gain) - 1.0, 0.0) ** 2 * float(np.square(o.read).mean())
@@ -107,7 +107,7 @@ def read_error(measured: Floats, read: Floats, changes: Sequence[Floats] | Float
 def _octaves(
     measured: Floats, read: Floats, changes: Sequence[Floats] | Floats
 ) -> Iterator[_Octave]:
-    """Each of both maps, and the rest."""
+    """Octave bands of both maps, and the low-pass remainder."""
     share = np.float32(
         max(0.5, 1.0 - 1.0 / len(changes))
     )  # with one photograph its change is all of it

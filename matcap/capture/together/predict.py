@@ -1,6 +1,6 @@
 """Leave-one-out error of a set: each photograph predicted from all the others.
 
-It needs no truth: what no photograph shows but one, the others cannot have been bent to.
+No ground truth is needed: maps of the others cannot be fitted to the photograph left out.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ class PredictSettings:
 class Predictions:
     """Leave-one-out prediction errors and residuals, (photographs,) each.
 
-    Both on the same few texels, of maps solved there, gain and balance fitted: a photograph's grain
-    is in both or in neither. Medians of log radiance; NaN of one by ambient light.
+    Median absolute differences of log radiance, gain and white balance fitted, of maps estimated on
+    the same coarse grid. NaN for a photograph by ambient light.
     """
 
     predicted: tuple[float, ...]
-    """What each is off by from what all others make of it."""
+    """Error of each in a rendering of maps estimated from all others."""
     residual: tuple[float, ...]
-    """From what all photographs make of it."""
+    """The same of maps estimated from all photographs."""
 
 
 @torch.no_grad()
@@ -53,18 +53,18 @@ def predictions(
     tint: Tensor | None = None,
     settings: PredictSettings = PredictSettings(),
 ) -> Predictions | None:
-    """Every photograph from all others; None where one flash is all.
+    """Predict every flash photograph from all others; None with fewer than two.
 
-    Neither the light nor what was read of a photograph has a part in its own prediction; where it
-    lies does.
+    A photograph's gain and network prediction are left out of its own prediction; its registration
+    is not.
 
     Args:
-        alignment: where photographs lie.
-        readings: of each (readings.py).
-        solved: by all of them, whose light it begins with.
-        solving: as they were solved.
-        tint: metal's (tint.py).
-        settings: see there.
+        alignment: registration of the photographs.
+        readings: network prediction of each (readings.py).
+        solved: solution by all, whose light is the initial value.
+        solving: settings of that solution.
+        tint: (3, H, W) specular tint of metal (tint.py), or None.
+        settings: see PredictSettings.
     """
     first = next(read for read in readings if read is not None)
     height, width = first.parameters.shape[1:]

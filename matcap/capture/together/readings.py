@@ -1,9 +1,9 @@
 """Network predictions of each photograph, fused in the first one's frame.
 
-Each photograph is rectified to the plane facing its own camera, where the network knows photographs
-from, under the light that alignment found. Resampled to the first one's texels, predictions of a
-parameter are averaged with weights 1 / sigma^2, sigma being what the network expects to be off by.
-Half of their error variance is a bias common to all predictions, which averaging does not reduce:
+Each photograph is rectified to the plane facing its own camera, as in training, with the light from
+registration. Predictions of a parameter, resampled to the first photograph's texels, are averaged
+with weights 1 / sigma^2, sigma being the network's expected error. A share of their error variance
+is a bias common to all predictions, which averaging does not reduce:
 
     variance = shared min sigma^2 + (1 - shared) / sum (1 / sigma^2).
 """
@@ -53,7 +53,7 @@ class ReadingSettings:
     """How predictions are fused; docs/notes/several.md."""
 
     across: int = 384
-    """Texels across, of all predictions but the first: what is finer is the first one's."""
+    """Texels across of the fused predictions; finer detail is the first photograph's."""
     steepest: float = 35.0
     """Degrees of tilt beyond which the network was not trained."""
     shared: float = 0.5
@@ -133,14 +133,14 @@ def read_views(
     """The network's prediction of every photograph, one at a time.
 
     Args:
-        alignment: where they lie, and their light.
-        first: read from the first, in the estimated frame.
-        coarse: of the first, whose mean material is all of theirs.
-        read: one alone.
-        on_progress: called with the share that is done.
+        alignment: registration and light of the photographs.
+        first: prediction of the first, in the estimated frame.
+        coarse: fit of the first, whose mean material all share.
+        read: predicts the maps of one photograph.
+        on_progress: called with the share that is done, in [0, 1].
 
     Returns:
-        For each photograph, None where it was not read: by ambient light, or too steep.
+        For each photograph; None for one by ambient light or with too large a tilt.
     """
     extent = alignment.extent
     width, height = first.maps.size
@@ -195,7 +195,7 @@ def brought_over(
 
 
 def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
-    """(H, W) added to log errors, so that weights fall smoothly to 0 at a prediction's border."""
+    """(H, W) added to log errors: weights then fall smoothly to 0 at a prediction's border."""
     width, height = size
     within = np.minimum(np.minimum(x, width - 1 - x), np.minimum(y, height - 1 - y))
     share = (within / (READINGS.fades * width)).clip(0.0, 1.0)
@@ -204,10 +204,10 @@ def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
 
 
 def joined(readings: Sequence[ReadView | None]) -> Estimate:
-    """Precision-weighted mean of predictions, in any order, and its errors.
+    """Precision-weighted mean of predictions and its standard deviations (module equation).
 
     Args:
-        readings: at least one that is not None.
+        readings: in any order, at least one that is not None.
     """
     every = [read for read in readings if read is not None]
     weights = torch.stack([(-2.0 * read.doubt.clamp(-8.0, 8.0)).exp() for read in every])
@@ -227,9 +227,9 @@ def joined(readings: Sequence[ReadView | None]) -> Estimate:
 
 
 def with_others(first: Estimate, readings: Sequence[ReadView | None]) -> Estimate:
-    """The first photograph's prediction changed by what fusion with the others changes.
+    """The first photograph's prediction plus the upsampled change by fusion with the others.
 
-    What is finer than the grid of the predictions stays the first one's.
+    Detail finer than the grid of fusion stays the first photograph's.
     """
     alone, together = joined(readings[:1]), joined(readings)
     maps, own = first.maps, readings[0]
@@ -251,7 +251,7 @@ def with_others(first: Estimate, readings: Sequence[ReadView | None]) -> Estimat
 
 
 def fewer(readings: Sequence[ReadView | None], size: tuple[int, int]) -> list[ReadView | None]:
-    """Predictions on (rows, columns) fewer texels."""
+    """Predictions averaged on a coarser grid of `size` = (rows, columns)."""
 
     def small(values: Tensor) -> Tensor:
         return F.interpolate(values[None], size=size, mode="area")[0]

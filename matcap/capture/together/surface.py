@@ -37,18 +37,16 @@ def surface_of(
     precision: Tensor | None = None,
     settings: SurfaceSettings = SurfaceSettings(),
 ) -> Tensor:
-    """(1, H, W) the height whose central slopes are nearest to slopes (2, H, W).
+    """(1, H, W) height, plane units, whose central slopes are nearest to slopes (2, H, W).
 
-
-    Two photographs measure slopes along the line between them and hardly any across it; but the
-    gradient of a surface has no curl, so one slope constrains the other. Minimises the sum of
-    e^T P e over slope errors e by conjugate gradients, preconditioned by the Poisson equation of P.
+    Minimises the sum over texels of e^T P e, e being the slope error (2,), by conjugate gradients
+    with a Poisson preconditioner. Two photographs hardly measure slopes across the line between
+    them; there the other slope decides, as the gradient of a height has no curl.
 
     Args:
         slopes: along x and y.
         texel_size: in plane units.
-        precision: (3, H, W) P of slopes along x, along y, and of both together; None for the same
-            all over.
+        precision: (3, H, W) elements xx, yy and xy of P; None for the identity.
         settings: see SurfaceSettings.
     """
     if precision is None:
@@ -62,7 +60,7 @@ def surface_of(
 
 
 def _doubted(precision: Tensor, more: float) -> Tensor:
-    """Precision (3, H, W) of what has another error besides, of a deviation."""
+    """Precision (3, H, W) with an independent error of standard deviation `more` added."""
     xx, yy, xy = precision.double()
     # P (1 + more^2 P)^-1
     more = more**2
@@ -73,10 +71,10 @@ def _doubted(precision: Tensor, more: float) -> Tensor:
 
 
 def _even_surface(slopes: Tensor, texel_size: float, rounds: int) -> Tensor:
-    """Likewise, all slopes alike.
+    """(1, H, W) height at equal precision, by repeated Poisson integration of the residual slopes.
 
-    Rises between texels are means of two slopes, whose central differences are smoother than the
-    slopes: what is lost so is put back.
+    A difference between neighbours is the mean of their slopes, so central differences of the
+    height are smoother than the slopes; the rounds restore the loss.
     """
     height = torch.zeros(1, *slopes.shape[1:])
     for _ in range(rounds):
@@ -88,7 +86,7 @@ def _even_surface(slopes: Tensor, texel_size: float, rounds: int) -> Tensor:
 
 
 def _nearest(slopes: Floats, weight: Floats, settings: SurfaceSettings) -> Floats:
-    """(H, W) heights, in texels, whose slopes (2, H, W) are nearest by weights (3, H, W)."""
+    """(H, W) heights in texels, weighted least squares of (2, H, W) by weights (3, H, W)."""
     evened = _evening(weight, settings.even)
     correction = np.zeros(slopes.shape[1:], np.float32)
     left = transposed(_weighted(slopes, weight))
@@ -108,7 +106,7 @@ def _nearest(slopes: Floats, weight: Floats, settings: SurfaceSettings) -> Float
 
 
 def _evening(weight: Floats, deviation: float) -> Callable[[Floats], Floats]:
-    """Roughly what heights (H, W) have such a gradient, where all texels weigh as around them."""
+    """Preconditioner: the Poisson equation, locally scaled by the smoothed weight."""
     shape = weight.shape[1:]
     across, down = (float(np.mean(each)) for each in weight[:2])
     local = cv2.GaussianBlur(weight[0] / across + weight[1] / down, (0, 0), deviation)
@@ -128,12 +126,12 @@ def _weighted(slopes: Floats, weight: Floats) -> Floats:
 
 
 def texel_slopes(height: Floats) -> Floats:
-    """(2, H, W) central slopes, rows running down."""
+    """(2, H, W) central differences of (H, W) along columns and rows; y points up."""
     return np.asarray(slopes_of(torch.from_numpy(height)[None], 1.0).numpy(), np.float32)
 
 
 def transposed(slopes: Floats) -> Floats:
-    """(H, W) the transpose of texel_slopes, of (2, H, W)."""
+    """(H, W) the transpose (adjoint) of texel_slopes applied to (2, H, W)."""
     out = np.zeros(slopes.shape[1:], np.float32)
     x, y = slopes[0], -slopes[1]
     out[:, 2:] += 0.5 * x[:, 1:-1]

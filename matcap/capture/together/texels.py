@@ -1,6 +1,6 @@
-"""Per-texel parameters, and their Gauss-Newton step on all photographs.
+"""Per-texel parameters, and their Gauss-Newton step on the log radiance of all photographs.
 
-Seven a texel: log diffuse albedo (3), log F0, logit roughness, slopes along x and y.
+PARAMETERS = 7: log diffuse albedo (3), log F0, logit roughness, slopes along x and y.
 """
 
 from __future__ import annotations
@@ -28,29 +28,29 @@ PARAMETERS = 7
 
 @dataclass(frozen=True)
 class SolveSettings:
-    """How several photographs are solved; docs/notes/several.md.
+    """Settings of the multi-view solution; docs/notes/several.md.
 
     Attributes:
-        rounds: per-texel steps of each round, a common fit before each.
-        finer: likewise, of a grid whose texels begin at half as many across.
-        coarse: texels across that are solved from the beginning.
-        robust: log radiance at which a residual counts half.
-        noise: of log radiance, of one channel of one photograph: what re-rendering is off by at
-            best.
-        albedo, gloss: least deviations of what the network read: log albedo, log F0 and logit
-            roughness. Smaller holds more to it.
-        slope: the same of slopes, until their error is measured from the photographs.
-        wider: deviations of that, of the prior of slopes from then on: each octave's gain is
+        rounds: per-texel steps in each round; each begins with a fit of the shared parameters.
+        finer: the same on a grid that starts from a solution on half as many texels across.
+        coarse: texels across the grid that starts from the network's prediction.
+        robust: s of the weights 1 / (1 + (r / s)^2)^2 of residuals r of log radiance.
+        noise: standard deviation of log radiance in one channel of one photograph, model error
+            included.
+        albedo, gloss: least standard deviation of the prior of log albedo, and of log F0 and logit
+            roughness. Smaller keeps closer to the network's prediction.
+        slope: the same of slopes, until the photographs measure the prediction's error.
+        wider: factor on that error for the prior of slopes from then on: each octave's gain is
             estimated later (octaves.py).
-        steepest: slope.
-        step: of finite differences.
-        damping: share of a parameter's precision added to the diagonal; a step that is too
-            bold overshoots, a timid one leaves what trades albedo for slope where it began.
-        around: texels' deviation, as a share of the first photograph's long side, over which gloss
-            is interpolated.
-        slow: deviation of what counts as slow in slopes, as a share of the long side.
-        sampled: texels that what all share is found from.
-        rows: solved at a time; memory is in proportion.
+        steepest: limit of slopes.
+        step: of finite differences, parameter units.
+        damping: Levenberg-Marquardt: share of a parameter's precision added to the diagonal. Less
+            overshoots; more leaves the trade-off of albedo and slope at its initial value.
+        around: standard deviation of the blur that interpolates F0 and roughness, as a share of the
+            first photograph's long side.
+        slow: standard deviation of the high-pass of slopes, as a share of the long side.
+        sampled: texels to which the shared parameters are fitted.
+        rows: of texels solved at a time; memory is proportional.
     """
 
     rounds: tuple[int, ...] = (2, 2, 1)
@@ -73,13 +73,13 @@ class SolveSettings:
 
 @dataclass(frozen=True)
 class Stepped:
-    """Texels after a step.
+    """Result of a Gauss-Newton step.
 
     Attributes:
         parameters: (PARAMETERS, H, W).
-        precision: (PARAMETERS, H, W) of each parameter alone, by the photographs.
-        relief: (3, H, W) precision of slopes, all other parameters eliminated, prior included:
-            of x, of y, and of both together.
+        precision: (PARAMETERS, H, W) diagonal of the photographs' J^T W J, prior excluded.
+        relief: (3, H, W) precision of slopes: xx, yy and xy of the posterior, all other parameters
+            eliminated.
         changes: (photographs, PARAMETERS, H, W) change when each photograph is left out: the
             jackknife [efron1982]. Empty where it was not asked for.
     """
@@ -91,7 +91,7 @@ class Stepped:
 
     @staticmethod
     def none(parameters: Tensor) -> Stepped:
-        """Before any step: parameters without a measurement."""
+        """Before any step: precision 0, relief that of independent unit slopes."""
         one = torch.ones_like(parameters[:1])
         relief = torch.cat([one, one, 0.0 * one])
         return Stepped(parameters, torch.zeros_like(parameters), relief, parameters.new_zeros(0))
@@ -111,7 +111,7 @@ class Estimate:
     log_error: Tensor
 
     def resized(self, size: tuple[int, int], extent: Extent = OWN) -> Estimate:
-        """On (rows, columns) fewer texels of an extent, means of what they hold."""
+        """Area average on a coarser grid of `size` = (rows, columns) texels over an extent."""
         maps, log_error = (
             F.interpolate(each[None], size=size, mode="area")[0]
             for each in (self.maps.stacked(), self.log_error)
@@ -121,10 +121,10 @@ class Estimate:
 
 @dataclass(frozen=True)
 class ParameterPrior:
-    """Gaussian prior of texels' parameters, independent of each other.
+    """Independent Gaussian prior of each parameter of each texel.
 
     Attributes:
-        mean, deviation: (PARAMETERS, ...).
+        mean, deviation: (PARAMETERS, ...) mean and standard deviation.
     """
 
     mean: Tensor
@@ -132,7 +132,7 @@ class ParameterPrior:
 
     @staticmethod
     def of(estimate: Estimate, settings: SolveSettings) -> ParameterPrior:
-        """Of what a network read, no surer than the settings allow."""
+        """Prior from the network's prediction, deviations at least those of the settings."""
         off = estimate.log_error.clamp(-8.0, 2.0).exp()
         albedo = off[:1].clamp_min(settings.albedo).expand(3, -1, -1)
         gloss = off[1:3].clamp_min(settings.gloss)
@@ -145,20 +145,20 @@ class ParameterPrior:
         return self.deviation.square().reciprocal()
 
     def with_gloss_of(self, light: SetLight) -> ParameterPrior:
-        """With the global change of mean F0 and roughness (SetLight.gloss)."""
+        """With SetLight.gloss added to the means of log F0 and logit roughness."""
         mean = self.mean.clone()
         mean[GLOSS] += light.gloss[:, None, None]
         return ParameterPrior(mean, self.deviation)
 
     def with_least_slope(self, slope: float) -> ParameterPrior:
-        """With deviations of slopes no less than one."""
+        """With standard deviations of slopes of at least `slope`."""
         deviation = self.deviation.clone()
         deviation[SLOPES] = deviation[SLOPES].clamp_min(slope)
         return ParameterPrior(self.mean, deviation)
 
 
 def parameters_of(maps: MapSet) -> Tensor:
-    """(PARAMETERS, H, W) of maps; of an F0 with a colour, its mean."""
+    """(PARAMETERS, H, W) parameters of maps; F0 is averaged over its channels."""
     slopes = slopes_of(maps.height, maps.texel_size)
     return torch.cat(
         [
@@ -171,7 +171,7 @@ def parameters_of(maps: MapSet) -> Tensor:
 
 
 def maps_of(parameters: Tensor, height: Tensor, texel_size: float) -> MapSet:
-    """Maps of parameters, and of the height (1, H, W) whose slopes they hold."""
+    """Maps of parameters (PARAMETERS, H, W) and a height (1, H, W) that matches their slopes."""
     return MapSet(
         diffuse=parameters[ALBEDO].exp().clamp(1e-3, 0.98),
         specular=parameters[F0 : F0 + 1].exp().clamp(5e-3, 0.98),
@@ -182,13 +182,13 @@ def maps_of(parameters: Tensor, height: Tensor, texel_size: float) -> MapSet:
 
 
 def by_map(parameters: Tensor) -> Tensor:
-    """(4, H, W) of (PARAMETERS, H, W): means over the channels of albedo, and over both slopes."""
+    """(PARAMETERS, H, W) to (4, H, W): means over the albedo channels, and over both slopes."""
     albedo, slope = parameters[ALBEDO].mean(0), parameters[SLOPES].mean(0)
     return torch.stack([albedo, parameters[F0], parameters[ROUGH], slope])
 
 
 def slopes_of(height: Tensor, texel_size: float) -> Tensor:
-    """(2, H, W) central slopes of a height (1, H, W)."""
+    """(2, H, W) slopes of a height (1, H, W), plane units, by central differences."""
     normal = normals_from_height(height, texel_size)
     return -normal[:2] / normal[2:]
 
@@ -226,7 +226,7 @@ def under_fitted_ambient(
 
 
 def weights(residual: Tensor, seen: Tensor, noise: float, settings: SolveSettings) -> Tensor:
-    """What residuals of log radiance weigh [geman1985]."""
+    """Weights of residuals r of log radiance: 1 / (1 + (r / s)^2)^2 / variance [geman1985]."""
     kept = 1.0 / (1.0 + (residual / settings.robust).square()).square()
     return seen * kept / (settings.noise**2 + noise**2)
 
@@ -240,7 +240,7 @@ def stepped(
     *,
     without_each: bool = False,
 ) -> Stepped:
-    """A Gauss-Newton step of every texel; `without_each` of the photographs as well."""
+    """A Gauss-Newton step at every texel; `without_each`: also without each photograph."""
     moved, precision = torch.empty_like(parameters), torch.empty_like(parameters)
     relief = torch.empty(3, *parameters.shape[1:])
     changes = torch.zeros(len(views) * without_each, *parameters.shape)
@@ -304,8 +304,8 @@ def derivatives(
 
     Args:
         parameters: (PARAMETERS, h, w).
-        light: at those texels.
-        step: of the differences.
+        light: incident at those texels.
+        step: of the differences, parameter units.
     """
     matte, f0 = parameters[ALBEDO].exp(), parameters[F0 : F0 + 1].exp()
     rough = torch.sigmoid(parameters[ROUGH : ROUGH + 1])
@@ -335,7 +335,7 @@ def _solved(
     prior: ParameterPrior,
     damping: float,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """What Stepped holds, of some rows, by any number of photographs."""
+    """Parameters, precision and relief as in Stepped, of some rows, from summed `systems`."""
     shape, count = parameters.shape, parameters[0].numel()
     normal = sum((each for each, _ in systems), torch.zeros(count, PARAMETERS, PARAMETERS))
     gradient = sum((each for _, each in systems), torch.zeros(count, PARAMETERS))

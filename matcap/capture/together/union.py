@@ -1,8 +1,8 @@
 """Mosaic: maps of all that the photographs show, not the first one's rectangle alone.
 
-Texels stay the first photograph's, and more of them lie around its own. What photographs see of the
-plane is rarely a rectangle: the piece is the box around it, without sides that hardly anything is
-seen along, and unseen texels within it are masked out.
+The first photograph's grid is extended by margins. The photographs rarely cover a rectangle: the
+exemplar is the bounding box of the coverage, less sides that are mostly unseen, and its unseen
+texels are masked.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ Marks = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class UnionSettings:
-    """How far a piece reaches; docs/notes/several.md."""
+    """Limits of the mosaic; docs/notes/several.md."""
 
     steepest: float = 60.0
-    """Degrees between a ray and the plane's normal beyond which nothing counts as seen: a texel is
-    drawn half as long there, and smears."""
+    """Degrees between a ray and the plane's normal beyond which a texel counts as unseen; at 60 it
+    is foreshortened by half."""
     least: float = 0.3
-    """Share of a side that is seen: a side of less is not the piece's."""
+    """Share of a side that must be seen, or the side is cut off."""
     most: float = UNION_TIMES
-    """Times the first photograph's rectangle; work and memory are in proportion."""
+    """Area at most, times the first photograph's; time and memory are proportional."""
     texels: int = 4_000_000
-    """Of the piece at most, for memory; never fewer than the first photograph's own."""
+    """Texels at most, for memory; never fewer than the first photograph's own."""
     cells: int = 64
-    """Across the first photograph, that sides are found by."""
+    """Cells across the first photograph, in which coverage is determined."""
     farthest: int = 256
-    """Cells that are looked at to each side."""
+    """Cells searched to each side."""
     thinnest: int = 3
-    """Cells that a margin has at least."""
+    """Least width of a margin, cells."""
     rows: int = 256
-    """Of texels that are looked at at a time."""
+    """Rows of texels processed at a time."""
 
 
 UNION = UnionSettings()
@@ -60,27 +60,27 @@ UNION = UnionSettings()
 
 @dataclass(frozen=True)
 class Reach:
-    """How far a piece reaches."""
+    """Extent of the mosaic."""
 
     margins: Margins
-    """Texels, around the first photograph's own."""
+    """Texels around the first photograph's grid."""
     size: tuple[int, int]
-    """(width, height) of those."""
+    """(width, height) of the first photograph's grid, texels."""
     covered: float = 1.0
-    """Share of all that photographs show that lies in it."""
+    """Share of the photographs' coverage that lies in the mosaic."""
     known: float = 1.0
-    """Share of it that any photograph shows."""
+    """Share of the mosaic that any photograph shows."""
     limited: bool = False
-    """It would be larger, but for what it may be at most."""
+    """Whether UnionSettings.most or .texels cut it."""
 
     @property
     def extent(self) -> Extent:
-        """Of the piece."""
+        """Extent of the mosaic on the plane."""
         return self.margins.extent(self.size[0])
 
     @property
     def times(self) -> float:
-        """How many times the first photograph's rectangle it is."""
+        """Area over that of the first photograph's rectangle."""
         width, height = self.margins.around(self.size)
         return width * height / (self.size[0] * self.size[1])
 
@@ -98,7 +98,7 @@ class Reach:
         )
 
     def warns(self) -> str | None:
-        """A sentence, where it is less than it would be."""
+        """A sentence if the mosaic was cut to its largest size, else None."""
         if not self.limited:
             return None
         return (
@@ -122,12 +122,12 @@ class Reach:
 def reach_of(
     views: Sequence[RegisteredView], size: tuple[int, int], settings: UnionSettings = UNION
 ) -> Reach:
-    """How far the piece reaches that photographs with flash show, the first one's grid the middle.
+    """Extent of what the flash photographs show, around the first one's grid.
 
     Args:
-        views: with their cameras, the first one first.
-        size: (width, height) of its own grid in texels.
-        settings: see there.
+        views: photographs with their cameras, the first one first.
+        size: (width, height) of the first one's grid, texels.
+        settings: see UnionSettings.
     """
     cells = settings.cells
     rows = max(1, round(cells * size[1] / size[0]))
@@ -154,7 +154,7 @@ def reach_of(
 def seen_by_any(
     views: Sequence[RegisteredView], reach: Reach, settings: UnionSettings = UNION
 ) -> Tensor:
-    """(H, W) bool of the piece: what any photograph with flash shows."""
+    """(H, W) bool on the mosaic: whether any flash photograph shows the texel."""
     width, height = reach.margins.around(reach.size)
     seen = np.zeros((height, width), np.bool_)
     for rows in strips(height, settings.rows):
@@ -173,13 +173,13 @@ def _any_sees(views: Sequence[RegisteredView], points: Doubles, settings: UnionS
 
 
 def sees(camera: PosedCamera, points: Doubles, up: float, steepest: float) -> Marks:
-    """(h, w) whether points (3, h, w) of the plane are in a picture, and not too obliquely.
+    """(h, w) whether plane points (3, h, w) project into a picture, at less than an angle.
 
     Args:
-        camera: whose picture it is.
-        points: z = 0.
+        camera: of the picture.
+        points: with z = 0, plane units.
         up: height of the picture over its width.
-        steepest: degrees from the plane's normal.
+        steepest: largest angle of a ray to the plane's normal, degrees.
     """
     to_camera = camera.place.reshape(3, 1, 1) - points
     upright = to_camera[2] > math.cos(math.radians(steepest)) * np.sqrt(np.square(to_camera).sum(0))
@@ -190,7 +190,7 @@ def sees(camera: PosedCamera, points: Doubles, up: float, steepest: float) -> Ma
 
 
 def _cells(cells: int, rows: int, size: tuple[int, int], far: int) -> Doubles:
-    """(3, h, w) middles of cells, the first photograph's own in the middle."""
+    """(3, h, w) centres of the cells, the first photograph's in the middle, plane units."""
     across, up = 2.0 / cells, size[1] / size[0]
     x = (np.arange(-far, cells + far) + 0.5) * across - 1.0
     beyond = up + (np.arange(far) + 0.5) * across
@@ -202,10 +202,10 @@ def _cells(cells: int, rows: int, size: tuple[int, int], far: int) -> Doubles:
 def _box(
     seen: Marks, own: tuple[int, int], far: int, least: float, most: float
 ) -> tuple[slice, slice]:
-    """Rows and columns of what is seen, and of the first photograph's own, (rows, columns) of it.
+    """Rows and columns of the box around seen cells, which holds the first photograph's.
 
-    The side that least of is seen goes first, until enough of every one is and all is no larger
-    than `most` cells.
+    The side with the smallest seen share is cut off until each has at least `least` and the box at
+    most `most` cells.
     """
     wanted = seen.copy()
     wanted[far : far + own[0], far : far + own[1]] = True
@@ -232,13 +232,13 @@ def _box(
 
 
 def spread_over(read: Estimate, margins: Margins) -> Estimate:
-    """The first photograph's estimate continued smoothly over a larger piece.
+    """The first photograph's estimate extrapolated smoothly over the margins.
 
-    The error beyond it is the standard deviation of its own parameters: the material is the same.
+    Its error there is the standard deviation of the parameters within the first photograph.
 
     Args:
-        read: on its own grid.
-        margins: of the piece.
+        read: on the first photograph's grid.
+        margins: of the mosaic.
     """
     if not margins.any:
         return read
@@ -261,15 +261,14 @@ def scatter(read: Estimate) -> Tensor:
 
 
 def rounded_off(maps: MapSet, known: Tensor, slow: float) -> MapSet:
-    """Maps continued smoothly over unseen texels, without low frequencies of height.
+    """Maps extrapolated smoothly over unseen texels, height high-passed.
 
-    Slopes that are a little off all along a photograph add up over a larger piece, and where none
-    are estimated a surface has cliffs.
+    Biased slopes of a photograph accumulate over a mosaic, and unseen texels leave steps in height.
 
     Args:
-        maps: as solved.
-        known: (H, W) bool.
-        slow: texels, deviation of what counts as slow.
+        maps: estimated.
+        known: (H, W) bool, seen.
+        slow: standard deviation of the Gaussian high-pass, texels.
     """
     seen = known.numpy()
     planes = np.stack([filled(plane.numpy(), seen) for plane in maps.stacked().float()])
@@ -280,12 +279,12 @@ def rounded_off(maps: MapSet, known: Tensor, slow: float) -> MapSet:
 def tint_over(
     tint: Tensor | None, readings: Sequence[ReadView | None] | None, reach: Reach
 ) -> Tensor | None:
-    """Metal's tint (3, H, W) over a piece: beyond the first photograph as the others are read.
+    """Specular tint (3, H, W) over the mosaic, from the other predictions beyond the first's.
 
     Args:
-        tint: as the first was read, going on beyond it; None where it shows no metal's.
-        readings: of each, the first one first; None where nothing was read.
-        reach: of the piece.
+        tint: (3, H, W) from the first prediction, extrapolated; None where it shows no metal.
+        readings: predictions of each, the first one first; None where there are none.
+        reach: of the mosaic.
     """
     if tint is None or readings is None or not reach.margins.any:
         return tint
@@ -303,7 +302,7 @@ def tint_over(
 
 
 def unread(doubt: Tensor, reach: Reach) -> Tensor:
-    """Doubts (4, H, W) of a piece where the first photograph says nothing beyond its own."""
+    """Log errors (4, H, W) set to UNREAD beyond the first photograph."""
     if not reach.margins.any:
         return doubt
     return torch.where(reach.margins.own(reach.size), doubt, torch.tensor(UNREAD))

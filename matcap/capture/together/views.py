@@ -35,17 +35,17 @@ Doubles = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SetLight:
-    """Light of all photographs: what they share, and the gains of each.
+    """Shared light parameters of all photographs, and each one's gains.
 
     Attributes:
-        offset: (2,) of the flash beside the lens, camera frame, plane units.
-        vignetting: (2,) exponents with r^2 and r^4 (flash/geometry.py).
+        offset: (2,) x, y of the flash from the lens, camera frame, plane units.
+        vignetting: (2,) coefficients of r^2 and r^4 in its exponent (flash/geometry.py).
         gain: (photographs, 3) log of each channel's exposure over the first photograph's.
-        intensity: (3,) of the first one's flash.
-        gloss: (2,) change of mean log F0 and mean logit roughness from the prediction: an error of
-            these scales all slopes.
-        lost: deviations of the exponents of vignetting: the camera's profile's, if it has one; RAW
-            keeps its own.
+        intensity: (3,) of the first photograph's flash.
+        gloss: (2,) change of mean log F0 and mean logit roughness from the prediction; their error
+            scales all slopes.
+        lost: (2,) prior standard deviations of `vignetting`, the camera profile's where there is
+            one.
         lean: (3,) of ambient light, of the photograph without flash (AmbientLight).
     """
 
@@ -65,7 +65,7 @@ class SetLight:
         *,
         radiometric: bool = False,
     ) -> SetLight:
-        """A first guess for so many photographs, all RAW or not, of a camera with this profile."""
+        """Initial light of `count` photographs, all RAW (`radiometric`) or all developed."""
         lost = SetLight.lost if profile is None else profile.response.deviation[:2]
         return SetLight(
             torch.tensor(setup.offset[:2]).float(),
@@ -76,7 +76,7 @@ class SetLight:
         )
 
     def onto(self, setup: FlashSetup) -> FlashSetup:
-        """The first photograph's setup, under this light."""
+        """The first photograph's setup with this offset, vignetting and intensity."""
         x, y = self.offset.tolist()
         lost, more = self.vignetting.tolist()
         return replace(
@@ -84,21 +84,20 @@ class SetLight:
         )
 
     def of_some(self, kept: Sequence[int]) -> SetLight:
-        """Of some of the photographs, the first of which is the first."""
+        """Of a subset of the photographs; kept[0] becomes the first."""
         gain = self.gain[list(kept)]
         return replace(self, gain=gain - gain[:1], intensity=self.intensity * gain[0].exp())
 
 
 @dataclass(frozen=True)
 class ViewPlace:
-    """Map from texels of the piece to points at which a photograph is looked up.
+    """Map from texels to the plane points at which a photograph is sampled.
 
     Attributes:
         nudge: (3, 3) homography of the plane (align.py).
-        relief: (h, w) height of the piece on any grid, plane units, which has parallax; None for
-            none.
-        first: (3,) place of the first camera, on whose rays the piece's texels lie.
-        extent: of the piece.
+        relief: (h, w) height on any grid, plane units, for parallax; None for a flat plane.
+        first: (3,) position of the first camera: texels lie on its rays.
+        extent: of the grid.
     """
 
     nudge: Doubles
@@ -125,15 +124,15 @@ class ViewPlace:
 
 @dataclass(frozen=True)
 class PieceView:
-    """A photograph on the piece's grid.
+    """A photograph resampled on the exemplar's grid.
 
     Attributes:
-        name: its file's.
-        log: (3, H, W) logarithm of its radiance.
+        name: of its file.
+        log: (3, H, W) log radiance.
         seen: (3, H, W) bool, by channel: in the picture and not clipped.
-        camera: where it stood.
-        ambient: the light, where that was not its flash.
-        noise: of log radiance, what it is off by beside what a flash photograph is.
+        camera: pose and lens.
+        ambient: the light, if not its flash.
+        noise: standard deviation of log radiance in addition to SolveSettings.noise.
         extent: of the grid.
     """
 
@@ -212,7 +211,7 @@ def _shrunk(picture: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.f
 def light_at(
     number: int, view: PieceView, light: SetLight, points: Tensor
 ) -> FlashLight | AmbientLight:
-    """Of a photograph's number, the light at plane points (3, h, w)."""
+    """Light of photograph `number` at plane points (3, h, w)."""
     if view.ambient is not None:
         return AmbientLight(light.lean, light.gain[number].exp()[:, None, None])
     camera = view.camera
@@ -229,16 +228,16 @@ def light_at(
 def radiance(
     light: FlashLight | AmbientLight, matte: Tensor, specular: Tensor, rough: Tensor, normal: Tensor
 ) -> Tensor:
-    """(3, h, w) of albedo, F0 and roughness with normals (3, h, w)."""
+    """(3, h, w) radiance of albedo, F0 and roughness with unit normals (3, h, w)."""
     return light.onto(normal).radiance(matte, specular, rough).clamp_min(_DARKEST)
 
 
 def logarithm(radiance: Tensor) -> Tensor:
-    """Of radiance, as faint as photographs are taken for at most."""
+    """Log radiance, with radiance bounded below."""
     return radiance.clamp_min(_DARKEST).log()
 
 
 def strips(height: int, rows: int) -> Iterator[slice]:
-    """Rows of a picture, so many at a time: what all photographs say of all texels is large."""
+    """Slices of `rows` rows each, to bound memory."""
     for top in range(0, height, rows):
         yield slice(top, min(height, top + rows))
