@@ -1,9 +1,9 @@
 """Shared parameters: gains, flash position, vignetting and photograph registration.
 
-A photograph that is looked up beside its place is explained by slopes that are not there, and then
-nothing seems wrong. So texels may answer to every step (variable projection
-[golub1973]): their parameters are eliminated from the normal equations of some of them, and only
-what no texel's own parameters could explain moves anything.
+Misregistration can be absorbed by spurious slopes and then leaves no residual. The shared
+parameters are therefore solved by variable projection [golub1973]: at a sample of texels, the
+texels' own parameters are eliminated from the normal equations (Schur complement), so that only
+residuals they cannot explain change the shared ones.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ class SharedSettings:
 
     Attributes:
         steps: Gauss-Newton steps.
-        counted: what a texel weighs: neighbours lie beside their truth together.
-        offset: deviation of the flash's place from where it is expected, plane units.
-        gloss: deviations of the mean of log F0 and of logit roughness from what was read.
+        counted: weight of a texel, below 1 as errors of neighbouring texels are correlated.
+        offset: prior standard deviation of the flash position, plane units.
+        gloss: of the change of mean log F0 and of mean logit roughness from the prediction.
         known_gloss: the same where one flash photograph is all there is: what it tells was read.
-        gain: deviation of a photograph's gain, log.
-        separate_gain: the same where no texel of a larger exemplar is in two photographs.
+        gain: of the log gain of a photograph.
+        separate_gain: of the same where no texel of a mosaic is in two photographs.
         astray: deviation of a photograph's registration, plane units.
-        farthest: of a step, texels.
+        farthest: a photograph is moved in a step, texels.
     """
 
     steps: int = 3
@@ -69,7 +69,7 @@ class SharedSettings:
 
 @dataclass(frozen=True)
 class _Samples:
-    """Some texels in all photographs; (..., 1, N) each."""
+    """N sampled texels in all photographs; (..., 1, N) each."""
 
     points: Tensor
     logs: list[Tensor]
@@ -88,15 +88,15 @@ def shared_step(
 ) -> tuple[SetLight, list[Doubles]]:
     """Gauss-Newton steps on all shared parameters, texels eliminated (Schur complement).
 
-    Returns the light and (3, 3) homographies by which photographs are to be looked up elsewhere.
+    Returns the light, and each photograph's change of registration, a (3, 3) homography.
 
     Args:
-        views: of the piece, the first photograph, which stays where it is, first.
-        parameters: (PARAMETERS, H, W) of texels so far.
-        prior: of those.
-        light: so far.
+        views: photographs on the grid; the first one's registration is fixed.
+        parameters: (PARAMETERS, H, W) current estimate.
+        prior: of the parameters.
+        light: current estimate.
         settings, shared: see there.
-        moved: indices of photographs that may move; of the others it is the identity.
+        moved: indices of photographs to register; the others get the identity.
     """
     if sum(view.ambient is None for view in views) == 1:
         shared = replace(shared, gloss=shared.known_gloss)
@@ -133,10 +133,10 @@ def shared_step(
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where each shared parameter stands in their vector.
+    """Indices of the shared parameters in their vector.
 
-    The flash's offset, vignetting, and mean of gloss; then of every photograph but the first its
-    gains and, where photographs move, its move.
+    Flash offset (2), vignetting (2), gloss (2); then of every photograph but the first its log
+    gains (3) and, where registration is solved for, its homography (8).
     """
 
     photographs: int
@@ -157,7 +157,7 @@ class _Layout:
         return slice(self.gains(number).stop, self.own(number).stop)
 
     def vector(self, light: SetLight) -> Tensor:
-        """A light, and no moves."""
+        """Parameter vector of a light, with zero change of registration."""
         vector = torch.zeros(self.own(self.photographs - 1).stop, dtype=torch.float64)
         vector[_OFFSET], vector[_VIGNETTING], vector[_GLOSS] = (
             each.double() for each in (light.offset, light.vignetting, light.gloss)
@@ -167,7 +167,7 @@ class _Layout:
         return vector
 
     def light(self, vector: Tensor, light: SetLight) -> SetLight:
-        """The inverse of vector(); what is not in it is that of a light."""
+        """`light` with the parameters of `vector`, the inverse of vector()."""
         gains = [vector[self.gains(k)] for k in range(1, self.photographs)]
         gain = torch.stack([torch.zeros(3), *(each.float() for each in gains)])
         offset, vignetting, gloss = (
@@ -176,7 +176,7 @@ class _Layout:
         return replace(light, offset=offset, vignetting=vignetting, gloss=gloss, gain=gain)
 
     def deviations(self, light: SetLight, moved: Collection[int], shared: SharedSettings) -> Tensor:
-        """Of the prior of each."""
+        """Prior standard deviation of each shared parameter."""
         whole = [shared.offset, shared.offset, *light.lost, *shared.gloss]
         for number in range(1, self.photographs):
             moves = shared.astray if number in moved else 1e-9
@@ -184,7 +184,7 @@ class _Layout:
         return torch.tensor(whole, dtype=torch.float64)
 
     def limited(self, step: Tensor, most: float) -> Tensor:
-        """A step by which no photograph moves farther."""
+        """The step scaled down so that no photograph moves farther than `most`."""
         step = step.clone()
         for k in range(1, self.photographs):
             step[self.move(k)] = step[self.move(k)].clamp(-most, most)
@@ -192,8 +192,8 @@ class _Layout:
 
 
 def _chosen(views: Sequence[PieceView], count: int) -> tuple[Tensor, bool]:
-    """(1, count) texels by chance, of a piece larger than a photograph such as two show; and
-    whether there are any.
+    """(1, count) random texel indices, in a mosaic of texels that two photographs show; and
+    whether there are such texels.
     """
     generator = torch.Generator().manual_seed(0)
     every = views[0].log[0].numel()
@@ -231,10 +231,10 @@ def _sampled(views: Sequence[PieceView], chosen: Tensor, moving: bool) -> _Sampl
 
 
 def _gradient(log: Tensor, texel: float) -> tuple[Tensor, Tensor]:
-    """(3, H, W) each: what log radiance gains by plane units to the right, and up.
+    """(3, H, W) each: d log L / dx (right) and d log L / dy (up), per plane unit.
 
-    To fourth order: central differences halve what a weave of four texels gains, and photographs
-    are then moved twice as far as they are misregistered, to and fro.
+    Fourth order: second-order differences underestimate the gradient of a weave of period four
+    texels, and registration steps then overshoot and oscillate.
     """
     right = _FOURTH / texel
     gradients: tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]] = ([], [])
@@ -255,21 +255,21 @@ class _Eliminated:
     answer: Tensor  # (N, PARAMETERS, count) what it loses by a step of what is shared
 
     def texels(self, step: Tensor) -> Tensor:
-        """(PARAMETERS, 1, N) step of texels' parameters with one of what is shared."""
+        """(PARAMETERS, 1, N) texel step that goes with a step of the shared parameters."""
         return (self.alone - self.answer @ step.float()).clamp(-0.7, 0.7).T[:, None]
 
 
 @dataclass(frozen=True)
 class _SharedFit:
-    """Some texels in all photographs, and what is known of them.
+    """The least-squares problem at the sampled texels.
 
     Attributes:
-        views: of all texels.
-        samples: of some.
-        prior: of those texels.
-        light: what no step changes of it.
+        views: photographs on the whole grid.
+        samples: the sampled texels in each.
+        prior: of the sampled texels' parameters.
+        light: gives the properties that are not fitted.
         layout: of the shared parameters.
-        settings: see there.
+        settings: see SolveSettings.
     """
 
     views: Sequence[PieceView]
@@ -280,7 +280,7 @@ class _SharedFit:
     settings: SolveSettings
 
     def eliminated(self, some: Tensor, values: Tensor) -> _Eliminated:
-        """Normal equations at texels' parameters (PARAMETERS, 1, N) and shared parameters."""
+        """Reduced normal equations at texel parameters (PARAMETERS, 1, N) and shared `values`."""
         texels, count = some.shape[-1], len(values)
         precision = self.prior.precision[:, 0].T
         within = torch.diag_embed(precision)
@@ -359,7 +359,7 @@ def texels_solved(within: Tensor, sides: Tensor) -> Tensor:
 
 
 def _homography(move: Tensor) -> Doubles:
-    """(3, 3) of a move (8,); the identity of one of no length."""
+    """(3, 3) homography identity + `move` (8,); the identity if `move` is empty."""
     if not len(move):
         return np.eye(3)
     a, b, c, d, e, f, g, h = move.tolist()

@@ -157,8 +157,8 @@ class PieceView:
         Args:
             view: the photograph.
             across, down: texels.
-            place: where it is looked up; None for where features lie.
-            tint: (3, H, W) metal's, on any grid, which is taken off it (tint.py).
+            place: map to plane points; None for the registration by features alone.
+            tint: (3, h, w) specular tint of metal on any grid, divided out (tint.py).
         """
         photo = view.photo
         rows, columns = photo.pixels.shape[:2]
