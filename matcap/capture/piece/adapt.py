@@ -1,13 +1,11 @@
 """Texture-statistics fit: windows of the exemplar, lit anywhere, must match the photograph there.
 
-The network's structure is right and its amplitudes are off: mean and contrast of albedo, and the
-strength of relief. The paper holds its decoder to the photograph by statistics of renderings at the
-photograph's places (4.6). The same holds the exemplar: its windows are lit as if they lay
-elsewhere, compared with what is seen there, and a few numbers that scale its maps as a whole are
-moved until they agree. So few numbers need few steps, and cannot draw what was not photographed.
-Some windows are a validation set: the result is kept if it is nearer there. Relief that the
-photograph measures (strengths.py) hardly moves.
-F0 and roughness are the classes' (levels.py) and stay.
+The network predicts structure well, but biased amplitudes: mean and contrast of albedo, and
+strength of relief. These few scaling parameters of the maps are fitted by Adam. The loss is the
+paper's (4.6): windows of the maps, rendered at other places under the light there, are compared
+with the photograph's windows at those places by texture statistics; plus a Gaussian prior, which is
+tight for relief that the photograph measures (strengths.py). The result is kept if it lowers the
+distance on validation windows. F0 and roughness, fitted to the classes (levels.py), do not change.
 """
 
 from __future__ import annotations
@@ -34,12 +32,12 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Adapted:
-    """Adapted maps.
+    """Result of a stage.
 
     Attributes:
-        maps: of the photographed piece; as they were, unless what was found is nearer.
-        interrupted: ended by Ctrl-C, with the numbers so far.
-        change: what was tried, and whether it is in the maps; None if nothing was.
+        maps: the scaled maps if kept, else the given ones.
+        interrupted: ended by Ctrl-C, with the parameters so far.
+        change: what was fitted, kept or not; None without steps.
     """
 
     maps: MapSet
@@ -49,13 +47,13 @@ class Adapted:
 
 @dataclass(frozen=True)
 class Change:
-    """What adaptation came to.
+    """Fitted scaling, and its effect.
 
     Attributes:
-        before, after: mean distance of statistics on windows that were held back from it.
-        kept: whether it is nearer after, and so taken.
-        relief: factor of all relief together.
-        albedo: mean change of the logit of albedo's channels.
+        before, after: mean distance of texture statistics on the validation windows.
+        kept: whether the distance fell, and the result was taken.
+        relief: factor on height, all bands.
+        albedo: change of the logit of albedo, mean over channels.
     """
 
     before: float
@@ -67,16 +65,16 @@ class Change:
 
 @dataclass(frozen=True)
 class Leg:
-    """A leg of adaptation.
+    """Settings of a stage of the fit.
 
     Attributes:
         steps: of Adam.
-        reach: factor on the prior deviations of the scaling parameters.
-        doubt: standard deviations of the log strength of relief, of each of BANDS, where the
-            photograph measures it.
-        seconds: at most, or infinity.
+        reach: factor on the prior standard deviations of the scaling parameters.
+        doubt: standard deviation of the log relief strength in each of BANDS, as the photograph
+            measures it; empty where it does not.
+        seconds: time limit, may be infinite.
         seed: of the order of windows.
-        on_progress: called after every step with the share that is done.
+        on_progress: called after every step with the share that is done, in [0, 1].
     """
 
     steps: int
@@ -89,13 +87,13 @@ class Leg:
 
 @torch.enable_grad()
 def adapt(maps: MapSet, seen: NDArray[np.bool_], scene: PhotographTarget, leg: Leg) -> Adapted:
-    """Maps whose levels, contrasts and strengths of relief are the photograph's everywhere.
+    """Fit the albedo offset and contrast and the relief strength of maps to a photograph.
 
     Args:
-        maps: of the photographed piece, on the plane's grid.
-        seen: (H, W) where they are more than a guess.
-        scene: the photograph.
-        leg: how far.
+        maps: of the exemplar, on the plane's grid.
+        seen: (H, W) bool, where the photograph shows them.
+        scene: the photograph's windows and statistics.
+        leg: settings of the stage.
     """
     if not leg.steps:
         return Adapted(maps)
@@ -110,13 +108,13 @@ def adapt(maps: MapSet, seen: NDArray[np.bool_], scene: PhotographTarget, leg: L
 
 @dataclass(frozen=True)
 class _Fit:
-    """Adam on the numbers that maps are scaled by.
+    """Adam on the scaling parameters.
 
     Attributes:
-        scaled: maps and numbers; changed in place.
-        scene: the photograph.
-        corners: where windows of the maps begin.
-        fitted: windows of the photograph that are looked at.
+        scaled: maps and parameters; changed in place.
+        scene: the photograph's windows and statistics.
+        corners: (N, 2) row and column of the windows of the maps.
+        fitted: indices of the photograph's windows to fit.
     """
 
     scaled: _ScaledMaps
@@ -125,7 +123,7 @@ class _Fit:
     fitted: Tensor
 
     def run(self, leg: Leg) -> bool:
-        """Fit; whether Ctrl-C ended it. The numbers are the mean of those at the end."""
+        """Fit; whether Ctrl-C ended it. Parameters are averaged over the last steps."""
         numbers, schedule = self.scaled.numbers, Schedule(leg.steps, leg.seconds, None)
         order, draw = shuffled(len(self.fitted), leg.seed), np.random.default_rng(leg.seed)
         adam = Adam([numbers], ADAPT.betas)
@@ -176,7 +174,7 @@ def _cut(
     count: int,
     size: int,
 ) -> list[MapSet]:
-    """Windows of the maps, anywhere they were seen."""
+    """`count` random windows of the maps, `size` texels a side, at the given corners."""
     return [
         scaled.maps(slice(y, y + size), slice(x, x + size))
         for y, x in corners_seen[draw.integers(len(corners_seen), size=count)]
@@ -184,7 +182,7 @@ def _cut(
 
 
 def _distance(cuts: list[MapSet], scene: PhotographTarget, places: Tensor, step: int) -> Tensor:
-    """Mean distance of windows of maps, put at places, from what is seen there."""
+    """Mean statistics distance of map windows, rendered at `places`, to the photograph's."""
     rendered = [
         render_windows(cut.map(lambda m: m[None]), scene, places[i, None], step)
         for i, cut in enumerate(cuts)
@@ -225,13 +223,13 @@ def _judged(
 
 @dataclass(frozen=True)
 class Scaling:
-    """What maps are scaled by, (N,) each; zeros leave them as they are.
+    """Scaling parameters of maps, (N,) each; zeros are the identity.
 
     Attributes:
         offset: (3,) added to the logits of albedo.
-        gain: logarithm of the factor on how far they are from their mean.
-        relief: logarithm of the factor on heights.
-        bands: likewise on each band beside.
+        gain: log factor on the logits' deviation from their mean.
+        relief: log factor on height, all bands.
+        bands: further log factor on each of BANDS.
     """
 
     offset: Tensor
@@ -240,7 +238,7 @@ class Scaling:
     bands: Tensor
 
     def vector(self) -> Tensor:
-        """All of them, one after the other."""
+        """All parameters concatenated."""
         return torch.cat([getattr(self, f.name) for f in fields(self)])
 
     @staticmethod
@@ -297,7 +295,7 @@ class _ScaledMaps:
 
 
 def corners(seen: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
-    """(N, 2) rows and columns where windows that were seen begin; of the best, if none was."""
+    """(N, 2) top-left rows and columns of windows seen enough; of the most seen, if none is."""
     total = np.pad(seen.astype(np.float64), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
     windows = total[size:, size:] - total[:-size, size:] - total[size:, :-size]
     windows = (windows + total[:-size, :-size]) / size**2
@@ -306,14 +304,14 @@ def corners(seen: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
 
 
 def even_contrast(albedo: Floats, weight: Floats) -> Floats:
-    """Log albedo (3, H, W) whose bands vary as much everywhere as where they are seen.
+    """Local contrast normalisation of log albedo (3, H, W), band by band.
 
-    A stationary sample has the same contrast everywhere; under a highlight albedo hardly shows, and
-    the network's answer fades.
+    The local contrast becomes its mean over well seen texels: a stationary sample has the same
+    contrast everywhere, but the network's prediction loses it under a highlight.
 
     Args:
-        albedo: as the network gives it.
-        weight: (H, W) how far it is seen, in [0, 1].
+        albedo: predicted log albedo.
+        weight: (H, W) visibility, in [0, 1].
     """
     local = weight + np.float32(ADAPT.contrast_unseen)
     under = smoothed(local, ADAPT.contrast_around)

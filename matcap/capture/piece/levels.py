@@ -5,11 +5,11 @@ of the mean radiance of each class k is compared with the photograph's:
 
     log mean_i(w_k L) = log mean_i(w_k sum_k w_k L(theta_k)) + noise
 
-by robust least squares over the levels theta_k = (log albedo 3, log F0, logit roughness), with a
-Gaussian prior. The relief is in L: a highlight's width is roughness and the slopes under it. Ring
-means do not ask relief to be in the right place, only to have the right strength, and few texels at
-the mirror point count as much as many beyond. A ring of which part is clipped is a lower bound: its
-glints were brighter than they look, and comparing clipped means would take them for roughness.
+where w_k are the class shares of a texel, by robust least squares over the mean parameters
+theta_k = (log albedo 3, log F0, logit roughness), with a Gaussian prior. L includes the relief: the
+width of a highlight is due to roughness and slopes. Ring means depend on the strength of relief but
+not on its registration, and weigh the few texels at the mirror point like the many beyond. The
+radiance of a partly clipped ring is a lower bound; taken as equality it would bias roughness.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ _STEP = 0.03  # of logit roughness, for differences
 
 @dataclass(frozen=True)
 class LevelSettings:
-    """What is tuned of the fit.
+    """Settings of the fit.
 
     Attributes:
-        innermost: plane units, radius of the first rings; beyond, rings widen with their radius.
+        innermost: radius r0, plane units; a ring is per_octave log2(1 + r / r0), rounded down.
         per_octave: rings an octave of radius.
-        ring_texels: of a class in a ring, at which it counts half.
-        clipped: share of a ring that is clipped, at which it is a lower bound only.
-        noise, huber: of a ring's log radiance: deviation, and beyond which it counts linearly.
-        most: that a level moves in a step.
-        steps: of Gauss-Newton.
-        texels: along the short side that levels are fitted on.
+        ring_texels: n0 of the weight n / (n + n0) of a ring with n texels of a class.
+        clipped: share of clipped texels from which a ring is a lower bound only.
+        noise, huber: standard deviation of a ring's log radiance, and threshold of its Huber loss.
+        most: largest change of a parameter in a step.
+        steps: Gauss-Newton steps.
+        texels: along the short side of the grid of the fit.
     """
 
     innermost: float = 0.02
@@ -54,11 +54,11 @@ class LevelSettings:
 
 @dataclass(frozen=True)
 class LevelPrior:
-    """Gaussian prior of levels.
+    """Gaussian prior of the mean parameters.
 
     Attributes:
         mean, deviation: (K, 5).
-        contrast: mean and deviation of log F0 of the first class over the second's, or None.
+        contrast: mean and standard deviation of log F0 of class 0 less that of class 1, or None.
     """
 
     mean: Tensor
@@ -68,17 +68,17 @@ class LevelPrior:
 
 @dataclass(frozen=True)
 class RingTarget:
-    """A photograph, and what is known of the surface in it.
+    """A photograph with its geometry, light and relief.
 
     Attributes:
         linear: (3, H, W) radiance on the plane's grid; 1 is where it clips.
         measured: (3, H, W) bool: not clipped.
-        counts: (H, W) bool: what lies in the picture, clipped or not.
+        counts: (H, W) bool: in the picture, clipped or not.
         distance: (H, W) plane units from the mirror point.
         flash: the photograph's.
-        normal: (3, H, W) of the relief.
-        surface: what levels are added to; broadcasts to (..., H, W).
-        hues: F0 over the mean of its channels of every class: (3, 1, 1) or one number.
+        normal: (3, H, W) unit normals of the relief.
+        surface: parameters to which the levels are added; broadcasts to (..., H, W).
+        hues: specular tint of each class, F0 over its channel mean: (3, 1, 1) or one number.
     """
 
     linear: Tensor
@@ -91,7 +91,7 @@ class RingTarget:
     hues: tuple[Tensor | float, ...] = (1.0,)
 
     def thinned(self, texels: int) -> RingTarget:
-        """One texel of several, so that so many are left along the short side."""
+        """Subsampled so that at least `texels` are left along the short side."""
         size = self.distance.shape
         every = slice(None, None, max(1, min(size) // texels))
 
@@ -111,7 +111,7 @@ class RingTarget:
     def rendered(
         self, levels: Tensor, incidence: Incidence, duller: float = 0.0
     ) -> list[tuple[Tensor, Tensor]]:
-        """Diffuse and specular radiance (3, H, W) of each class, everywhere.
+        """Diffuse and specular radiance (3, H, W) of each class at every texel.
 
         Args:
             levels: (K, 5), added to the surface.
@@ -133,7 +133,7 @@ class RingTarget:
 
 
 class _Rings:
-    """Means of every class in rings."""
+    """Class-weighted means over rings around the mirror point."""
 
     def __init__(self, target: RingTarget, shares: Tensor, settings: LevelSettings) -> None:
         octaves = torch.log2(1.0 + target.distance / settings.innermost)
@@ -148,7 +148,7 @@ class _Rings:
         return torch.bincount(self._ring, weight, self._many)
 
     def means(self, picture: Tensor) -> Tensor:
-        """(K, C, rings) of a picture (C, H, W)."""
+        """(K, C, rings): mean of a picture (C, H, W) over each ring, weighted by class share."""
         flat = picture.flatten(1)
         return torch.stack(
             [
@@ -165,13 +165,13 @@ def fit_levels(
     prior: LevelPrior,
     settings: LevelSettings | None = None,
 ) -> tuple[Tensor, float]:
-    """(K, 5) levels whose ring means are the photograph's, and the mean absolute log residual.
+    """(K, 5) mean parameters fitted to the ring means, and their mean absolute log residual.
 
     Args:
         target: the photograph.
-        shares: (K, H, W) of every texel that belongs to a class; they sum to 1.
-        start: (K, 5) to begin with.
-        prior: of levels.
+        shares: (K, H, W) share of each class in each texel; they sum to 1.
+        start: (K, 5) initial values.
+        prior: of the result.
         settings: of the fit.
     """
     settings = settings or LevelSettings()
@@ -212,7 +212,7 @@ def _linear(
     levels: Tensor,
     observed: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """(N,) residuals of rings' log radiance, and (5 K, N) what these change by with levels."""
+    """(N,) residuals of rings' log radiance, and (5 K, N) d log mean / d level."""
     parts = target.rendered(levels, incidence)
     duller = target.rendered(levels, incidence, _STEP)
     mixed = sum(share * (d + s) for share, (d, s) in zip(shares, parts, strict=True))

@@ -1,10 +1,10 @@
 """Covariance of the bundle-adjusted cameras.
 
-Features scatter, which many of them take care of. What they cannot take care of is shading: a
-bump's light side goes with the flash, like a point in the depth (a highlight like the bump's centre
-of curvature), and all of a material's bumps alike. How far is not in the matches, for a plane in
-that depth would look the same; how far it may be is: by as much as single features seem to lie off
-the plane. It is considered, not solved for [schmidt1966].
+The random error of features averages out; that of shading does not. The lit side of a bump follows
+the flash, like a point at another depth (a highlight like the bump's centre of curvature), and does
+so for all bumps of a material. This common depth cannot be estimated from the matches, since a
+plane at that depth gives the same; its size is bounded by the depths at which single features
+appear. It is a consider parameter: in the covariance, but not estimated [schmidt1966].
 """
 
 from __future__ import annotations
@@ -25,23 +25,22 @@ DOUBTED = 0.002  # of the distance: what may be farther off is said
 
 @dataclass(frozen=True)
 class DoubtSettings:
-    """What errors are reckoned from; docs/notes/several.md."""
+    """Prior standard deviations and noise model; docs/notes/several.md."""
 
     alike: float = 3.0
-    """Of the depth that features seem to lie in, what all have in common over what single ones
-    scatter by."""
+    """Standard deviation of the features' common apparent depth over that of single ones."""
     saturated: float = 0.5
-    """Tangent of the angle to the light, where shading moves half as much as it would."""
+    """Tangent of the light's angle at which the displacement by shading is half the linear one."""
     alone: float = 0.25
-    """Share of features that do not overlap others."""
+    """Share of features that are independent (do not overlap others)."""
     tilt: float = 0.15
-    """Deviation of the first camera's tilt, radians, as features are adjusted with."""
+    """Of the first camera's tilt, radians, as in bundle adjustment."""
     focal: float = 0.005
-    """Deviation of the logarithm of the distance."""
+    """Of the log focal length."""
     bent: float = 0.03
-    """Deviation of k1."""
+    """Of k1."""
     relief: float = 0.01
-    """Height that features may have for nothing, plane units."""
+    """Height that features may have without a residual, plane units."""
 
 
 _COMMON = 4  # log focal, k1, turns about x and y
@@ -51,13 +50,13 @@ _STEP = 1e-6
 
 @dataclass(frozen=True)
 class Doubts:
-    """What registration may be off by, (photographs - 1,) each, one deviation."""
+    """Standard deviations of camera positions and registration, (photographs - 1,) each."""
 
     places: Doubles
-    """Of each camera beside the first one, over its distance."""
+    """Of each camera's position relative to the first, over its distance."""
     astray: Doubles
-    """Plane units that a photograph may lie beside the first one. Much less than cameras may be off
-    by: one that is moved and turned sees the plane alike."""
+    """Of each photograph's registration to the first, plane units. Much less than `places`: errors
+    of position and rotation nearly cancel on the plane."""
 
 
 def doubts(
@@ -79,7 +78,7 @@ def doubts(
 
 
 def _covariance(fit: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings) -> Doubles:
-    """Of what cameras have in common, and of each but the first, what shading moves them by too."""
+    """Covariance of the common and every other camera's parameters, error by shading included."""
     cameras = fit.cameras
     size = _COMMON + _OWN * len(pairs)
     deviation = np.array([settings.focal, settings.bent, settings.tilt, settings.tilt])
@@ -104,13 +103,13 @@ def _covariance(fit: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings) -
 
 
 def _numbers(number: int) -> NDArray[np.int64]:
-    """Where what is common and a photograph's own stands among all numbers."""
+    """Indices of the common parameters and of a photograph's own in the whole vector."""
     own = _COMMON + _OWN * (number - 1)
     return np.r_[0:_COMMON, own : own + _OWN]
 
 
 def _scatter(residual: Doubles, parallax: Doubles, settings: DoubtSettings) -> tuple[float, float]:
-    """Pixels that matches scatter by, and plane units that they seem to lie off the plane by."""
+    """Standard deviation of matches, pixels, and of their apparent depth, plane units."""
     length = np.maximum(np.hypot(*parallax), 1e-9)
     along = (residual * parallax).sum(0) / length
     across = (residual[0] * parallax[1] - residual[1] * parallax[0]) / length
@@ -122,7 +121,7 @@ def _scatter(residual: Doubles, parallax: Doubles, settings: DoubtSettings) -> t
 def _linear(
     first: PosedCamera, camera: PosedCamera, pair: Pair, settings: DoubtSettings
 ) -> tuple[Doubles, Doubles]:
-    """(2n, 10) what residuals gain by a photograph's numbers, and (2n,) by a depth of shading."""
+    """(2n, 10) d residual / d parameter of a photograph, and (2n,) d residual / d common depth."""
 
     def off(change: Doubles, depth: float = 0.0) -> Doubles:
         one = _changed(first, np.r_[change[:_COMMON], np.zeros(_OWN)])
@@ -142,7 +141,7 @@ def _linear(
 def _shaded(
     first: PosedCamera, camera: PosedCamera, pair: Pair, settings: DoubtSettings
 ) -> Doubles:
-    """(2, n) pixels that features move by from flash to flash, for a depth of 1 they seem in."""
+    """(2, n) displacement by shading between two flashes, pixels per plane unit of depth."""
     points = first.on_plane(pair.first)
 
     def moved(place: Doubles) -> Doubles:
@@ -154,7 +153,7 @@ def _shaded(
 
 
 def _changed(camera: PosedCamera, change: Doubles) -> PosedCamera:
-    """By log focal, k1, two turns of the first one's about the middle, its own turn and place."""
+    """The camera after `change` (10,): log focal, k1, first tilt (2), own rotation and position."""
     focal, bent, x, y = change[:_COMMON]
     lens = Lens(
         camera.lens.focal * math.exp(focal), (camera.lens.bent[0] + bent, camera.lens.bent[1])
@@ -175,13 +174,13 @@ def _turn(vector: Doubles) -> Doubles:
 def _both(
     cameras: Sequence[PosedCamera], number: int, change: Doubles
 ) -> tuple[PosedCamera, PosedCamera]:
-    """The first camera and another, after a change of what they have in common and its own."""
+    """The first camera and another after a `change` (10,) of common and own parameters."""
     one = _changed(cameras[0], np.r_[change[:_COMMON], np.zeros(_OWN)])
     return one, _changed(cameras[number], np.r_[change[:2], 0.0, 0.0, change[_COMMON:]])
 
 
 def _off(cameras: Sequence[PosedCamera], number: int, covariance: Doubles) -> float:
-    """What a camera's place in the first one's frame may be off by, over its distance."""
+    """Standard deviation of a camera's position in the first one's frame, over its distance."""
 
     def between(change: Doubles) -> Doubles:
         one, other = _both(cameras, number, change)
@@ -205,7 +204,7 @@ def _misregistration(cameras: Sequence[PosedCamera], number: int, covariance: Do
 
 
 def _variance(f: Callable[[Doubles], Doubles], covariance: Doubles, number: int) -> Doubles:
-    """(n,) variances of what a change (10,) of a photograph's numbers makes of something (n,)."""
+    """(n,) variances of f(change) (n,), by linear propagation of a photograph's covariance."""
     places = _numbers(number)
     nothing = np.zeros(len(places))
     here = f(nothing)

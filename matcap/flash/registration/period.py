@@ -1,7 +1,7 @@
-"""Test for periodic patterns, whose matches are ambiguous by whole periods.
+"""Test for periodic patterns, whose feature matches are ambiguous by whole periods.
 
-What decides between places a period apart is what no period repeats: clouds, flaws, a border.
-Where there is too little of that, matches agree with none.
+Only aperiodic features (stains, flaws, a border) resolve the ambiguity; with too few of them the
+matches are inconsistent.
 """
 
 from __future__ import annotations
@@ -16,32 +16,35 @@ from matcap.photo.photo import Photo
 
 @dataclass(frozen=True)
 class PeriodSettings:
-    """When a pattern counts as repeating itself."""
+    """Settings of the test."""
 
     across: int = 640
-    """Pixels that are looked at."""
+    """Width of the downsampled photograph, pixels."""
     fine: float = 0.8
     slow: float = 12.0
-    """Pixels: deviations of noise and of light, which are left out."""
+    """Standard deviations of the band-pass (difference of Gaussians), pixels."""
     nearest: int = 4
-    """Pixels: what lies nearer is like itself for being smooth."""
+    """Least lag, pixels: below it smoothness alone correlates."""
     reach: float = 0.2
-    """Share of the long side up to which periods are looked for."""
+    """Largest lag along each axis, as a share of the width."""
     alike: float = 0.35
-    """Correlation with itself a period further, at least; of leather, stone and plaster it is below
-    0.07, of most weaves 0.46 to 0.94 (docs/notes/several.md)."""
+    """Autocorrelation from which a pattern is periodic; leather, stone and plaster have below 0.07,
+    most weaves 0.46 to 0.94 (docs/notes/several.md)."""
 
 
 PERIOD = PeriodSettings()
 
 
 def repeats_itself(photo: Photo) -> bool:
-    """Whether what a photograph shows is as it is some way further again."""
+    """Whether the photographed pattern is periodic: largest autocorrelation above `alike`."""
     return likeness_further(photo) > PERIOD.alike
 
 
 def likeness_further(photo: Photo) -> float:
-    """Highest correlation of a photograph's texture with itself some way further, at most 1."""
+    """Largest local maximum of the texture's autocorrelation at lags of 4 pixels or more.
+
+    In [-1, 1]; lags are up to 0.2 of the width along each axis (PeriodSettings).
+    """
     rows, columns = photo.pixels.shape[:2]
     wide = min(columns, PERIOD.across)
     size = (wide, round(wide * rows / columns))
