@@ -1,7 +1,7 @@
-"""Simulated hand-held photographs of one sample: each from another place, flash moving along.
+"""Simulated hand-held photographs of one sample from several poses, the flash moving along.
 
-The first one's frame is the plane's. Relief has parallax: a pixel shows the point of the surface
-that its ray meets, not the plane's. Distances, tilts, exposure and white balance scatter.
+The plane's frame is the first camera's. Relief has parallax: rays are intersected with the height
+map, not with the plane. Distances, tilts, exposures and white balances are random.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ Doubles = NDArray[np.float64]
 
 _COMPASS = [(math.cos(k * math.pi / 4.0), math.sin(k * math.pi / 4.0)) for k in range(8)]
 _SKYLINE = 150.0  # texels: relief farther away hides hardly any sky
-_MEETINGS = 3  # rounds in which a ray finds the relief; slopes are below 1 nearly everywhere
+_MEETINGS = 3  # iterations of ray-relief intersection; slopes are below 1 nearly everywhere
 
 
 @dataclass(frozen=True)
 class Room:
-    """Light that is there without the flash: even from above, and from a window's side.
+    """Ambient light: a uniform sky and a directional window.
 
     Attributes:
-        level: irradiance of a level surface, for a flash of intensity 1.
-        window: share of it that comes from one direction.
-        towards: where the window is, any length.
-        colour: of all of it, by channel.
-        uneven: log irradiance gained per plane unit towards the window.
-        hidden: whether relief hides a part of the sky from itself (ambient occlusion).
+        level: irradiance of a horizontal surface, for a flash of intensity 1.
+        window: share of `level` from the window.
+        towards: direction of the window, any length.
+        colour: RGB factors of the light.
+        uneven: gradient of log irradiance towards the window, per plane unit.
+        hidden: whether the relief occludes the sky (ambient occlusion).
     """
 
     level: float = 0.06
@@ -54,9 +54,9 @@ class Room:
     hidden: bool = False
 
     def on(self, maps: MapSet) -> NDArray[np.float32]:
-        """(H, W, 3) radiance of a piece, from wherever it is looked at.
+        """(H, W, 3) view-independent radiance E0 / pi (albedo E / E0 + F0), E0 the level.
 
-        Surroundings as bright as the light from above are mirrored by F0.
+        F0 reflects surroundings of the sky's radiance.
         """
         way = torch.tensor(self.towards, dtype=torch.float64)
         way = way / way.norm()
@@ -73,7 +73,7 @@ class Room:
 
 
 def _along(maps: MapSet, way: Tensor) -> Tensor:
-    """(H, W) plane units from the middle of a piece in a horizontal direction."""
+    """(H, W) coordinate along a horizontal direction from the middle of maps, plane units."""
     width, height = maps.size
     flat = way[:2] / way[:2].norm().clamp_min(1e-9)
     x = (torch.arange(width, dtype=torch.float64) - 0.5 * (width - 1)) * maps.texel_size
@@ -82,10 +82,10 @@ def _along(maps: MapSet, way: Tensor) -> Tensor:
 
 
 def _open_sky(maps: MapSet) -> Tensor:
-    """(H, W) share of an even sky's irradiance that reaches a piece, by its horizons [max1988].
+    """(H, W) share of a uniform sky's irradiance above the relief's horizons [max1988].
 
-    In eight directions, at distances growing by a half; the sky's lower part is left out below the
-    horizon, and slopes that face away from it have one, too.
+    The mean over eight azimuths of cos^2 of the horizon's elevation, which is sampled at distances
+    growing by a factor of 1.5.
     """
     height = (maps.height[0] / maps.texel_size).float()
     share = torch.zeros_like(height)
@@ -102,19 +102,19 @@ def _open_sky(maps: MapSet) -> Tensor:
 
 @dataclass(frozen=True)
 class Hand:
-    """How a hand holds a phone.
+    """Movements and lighting of a phone between hand-held photographs.
 
     Attributes:
-        aside: how far the phone is moved, over its distance.
-        aimed: share of that by which it looks further: 1 looks straight down everywhere, and half
-            of what it sees is new where it is moved by half a picture.
-        shaken: deviation of its place, over its distance.
-        turned: deviation of where it looks, radians.
-        flash: place of the flash beside the lens, plane units.
-        bent: (k1, k2) of the lens.
-        balanced: deviation of the logarithm of white balance, by channel.
-        vignetting: of lens and flash, with r^2.
-        room: light beside the flash's; None for darkness.
+        aside: sideways movement, relative to the distance.
+        aimed: movement of the point aimed at, relative to the phone's: 0 keeps aiming at the
+            middle, 1 looks straight down.
+        shaken: standard deviation of the position, relative to the distance.
+        turned: standard deviation of the viewing direction, radians.
+        flash: offset of the flash from the lens, plane units.
+        bent: (k1, k2) of the lens distortion.
+        balanced: standard deviation of the logarithm of white balance, by channel.
+        vignetting: coefficient of r^2, of lens and flash.
+        room: ambient light; None for darkness.
     """
 
     aside: float = 0.35
@@ -133,8 +133,8 @@ class HandShot:
     """One of several simulated hand-held photographs.
 
     Attributes:
-        shot: what reached the sensor; its setup is true of the first one alone.
-        camera: its pose.
+        shot: the image on the sensor; its setup is true only of the first photograph.
+        camera: true pose.
     """
 
     shot: Shot
@@ -142,12 +142,12 @@ class HandShot:
 
 
 def downward(phone: PhoneCamera) -> Hand:
-    """A hand that moves a phone by half a picture each time and looks straight down."""
+    """A Hand that moves by half a picture each time and looks straight down."""
     return Hand(aside=math.tan(math.radians(phone.fov) / 2.0), aimed=1.0)
 
 
 def hold(phone: PhoneCamera, hand: Hand, count: int, seed: int) -> list[PosedCamera]:
-    """Cameras: the first above the middle, the others moved to the sides, all looking there."""
+    """Random poses: the first above the middle, the others moved sideways; see Hand."""
     rng = np.random.default_rng(seed)
     distance = 1.0 / math.tan(math.radians(phone.fov) / 2.0)
     tilt = rng.normal(0.0, 0.02, 2)
@@ -175,10 +175,10 @@ def take_several(
     """Photograph one piece from several places; every exposure is automatic.
 
     Args:
-        realise: the piece.
-        phone: that takes the photographs.
-        cameras: where it is held.
-        hand: what else is known of it.
+        realise: the material.
+        phone: the camera model.
+        cameras: its poses.
+        hand: flash, lens and ambient light.
         seed: of white balance.
     """
     rng = np.random.default_rng(seed)
@@ -211,12 +211,12 @@ def take_without_flash(
     hand: Hand,
     seed: int = 0,
 ) -> HandShot:
-    """Photograph the same piece by the room's light alone, from the first place, a little shaken.
+    """Photograph the same sample by ambient light alone, from near the first camera's pose.
 
     Args:
         realise, phone, cameras: as of take_several.
-        hand: its room gives the light.
-        seed: of white balance and of the hand.
+        hand: its `room` is the light.
+        seed: of white balance and pose.
     """
     rng = np.random.default_rng(seed)
     first = cameras[0]
@@ -237,10 +237,10 @@ def true_maps_on(
     setup: FlashSetup,
     bent: tuple[float, float] = (0.0, 0.0),
 ) -> Callable[[int, int], MapSet]:
-    """True maps of the very piece that take_several photographs, on an estimated plane.
+    """True maps of the sample that take_several photographs, on an estimated plane.
 
-    An error of half a degree in the estimated tilt moves the plane's texels: truth is looked up
-    along the rays of the pixels that each texel was resampled from.
+    Errors of the estimated tilt displace the plane's texels; the truth is therefore looked up along
+    the ray of the pixel that each texel was resampled from.
 
     Args:
         realise, phone, cameras: as of take_several.
@@ -248,7 +248,7 @@ def true_maps_on(
         bent: estimate of its lens distortion.
 
     Returns:
-        (columns, rows) of the plane to its maps.
+        Function of (columns, rows), the plane's size in texels, to true maps.
     """
     return true_maps_along(realise, phone, cameras, 0, PosedCamera.of(setup, bent))
 
@@ -261,16 +261,16 @@ def true_maps_along(
     estimated: PosedCamera,
     extent: Extent = OWN,
 ) -> Callable[[int, int], MapSet]:
-    """True maps along the rays of any of the cameras, where it alone drew a piece's texels.
+    """True maps along the rays of one camera, for texels resampled from its photograph alone.
 
     Args:
         realise, phone, cameras: as of take_several.
-        number: of the camera.
+        number: index of the camera.
         estimated: its estimated pose.
-        extent: of the piece.
+        extent: of the maps on the plane.
 
     Returns:
-        (columns, rows) of that to its maps.
+        Function of (columns, rows), the extent's size in texels, to true maps.
     """
     maps = _piece(realise, phone, cameras)
     first = cameras[number]
@@ -291,7 +291,7 @@ def true_maps_along(
 
 
 def _piece(realise: Realise, phone: PhoneCamera, cameras: Sequence[PosedCamera]) -> MapSet:
-    """A square of the plane, its middle the origin, that holds what all cameras see."""
+    """Maps of a square around the origin that contains the views of all cameras."""
     reach = max(_reach(camera, phone) for camera in cameras)
     side = 2 * math.ceil(reach * phone.width * phone.supersampling / 2.0)
     return realise(side, side, 2.0 / (phone.width * phone.supersampling))
@@ -304,7 +304,7 @@ def _picture(
     phone: PhoneCamera,
     hand: Hand,
 ) -> Doubles:
-    """What a camera sees of a piece of such radiance."""
+    """(H, W, 3) picture of maps of a given radiance, with parallax, vignetting and blur."""
     fine = phone.supersampling
     size = (phone.width * fine, phone.height * fine)
     columns, rows = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
@@ -328,7 +328,7 @@ def _looked_up(
     texel: float,
     border: int = cv2.BORDER_CONSTANT,
 ) -> NDArray[np.float32]:
-    """A square channel around the origin at points (2 or 3, H, W) of the plane."""
+    """(H, W) bilinear values of a square channel around the origin at points (2 or 3, H, W)."""
     side = channel.shape[0]
     x, y = points[0] / texel + side / 2.0 - 0.5, side / 2.0 - 0.5 - points[1] / texel
     places = x.astype(np.float32), y.astype(np.float32)
@@ -338,7 +338,7 @@ def _looked_up(
 def _met(
     points: Doubles, eye: Doubles, height: Callable[[Doubles], NDArray[np.float32]]
 ) -> Doubles:
-    """(3, H, W) where rays from an eye to points of the plane meet the relief."""
+    """(3, H, W) intersections of rays from an eye to points of the plane with the relief."""
     start = eye[:, None, None]
     ray = points - start
     for _ in range(_MEETINGS):
@@ -363,7 +363,7 @@ def _shaded(maps: MapSet, camera: PosedCamera, hand: Hand) -> NDArray[np.float32
 
 
 def _reach(camera: PosedCamera, phone: PhoneCamera) -> float:
-    """Half the side of the square of the plane that a camera sees."""
+    """Half the side of the square around the origin that contains a camera's view, plane units."""
     up = phone.height / phone.width
     corners = camera.on_plane(np.array([[-1.0, 1.0, -1.0, 1.0], [up, up, -up, -up]]))
     return 1.05 * float(np.abs(corners[:2]).max())
@@ -380,6 +380,6 @@ def _looking(place: Doubles, aim: Doubles, roll: float) -> Doubles:
 
 
 def _tilt(camera: PosedCamera) -> tuple[float, float]:
-    """Of a camera made by PosedCamera.of: R = Ry(tilt_y) Rx(tilt_x)."""
+    """(tilt_x, tilt_y), radians, of a camera made by PosedCamera.of: R = Ry(tilt_y) Rx(tilt_x)."""
     turn = camera.turn
     return (float(np.arctan2(-turn[1, 2], turn[1, 1])), float(np.arctan2(-turn[2, 0], turn[0, 0])))

@@ -1,8 +1,8 @@
 """Map sets made by artists and scanners, as materials that can be photographed.
 
-A folder a material: `basecolor.jpg` (sRGB), `normal.png` (8 bit, +Y up), `roughness.png` (8 bit,
-perceptual), and `metallic.png` where some of it is metal; all of one size, and tileable. Of a bare
-metal without that, a remark in the `manifest.json` beside the folders says so.
+One folder per material: `basecolor.jpg` (sRGB), `normal.png` (8 bit, +Y up), `roughness.png` (8
+bit, perceptual), and `metallic.png` where some of it is metal; all of one size, and tileable. A
+remark in the folders' common `manifest.json` marks bare metals without `metallic.png`.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class MapSetMaterial:
     texel_size: float
 
     def piece(self, seed: int) -> Callable[[int, int, float], MapSet]:
-        """The material around another place; those of seeds near each other lie far apart."""
+        """`realise` for a seed: crops of neighbouring seeds lie far from each other on the tile."""
 
         def realise(width: int, height: int, texel_size: float) -> MapSet:
             return self.realise(width, height, seed, texel_size)
@@ -56,13 +56,13 @@ class MapSetMaterial:
     def realise(self, width: int, height: int, seed: int, texel_size: float) -> MapSet:
         """A rectangle of the repeated tile, float64 (C, height, width).
 
-        Finer than the tile its texels are interpolated, coarser they are averaged. A finer texel
-        size over the same extent shows the same piece.
+        Texels are interpolated if finer than the tile's, else averaged. A finer texel size over the
+        same extent gives the same crop at a higher resolution.
 
         Args:
             width: texels.
             height: texels.
-            seed: says where on the tile the middle of the rectangle lies.
+            seed: of the rectangle's position on the tile.
             texel_size: a texel's side in plane units.
         """
         tile = _shrunk(self.tile, texel_size / self.texel_size)
@@ -79,8 +79,8 @@ class MapSetMaterial:
 def read_map_set(folder: Path, span: float = SPAN) -> MapSetMaterial:
     """Read a folder.
 
-    F0 has three channels where any of it is metal. Relief is integrated from the normals, whose
-    scale is known, where a height's is not.
+    F0 has three channels if any of it is metal. Height is integrated from the normals: a height
+    map's scale would be unknown.
 
     Args:
         folder: of one material.
@@ -116,11 +116,11 @@ class SurfaceMaps:
 
 
 def read_surface(folder: Path, *, bare_metal: bool) -> SurfaceMaps:
-    """The maps of a folder, by the reader of other people's map sets.
+    """The maps of a folder.
 
     Args:
         folder: of one material.
-        bare_metal: all of it is metal where no map says how much is.
+        bare_metal: without a metallic map, all of it is metal.
 
     Raises:
         MatcapError: base colour, normal or roughness is missing, or cannot be read.
@@ -147,7 +147,7 @@ def map_set_folders(folder: Path) -> list[Path]:
 
 
 def bare_metals(manifest: Path) -> frozenset[str]:
-    """Sets that are metal all over though they have no map that says so."""
+    """Names of sets that are all metal but lack a metallic map."""
     if not manifest.is_file():
         return frozenset()
     entries = json.loads(manifest.read_text())
@@ -155,7 +155,7 @@ def bare_metals(manifest: Path) -> frozenset[str]:
 
 
 def _shrunk(tile: Floats, step: float) -> Floats:
-    """The tile with texels no finer than `step` of its own, averaged."""
+    """The tile area-averaged to texels of `step` of its own; unchanged if step <= 1."""
     if step <= 1.0:
         return tile
     size = tuple(max(1, round(side / step)) for side in tile.shape[:0:-1])
@@ -163,15 +163,15 @@ def _shrunk(tile: Floats, step: float) -> Floats:
 
 
 def _from_middle(count: int) -> NDArray[np.float64]:
-    """(count,) places of texels' centres."""
+    """(count,) texel centres relative to the middle, texels."""
     places: NDArray[np.float64] = np.arange(count, dtype=np.float64)
     return places + (1.0 - count) / 2.0
 
 
 def _sampled(tile: Floats, places: NDArray[np.float64], axis: int) -> Floats:
-    """A repeating tile at places along an axis, by cubics through its texels that keep its slopes.
+    """A periodic tile at places along an axis, by Catmull-Rom cubics [catmull1974].
 
-    [catmull1974]; OpenCV's cubics are steeper by up to a half.
+    OpenCV's cubics overestimate slopes by up to a half.
     """
     shape = tuple(-1 if a == axis else 1 for a in range(tile.ndim))
     first = np.floor(places)

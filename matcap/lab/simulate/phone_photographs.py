@@ -1,10 +1,10 @@
 """Distributions of phone photographs: exposure, clipping, tilt, flash and distance.
 
-Of every third of 126 phone photographs of flat samples under their own flash (2026-11-24), read at
-512 texels: the mean of linear radiance is 0.07 to 0.21 from the 5th to the 95th per cent, a
-logarithm's deviation of 0.35 around 0.133; nothing is clipped in half of them, 0.05 % at three
-quarters, 1 % at 95 %; the coarse fit tilts to 2.0 and 1.7 degrees, and a flash
-0.08 above the lens. Distances are stated by none: 20 to 40 cm, as the guide asks for.
+Fitted to every third of 126 phone photographs of flat samples under their own flash (2026-11-24) at
+512 texels. Mean linear radiance: 5th and 95th percentiles 0.07 and 0.21; median 0.133, standard
+deviation of the logarithm 0.35. Clipped pixels: none at the median, 0.05 % at the 75th percentile,
+1 % at the 95th. Coarse fits: tilts of deviation 2.0 and 1.7 degrees, a flash 0.08 plane units above
+the lens. No file states its distance: 20 to 40 cm, as the guide asks for.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _CLIPPED = ((0.0, 0.5, 0.75, 0.95, 1.0), (0.0, 0.0, 5e-4, 0.01, 0.02))  # shares
 _TILT = 0.032  # radians: deviation about either axis
 _FLASH = ((0.01, 0.04), (0.08, 0.045))  # plane units: mean and deviation, across and up
 _DISTANCE = math.log(2.0) / 2.0  # 20 to 40 cm, about their geometric mean
-_DRAWN = 42  # seed of what is drawn, beside a material's name
+_DRAWN = 42  # seed of the draws, together with a material's name
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class PhonePhotographs:
     """A material and how it is photographed.
 
     Attributes:
-        specimen: the material, as large as it is seen from that distance.
+        specimen: the material, scaled for the distance.
         phone: the camera, with its exposure.
         hand: flash and movements.
         tilt: of the first photograph, radians.
@@ -51,7 +51,7 @@ class PhonePhotographs:
 
     @staticmethod
     def of(specimen: Specimen, phone: PhoneCamera) -> PhonePhotographs:
-        """Draw how a specimen is photographed; the same for one name at every time."""
+        """Draw how a specimen is photographed; the draw depends on its name alone."""
         rng = np.random.default_rng([zlib.crc32(specimen.name.encode()), _DRAWN])
         brightness = _BRIGHTNESS[0] * math.exp(rng.normal(0.0, _BRIGHTNESS[1]))
         clipped = float(np.interp(rng.random(), *_CLIPPED))
@@ -66,7 +66,7 @@ class PhonePhotographs:
         )
 
     def take(self, count: int, out: Path) -> tuple[list[Path], FlashSetup]:
-        """So many DNGs in a folder, and the first one's true setup; taken where any is missing.
+        """Paths of `count` DNGs and the first one's true setup; taken anew if any is missing.
 
         Raises:
             MatcapError: the folder cannot be written.
@@ -89,7 +89,7 @@ class PhonePhotographs:
 
 
 def _further(pieces: Callable[[int], Realise], factor: float) -> Callable[[int], Realise]:
-    """Pieces from `factor` times as far: a plane unit spans so much more of them."""
+    """Realisations seen from `factor` times the distance, so scaled down by `factor`."""
 
     def piece(seed: int) -> Realise:
         def realise(width: int, height: int, texel_size: float) -> MapSet:

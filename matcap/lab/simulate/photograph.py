@@ -1,7 +1,7 @@
 """The flash photograph that a camera would take of a material whose maps are known.
 
-Shading happens on the plane in float64, finer than the photograph's pixels; the tilt's homography
-and the pixels' areas then turn it into a picture. write_dng.py and write_jpeg.py make files of it.
+The plane is shaded in float64 at several texels a pixel, warped by the tilt's homography and
+area-averaged over pixels. write_dng.py and write_jpeg.py write the files.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ class PhoneCamera:
 
     Attributes:
         width, height: pixels, width >= height, both even.
-        focal_length: in mm, of a 35 mm film camera with the same view across the long side.
+        focal_length: 35 mm equivalent of the long side's field of view, mm.
         full_well: electrons at the clip level; sets the shot noise.
         read_noise: electrons.
-        supersampling: shading texels to a pixel's side.
+        supersampling: shading texels along a pixel's side.
         blur: standard deviation of the lens's blur, in pixels; positive.
         brightness: mean that automatic exposure aims at; the clip level is 1.
-        clipped: largest share of pixels that automatic exposure lets clip.
+        clipped: largest share of pixels that automatic exposure allows to clip.
     """
 
     width: int = 1600
@@ -61,14 +61,14 @@ class PhoneCamera:
 
 @dataclass(frozen=True)
 class Shot:
-    """What reached the sensor, and what is true about it.
+    """The image on the sensor, and its true camera and flash.
 
     Attributes:
         linear: (H, W, 3) float64 radiance before noise and clipping; the file clips at 1.
         setup: the true geometry, and the flash's intensity on the scale of `linear`.
-        camera: that took it.
-        exposure: of the file, over that of others.
-        fired: whether there was a flash.
+        camera: the camera.
+        exposure: factor of the file's exposure relative to other shots.
+        fired: whether the flash fired.
     """
 
     linear: NDArray[np.float64]
@@ -103,7 +103,8 @@ def take(realise: Realise, camera: PhoneCamera, setup: FlashSetup) -> Shot:
 def true_maps(realise: Realise, camera: PhoneCamera, setup: FlashSetup) -> MapSet:
     """Maps of the plane rectangle x in [-1, 1] of the same shot, one texel a pixel.
 
-    Means of what was photographed: realised at another fineness many materials are other pieces.
+    Area means of the maps that were shaded: many materials give another realisation at another
+    texel size.
     """
     x, y, width, height = _seen(camera, setup)
     fine = camera.supersampling
@@ -121,7 +122,7 @@ def expose(shot: Shot, seed: int) -> NDArray[np.float64]:
 def sensor_noise(
     signal: NDArray[np.float64], camera: PhoneCamera, seed: int
 ) -> NDArray[np.float64]:
-    """A signal, of which 1 fills the well, with shot and read noise, any shape."""
+    """A signal of any shape with shot and read noise; 1 is the full well."""
     electrons = np.clip(signal, 0.0, 1.5) * camera.full_well
     deviation = np.sqrt(electrons + camera.read_noise**2) / camera.full_well
     return signal + deviation * np.random.default_rng(seed).standard_normal(signal.shape)
@@ -145,7 +146,7 @@ def as_photo(shot: Shot, seed: int, name: str) -> Photo:
 
 
 def _seen(camera: PhoneCamera, setup: FlashSetup) -> tuple[int, int, int, int]:
-    """The plane rectangle (x, y, width, height) that holds picture and plane grid, in pixels."""
+    """Plane rectangle (x, y, width, height), pixels, that contains the view and the plane grid."""
     w, h = camera.width, camera.height
     sides = torch.tensor([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]], dtype=torch.float64)
     sides[1] *= h / w
@@ -170,9 +171,9 @@ def _shade(
 
 
 def in_strips(maps: MapSet, shaded: Callable[[MapSet, int], Tensor], rows: int = _ROWS) -> Tensor:
-    """(C, H, W) what a function makes of strips of maps, given each strip's first row.
+    """(C, H, W) of `shaded`(strip, first row), applied to strips of maps to save memory.
 
-    A strip has one row more on either side, so that normals are the same as of the whole.
+    Strips overlap by one row on either side, so that normals equal those of the whole.
     """
     width, height = maps.size
     strips = []

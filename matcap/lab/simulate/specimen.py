@@ -28,23 +28,23 @@ class Specimen:
     """A material whose truth is known."""
 
     name: str
-    """Of the material."""
+    """The material's name."""
 
     pieces: Callable[[int], Realise]
-    """By seed."""
+    """Realisations by seed."""
 
     seed: int = _PHOTOGRAPHED
-    """Of the piece that is photographed; the sensor's noise has the same."""
+    """Seed of the photographed realisation and of the sensor's noise."""
 
     setup: FlashSetup = _SETUP
     """Geometry of the photograph; the camera adds field of view and intensity."""
 
     sensor: Sensor = field(default_factory=Sensor)
-    """What its DNG says of the sensor."""
+    """Sensor metadata of its DNG."""
 
     @property
     def realise(self) -> Realise:
-        """The piece that is photographed."""
+        """The photographed realisation."""
         return self.pieces(self.seed)
 
     def take(self, camera: PhoneCamera) -> Shot:
@@ -56,14 +56,14 @@ class Specimen:
         return true_maps(self.realise, camera, self.setup)
 
     def path(self, out: Path, number: int | None = None, *, jpeg: bool = False) -> Path:
-        """The file of a photograph, or of one of several, in a folder."""
+        """Path in a folder of its photograph, or of number `number` of several."""
         name = self.name.replace(":", "-") + ("" if number is None else f"_{number}")
         return out / f"{name}.{'jpg' if jpeg else 'dng'}"
 
     def write(
         self, shot: Shot, out: Path, number: int | None = None, *, jpeg: bool = False
     ) -> Path:
-        """Write a shot of it, raising MatcapError where that fails; see path()."""
+        """Write a shot to path(); MatcapError where that fails."""
         path, seed = self.path(out, number, jpeg=jpeg), self.seed + (number or 0)
         if jpeg:
             write_jpeg(path, shot, seed, PHONE)
@@ -73,7 +73,7 @@ class Specimen:
 
 
 def realisation(material: str, seed: int) -> Realise:
-    """One piece of a named material, of any size and detail."""
+    """Realisation of a named material by seed, of any size and resolution."""
 
     def piece(width: int, height: int, texel_size: float) -> MapSet:
         return realise(material, width, height, seed, texel_size)
@@ -108,7 +108,7 @@ EXAMPLES: Mapping[str, Specimen] = MappingProxyType(
         )
     }
 )
-# Of kinds of material, one each; no training has seen these numbers but by chance.
+# Seed of each kind's parameters; training draws it only by chance.
 NUMBER = 5001
 USUAL = (*EXAMPLES, "weave", "asphalt", "hammered")
 
@@ -120,13 +120,13 @@ def photograph(
 
     Args:
         specimen: the material.
-        camera: that takes the photograph.
+        camera: the camera.
         out: the folder, made when missing.
-        ev: exposure offset in stops, above what the camera would choose.
+        ev: exposure offset from the automatic exposure, EV.
         jpeg: a JPEG as a phone develops it, instead of a DNG.
 
     Returns:
-        The file, and the truth.
+        The file, and the shot with its true camera and flash.
 
     Raises:
         MatcapError: the folder cannot be written.
@@ -142,8 +142,8 @@ def subjects(names: Iterable[str], sets: Path | None = None) -> list[Specimen]:
     """Subjects by name, and of every map set in a folder.
 
     Args:
-        names: of EXAMPLES, of a kind ("weave", or "weave:7" for another one of it), or of a map
-            set in the folder; where there is none and a folder, all sets in it.
+        names: of EXAMPLES, of a kind ("weave", or "weave:7" for seed 7 of its parameters), or of a
+            map set in `sets`; if empty, all sets.
         sets: folder of map sets (matcap/lab/simulate/map_sets.py).
 
     Raises:

@@ -1,8 +1,7 @@
 """A simulated shot as a RAW file: a real CFA DNG (Adobe DNG 1.4), 12 bits, uncompressed.
 
-The colours go through the matrix of a phone-like sensor, the mosaic carries black level and noise,
-EXIF says focal length and flash, and on request a lens shades the corners and an OpcodeList2 of
-GainMaps says by how much.
+Colours are converted by a phone-like sensor's matrix, the mosaic has black level and noise, EXIF
+states focal length and flash. Optional lens shading is recorded as GainMaps in an OpcodeList2.
 """
 
 from __future__ import annotations
@@ -36,13 +35,13 @@ _EXIF_PLACE = 34666  # unassigned; keeps the place of _EXIF_IFD, which tifffile 
 
 @dataclass(frozen=True)
 class Sensor:
-    """What a RAW file says of its sensor.
+    """Sensor metadata of a DNG.
 
     Attributes:
         matrix: ColorMatrix1, rows of XYZ (D65) to camera colour; a phone's, rounded.
         black: BlackLevel.
         white: WhiteLevel.
-        shading: light lost in the corners of the picture by the lens, in [0, 1), in GainMaps.
+        shading: lens shading, 1 - relative illumination in the corners, in [0, 1); in GainMaps.
     """
 
     matrix: tuple[tuple[float, float, float], ...] = (
@@ -67,7 +66,7 @@ class Sensor:
 
 
 def mosaic(shot: Shot, sensor: Sensor, seed: int) -> NDArray[np.uint16]:
-    """(H, W) RGGB numbers that the sensor reads out."""
+    """(H, W) RGGB mosaic of sensor codes."""
     camera_colour = shot.linear @ sensor.from_rec709.T
     height, width = shot.linear.shape[:2]
     plane = np.empty((height, width))
@@ -81,7 +80,7 @@ def mosaic(shot: Shot, sensor: Sensor, seed: int) -> NDArray[np.uint16]:
 
 
 def gain_map(shading: float) -> NDArray[np.float32]:
-    """(rows, columns) gains that undo a lens losing `shading` of the light in the corners."""
+    """(rows, columns) gains that correct the lens shading; see Sensor."""
     rows, columns = _GAIN_MAP_POINTS
     v, u = np.linspace(-1, 1, rows)[:, None], np.linspace(-1, 1, columns)[None, :]
     return (1.0 / (1.0 - shading * (u**2 + v**2) / 2.0)).astype(np.float32)
@@ -92,8 +91,8 @@ def write_dng(path: Path, shot: Shot, sensor: Sensor, seed: int) -> None:
 
     Args:
         path: the file, replaced when it exists.
-        shot: what reached the sensor.
-        sensor: its colours and levels.
+        shot: the image on the sensor.
+        sensor: colour matrix, levels and shading.
         seed: of the sensor's noise.
 
     Raises:
@@ -113,7 +112,7 @@ def write_dng(path: Path, shot: Shot, sensor: Sensor, seed: int) -> None:
 
 
 def exif_of(shot: Shot) -> dict[int, int | Fraction | bytes]:
-    """EXIF tags that say how the shot was taken, by number; the JPEG carries the same."""
+    """EXIF tags of the shot by number, for DNG and JPEG."""
     camera = shot.camera
     width_mm = camera.width / _PIXELS_PER_MM
     length = Fraction(width_mm / 36.0 * camera.focal_length).limit_denominator(100_000)
@@ -170,7 +169,7 @@ def _rational(value: float) -> tuple[int, int]:
 
 
 def _opcode_list(gains: NDArray[np.float32], width: int, height: int) -> bytes:
-    """One GainMap for each place in the mosaic's pattern (DNG 1.4, chapter 7); big-endian."""
+    """One GainMap for each of the mosaic's four phases (DNG 1.4, chapter 7); big-endian."""
     rows, columns = gains.shape
     opcodes = []
     for top in (0, 1):
@@ -197,7 +196,7 @@ def _interpolated(gains: NDArray[np.float32], width: int, height: int) -> NDArra
 
 
 def _append_exif(file: Path, shot: Shot) -> None:
-    """Append the EXIF directory and point to it: tifffile writes tags of the main one only."""
+    """Append the EXIF IFD and its pointer: tifffile writes only the main IFD's tags."""
     with tifffile.TiffFile(file) as tiff:
         order = tiff.byteorder
         entry = tiff.pages.first.tags[_EXIF_PLACE].offset

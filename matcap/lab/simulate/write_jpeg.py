@@ -26,9 +26,9 @@ def write_jpeg(path: Path, shot: Shot, seed: int, tone: ToneCurve | None = None)
 
     Args:
         path: of the file.
-        shot: what reached the sensor.
+        shot: the image on the sensor.
         seed: of the sensor's noise.
-        tone: curve that it is developed with; the colour space's alone by default.
+        tone: tone curve; by default only sRGB's encoding.
 
     Raises:
         MatcapError: the file cannot be written.

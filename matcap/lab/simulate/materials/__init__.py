@@ -34,7 +34,7 @@ def realise(name: str, width: int, height: int, seed: int, texel_size: float) ->
         name: a key of MATERIALS.
         width: texels.
         height: texels.
-        seed: not negative; another seed is another piece of the same material.
+        seed: not negative; another seed is another realisation of the same material.
         texel_size: a texel's side in plane units.
 
     Returns:

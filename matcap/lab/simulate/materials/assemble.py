@@ -20,9 +20,9 @@ def assemble(
     height: Raster,
     darkest: float = _DARKEST,
 ) -> MapSet:
-    """MapSet in float64 of fields that broadcast to (3, H, W) and (H, W), kept to their ranges.
+    """MapSet in float64 of fields that broadcast to (3, H, W) and (H, W), clipped to their ranges.
 
-    F0 has a colour where it is (3, H, W); `darkest` is the least diffuse albedo.
+    F0 of shape (3, H, W) has a colour; `darkest` is the least diffuse albedo.
     """
     coloured = np.ndim(specular) == 3
     shape = (canvas.height, canvas.width)

@@ -1,7 +1,7 @@
 """Patterns for the endless stream of random materials: each a mask and a relief.
 
-A mask in [0, 1] chooses between a layer's two finishes; a relief is a height of any scale, which
-the layer brings to its slope.
+A mask in [0, 1] blends a layer's two finishes; a relief is a height of any scale, which the layer
+scales to a slope.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ class PatternShape:
     Attributes:
         scale: size of a feature in plane units.
         fine: size of the finest detail in plane units.
-        slope: how fast amplitude falls towards fine detail.
+        slope: amplitude is f^-slope.
         stretch: how much longer features are along the grain than across it.
         angle: of the grain, radians anticlockwise from x.
         sharpness: 0 for soft masks to 1 for hard ones.
-        share: about how much of the surface the mask covers, 0 to 1.
+        share: approximate coverage of the mask, 0 to 1.
         irregularity: 0 for a perfect lattice to 1.
-        variant: which of a pattern's forms, 0, 1 or 2.
+        variant: form of the pattern, 0, 1 or 2.
     """
 
     scale: float
@@ -181,7 +181,7 @@ PATTERNS: Mapping[str, Pattern] = MappingProxyType(
 
 
 def _threshold(field: Raster, shape: PatternShape) -> Raster:
-    """Mask of a field of about unit variance that covers about the shape's share."""
+    """Mask of a field of about unit variance, thresholded for a coverage of `shape.share`."""
     middle = 1.6 - 3.2 * shape.share
     half = 1.5 * (1.0 - shape.sharpness) + 0.12
     return smoothstep(middle - half, middle + half, field)
@@ -208,7 +208,7 @@ def _cells(canvas: Canvas, label: str, shape: PatternShape) -> VoronoiCells:
 
 
 def _lattice(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raster]:
-    """Turned and slightly bent coordinates in features; not negative."""
+    """Rotated and slightly warped coordinates u, v in units of `scale`; not negative."""
     cosine, sine = math.cos(shape.angle), math.sin(shape.angle)
     u = (canvas.x * cosine - canvas.y * sine) / shape.scale
     v = (canvas.x * sine + canvas.y * cosine) / (shape.scale * min(shape.stretch, 1.5))
@@ -218,6 +218,6 @@ def _lattice(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, R
     u = u + reach * noise(canvas, label + " bend u", bend)
     v = v + reach * noise(canvas, label + " bend v", bend)
     extent_x, extent_y = canvas.extent
-    # Whole features to the right of every corner, whichever way the lattice is turned.
+    # An integer offset that keeps coordinates positive for every rotation of the lattice.
     corner = math.ceil((extent_x + extent_y) / shape.scale) + start
     return u + corner[0], v + corner[1]

@@ -1,7 +1,7 @@
 """An endless stream of varied stationary materials, for training.
 
-A material has one or two layers; a layer has a pattern, two finishes between which the pattern's
-mask chooses, a relief, and fine grain in all of them. A second layer lies on the first in patches.
+A material has one or two layers; a layer has a pattern, two finishes blended by the pattern's mask,
+a relief, and fine grain. A second layer covers the first in patches.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, colour, mix
 
 Colour = tuple[float, float, float]
 
-# Never shown in training: networks are evaluated on them.
+# Excluded from training: networks are evaluated on them.
 HELD_OUT_PATTERNS = ("creases", "woven")
 
 
@@ -40,11 +40,11 @@ class Layer:
         pattern: a key of PATTERNS.
         shape: its parameters.
         first, second: finishes where the pattern's mask is 0 and 1.
-        depth: plane units of height to a unit of the pattern's relief.
+        depth: plane units per unit of the pattern's relief.
         grain: spectrum of the fine variation.
         tone: standard deviation of the logarithm of albedo by grain.
         wear: standard deviation of roughness by grain.
-        grain_depth: plane units of height to a standard deviation of grain.
+        grain_depth: standard deviation of the grain's height, plane units.
     """
 
     pattern: str
@@ -65,9 +65,9 @@ class RandomMaterial:
     Attributes:
         base: the lower layer.
         cover: the upper one, or None.
-        patches: spectrum of where the upper one lies.
-        covered: threshold on that noise; the upper layer lies above it.
-        edge: softness of its border, in standard deviations.
+        patches: spectrum of the noise whose threshold is the cover's mask.
+        covered: threshold; the cover lies where the noise is larger.
+        edge: width of the transition, in standard deviations of the noise.
         thickness: of the upper layer, plane units.
     """
 
@@ -80,7 +80,7 @@ class RandomMaterial:
 
     @property
     def is_held_out(self) -> bool:
-        """Whether it shows a pattern of HELD_OUT_PATTERNS."""
+        """Whether it has a pattern of HELD_OUT_PATTERNS."""
         layers = (self.base, self.cover)
         return any(one is not None and one.pattern in HELD_OUT_PATTERNS for one in layers)
 
@@ -217,7 +217,7 @@ def _random_finish(rng: np.random.Generator, hue: Colour) -> Finish:
 
 
 def _related_finish(rng: np.random.Generator, first: Finish) -> Finish:
-    """A finish that goes with another: a shade of it, or something else at times."""
+    """A finish of a similar colour to another, at times of an unrelated one."""
     if rng.random() < 0.25:
         return _random_finish(rng, _natural_colour(rng))
     factor = _log_uniform(rng, 0.3, 2.5)

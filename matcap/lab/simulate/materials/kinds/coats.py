@@ -30,7 +30,10 @@ from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, cells, mix,
 
 
 def _ground(canvas: Canvas, rng: np.random.Generator) -> tuple[Raster, Raster, Raster, Raster]:
-    """What is under the paint: metal, rust, wood or stone; height in the paint's thickness."""
+    """Diffuse, F0, roughness and height of the substrate: metal, rust, wood or stone.
+
+    Height is in units of the paint's thickness.
+    """
     turn = angle(rng)
     fine = noise(canvas, "ground", Spectrum(0.04, 0.006, slope=0.7))
     grain = noise(canvas, "ground grain", Spectrum(0.05, 0.006, 0.7, stretch=14.0, angle=turn))
@@ -50,7 +53,7 @@ def _ground(canvas: Canvas, rng: np.random.Generator) -> tuple[Raster, Raster, R
 
 
 def chipped(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
-    """Paint that has come off in flakes, with a step at its rim that lifts or not."""
+    """Paint that has flaked off in places, with a step at the edges, which may be raised."""
     size = log_uniform(rng, 0.05, 0.15)
     paint = dye(rng)
     patch = noise(canvas, "patch", Spectrum(size * 1.3, log_uniform(rng, 0.008, 0.02), slope=1.5))
@@ -115,7 +118,7 @@ def worn(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
 
 
 def strokes(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
-    """Plaster or thick paint drawn on in strokes, each with its ridges."""
+    """Plaster or thick paint applied in strokes with ridges along them."""
     size = log_uniform(rng, 0.08, 0.2)
     slender, spread, curved = rng.uniform(0.3, 0.7), rng.uniform(0.3, 2.0), rng.uniform(0.0, 0.6)
     favoured, soft, rim_height = angle(rng), rng.uniform(0.05, 0.6), rng.uniform(0.0, 0.25)
@@ -195,7 +198,7 @@ def sand(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
 
 
 def _distance(canvas: Canvas, mask: NDArray[np.bool_]) -> Raster:
-    """(H, W) distance to the border of a mask on both of its sides, plane units."""
+    """(H, W) unsigned distance to the border of a mask, plane units."""
     inner, outer = (
         cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 5) for part in (mask, ~mask)
     )

@@ -29,11 +29,11 @@ from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise,
 
 @dataclass(frozen=True)
 class _Bricks:
-    """Which brick a place is of, and where in it, in units of the brick's width.
+    """Brick of each texel, and coordinates within it in units of the brick's width.
 
     Attributes:
-        name: two (H, W) whole numbers.
-        along, across: (H, W) from the brick's first corner.
+        name: two (H, W) integers that identify the brick.
+        along, across: (H, W) coordinates from the brick's first corner.
         length: of a brick; its width is 1.
     """
 
@@ -68,7 +68,7 @@ def bond(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
 
 
 def _blocks(u: Raster, v: Raster, side: int) -> _Bricks:
-    """Squares of `side` parallel bricks, turned by turns."""
+    """Squares of `side` parallel bricks, alternately rotated by 90 degrees (basket bond)."""
     block_u, block_v = np.floor(u / side).astype(np.int64), np.floor(v / side).astype(np.int64)
     lying = (block_u + block_v) % 2 == 0
     inner_u, inner_v = u - side * block_u, v - side * block_v
@@ -83,7 +83,7 @@ def _blocks(u: Raster, v: Raster, side: int) -> _Bricks:
 
 
 def herringbone(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
-    """Bricks or blocks of parquet two to five times as long as wide, each across the next."""
+    """Herringbone of bricks or parquet blocks, two to five times as long as wide."""
     size = log_uniform(rng, 0.025, 0.08)
     along, across = turned(canvas, "herringbone", angle(rng) + np.pi / 4, 5.0 * size, 0.0)
     u, v = along / size, across / size

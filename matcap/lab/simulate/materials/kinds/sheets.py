@@ -184,13 +184,13 @@ def creased(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
 
 
 def _facets(canvas: Canvas, label: str, size: float) -> Raster:
-    """Roofs over random cells, some raised and some sunk, in units of `size`."""
+    """(H, W) height of pyramids over random cells, some inverted, in units of `size`."""
     cell = cells(canvas, label, size)
     return cell.border * (2.0 * cell.draw(canvas.stream(label + " rise")) - 1.0)
 
 
 def _folds(canvas: Canvas, height: Raster, width: float) -> tuple[Raster, Raster]:
-    """Where a height of plane facets folds upwards and downwards, 0 to 1, that wide."""
+    """Masks (0 to 1) of convex and concave creases of a faceted height; `width` in plane units."""
     deviation = width / canvas.texel_size
     smooth = cv2.GaussianBlur(height, (0, 0), deviation, borderType=cv2.BORDER_REFLECT)
     curvature: Raster = np.asarray(cv2.Laplacian(smooth, cv2.CV_64F), np.float64)

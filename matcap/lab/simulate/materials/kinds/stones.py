@@ -21,7 +21,7 @@ from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise,
 
 
 def _mixed(rng: np.random.Generator, mood: float) -> Raster:
-    """(24, 3) colours of stones: of one quarry or of several."""
+    """(24, 3) linear colours of stones, similar or mixed."""
     quarries = [natural(rng, STONES) for _ in range(int(rng.integers(1, 5)))]
     return np.concatenate([shades(rng, quarry, 6, mood) for quarry in quarries])
 
@@ -75,7 +75,7 @@ def gravel(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
 
 
 def asphalt(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
-    """Broken stones of all sizes held by a dark or pale binder that hides some of them."""
+    """Broken stones of all sizes in a dark or pale binder that covers some of them."""
     size = log_uniform(rng, 0.02, 0.07)
     ragged = rng.uniform(0.4, 1.0)
     tones = _mixed(rng, 0.3)

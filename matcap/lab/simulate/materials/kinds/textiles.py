@@ -131,7 +131,7 @@ def ribs(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
 
 
 def _over(rng: np.random.Generator, twill: bool) -> tuple[int, int, int, bool]:
-    """Draft of a weave: over, under, step from thread to thread, and zigzag."""
+    """Draft of a weave: threads over, under, shift from thread to thread, whether it zigzags."""
     if not twill:
         return (1, 1, 1, False)
     drafts = [
