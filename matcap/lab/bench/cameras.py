@@ -1,7 +1,7 @@
 """`matcap bench camera`: coarse fits of one camera's photographs, each alone and under its profile.
 
-Real photographs show how far the fitted falloff scatters and what is taken for metal; simulated
-ones, whose camera loses a known share, also how far albedo, F0 and roughness are off.
+Real photographs give the scatter of the fitted vignetting and how often metal is detected;
+simulated ones, of known vignetting, also the errors of albedo, F0 and roughness.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _WIDTH = 512  # pixels across of real ones
 
 @dataclass(frozen=True)
 class CameraSubject:
-    """A photograph, and where it was simulated its maps and what corners truly lose."""
+    """A photograph; of a simulated one also its true maps and vignetting."""
 
     photo: Photo
     truth: MapSet | None = None
@@ -51,13 +51,13 @@ def camera_experiment(
     *,
     developed: bool = False,
 ) -> Experiment[CameraSubject, CoarseFit]:
-    """Fit photographs alone, and under the profile of all of them.
+    """Fit photographs each alone, and with the camera profile fitted to all of them.
 
     Args:
         photographs: real ones of one camera.
         specimens: simulated materials.
-        falloff: what the simulated camera loses with r^2 and r^4.
-        developed: simulated photographs are no RAW, but developed with a phone's tone curve.
+        falloff: the simulated camera's vignetting, coefficients of r^2 and r^4.
+        developed: simulated photographs are JPEGs with a phone's tone curve, not RAW.
     """
 
     def simulated(specimen: Specimen) -> CameraSubject:

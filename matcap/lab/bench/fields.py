@@ -1,8 +1,8 @@
 """`matcap bench fields`: fields and tiles synthesised from true maps, without capture errors.
 
-True maps of a sample of a known material are the exemplar. Its field and the sample made to repeat
-are relit and compared with other true samples, as the exemplar itself is. Beside them: how long
-joints are for the truth's, and how far the lattice's phase is off far away.
+True maps of a sample of a known material are the exemplar. Exemplar, field and periodic tile are
+relit and compared with other true samples. Further measures: length of joints relative to the
+exemplar's, and phase error of the lattice at a large distance.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class TrueExample:
 
     @cached_property
     def fields(self) -> list[MapSet]:
-        """Of two seeds, as large as what is compared."""
+        """Fields of two seeds, of the evaluator's size."""
         texel = self.example.exemplar.texel_size
         side = self.evaluator.side(texel)
         read = [self.example.maps(s, Rectangle(*_ELSEWHERE, side, side), None) for s in _SEEDS]
@@ -62,7 +62,7 @@ class TrueExample:
 
     @cached_property
     def repeated(self) -> MapSet:
-        """The exemplar made to repeat; where the copies meet lies in the middle."""
+        """The exemplar as a periodic tile, shifted so that its borders lie in the middle."""
         texel = self.example.exemplar.texel_size
         side = self.evaluator.side(texel)
         tile = self.example.repeating().stacked()
@@ -76,7 +76,7 @@ Samples = list[MapSet]  # of what is measured
 def fields_experiment(
     subjects: Sequence[Specimen], evaluation: EvaluationSettings | None = None
 ) -> Experiment[TrueExample, Samples]:
-    """The exemplar itself, its field and it made to repeat, of true maps of each subject."""
+    """Exemplar, field and periodic tile, from true maps of each subject."""
     settings = evaluation or EvaluationSettings()
     style = settings.squeezenet
 
@@ -126,7 +126,7 @@ def phase(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
 
 
 def seams(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
-    """How far the field's seams show."""
+    """Seam contrast of the field."""
     exemplar, contrast = true.example.exemplar, None
     if samples is true.fields:
         area = Rectangle(*_ELSEWHERE, *samples[0].size)
@@ -141,7 +141,7 @@ def seams(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
 
 
 def true_example(maps: MapSet) -> Example:
-    """An exemplar of true maps, as a capture indexes one."""
+    """True maps as an exemplar, indexed as by a capture."""
     exemplar, (width, height) = exemplar_of(maps), maps.size
     colour = torch.from_numpy(exemplar.diffuse).clamp(0.0, 1.0) ** (1.0 / 2.2)
     lattice = find_lattice(colour, torch.ones(height, width, dtype=torch.bool))
@@ -149,10 +149,7 @@ def true_example(maps: MapSet) -> Example:
 
 
 def joint_length(height: NDArray[np.float32]) -> float | None:
-    """Median length in texels of the lines that narrow valleys are, from crossing to crossing.
-
-    None where there are less than twenty.
-    """
+    """Median length in texels of narrow valleys between their crossings; None below 20 valleys."""
     smooth = cv2.GaussianBlur(height.astype(np.float32), (0, 0), 1.0)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_JOINT, _JOINT))
     deep = cv2.morphologyEx(smooth, cv2.MORPH_BLACKHAT, kernel)
@@ -171,7 +168,7 @@ def joint_length(height: NDArray[np.float32]) -> float | None:
 
 
 def phase_off(example: Example) -> float | None:
-    """Turns that the field's lattice is off by at 16384 texels both ways; None without one."""
+    """Largest phase error of the lattice 16384 texels away, in periods; None without one."""
     order = example.index.lattice
     if order is None:
         return None
@@ -188,7 +185,7 @@ def phase_off(example: Example) -> float | None:
 
 
 def grating(period: float, angle: float, size: tuple[int, int] = _SIZE) -> Example:
-    """A weave of one period at an angle in degrees, of true maps."""
+    """True maps of a weave of one period (texels) at an angle, degrees, as an exemplar."""
     y, x = np.mgrid[: size[1], : size[0]].astype(np.float64)
     turn = np.deg2rad(angle)
     waves = [(np.cos(turn) / period, np.sin(turn) / period)]

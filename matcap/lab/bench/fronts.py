@@ -1,9 +1,9 @@
 """`matcap bench fronts`: accuracy against time, by measures that no setting is tuned to.
 
-Every configuration is a command line, every subject a material whose truth is known, photographed
-as real ones are (simulate/phone_photographs.py). The command runs as a user runs it; what it wrote
-is relit and compared with other true samples: normalised style distance by SqueezeNet, by patches
-and by random filters, as decoders are tuned by.
+Every configuration is a command line, every subject a material with known truth, photographed
+like real ones (simulate/phone_photographs.py). The command runs in its own process; its output is
+relit and compared with other true samples: normalised style distance by SqueezeNet, by patches and
+by random filters (the last resemble the loss that decoders are tuned by).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from matcap.lab.simulate.specimen import EXAMPLES, Specimen, subjects
 
 PAPER = "paper's form"  # no command line: bench/paper.py
 BASE = "1024 texels, 40 steps"  # that others are paired with
-# Map sets that no training has seen (inverse/packed.py), of six kinds.
+# Map sets excluded from training (inverse/packed.py), of six kinds.
 HELD_OUT = (
     "asphalt10",
     "bark_cgb_bark_01",
@@ -68,19 +68,19 @@ _PAPER = "import sys; from matcap.lab.bench.paper import main; main(sys.argv[1:]
 
 @dataclass(frozen=True)
 class Way:
-    """A way of capturing."""
+    """A configuration of `matcap capture`."""
 
     group: str
-    """What it varies."""
+    """The option varied."""
 
     options: tuple[str, ...] = ()
-    """Of `matcap capture`."""
+    """Options of `matcap capture`."""
 
     photographs: int = 1
-    """Of one sample."""
+    """Number of photographs of one sample."""
 
     pixels: int = _CAMERA.width
-    """Across of the photographs."""
+    """Width of the photographs."""
 
 
 def _ways() -> dict[str, Way]:
@@ -107,13 +107,13 @@ def _ways() -> dict[str, Way]:
 
 
 WAYS: Mapping[str, Way] = MappingProxyType(_ways())
-# Without a choice all are measured but the paper's form, which takes an hour a subject, and what
-# needs large photographs.
+# The default leaves out the paper's form, which takes an hour a subject, and configurations that
+# need large photographs.
 USUAL = tuple(name for name, way in WAYS.items() if way.group not in ("paper", "detail"))
 
 
 def preset_ways(pixels: int = _CAMERA.width) -> Mapping[str, str]:
-    """Names of the presets by the ways that they are, of photographs of so many pixels across."""
+    """Names of the presets by equivalent configuration, for photographs `pixels` wide."""
     named: dict[str, str] = {}
     for name, effort in PRESETS.items():
         detail = CaptureSettings(preset=name).detail_of(pixels)
@@ -156,14 +156,14 @@ class Fronts:
     """Names in WAYS."""
 
     materials: Sequence[str] = ()
-    """Named ones, kinds and map sets; by default the six named ones and, with a folder of sets,
-    HELD_OUT."""
+    """Named materials, kinds and map sets; by default the six named materials and, with a folder
+    of sets, HELD_OUT."""
 
     seeds: Sequence[int] = (0,)
-    """Of the captures and of what is drawn of them."""
+    """Seeds of the captures and of their fields."""
 
     settings: EvaluationSettings = field(default_factory=lambda: EvaluationSettings(camera=_CAMERA))
-    """Sizes of what is compared, and the camera."""
+    """Sizes, lights, true samples and camera."""
 
     @property
     def chosen(self) -> tuple[str, ...]:
@@ -174,7 +174,7 @@ class Fronts:
 
 @dataclass(frozen=True)
 class FrontSubject:
-    """A material photographed with so many pixels, and what captures of it are compared with."""
+    """Photographs of a material at one resolution, and true samples (evaluators)."""
 
     name: str
     paths: Sequence[Path]
@@ -182,15 +182,15 @@ class FrontSubject:
 
     evaluator: Evaluator
     fine: Evaluator
-    """On finer texels."""
+    """Evaluator on finer texels."""
 
     seen: str
-    """What `inspect` says of the first photograph."""
+    """Warnings of `inspect` about the first photograph."""
 
 
 @dataclass(frozen=True)
 class CommandOutcome:
-    """What a command wrote and took."""
+    """Output and cost of a command."""
 
     way: str
     seed: int
@@ -201,13 +201,13 @@ class CommandOutcome:
 
     @cached_property
     def endless(self) -> MapSet:
-        """The field, as large as what is compared."""
+        """Field of the evaluator's size."""
         side = self.photographed.evaluator.side(self.material.texel_size)
         return self.material.maps(side, side, seed=self.seed)
 
     @cached_property
     def pictures(self) -> Tensor:
-        """It relit."""
+        """(L, 3, H, W) pictures of the field under the evaluator's lights."""
         own = self.material.setup.intensity
         return self.photographed.evaluator.relit(self.endless, own)
 
@@ -216,10 +216,10 @@ At = Callable[[int], FrontSubject]  # by pixels across
 
 
 def fronts_experiment(bench: Fronts) -> Experiment[At, CommandOutcome]:
-    """Every way on every material.
+    """Every configuration on every material.
 
     Raises:
-        UsageError: no such way or material.
+        UsageError: unknown configuration or material.
     """
     chosen = choose(WAYS, bench.ways)
     specimens = subjects(bench.chosen, bench.sets)
@@ -243,7 +243,7 @@ def fronts_experiment(bench: Fronts) -> Experiment[At, CommandOutcome]:
 
 
 def spent(_at: At, outcome: CommandOutcome) -> Mapping[str, Value]:
-    """Seconds of the processor and by the clock, and memory."""
+    """Processor time and wall time, s, and peak memory."""
     cost = outcome.spent
     return {
         "seconds": cost["processor"], "megabytes": cost["megabytes"], "clock": cost["clock"]
@@ -267,7 +267,7 @@ def errors(_at: At, outcome: CommandOutcome) -> Mapping[str, Value]:
 
 
 def verdicts(_at: At, outcome: CommandOutcome) -> Mapping[str, Value]:
-    """What is said of the capture, and what `inspect` says of the photograph."""
+    """Verdict on the capture, and warnings of `inspect` about the photograph."""
     return {"verdict": outcome.verdict, "seen": outcome.photographed.seen}
 
 
@@ -305,14 +305,14 @@ def _photographed(specimen: Specimen, bench: Fronts, count: int, pixels: int) ->
 
 
 def _inspected(photograph: Path) -> str:
-    """What `inspect` calls doubtful or failed in it."""
+    """Checks of `inspect` that are doubtful or failed for a photograph."""
     quality = inspect_file(photograph, _INSPECTED).quality
     remarks = [each.name for each in quality.findings if not each.rating.fit]
     return f"{quality.rating.value}{': ' if remarks else ''}{', '.join(remarks)}"
 
 
 def _capture(name: str, way: Way, out: Path, at: At, seed: int) -> CommandOutcome:
-    """Run a way's command."""
+    """Photograph the material, run a configuration's command and read its output."""
     photographed = at(way.pixels)
     with tempfile.TemporaryDirectory(dir=out) as folder:
         used = command_spent(command_of(name, photographed.paths, Path(folder), seed))
@@ -327,7 +327,7 @@ def _capture(name: str, way: Way, out: Path, at: At, seed: int) -> CommandOutcom
 
 
 def command_of(name: str, photographs: Sequence[Path], folder: Path, seed: int) -> list[str]:
-    """The command line of a way, writing into a folder."""
+    """Command line of a configuration that writes into a folder."""
     way, first = WAYS[name], str(photographs[0])
     if name == PAPER:
         return [sys.executable, "-c", _PAPER, first, str(folder / "paper.matcap"), str(seed)]
@@ -337,7 +337,7 @@ def command_of(name: str, photographs: Sequence[Path], folder: Path, seed: int) 
 
 
 def command_spent(command: Sequence[str]) -> dict[str, float]:
-    """What a command took, by clocked.py: seconds by `clock` and `processor`, and `megabytes`.
+    """Cost of a command by clocked.py: `clock` and `processor`, s, and peak `megabytes`.
 
     Raises:
         MatcapError: it failed.
@@ -353,12 +353,12 @@ def command_spent(command: Sequence[str]) -> dict[str, float]:
 
 
 def _kept_as(name: str, seed: int) -> str:
-    """What a capture's sheet and report are called."""
+    """File stem of a capture's sheet and report."""
     return name if seed == 0 else f"{name}, seed {seed}"
 
 
 def _reported(report: Path, kept: Path) -> str:
-    """The verdict's first sentence, and the report kept; nothing where there is none."""
+    """First sentence of the report's verdict, empty without a report; copies it to `kept`."""
     if not report.exists():
         return ""
     text = report.read_text(encoding="utf-8")
@@ -369,7 +369,7 @@ def _reported(report: Path, kept: Path) -> str:
 
 
 def _write_sheet(out: Path, subject: str, name: str, pictures: Tensor) -> None:
-    """Two of the lights, one above the other."""
+    """Write a PNG of the pictures under two of the lights, one above the other."""
     folder = out / "sheets" / subject.replace(":", "-")
     folder.mkdir(parents=True, exist_ok=True)
     shown = torch.cat([pictures[light] for light in _SHOWN], dim=1)

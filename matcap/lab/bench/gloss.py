@@ -1,7 +1,7 @@
 """`matcap bench gloss`: estimates of roughness and F0 of plain materials, over exposures.
 
-Even albedo, F0 and roughness, flat or with bumps that break the highlight up, photographed at the
-camera's own exposure and some EV above it, so that more and more of the highlight is clipped.
+Uniform albedo, F0 and roughness, flat or with bumps that break the highlight up, photographed at
+the automatic exposure and some EV above it, so that more of the highlight is clipped.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class PlainMaterial:
 
 @dataclass(frozen=True)
 class Gloss:
-    """What was found of one photograph: means, and its share that is clipped."""
+    """Mean estimates of one photograph, and its share of clipped pixels."""
 
     roughness: float
     specular: float
@@ -84,7 +84,7 @@ class Gloss:
 
 
 def materials(slopes: Sequence[float]) -> Iterator[PlainMaterial]:
-    """Roughness times F0 times albedo, at each slope."""
+    """All combinations of roughness, F0, albedo and slope."""
     for slope, albedo, specular, roughness in itertools.product(
         slopes,
         ((0.3, 0.2, 0.15), (0.02, 0.02, 0.02)),
@@ -101,11 +101,11 @@ def gloss_experiment(
     exemplar: bool = False,
     camera: PhoneCamera | None = None,
 ) -> Experiment[tuple[PlainMaterial, Shot], Gloss]:
-    """Photograph materials at exposures, and see what is found.
+    """Photograph materials at several exposures and estimate their parameters.
 
     Args:
         chosen: the materials.
-        evs: exposure offsets in stops.
+        evs: exposure offsets, EV.
         exemplar: measure the maps of a capture; the coarse fit alone otherwise.
         camera: that takes the photographs.
     """
@@ -124,7 +124,7 @@ def gloss_experiment(
 
 
 def gloss(subject: tuple[PlainMaterial, Shot], fitted: Gloss) -> Mapping[str, Value]:
-    """As found, and whether roughness is near the true one."""
+    """The estimates, and whether roughness is near the true one."""
     off = fitted.roughness - subject[0].roughness
     return {
         "roughness": fitted.roughness,

@@ -1,7 +1,7 @@
-"""`matcap bench highlight`: whether the coarse fit keeps highlights, and finds flash and tilt.
+"""`matcap bench highlight`: the coarse fit's highlights, flash offset and tilt.
 
-Real photographs have no truth but themselves: the highlight is measured alike in photograph and
-re-rendering (flash/highlight.py). Simulated ones have known offset and tilt.
+Real photographs: the highlight is measured alike in photograph and re-rendering
+(flash/highlight.py). Simulated ones: errors against the known offset and tilt.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ ABOUT = (
     "three are within 0.03, 20 % and 20 %. Of simulated ones: errors of the flash's offset (plane "
     "units) and tilt (degrees); visible: 1 where the highlight is plain to see."
 )
-# What keeping it means: plane units between centres, and shares of width and of contrast.
+# Tolerances of a reproduced highlight: centre in plane units, relative width and contrast.
 CENTRE, WIDTH, CONTRAST = 0.03, 0.2, 0.2
 # Simulated photographs: degrees across, plane units of offset, degrees of tilt.
 _FOV, _OFFSET, _TILT = (40.0, 90.0), (0.02, 0.2), 15.0
@@ -54,9 +54,9 @@ def highlight_experiment(
 
     Args:
         photographs: real ones.
-        count: of simulated ones.
-        seed: of those.
-        out: folder for photographs beside their re-renderings.
+        count: number of simulated ones.
+        seed: of the simulated ones.
+        out: folder for pictures of photograph and re-rendering side by side.
         has_fov: False for simulated files that do not state their field of view.
     """
 
@@ -82,7 +82,7 @@ def highlight_experiment(
 
 
 def kept(seen: Seen, fit: CoarseFit) -> Mapping[str, Value]:
-    """A real photograph's highlight beside its re-rendering's."""
+    """Parameters of the highlight in a real photograph and in its re-rendering."""
     photo, truth = seen
     names = ("apart", "width", "contrast", "kept")
     if truth is not None:
@@ -99,7 +99,7 @@ def kept(seen: Seen, fit: CoarseFit) -> Mapping[str, Value]:
 
 
 def placed(seen: Seen, fit: CoarseFit) -> Mapping[str, Value]:
-    """Errors on a simulated photograph."""
+    """Errors of flash offset and tilt on a simulated photograph."""
     photo, truth = seen
     if truth is None:
         return dict.fromkeys(("offset", "tilt", "visible"), math.nan)
@@ -111,7 +111,7 @@ def placed(seen: Seen, fit: CoarseFit) -> Mapping[str, Value]:
 
 
 def _rerendered(fit: CoarseFit, photo: Photo) -> NDArray[np.float64]:
-    """(h, CELLS, 3) what the camera would have seen of the fit, clipped as it clips."""
+    """(h, CELLS, 3) the fit re-rendered by the photograph's camera, clipped at its clip level."""
     rows, columns = photo.pixels.shape[:2]
     return np.minimum(render_coarse(fit, CELLS, max(8, round(CELLS * rows / columns))), 1.0)
 
@@ -125,7 +125,7 @@ def _write_pair(fit: CoarseFit, photo: Photo, path: Path) -> None:
 
 
 def simulated(count: int, seed: int, *, has_fov: bool = True) -> dict[str, Callable[[], Seen]]:
-    """So many photographs by name: RAW, any field of view, offset and tilt."""
+    """`count` RAW photographs by name, of random field of view, flash offset and tilt."""
     rng = np.random.default_rng(seed)
     width, height = _CAMERA
     subjects: dict[str, Callable[[], Seen]] = {}

@@ -1,7 +1,7 @@
 """`matcap bench metals`: F0 of metals by channel, its hue, and F0 of dielectric parts.
 
-Truth is at hand texel by texel (simulate/photograph.py, true_maps), so metal and what is none are
-separated by the true maps; absolute brightness counts: nothing is scaled.
+The true maps (simulate/photograph.py, true_maps) separate metal from dielectric texels. Errors are
+absolute: no scale is fitted.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ ABOUT = (
     "over their mean, %; nothing where F0 was found without a colour. Beside: mean F0 of what is "
     "no metal, found and true."
 )
-# Mean F0 above which a texel is metal and below which it is none; borders are left out.
+# Mean F0 above which a texel is metal, below which it is dielectric; borders are left out.
 METAL, NONE = 0.2, 0.08
 _LEAST_SHARE = 0.01
 _CHANNELS = ("red", "green", "blue")
@@ -59,8 +59,8 @@ def metals_experiment(
         out: folder for the photographs.
         settings: of the captures.
         camera: that takes the photographs.
-        known: the flash's strength is given, as by a calibration card; else F0 is as bright as
-            materials most probably are (capture/piece/absolute.py).
+        known: the flash's intensity is given, as by a calibration card; else the exposure prior
+            fixes the scale of F0 (capture/piece/absolute.py).
     """
 
     def prepare(subject: Specimen) -> PhotographedMetal:
@@ -86,7 +86,7 @@ def metals_experiment(
 
 
 def f0_errors(estimate: MapSet, truth: MapSet) -> Mapping[str, Value]:
-    """Of found maps and true ones of the same rectangle, the latter on any grid."""
+    """Errors of estimated maps against true maps of the same rectangle, on any grid."""
     size = estimate.specular.shape[-2:]
     true = F.interpolate(truth.specular[None].float(), size, mode="area")[0].expand(3, -1, -1)
     f0 = estimate.specular.float().expand(3, -1, -1)
@@ -109,5 +109,5 @@ def f0_errors(estimate: MapSet, truth: MapSet) -> Mapping[str, Value]:
 
 
 def _mean(planes: Tensor, where: Tensor) -> Tensor:
-    """(3,) of each channel; where it is nowhere, of all."""
+    """(3,) mean of each channel over `where`; over all texels if it is empty."""
     return planes[:, where].mean(1) if bool(where.any()) else planes.mean((1, 2))

@@ -1,8 +1,8 @@
 """`matcap bench floors`: normalised style distance of captures of known materials.
 
-A sample of a material is photographed and captured. The photograph as albedo, the exemplar that was
-found and the field that rearranges it are relit and compared with other true samples: normalised
-style distance (measures/nsd.py). Also values of the maps and of the truth.
+A sample of a material is photographed and captured. The photograph as albedo, the estimated
+exemplar and the field synthesised from it are relit and compared with other true samples:
+normalised style distance (measures/nsd.py). Also statistics of the maps and of the truth.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class PhotographSettings:
     """How materials are photographed and captured."""
 
     captured: CaptureSettings = field(default_factory=CaptureSettings)
-    """Of the captures; their detail is what the exemplar is found in."""
+    """Settings of the captures; their `detail` is the exemplar's resolution."""
 
     ev: float = 0.0
-    """Exposure offset in stops, above what the camera would choose."""
+    """Exposure offset from the automatic exposure, EV."""
 
     jpeg: bool = False
     """JPEGs, instead of RAW."""
@@ -67,13 +67,13 @@ def nsd_experiment(
     settings: PhotographSettings,
     evaluation: EvaluationSettings,
 ) -> Experiment[CapturedSubject, CapturedMaps]:
-    """Photograph and capture each subject once; what is found of it three ways.
+    """Photograph and capture each subject once; evaluate photograph, exemplar and field.
 
     Args:
         subjects: materials.
         out: folder for the photographs.
         settings: of photographs and captures.
-        evaluation: what is compared.
+        evaluation: sizes, lights and true samples.
     """
     style = evaluation.squeezenet
 
@@ -107,7 +107,7 @@ def nsd(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, Value]:
 
 
 def under_mirrored_lights(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, Value]:
-    """NSD under mirrored lights; contrast of the highlight under them, found over true."""
+    """NSD and highlight contrast under mirrored lights, the latter estimated over true."""
     evaluator, scene = captured.evaluator, mirrored_scene(captured.evaluator.flash)
     middle = evaluator.middle(maps.maps)
     true = [math.log(highlight_contrast(one, scene)) for one in evaluator.truths]
@@ -120,7 +120,7 @@ def under_mirrored_lights(captured: CapturedSubject, maps: CapturedMaps) -> Mapp
 
 
 def flash_imprint(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, Value]:
-    """Imprint of the flash by map, in [-1, 1]; 0 is none."""
+    """Highlight residue of each map, in [-1, 1]; 0 is none (measures/gloss.py)."""
     whole = maps.maps
     if (
         captured.result.estimate is None
@@ -144,7 +144,7 @@ def map_numbers(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, V
 
 
 def capture_seconds(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, Value]:
-    """That the capture took, in place of the configuration's own."""
+    """Run time of the capture, which replaces the configuration's own."""
     del maps
     return {"seconds": sum(captured.result.stage_seconds.values())}
 

@@ -1,15 +1,15 @@
 """`matcap bench paper`: the tables of [henzler2021, section 5], for both generators.
 
-Map sets are photographed under a flash beside the lens, as the paper does with Mitsuba. Each
-configuration captures the photograph; what comes out is compared with true samples of the material
-under the photograph's own flash (the paper's column *Flash*, which it measures on real photographs)
-and under ten other lights (*Relit*), by Gram matrices. Diversity is the mean pairwise distance of
-realisations, place by place; XYZ the difference of colour histograms; seconds those of capture and
+Map sets are photographed under a flash near the lens, as the paper does with Mitsuba. Each
+configuration captures the photograph; its maps are compared with true samples of the material under
+the photograph's own flash (the paper's column *Flash*, which it measures on real photographs) and
+under ten other lights (*Relit*), by Gram matrices. Diversity is the mean pairwise distance of
+realisations, pixel by pixel; XYZ the difference of colour histograms; seconds those of capture and
 synthesis.
 
-Ablations: SINGLE starts from no prior. NONTUNED does not fine-tune. FOURIER has no power spectrum
-in its loss. GRAM has nothing but Gram matrices in it. LIGHT has no alignment branch. The paper's
-DECODERONLY needs a training without an encoder; `matcap prior ablate` has what comes nearest.
+Ablations: SINGLE starts from no prior. NONTUNED does not fine-tune. FOURIER's loss lacks the power
+spectrum. GRAM's loss is the Gram matrices alone. LIGHT has no alignment branch. The paper's
+DECODERONLY needs a training without an encoder; `matcap prior ablate` has the nearest equivalent.
 """
 
 from __future__ import annotations
@@ -50,26 +50,26 @@ PAPER_ABLATIONS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class PaperSettings:
-    """What is measured."""
+    """Steps, styles and sizes of the tables."""
 
     steps: int | None = None
-    """Of fine-tuning; None for the preset's `standard`."""
+    """Fine-tuning steps; None for those of the preset `standard`."""
 
     vgg16: Path | None = None
-    """Weights of VGG-16, whose columns are left out without them."""
+    """Weights of VGG-16; None leaves its columns out."""
 
     realisations: int = 3
-    """That diversity is measured over."""
+    """Number of realisations for diversity."""
 
     evaluation: EvaluationSettings = field(
         default_factory=lambda: EvaluationSettings(every=1, truths=2)
     )
-    """What pictures are compared: the middle of the plane, under all ten lights."""
+    """Sizes and lights: the middle of the plane, under all ten lights."""
 
 
 @dataclass(frozen=True)
 class PaperSubject:
-    """A material, its photograph and what captures of it are compared with."""
+    """A material, its photograph and true samples (evaluator)."""
 
     name: str
     path: Path
@@ -79,13 +79,13 @@ class PaperSubject:
 
 @dataclass(frozen=True)
 class PaperPictures:
-    """Pictures of what a configuration made: (L, 3, H, W) each."""
+    """Pictures of a configuration's maps, (L, 3, H, W) each."""
 
     flash: Tensor
-    """Of each realisation, under the photograph's own flash."""
+    """Each realisation under the photograph's own flash."""
 
     lights: Tensor
-    """Of the first, under ten lights."""
+    """The first realisation under ten lights."""
 
 
 def paper_experiment(
@@ -154,7 +154,7 @@ def _relit(result: CaptureResult, evaluator: Evaluator, count: int) -> PaperPict
 
 
 def _styles(subject: PaperSubject, made: PaperPictures) -> Mapping[str, Value]:
-    """Distances to true samples, and the same as multiples of what those differ by."""
+    """Style distances to true samples, and the same normalised by those between true samples."""
     evaluator, own = subject.evaluator, subject.evaluator.own_scene
     values: dict[str, Value] = {}
     for name, style in subject.styles.items():
@@ -166,7 +166,7 @@ def _styles(subject: PaperSubject, made: PaperPictures) -> Mapping[str, Value]:
 
 
 def _distance(style: Style, pictures: Tensor, evaluator: Evaluator, scene: BenchScene) -> float:
-    """Mean over true samples."""
+    """Mean style distance to the true samples."""
     truths = evaluator.pictures if scene == evaluator.scene else evaluator.relit_truths(scene)
     each = [style_distance(style, pictures, truth) for truth in truths]
     return sum(each) / len(each)
@@ -178,7 +178,7 @@ def _diversity_and_colour(subject: PaperSubject, made: PaperPictures) -> Mapping
 
 
 def paper_page(rows: Sequence[Trial], command: str) -> str:
-    """The paper's two tables in Markdown, its own figures beside."""
+    """The paper's two tables in Markdown, with the paper's own figures."""
     by_name = {mean.configuration: mean for mean in means(rows)}
     columns = list(dict.fromkeys(name for row in rows for name in row.values))
     subjects = len({row.subject for row in rows})

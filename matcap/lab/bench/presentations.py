@@ -21,10 +21,10 @@ PRESENTATIONS: Mapping[str, Presentation] = MappingProxyType(
 
 
 def presentation_of(table: Path) -> Presentation:
-    """Of the experiment whose rows a CSV holds.
+    """Presentation of the experiment that wrote a CSV.
 
     Raises:
-        MatcapError: it is empty or missing, or no experiment that is reported wrote it.
+        MatcapError: it is empty or missing, or its experiment is not part of the report.
     """
     rows = read(table)
     if not rows or rows[0].experiment not in PRESENTATIONS:

@@ -44,36 +44,36 @@ ABOUT = (
 
 @dataclass(frozen=True)
 class Ambient:
-    """Light beside the flash, and whether unions are captured."""
+    """Variations of the captures: ambient light, union of the views, pose."""
 
     room: float = 0.0
-    """Irradiance by its light (hand_held.Room); 0 for darkness. Each count is captured without and
-    with one more photograph without flash."""
+    """Irradiance of ambient light (hand_held.Room); 0 for darkness. Each count is captured without
+    and with one more photograph without flash."""
 
     union: bool = False
-    """Each count of two or more is also captured as all that the photographs show."""
+    """Each count of two or more is also captured over the union of the photographs' views."""
 
     hand: Hand = Hand()
-    """That holds the phone."""
+    """Movements of the phone, its flash and lens."""
 
 
 @dataclass(frozen=True)
 class TakenSubject:
-    """A sample, its photographs, and what captures of them are compared with."""
+    """A sample, its photographs, true poses and true samples (evaluator)."""
 
     subject: Specimen
     paths: Sequence[Path]
-    """With flash."""
+    """Photographs with flash."""
 
     unlit: Sequence[Path]
-    """Without."""
+    """Photographs without flash."""
 
     cameras: Sequence[PosedCamera]
     evaluator: Evaluator
     hand: Hand
 
     def true_on(self, result: CaptureResult) -> Callable[[int, int], MapSet]:
-        """True maps on the plane that was found."""
+        """Function of (columns, rows) to true maps on the estimated plane."""
         several = None if result.estimate is None else result.estimate.several
         bent = (0.0, 0.0) if several is None else several.bent
         realise = self.subject.pieces(self.subject.seed)
@@ -89,15 +89,15 @@ def several_experiment(
     evaluation: EvaluationSettings,
     ambient: Ambient,
 ) -> Experiment[TakenSubject, CaptureResult]:
-    """Photograph each subject from several places; capture it from so many photographs.
+    """Photograph each subject from several poses; capture it from each number of photographs.
 
     Args:
         subjects: materials.
-        counts: of photographs with flash.
+        counts: numbers of photographs with flash.
         out: folder for the photographs.
         settings: of photographs and captures.
-        evaluation: what is compared.
-        ambient: what else is varied.
+        evaluation: sizes, lights and true samples.
+        ambient: ambient light, union and pose.
     """
     hand = replace(
         ambient.hand, room=Room(ambient.room, uneven=0.35, hidden=True) if ambient.room else None
@@ -154,14 +154,14 @@ def nsd(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
 
 
 def off(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
-    """What the first photograph's rectangle is off by."""
+    """Errors of maps over the first photograph's rectangle."""
     assert result.estimate is not None
     maps = piece_maps(result.estimate.framed)
     return asdict(MapsOff.of(maps, taken.true_on(result)(*maps.size)))
 
 
 def residuals(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
-    """Photographs used, and what they are off by from re-renderings."""
+    """Number of photographs used, and their residuals against re-renderings."""
     del taken
     several = None if result.estimate is None else result.estimate.several
     if several is None:
@@ -174,10 +174,10 @@ def residuals(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]
 
 
 def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
-    """How large the exemplar is, and what it is off by where the first photograph shows none of it.
+    """Size of the exemplar, and its errors outside the first photograph's view.
 
-    A texel that one photograph drew lies where that one was registered, which is beside its place
-    by more the farther it is from the first: truth is looked up along its rays.
+    A texel resampled from one photograph is displaced by that one's registration error, which grows
+    with the distance from the first: truth is looked up along its rays.
     """
     piece = result.estimate
     reach = None if piece is None or piece.several is None else piece.several.reach

@@ -218,6 +218,6 @@ def _lattice(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, R
     u = u + reach * noise(canvas, label + " bend u", bend)
     v = v + reach * noise(canvas, label + " bend v", bend)
     extent_x, extent_y = canvas.extent
-    # An integer offset that keeps coordinates positive for every rotation of the lattice.
+    # An offset that keeps coordinates positive for every rotation of the lattice.
     corner = math.ceil((extent_x + extent_y) / shape.scale) + start
     return u + corner[0], v + corner[1]

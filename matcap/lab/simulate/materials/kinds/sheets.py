@@ -184,7 +184,7 @@ def creased(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
 
 
 def _facets(canvas: Canvas, label: str, size: float) -> Raster:
-    """(H, W) height of pyramids over random cells, some inverted, in units of `size`."""
+    """(H, W) pyramids over random cells, of random height and sign, in units of `size`."""
     cell = cells(canvas, label, size)
     return cell.border * (2.0 * cell.draw(canvas.stream(label + " rise")) - 1.0)
 
