@@ -1,7 +1,7 @@
-"""A photograph to the paper's generator: a decoder, tuned and frozen (paper, 4.6).
+"""Capture by the paper's generator: a pretrained decoder, fine-tuned to the photograph (4.6).
 
-statistics, start, fine-tuning, matching, verdict; and beside them the stages from piece to index
-where the photographed piece's own maps are asked for, too.
+Stages: statistics, start, fine-tuning, matching, verdict; with CaptureSettings.aligned also the
+stages of find_piece, which estimate the exemplar's maps.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ def capture_by_decoder(
     method: Method,
     clock: CaptureClock,
 ) -> CaptureResult:
-    """A photograph to a tuned decoder.
+    """Capture a photograph as a fine-tuned decoder.
 
     Args:
-        shot: the photograph.
-        settings: what the user decides.
-        effort: what it comes to.
-        method: how it is done.
+        shot: the photograph, its coarse fit and plane.
+        settings: of the user.
+        effort: steps and windows that follow from them.
+        method: switches for experiments.
         clock: of the capture.
 
     Raises:
@@ -78,7 +78,7 @@ def _tuned_decoder(
     clock: CaptureClock,
     on_step: OnStep,
 ) -> tuple[TunedDecoder, Tuned]:
-    """The decoder from where it starts to how it was tuned."""
+    """Initialise a decoder from the prior and fine-tune it."""
     with clock.stage("start"):
         start = initial_decoder(
             shot.photo.pixels,
@@ -104,7 +104,7 @@ def _tuned_decoder(
 def _tune(
     settings: CaptureSettings, effort: Effort, method: Method, own: float, name: str
 ) -> TuneSettings:
-    """How the decoder is tuned, but for how fast and how long."""
+    """Settings of fine-tuning, except learning rate and time limit."""
     return TuneSettings(
         steps=effort.steps,
         target=_target(settings, own, name),
@@ -127,7 +127,7 @@ def _piece(
     effort: Effort,
     clock: CaptureClock,
 ) -> ExemplarEstimate:
-    """The photographed piece's own maps, beside the decoder's; in a hurry after an interrupt."""
+    """Estimate the exemplar; without the texture-statistics fit after an interrupt."""
     steps = 0 if clock.interrupted else effort.adapted
     adaptation = Adaptation(lambda: target, steps, settings.seed) if steps else None
     with postponed() as stopped:
@@ -138,7 +138,11 @@ def _piece(
 
 
 def _target(settings: CaptureSettings, own: float, name: str) -> float | None:
-    """The error to end at, beside the photograph's own."""
+    """Loss at which fine-tuning ends: settings.target times `own`; None without a target.
+
+    `own` is the texture distance between neighbouring windows of the photograph, NaN if it is too
+    small for two. Raises MatcapError then.
+    """
     if settings.target is not None and math.isnan(own):
         raise MatcapError(
             "the picture is too small to be compared with itself",

@@ -1,10 +1,9 @@
 """Resolution of the exemplar, and of the grid on which the network reads it.
 
-The piece has as many as are asked for. The network joins what lies within some hundred texels, and
-windows of 160 are compared. What is coarser comes out as grain of the right colours, wood as
-sawdust; read on half as many texels across the same pattern spans half as many, and the capture
-holds it. Finer bands are carried over from the photograph (piece/finest.py). Figures in
-docs/notes/capture.md.
+The exemplar has the resolution asked for. The network's receptive field is about a hundred texels
+and the compared windows have 160; structure of longer wavelength is lost (wood becomes sawdust).
+Such textures are read on half as many texels across, and finer bands are transferred from the
+photograph (piece/finest.py). Figures in docs/notes/capture.md.
 """
 
 from __future__ import annotations
@@ -44,9 +43,9 @@ COARSENESS = DetailSettings()
 
 
 def coarse_share(linear: Tensor, valid: Tensor) -> float:
-    """Share of a texture's variance that lies in its coarsest band, in [0, 1].
+    """Share of the variance of log luminance in the texture's coarsest band, in [0, 1].
 
-    Of log luminance, so that bright and dim regions count alike. Coarser still is shading.
+    Lower frequencies than that band are shading and left out.
 
     Args:
         linear: (3, H, W) picture of the plane, DETAIL texels across.
@@ -85,18 +84,18 @@ def _halved(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def detail_for(linear: Tensor, valid: Tensor) -> int:
-    """Texels across to read a texture without a lattice on: DETAIL, or half of it if coarse."""
+    """Texels across on which to read an aperiodic texture: DETAIL, or half of it if coarse."""
     return DETAIL // 2 if coarse_share(linear, valid) > COARSENESS.most_coarse else DETAIL
 
 
 @dataclass(frozen=True)
 class Rectified:
-    """A photograph on the plane of its sample, and its regular order.
+    """A photograph rectified to the plane of its sample, and its lattice.
 
     Attributes:
-        whole: on as many texels as the piece is to have.
-        waves: plane waves of its lattice, cycles a texel of the whole; none where it has none.
-        read: the photograph on as many texels as it is best read on.
+        whole: at the resolution of the exemplar.
+        waves: frequency vectors of its lattice, cycles per texel of `whole`; empty without one.
+        read: at the resolution for the network.
     """
 
     whole: Plane

@@ -1,4 +1,4 @@
-"""How every capture ends: its material seen beside the photograph, and judged."""
+"""Last stages of every capture: re-rendering, measurements and verdict."""
 
 from __future__ import annotations
 

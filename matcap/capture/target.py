@@ -55,7 +55,7 @@ class CaptureStart:
 def photograph_target(
     shot: CaptureStart, settings: CaptureSettings, method: Method, most: int | None = None
 ) -> tuple[PhotographTarget, list[dict[str, Any]]]:
-    """What a material is compared with, and what was found of each other photograph.
+    """Windows and statistics for the texture distance, and a JSON entry for each other photograph.
 
     Args:
         shot: the photograph.

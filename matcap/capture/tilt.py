@@ -16,14 +16,13 @@ _DEVELOPED_BIAS = math.radians(5.0)
 
 
 def fitted(photo: Photo, *, measured: bool = True) -> CoarseFit:
-    """The coarse fit of a photograph as every capture and every inspection begins.
+    """Coarse fit of a photograph, with the alignment branch's two tilt angles as Gaussian prior.
 
-    The alignment branch's two angles are a Gaussian measurement in it; a flash whose intensity is
-    known makes its albedo absolute.
+    Albedo is absolute where the flash intensity is known.
 
     Args:
         photo: the photograph.
-        measured: whether the branch is asked; without it the picture alone decides.
+        measured: whether to use the alignment branch.
     """
     prior = None
     if measured:
@@ -51,7 +50,7 @@ def tilt_document(coarse: CoarseFit) -> dict[str, Any] | None:
 
 
 def tilt_line(document: Mapping[str, Any]) -> str:
-    """What tilt_document says, in a sentence."""
+    """One sentence from a tilt_document."""
     x, y = document["used"]
     bx, by = document["branch"]
     sx, sy = document["branch_std"]

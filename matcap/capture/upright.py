@@ -1,9 +1,8 @@
 """Rotation of a portrait photograph's material to upright.
 
-A capture works on the picture lying, its long side along x, as networks and coarse fit know it.
-What it hands on is turned back a quarter clockwise: the exemplar, indexed again so that its field
-stands, and the pictures beside it. Camera and flash stay those of the lying picture;
-FlashSetup.turned says so, and renderers turn with it. A decoder's field stays lying.
+A capture works in landscape orientation, long side along x. Its results are then rotated 90 degrees
+clockwise: the exemplar, indexed again, and the pictures. FlashSetup stays that of the landscape
+picture; FlashSetup.turned marks this, and renderers apply it. A decoder's field is not rotated.
 """
 
 from __future__ import annotations

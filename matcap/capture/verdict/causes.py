@@ -1,7 +1,7 @@
-"""Why a capture is not better, where the photograph itself shows it, and what helps against it.
+"""Causes of a poor capture that can be measured in the photograph, each with a remedy.
 
-Each cause is named by a measurement of its own, of the photograph beside its re-rendering; where
-none is beyond its limit (docs/notes/verdict.md), none is named.
+Each cause has its own measurement, of photograph and re-rendering, and is named where that exceeds
+its limit (docs/notes/verdict.md).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _CLIPPED = _HIGHLIGHT | {"clipped", "colour", "confidence", "piece", "contrast",
 
 @dataclass(frozen=True)
 class CauseLimits:
-    """From where on a cause is named; docs/notes/verdict.md."""
+    """Measured values from which a cause is named; docs/notes/verdict.md."""
 
     side: float = 0.3
     """Log: so much brighter a side counts as twice what a flash never does."""
@@ -222,8 +222,8 @@ def _of_light(measured: CauseMeasurements) -> Iterator[Cause]:
 
 
 def by_place(difference: SmoothLight) -> SmoothLight:
-    """What of a difference (h, w) changes from one side to the other and with distance from the
-    middle: light does, a drawing does not but for what its few large parts leave of it.
+    """(h, w) projection of a difference (h, w) on functions linear in position, plus functions of
+    the distance from the middle: light varies so, texture hardly does.
     """
     terms = np.concatenate([_plane(difference.shape), _rings(difference.shape)])
     return _projected(difference, terms)
@@ -240,7 +240,10 @@ def _brightest_side(light: SmoothLight) -> float:
 
 
 def _bent(light: SmoothLight, model: SmoothLight) -> float:
-    """What of the log of light over model goes with brightness, and not from side to side."""
+    """Standard deviation of log(light / model) explained by log model and its square.
+
+    Fitted together with functions linear in position.
+    """
     floor = 0.02 * float(np.median(light)) + 1e-6
     difference = np.log((light + floor) / (model + floor))
     level = np.log(model + floor)
@@ -254,7 +257,7 @@ def _bent(light: SmoothLight, model: SmoothLight) -> float:
 
 
 def _laid_over(light: SmoothLight, model: SmoothLight) -> float:
-    """What must be added to a model times a factor, over the light of the darkest tenth."""
+    """Offset b of the fit light = a model + b, over the light of the darkest tenth."""
     fit = model < np.quantile(model, CAUSES.brightest)
     weight = 1.0 / (model[fit] + 1e-6)  # logarithms count alike
     columns = np.stack([model[fit] * weight, weight], axis=1)

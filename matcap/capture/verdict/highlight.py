@@ -1,4 +1,4 @@
-"""How strong and how lively the re-rendered highlight is beside the photographed one.
+"""Highlight contrast and glint contrast, re-rendered over photographed.
 
 Both pictures are clipped at the photograph's clip level 1, then averaged in rings around the mirror
 point and divided by M, an even matte surface under the same flash. With <> a mean over texels,
@@ -56,7 +56,7 @@ class HighlightProfile:
 
     @property
     def contrast(self) -> tuple[float, float]:
-        """Radiance at the mirror point over an even matte surface's."""
+        """Highlight contrast (module equation) of photograph and re-rendering; 1 is matte."""
         return self.rings[0]
 
     @property
@@ -73,8 +73,8 @@ class HighlightProfile:
     def ratio(self) -> float:
         """Highlight contrast, re-rendered over photographed; NaN where neither is glossy.
 
-        Of a clipped core the innermost highlight ring that is not clipped is asked, too; the one
-        farther from 1 counts.
+        If the core is clipped, the innermost unclipped ring of the highlight is compared as well;
+        the ratio farther from 1 is returned.
         """
         if not self.glossy:
             return math.nan
@@ -90,7 +90,7 @@ class HighlightProfile:
     def glint_ratio(self) -> float:
         """Glint contrast of all octaves, re-rendered over photographed; NaN without a highlight.
 
-        UNSEEN is added to both in quadrature: what is invisible is no difference.
+        UNSEEN, the visibility threshold, is added to both in quadrature.
         """
         if not self.glints:
             return math.nan
@@ -112,13 +112,13 @@ class HighlightProfile:
 def highlight_profile(
     pictures: tuple[Picture, Picture], seen: TexelMask, measured: TexelMask, setup: FlashSetup
 ) -> HighlightProfile | None:
-    """The highlight in both pictures; None where its mirror point is not in the photograph.
+    """Radial profiles and glints of both pictures; None with the mirror point outside of them.
 
     Args:
         pictures: (H, W, 3) radiance of photograph and re-rendering on the plane's grid, clipped
             alike at 1.
-        seen: (H, W) what lies in the photograph.
-        measured: (H, W) what of it is not clipped.
+        seen: (H, W) bool, in the photograph.
+        measured: (H, W) bool, seen and not clipped.
         setup: camera and flash.
     """
     lights = [picture.mean(axis=2) for picture in pictures]
@@ -142,7 +142,7 @@ def highlight_profile(
 
 
 def _reach(profile: NDArray[np.float64]) -> float:
-    """Radius within which at least MIRRORED of the radiance is the highlight's; 0 for none."""
+    """Radius within which the specular fraction is at least MIRRORED; 0 for none."""
     mirrored = 1.0 - 1.0 / np.maximum(profile[:-1], 1e-9) >= MIRRORED
     return _EDGES[len(mirrored) if mirrored.all() else int(mirrored.argmin())]
 
@@ -154,7 +154,7 @@ def _octaves(picture: Picture, region: TexelMask) -> list[float]:
 
 
 def from_mirror_point(setup: FlashSetup, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """(H, W) plane units from the mirror point."""
+    """(H, W) distance from the mirror point, plane units."""
     (x, y), (height, width) = flash_mirror_point(setup), shape
     v, u = np.mgrid[:height, :width] + 0.5
     return np.hypot(2.0 * u / width - 1.0 - x, (height - 2.0 * v) / width - y)

@@ -1,4 +1,4 @@
-"""What a person would compare in a photograph and its re-rendering, as numbers.
+"""Measured differences between a photograph and its re-rendering: light, highlight, texture.
 
 Read next: findings.py, which rates them.
 """
@@ -162,14 +162,14 @@ def measured(
 def smooth_difference(
     before: NDArray[np.float64], after: NDArray[np.float64]
 ) -> tuple[tuple[float, float, float], float]:
-    """Differences of what is smooth in two pictures, (h, w, 3) each.
+    """Colour and light differences of two low-pass filtered pictures, (h, w, 3) each.
 
-    Veins, knots and patches are as smooth as light is where they are as large, and lie elsewhere in
-    another piece: what goes with place alone is the light's.
+    Only the part of the difference that varies with position as light does counts (by_place): large
+    veins or patches are low-frequency too, and lie elsewhere in a synthesised field.
 
     Returns:
-        the median log ratio of each channel, and the root-mean-square of what else log luminance
-        differs by as light does.
+        median log ratio of each channel, and root-mean-square of the remaining difference of log
+        luminance by light.
     """
     toe = MEASURED.toe * np.median(before, axis=(0, 1)) + 1e-6
     ratio = np.median(np.log((after + toe) / (before + toe)), axis=(0, 1))
@@ -181,10 +181,10 @@ def smooth_difference(
 
 
 def texture_contrasts(seen: Picture, again: Picture) -> dict[str, tuple[float, float]]:
-    """Root-mean-square log luminance of texture in two pictures (H, W, 3), linear.
+    """Root-mean-square contrast of log luminance in two linear pictures (H, W, 3).
 
-    By band and by region, the photograph's brightest tiles ("in the light", where gloss shows what
-    relief there is) and the others: medians over tiles, for a highlight's slope is no texture.
+    By band, and by region: the photograph's brightest tiles ("in the light", where gloss reveals
+    relief) and the others. Medians over tiles, robust to the gradient of a highlight.
     """
     light = _tiles(seen.mean(axis=2))
     bright = np.zeros(light.shape, bool)
@@ -230,16 +230,16 @@ def _smooth(picture: Picture) -> NDArray[np.float64]:
 
 
 def texture_difference(plane: Plane, rendering: Tensor) -> float:
-    """How unlike the photograph's texture a rendering's is, in the photograph's own measure.
+    """Texture distance of a rendering, relative to that between parts of the photograph.
 
     Args:
         plane: the photograph.
         rendering: (3, H, W) linear.
 
     Returns:
-        the difference of statistics (statistics/compare.py) between rendering and photograph at
-        the same places over that between neighbouring places of the photograph, medians; mean
-        colours are left out. NaN where the picture is too small.
+        median distance of texture statistics (statistics/compare.py) between rendering and
+        photograph at the same places over that between neighbouring places of the photograph;
+        without mean colours. NaN where the picture is too small.
     """
     width, height = plane.size
     places = [
@@ -277,7 +277,7 @@ def _planes(picture: Picture) -> Tensor:
 
 
 def _order(plane: Plane, rendering: Tensor, waves: tuple[Wave, ...]) -> tuple[float, float]:
-    """How alike photograph and re-rendering are to themselves one period further."""
+    """Autocorrelation at a lag of one lattice period, of photograph and re-rendering."""
     return (
         periodicity(plane.encoded(), plane.valid, waves),
         periodicity(plane.encoding(rendering[None])[0], plane.valid, waves),

@@ -1,8 +1,8 @@
-"""Highlight residue: radial variation of a piece's maps about the flash's mirror point.
+"""Highlight residue: radial variation of the maps about the flash's mirror point.
 
-A material knows nothing of the light: a disc, a hole in roughness or relief that fades towards the
-mirror point is the photograph's light taken for the material, and is repeated in the field as
-stains.
+A material's maps do not depend on the light's position: a disc in albedo, a minimum of roughness or
+relief that fades towards the mirror point is shading baked into the maps, which synthesis repeats
+as stains.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ RESIDUE = ResidueSettings()
 
 
 def highlight_residue(piece: Exemplar, setup: FlashSetup) -> dict[str, float]:
-    """Standard deviation between rings about the mirror point, chance taken off.
+    """Standard deviation of ring means about the mirror point, sampling variance subtracted.
 
     Returns:
-        `albedo` and `specular` (logarithm), `roughness`, and `grain`: the logarithm of slopes'
-        strength.
+        `albedo` and `specular` (natural log), `roughness`, and `grain` (log of the local
+        root-mean-square slope).
     """
     distance = from_mirror_point(setup, piece.size[::-1])
     step = piece.texel_size
@@ -57,13 +57,13 @@ def highlight_residue(piece: Exemplar, setup: FlashSetup) -> dict[str, float]:
 
 
 def in_rings(values: BlockMeans, distances: BlockMeans) -> float:
-    """Deviation of `values` between rings of equal counts, less what chance makes of their scatter.
+    """Standard deviation of `values` between rings of equal counts, without sampling variance.
 
-    The estimate of the variance between groups of an analysis of variance, at least 0.
+    Root of the between-group variance component of a one-way analysis of variance, at least 0.
 
     Args:
-        values: of blocks, any shape.
-        distances: theirs from the mirror point.
+        values: block means, any shape.
+        distances: of the blocks from the mirror point, same shape.
     """
     order = np.argsort(distances, axis=None, kind="stable")
     rings = np.array_split(values.ravel()[order], RESIDUE.rings)

@@ -1,8 +1,8 @@
-"""Bundle adjustment: all cameras and the lens they share, over all matches at once.
+"""Bundle adjustment of all cameras and their common lens over all feature matches.
 
-Every other photograph's matches are with the first one, whose view of the plane is its own: what
-is unknown of it is how the plane leans. Levenberg and Marquardt's steps on Huber's cost; residuals
-of a photograph depend on its own six numbers and the common ones alone, so derivatives are few.
+Matches are between the first photograph, which defines the plane frame up to its tilt, and every
+other one. Levenberg-Marquardt on the Huber cost of reprojection errors; the residuals of a
+photograph depend on its six pose parameters and the common ones only (sparse Jacobian).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class AdjustSettings:
 
 @dataclass(frozen=True)
 class Pair:
-    """What a photograph has in common with the first."""
+    """Feature matches of a photograph with the first."""
 
     first: Doubles
     second: Doubles
@@ -80,12 +80,12 @@ def adjust(
     known: bool,
     settings: AdjustSettings = AdjustSettings(),
 ) -> Adjusted:
-    """Cameras of photographs that have something in common with the first.
+    """Estimate the cameras of photographs from their matches with the first.
 
     Args:
-        setup: of the first, by its coarse fit.
-        pairs: of every other one.
-        known: whether the field of view is given by EXIF.
+        setup: of the first, from its coarse fit.
+        pairs: matches of every other photograph.
+        known: whether the field of view is known from EXIF.
         settings: see AdjustSettings.
     """
     focal = settings.known_focal if known else settings.assumed_focal
@@ -141,7 +141,7 @@ def _camera(setup: FlashSetup, common: Doubles, own: Doubles, pair: Pair) -> Pos
 def _residuals(
     setup: FlashSetup, pair: Pair, common: Doubles, own: Doubles, settings: AdjustSettings
 ) -> Doubles:
-    """(2, n) reprojection errors of matches in pixels, less what relief may explain."""
+    """(2, n) reprojection errors of matches, pixels, less the part explained by relief."""
     first, camera = _first_camera(setup, common), _camera(setup, common, own, pair)
     return less_relief(*reprojection(first, camera, pair, settings.relief))
 
@@ -167,7 +167,7 @@ def less_relief(residual: Doubles, parallax: Doubles) -> Doubles:
 
 
 def _huber(residuals: Doubles, settings: AdjustSettings) -> tuple[float, Doubles]:
-    """Cost of residuals (2, n) in pixels, and what each weighs."""
+    """Huber cost of residuals (2, n), pixels, and the weight of each."""
     size, threshold = np.hypot(*residuals), settings.huber
     each = min(1.0, settings.counted / max(1, len(size)))
     cost = np.where(size < threshold, size**2 / 2.0, threshold * (size - threshold / 2.0))
@@ -188,7 +188,7 @@ def _cost(
 
 
 class _System:
-    """The normal equations of all photographs at some numbers."""
+    """Normal equations of all photographs at the current parameters."""
 
     def __init__(
         self,
@@ -221,7 +221,7 @@ class _System:
             self.cost += cost
 
     def step(self, pull: Doubles, precision: Doubles, damping: float) -> Doubles:
-        """Of all numbers, with a prior that pulls at the common ones."""
+        """Damped step of all parameters, with a Gaussian prior of the common ones."""
         normal, gradient = self.normal.copy(), -self.gradient
         normal[range(_COMMON), range(_COMMON)] += precision
         gradient[:_COMMON] += pull
@@ -234,7 +234,7 @@ def _parts(step: Doubles) -> list[Doubles]:
 
 
 def _first_guess(first: PosedCamera, pair: Pair) -> Doubles:
-    """(6,) of a camera by its view of the plane [collins2014], from the first's."""
+    """(6,) initial pose of a camera from its homography to the first [collins2014]."""
     points = first.on_plane(pair.first)
     focal = first.lens.focal * pair.focal
     # OpenCV's camera looks along +z with y downwards.

@@ -1,7 +1,7 @@
 """Detection of photographs without flash, by their metadata or their light.
 
-A flash beside the lens is brightest about its foot and fades to the border; a room's light does
-not. What the file says counts first; light decides only where it says nothing.
+Radiance by a flash beside the lens falls off from its mirror point; that by ambient light does not.
+Metadata take precedence; the falloff decides only where they are silent.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ def flash_first(photos: Sequence[Photo]) -> list[Photo]:
 def without_flash(
     photos: Sequence[Photo], settings: AmbientSettings = AmbientSettings()
 ) -> dict[int, str]:
-    """Numbers of photographs that the flash did not light, each with the rest of a sentence.
+    """Indices of photographs taken without flash, each with its reason (end of a sentence).
 
-    Where no photograph shows a flash, none is named: files of ring lights and flashes that are
-    not the phone's own say that none fired.
+    Empty where no photograph seems to have flash: EXIF does not record external flashes and ring
+    lights.
 
     Args:
         photos: of one piece.

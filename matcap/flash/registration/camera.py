@@ -22,7 +22,7 @@ _ROUNDS = 12  # of undoing a lens's distortion; each gains two digits at a phone
 
 @dataclass(frozen=True)
 class Lens:
-    """A lens without anything off centre."""
+    """Pinhole lens with radial distortion about the image centre."""
 
     focal: float
     """D, its distance from a picture whose long side is in [-1, 1]."""
@@ -30,12 +30,12 @@ class Lens:
     """(k1, k2) of its radial distortion."""
 
     def drawn(self, image: Doubles) -> Doubles:
-        """(2, ...) where a lens draws what one without distortion would at (2, ...)."""
+        """Distort ideal image coordinates (2, ...)."""
         squared = np.square(image).sum(0)
         return image * (1.0 + squared * (self.bent[0] + squared * self.bent[1]))
 
     def undone(self, image: Doubles) -> Doubles:
-        """(2, ...) where a lens without distortion would draw it; the inverse of drawn()."""
+        """Undistort image coordinates (2, ...); the inverse of drawn()."""
         straight = image
         for _ in range(_ROUNDS if any(self.bent) else 0):
             squared = np.square(straight).sum(0)
@@ -45,7 +45,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class PosedCamera:
-    """A camera somewhere over the plane."""
+    """Camera with pose and lens, in the frame of the plane."""
 
     turn: Doubles
     """(3, 3) rotation from the plane's frame to the camera's."""
@@ -77,10 +77,10 @@ class PosedCamera:
         return np.asarray(points)
 
     def flash(self, offset: tuple[float, float, float]) -> Doubles:
-        """(3,) place of a flash that lies at `offset` from the lens, in the camera's frame."""
+        """(3,) flash position in the plane frame; `offset` from the lens is in the camera frame."""
         return self.place + self.turn.T @ np.asarray(offset)
 
     @property
     def tilt(self) -> float:
-        """Radians between its axis and the plane's normal."""
+        """Angle between optical axis and plane normal, radians."""
         return float(np.arccos(np.clip(self.turn[2, 2], -1.0, 1.0)))

@@ -1,9 +1,9 @@
 """Feature matches of two photographs: keypoints by SIFT [lowe2004] on even contrast.
 
-The flash moves with the camera, so light differs and texture does not: contrast is made even
-before anything is looked for, by its mean size around, or where that finds little by histograms.
-Materials repeat themselves: a match is the best both ways, however good the next best is, and it
-is geometry that decides.
+The flash moves with the camera, so shading differs between photographs: local contrast is
+normalised before detection, by its local mean amplitude, or by CLAHE where that gives few matches.
+Textures repeat, so mutual nearest neighbours are matched with a loose ratio test (0.95), and a homography
+selects the consistent ones.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class KeypointFinder:
         self._cached: dict[tuple[int, int], Keypoints] = {}
 
     def matched(self, first: Photo, second: Photo) -> tuple[Doubles, Doubles, float]:
-        """(2, n) image coordinates in both of features that agree, and the second one's pixel."""
+        """(2, n) image coordinates of inlier matches in both, and a pixel's size in the second."""
         best: tuple[Doubles, Doubles, float] | None = None
         for number in range(len(_EVEN)):
             one, other = (self._keypoints(photo, number) for photo in (first, second))
@@ -119,7 +119,7 @@ def find_keypoints(
 
 
 def even_contrast(grey: NDArray[np.float32], settings: KeypointSettings) -> NDArray[np.uint8]:
-    """Log radiance, less what is slow, over its size around."""
+    """8-bit high-passed log radiance over its local mean amplitude."""
     log = np.log(np.maximum(grey, 1e-5))
     fine = cv2.GaussianBlur(log, (0, 0), settings.fine) - cv2.GaussianBlur(
         log, (0, 0), settings.slow
@@ -129,7 +129,7 @@ def even_contrast(grey: NDArray[np.float32], settings: KeypointSettings) -> NDAr
 
 
 def even_histogram(grey: NDArray[np.float32], settings: KeypointSettings) -> NDArray[np.uint8]:
-    """Codes of even histograms, limited in contrast, block by block (CLAHE [zuiderveld1994])."""
+    """8-bit sRGB code after contrast-limited adaptive equalisation (CLAHE [zuiderveld1994])."""
     # A dark photograph's features are as good as a bright one's.
     level = 0.25 / max(float(np.median(grey)), 1e-6)
     codes = (255.0 * srgb_encode((grey * level).clip(0.0, 1.0))).round().astype(np.uint8)
@@ -166,14 +166,13 @@ def matched(
 def best_both_ways(
     first: NDArray[np.float32], second: NDArray[np.float32], ratio: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows of two descriptions (n, 128), (m, 128) that are each other's nearest.
+    """Indices of mutual nearest neighbours of descriptors (n, 128) and (m, 128).
 
-    By one product of matrices, whose squares are 2 - 2 a b but for lengths: what is compared one
-    by one takes five times as long.
+    Squared distances |a|^2 + |b|^2 - 2 a b by one matrix product, five times as fast as a matcher.
 
     Args:
         first, second: at least two rows each.
-        ratio: of the first one's distance to its nearest over that to the next, at most.
+        ratio: upper limit of the ratio test, nearest over second nearest distance.
     """
     lengths = np.square(second).sum(1)
     nearest, clear = np.zeros(len(first), np.int64), np.zeros(len(first), bool)
@@ -197,7 +196,7 @@ def best_both_ways(
 def _homography(
     one: Doubles, other: Doubles, settings: KeypointSettings
 ) -> tuple[Doubles | None, NDArray[np.bool_]]:
-    """(3, 3) that most of matches (2, n) in pixels agree with, or None, and (n,) which do."""
+    """Robust homography (3, 3) of matches (2, n), pixels, or None, and (n,) its inliers."""
     nothing = np.zeros(one.shape[1], bool)
     if one.shape[1] < 8:
         return None, nothing
@@ -226,15 +225,14 @@ def _consistent(
 def _voted(
     one: Doubles, other: Doubles, shapes: NDArray[np.complex128], settings: KeypointSettings
 ) -> NDArray[np.bool_]:
-    """(n,) matches that go along with the one that most go along with.
+    """(n,) bool, matches consistent with the similarity of the match that has most support.
 
-    A match predicts by its scale and rotation where others around it should be [lowe2004,
-    section 7.1]: one in fifty that is right is found so, where sampling four of them never meets
-    four.
+    The scale and rotation of a match predict the others around it [lowe2004, section 7.1]. This
+    works with one correct match in fifty, where sampling four for a homography fails.
 
     Args:
         one, other: (2, n) image coordinates.
-        shapes: (n,) of features in the second over those in the first.
+        shapes: (n,) complex, scale and rotation of features in the second over the first.
         settings: see there.
     """
     here, there = one[0] + 1j * one[1], other[0] + 1j * other[1]

@@ -112,7 +112,7 @@ def register_in_any_order(photos: Sequence[Photo]) -> Registration:
 def register(
     photos: Sequence[Photo], setup: FlashSetup, settings: RegisterSettings = RegisterSettings()
 ) -> Registration:
-    """Find where the cameras of all photographs stood; the first one's frame is the piece's.
+    """Estimate the camera of every photograph in the first one's plane frame.
 
     Args:
         photos: two or more; any exposure, white balance and orientation.
@@ -215,7 +215,7 @@ def _blurred(
 def _wrong(
     photos: Sequence[Photo], numbers: dict[int, int], adjusted: Adjusted, settings: RegisterSettings
 ) -> list[tuple[int, str]]:
-    """Photographs whose camera cannot be right, the worst first, each with why."""
+    """Photographs with an implausible camera, the worst first, each with its reason."""
     wrong = []
     first = RegisteredView(photos[0], adjusted.cameras[0])
     for index, number in numbers.items():
@@ -240,9 +240,9 @@ def _wrong(
 
 
 def likeness(first: RegisteredView, second: RegisteredView, settings: RegisterSettings) -> float:
-    """Correlation of the fine texture of two photographs where both show the piece.
+    """Correlation of the fine texture of two registered photographs over their overlap.
 
-    -1 where they do not show the same, or correlate better when shifted by a few texels.
+    In [-1, 1]; -1 without overlap, or where a shift by a few texels correlates better.
     """
     across = settings.compared
     down = round(across * first.photo.pixels.shape[0] / first.photo.pixels.shape[1])
@@ -265,7 +265,7 @@ def likeness(first: RegisteredView, second: RegisteredView, settings: RegisterSe
 def _texture(
     view: RegisteredView, across: int, down: int
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """(H, W) fine texture of log radiance over even contrast on the plane's grid, and its mask."""
+    """(H, W) high-passed log radiance over its local contrast on the plane's grid, and its mask."""
     rows, columns = view.photo.pixels.shape[:2]
     size = (across, round(across * rows / columns))
     grey = cv2.resize(view.photo.pixels.mean(2), size, interpolation=cv2.INTER_AREA)

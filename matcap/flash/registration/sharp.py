@@ -1,7 +1,7 @@
 """Detection of blurred photographs: all show the same texture, so the sharpest are the reference.
 
-What a photograph shows of the finest waves over what it shows of waves four times as long goes with
-focus and shake; light changes both alike.
+Sharpness is the ratio of the amplitudes of the finest band and of a band of four times the
+wavelength: defocus and motion lower it, light hardly affects it.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ SHARP = SharpSettings()
 
 
 def blurring(photos: Sequence[Photo], cameras: Sequence[PosedCamera]) -> list[float]:
-    """Log of what each shows less of the finest waves than the middle one of all does.
+    """Log loss of sharpness of each photograph relative to the median one; positive is blurred.
 
-    Each is compared where it and the first both show the piece; 0 where nothing is in common.
+    Compared where it and the first photograph overlap; 0 without overlap.
     """
     both = zip(photos, cameras, strict=True)
     finenesses = [_fineness(photo, camera, photos[0]) for photo, camera in both]
@@ -57,7 +57,7 @@ def blurring(photos: Sequence[Photo], cameras: Sequence[PosedCamera]) -> list[fl
 
 
 def _fineness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.float64]:
-    """(tiles,) log of the finest waves' amplitude over longer ones'; NaN where not all is seen."""
+    """(tiles,) log sharpness; NaN for a tile that is not wholly seen."""
     across = SHARP.across
     down = round(across * first.pixels.shape[0] / first.pixels.shape[1])
     rows, columns = photo.pixels.shape[:2]
