@@ -2,8 +2,8 @@
 
 The flash moves with the camera, so shading differs between photographs: local contrast is
 normalised before detection, by its local mean amplitude, or by CLAHE where that gives few matches.
-Textures repeat, so mutual nearest neighbours are matched with a loose ratio test (0.95), and a homography
-selects the consistent ones.
+Textures repeat, so mutual nearest neighbours are matched with a loose ratio test (0.95), and a
+homography selects the consistent ones.
 """
 
 from __future__ import annotations
