@@ -1,8 +1,8 @@
 """`matcap bench aligned`: errors of captured maps against the true ones, texel by texel.
 
-Where others compare styles, so that nothing wins by pixel alignment, here truth is at hand: each
-map against its own, and relit pictures pixel by pixel, by distance from the point below the flash.
-The gain between flash and albedo, unknown from one photograph, cancels.
+Unlike style distances, which ignore alignment, these are errors of each map and of relit pictures
+against the photographed sample's own, by distance from the point below the flash. The scale between
+flash and albedo, ambiguous in one photograph, is removed.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ def aligned_errors(
     """Errors by ring.
 
     Args:
-        maps: found, of the whole plane rectangle.
-        setup: their camera and flash, as found.
+        maps: estimated, of the whole plane rectangle.
+        setup: estimated camera and flash.
         truth: true maps of the same texels.
         true_setup: true camera and flash.
         scene: lights to relight under.
@@ -107,7 +107,7 @@ def _difference(pictures: Tensor, truth: MapSet, setup: FlashSetup, scene: Bench
 
 
 def from_foot(maps: MapSet, setup: FlashSetup) -> Tensor:
-    """(H, W) distance of texels from the point below the flash."""
+    """(H, W) distance of texels from the point below the flash, plane units."""
     width, height = maps.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     foot = camera_in_plane(setup)[1].float()[:2, None, None]
@@ -126,7 +126,7 @@ def _mean(values: Tensor) -> float:
 
 @dataclass(frozen=True)
 class AlignedSubject:
-    """A photograph's true maps, and errors of what was found of it, by method and ring."""
+    """A photograph's true maps, and errors of its estimated maps by method and ring."""
 
     errors_by_model: Callable[[str], Mapping[str, AlignedErrors]]
 
@@ -134,7 +134,7 @@ class AlignedSubject:
 def aligned_experiment(
     materials: Sequence[str], out: Path, detail: int = 1024
 ) -> Experiment[AlignedSubject, AlignedErrors]:
-    """The exemplar, beside the photograph as albedo and the coarse fit alone, ring by ring.
+    """Errors by ring of the exemplar, the photograph as albedo, and the coarse fit.
 
     Args:
         materials: names in EXAMPLES; all by default.

@@ -1,8 +1,7 @@
 """Baseline methods that make maps of a photograph, and the capture itself.
 
-The photograph as albedo is what a capture must beat; it is given the true camera and flash, which
-a capture has to find out. The exemplar and the field that rearranges it need no decoder: coarse
-fit, inverse network, refinement, index.
+The baseline is the photograph as albedo; it is given the true camera and flash, which a capture has
+to estimate. Exemplar and field need no decoder: coarse fit, inverse network, refinement, index.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ class CapturedMaps:
 def photo_as_albedo(photo: Photo, setup: FlashSetup, detail: int) -> CapturedMaps:
     """The photograph itself as diffuse albedo; constant F0 and roughness; flat.
 
-    The flash's intensity is the one that gives the photograph's mean back.
+    The flash's intensity makes the re-rendering's mean that of the photograph.
 
     Args:
         photo: the photograph.
@@ -88,7 +87,7 @@ def true_exemplar(
 
 
 def exemplar_of(maps: MapSet) -> Exemplar:
-    """True maps as an exemplar that is trusted everywhere."""
+    """True maps as an exemplar of confidence 1 everywhere."""
     planes = {name: np.ascontiguousarray(getattr(maps, name).float().numpy()) for name in CHANNELS}
     width, height = maps.size
     trusted = np.ones((len(CHANNELS), height, width), np.float32)

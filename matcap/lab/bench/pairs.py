@@ -1,8 +1,8 @@
 """Blind pairwise comparison of captures: agreement of human judgements with the measures.
 
 Sheets of `matcap bench fronts`, the truth in the middle, one capture on either side, several pairs
-to a page. Which is which stands in a CSV, which is not to be read before its column `nearer` is
-written: left, right or neither.
+to a page. A CSV identifies them; its column `nearer` (left, right or neither) is to be filled in
+before reading the others.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ def write_pairs(fronts: Path, out: Path, count: int, seed: int) -> Path:
 
     Args:
         fronts: the folder that `matcap bench fronts` wrote.
-        out: made where it is missing.
-        count: of pairs, spread over the materials.
-        seed: of which ones, and of which stands left.
+        out: folder, created if missing.
+        count: number of pairs, spread over the materials.
+        seed: of the choice of pairs and of sides.
 
     Raises:
         MatcapError: there are no two sheets of one material.
@@ -61,10 +61,9 @@ def write_pairs(fronts: Path, out: Path, count: int, seed: int) -> Path:
 
 
 def agreement(table: Path) -> list[str]:
-    """How often each measure says what was written of pairs; nothing where none is known.
+    """Share of judged pairs in which each measure agrees, as Markdown; empty without judgements.
 
-    Lines of Markdown: of all pairs in which one was nearer, and of those that a measure separates
-    by 10 % and more.
+    Over all pairs judged left or right, and over those whose measures differ by 10 % or more.
     """
     path = table.with_name("pairs.csv")
     if not path.exists():
@@ -91,13 +90,13 @@ def agreement(table: Path) -> list[str]:
 
 
 def _agreed(pairs: Sequence[tuple[float, float, str]]) -> str:
-    """How many of how many, and the share."""
+    """Number of agreements, number of pairs, and their ratio."""
     count = sum((left < right) == (nearer == "left") for left, right, nearer in pairs)
     return f"{count} of {len(pairs)}, {count / max(len(pairs), 1):.0%}"
 
 
 def _drawn(sheets: Path, count: int, seed: int) -> list[tuple[str, str, str]]:
-    """(material, left, right), materials in turn."""
+    """(material, left, right) of each pair; materials alternate."""
     rng = np.random.default_rng(seed)
     by_material: list[list[tuple[str, str, str]]] = []
     for folder in sorted(path for path in sheets.iterdir() if path.is_dir()):
@@ -112,7 +111,7 @@ def _drawn(sheets: Path, count: int, seed: int) -> list[tuple[str, str, str]]:
 
 
 def _row(folder: Path, pair: Sequence[str], number: int) -> NDArray[np.uint8]:
-    """One pair, numbered: left, truth, right; the two lights of a sheet beside each other."""
+    """Picture of a numbered pair: left, truth, right, each under a sheet's two lights."""
     shown = []
     for name in (pair[0], "truth", pair[1]):
         picture = cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_COLOR)

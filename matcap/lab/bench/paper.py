@@ -2,8 +2,8 @@
 
     python -m matcap.lab.bench.paper PHOTO MATERIAL SEED
 
-Its decoder from nothing, 1000 steps, on as much of its 512 x 384 texels as a square window holds;
-a filter bank has VGG-19's place.
+The paper's decoder from random weights, 1000 steps, on the largest square window of its 512 x 384
+texels; a filter bank replaces VGG-19.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _METHOD = Method(
 
 
 def capture_as_in_paper(photo: Path, material: Path, seed: int, steps: int = STEPS) -> None:
-    """A photograph to a material's file."""
+    """Capture a photograph and write the material's file."""
     settings = CaptureSettings(
         steps=steps, detail=512, seed=seed, prior="none", generator="decoder"
     )

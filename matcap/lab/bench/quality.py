@@ -44,16 +44,16 @@ METHODS = (DECODER, EXEMPLAR, BY_EXAMPLE, ALBEDO)
 
 @dataclass(frozen=True)
 class Judged:
-    """A photograph with what is known of it, and what its captures are compared with."""
+    """A photograph, its true camera and flash, and true samples (evaluator)."""
 
     path: Path
-    """Its DNG: all that a capture may look at."""
+    """Its DNG, the only input of captures."""
 
     photo: Photo
-    """The same without a file."""
+    """The same photograph in memory."""
 
     setup: FlashSetup
-    """The true one."""
+    """True camera and flash."""
 
     evaluator: Evaluator
     columns: dict[str, Tensor] = field(default_factory=dict)
@@ -72,12 +72,12 @@ def quality_experiment(
     """Every method on every material; photographs and sheets go to `out`.
 
     Args:
-        capture: of a DNG: the method DECODER.
+        capture: function of a DNG's path, the method DECODER.
         out: folder for the photographs (DNG) and for the relit pictures side by side (PNG).
         materials: names in EXAMPLES; all by default.
         methods: names in METHODS.
-        settings: what is compared.
-        captured: what `capture` follows.
+        settings: sizes, lights and true samples.
+        captured: settings of `capture`; rows of other settings are measured again.
 
     Raises:
         UsageError: no such material or method.
@@ -123,13 +123,13 @@ def quality_experiment(
 
 
 def nsd(judged: Judged, pictures: Tensor) -> Mapping[str, Value]:
-    """By each statistics, and their mean."""
+    """NSD by each style, and their mean."""
     distances = {name: judged.evaluator.nsd(pictures, name) for name in judged.evaluator.styles}
     return {**distances, "mean": sum(distances.values()) / len(distances)}
 
 
 def sheet(judged: Judged, _pictures: Tensor) -> Mapping[str, Value]:
-    """No column: every third light a row, truth first, then each method so far."""
+    """Write a sheet, no column: a row for every third light; truth first, then each method."""
     rows = [torch.cat(list(row), dim=2) for row in zip(*judged.columns.values(), strict=True)]
     linear = srgb_decode_tensor(torch.cat(rows[::3], dim=1))
     path = judged.path.with_suffix(".png")

@@ -1,14 +1,14 @@
 """`matcap bench relight`: time of relighting, and what leaving effects out saves.
 
-- *relight*: each scene by its plan against all effects, by the same loops; and the next picture of
-  the same surface, for which horizons are known.
+- *relight*: each scene by its plan (adaptive choice of effects) against all effects; and a second
+  picture of the same surface, whose horizons are cached.
 - *tolerances*: each scene at several tolerances, with all effects, and with diffuse light alone.
 - *mitsuba*: the named scenes against Mitsuba 3, to a picture with 1 % of noise: the same camera,
   lights, film and maps, leather as a `principled` material with a normal map, on Mitsuba's own
-  sphere, cylinder or plane. Only direct light is asked of it, and the relief has normals but no
-  geometry, all of which matcap's picture has: Mitsuba would take longer for the picture itself.
+  sphere, cylinder or plane. Mitsuba renders direct light alone, with normals but without geometry
+  of the relief; matcap's picture has both, so the comparison favours Mitsuba.
 
-Times are of the processor, all cores together, so that other programs do not count.
+Times are processor times summed over cores, so that other programs do not count.
 """
 
 from __future__ import annotations
@@ -85,14 +85,14 @@ _VARIANT = "scalar_rgb"
 
 @dataclass(frozen=True)
 class LitScene:
-    """A scene and what is lit."""
+    """A scene and its surface."""
 
     scene: Scene
     texture: Texture
 
     @cached_property
     def true(self) -> NDArray[np.float32]:
-        """Radiance with all effects, finer than asked for."""
+        """Reference radiance: all effects at a finer tolerance."""
         fine = DEFAULT_TOLERANCE / _FINE
         return Renderer(self.texture, self.scene).render(tolerance=fine, effects="all").radiance
 
@@ -208,21 +208,21 @@ def mitsuba_experiment(*, width: int = 320, texels: int = 512) -> Experiment[Lit
 
 @dataclass(frozen=True)
 class Timed:
-    """What was timed, as columns."""
+    """Times, as columns."""
 
     values: Mapping[str, Value]
 
 
 def timed(call: Callable[[], object], repeats: int, **others: float) -> Timed:
-    """Median seconds of the processor and by the wall, and other columns."""
+    """Median processor and wall time of a call, s, and other columns."""
     seconds, clock = median_seconds(call, repeats)
     return Timed({"seconds": seconds, "clock": clock, **{k: float(v) for k, v in others.items()}})
 
 
 def median_seconds(call: Callable[[], object], repeats: int) -> tuple[float, float]:
-    """Median seconds of the processor and by the wall.
+    """Median processor and wall time, s.
 
-    Of one run where runs are long, else of `repeats` after one to warm up.
+    Of a single run if that is long, else of `repeats` after one to warm up.
     """
     times = []
     for _ in range(repeats + 1):
@@ -236,7 +236,7 @@ def median_seconds(call: Callable[[], object], repeats: int) -> tuple[float, flo
 
 
 def chosen_scenes(scenes: Sequence[Path]) -> dict[str, Scene]:
-    """Scenes by name: of scene files, or of scenes that have names; all these without any."""
+    """Scenes by name, from files or names of built-in scenes; all built-in ones by default."""
     named = {path.stem: SCENES.get(str(path)) or read_scene(path) for path in scenes}
     return named or dict(SCENES)
 
@@ -257,7 +257,7 @@ def _resized(scene: Scene, width: int) -> Scene:
 
 
 def codes(radiance: NDArray[np.float32], film: Film) -> NDArray[np.float64]:
-    """Codes of the film, not clipped above, so that nothing hides."""
+    """Film codes of radiance without clipping, so that errors of highlights count."""
     light = radiance.astype(np.float64) * film.gain
     return light if film.transfer == "linear" else srgb_encode(light)
 

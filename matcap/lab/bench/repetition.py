@@ -1,12 +1,12 @@
 """`matcap bench repetition`: does a field by example repeat, and how large are its copies?
 
-1. *Correlation* of a map with itself, the largest at any shift of more than a piece's length,
-   beside that of the maps of two seeds, which share no random number: what a finite map correlates
-   by chance, and what a lattice does by right, is in both.
-2. *Copies*: texels that continue each other in the exemplar are one piece; the share of texels in
-   pieces of each size.
-3. *Diversity*: how far two seeds are apart, texel by texel, as a share of what texels of the
-   exemplar are that are drawn at random: 0 for the same map, 1 for maps without relation.
+1. *Correlation*: the largest autocorrelation at shifts longer than a copied patch, and for
+   reference the cross-correlation of two seeds: chance and a lattice's periodicity contribute to
+   both.
+2. *Copies*: connected texels that are neighbours in the exemplar form a patch; the share of texels
+   in patches of each size.
+3. *Diversity*: mean difference of two seeds, texel by texel, over that of random pairs of the
+   exemplar's texels: 0 for equal maps, 1 for independent ones.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def example_of(material: str) -> Example:
 def repetition_experiment(
     materials: Sequence[str], size: int
 ) -> Experiment[Example, list[MapArray]]:
-    """Fields of two seeds of so many texels a side.
+    """Fields of two seeds, `size` texels a side.
 
     Args:
         materials: names of simulated ones, or .matcap files; all simulated ones by default.
@@ -87,7 +87,7 @@ def repetition_experiment(
 
 
 def correlations(_example: Example, maps: list[MapArray]) -> Mapping[str, Value]:
-    """The largest of roughness with itself, and of that of two seeds."""
+    """Largest autocorrelation of roughness, and largest cross-correlation of two seeds."""
     first, second = (one[_ROUGHNESS] for one in maps)
     return {"with itself": correlation(first, first), "of two seeds": correlation(first, second)}
 
@@ -100,7 +100,7 @@ def copied(example: Example, _maps: list[MapArray]) -> Mapping[str, Value]:
 
 
 def diversity_of_seeds(example: Example, maps: list[MapArray]) -> Mapping[str, Value]:
-    """How far they are apart, as a share of what texels drawn at random are."""
+    """Mean difference of two seeds over that of random pairs of texels."""
     texels = example.exemplar.stacked().reshape(len(maps[0]), -1)
     drawn = np.random.default_rng(_SEEDS[0]).permutation(texels.shape[1])
     unrelated = _rms_difference(texels, texels[:, drawn])
@@ -108,7 +108,7 @@ def diversity_of_seeds(example: Example, maps: list[MapArray]) -> Mapping[str, V
 
 
 def correlation(first: MapArray, second: MapArray) -> float:
-    """The largest of two square maps at shifts of more than NEAR texels along x or y."""
+    """Largest correlation of two square maps at shifts of more than NEAR texels along x or y."""
     size = len(first)
     spectra = [np.fft.rfft2((one - one.mean()) / one.std()) for one in (first, second)]
     shifted = np.fft.irfft2(spectra[0] * spectra[1].conj(), s=first.shape) / first.size
@@ -118,10 +118,10 @@ def correlation(first: MapArray, second: MapArray) -> float:
 
 
 def copies(places: NDArray[np.int16]) -> tuple[float, ...]:
-    """Share of texels in pieces below each of SIZES, and of larger ones.
+    """Share of texels in patches below each of SIZES, and in larger ones.
 
     Args:
-        places: (H, W, 2) x, y of the exemplar that every texel shows.
+        places: (H, W, 2) x, y of each texel's source in the exemplar.
     """
     rows, columns = places.shape[:2]
     wide = places.astype(np.int32)
@@ -137,7 +137,7 @@ def copies(places: NDArray[np.int16]) -> tuple[float, ...]:
 
 
 def _rms_difference(first: MapArray, second: MapArray) -> NDArray[np.float64]:
-    """Mean distance of each of the stacked maps (6, ...), colours together."""
+    """Root mean square difference of each of the stacked maps (6, ...), RGB as one."""
     planes = [np.abs(a - b).mean(dtype=np.float64) for a, b in zip(first, second, strict=True)]
     starts = np.cumsum([0, *CHANNELS.values()])[:-1]
     return np.maximum(np.add.reduceat(planes, starts), 1e-9)

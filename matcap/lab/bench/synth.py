@@ -1,15 +1,14 @@
 """`matcap bench synth`: speed of synthesis, by the decoder and by example.
 
-The decoder's stands beside the same network in the paper's form: instance normalisation over the
-whole picture, circular padding, a blur after each upsampling, channels first, weights that nothing
-is folded into; at matcap's own widths and at the paper's (width 32, 2.2 million parameters). The
-two forms run in one process, in turn, so that their ratio holds whatever else the machine does:
-with the allocator as it comes, or with memory kept for both. With several workers, the field's
-blocks are computed side by side on one thread each, and the paper's form uses as many threads for
-every operator.
+The decoder is compared with the same network in the paper's form: instance normalisation over the
+whole picture, circular padding, a blur after each upsampling, channels first, unfolded weights; at
+matcap's own widths and at the paper's (width 32, 2.2 million parameters). The two forms alternate
+in one process, so that load of the machine cancels in their ratio: with the default allocator, or
+with one that keeps freed memory. With several workers, the field's blocks run in parallel on one
+thread each, and the paper's form uses as many threads for every operator.
 
-Convolution efficiency: multiply-adds a second of a whole block, beside those of plain 3 x 3
-convolutions of the same shapes alone.
+Convolution efficiency: multiply-adds a second of a whole block, relative to those of plain 3 x 3
+convolutions of the same shapes.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ _MATERIAL = "leather"  # without order: the dearer kind
 
 @dataclass(frozen=True)
 class SynthSettings:
-    """What is measured."""
+    """Sizes, networks and numbers of threads."""
 
     size: tuple[int, int] = (4096, 256)
     """(width, height) of the map in texels."""
@@ -86,27 +85,27 @@ class SynthSettings:
     """Numbers of threads."""
 
     repeats: int = 3
-    """Of every measurement, of which the median counts."""
+    """Repeats of every measurement; the median counts."""
 
     exemplar: tuple[int, int] = (1024, 768)
-    """(width, height) of the piece that is rearranged by example."""
+    """(width, height) of the exemplar, texels."""
 
 
 @dataclass(frozen=True)
 class SynthSubject:
-    """A network by name, or what is rearranged by example."""
+    """A network by name, or an exemplar."""
 
     name: str
     exemplar_size: tuple[int, int]
 
     @cached_property
     def exemplar(self) -> Exemplar:
-        """True maps."""
+        """Exemplar of true maps."""
         return true_exemplar(_MATERIAL, *self.exemplar_size)
 
     @cached_property
     def example(self) -> Example:
-        """Of it, indexed."""
+        """The exemplar, indexed for synthesis."""
         return Example.of(self.exemplar)
 
 
@@ -148,7 +147,7 @@ def _alone(
     subject: SynthSubject,
     _seed: int,
 ) -> Costs:
-    """In a process of its own: heaps that threads once had are used again, whatever is set."""
+    """Costs in a new process, since threads' heaps are reused whatever the allocator's setting."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
         work = alone.submit(
             field_costs, settings, subject.name, allocator == "kept", (workers, block, precision)
@@ -169,7 +168,7 @@ def _efficiency_of(network: str, precision: str, repeats: int) -> Costs:
 def field_costs(
     settings: SynthSettings, network: str, keeps: bool, way: tuple[int, str, str]
 ) -> Costs:
-    """Of the field and of the paper's form beside it.
+    """Costs of the field and of the paper's form of the same network.
 
     Args:
         settings: sizes and repeats.
@@ -211,7 +210,7 @@ def field_costs(
 def _steps(
     settings: SynthSettings,
 ) -> dict[str, Callable[[SynthSubject, int], Costs]]:
-    """What the field by example does, by name: its index once, its start, its texels."""
+    """Steps of synthesis by example, by name: index (once), start, texels."""
 
     def index(subject: SynthSubject, _seed: int) -> Costs:
         return _costs(lambda: Example.of(subject.exemplar), 1)
@@ -248,7 +247,7 @@ def _costs(call: Callable[[], object], repeats: int) -> Costs:
 
 
 def material(config: DecoderConfig) -> TunedDecoder:
-    """A decoder of random weights: what it costs does not depend on them."""
+    """A decoder of random weights, which do not affect its cost."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         decoder = Decoder(config).eval().requires_grad_(False)
@@ -258,7 +257,7 @@ def material(config: DecoderConfig) -> TunedDecoder:
 
 
 def paper_form(decoder: Decoder, code: Tensor, noise: Tensor) -> Tensor:
-    """The network as the paper has it, on a whole periodic field (1, C, H, W); without waves."""
+    """The network in the paper's form, on a whole periodic field (1, C, H, W); without waves."""
 
     def step(layer: ConvolutionLayer, features: Tensor, weight: Tensor) -> Tensor:
         if weight.shape[-1] > 1:
@@ -320,7 +319,7 @@ def efficiency(subject: TunedDecoder, precision: str, repeats: int) -> dict[str,
 def _in_turn(
     calls: Sequence[Callable[[], object]], repeats: int
 ) -> tuple[list[float], list[float]]:
-    """Median seconds of each by the wall and by the processor, one after the other each time."""
+    """Median wall and processor times of each call, s; the calls alternate."""
     wall: list[list[float]] = [[] for _ in calls]
     processor: list[list[float]] = [[] for _ in calls]
     for _ in range(repeats):
@@ -333,7 +332,7 @@ def _in_turn(
 
 
 def _convolutions(decoder: FoldedDecoder, spans: BlockSpans) -> Iterator[tuple[Tensor, Tensor]]:
-    """Random features and the weights they meet, of every convolution of a block."""
+    """Random input features and weights of every convolution of a block."""
     rows, columns = spans.rows, spans.columns
     steps: list[tuple[FoldedLayer, Span, Span]] = [(decoder.head, rows.output, columns.output)]
     for blocks, high, wide in (
@@ -352,7 +351,7 @@ def _convolutions(decoder: FoldedDecoder, spans: BlockSpans) -> Iterator[tuple[T
 
 
 def _processor(call: Callable[[], object]) -> float:
-    """Seconds of this thread."""
+    """Processor time of a call in this thread, s."""
     start = time.thread_time()
     call()
     return time.thread_time() - start

@@ -1,8 +1,8 @@
 """Marginal distributions of training data against those of real maps and photographs.
 
-Of maps: mean tilt, roughness, F0, albedo and its contrast, drawn real, drawn simulated and as the
-sets have them. Of pictures, which is all that a photograph shows: contrast that is not slow, and
-the share that is clipped, drawn and in real photographs.
+Maps: mean tilt, roughness, F0, albedo and its contrast, of real and simulated training samples and
+of the map sets themselves. Pictures: contrast without low frequencies, and the share of clipped
+pixels, of training samples and of real photographs.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Picture = NDArray[np.float32]
 
 
 def of_maps(maps: MapSet) -> dict[str, float]:
-    """What is measured of maps."""
+    """Statistics of maps, by name."""
     tilt = maps.normal[..., 2, :, :].clamp(-1.0, 1.0).acos().mean()
     return {
         "mean tilt, degrees": math.degrees(float(tilt)),
@@ -55,7 +55,7 @@ def of_maps(maps: MapSet) -> dict[str, float]:
 
 
 def of_picture(linear: Picture) -> dict[str, float]:
-    """What is measured of a picture (H, W, 3), clipped at 1."""
+    """Statistics of a linear picture (H, W, 3), clipped at 1, by name."""
     log = np.log(linear.mean(-1) + 1e-3)
     rest = log - cv2.GaussianBlur(log, (0, 0), _SLOW)
     clipped = float((linear.max(-1) >= _CLIPPED).mean())
@@ -63,7 +63,7 @@ def of_picture(linear: Picture) -> dict[str, float]:
 
 
 def drawn(count: int, sets: Sequence[PackedSet], real: float, size: tuple[int, int]) -> Measured:
-    """Of training's photographs: of real materials (`real` 1) or of simulated ones (0)."""
+    """Statistics of training samples, of real materials (`real` 1) or simulated ones (0)."""
     measured: Measured = {name: [] for name in QUANTITIES}
     for index in range(count):
         # Simulated pieces are drawn for many numbers: each its own.
@@ -74,7 +74,7 @@ def drawn(count: int, sets: Sequence[PackedSet], real: float, size: tuple[int, i
 
 
 def of_sets(sets: Sequence[PackedSet]) -> Measured:
-    """Of the sets as they are."""
+    """Statistics of the map sets without augmentation."""
     measured: Measured = {name: [] for name in QUANTITIES}
     for packed in sets:
         stacked = torch.cat([packed.surface[0][:7].float(), packed.height[0]])
@@ -83,7 +83,7 @@ def of_sets(sets: Sequence[PackedSet]) -> Measured:
 
 
 def of_photographs(folder: Path, size: tuple[int, int]) -> Measured:
-    """Of real photographs' middles, in windows of the size that training shows.
+    """Statistics of the middles of real photographs, in windows of the training samples' size.
 
     Raises:
         MatcapError: there is none.
@@ -142,7 +142,7 @@ def table(measured: Mapping[str, Measured]) -> str:
 
 
 def _windows(linear: Picture, size: tuple[int, int]) -> dict[str, float]:
-    """Mean of what is measured of a picture's windows, side by side."""
+    """Means of the statistics over a picture's windows."""
     width, height = size
     rows, columns = linear.shape[0] // height, linear.shape[1] // width
     each = [

@@ -1,9 +1,9 @@
 """Endless simulated photographs with their true maps, for the inverse network.
 
-A sample is a pure function of its number, so that training resumes exactly. A piece of material is
-photographed several times, some pieces in turn, since making it takes longer than lighting it.
-What is drawn: the material, its scale, field of view, the flash's place, tilt, exposure, noise,
-what a developed picture's tone curve does, and a coarse fit that is off by what they are off by.
+A sample is a pure function of its number, so that training resumes exactly. Each realisation of a
+material is photographed several times, since making it takes longer than rendering it.
+Random: the material, its scale, field of view, flash offset, tilt, exposure, noise, tone curve, and
+a coarse fit with the errors of real coarse fits.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.kinds import random_kind
 from matcap.lab.simulate.materials.varied import random_material
 
-# Kinds never trained on: capture is judged by them.
+# Kinds excluded from training: captures are evaluated on them.
 HELD_OUT = ("leather", "granite", "tile")
 _NAMED = ("cloth", "rust", "plaster")
 _NAMED_SHARE, _KIND_SHARE = 0.05, 0.6
@@ -57,8 +57,7 @@ class Sample:
     Attributes:
         linear: (3, H, W) radiance, clipped at 1.
         valid: (H, W) bool, not clipped.
-        truth: float32 maps of the piece, F0 by channel; texel_size as if the picture spanned x in
-            [-1, 1].
+        truth: float32 maps, F0 by channel; in plane units where the picture spans x in [-1, 1].
         metal: (1, H, W) share that is metal.
         uniform: the coarse fit.
         points: (3, H, W) plane points.
@@ -73,7 +72,7 @@ class Sample:
 
     @property
     def departures(self) -> SurfaceParameters:
-        """What the network should answer; F0 by the mean of its channels."""
+        """Log-parameter residuals, the network's target; F0 is the mean of its channels."""
         grey = replace(self.truth, specular=self.truth.specular.mean(0, keepdim=True))
         return SurfaceParameters.of(grey) - self.uniform.parameters().to(self.points)
 
@@ -90,7 +89,7 @@ class Sample:
 
 
 def training_material(rng: np.random.Generator) -> RealiseAt:
-    """A material that may be trained on."""
+    """Draw a material for training: any but the held-out ones."""
     which = rng.random()
     if which < _NAMED_SHARE:
         name = str(rng.choice(_NAMED))
@@ -103,7 +102,7 @@ def training_material(rng: np.random.Generator) -> RealiseAt:
 
 
 def draw_setup(rng: np.random.Generator) -> FlashSetup:
-    """Camera and flash of some phone: 40 to 90 degrees, a flash 1 to 3 cm from the lens."""
+    """Draw camera and flash: field of view 40 to 90 degrees, flash 1 to 3 cm from the lens."""
     fov = rng.uniform(40.0, 90.0)
     distance = FlashSetup(fov=fov).distance
     radius = distance * rng.uniform(0.01, 0.1)
@@ -130,9 +129,9 @@ def draw_sample(
     Args:
         number: not negative.
         width, height: texels.
-        material: draws what is photographed where it is simulated.
-        sets: real materials; without any all are simulated.
-        real: share of photographs of real ones.
+        material: draws a simulated material.
+        sets: real materials; if empty, all are simulated.
+        real: share of samples of real materials.
     """
     rng = np.random.default_rng([number, 77])
     pad = 2 * _MARGIN
@@ -168,7 +167,7 @@ def draw_sample(
 def _piece(
     index: int, width: int, material: Callable[[np.random.Generator], RealiseAt]
 ) -> tuple[MapSet, float]:
-    """A square piece of the material of an index, and its texel's size."""
+    """Square maps of the material of an index, and their texel size in plane units."""
     rng = np.random.default_rng([index, 78])
     # Texels as fine as those of a photograph read at 500 to 1600 across.
     texel = 2.0 / math.exp(rng.uniform(math.log(500.0), math.log(1600.0)))
@@ -184,7 +183,7 @@ def _cut(maps: MapSet, width: int, height: int, rng: np.random.Generator) -> Map
 
 
 def _turned(maps: MapSet, rng: np.random.Generator) -> MapSet:
-    """Mirrored and turned: nothing prefers a side."""
+    """Maps randomly mirrored and rotated by multiples of 90 degrees."""
     quarters, mirrored = int(rng.integers(4)), bool(rng.random() < 0.5)
 
     def turned(m: Tensor) -> Tensor:
@@ -195,7 +194,7 @@ def _turned(maps: MapSet, rng: np.random.Generator) -> MapSet:
 
 
 def _with_metal(maps: MapSet, rng: np.random.Generator) -> tuple[MapSet, Tensor]:
-    """Simulated maps with F0 by channel, and (1, H, W) how far they are metal."""
+    """Simulated maps with F0 by channel, and (1, H, W) the share that is metal."""
     least, whole = _METALLIC
     metal = ((maps.specular.mean(0, keepdim=True) - least) / (whole - least)).clamp(0.0, 1.0)
     specular = coloured_metal(maps.specular.expand(3, -1, -1).numpy(), metal.numpy(), rng)
@@ -203,7 +202,7 @@ def _with_metal(maps: MapSet, rng: np.random.Generator) -> tuple[MapSet, Tensor]
 
 
 def _strengthened(maps: MapSet, rng: np.random.Generator) -> MapSet:
-    """Relief of another strength, upside down at times: cracks and seams are not all that is."""
+    """Maps with the height scaled at random, at times by a negative factor."""
     factor = math.exp(rng.normal(0.0, 0.35)) * (-1.0 if rng.random() < 0.06 else 1.0)
     return replace(maps, height=(maps.height - maps.height.mean()) * factor)
 
@@ -214,7 +213,7 @@ def _blurred(radiance: Tensor, deviation: float) -> Tensor:
 
 
 def _exposed(radiance: Tensor, rng: np.random.Generator) -> tuple[Tensor, float]:
-    """Exposure, noise, tone and clipping; and the gain between radiance and picture."""
+    """The picture after exposure, noise, tone curve and clipping; and the exposure's gain."""
     gain = exposure(radiance, rng)
     linear = radiance * gain
     if rng.random() < 0.4:  # a developed picture: contrast of its own, falloff not quite undone
@@ -228,7 +227,7 @@ def _exposed(radiance: Tensor, rng: np.random.Generator) -> tuple[Tensor, float]
 
 
 def _compressed(linear: Tensor, quality: int) -> Tensor:
-    """The picture (3, H, W) through a JPEG of its own size; what is clipped stays clipped."""
+    """The linear picture (3, H, W) after JPEG compression; clipped pixels stay at 1."""
     coded = linear.clamp_min(0.0).pow(1.0 / 2.2).mul(255.0).add(0.5).to(torch.uint8)
     picture = np.ascontiguousarray(coded.flip(0).permute(1, 2, 0).numpy())
     _, written = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
@@ -244,7 +243,7 @@ def _fitted(
     points: Tensor,
     rng: np.random.Generator,
 ) -> Uniform:
-    """What a coarse fit might say: near the truth, and as bright as the picture."""
+    """A coarse fit drawn near the truth, which reproduces the picture's brightness."""
     slopes = truth.normal[:2].square().sum(0).mean()
     # A highlight is as wide as what mirrors most: bare metal's, be there ever so much rust.
     specular = truth.specular.mean(0, keepdim=True)
