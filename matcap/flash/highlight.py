@@ -1,8 +1,8 @@
 """Detection of the flash's highlight: place, width and contrast.
 
-Measured alike in a photograph and in a re-rendering of it, so that the two can be compared: on a
-grid of cells, with medians over rings, which texture and glints do not move, and without a model.
-Clipping flattens the top in both: a re-rendering is clipped where the photograph was.
+The same measurement is made in a photograph and its re-rendering, to compare them: on a grid of
+cells, with medians over rings, robust to texture and glints, and without a reflectance model. The
+re-rendering is clipped at the photograph's level, so that both peaks are flattened alike.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SURROUNDINGS = (0.5, 0.7)  # plane units from the centre: outside most highlight
 
 @dataclass(frozen=True)
 class HighlightSettings:
-    """What is tuned of finding a highlight; docs/notes/capture.md."""
+    """Settings of the detection; docs/notes/capture.md."""
 
     seed_blur: float = 0.04
     """Plane units, deviation: a glint is smaller, a highlight is not."""
@@ -76,9 +76,8 @@ def light_of(pixels: NDArray[np.float32], cells: int = CELLS) -> Luminance:
 def find_highlight(light: Luminance) -> Highlight | None:
     """The brightest smooth spot of a picture (h, w), linear; None where none stands out.
 
-    A patch of bare metal between rust is as bright as a highlight and no wider than one may be, but
-    there are others like it. Then the light that all of them make together is looked at; where they
-    make none, as pale leaves on the ground do not, they were no highlight.
+    Where several spots are as bright (bare metal between rust, pale leaves), the spot is sought in
+    the low-pass filtered picture instead, and rejected if none stands out there.
     """
     cell = 2.0 / light.shape[1]
     spot = None

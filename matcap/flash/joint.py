@@ -1,11 +1,11 @@
 """Joint target of several photographs: one decoder is tuned to the windows of all.
 
-Every photograph keeps its own tilt, flash offset and vignetting, as its coarse fit finds them. Its
-gain is its own, too: it is brought to the first one's, so that both are of the same albedo. The
-first photograph gives code, encoding and regular order.
+Every photograph keeps the tilt, flash offset and vignetting of its coarse fit. Its gain is
+normalised to the first one's, so that albedo is the same. The first photograph gives latent vector,
+encoding and lattice.
 
-What it takes for granted: the same sample from about the same distance, so that a texel has one
-size. Which windows lie on the same spot is not asked; style needs no correspondence.
+Assumes the same sample at about the same distance, so that texels have one size. No correspondence
+of windows is needed, as texture statistics are compared.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ def join(
     others: Sequence[tuple[Photo, CoarseFit]],
     detail: int,
 ) -> tuple[PhotographTarget, list[dict[str, Any]]]:
-    """A scene that holds the windows of other photographs, too, and what was found of each.
+    """Add the windows of other photographs to a target; also a JSON entry of each one's fit.
 
     Args:
-        scene: of the first photograph.
-        coarse: its fit.
+        scene: target of the first photograph.
+        coarse: fit of the first photograph.
         others: more photographs of the same sample, with their fits.
         detail: texels across each.
 
@@ -78,7 +78,7 @@ def join(
 
 
 def _joined_noise(windows: Sequence[Windows]) -> Tensor | None:
-    """Of all; none where it is unknown."""
+    """Noise of all windows, 0 where unknown; None if it is unknown of all."""
     if all(each.noise is None for each in windows):
         return None
     return torch.cat(
@@ -87,5 +87,5 @@ def _joined_noise(windows: Sequence[Windows]) -> Tensor | None:
 
 
 def _brightness(fit: CoarseFit) -> float:
-    """Product of albedo and flash intensity, all that a photograph determines of either."""
+    """Mean diffuse albedo times flash intensity (green), which a photograph does determine."""
     return sum(fit.diffuse) / 3.0 * fit.setup.intensity[1]

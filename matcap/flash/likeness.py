@@ -24,7 +24,7 @@ from matcap.statistics.precision import computes_bfloat16
 
 @dataclass(frozen=True)
 class PhotographTarget:
-    """What a material is to look like: one photograph, or several of one sample."""
+    """Windows and statistics of one photograph, or several of one sample, to be matched."""
 
     windows: Windows
     """Places and targets."""
@@ -54,7 +54,7 @@ def shuffled(count: int, seed: int) -> Iterator[int]:
 
 
 def render_windows(maps: MapSet, target: PhotographTarget, places: Tensor, step: int) -> Tensor:
-    """(B, 3, size, size) a window's maps, lit and seen as at some places, noise included."""
+    """(B, 3, size, size) radiance of maps, lit and viewed as at `places`, with sensor noise."""
     windows = target.windows
     points = windows.points[places]
     if windows.photographs is None:
@@ -74,16 +74,16 @@ def render_windows(maps: MapSet, target: PhotographTarget, places: Tensor, step:
 def compare_windows(
     rendered: Tensor, target: PhotographTarget, places: Tensor, *, half_precision: bool
 ) -> Tensor:
-    """Mean distance of renderings from the photograph at the same places; a number."""
+    """Mean texture distance of renderings to the photograph's windows at `places`; a scalar."""
     with torch.autocast("cpu", torch.bfloat16, enabled=half_precision and computes_bfloat16()):
         described = describe(rendered, target.encoding, target.bank)
     return distance(described, target.windows.target.select(places), target.weights).mean()
 
 
 def with_noise(rendered: Tensor, noise: Tensor, step: int) -> Tensor:
-    """Renderings (B, 3, size, size) as the sensor saw them.
+    """Add sensor noise (Windows.noise) to renderings (B, 3, size, size).
 
-    The noise (Windows.noise) is another one at every step: moved around, and its sign drawn.
+    Shifted cyclically and with random sign, which differ at every step.
     """
     generator = torch.Generator().manual_seed(step)
     down, across, sign = torch.randint(noise.shape[-1], (3,), generator=generator).tolist()

@@ -1,7 +1,7 @@
 """Fill of masked texels of a plane: mirrored neighbours, relit for their new place.
 
-A mirror alone would bring the light of another place with it, which everything smooth that is then
-found beside it, by a network or by filters, would be bent by.
+Mirrored radiance alone would carry the shading of another place, and bias networks and filters
+whose support reaches into the masked texels.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _THIN = 8  # texels between the places that light, which is smooth, is worked ou
 
 @torch.no_grad()
 def lit_mirror(plane: Plane, uniform: Uniform) -> Plane:
-    """A plane whose left-out places show the mirror of the others under their own light.
+    """Fill masked texels by mirrored ones, times the ratio of the uniform material's radiance.
 
     Args:
-        plane: the photograph; itself where nothing is left out.
+        plane: the photograph; returned as it is if nothing is masked.
         uniform: its coarse fit.
     """
     if plane.left_out is None:

@@ -1,8 +1,8 @@
-"""Rectification: a photograph resampled on the plane's grid, as seen from straight above.
+"""Rectification: a photograph resampled on the plane's grid by homography, viewed from above.
 
-A texel is the mean of what the photograph shows of it. To be as sharp as the photograph is, the
-plane is seen by homography at a finer grid first, cubic, and averaged over texels then: shrinking
-first and shifting by parts of a texel afterwards would cost half of the finest texture.
+A texel is an area average. To keep sharpness, the photograph is resampled on a finer grid with
+cubic interpolation and then averaged over texels; downsampling before a subpixel shift would lose
+half of the amplitude of the finest texture.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def rectify_noise(photo: Photo, setup: FlashSetup, detail: int) -> Tensor | None
 
 
 def kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_] | None:
-    """(H, W) what is the material, wholly; None where all of the photograph is."""
+    """(H, W) bool, texels wholly within the material's mask; None without a mask."""
     if photo.left_out is None:
         return None
     share = _resampled(photo.left_out.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
@@ -96,7 +96,7 @@ def _resampled(
 
 
 def inside(shape: tuple[int, ...], setup: FlashSetup) -> NDArray[np.bool_]:
-    """(H, W) whether the camera saw a texel; what it did not, `rectify` mirrors at the border."""
+    """(H, W) bool, texels in the picture; `rectify` mirrors the others at the border."""
     height, width = shape
     row, column = np.mgrid[0:height, 0:width].reshape(2, -1).astype(np.float64)
     places = np.stack([column, row, np.ones_like(row)])

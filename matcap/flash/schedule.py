@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ScheduleSettings:
-    """What is tuned of every run of descent; docs/notes/prior.md."""
+    """Settings of every optimisation run; docs/notes/prior.md."""
 
     warm_up: int = 10
     """Steps."""
@@ -23,7 +23,7 @@ SCHEDULE = ScheduleSettings()
 
 
 class Schedule:
-    """Where a run is: by steps, by time, or by its error, whichever comes first.
+    """Progress of a run, which ends by steps, by time or by its error, whichever is first.
 
     Attributes:
         step: how many are done.
@@ -38,7 +38,7 @@ class Schedule:
         self._started = time.monotonic()
 
     def over(self, error: float) -> bool:
-        """Look where the run is, by the clock and by its running error; whether it is done."""
+        """Update `share` from steps, clock and running error; whether the run is done."""
         if self._target is not None and error <= self._target and self.step >= SCHEDULE.warm_up:
             self._steps = min(self._steps, math.ceil(self.step / (1.0 - SCHEDULE.frozen_share)))
         self.share = self.step / self._steps
@@ -53,7 +53,7 @@ class Schedule:
 
     @property
     def freezes(self) -> bool:
-        """Whether what is left is done with frozen statistics."""
+        """Whether the remaining steps use frozen statistics."""
         return self.share >= 1.0 - SCHEDULE.frozen_share
 
     @property

@@ -1,8 +1,8 @@
 """Windows of a photograph at which renderings are compared with it.
 
-Windows keep their place: a rendering is lit and seen as where its window was cut. A bump's shading
-turns with the direction to the flash, a dark spot's does not; comparing place by place is what
-tells them apart.
+A rendering is lit and viewed as at the place of its window. Comparing place by place separates
+relief from albedo: the shading of a bump depends on the direction to the flash, a dark spot does
+not.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from matcap.statistics.compare import UNSEEN, Descriptor, Features, describe
 
 @dataclass(frozen=True)
 class WindowSettings:
-    """What is tuned of comparing place by place; docs/notes/prior.md."""
+    """Settings of the comparison; docs/notes/prior.md."""
 
     hiss: float = 2e-3
     """Of the clip level, added to what shot noise grows with: sensors hiss in the dark."""
@@ -39,7 +39,7 @@ WINDOWS = WindowSettings()
 
 @dataclass(frozen=True)
 class Windows:
-    """Places, their geometry and what the photograph looks like there."""
+    """Windows of a photograph: plane points, texture statistics and noise."""
 
     size: int
     """Of the square windows, in texels."""
@@ -93,9 +93,9 @@ def cut_windows(plane: Plane, bank: Features, size: int, *, most: int | None = N
 
 
 def side_by_side(points: Tensor, size: int) -> tuple[Tensor, Tensor]:
-    """Numbers of windows that lie about a window's width apart: all pairs, both ways round.
+    """Indices of all ordered pairs of windows that lie about a window's width apart.
 
-    They hardly overlap, and are lit and seen nearly alike.
+    They hardly overlap, and have nearly the same light and view.
     """
     centres = points[:, :2].mean(dim=(2, 3))[None].double()
     texel = float(points[0, 0, 0, 1] - points[0, 0, 0, 0])
@@ -106,12 +106,11 @@ def side_by_side(points: Tensor, size: int) -> tuple[Tensor, Tensor]:
 
 
 def _raised(target: Descriptor, first: Tensor, second: Tensor) -> Descriptor:
-    """Targets that an L1 distance leads to the photograph's own contrast.
+    """Scale target statistics to remove the contrast bias of the L1 distance.
 
-    Statistics of single windows scatter, and the mean L1 distance between two draws of the same
-    kind is least when one of them is a little too faint. How much is measured on the photograph's
-    own windows, and the targets are raised by as much. Autocorrelations stay as they are: most
-    of their numbers are nothing but scatter.
+    The mean L1 distance between two samples of a scattering statistic is least when one is scaled
+    down. The scale is measured on pairs of the photograph's windows and the targets divided by it,
+    except autocorrelations, most of which are noise.
     """
     if not len(first):
         return target
@@ -129,9 +128,9 @@ def _raised(target: Descriptor, first: Tensor, second: Tensor) -> Descriptor:
 
 
 def _best_scale(sample: Tensor, target: Tensor) -> float:
-    """The s, of WINDOWS.least_scale to 1, for which the mean of |s found - target| is least.
+    """The s in [WINDOWS.least_scale, 1] that minimises the mean of |s sample - target|.
 
-    A weighted median: every quotient target / found counts by what it is a quotient of.
+    The median of target / sample with weights |sample|.
     """
     size = target.abs().flatten(1).mean(dim=1).clamp_min(UNSEEN)
     weight = (sample.abs().flatten(1) / size[:, None]).flatten()
@@ -143,7 +142,7 @@ def _best_scale(sample: Tensor, target: Tensor) -> float:
 
 
 def shot_deviation(linear: Tensor) -> Tensor:
-    """What shot noise grows with: the root of radiance; not 0 in the dark, where sensors hiss."""
+    """Relative standard deviation of shot noise: root of radiance, bounded below by read noise."""
     return (linear.clamp_min(0.0) + WINDOWS.hiss).sqrt()
 
 

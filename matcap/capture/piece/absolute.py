@@ -1,12 +1,11 @@
 """Exposure prior: the most probable flash intensity, which one photograph does not determine.
 
-Twice the albedo and F0 under half the flash is the same picture. What decides is what materials are
-like: nearly all that are no metal mirror 4 % (F0 of an index of refraction of 1.5) whatever their
-albedo, which spreads over two orders of magnitude; metals mirror most and have no diffuse albedo.
-So where a highlight gives F0 over albedo, both follow: black leather whose gloss is three times
-its albedo is black. Where texels are classified as metal or dielectric (metal.py), each part
-has the prior of its own class, and metal that of metals of its hue: gold is brighter than steel.
-docs/notes/capture.md.
+Twice the albedo and F0 under half the flash give the same picture. The scale is found from a prior
+of materials: dielectrics have F0 near 0.04 (index of refraction 1.5) whatever their albedo, which
+spans two orders of magnitude; metals have a high F0 and no diffuse albedo. So the ratio of F0 to
+albedo, which a highlight measures, determines both: black leather with F0 three times its albedo is
+black. Where texels are classified as metal or dielectric (metal.py), each part has the prior of its
+own class, and metal that of its hue: gold is brighter than steel. docs/notes/capture.md.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ _LEAST = 1e-4  # of albedo and F0
 
 @dataclass(frozen=True)
 class MaterialKind:
-    """What a kind of material is like: natural logarithms, mean and deviation.
+    """Log-normal prior of a material class: mean and standard deviation of natural logarithms.
 
     Attributes:
-        share: of all that people photograph.
-        albedo: of its mean luminance.
-        specular: of its mean F0.
+        share: prior probability of the class.
+        albedo: of the mean luminance of diffuse albedo.
+        specular: of the mean F0.
     """
 
     share: float
@@ -43,10 +42,10 @@ class MaterialKind:
     specular: tuple[float, float]
 
     def scale(self, albedo: float, specular: float) -> tuple[float, float]:
-        """(log of the most probable factor of both, log of how probable they are at best).
+        """(log of the most probable scale of both, log probability at that scale).
 
         Args:
-            albedo, specular: their logarithms, as fitted.
+            albedo, specular: fitted natural logarithms.
         """
         off = (self.albedo[0] - albedo, self.specular[0] - specular)
         weight = (self.albedo[1] ** -2, self.specular[1] ** -2)
@@ -88,7 +87,7 @@ SCALE = ScaleSettings()
 
 
 def how_metallic(levels: Tensor) -> float:
-    """Log of how much more probable metal is than what is none, by F0 over albedo alone.
+    """Log odds of metal against dielectric, from the ratio of F0 to albedo alone.
 
     Args:
         levels: (5,) as SurfaceParameters.levels has them, under a flash of any strength.
@@ -100,11 +99,11 @@ def how_metallic(levels: Tensor) -> float:
 
 
 def most_probable_scale(exemplar: Exemplar, metal: NDArray[np.float32] | None = None) -> float:
-    """The factor by which albedo and F0 are to be larger, and the flash weaker.
+    """Most probable factor on albedo and F0 (the flash intensity is divided by it).
 
     Args:
-        exemplar: as fitted.
-        metal: (h, w) share of the piece that is metal, on any grid; None where none is.
+        exemplar: fitted maps.
+        metal: (h, w) share of each texel that is metal, on any grid; None without metal.
     """
     brightest = SCALE.most_of
     if metal is None:
@@ -118,7 +117,7 @@ def most_probable_scale(exemplar: Exemplar, metal: NDArray[np.float32] | None = 
 
 
 def _factor_of_parts(exemplar: Exemplar, metal: NDArray[np.float32]) -> float:
-    """Logarithm of the factor at which what is metal and what is none are most probable."""
+    """Log of the factor that maximises the joint probability of metal and dielectric parts."""
     across, down = exemplar.size
     share = cv2.resize(metal, (across, down), interpolation=cv2.INTER_LINEAR)
     plain, _ = SCALE.kinds
@@ -139,7 +138,7 @@ def _factor_of_parts(exemplar: Exemplar, metal: NDArray[np.float32]) -> float:
 
 
 def _metal_kind(exemplar: Exemplar, share: NDArray[np.float32]) -> MaterialKind:
-    """Metal as bright as clean ones of its hue are, or as any."""
+    """Prior of metal with F0 of known metals of its hue, or of any metal if none is near."""
     _, anything = SCALE.kinds
     planes = np.broadcast_to(exemplar.specular, (3, *share.shape))
     colour = np.log((planes * share).sum((1, 2)) / max(float(share.sum()), 1e-6) + _LEAST)
@@ -164,7 +163,7 @@ def _logs(exemplar: Exemplar, part: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def scaled(exemplar: Exemplar, factor: float) -> Exemplar:
-    """The same under a flash so many times weaker."""
+    """The exemplar with albedo and F0 times a factor, for a flash weaker by it."""
     return replace(
         exemplar,
         diffuse=(exemplar.diffuse * np.float32(factor)).clip(0.0, 1.0),

@@ -1,13 +1,13 @@
-"""Material classes: dielectric, metal, or metal beside a dielectric, each with levels of its own.
+"""Material classes: dielectric, metal, or metal beside a dielectric, each with mean parameters.
 
-F0 and roughness are numbers of a class, not of a texel: under one flash a texel's own gloss cannot
-be separated from its albedo and slope, and what a network predicts of it is noise with rings around
-the mirror point. Texels differ in albedo (a metal's is its F0 colour) and relief.
+F0 and roughness are constant in a class: under one flash, those of a texel cannot be separated from
+its albedo and slope, and a network predicts noise with rings around the mirror point. Texels of a
+class differ in albedo (of metal: F0) and relief.
 
-Whether the whole is metal is the coarse fit's answer. Whether metal lies beside a dielectric (rust,
-chipped paint) is a mixture of two classes: levels of each are fitted to how brightness falls off
-around the mirror point (levels.py), and a texel's class to which radiance is nearer, beginning with
-the network's prediction, by expectation and maximisation [dempster1977].
+The coarse fit decides whether all is metal. Metal beside a dielectric (rust, chipped paint) is a
+mixture of two classes, fitted by expectation maximisation [dempster1977] from the network's
+prediction: mean parameters to the radial profile around the mirror point (levels.py), class shares
+of a texel to the radiance of each.
 """
 
 from __future__ import annotations
@@ -67,9 +67,9 @@ class Classes:
         return torch.einsum("chw,khw->kc", planes, self.shares) / total[:, None]
 
     def settled(self, departures: SurfaceParameters) -> SurfaceParameters:
-        """Departures in which a texel's own are a dielectric's albedo, a metal's F0 and relief.
+        """Residuals that vary only in albedo (dielectric) or F0 (metal) and relief.
 
-        Means over classes become their levels.
+        Other parameters become their mean over the class.
         """
         metal = self.metal_share
         own = SurfaceParameters(
@@ -83,12 +83,12 @@ class Classes:
 
 @dataclass(frozen=True)
 class Mixture:
-    """Metal and a dielectric in one photograph, and how well they explain it.
+    """Metal and dielectric in one photograph, and the quality of the fit.
 
     Attributes:
         classes: metal first.
-        off: mean difference of log radiance of their rings from the photograph's.
-        agreed: correlation of what texels' radiance says of their class with what was drawn.
+        off: mean absolute residual of log radiance of the ring means.
+        agreed: correlation of the class log odds by radiance with the network's.
     """
 
     classes: Classes
@@ -96,7 +96,7 @@ class Mixture:
     agreed: float
 
     def likely(self, uniform: SurfaceParameters) -> bool:
-        """Whether one mirrors as metal does beside the other, and both explain the photograph.
+        """Whether shares, F0 contrast and quality of fit are those of metal beside a dielectric.
 
         Args:
             uniform: what levels depart from.
@@ -161,10 +161,10 @@ def _coloured(target: RingTarget, metal: Tensor) -> RingTarget:
 
 
 def goes_with_metal(departures: SurfaceParameters, logit: Tensor) -> Tensor:
-    """(1, H, W) what of a reading goes with the logit of metal (1, H, W); median 0, deviation 1.
+    """(1, H, W) standardised local evidence of metal in the prediction; median 0, deviation 1.
 
-    Near a highlight the network calls everything metal, and far from it little: what counts is
-    a texel's difference from its neighbourhood, in the logit and in maps that differ as it does.
+    Sum of high-passed maps, weighted by their signed squared correlation with the high-passed logit
+    of metal (1, H, W). Low frequencies of the logit are biased: to metal near a highlight.
     """
     albedo = departures.diffuse
     lightness = albedo.mean(0, keepdim=True)
@@ -180,7 +180,7 @@ def goes_with_metal(departures: SurfaceParameters, logit: Tensor) -> Tensor:
 
 
 def _nearer(target: RingTarget, levels: Tensor) -> Tensor:
-    """(1, H, W) log odds of metal by radiance alone: how much nearer metal's is.
+    """(1, H, W) log odds of metal by the likelihood of the radiance alone.
 
     Args:
         target: the photograph.
@@ -204,7 +204,7 @@ def _nearer(target: RingTarget, levels: Tensor) -> Tensor:
 
 
 def _share(nearer: Tensor, drawn: Tensor, before: float) -> Tensor:
-    """(1, H, W) of each texel that is metal.
+    """(1, H, W) posterior share of each texel that is metal.
 
     Args:
         nearer, drawn: (1, H, W) log odds, by radiance and as the network drew it.

@@ -1,10 +1,10 @@
 """Directional normalisation of relief: equal slope energy everywhere, in every direction.
 
-One flash shows the slope along its own light and hardly the other, and under its foot neither; a
-network shrinks what it cannot see. Relit, such relief shows a bull's-eye: weak in the middle,
-ridges running around it. So every band is parted into waves of some directions, and each of those
-is made as strong in every neighbourhood as it is where the light runs along it. Bands are then
-scaled to the energies that the photograph measures (strengths.py).
+One flash shows slopes along its direction, hardly across it, and none at the mirror point; a
+network shrinks slopes it cannot see. Relit, such relief shows a bull's-eye: flat in the middle,
+with concentric ridges. So every octave is split into directional bands, and the local energy of
+each is normalised to its mean where the light shows it. Octaves are then scaled to the energies
+that the photograph measures (strengths.py).
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ Doubles = NDArray[np.float64]
 def equalise(
     height: Height, strengths: Strengths | None, sensitivity: Height | None = None
 ) -> Height:
-    """A height (H, W) in texels whose slopes are as strong everywhere as the photograph says.
+    """Height (H, W) in texels, slope energy equal over places and set to the measured strengths.
 
     Args:
-        height: as the network gives it.
-        strengths: of the photograph; None keeps each band's own on the whole.
+        height: (H, W) the network's, texels.
+        strengths: measured by the photograph; None keeps each band's mean energy.
         sensitivity: (2, H, W) d log L / d slope along x and y (upwards); None for the same
             everywhere.
     """
@@ -60,7 +60,7 @@ def _squares(sensitivity: Height) -> Height:
 
 
 def _evened(band: Height, seen: Height) -> Height:
-    """A band whose waves of every direction are as strong everywhere as where they are seen.
+    """A band whose local energy in every direction equals its mean where it is visible.
 
     Args:
         band: (H, W).
@@ -83,7 +83,7 @@ def _evened(band: Height, seen: Height) -> Height:
 
 
 def _where_seen(energy: Height, angle: float, seen: Height) -> float:
-    """Mean of an energy (h, w), by how far slopes along an angle show."""
+    """Mean of an energy (h, w), weighted by the sensitivity to slopes along `angle`."""
     c, s = np.cos(angle), np.sin(angle)
     xx, xy, yy = seen.astype(np.float64)
     weight = np.maximum(c * c * xx + 2.0 * c * s * xy + s * s * yy, 0.0)
@@ -92,9 +92,9 @@ def _where_seen(energy: Height, angle: float, seen: Height) -> float:
 
 
 def _directions(shape: tuple[int, ...]) -> list[tuple[float, Height]]:
-    """Angles in [0, pi), y upwards, and what of a real spectrum (h, w // 2 + 1) runs along each.
+    """Angles in [0, pi), y upwards, and the filter on a real spectrum (h, w // 2 + 1) of each.
 
-    Shares fall off smoothly to both sides and add up to 1.
+    The filters overlap smoothly and sum to 1.
     """
     count = STRENGTH.even_directions
     fx, fy = np.fft.rfftfreq(shape[1]), -np.fft.fftfreq(shape[0])[:, None]
@@ -113,7 +113,7 @@ def _energies(height: Height) -> Doubles:
 
 
 def _wanted(height: Height, strengths: Strengths | None) -> Doubles:
-    """(len(BANDS),) energies as the photograph says, as far as its word is to be trusted."""
+    """(len(BANDS),) posterior slope energies (posterior_energies)."""
     drawn = _energies(height)
     if strengths is None:
         return drawn

@@ -1,7 +1,7 @@
 """Estimate the exemplar from a rectified photograph: named stages, from values to values.
 
-The network reads the whole picture; what the photograph says outright of relief's strength holds
-its answer to the truth; levels and texels are then moved until the maps re-render to the
+The network predicts maps from the whole picture; relief is scaled to the energies that the
+photograph measures; mean parameters and albedo are then refined until the maps re-render to the
 photograph.
 """
 
@@ -125,11 +125,11 @@ class PhotographEstimate:
 
 @dataclass(frozen=True)
 class NetworkPrediction:
-    """Maps of the piece on their way.
+    """Maps between stages, as log-parameter residuals from the coarse fit.
 
     Attributes:
         departures: of the maps from the coarse fit.
-        errors: what the network expects to be off by.
+        errors: the network's expected errors.
         trusted: (4, H, W) confidence of diffuse, specular, roughness and height, in [0, 1].
         logit: (1, H, W) of metal, as the network has it; None where it has hardly any.
         classes: material classes of the texels; of one class until `classified`.
@@ -294,7 +294,7 @@ def measured_relief(observed: Observation, prediction: NetworkPrediction) -> Str
 def strengthened(
     observed: Observation, prediction: NetworkPrediction, strengths: Strengths | None
 ) -> NetworkPrediction:
-    """Relief as strong as the photograph says, everywhere and in all directions."""
+    """Scale relief to the measured energies, in all places and directions (equalise.py)."""
     drawn, sensitivity = prediction.departures, observed.inputs.slope_sensitivity.numpy()
     height = torch.from_numpy(equalise(drawn.height[0].numpy(), strengths, sensitivity))[None]
     return replace(prediction, departures=replace(drawn, height=height))
@@ -303,7 +303,7 @@ def strengthened(
 def classified(
     observed: Observation, prediction: NetworkPrediction
 ) -> tuple[Observation, NetworkPrediction]:
-    """Texels in material classes; what is their own is albedo (a metal's: F0) and relief."""
+    """Classify texels; within a class only albedo (of metal: F0) and relief vary."""
     classes = prediction.classes
     if prediction.logit is not None:
         target = observed.ring_target(prediction.departures, (False,))
@@ -341,7 +341,7 @@ _METAL_LEVELS = [0.05, 0.05, 0.05, 0.5, 0.3]
 
 
 def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
-    """Levels of the classes, then albedo of every texel, as the photograph has them."""
+    """Fit mean parameters of the classes, then albedo of every texel, to the photograph."""
     flat = evened(observed, prediction, prediction.departures)
     prediction = with_levels(observed, prediction, flat)
     plane = observed.plane
@@ -355,10 +355,10 @@ def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPre
 def adapted(
     observed: Observation, prediction: NetworkPrediction, target: PhotographTarget, leg: Leg
 ) -> tuple[NetworkPrediction, Adapted]:
-    """A leg of adaptation, if it earns its place, and what it came to.
+    """Run a stage of the texture-statistics fit, rejected if the re-rendering residual grows.
 
-    Statistics may come nearer while the piece itself no longer looks like the photograph: bare iron
-    beside rust, predicted as paint, gains a likeness from rings. Such a leg is not taken.
+    Statistics can improve while the exemplar departs from the photograph: for bare iron beside
+    rust, predicted as paint, by rings.
     """
     plane = observed.plane
     departures = prediction.departures
@@ -380,7 +380,7 @@ def adapted(
 
 
 def exemplar_of(observed: Observation, prediction: NetworkPrediction) -> Exemplar:
-    """The maps as they are, and how far they are trusted."""
+    """The maps and their confidence."""
     maps = observed.light.maps(prediction.departures, observed.plane.texel_size)
     return Exemplar(
         diffuse=maps.diffuse.numpy(),
@@ -410,7 +410,7 @@ def inpainted(observed: Observation, prediction: NetworkPrediction, tried: int) 
 def evened(
     observed: Observation, prediction: NetworkPrediction, departures: SurfaceParameters
 ) -> SurfaceParameters:
-    """Departures whose albedo does not drift over the exemplar, beyond what its classes do."""
+    """Residuals without low-frequency trends of albedo, except those of the class shares."""
     across = observed.plane.extent.unit(observed.plane.size[0])
     levels = prediction.classes.flat()
     trusted = prediction.confidence["diffuse"]
@@ -420,7 +420,7 @@ def evened(
 def _rerendered(
     observed: Observation, prediction: NetworkPrediction, departures: SurfaceParameters
 ) -> NetworkPrediction:
-    """Albedo moved until it re-renders to the photograph."""
+    """Refine albedo so that the maps re-render to the photograph (refine.py)."""
     metal = prediction.classes.metal_share if any(prediction.classes.metal) else None
     refined = refine(
         departures,
@@ -443,10 +443,10 @@ def piece_maps(exemplar: Exemplar) -> MapSet:
 def confidence(
     errors: ExpectedErrors, seen: NDArray[np.float32], unit: float | None = None
 ) -> NDArray[np.float32]:
-    """(4, H, W) in [0, 1] of expected errors and of what was seen (H, W).
+    """(4, H, W) confidence in [0, 1] from expected errors and visibility (H, W).
 
-    Of neighbourhoods: confidence is about where the light shows a map, not about which of the
-    material's features are easily read, or only its plain places would be trusted.
+    Smoothed: confidence describes where the light shows a map, not which features are easily
+    predicted, or only homogeneous places would be trusted.
 
     Args:
         errors, seen: see there.
@@ -463,11 +463,10 @@ def confidence(
 
 
 def _read(network: Inverse, inputs: Tensor) -> Tensor:
-    """(ANSWERS, H, W) of a picture of any size.
+    """(ANSWERS, H, W) prediction for inputs of any size.
 
-    The network works on squares of 2 x 2 texels, and texels of a square differ by its place in
-    them: a mesh, seen under a low light. So the picture is read with its squares begun at each of
-    their four texels, and what is read is the mean.
+    The network works on blocks of 2 x 2 texels, which leaves a periodic artefact. So the prediction
+    is averaged over the four shifts of the block grid.
     """
     height, width = inputs.shape[-2:]
     multiple = network.config.multiple
