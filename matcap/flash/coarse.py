@@ -1,21 +1,20 @@
 """The coarse fit: uniform reflectance, camera and flash from a photograph's low frequencies.
 
-How far it is off is measured in docs/notes/capture.md.
+Its accuracy is measured in docs/notes/capture.md.
 
 A flat, uniform material under a flash is fitted to the blurred photograph by robust least squares
 on the logarithm of radiance: albedo or F0, roughness, flash intensity and offset, tilt, falloff of
 lens and flash. It is fitted twice, as a dielectric (F0 near 0.04, any albedo) and as a conductor
 (no diffuse albedo, coloured F0); the lower cost, prior shares included, decides. One wide prior of
 F0 cannot: it makes black lacquer metal, and metal a matte surface under a narrow flash.
-The whole picture is seen in coarse cells, and the highlight, which may be smaller than one of
-them, in a patch of cells of its own scale. Clipped cells are lower bounds. Weak priors decide what
-one photograph cannot: how much of the brightness is flash and how much is albedo, a little tilt
-from a little offset, or the contrast of a tone curve (photo/tone.py) from falloff. The highlight's
-own centre is evidence of tilt and offset: there the plane mirrors the flash into the lens. Several
-starting points, because highlights have local minima.
+The picture is averaged over coarse cells, and the highlight, which may be smaller than one of
+them, over a patch of cells of its own scale. Clipped cells are lower bounds. Weak priors resolve
+ambiguities of one photograph: flash intensity against albedo, tilt against flash offset, contrast
+of a tone curve (photo/tone.py) against falloff. The highlight's centre measures tilt and offset:
+it is the mirror point. Several starting points, because of local minima.
 
-What it leaves out: texture. A bumpy surface spreads its highlight, so the roughness found here is
-an upper estimate; fine-tuning brings it down as bumps appear.
+Texture is not modelled. Relief widens the highlight, so the roughness is an upper estimate, which
+later stages lower.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ _DARKEST = 1e-12  # radiance, so that there is a logarithm
 
 @dataclass(frozen=True)
 class CoarseSettings:
-    """What is tuned of the coarse fit; docs/notes/capture.md has what was measured.
+    """Settings of the coarse fit; measurements in docs/notes/capture.md.
 
     Attributes:
         cells: across the long side, enough for what is smooth; all starts are tried on the former.
@@ -154,7 +153,7 @@ class TiltPrior:
 
 @dataclass(frozen=True)
 class CameraEvidence:
-    """A photograph's Gaussian likelihood of x = (a, b, log c): exp(h x - x L x / 2) up to a factor.
+    """Gaussian likelihood of the camera response x = (a, b, log c): exp(h x - x L x / 2).
 
     Attributes:
         shift: (3,) h, L times the likeliest x (CameraResponse).
@@ -167,19 +166,18 @@ class CameraEvidence:
 
 @dataclass(frozen=True)
 class CoarseFit(Uniform):
-    """The uniform material that comes nearest to a photograph.
+    """The uniform material and setup fitted to a photograph.
 
     Attributes:
         residual: root-mean-square of the log residual over unclipped cells.
-        conductor: fitted as bare metal: `specular` is the mean of its coloured F0.
-        odds: by how much its cost is lower than the other hypothesis's, in nats of the prior.
-        lobes: (share, roughness) of the two lobes that the highlight is best made of, the narrow
-            one first; `roughness` is the one lobe that comes nearest.
-        tilt_prior: the measurement of the tilt that was given, if any.
-        picture_tilt: (tilt_x, tilt_y) in radians that the picture's cells alone come to, where
-            there was one.
+        conductor: whether fitted as bare metal; `specular` is then the mean of its coloured F0.
+        odds: cost of the other hypothesis (dielectric or conductor) less its own, nats.
+        lobes: (share, roughness) of the best two-lobe fit of the highlight, the narrow lobe
+            first; `roughness` is of the best single lobe.
+        tilt_prior: measurement of the tilt given as a prior, if any.
+        picture_tilt: (tilt_x, tilt_y) fitted without that prior, radians; None without one.
         tone: the picture's tone curve; the identity where it has none.
-        camera: what the picture says of its camera's response; None of fits that were made up.
+        camera: likelihood of the camera's response; None of fits not made from a photograph.
     """
 
     residual: float
@@ -194,7 +192,7 @@ class CoarseFit(Uniform):
 
 @dataclass(frozen=True)
 class Unknowns:
-    """What is solved for, each in a unit of order 1; of one lobe or, with `share`, of two.
+    """The fitted parameters, scaled to order 1; of one specular lobe or, with `share`, of two.
 
     Attributes:
         albedo: (3,) log of diffuse albedo; of a conductor, log of F0.
@@ -284,15 +282,16 @@ _HALF_GGX = 0.644
 
 @dataclass(frozen=True)
 class _Cells:
-    """What of a photograph is fitted to.
+    """The observations: cell averages of the photograph.
 
     Attributes:
         image: (2, n) image coordinates of the cells.
         observed: (3, n) log radiance.
-        toe: (3, n) radiance that is added to theirs and the model's before logarithms: below it a
-            channel is only known to be dark.
-        above: (3, n) what a model brighter than the cell is blamed: 1, or less for lower bounds.
-        weight: (n,) of each cell; sums to what the picture weighs.
+        toe: (3, n) radiance added to cell and model before the logarithm: darker values are
+            uncertain.
+        above: (3, n) factor on the residual of a model brighter than the cell: 1, or less for
+            lower bounds.
+        weight: (n,) of each cell; the sum is the weight of the picture.
     """
 
     image: Tensor
@@ -322,9 +321,9 @@ def fit_coarse(
     The prior of falloff and tone curve is the profile of the photograph's camera, or any phone's.
 
     Args:
-        photo: any size; only its blurred form is looked at.
-        tilt: (tilt_x, tilt_y) in radians where they are known; held fixed then.
-        tilt_prior: a measurement of them, which the picture's own evidence is weighed against.
+        photo: of any size; only its low frequencies are used.
+        tilt: (tilt_x, tilt_y) in radians, held fixed; None to fit them.
+        tilt_prior: Gaussian measurement of the tilt, used as its prior.
     """
     highlight = find_highlight(light_of(photo.pixels))
     cells = tuple(_see(photo, highlight, level) for level in range(len(COARSE.cells)))
@@ -359,9 +358,9 @@ class _Prior:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """What one hypothesis came to: cost, a nat of its prior in units of the cost, parameters.
+    """Fit under one hypothesis: cost, cost of one nat of the prior, parameters.
 
-    `own_tilt` is what the picture alone comes to where the tilt was measured, radians.
+    `own_tilt` is the tilt fitted without its measurement, radians.
     """
 
     cost: float
@@ -505,12 +504,12 @@ def _coarse_fit(fitted: _Fitted, fov: float, odds: float) -> CoarseFit:
 
 
 def under_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
-    """The same picture under a flash of known intensity: albedo becomes absolute.
+    """The fit rescaled to a known flash intensity, which makes albedo and F0 absolute.
 
     Args:
-        coarse: the fit, with its own estimate of the intensity.
-        intensity: measured by a calibration card, in the units of the photograph's pixels; None
-            leaves the fit as it is.
+        coarse: the fit, with its estimate of the intensity.
+        intensity: measured by a calibration card, in units of linear pixel values; None returns the
+            fit unchanged.
     """
     if intensity is None:
         return coarse
@@ -525,7 +524,7 @@ def under_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
 
 
 def render_coarse(fit: CoarseFit, width: int, height: int) -> NDArray[np.float64]:
-    """(height, width, 3) picture of a coarse fit as in its photograph, tone curve included."""
+    """(height, width, 3) linear rendering of a coarse fit, the photograph's tone curve applied."""
     across, up, _ = fit.setup.offset
     unknowns = Unknowns(
         albedo=_numbers(*fit.diffuse).log(),
@@ -544,7 +543,7 @@ def render_coarse(fit: CoarseFit, width: int, height: int) -> NDArray[np.float64
 
 
 def _see(photo: Photo, highlight: Highlight | None, level: int) -> _Cells:
-    """The whole photograph in coarse cells, and its highlight in fine ones instead of those."""
+    """Cells of the whole photograph; over the highlight's patch, fine ones replace the coarse."""
     rows, columns = photo.pixels.shape[:2]
     pixel = 2.0 / columns
     across = min(COARSE.cells[level], columns)
@@ -631,7 +630,7 @@ def _circle() -> Tensor:
 
 
 def _rings(highlight: Highlight | None) -> Tensor:
-    """(2, 3 * directions) image coordinates of a highlight's middle, half width, surroundings."""
+    """(2, 3 * directions) image coordinates at the highlight's centre, half width and outside."""
     if highlight is None:
         return torch.zeros(2, 0, dtype=torch.float64)
     circle = _circle()
@@ -641,7 +640,7 @@ def _rings(highlight: Highlight | None) -> Tensor:
 
 
 def _mirror(parameters: Tensor, distance: float) -> Tensor:
-    """(2,) image coordinates where the plane mirrors the flash into the lens."""
+    """(2,) image coordinates of the mirror point."""
     normal, camera, light = _places(Unknowns.of(parameters), distance)
     height_camera, height_light = (normal * camera).sum(), (normal * light).sum()
     foot_camera, foot_light = camera - height_camera * normal, light - height_light * normal
@@ -691,10 +690,9 @@ class _Problem:
         return power - (1.0 + self.shoulder * power.expm1()).log()
 
     def whitened(self, parameters: Tensor) -> _Problem:
-        """The same with channels compared as the texture left at some parameters calls for.
+        """The same with channels whitened by the residuals at `parameters`.
 
-        Light is common to all channels and a texture's colours are not: what channels differ by
-        says how much of a brightness is texture.
+        Light is common to all channels, texture is not: channel differences tell the two apart.
         """
         cells = self.cells
         whole = (cells.above == 1.0).all(0)
@@ -704,7 +702,7 @@ class _Problem:
         return replace(self, whitening=_whitening(rest[:, whole], cells.weight[whole]))
 
     def trusting(self, parameters: Tensor) -> _Problem:
-        """The same with a prior that weighs what the residuals of a first fit call for."""
+        """The same with the prior's weight set from the residuals of a first fit."""
         count = self.cells.observed.numel()
         rest = self.residuals(parameters)[:count].clamp(-0.5, 0.5)
         variance = (self.weight[:count] * rest.square()).sum() / self.weight[:count].sum()
@@ -742,10 +740,10 @@ class _Problem:
         return torch.cat([each, torch.full((7,), self.evidence, dtype=each.dtype)])
 
     def _evidence(self, parameters: Tensor, highlight: Highlight) -> Tensor:
-        """(7,) deviations of the highlight's place, its middle, and peak, ring, surroundings.
+        """(7,) scaled residuals of mirror point (2), ring symmetry (2), peak, ring, surroundings.
 
-        Its place shows twice: where the plane mirrors the flash, which holds from afar but is a
-        wide highlight's middle only about; and by the ring being as bright on all sides.
+        The mirror point converges from afar but is only about the centre of a wide highlight; the
+        symmetry of the half-width ring is exact.
         """
         centre = torch.tensor(highlight.centre, dtype=parameters.dtype)
         deviation = COARSE.centre_deviation[0] + COARSE.centre_deviation[1] * highlight.width
@@ -788,10 +786,10 @@ class _Problem:
         return hessian, jacobian.T @ (weight * r) + self.precision @ (parameters - self.prior)
 
     def camera_evidence(self, parameters: Tensor) -> CameraEvidence:
-        """What the picture alone says of its camera, by Laplace's method at the parameters.
+        """Likelihood of the camera response by Laplace's method at `parameters`.
 
-        The Hessian over a nat's cost is the posterior's precision; its Schur complement over all
-        other unknowns is the camera's. Less its prior's, that is the likelihood's.
+        Posterior precision is the Hessian over the cost of a nat; the camera's is its Schur
+        complement over all other parameters, the likelihood's that less the prior's.
         """
         hessian, gradient = self.quadratic(parameters)
         best = (parameters - torch.linalg.solve(hessian, gradient))[_CAMERA]
@@ -824,10 +822,9 @@ class _Problem:
 
 
 def _whitening(residuals: Tensor, weight: Tensor) -> Tensor:
-    """(3, 3) that makes residuals (3, n) alike and independent, as large as they are on the whole.
+    """(3, 3) whitening of the channels of residuals (3, n), which keeps their mean variance.
 
-    What all channels have in common keeps its direction but for its scale, so that a light which
-    is not fitted yet does no harm.
+    The direction common to all channels is only scaled, so that an unfitted light does no harm.
     """
     share = weight / weight.sum()
     kept = residuals.clamp(-COARSE.texture_at_most, COARSE.texture_at_most)
@@ -875,7 +872,7 @@ def _log_radiance(
 
 
 def _distinct(fits: Sequence[Tensor]) -> list[Tensor]:
-    """Parameters, the best first, whose roughness no better ones have."""
+    """Parameters, the best first, without those of nearly the same roughness as better ones."""
     kept: list[Tensor] = []
     for candidate in fits:
         others = [Unknowns.of(one).roughness for one in kept]
@@ -893,8 +890,8 @@ def _matte(candidate: Tensor) -> Tensor:
 
 
 def _mattest(fits: Sequence[tuple[float, Tensor]]) -> Tensor:
-    """Of fits (cost, parameters) that explain a photograph alike, the one with least gloss: a
-    highlight that is nowhere seen is not made up where all is clipped.
+    """Among fits (cost, parameters) of nearly equal quality, the one with the weakest highlight:
+    none is invented in clipped areas.
     """
     least = min(cost for cost, _ in fits)
     alike = [candidate for cost, candidate in fits if cost <= least + 0.5 * COARSE.alike**2]
@@ -966,11 +963,10 @@ def _levenberg_marquardt(problem: _Problem, start: Tensor, iterations: int) -> t
 
 
 def _jacobian(residuals: Callable[[Tensor], Tensor], parameters: Tensor, here: Tensor) -> Tensor:
-    """(residuals, parameters) derivatives by differences from what residuals are here.
+    """(residuals, parameters) Jacobian by forward differences from the residuals `here`.
 
-    Right to 1e-5 in float64, as it has to be for steps whose cost is what counts. Much faster than
-    `torch.func.jacfwd` for so few parameters, and spares the two seconds in which that imports
-    PyTorch's compiler.
+    Accurate to 1e-5 in float64, enough for the accepted steps. Faster than `torch.func.jacfwd` for
+    few parameters, which also takes two seconds to import PyTorch's compiler.
     """
     steps = _STEP * torch.eye(len(parameters), dtype=parameters.dtype)
     return (torch.vmap(residuals)(parameters + steps) - here).T / _STEP

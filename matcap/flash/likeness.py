@@ -83,7 +83,7 @@ def compare_windows(
 def with_noise(rendered: Tensor, noise: Tensor, step: int) -> Tensor:
     """Add sensor noise (Windows.noise) to renderings (B, 3, size, size).
 
-    Shifted cyclically and with random sign, which differ at every step.
+    Rolled and with random sign, which differ at every step; scaled by shot_deviation.
     """
     generator = torch.Generator().manual_seed(step)
     down, across, sign = torch.randint(noise.shape[-1], (3,), generator=generator).tolist()

@@ -130,7 +130,7 @@ def _raised(target: Descriptor, first: Tensor, second: Tensor) -> Descriptor:
 def _best_scale(sample: Tensor, target: Tensor) -> float:
     """The s in [WINDOWS.least_scale, 1] that minimises the mean of |s sample - target|.
 
-    The median of target / sample with weights |sample|.
+    The median of target / sample, weighted by |sample| over the window's mean |target|.
     """
     size = target.abs().flatten(1).mean(dim=1).clamp_min(UNSEEN)
     weight = (sample.abs().flatten(1) / size[:, None]).flatten()
@@ -142,7 +142,7 @@ def _best_scale(sample: Tensor, target: Tensor) -> float:
 
 
 def shot_deviation(linear: Tensor) -> Tensor:
-    """Relative standard deviation of shot noise: root of radiance, bounded below by read noise."""
+    """sqrt(L + hiss), proportional to the standard deviation of shot and read noise."""
     return (linear.clamp_min(0.0) + WINDOWS.hiss).sqrt()
 
 

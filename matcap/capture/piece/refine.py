@@ -1,11 +1,10 @@
 """Refinement by re-rendering: residuals are assigned to the maps with the largest uncertainty.
 
-First the means of albedo and gloss, then every texel: Gauss-Newton steps in which a residual of
-log radiance is shared among albedo, F0 and roughness by how much each shows there and how much it
-is in doubt (a Wiener filter whose prior is the network's answer and its expected errors). Relief
-is left as it is: what of it lies in the wrong place would be cancelled instead of moved
-(docs/notes/capture.md). A clipped channel is a lower bound. What varies slowly over the whole
-picture is what coarse fit and tone curve left undone, not the material, and stays out of the maps.
+Gauss-Newton steps at every texel assign the residual of log radiance to albedo, or to F0 of metal,
+in proportion to sensitivity and prior variance (a Wiener filter whose prior is the network's
+prediction with its expected errors). Relief is not changed: misplaced relief would be cancelled
+instead of moved (docs/notes/capture.md). A clipped channel is a lower bound. Low-frequency
+residuals are errors of coarse fit and tone curve, and are left out.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from matcap.flash.uniform import Uniform
 
 @dataclass(frozen=True)
 class Refined:
-    """Refined departures and what re-rendering leaves.
+    """Refined maps and residuals of their re-rendering.
 
     Attributes:
         departures: of the maps from the coarse fit.
@@ -49,7 +48,7 @@ class Refined:
 
 @dataclass(frozen=True)
 class PieceLight:
-    """The photograph's own light at every texel of the piece, worked out once.
+    """The photograph's light at every texel, precomputed.
 
     Attributes:
         flash: the light.
@@ -112,10 +111,9 @@ def flatten(
     *,
     across: float | None = None,
 ) -> SurfaceParameters:
-    """Departures whose albedo (a metal's: F0) is the same everywhere on average.
+    """Remove from albedo (of metal: F0) low frequencies and what correlates with the highlight.
 
-    A stationary sample's means do not drift, and nothing of it follows the highlight. The mean is
-    that of where albedo is trusted.
+    A stationary sample has neither. The mean, weighted by squared confidence, is kept.
 
     Args:
         departures: of the exemplar, from its classes' levels.
@@ -144,7 +142,7 @@ def flatten(
 
 
 def _following(plane: NDArray[np.float32], shape: NDArray[np.float32]) -> NDArray[np.float32]:
-    """What of a plane (H, W) goes with some smooth shapes (N, H, W): least squares.
+    """Least-squares projection (H, W) of a plane on smooth shapes (N, H, W).
 
     Sums are NumPy's own, on one thread: the same bits whatever the machine is doing.
     """
@@ -167,16 +165,16 @@ def refine(
     metal: Tensor | None = None,
     noise: Tensor | float = 0.02,
 ) -> Refined:
-    """Move albedo, of metal its F0, until the maps re-render to the photograph.
+    """Refine albedo, of metal F0, so that the maps re-render to the photograph.
 
     Args:
         departures: of the exemplar.
-        errors: what albedo is expected to be off by.
+        errors: expected errors of the prediction.
         linear: (3, H, W) the photograph on the plane's grid.
         valid: (H, W) or (3, H, W) bool, seen and not clipped, by channel where that is known.
         light: the photograph's own.
         metal: (1, H, W) share of each texel that is metal; None where none is.
-        noise: deviation of log radiance that is not explained; (3, H, W) or one number.
+        noise: standard deviation of log radiance of the residual; (3, H, W) or one number.
     """
     observed = linear.clamp_min(REFINE.darkest).log()
     valid = valid.expand_as(linear)
@@ -233,7 +231,7 @@ def _unexplained(observed: Tensor, log: Tensor, valid: Tensor) -> Tensor:
 
 
 def _slow(residual: Tensor, valid: Tensor) -> Tensor:
-    """What of a residual (3, H, W) varies slowly, by valid texels."""
+    """Low-frequency part (3, H, W) of a residual, over valid texels."""
     deviation = max(valid.shape) / REFINE.slow
     weights = valid.expand_as(residual).numpy().astype(np.float32) + np.float32(1e-4)
     planes = [

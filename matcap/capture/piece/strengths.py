@@ -8,12 +8,12 @@ that direction is
 
     E(s) = A m + 2 C s + S s^2,
 
-A albedo's energy, S the slopes', C how both go together, and m, near 1, what a window has of albedo
-in all directions alike: mirrored light dilutes it, dark gaps more than all, the lens is soft at its
-rim, and streaks end. Where the flash stands m is small, and so is s: taken for 1 it makes relief of
-albedo. But relief shows along the light and not across. Windows differ in s, and a regression over
-them and all directions recovers A and S, and how far S is to be doubted: by its scatter, and by
-the disagreement of two estimates of g (docs/notes/capture.md).
+A the energy of log albedo, S of slopes, C their cross energy, and m, near 1, a factor of the window
+common to all directions: specular radiance dilutes albedo, dark gaps most, and lenses are soft at
+the rim. At the mirror point both m and s are small, so m = 1 would mistake albedo for relief. As
+relief shows along the light only, a weighted regression over windows and directions recovers A, S
+and the standard error of S, to which the difference between two estimates of g is added
+(docs/notes/capture.md).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Strengths:
         return float(np.sqrt(np.square(self.slope).sum()))
 
     def doubts(self) -> list[float]:
-        """Deviations of the logarithm of each band's root-mean-square slope."""
+        """Standard deviation of the log root-mean-square slope of each band."""
         energy = np.square(self.slope).sum(1)
         return (0.5 * self.doubt / np.maximum(energy, 1e-8)).tolist()
 
