@@ -1,9 +1,9 @@
 """Errors of the inverse network on held-out materials.
 
-Always the same photographs: of real sets held out by name, and of simulated materials held out by
-kind. Beside the loss's parts stands what the piece lives on: slopes that lie where they should and
-are as steep as they should be, albedo's contrast, the error of relit pictures against that of the
-photograph itself taken for albedo, and whether the errors it expects are those it makes.
+Fixed photographs: of real sets held out by name, and of simulated materials held out by kind.
+Scores: the loss's parts, correlation and magnitude of slopes, contrast of albedo, error of relit
+pictures against that of the photograph taken for albedo, and calibration of the predicted standard
+deviations.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _LIGHTS = ((20.0, 40.0, 2.0), (40.0, 160.0, 2.0), (55.0, 280.0, 2.5), (68.0, 100
 
 
 def real_samples(sets: Sequence[PackedSet], each: int = 2) -> list[Sample]:
-    """Photographs of real materials, so many of each."""
+    """Photographs of real materials, `each` of every set."""
     return [
         draw_sample(_FIRST + 100 * index + visit, *_SIZE, sets=(packed,), real=1.0)
         for index, packed in enumerate(sets)
@@ -54,7 +54,7 @@ def real_samples(sets: Sequence[PackedSet], each: int = 2) -> list[Sample]:
 
 
 def simulated_samples(count: int = 24) -> list[Sample]:
-    """Photographs of simulated materials of kinds that are held out."""
+    """Photographs of simulated materials of held-out kinds."""
     stride = 1_000_000  # so that each is of a piece of its own
     return [
         draw_sample(_FIRST + stride + 10_000 * i, *_SIZE, material=_left_out) for i in range(count)
@@ -62,10 +62,10 @@ def simulated_samples(count: int = 24) -> list[Sample]:
 
 
 def evaluate(network: Inverse, samples: Sequence[Sample]) -> dict[str, float]:
-    """Mean scores of a network on photographs, and how far off its expected errors are.
+    """Mean scores of a network on photographs, and calibration of its predicted errors.
 
-    Of those: by tenths of what is expected, the median error over the expected one, the worst
-    tenth; 1 where the network's doubt is calibrated.
+    Calibration: median error over predicted error in each tenth by prediction; the worst tenth
+    counts. 1 is calibrated.
     """
     scores, expected, errors = [], [], []
     for index, sample in enumerate(samples):
@@ -91,13 +91,13 @@ def _maps(answer: NetworkAnswer, sample: Sample) -> MapSet:
 
 @torch.no_grad()
 def score(outputs: Tensor, sample: Sample, rng: np.random.Generator) -> dict[str, float]:
-    """Of one answer (ANSWERS, H, W).
+    """Scores of one prediction (ANSWERS, H, W).
 
-    loss: all parts together but metal's, as networks that know none had it; the loss's parts;
-    correlation: of slopes with the true ones; tilt, contrast: mean tilt and deviation of log albedo
-    found over the true ones, as logarithms, and their magnitudes; roughness_off: mean difference;
-    relit, photograph: mean difference of log radiance under four lights, of the answer and of the
-    photograph taken for albedo.
+    loss: sum of all parts but metal's, comparable with networks without it; the loss's parts;
+    correlation: of slopes with the true ones; tilt, contrast: log of the estimated over the true
+    mean tilt and deviation of log albedo, and their magnitudes; roughness_off: mean difference;
+    relit, photograph: mean difference of log radiance under four lights, of the prediction and of
+    the photograph taken for albedo.
     """
     parts = loss_parts(outputs[None], wanted([sample], rng))
     truth = sample.truth
@@ -120,7 +120,7 @@ def score(outputs: Tensor, sample: Sample, rng: np.random.Generator) -> dict[str
 
 
 def photograph_as_albedo(sample: Sample) -> MapSet:
-    """Flat maps whose albedo is the picture, as bright on the mean as the coarse fit's."""
+    """Flat maps whose albedo is the picture, scaled to the mean albedo of the coarse fit."""
     picture = sample.linear
     gain = torch.tensor(sample.uniform.diffuse)[:, None, None] / picture.mean((1, 2), keepdim=True)
     one = torch.ones_like(picture[:1])
@@ -134,7 +134,7 @@ def photograph_as_albedo(sample: Sample) -> MapSet:
 
 
 def relit_error(maps: MapSet, truth: MapSet, sample: Sample) -> float:
-    """Mean difference of log radiance under lights from elsewhere, each picture's level aside."""
+    """Mean absolute difference of log radiance, less its median, over four lights."""
     points = sample.points
     camera = torch.tensor([0.0, 0.0, sample.uniform.setup.distance])
     errors = []
@@ -149,13 +149,13 @@ def relit_error(maps: MapSet, truth: MapSet, sample: Sample) -> float:
             (shade(m, points, camera, place, intensity) + _DARKEST).log() for m in (maps, truth)
         )
         off = estimated - true
-        # The gain between flash and albedo, unknown from one photograph, cancels.
+        # The scale between flash and albedo, ambiguous in one photograph, cancels.
         errors.append(float((off - off.median()).abs().mean()))
     return sum(errors) / len(errors)
 
 
 def doubts(outputs: Tensor, sample: Sample) -> tuple[Tensor, Tensor]:
-    """(ERRORS, n) errors that are expected, and those that are made."""
+    """(ERRORS, n) predicted errors, and actual errors."""
     answer = NetworkAnswer.from_stacked(outputs)
     maps, off = _maps(answer, sample), answer.departures - sample.departures
     black = 0.02  # as the losses have it
@@ -170,7 +170,10 @@ def doubts(outputs: Tensor, sample: Sample) -> tuple[Tensor, Tensor]:
 
 
 def calibration(expected: Tensor, made: Tensor, tenths: int = 10) -> Tensor:
-    """(C, tenths) median errors over expected ones, by what is expected, both (C, n)."""
+    """(C, tenths) median of actual over predicted errors, in quantiles of the predicted ones.
+
+    Both are (C, n).
+    """
     order = expected.argsort(1)
     rows = []
     for predicted, errors in zip(expected.gather(1, order), made.gather(1, order), strict=True):
@@ -184,14 +187,14 @@ def calibration(expected: Tensor, made: Tensor, tenths: int = 10) -> Tensor:
 
 
 def table(results: Mapping[str, Mapping[str, float]]) -> str:
-    """Markdown: a row a number, a column a network and kind of photographs."""
+    """Markdown: a row for each score, a column for each network and set of photographs."""
     names = dict.fromkeys(name for scores in results.values() for name in scores)
     rows = [[name, *(f"{scores[name]:.3f}" for scores in results.values())] for name in names]
     return "\n".join(markdown(["", *results], rows))
 
 
 def _left_out(rng: np.random.Generator) -> RealiseAt:
-    """A material of a kind that is held out: half named ones, half patterns."""
+    """Draw a held-out material: half of kinds, half of patterns."""
     if rng.random() < 0.5:
         name = str(rng.choice(HELD_OUT))
         return lambda width, height, seed, texel: realise(name, width, height, seed, texel)
@@ -218,7 +221,7 @@ def _log_ratio(estimate: float, true: float) -> float:
 
 
 def _correlation(estimate: Tensor, true: Tensor) -> float:
-    """Of two fields (2, H, W), their means aside."""
+    """Correlation of two fields (2, H, W), means subtracted."""
     a = estimate - estimate.mean((1, 2), keepdim=True)
     b = true - true.mean((1, 2), keepdim=True)
     return float((a * b).sum() / (a.square().sum() * b.square().sum()).sqrt().clamp_min(1e-9))

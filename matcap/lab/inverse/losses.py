@@ -1,10 +1,10 @@
 """Losses of the inverse network.
 
-Beside the maps' own errors: renderings under lights the material was not photographed by
-[deschaintre2018], which weight an error by how much it shows; energies of slope and albedo per
-band and place, and statistics of the relit pictures, because L1 alone shrinks what is in doubt;
-and the errors the network expects of itself. All pictures of a step are evaluated at once, as
-tensors alone, so that everything between the network and the statistics can be compiled.
+Errors of the maps; of renderings under new lights [deschaintre2018], which weight errors by their
+visibility; of local band energies of slope and albedo, and of statistics of relit pictures, because
+L1 alone shrinks uncertain values to their mean; and a likelihood of the predicted errors. A step's
+pictures are evaluated at once, as tensors alone, so that all between the network and the statistics
+can be compiled.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _BLACK = 0.02  # albedo: darker ones differ little to the eye
 _DARKEST = 0.01  # radiance, of a white plane's
 _MOST_F0 = 0.99
 _THIN = 2  # every so manieth texel is lit from nearby: a highlight's place is random anyway
-# Of relit pictures; other filters than those a capture is tuned by or judged by.
+# Of relit pictures; other filters than those of captures and of their evaluation.
 _BANK = FilterBank(FilterBankConfig(sizes=(5,), filters=20, levels=4, seed=91))
 _WHITE = 0.35  # radiance of a picture's mean, as its statistics are taken
 
@@ -46,7 +46,7 @@ Compare = Callable[..., tuple[Parts, Tensor, Tensor]]  # `compared`, or that com
 
 @dataclass(frozen=True)
 class LossWeights:
-    """How much each part counts."""
+    """Weights of the loss's parts."""
 
     albedo: float = 1.0
     specular: float = 0.3
@@ -61,17 +61,17 @@ class LossWeights:
 
 @dataclass(frozen=True)
 class WantedOutputs:
-    """What a step's pictures truly are, stacked.
+    """Targets of a step's pictures, stacked.
 
     Attributes:
-        truth: (B, OUTPUTS, H, W) the answer the network should give.
+        truth: (B, OUTPUTS, H, W) the network's target.
         metal: (B, 1, H, W) true share that is metal.
         hue: (B, 3, H, W) true F0 over the mean of its channels.
-        seen: (B, 3, H, W) the photograph's colour, which texels predicted as metal have.
-        base: (B, OUTPUTS, 1, 1) what it departs from, the coarse fit.
-        points: (3, H, W) plane points, the same of all.
-        camera: (B, 3, 1, 1) places of the cameras.
-        near, far: (B, 3, 1, 1) places of two lights: mirrored somewhere in the picture, and afar.
+        seen: (B, 3, H, W) the photograph's colour, the specular tint of texels predicted as metal.
+        base: (B, OUTPUTS, 1, 1) the coarse fit, to which outputs are relative.
+        points: (3, H, W) plane points, common to all.
+        camera: (B, 3, 1, 1) positions of the cameras.
+        near, far: (B, 3, 1, 1) positions of a light with its mirror point in view, and a far one.
     """
 
     truth: Tensor
@@ -86,7 +86,7 @@ class WantedOutputs:
 
 
 def wanted(samples: Sequence[Sample], rng: np.random.Generator) -> WantedOutputs:
-    """The truth of samples of one size, and lights to compare under, drawn anew."""
+    """Targets of samples of one size, and randomly drawn lights."""
     points = samples[0].points
     lights = [_lights(s, rng) for s in samples]
     places = [(0.0, 0.0, s.uniform.setup.distance) for s in samples]
@@ -120,7 +120,7 @@ def loss_parts(
         outputs: (B, ANSWERS, H, W) of the network.
         wanted: the truth.
         style: whether statistics of relit pictures are compared, which takes as long as the rest.
-        compare: `compared`, or that compiled.
+        compare: `compared`, or its compiled form.
     """
     w = wanted
     parts, estimated, true = (compare or compared)(
@@ -146,10 +146,10 @@ def compared(
     near: Tensor,
     far: Tensor,
 ) -> tuple[Parts, Tensor, Tensor]:
-    """All parts but the style, and (B, 3, H, W) pictures of found and true under the far light.
+    """All parts but the style, and (B, 3, H, W) estimated and true pictures under the far light.
 
     Args:
-        outputs: of the network; the others: as in WantedOutputs, metal, hue and seen as one.
+        outputs: of the network; the others as in WantedOutputs, with metals = (metal, hue, seen).
     """
     answer = NetworkAnswer.from_stacked(outputs)
     estimated, true = answer.departures, SurfaceParameters.from_stacked(truth)
@@ -159,7 +159,7 @@ def compared(
         (uniform + estimated).reflectance(), tint(answer.metal.sigmoid(), seen)
     )
     maps_true = _tinted((uniform + true).reflectance(), hue)
-    # Of a metal's dark diffuse albedo nothing is seen but that it is dark.
+    # Metal's diffuse albedo is too dark for errors of its logarithm to be visible.
     albedo_estimated, albedo_true = (
         m.diffuse.add(_BLACK).log() for m in (maps_estimated, maps_true)
     )
@@ -205,12 +205,12 @@ def compared(
 
 
 def _tinted(reflectance: Reflectance, hue: Tensor) -> Reflectance:
-    """With F0 of a colour, which only what is metal has."""
+    """Reflectance with F0 multiplied by the metals' specular tint."""
     return reflectance._replace(specular=(reflectance.specular * hue).clamp_max(_MOST_F0))
 
 
 def _lights(sample: Sample, rng: np.random.Generator) -> tuple[list[float], list[float]]:
-    """Places of a light that shows a highlight in the picture, and of one afar."""
+    """Positions of a light whose mirror point lies in the picture, and of a far one."""
     height, width = sample.points.shape[-2:]
     x = float(sample.points[0, 0, int(rng.integers(width))])
     y = float(sample.points[1, int(rng.integers(height)), 0])
@@ -239,7 +239,7 @@ def _slopes(height: Tensor) -> list[Tensor]:
 def _energies(
     estimated: list[Tensor], true: list[Tensor], albedo_estimated: Tensor, albedo_true: Tensor
 ) -> Tensor:
-    """Mean difference of log strength over bands and places."""
+    """Mean absolute difference of local log band energies of slopes and albedo."""
     differences = []
     for level, (a, b) in enumerate(zip(estimated, true, strict=True)):
         cell = max(4, _CELLS >> level)
@@ -253,7 +253,7 @@ def _energies(
 
 
 def _strength(band: Tensor, cell: int, least: float) -> Tensor:
-    """Log root-mean-square of a band (B, C, h, w) in cells."""
+    """Log root mean square of a band (B, C, h, w) over square cells of `cell` texels."""
     squared = band.square().mean(1, keepdim=True)
     size = min(cell, *squared.shape[-2:])
     return 0.5 * (F.avg_pool2d(squared, size, stride=max(1, size // 2)) + least).log()
@@ -275,7 +275,7 @@ def _log_error(estimated: Tensor, true: Tensor) -> Tensor:
 
 
 def _style(estimated: Tensor, true: Tensor) -> Tensor:
-    """Relative difference of Gram matrices of random filters of pictures (B, 3, H, W)."""
+    """Relative difference of Gram matrices of random filters, of pictures (B, 3, H, W)."""
 
     def described(picture: Tensor) -> list[Tensor]:
         toned = (picture.clamp(0.0, 1.5) + 1e-3).pow(1.0 / 2.2)

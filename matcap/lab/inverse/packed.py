@@ -1,9 +1,9 @@
-"""Map sets of real materials in one file, as training reads them: in half precision, by level.
+"""Map sets of real materials in one training file: a half-precision pyramid of each.
 
-A set's folder holds `basecolor`, `normal`, `roughness` and, where some of it is metal, `metallic`,
-as ../data/maps/README.md of the project says. Relief is integrated from the normals, whose scale
-is known, where a height's is not. Every level halves the one before; slopes that are lost by it
-count as roughness, as they do to an eye further away.
+A set's folder holds `basecolor`, `normal`, `roughness` and, where some of it is metal, `metallic`
+(../data/maps/README.md of the project). Height is integrated from the normals: a height map's scale
+would be unknown. Each level halves the resolution; slope variance lost by that is added to
+roughness.
 """
 
 from __future__ import annotations
@@ -100,11 +100,11 @@ def read_set(folder: Path, *, bare_metal: bool = False) -> tuple[Picture, Pictur
 
 
 def halved(surface: Picture, height: Picture) -> tuple[Picture, Picture]:
-    """The same set at half its resolution: slopes that are lost widen the lobe."""
+    """The set at half its resolution; slope variance lost is added to alpha^2."""
     fine = np.square(_slopes(height)).sum(0, keepdims=True)
     coarse_height = _mean(height) / 2.0
     lost = np.maximum(_mean(fine) - np.square(_slopes(coarse_height)).sum(0, keepdims=True), 0.0)
-    # Mirrored light goes with F0, and of two lobes the mean is as wide as their alphas' squares.
+    # The mean of lobes weighted by F0 has the weighted mean of alpha^2.
     coarse = surface.copy()
     coarse[_ROUGHNESS] **= 4
     coarse = _mean(coarse)
@@ -131,12 +131,12 @@ def open_pack(path: Path) -> Mapping[str, PackedSet]:
 
 @cache
 def training_sets(path: Path) -> tuple[PackedSet, ...]:
-    """The sets of a file that may be trained on."""
+    """The sets of a file for training."""
     return tuple(s for name, s in open_pack(path).items() if not is_held_out(name))
 
 
 def held_out_sets(path: Path) -> tuple[PackedSet, ...]:
-    """The sets of a file that are left out."""
+    """The held-out sets of a file."""
     return tuple(s for name, s in open_pack(path).items() if is_held_out(name))
 
 

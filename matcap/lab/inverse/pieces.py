@@ -1,7 +1,7 @@
 """Augmented crops of real map sets: cut, scaled, rotated, mirrored, recoloured.
 
-All is drawn within what real materials are like, so that a few dozen sets stand for many: the
-same bricks paler, wetter, further away, with half their relief.
+Ranges are those of real materials, so that a few dozen sets cover many: the same bricks paler,
+wetter, further away, with half their relief.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ Picture = NDArray[np.float32]
 def real_piece(
     sets: Sequence[PackedSet], rng: np.random.Generator, width: int, height: int
 ) -> tuple[MapSet, Tensor]:
-    """A piece of one of the sets, or of two across a mask; heights and texels in texels.
+    """A crop of one of the sets, or two blended by a mask; height and texel size in texels.
 
-    Also (1, height, width) how far it is metal.
+    Also (1, height, width) the share that is metal.
 
     Args:
         sets: to draw from.
-        rng: draws everything.
+        rng: random numbers.
         width, height: texels.
     """
     first = _piece(sets[int(rng.integers(len(sets)))], rng, width, height)
@@ -54,7 +54,7 @@ def real_piece(
 
 
 def masked(below: Picture, above: Picture, rng: np.random.Generator) -> Picture:
-    """Two pieces (9, H, W) across a soft or hard border, one a little higher than the other."""
+    """Two crops (9, H, W) blended by a soft or hard random mask, one a little higher."""
     height, width = below.shape[-2:]
     share = cloudy(rng, height, width)
     level = np.quantile(share, rng.uniform(0.25, 0.75))
@@ -66,7 +66,7 @@ def masked(below: Picture, above: Picture, rng: np.random.Generator) -> Picture:
 
 
 def cloudy(rng: np.random.Generator, height: int, width: int) -> Picture:
-    """(1, H, W) smooth noise of deviation 1 or so, of a few octaves."""
+    """(1, H, W) smooth noise of a few octaves, standard deviation about 1."""
     total = np.zeros((height, width), np.float32)
     cells = int(rng.integers(2, 6))
     for octave in range(3):
@@ -83,7 +83,7 @@ def _piece(packed: PackedSet, rng: np.random.Generator, width: int, height: int)
     piece = cut(packed, level, scale * 2**level, rng, width, height)
     metal, maps = piece[_METAL], piece[_MAPS]
     maps[SURFACE] = coloured(maps[SURFACE], metal, rng)
-    # Drawn by themselves, so that all else is what it was before metals had colours.
+    # A separate stream, so that the other draws are those from before metals had colours.
     maps[SPECULAR] = coloured_metal(maps[SPECULAR], metal, rng.spawn(1)[0])
     slopes = float(np.square(np.diff(piece[HEIGHT], axis=-2)).mean() * 2.0) ** 0.5
     strength = math.exp(rng.uniform(*np.log(_STRENGTHS)))
@@ -99,15 +99,15 @@ def cut(
     width: int,
     height: int,
 ) -> Picture:
-    """(9, height, width) of one level, anywhere, turned and mirrored, the set going round.
+    """(9, height, width) randomly placed, rotated and mirrored crop of a level, periodic.
 
-    The share that is metal, then the maps: diffuse, F0 (3), roughness, height.
+    Channels: share that is metal, diffuse (3), F0 (3), roughness, height.
 
     Args:
         packed: the set.
-        level: read from.
-        scale: texels of the piece to one of that level.
-        rng: draws place, turn and mirror.
+        level: pyramid level.
+        scale: texels of the crop to one of that level.
+        rng: draws position, rotation and mirroring.
         width, height: texels.
     """
     turn = float(rng.integers(4)) * math.pi / 2.0
@@ -115,7 +115,7 @@ def cut(
         turn = rng.uniform(0.0, 2.0 * math.pi)
     mirror = -1.0 if rng.random() < 0.5 else 1.0
     cosine, sine = math.cos(turn) / scale, math.sin(turn) / scale
-    # From a texel of the piece to one of the set.
+    # From a texel of the crop to one of the set.
     matrix = np.array([[cosine * mirror, -sine, 0.0], [sine * mirror, cosine, 0.0]])
     corners = matrix[:, :2] @ np.array([[0, width, 0, width], [0, 0, height, height]], float)
     low, high = corners.min(1), corners.max(1)
@@ -138,7 +138,7 @@ def cut(
 
 
 def coloured(surface: Picture, metal: Picture, rng: np.random.Generator) -> Picture:
-    """(7, H, W) the same material paler or darker, of another hue, duller or glossier."""
+    """(7, H, W) surface with random changes of brightness, hue, F0 and roughness."""
     albedo, specular, roughness = surface[DIFFUSE], surface[3:6], surface[6:]
     mean = albedo.mean((1, 2), keepdims=True)
     gain = math.exp(rng.normal(0.0, 0.35))
@@ -148,7 +148,7 @@ def coloured(surface: Picture, metal: Picture, rng: np.random.Generator) -> Pict
         albedo, mean = albedo[order], mean[order]
     contrast = math.exp(rng.normal(0.0, 0.2))
     level = np.clip(mean * gain * tint, _DARKEST, _PALEST)
-    # Of bare metal nothing is diffuse, and it stays so.
+    # Bare metal keeps diffuse albedo 0.
     level = np.minimum(level, mean * 10.0)
     albedo = level * (albedo / mean) ** contrast
     shift = rng.normal(0.0, (0.25, 0.3), 2)

@@ -15,14 +15,14 @@ Picture = NDArray[np.float32]
 
 
 def coloured_metal(specular: Picture, metal: Picture, rng: np.random.Generator) -> Picture:
-    """F0 (3, H, W) of a piece, its metal of a colour drawn anew, or as it is.
+    """F0 (3, H, W) with its metal recoloured at random, or unchanged.
 
-    Its own contrast, and the colours in it, stay.
+    Contrast and variations of colour are preserved.
 
     Args:
         specular: (3, H, W) F0.
         metal: (1, H, W) share that is metal.
-        rng: draws.
+        rng: random numbers.
     """
     which = rng.random()
     if which < _AS_IT_IS or float((metal > _SOME).mean()) < _SOME_SHARE:

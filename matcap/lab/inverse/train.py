@@ -1,8 +1,7 @@
 """Training of the inverse network in legs that continue one another exactly.
 
-A step shows simulated photographs; samples are a pure function of their numbers, made by worker
-processes ahead of their use. The run itself is lab/train/trainer.py's. What is shipped is the
-weights' running average.
+A step trains on simulated photographs; samples are a pure function of their numbers, prefetched by
+worker processes. lab/train/trainer.py runs the steps. The shipped weights are the running average.
 """
 
 from __future__ import annotations
@@ -43,22 +42,22 @@ SampleBatch = list[tuple[Tensor, Sample]]  # inputs and truth, of one size
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """How a leg is trained.
+    """Settings of a leg.
 
     Attributes:
-        steps: to have done in all at the end of the leg.
-        seconds: to end after, if sooner.
-        rate: Adam's.
-        cooling: steps before the last over which the rate falls to nothing.
+        steps: total number of steps at the end of the leg.
+        seconds: time limit of the leg.
+        rate: Adam's learning rate.
+        cooling: number of last steps over which the learning rate falls to 0.
         average: decay of the weights' running average.
         width, height: texels of a picture, multiples of 32.
         batch: pictures a step.
         workers: processes that make samples.
         device: "cpu" or "cuda".
-        style_every: steps, in one of which statistics of relit pictures are compared.
-        compiled: losses are compiled, which takes minutes once and is faster over an hour.
-        maps: packed real materials (packed.py), of which those not held out are shown; or none.
-        real: share of photographs of them.
+        style_every: interval, in steps, of the loss on statistics of relit pictures.
+        compiled: losses are compiled: minutes once, worthwhile from an hour of training.
+        maps: packed real materials (packed.py), whose training sets are used; or none.
+        real: share of photographs of real materials.
     """
 
     steps: int = 100_000
@@ -78,7 +77,7 @@ class TrainSettings:
 
     @property
     def schedule(self) -> RateSchedule:
-        """Of rate and end."""
+        """Learning-rate schedule."""
         return RateSchedule(self.steps, _WARM_UP, self.cooling, seconds=self.seconds)
 
 
@@ -103,7 +102,7 @@ def train(
         settings: of the leg.
         config: shape of the network.
         on_progress: called with a line every 50 steps.
-        begin: a shipped network that the first leg goes on from.
+        begin: a shipped network to initialise the first leg; None for random weights.
     """
     training = start(config, settings)
     if (folder / CHECKPOINT).exists():
@@ -139,16 +138,16 @@ def step_loss(
     Args:
         model: the network.
         step: its number.
-        batch: what is shown.
+        batch: the samples.
         settings: of the leg.
-        compare: `losses.compared`, or that compiled.
+        compare: `losses.compared`, or its compiled form.
     """
     device = settings.device
     inputs = torch.stack([x for x, _ in batch]).to(device)
     rng = np.random.default_rng([step, 0, 5])
     truth = wanted([sample.to(device) for _, sample in batch], rng)
     outputs = model(inputs.contiguous(memory_format=torch.channels_last))
-    # Statistics take as long as all else: in every so manieth step, and count as much more there.
+    # Statistics take as long as the rest: every `style_every` steps, with that as their weight.
     styled = step % settings.style_every == 0
     parts = loss_parts(outputs, truth, style=styled, compare=compare)
     weights = LossWeights()
@@ -156,7 +155,7 @@ def step_loss(
 
 
 def _samples(step: int, settings: TrainSettings) -> Generator[SampleBatch, None, None]:
-    """Batches from a step on, made ahead by worker processes."""
+    """Batches from a step on, prefetched by worker processes."""
     if settings.workers == 0:
         while True:
             yield [_made((step * settings.batch + i, settings)) for i in range(settings.batch)]
@@ -195,9 +194,9 @@ def ship(folder: Path, out: Path, before: Path | None = None, share: float = 1.0
     Args:
         folder: of the training.
         out: the file.
-        before: the network that it went on from, to be met on the way: between the two it is often
-            better than either on what neither was trained on.
-        share: of the way from there to the training's; 1 is the training's.
+        before: the network that it was initialised from: the interpolation of the two often
+            generalises better than either.
+        share: weights are (1 - share) before + share trained; 1 by default.
 
     Raises:
         MatcapError: the folder holds no training.

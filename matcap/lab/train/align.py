@@ -1,10 +1,10 @@
 """Trains the alignment branch on simulated photographs, whose tilt is known.
 
-Photographs are drawn as phones take them: the flash above the lens more often than anywhere else,
-its cone around its own axis and the lens's vignetting around the picture's, automatic exposure,
-clipping, and, where the picture is developed, a tone curve, a shoulder and slow drifts of
-brightness; EXIF is missing at times, and the field of view is then the assumed one. A material is
-lit several times; what does not need its maps is drawn anew every time it is shown.
+Photographs follow a random model of phones: a flash mostly above the lens, its falloff around its
+own axis, the lens's vignetting around the picture's centre, automatic exposure, clipping, and, of
+developed pictures, a tone curve, a shoulder and slow gradients of brightness. At times EXIF is
+missing, and the field of view is then the assumed one. A material is rendered several times;
+exposure and development are drawn anew in every step.
 
 The loss is the Gaussian negative log-likelihood of both angles under the predicted mean and
 standard deviation [nix1994; kendall2017]. Tilts are uniform, so that the
@@ -38,7 +38,7 @@ from matcap.photo.photo import DEFAULT_FOV, Photo
 from matcap.space.alignment import WIDTH, Alignment, conditions, tilt_measurement
 from matcap.space.picture import log_colour, picture_coordinates
 
-# Kinds and patterns that are never trained on: the branch is judged by them.
+# Kinds and patterns excluded from training: the branch is evaluated on them.
 HELD_OUT_KINDS = ("gravel", "weave", "planks", "hammered", "plates")
 UNSEEN = 1_000_000  # seeds from here on show what is held out
 SHOTS = 5  # of a material
@@ -51,7 +51,7 @@ _QUALITY = 92
 
 @dataclass(frozen=True)
 class Tilted:
-    """Simulated photographs before they are exposed, and their truth.
+    """Simulated photographs before exposure, and their true geometry.
 
     Attributes:
         radiance: (N, 3, h, WIDTH) float16, its median 1, nothing clipped.
@@ -66,7 +66,7 @@ class Tilted:
     tilt: Tensor
 
     def at(self, chosen: Tensor) -> Tilted:
-        """Those of some numbers."""
+        """The photographs of some indices."""
         return Tilted(
             self.radiance[chosen], self.fov[chosen], self.offset[chosen], self.tilt[chosen]
         )
@@ -74,7 +74,7 @@ class Tilted:
 
 @dataclass(frozen=True)
 class Developed:
-    """Photographs as a file has them.
+    """Photographs after exposure and development.
 
     Attributes:
         linear: (N, 3, h, w) in [0, 1].
@@ -89,7 +89,7 @@ class Developed:
     radiometric: Tensor
 
     def shown(self) -> tuple[Tensor, Tensor]:
-        """What the branch takes: pictures and conditions."""
+        """The branch's inputs: pictures and conditions."""
         height, width = self.linear.shape[-2:]
         place = picture_coordinates(width, height)
         pictures = [torch.cat([log_colour(linear), place]) for linear in self.linear]
@@ -100,7 +100,7 @@ def draw_setup(rng: np.random.Generator, fov: float) -> FlashSetup:
     """A phone 8 to 30 cm above a material, its flash 1 to 4 cm from the lens, mostly above it."""
     above = rng.random() < 0.6
     reach = math.exp(rng.normal(math.log(0.12), 0.6))
-    # So far, relative to the picture, on phones held close: most real photographs have it at 0.3.
+    # Large offsets, relative to the picture, are of close phones: most real ones have 0.3.
     reach = rng.uniform(0.0, 0.45) if above else float(np.clip(reach, 0.01, 0.35))
     angle = math.pi / 2.0 + rng.normal(0.0, 0.2) if above else rng.uniform(0.0, 2.0 * math.pi)
     tilt = rng.uniform(-_MOST_TILT, _MOST_TILT, 2)
@@ -169,7 +169,7 @@ def _cut(
 
 
 def make(seeds: Sequence[int], width: int = 512) -> Tilted:
-    """Photographs of as many materials, taken `width` pixels across and then made small."""
+    """Photographs of one material for each seed, rendered `width` pixels wide and downsampled."""
     parts = [take_tilted(seed, width) for seed in seeds]
     small = [F.adaptive_avg_pool2d(p.radiance.float(), (WIDTH * 3 // 4, WIDTH)) for p in parts]
     return Tilted(
@@ -181,7 +181,7 @@ def make(seeds: Sequence[int], width: int = 512) -> Tilted:
 
 
 def mirror(taken: Tilted) -> Tilted:
-    """The same seen in a mirror: left and right change places."""
+    """The photographs mirrored left to right, geometry included."""
     return Tilted(
         taken.radiance.flip(-1),
         taken.fov,
@@ -215,7 +215,7 @@ def develop(taken: Tilted, rng: np.random.Generator, radiometric: bool | None = 
 def _exposed(
     radiance: Tensor, offset: Tensor, radiometric: bool, rng: np.random.Generator
 ) -> Tensor:
-    """(3, h, w) in [0, 1]: what falls off, exposure, tone curve, noise and clipping."""
+    """(3, h, w) in [0, 1] after vignetting, exposure, tone curve, noise and clipping."""
     height, width = radiance.shape[-2:]
     place = picture_coordinates(width, height)
     lens = place.square().sum(0) / CORNER_SQUARED
@@ -239,7 +239,7 @@ def _exposed(
 
 
 def _ramp_up(rng: np.random.Generator) -> float:
-    """Logarithm of brightness to a plane unit upwards: of six in ten phones, as for the offset."""
+    """Gradient of log brightness upwards, per plane unit: the flash's axis, on 6 of 10 phones."""
     return float(rng.uniform(0.0, 1.0)) if rng.random() < 0.6 else float(rng.normal(0.0, 0.2))
 
 
@@ -318,15 +318,15 @@ def train_alignment(
 def likelihood_loss(mean: Tensor, log_std: Tensor, tilt: Tensor) -> Tensor:
     """Gaussian negative log-likelihood of angles, but for a constant; of (B, 2) each.
 
-    Weighted by the standard deviation to the power 1/2 (beta-NLL [seitzer2022]): without it
-    what is hard is given up as uncertain before it is learnt.
+    Weighted by the standard deviation to the power 1/2 (beta-NLL [seitzer2022]): without it,
+    hard samples get large deviations and hence small gradients before they are learnt.
     """
     nll = 0.5 * ((tilt - mean) / log_std.exp()).square() + log_std
     return (nll * (0.5 * log_std).exp().detach()).mean()
 
 
 def _cropped(taken: Tilted, rng: np.random.Generator) -> Tilted:
-    """4 : 3 as they are, or with rows cut to 3 : 2 or 16 : 9."""
+    """Photographs of 4 : 3, or with rows cropped to 3 : 2 or 16 : 9."""
     rows = WIDTH * 3 // 4
     kept = int(rng.choice([rows, WIDTH * 2 // 3, WIDTH * 9 // 16], p=[0.7, 0.15, 0.15]))
     if taken.radiance.shape[-2] < kept:
@@ -337,7 +337,7 @@ def _cropped(taken: Tilted, rng: np.random.Generator) -> Tilted:
 
 @dataclass(frozen=True)
 class TiltErrors:
-    """What the branch is off by, (N, 2) of tilt_x and tilt_y each.
+    """Errors of the branch, (N, 2) of tilt_x and tilt_y each.
 
     Attributes:
         error: degrees.

@@ -1,8 +1,8 @@
-"""The pack: all photographs a prior is trained on, with what is known of them, in one file.
+"""The pack: all photographs a prior is trained on, and their metadata, in one safetensors file.
 
-A safetensors file. Pictures are JPEGs (sRGB), long side along x; beside each stand its coarse fit,
-contrast, plane waves and, where it was simulated, the true tilt. Reading it needs torch, numpy,
-cv2 and safetensors alone, so that training runs on a bare machine; corpus.py builds it.
+Pictures are JPEGs (sRGB), long side along x. Each has its coarse fit, contrast, plane waves and, if
+simulated, the true tilt. Reading it needs only torch, numpy, cv2 and safetensors, so that training
+runs without matcap's other dependencies; corpus.py builds it.
 """
 
 from __future__ import annotations
@@ -109,9 +109,9 @@ _LINEAR = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
 
 
 def held_out(materials: Sequence[str]) -> frozenset[str]:
-    """The materials that training never sees: the HELD_OUT first by SHA-256 of their names.
+    """Held-out materials: the first HELD_OUT by SHA-256 of their names.
 
-    The rule was written before anything was trained, and knows nothing of the pictures.
+    The choice is independent of the pictures and was fixed before any training.
     """
     ordered = sorted(set(materials), key=lambda m: hashlib.sha256(m.encode()).hexdigest())
     return frozenset(ordered[:HELD_OUT])
@@ -138,7 +138,7 @@ class Pack:
 
     @property
     def training(self) -> tuple[Entry, ...]:
-        """What a prior may learn from."""
+        """Photographs for training: all but those of held-out materials."""
         return tuple(e for e in self.entries if e.simulated or e.material not in self.reserved)
 
     @property
@@ -147,7 +147,7 @@ class Pack:
         return tuple(e for e in self.entries if not e.simulated and e.material in self.reserved)
 
     def save(self, path: Path) -> None:
-        """Write the pack; whole or not at all."""
+        """Write the pack atomically."""
         jpegs = [np.frombuffer(e.jpeg, np.uint8) for e in self.entries]
         tensors = {
             "jpeg": torch.from_numpy(np.concatenate(jpegs).copy()),

@@ -63,12 +63,12 @@ def write_grid(pictures: Sequence[Tensor], columns: int, path: Path) -> None:
 
 
 def _cut(linear: Tensor) -> Tensor:
-    """The middle of (3, H, W), as much as there is of it."""
+    """Central crop of (3, H, W), of at most _SIZE texels a side."""
     y, x = (max(0, side - _SIZE) // 2 for side in linear.shape[-2:])
     return linear[:, y : y + _SIZE, x : x + _SIZE]
 
 
 def _exposed(linear: Tensor) -> Tensor:
-    """SRGB of radiance, brought to the mean that all have."""
+    """SRGB of radiance (3, H, W), scaled to the common mean."""
     gain = _MEAN / linear.mean().clamp_min(1e-6)
     return srgb_encode_tensor((linear * gain).clamp(0.0, 1.0))

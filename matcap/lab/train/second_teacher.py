@@ -1,9 +1,8 @@
-"""The second teacher: true maps of simulated materials, lit from where no flash is.
+"""The second teacher: losses against true maps of simulated materials, lit from the side.
 
-A flash beside the lens shows relief so faintly that, where a decoder cannot place it right, none
-costs it less than some. Under a light from the side relief is most of the picture; and how strong
-it is, octave by octave, is asked for outright, in logarithms, which are steepest where there is
-none.
+A flash near the lens gives relief so little contrast that a decoder which cannot localise it does
+best without any. A side light shows it; a second loss compares log slope variance by octave, which
+penalises missing relief most.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _FAR = 100.0  # plane units: camera and light, so far that their rays are parall
 
 
 def side_light(rng: np.random.Generator) -> Tensor:
-    """(3,) place of a far light, from any side, between 30 and 70 degrees off the normal."""
+    """(3,) random position of a far light, 30 to 70 degrees from the normal."""
     azimuth, angle = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(_LOWEST, _HIGHEST)
     direction = (
         math.sin(angle) * math.cos(azimuth),
@@ -49,8 +48,8 @@ def relit_distance(
 ) -> Tensor:
     """(B,) style distance of maps (B, C, H, W) from true ones, seen from above under a far light.
 
-    Each is exposed for itself, to the photograph's middle: how bright a surface is and how bright
-    the flash was cannot be distinguished in a photograph, and are not asked for here.
+    Each is exposed to the same median: the scale between albedo and flash, ambiguous in one
+    photograph, must not count.
     """
     with torch.no_grad(), mixed(device):
         wanted = describe(_exposed(truth, light, encoding), encoding, bank)
@@ -60,7 +59,7 @@ def relit_distance(
 
 
 def relief_distance(estimate: MapSet, truth: MapSet) -> Tensor:
-    """(B,) mean over octaves of how far apart slopes are, in logarithms of their variance."""
+    """(B,) mean over octaves of the absolute difference of log slope variance."""
     differences = [
         ((ours + _UNSEEN**2) / (theirs + _UNSEEN**2)).log().abs()
         for ours, theirs in zip(_octaves(estimate), _octaves(truth), strict=True)
@@ -69,11 +68,10 @@ def relief_distance(estimate: MapSet, truth: MapSet) -> Tensor:
 
 
 def comb(maps: MapSet) -> Tensor:
-    """(B,) share of slopes that lies beyond what normals show, where that is more than half.
+    """(B,) penalty on texel-to-texel oscillation of height, 0 to 1.
 
-    Normals are central differences, which do not see a height that goes up and down with every
-    texel: nothing but this keeps it from doing so. Above 0 where most of the slopes' variance is
-    finer than four texels, 1 for such a comb.
+    Normals are central differences, to which heights alternating from texel to texel are invisible.
+    Above 0 if most of the slopes' variance is finer than four texels, 1 for pure alternation.
     """
     between, shown = _between(maps.height / maps.texel_size), _shown(maps)
     return torch.relu(between - 2.0 * shown) / (between + _UNSEEN**2)
@@ -100,7 +98,7 @@ def _between(height: Tensor) -> Tensor:
 
 
 def _exposed(maps: MapSet, light: Tensor, encoding: Encoding) -> Tensor:
-    """(B, 3, H, W) a view whose median is what counts as the photograph's middle grey."""
+    """(B, 3, H, W) radiance under a far light, scaled to the encoding's median."""
     view = _lit(maps, light)
     return view * (encoding.median / view.detach().mean(1).median().clamp_min(1e-6))
 

@@ -17,7 +17,7 @@ _Table = TypeVar("_Table", TrainConfig, EncoderConfig, DecoderConfig)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """What a TOML file states.
+    """Contents of a TOML file.
 
     Raises:
         UsageError: no such file, or no TOML.
@@ -33,7 +33,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def read_config(path: Path) -> TrainConfig:
-    """A configuration; what the file leaves out keeps its default.
+    """TrainConfig of a TOML file; missing settings keep their defaults.
 
     Raises:
         UsageError: no such file, no TOML, an unknown name or a value of the wrong kind.
@@ -42,7 +42,7 @@ def read_config(path: Path) -> TrainConfig:
 
 
 def configured(stated: dict[str, Any], path: str) -> TrainConfig:
-    """A configuration of what the TOML at a path states; see read_config."""
+    """TrainConfig of the TOML contents `stated`; `path` is for messages. See read_config."""
     encoder = _filled(EncoderConfig(), stated.pop("encoder", {}), f"{path}, encoder")
     decoder = _filled(DecoderConfig(), stated.pop("decoder", {}), f"{path}, decoder")
     config = _filled(TrainConfig(), stated, path)

@@ -24,8 +24,8 @@ class TrainConfig:
         materials: photographs of different materials in a step.
         places: windows of each.
         window: texels a side, MARGIN short of a multiple of 16 on either side.
-        real_share: of the photographs drawn that are real.
-        coarse_share: of the photographs drawn that are looked at with half the detail.
+        real_share: share of real photographs.
+        coarse_share: share of photographs used at half the resolution.
         rate, encoder_rate: AdamW's, of decoder and encoder.
         weight_decay: AdamW's.
         kl: weight of the KL term, per dimension of the code.
@@ -80,7 +80,7 @@ def start(config: TrainConfig, device: str) -> Training[Model]:
 
 
 def start_from(prior: Prior, config: TrainConfig, device: str) -> Training[Model]:
-    """The state that goes on from a prior's networks, with an optimiser that knows nothing yet.
+    """A state with a prior's networks and a new optimiser.
 
     Raises:
         UsageError: its networks are of other shapes than the configuration's.

@@ -58,8 +58,8 @@ def step_loss(
     losses, slopes = compare(maps, samples, wanted, bank, device)
     kl = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).mean()
     warm = min(1.0, step / max(1, config.kl_warmup))
-    # The logarithm keeps one plain material, whose faint statistics are easily missed by a large
-    # factor, from drowning the others.
+    # The logarithm keeps a plain material, whose small statistics have large relative errors, from
+    # dominating the others.
     style = torch.log1p(losses).mean()
     parts = {"style": style, "kl": kl, "slope": slopes.mean()}
     loss = style + config.kl * warm * kl + config.slope * slopes.mean()
@@ -71,7 +71,7 @@ def step_loss(
 
 
 def targets(samples: Sequence[TrainingSample], bank: FilterBank, device: str) -> list[Descriptor]:
-    """What the windows of each sample, on the device, look like."""
+    """Texture descriptors of each sample's windows, on the device."""
     with torch.no_grad(), mixed(device):
         return [describe(s.linear, s.encoding, bank) for s in samples]
 
@@ -84,7 +84,7 @@ def decode_windows(
     field = fields(decoder.config, [s.waves for s in samples], size, seed, device)
     inside = slice(MARGIN, MARGIN + size)
     maps = []
-    # One material after another: together they would be taken apart again by every AdaIN.
+    # One material at a time: AdaIN would split a batch of them in every layer.
     for index, sample in enumerate(samples):
         one = RandomField(field.noise[index, None], tuple(w[index, None] for w in field.waves))
         with mixed(device):
@@ -116,7 +116,7 @@ def taught(
     bank: FilterBank,
     device: str,
 ) -> Tensor | None:
-    """(N,) losses beside the true maps of the samples that have them; None where none has."""
+    """(N,) losses against true maps, of the samples that have them; None if none has."""
     rng = np.random.default_rng([seed, 1])
     losses = []
     for one, sample in zip(maps, samples, strict=True):
@@ -129,12 +129,12 @@ def taught(
 
 
 def read_maps(output: Tensor, base: Base, texel_size: float) -> MapSet:
-    """Maps of decoder outputs (B, OUTPUTS, H, W) that are in units of a base."""
+    """Maps of decoder outputs (B, OUTPUTS, H, W), which are relative to a base."""
     return maps_from_raw(base.apply(output), texel_size)
 
 
 def slope_penalty(maps: MapSet) -> Tensor:
-    """Mean squared slope, and much more for slopes steeper or finer than a picture can show."""
+    """Mean squared slope, plus penalties on slopes that are too steep or too fine to be visible."""
     normal = maps.normal
     squared = (normal[..., :2, :, :] / normal[..., 2:, :, :]).square().sum(-3)
     steep = torch.relu((squared + 1e-6).sqrt() - _MOST_SLOPE).square().mean()

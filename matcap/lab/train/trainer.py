@@ -36,7 +36,7 @@ _BETAS = (0.9, 0.99)
 
 @dataclass(frozen=True)
 class RateSchedule:
-    """How the learning rate goes over the steps, and when training ends."""
+    """Learning-rate schedule and number of steps."""
 
     steps: int
     """To have done in all."""
@@ -54,7 +54,7 @@ class RateSchedule:
     """To end after, if sooner."""
 
     def share(self, step: int) -> float:
-        """Of the learning rate, at a step counted from 0."""
+        """Share of the full learning rate at a step counted from 0."""
         left = (self.steps - step) / self.cooling if self.cooling else 1.0
         return min(1.0, (step + 1) / self.warm_up) * min(1.0, max(self.least, left, 0.0))
 
@@ -94,9 +94,9 @@ class Training(Generic[Trained]):
         )
 
     def update(self, loss: Tensor, share: float) -> None:
-        """One step of AdamW, with gradients of a norm of at most 1, and of the average.
+        """One step of AdamW, with gradients clipped to a norm of 1, and of the running average.
 
-        A loss without a finite gradient, one unlucky picture's, moves nothing.
+        A step whose gradient is not finite is skipped.
 
         Args:
             loss: a scalar of the model.
@@ -119,7 +119,7 @@ class Training(Generic[Trained]):
             torch._foreach_lerp_(list(self.average.parameters()), parameters, 1.0 - decay)
 
     def save(self, folder: Path) -> None:
-        """Write the checkpoint; whole or not at all."""
+        """Write the checkpoint atomically."""
         about = {"format": _FORMAT, "version": str(_VERSION), "step": str(self.step)}
         write_tensors(
             folder / CHECKPOINT, self._tensors(), {**about, "about": json.dumps(self.about)}
@@ -149,7 +149,7 @@ class Training(Generic[Trained]):
         self.step, self.about = int(metadata["step"]), json.loads(metadata["about"])
 
     def _tensors(self) -> dict[str, Tensor]:
-        """Every tensor, by name; writing into them changes the state."""
+        """All tensors of the state by name, not copied."""
         tensors = {f"model.{k}": v for k, v in self.model.state_dict().items()}
         tensors |= {f"average.{k}": v for k, v in self.average.state_dict().items()}
         for name, parameter in self.model.named_parameters():
@@ -158,7 +158,7 @@ class Training(Generic[Trained]):
         return tensors
 
     def _begin_optimiser(self) -> None:
-        """Give AdamW the state it would only make in its first step."""
+        """Create AdamW's state, which it would otherwise create in its first step."""
         for parameter in self.model.parameters():
             moments = {name: torch.zeros_like(parameter) for name in _MOMENTS}
             self.optimiser.state[parameter] = {"step": torch.zeros(()), **moments}
@@ -234,7 +234,7 @@ class Curves:
         self._notes.append(parts)
 
     def write(self, step: int, more: Mapping[str, float]) -> str:
-        """A row of means since the last one, and more; gives it as a line."""
+        """Write a row of means since the last row, and `more`; returns it as a line."""
         seconds = self._before + time.monotonic() - self._started
         names = dict.fromkeys(name for note in self._notes for name in note)
         row = {"step": float(step), "seconds": seconds}
@@ -289,5 +289,5 @@ def mixed(device: str) -> torch.autocast:
 
 
 def mean(values: Sequence[float]) -> float:
-    """Of values; NaN of none."""
+    """Mean of values; NaN if there are none."""
     return sum(values) / len(values) if values else math.nan

@@ -1,8 +1,8 @@
 """Training windows: pieces of photographs, lit and seen as where they were cut, and their turns.
 
-A flip or a quarter turn moves pixels, plane points and vignetting alike, and turns the places of
-camera and flash and the waves' directions with them, so the geometry stays true. Colours are
-permuted, and gained a little (white balance), together with the base they are read against.
+A flip or a quarter turn is applied to pixels, plane points, vignetting, camera, flash and waves
+alike, so the geometry stays consistent. Colour channels are permuted and scaled a little (white
+balance), together with the base.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class TrainingSample:
 
     Attributes:
         picture: (5, h, w) and numbers (NUMBERS,) for the encoder.
-        base: what the decoder's outputs are read against.
+        base: reflectance to which the decoder's outputs are relative.
         waves: of the material, in the windows' texels.
         linear: (K, 3, S, S) windows of the photograph.
         points: (K, 3, S, S) their plane points.
@@ -151,7 +151,7 @@ def cut(
 ) -> TrainingSample:
     """Cut windows of `size` texels, each `coarser` (1 or 2) of the source's, and turn them.
 
-    With `augment` their colours are permuted and gained too.
+    With `augment` their colours are also permuted and scaled.
     """
     setup = source.entry.coarse.setup
     height, width = source.linear.shape[-2:]
@@ -212,7 +212,7 @@ def _true_window(
     order: Tensor,
     gain: Tensor,
 ) -> MapSet | None:
-    """A window of true maps, moved and coloured like the photograph's windows."""
+    """A window of true maps, with the turn and colours of the photograph's windows."""
     if truth is None:
         return None
     span = size * coarser
@@ -235,7 +235,7 @@ def _turned_numbers(inputs: Tensor, turn: Turn) -> tuple[Tensor, Tensor]:
 
 
 def _place(valid: Tensor, span: int, rng: np.random.Generator) -> tuple[int, int]:
-    """A random even place for a window that is mostly seen; the last of ten tries in any case."""
+    """Random even position of a window that is mostly valid, or the last of ten tries."""
     height, width = valid.shape
     x = y = 0
     for _ in range(10):
