@@ -136,9 +136,9 @@ class CaptureClock:
         self._on_progress(replace(now, error=error, in_a_minute=in_a_minute))
 
     def left_for(self, name: str) -> float:
-        """Seconds that a stage may take under the limit, so that what comes after it ends in time.
+        """Seconds left for a stage under the time limit, less the expected time of later stages.
 
-        What comes after takes as long, by its shares, as what went before let expect.
+        That follows from their shares and the time taken by earlier stages; infinite without limit.
         """
         if self._limit is None:
             return float("inf")

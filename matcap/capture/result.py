@@ -33,7 +33,7 @@ class Tuning:
 
     @property
     def relative_error(self) -> float | None:
-        """The last error in multiples of what the photograph's own windows differ by."""
+        """Last error over the self difference; None without fine-tuning."""
         if not self.history or not self.self_difference > 0.0:
             return None
         return self.history[-1][2] / self.self_difference
@@ -49,9 +49,9 @@ class CaptureResult:
         rectified: (H, W, 3) the photograph on the plane's grid, linear.
         rerendered: (H, W, 3) the material under the photograph's own flash, linear.
         maps: of that same rectangle.
-        measurements: what a person would compare in photograph and re-rendering, as numbers.
-        verdict: how good it is, in words.
-        stage_seconds: per stage.
+        measurements: differences between photograph and re-rendering.
+        verdict: rating, with its sentence and causes.
+        stage_seconds: of each stage.
         settings: as given.
         interrupted: ended by Ctrl-C, with the best so far.
         estimate: the photographed piece; None where only a decoder was asked for.

@@ -1,12 +1,11 @@
 """Detail transfer: finest bands from the photograph to maps predicted at a lower resolution.
 
-Network, spectra and statistics work at the scale they were made for (detail.py);
-the photograph resolves more. What its finest bands show beyond the enlarged maps' re-rendering, and
-is not the sensor's noise, goes to albedo, but for what relief must show of it: relief has as much
-of every finer octave as its own last octaves let one expect. It is drawn along with the
-photograph's own grain, high where that is bright or where it is dark, as its coarser bands are. A
-drawing from what shows of slope would run along the light's tangents: streaks all around the flash
-(docs/notes/capture.md).
+Network, spectra and statistics work at the scale of training (detail.py); the photograph resolves
+more. The finest bands of its residual to the re-rendering of the enlarged maps, denoised by a
+Wiener filter, are assigned to albedo, less the shading of relief. The energy of relief in each
+finer octave is extrapolated from its finest predicted octaves; its pattern is that of the residual,
+with the sign of the correlation of height and brightness in coarser bands. Integrating apparent
+slopes instead would give streaks tangential to the flash (docs/notes/capture.md).
 """
 
 from __future__ import annotations
@@ -37,10 +36,10 @@ _OCTAVES = (slice(2, 3), slice(3, 4), slice(4, 6))  # of strengths.BANDS: 16-8, 
 
 @torch.no_grad()
 def finest(exemplar: Exemplar, plane: Plane, uniform: Uniform) -> Exemplar:
-    """An exemplar with as many texels as the photograph's plane, its finest bands the photograph's.
+    """The exemplar enlarged to the photograph's plane, with its finest bands.
 
     Args:
-        exemplar: of the same piece on fewer texels.
+        exemplar: of the same photograph on fewer texels.
         plane: the photograph.
         uniform: the coarse fit.
     """
@@ -69,7 +68,7 @@ def finest(exemplar: Exemplar, plane: Plane, uniform: Uniform) -> Exemplar:
 def sharpness(maps: MapSet, plane: Plane, uniform: Uniform) -> float:
     """Strength of the finest octave of log radiance, re-rendering over photograph; 1 is as sharp.
 
-    Of what was measured; 1 where nothing was.
+    Over measured texels; 1 without any.
     """
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
@@ -103,8 +102,8 @@ def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
 def _unshown(
     maps: MapSet, plane: Plane, light: PieceLight, coarse: tuple[int, int], noise: _Noise | None
 ) -> tuple[Tensor, Tensor]:
-    """(3, H, W) each: what the photograph's log radiance has beyond maps', finer than `coarse`
-    texels, and the diffuse share of theirs.
+    """(3, H, W) each: residual of log radiance at frequencies above the grid `coarse` (width,
+    height), denoised, and the diffuse share of the maps' radiance.
     """
     rendered, share = light.logs(maps, light.flash.onto(maps.normal))
     left = plane.linear.clamp_min(FINEST.darkest).log() - rendered
@@ -115,15 +114,15 @@ def _unshown(
 
 @dataclass(frozen=True)
 class _Noise:
-    """Energy of the sensor's noise in the finest bands, of neighbourhoods.
+    """Local energy of sensor noise in the finest bands.
 
-    What channels have in common apart from their colours: grain is grey, noise is not.
+    Separately for the channels' mean and their chroma: texture is grey, noise is not.
     """
 
     grey: Tensor
-    """(1, H, W)."""
+    """(1, H, W) of the channels' mean."""
     colours: Tensor
-    """(3, H, W), beside it."""
+    """(3, H, W) of the chroma, channels less their mean."""
 
     @staticmethod
     def of(plane: Plane, coarse: tuple[int, int]) -> _Noise | None:
@@ -143,7 +142,7 @@ class _Noise:
 
 
 def _wiener(seen: Tensor, chance: Tensor) -> Tensor:
-    """What is seen (C, H, W), as far as its energy is more than that of chance (C, H, W)."""
+    """Wiener filter of `seen` (C, H, W), with local noise energy `chance` (C, H, W)."""
     return seen * (1.0 - chance / _energy(seen).clamp_min(1e-12)).clamp_min(0.0)
 
 
@@ -153,7 +152,7 @@ def _energy(picture: Tensor) -> Tensor:
 
 
 def _beyond(picture: Tensor, coarse: tuple[int, int]) -> Tensor:
-    """What of a picture (C, H, W) a grid of fewer texels (width, height) cannot hold."""
+    """High-pass of a picture (C, H, W): less its version on a grid of (width, height) texels."""
     whole = picture.numpy()
     size = (whole.shape[-1], whole.shape[-2])
     coarse_part = _resized(_resized(whole, coarse, cv2.INTER_AREA), size, cv2.INTER_CUBIC)
@@ -190,7 +189,7 @@ def _steepness(height: Floats) -> float:
 
 
 def _sign(exemplar: Exemplar, bands: list[Floats]) -> np.float32:
-    """1 where what is high is bright, or -1."""
+    """Sign of the correlation of height and brightness, 1 or -1."""
     tone = split(np.log(exemplar.diffuse.clip(1e-4)).mean(0))
     trusted = exemplar.confidence[0]
     together = sum((trusted * bands[k] * tone[k]).mean() for k in (2, 3))

@@ -1,12 +1,12 @@
 """Metal in the exemplar: its share of each texel and its specular tint.
 
-What is no metal mirrors white, whatever its own colour. Of metal nothing is diffuse, so that all
-that is seen of it under a white flash has the colour of its F0. The network says how far each
-texel is metal, and the photograph what colour that has:
+Dielectrics have an achromatic F0. Metals have no diffuse albedo, so under a white flash their
+radiance has the colour of F0. With the metal share m of a texel from the network and the base
+colour from the photograph,
 
-    diffuse = base (1 - m),    F0 = f (1 - m) + base m
+    diffuse = base (1 - m),    F0 = f (1 - m) + base m,
 
-with m from the network and base the colour seen. A texel half metal is both side by side.
+f being the achromatic F0 of the dielectric. A fractional m is an area mixture.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _LEAST = 1e-6
 
 
 def seen_colour(linear: Tensor, weight: Tensor) -> Tensor:
-    """(..., 3, H, W) colour of radiance around every texel, channels' mean 1.
+    """(..., 3, H, W) local mean colour of radiance, normalised to a channel mean of 1.
 
     Args:
         linear: (..., 3, H, W) radiance.
-        weight: (..., 1, H, W) what a texel counts, 0 where it is clipped; a place where none
-            counts has the colour of all, and where none counts anywhere all is grey.
+        weight: (..., 1, H, W) of a texel, 0 where clipped. Without weight nearby, the mean colour
+            of the whole; without any, grey.
     """
     counted = linear.clamp_min(0.0) * weight.to(linear)
     around = _mean(counted) + _DARK * whole_colour(linear, weight)
@@ -58,7 +58,7 @@ def metal_share(metal: Tensor) -> Tensor | None:
 
 
 def tint(metal: Tensor, colour: Tensor) -> Tensor:
-    """(..., 3, H, W) F0 over its mean of channels: white where nothing is metal.
+    """(..., 3, H, W) specular tint, F0 over its channel mean: 1 where nothing is metal.
 
     Args:
         metal: (..., 1, H, W) share that is metal, in [0, 1].

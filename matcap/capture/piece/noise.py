@@ -1,8 +1,8 @@
 """Noise of a photograph's channels, as standard deviations of log radiance.
 
-A camera's own development ends in codes of 8 bits, and in the dark a code is a large step: where a
-saturated colour leaves a channel with a code or two, that channel's logarithm is
-quantisation noise. A RAW's noise is drawn once more when it is read (photo/sensor_noise.py).
+A developed photograph has 8-bit codes, whose step is large in dark channels: the logarithm of a
+channel with a code of 1 or 2 is quantisation noise. The noise of a RAW is known from its sensor
+model (photo/sensor_noise.py).
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ Floats = NDArray[np.float32]
 
 
 def channel_noise(plane: Plane) -> Tensor:
-    """(3, H, W) deviation of log radiance that is the sensor's or the codes', at most 1.
+    """(3, H, W) standard deviation of log radiance by sensor noise or quantisation, at most 1.
 
-    Of neighbourhoods: a dark texel is not doubted for being dark among bright ones.
+    Local averages, so that it does not depend on a texel's own darkness.
     """
     linear = np.stack([smoothed(c, NOISE.around) for c in plane.linear.numpy()])
     if plane.noise is not None:
@@ -38,13 +38,13 @@ def channel_noise(plane: Plane) -> Tensor:
 
 
 def channel_weights(noise: Tensor) -> Tensor:
-    """(3, H, W) what each channel counts for in a mean over them; they add up to 1."""
+    """(3, H, W) weights of the channels for a mean over them; they sum to 1."""
     weight = 1.0 / (noise.square() + NOISE.alike**2)
     return weight / weight.sum(0, keepdim=True)
 
 
 def code_step(linear: Floats) -> Floats:
-    """What one of 255 codes is of linear radiance (any shape), by the curve of sRGB."""
+    """Step of linear radiance (any shape) per 8-bit code, by the derivative of the sRGB curve."""
     return np.asarray(1.0 / (255.0 * srgb_slope(linear)), np.float32)
 
 

@@ -52,7 +52,7 @@ class Observation:
 
     @staticmethod
     def of(plane: Plane, coarse: CoarseFit) -> Observation:
-        """Of a photograph on its plane; what is too dark to be seen is no longer valid."""
+        """Observation of a rectified photograph; texels below the noise become invalid."""
         width, height = plane.size
         points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
         points = plane.extent.placed(points)
@@ -126,10 +126,10 @@ class Observation:
 
 
 def seen_share(measured: Tensor) -> NDArray[np.float32]:
-    """(H, W) in [0, 1]: how far a texel and what is beside it were seen, of channels (3, H, W).
+    """(H, W) visibility in [0, 1] of a texel and its neighbours, from channels (3, H, W) bool.
 
-    A clipped texel's neighbours hold some of its light; a sparkle costs them little, while a spot
-    that is burnt out, wide as it is, is not seen at all.
+    Light of clipped texels spreads to neighbours: an isolated sparkle lowers them little, a wide
+    clipped area to 0.
     """
     share = measured.float().mean(0).numpy()
     around = cv2.GaussianBlur(share, (0, 0), READ.spread_of_light, borderType=cv2.BORDER_REFLECT)
@@ -142,5 +142,5 @@ def lit(linear: Tensor) -> Tensor:
 
 
 def _even(sensitivity: Tensor) -> NDArray[np.float32]:
-    """Sensitivity (2, H, W) of neighbourhoods."""
+    """Smoothed sensitivity (2, H, W)."""
     return np.stack([smoothed(s, STRENGTH.response_around) for s in sensitivity.numpy()])

@@ -1,9 +1,8 @@
 """Ambient light: subtracted from flash photographs, and a photograph by it alone as a measurement.
 
-A photograph without the flash shows albedo under light that hardly changes over the piece. Where
-exposures are known what it shows is what the flash photographs have too much ([aittala2015]
-takes two such photographs); and since ambient light changes slowly and leans one way, what
-changes fast in it is albedo, whatever the flash made of that.
+A photograph without flash shows albedo under nearly uniform light. With known exposures it is
+subtracted from the flash photographs (as the pair of [aittala2015]). As ambient light varies
+slowly over the sample, the high frequencies of this photograph measure albedo.
 """
 
 from __future__ import annotations
@@ -85,7 +84,7 @@ class AmbientLight:
     """(3, 1, 1) of all of it; None for 1."""
 
     def onto(self, normal: Tensor) -> AmbientIncidence:
-        """What arrives at a relief of unit normals (3, h, w)."""
+        """Irradiance of a relief with unit normals (3, h, w)."""
         off = torch.cat([normal[:2], normal[2:] - 1.0])
         lit = 1.0 + torch.tensordot(self.lean.to(off), off, 1)[None]
         lit = lit.clamp_min(AMBIENT.darkest)
@@ -93,11 +92,11 @@ class AmbientLight:
 
 
 def evenly_lit(log: Tensor, seen: Tensor, rendered: Tensor) -> Tensor:
-    """An ambient photograph without slow differences in illumination.
+    """Log radiance of an ambient photograph with the low frequencies of `rendered`.
 
     Args:
-        log, seen: (3, h, w) its log radiance, and where it shows it.
-        rendered: (3, h, w) log radiance of the maps so far in that light.
+        log, seen: (3, h, w) its log radiance, and bool, where it is measured.
+        rendered: (3, h, w) log radiance of the current maps in that light.
     """
     off = (log - rendered).numpy()
     mask = seen.float().numpy()
@@ -113,9 +112,9 @@ def evenly_lit(log: Tensor, seen: Tensor, rendered: Tensor) -> Tensor:
 
 
 def without_ambient(views: Views) -> tuple[Views, float]:
-    """Flash photographs less their ambient light, and the share that it was of the first one's.
+    """Flash photographs less ambient light, and its share of the first one's radiance, in [0, 1].
 
-    Unchanged, and 0, where no photograph is by ambient light alone, or an exposure is unknown.
+    Unchanged, and 0, if no photograph is by ambient light alone or an exposure is unknown.
     """
     *lit, ambient = views
     if ambient.flash:
@@ -132,7 +131,7 @@ def without_ambient(views: Views) -> tuple[Views, float]:
 
 
 def _amount(flash: Photo, ambient: Photo) -> NDArray[np.float64] | None:
-    """(3,) ambient radiance in a flash photograph's pixel values over that in its own photograph's.
+    """(3,) factor from pixel values of the ambient photograph to those of a flash photograph.
 
     Ratio of exposures and white balances; None where an exposure is unknown.
     """

@@ -101,12 +101,12 @@ def estimate_together(
     """The exemplar of several photographs; an interrupt ends with the best so far.
 
     Args:
-        photos: two or more, the first of which with a flash gives the piece its frame.
-        network: reads them (piece/network/store.py).
+        photos: two or more; the first one with flash defines the frame.
+        network: predicts their maps (piece/network/store.py).
         detail: texels across.
         settings: of the solution.
         clock: of the stages.
-        union: the piece is all that photographs show (union.py), not the first one's rectangle.
+        union: estimate all that the photographs show (union.py), not the first one's rectangle.
 
     Raises:
         MatcapError: no other photograph shows the same piece.
@@ -154,7 +154,7 @@ def estimate_together(
 def registered(
     photos: Sequence[Photo], detail: int, clock: CaptureClock
 ) -> tuple[Registration, CoarseFit, Plane]:
-    """Cameras by what photographs have in common; with them the coarse fit, and the plane.
+    """Register photographs by features; coarse fit and plane of the first with its new camera.
 
     Raises:
         MatcapError: no other photograph shows the same piece.
@@ -325,7 +325,7 @@ def _indexed(
     waves: tuple[Wave, ...],
     reach: Reach,
 ) -> tuple[Example, float]:
-    """The exemplar to be rearranged, and what its albedo and F0 were scaled by."""
+    """The exemplar indexed for synthesis, and the factor on its albedo and F0 (absolute.py)."""
     known = photo.flash_intensity is not None
     own = exemplar.cut(*reach.margins.inside(reach.size)) if reach.margins.any else exemplar
     scale = 1.0 if known else most_probable_scale(own, metal)

@@ -1,7 +1,7 @@
 """Coverage checks of several photographs before capture: views, light directions, overlap.
 
-Cameras are found as a capture finds them, and nothing is solved. Directions are those of the first
-photograph as it is looked at, upright.
+Photographs are registered as in a capture, but no maps are estimated. Directions are in the frame
+of the first photograph, upright.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SIDES = ("left", "right", "top", "bottom")
 
 @dataclass(frozen=True)
 class LookSettings:
-    """When a set lacks something."""
+    """Limits of the coverage checks."""
 
     aside: float = 0.15
     """Of its height, that a camera must stand to a side for the piece to be lit from there; a third
@@ -49,11 +49,11 @@ LOOK = LookSettings()
 
 
 def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection:
-    """Look at the files of a set, as a capture of all of them would.
+    """Register the photographs of a set and check its coverage.
 
     Args:
-        paths: two or more, the first of which gives the piece its frame.
-        fov: field of view along the long side, degrees; None for what the files say.
+        paths: two or more; the first defines the frame.
+        fov: field of view along the long side, degrees; None for that of the metadata.
 
     Raises:
         MatcapError: one cannot be read, nothing can be fitted to the first, or it has no flash.
@@ -69,7 +69,7 @@ def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection
 
 
 def set_quality(registration: Registration) -> Inspection:
-    """What registered photographs show and lack."""
+    """Coverage findings of registered photographs."""
     first, lit = (
         registration.views[0].photo.name,
         [view for view in registration.views if view.flash],
@@ -118,7 +118,7 @@ def _room(registration: Registration) -> tuple[str, ...]:
 
 
 def _sides(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
-    """Where light came from; nothing is said of a single photograph."""
+    """Light directions; empty for a single photograph."""
     if len(views) < 2:
         return ()
     leaning = np.stack([view.camera.place[:2] / view.camera.place[2] for view in views])
@@ -171,7 +171,7 @@ def _places(views: Sequence[RegisteredView]) -> Finding:
 
 
 def _cameras(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
-    """How far cameras are known; nothing is said of a single photograph."""
+    """Standard deviations of the cameras; empty for a single photograph."""
     if len(views) < 2:
         return ()
     worst = max(views, key=lambda view: view.doubt)
@@ -200,7 +200,7 @@ def _common(views: Sequence[RegisteredView]) -> Finding:
 
 
 def _union(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
-    """How much all of them show; nothing is said of a single photograph."""
+    """Extent of the mosaic; empty for a single photograph."""
     if len(views) < 2:
         return ()
     rows, columns = views[0].photo.pixels.shape[:2]

@@ -70,11 +70,11 @@ class _Frame:
 
 
 def draw_set(report: SetReport, piece: NDArray[np.float32], width: int) -> Image.Image:
-    """A picture of a set.
+    """Draw cameras and lights of a set, from above and from the side.
 
     Args:
-        report: what was found.
-        piece: (H, W, 3) the piece from above, sRGB code values in [0, 1].
+        report: cameras and residuals.
+        piece: (H, W, 3) the exemplar from above, sRGB code values in [0, 1].
         width: of the picture, pixels.
     """
     views = list(_views(report, _high(report, piece)))
@@ -87,7 +87,7 @@ def draw_set(report: SetReport, piece: NDArray[np.float32], width: int) -> Image
 
 
 def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
-    """What is said of a set, each line with the number of its photograph, None for all, or 0 for
+    """Lines of the report on a set, each with the number of its photograph, None for all, or 0 for
     one that was left out.
     """
     predicted: tuple[float | None, ...] = report.predicted or (None,) * len(report.views)

@@ -58,7 +58,7 @@ class SetReport:
         )
 
     def doubted(self) -> str | None:
-        """A sentence, where cameras may be off by more than is aimed at."""
+        """A sentence if a camera's standard deviation exceeds the limit, else None."""
         far = [view for view in self.views if view.doubt > DOUBTED]
         if not far:
             return None
