@@ -10,7 +10,7 @@ from torch.optim.adam import adam
 
 
 class Adam:
-    """torch.optim.Adam's function without its class, which imports PyTorch's compiler: a second."""
+    """Adam by torch.optim's function; its class takes a second to import PyTorch's compiler."""
 
     def __init__(
         self, parameters: Sequence[Tensor], betas: tuple[float, float] = (0.9, 0.99)

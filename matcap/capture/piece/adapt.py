@@ -295,7 +295,10 @@ class _ScaledMaps:
 
 
 def corners(seen: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
-    """(N, 2) top-left rows and columns of windows seen enough; of the most seen, if none is."""
+    """(N, 2) first row and column of windows of `size` texels a side with enough seen texels.
+
+    At least the quarter of windows with the most.
+    """
     total = np.pad(seen.astype(np.float64), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
     windows = total[size:, size:] - total[:-size, size:] - total[size:, :-size]
     windows = (windows + total[:-size, :-size]) / size**2

@@ -102,8 +102,8 @@ def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
 def _unshown(
     maps: MapSet, plane: Plane, light: PieceLight, coarse: tuple[int, int], noise: _Noise | None
 ) -> tuple[Tensor, Tensor]:
-    """(3, H, W) each: residual of log radiance at frequencies above the grid `coarse` (width,
-    height), denoised, and the diffuse share of the maps' radiance.
+    """(3, H, W) each: denoised residual of log radiance, photograph less maps, at frequencies above
+    a grid of `coarse` = (width, height) texels; and the diffuse share of the maps' radiance.
     """
     rendered, share = light.logs(maps, light.flash.onto(maps.normal))
     left = plane.linear.clamp_min(FINEST.darkest).log() - rendered

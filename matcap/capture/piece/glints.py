@@ -1,13 +1,14 @@
 """Strength of relief from the contrast of glints, octave by octave.
 
-Where most light is mirrored, contrast is slope: albedo is diluted and F0 and roughness are even. So
-there the energy of log radiance in each octave b, photograph less noise and albedo, over that of
-the re-rendering with even albedo, is the square of the factor g_b that relief is to be scaled by:
+Where the specular fraction is high, contrast is due to slopes: albedo is diluted, and F0 and
+roughness are constant. So the energy E_b of log radiance in octave b, noise subtracted, of the
+photograph gives the factor g_b on relief:
 
     E_b(region) = mean (1 - s)^2 A_b + g_b^2 R_b(region),  of the glossiest and the mattest region,
 
-of unknown energy A_b of log albedo, with specular fraction s and energy R_b of the re-rendering.
-A glaze over a pattern, or polished limestone, has contrast under its highlight that is no relief.
+with the unknown energy A_b of log albedo, specular fraction s and energy R_b of the re-rendering
+with constant albedo. The matte region yields A_b: under a glaze over a pattern, or on polished
+limestone, part of the contrast is albedo.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from matcap.capture.piece.smooth import filled, smoothed, split
 
 @dataclass(frozen=True)
 class GlintSettings:
-    """What is tuned of it.
+    """Settings of the measurement.
 
     Attributes:
         mirrored: specular fraction of the radiance above which contrast may be slope's.
@@ -52,7 +53,7 @@ def scaled_by_glints(
     noise: Tensor,
     settings: GlintSettings | None = None,
 ) -> SurfaceParameters:
-    """Departures whose relief is as strong as the glints of the photograph.
+    """Scale each octave of relief by g_b (module equation).
 
     Args:
         departures: of the exemplar.

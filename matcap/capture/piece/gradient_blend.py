@@ -5,9 +5,9 @@ over the texels that are not kept,
 
     sum_pq (u(q) - u(p) - g(p, q))^2 + sum_p (u(p) - v(p))^2 / reach^2,
 
-over pairs of neighbours p, q. g is the mean of the differences that the sources of p and of q have
-there, of those whose texels are kept ones: within a block that of the maps, so that every drawing
-stays as it is; across a seam it has no step, and the two sides drift together within `reach`.
+over pairs of neighbours p, q. g(p, q) is the mean of m(s(p) + q - p) - m(s(p)) and
+m(s(q)) - m(s(q) + p - q), over those whose texels are kept ones. Within a block it is the gradient
+of the maps; at a seam it has no step, and the two sides converge within `reach`.
 """
 
 from __future__ import annotations

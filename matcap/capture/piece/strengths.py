@@ -167,11 +167,11 @@ def _responses(
 
 
 def _regressed(energy: Doubles, responses: Doubles) -> Doubles:
-    """(3, len(BANDS), DIRECTIONS) A, S and S's standard error.
+    """(3, len(BANDS), DIRECTIONS) A, S and the standard error of S, by regression (module).
 
     Args:
-        energy: (windows, len(BANDS), DIRECTIONS).
-        responses: (windows, 6) as _responses has them.
+        energy: (windows, len(BANDS), DIRECTIONS) of log radiance.
+        responses: (windows, 6) from _responses.
     """
     matte, x, y, xx, xy, yy = responses.T
     counts = 1.0 / (1.0 + (xx + yy) / STRENGTH.linear**2)

@@ -1,11 +1,10 @@
 """Inpainting under the highlight by blocks of the exemplar (reflectance transport [aittala2015]).
 
-Near the flash's mirror point a highlight lies over albedo, and where it clips nothing is seen at
-all. The material is stationary, so blocks of maps from where it is well seen are copied there. Of
-many blocks the one is taken that continues its neighbours and, lit here,
-would draw what the photograph shows here (texture transfer [efros2001]). Drawings are
-compared by correlation: what a block's radiance is off by on the whole is the highlight's fit, and
-blocks chosen by it are all pale ones.
+Near the mirror point a highlight hides albedo, and where it clips everything. The material is
+stationary, so blocks of maps are copied there from well seen places. Of many candidates, the block
+is taken that best continues its neighbours and, rendered in place, matches the photograph (texture
+transfer [efros2001]). Renderings are compared by correlation of log radiance: their mean
+difference is an error of the fitted highlight, and would select pale blocks only.
 """
 
 from __future__ import annotations
@@ -31,14 +30,14 @@ BlockPlaces = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class _Drawn:
-    """What blocks are compared and laid by."""
+    """Map planes in three forms: copied, blended and compared."""
 
     stacked: Floats
     """(6, H, W) maps, whole."""
     laid: Floats
-    """(6, H, W) the same without slow relief, which stays where it is."""
+    """(6, H, W) the same with height high-passed; its low frequencies are not copied."""
     seen: Floats
-    """(H, W, 3) log albedo and slopes in deviations."""
+    """(H, W, 3) channel mean of log albedo, and slopes (x, down), over their root mean squares."""
 
 
 @torch.no_grad()
@@ -54,12 +53,12 @@ def transport(
     """Inpaint an exemplar's maps where specular light hides them.
 
     Args:
-        exemplar: as found; its confidence stays as it is.
+        exemplar: estimated maps; confidence is not changed.
         linear: (3, H, W) the photograph on its plane.
         valid: (H, W) bool, seen and not clipped.
         light: the photograph's, at every texel.
-        tried: blocks for a place.
-        left_out: (H, W) what is not the material, or None; inpainted where material is around it.
+        tried: candidate blocks per place.
+        left_out: (H, W) bool, masked texels, or None; inpainted if surrounded by the material.
 
     Returns:
         The same object if nothing is hidden, or no donor block is seen well enough.
@@ -100,7 +99,7 @@ def transport(
 
 @dataclass(frozen=True)
 class _Likeness:
-    """What blocks would draw at a place, and what is photographed there."""
+    """Match of candidate blocks, rendered at a place, to the photograph there."""
 
     unlike: Floats
     """(N,) one less the correlation of log radiance; 0 where nothing was seen."""
@@ -111,12 +110,12 @@ class _Likeness:
 
     @property
     def is_distinct(self) -> bool:
-        """Whether the place shows what no block knows of: a scratch, bare metal in a highlight."""
+        """Whether the photograph there has more contrast than any block: a scratch, bare metal."""
         return self.share > INPAINT.shown and self.stronger > INPAINT.stronger
 
 
 class _Photograph:
-    """What blocks must look like in place."""
+    """The photograph, to which rendered blocks are compared."""
 
     def __init__(
         self, exemplar: Exemplar, linear: Tensor, valid: Tensor, light: PieceLight
@@ -134,7 +133,7 @@ class _Photograph:
         self._even = light.logs(even, light.flash.onto(upright))[0]
 
     def likeness(self, place: tuple[int, int], blocks: BlockPlaces) -> _Likeness:
-        """How blocks, as if they lay at a place, compare with what is seen of it."""
+        """Render blocks at a place and compare them with the photograph there."""
         inner = np.arange(0, INPAINT.block, INPAINT.thinned)
         rows, columns = blocks[:, 0, None, None] + inner[:, None], blocks[:, 1, None, None] + inner
         reflectance, normal = _parts(torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1))
@@ -200,7 +199,7 @@ def _choose(
 def _continued(
     place: tuple[int, int], chosen: dict[tuple[int, int], tuple[int, int]]
 ) -> list[tuple[int, int]]:
-    """Where the blocks laid around a place would go on."""
+    """Corners of the blocks that continue the donors of the neighbouring places."""
     step = INPAINT.block - INPAINT.overlap
     around = [(dy, dx) for dy in (-step, 0, step) for dx in (-step, 0, step) if dy or dx]
     continued = []
@@ -218,7 +217,7 @@ def _discontinuity(
     seen: Floats,
     known: NDArray[np.bool_],
 ) -> Floats:
-    """(N,) mean squared difference from what is known at a place, in deviations."""
+    """(N,) mean squared difference of blocks to known texels of a place, standardised."""
     here = tuple(slice(start, start + INPAINT.block, 2) for start in place)
     rows, columns = 2 * np.array(np.nonzero(known[here]))
     if not rows.size:
@@ -264,13 +263,13 @@ def _drawn(exemplar: Exemplar, known: NDArray[np.bool_]) -> _Drawn:
 
 
 def _between(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(H, W) rows and columns that hold any of the material."""
+    """(H, W) bool, texels whose row and whose column both hold a known texel."""
     rows, columns = np.asarray(known.any(axis=1)), np.asarray(known.any(axis=0))
     return rows[:, None] & columns[None, :]
 
 
 def _donors(trusted: NDArray[np.bool_]) -> BlockPlaces:
-    """(N, 2) corners of blocks that are trusted nearly all over."""
+    """(N, 2) corners of blocks with high confidence nearly everywhere."""
     rows, columns = trusted.shape
     if min(rows, columns) <= INPAINT.block:
         return np.zeros((0, 2), np.int64)

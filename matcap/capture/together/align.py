@@ -91,7 +91,7 @@ class Aligned:
     def of(
         views: tuple[RegisteredView, ...], setup: FlashSetup, light: SetLight, extent: Extent = OWN
     ) -> Aligned:
-        """Registered photographs where their features lie."""
+        """Registration by features alone: identity homographies, no parallax."""
         place = ViewPlace(np.eye(3), None, views[0].camera.place, extent)
         return Aligned(setup, views, (place,) * len(views), light)
 

@@ -255,7 +255,7 @@ class _Eliminated:
     answer: Tensor  # (N, PARAMETERS, count) what it loses by a step of what is shared
 
     def texels(self, step: Tensor) -> Tensor:
-        """(PARAMETERS, 1, N) texel step that goes with a step of the shared parameters."""
+        """(PARAMETERS, 1, N) texel parameters' step by back-substitution of the shared `step`."""
         return (self.alone - self.answer @ step.float()).clamp(-0.7, 0.7).T[:, None]
 
 

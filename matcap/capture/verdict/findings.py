@@ -18,16 +18,16 @@ PHOTOGRAPHED = ("flash", "clipped", "tilt", "stationarity")
 
 @dataclass(frozen=True)
 class FindingSettings:
-    """What is compared at all; docs/notes/verdict.md."""
+    """Limits of what is rated; docs/notes/verdict.md."""
 
     widest: float = 0.34
-    """Plane units, half width: a highlight plain to see is narrower than the falloff, ..."""
+    """Largest half width of a visible highlight, plane units (below that of the falloff)."""
     faintest: float = 2.0
-    """... and so many times brighter than its surroundings."""
+    """Least peak of a visible highlight over its surroundings."""
     place_tolerance: tuple[float, float] = (0.03, 0.1)
-    """Tolerance of a highlight's place: plane units, and shares of its width more."""
+    """Tolerance of a highlight's position: plane units, plus a share of its half width."""
     plain_order: float = 0.15
-    """Likeness of a photograph whose order is plain to see."""
+    """Least autocorrelation at one period of a photograph with a visible lattice."""
 
 
 FINDINGS = FindingSettings()
@@ -42,7 +42,7 @@ RESIDUES: Mapping[str, tuple[float, str]] = {
 
 
 def findings(seen: Measurements) -> Iterator[Finding]:
-    """Everything that can be rated, in the order in which a person would look."""
+    """All findings, in the order of the report."""
     more = more_photographs(seen.causes.photographs)
     yield from (seen.photograph[key] for key in PHOTOGRAPHED)
     yield from _highlight(seen)
@@ -62,7 +62,7 @@ def findings(seen: Measurements) -> Iterator[Finding]:
 
 
 def plain(highlight: Highlight | None) -> bool:
-    """Whether a highlight is plain to see."""
+    """Whether a highlight is clearly visible."""
     return (
         highlight is not None
         and highlight.width < FINDINGS.widest
@@ -89,9 +89,9 @@ def _highlight(seen: Measurements) -> Iterator[Finding]:
 
 
 def highlight_contrast(seen: Measurements) -> Finding:
-    """Strength of the highlight, re-rendered over photographed: of its rings or of its peak.
+    """Highlight contrast, re-rendered over photographed: the worse of ring and peak contrast.
 
-    A spike of a few texels is nothing in rings, and a wide one off its mirror point is none there.
+    Ring means miss a peak of a few texels, and a highlight away from the mirror point.
     """
     check, profile = CHECKS["highlight_contrast"], seen.profile
     ratios = [_peak_ratio(*seen.highlights), math.nan if profile is None else profile.ratio]
@@ -105,9 +105,9 @@ def highlight_contrast(seen: Measurements) -> Finding:
 
 
 def _peak_ratio(before: Highlight | None, after: Highlight | None) -> float:
-    """Peak over surroundings, re-rendered over photographed; NaN where neither is plain to see.
+    """Ratio of peak over surroundings, re-rendered over photographed; NaN if neither is visible.
 
-    What is not found stands out by less than the faintest that is looked for.
+    An undetected highlight counts with the detection limit.
     """
     if not plain(before) and not plain(after):
         return math.nan

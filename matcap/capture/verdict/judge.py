@@ -17,7 +17,7 @@ NORM = 6.0
 
 @dataclass(frozen=True)
 class CaptureVerdict:
-    """What a person would say of a capture."""
+    """Rating of a capture, with its findings and causes."""
 
     findings: tuple[Finding, ...]
     """All that was looked at."""
@@ -54,7 +54,7 @@ class CaptureVerdict:
         return f"{self.rating.value}: {self.worst.says}. {cause}. Remedy: {remedy}."
 
     def cause(self) -> tuple[str, str]:
-        """What the largest difference comes from, as far as the photograph shows; the remedy."""
+        """(likely cause of the largest difference, remedy), sentences."""
         worst = self.worst
         for cause in self.causes:
             if worst.name in cause.explains:
