@@ -46,10 +46,10 @@ def batch(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Turn all photographs of a folder into materials, and go on where an earlier run ended.
+    """Turn all photographs of a folder into materials; resumes an earlier run.
 
-    Settings come from matcap.toml in or beside the folder; options win over it. Look at
-    index.html in the output folder afterwards.
+    Settings come from matcap.toml in or next to the folder; options override it. The results are
+    listed in index.html in the output folder.
     """
     from matcap.batch.run import Policy
     from matcap.batch.settings import settings_of

@@ -1,7 +1,7 @@
 """`matcap bench`: experiments that measure what the documentation claims, a command each.
 
-Every one writes a CSV, row by row, goes on from it when started again, and prints it as a table
-(matcap/lab/experiment). Here their options become an experiment's subjects and configurations.
+Each writes a CSV row by row, resumes from it, and prints it as a table (matcap/lab/experiment).
+This module turns options into an experiment's subjects and configurations.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ OutOption = Annotated[
 ]
 
 _FRONTS = Path("bench/fronts")
-# Texels and degrees of what `bench fields --phases` measures.
+# Periods, texels, and angles, degrees, of the gratings of `bench fields --phases`.
 _LATTICES = (
     (2.5, 0.0),
     (4.3, 7.0),
@@ -77,10 +77,10 @@ def quality(
         int, typer.Option(min=64, max=8192, help="Texels along the photograph's long side.")
     ] = 1024,
 ) -> None:
-    """How like the true material a capture looks under new lights.
+    """Appearance error of captures under new lights.
 
-    Photographs simulated materials, captures them, and compares the relit results with other true
-    samples of the same materials, beside simple ways to do the same: normalised style distances,
+    Photographs simulated materials, captures them, and compares the relit results, and those of
+    simple baselines, with other true samples of the same materials: normalised style distance,
     1 is indistinguishable. Prints the table.
     """
     from matcap.capture import pipeline
@@ -148,11 +148,11 @@ def floors(
         Path | None, typer.Option(help="SqueezeNet 1.1 of ncnn, instead of the included weights.")
     ] = None,
 ) -> None:
-    """How far captures are from the truth, by a measure that nothing is tuned by.
+    """Style distance of captures to the truth, by a measure to which nothing is tuned.
 
     Photographs known materials, captures them, and compares photograph, exemplar and field with
-    other true samples under new lights, by the style that SqueezeNet sees: normalised style
-    distances, 1 is indistinguishable. Prints the table, with values of the maps and of the truth.
+    other true samples under new lights: normalised style distance by SqueezeNet, 1 is
+    indistinguishable. Prints the table, with statistics of the maps and of the truth.
     """
     from matcap.lab.bench import nsd, several
     from matcap.lab.measures.evaluator import EvaluationSettings
@@ -189,10 +189,10 @@ def metals(
         typer.Option("--known-flash", help="Give captures the flash's intensity, as a card does."),
     ] = False,
 ) -> None:
-    """F0 of metals by channel, its hue, and that of what is no metal beside it.
+    """Errors of F0 of metals, by channel and in hue, and of dielectric parts.
 
     Photographs known metals, captures them, and compares F0 where the truth is metal and where it
-    is none, texel by texel. Prints the table.
+    is dielectric, texel by texel. Prints the table.
     """
     from matcap.brdf.metals import METAL_F0
     from matcap.lab.bench.metals import ABOUT, metals_experiment
@@ -215,11 +215,11 @@ def fields(
     ] = False,
     out: OutOption = Path("bench/fields"),
 ) -> None:
-    """How far fields and repeated exemplars of true maps are from the truth.
+    """Errors of fields and periodic tiles synthesised from true maps.
 
-    The exemplar is the truth, so that only how it is rearranged, or made to repeat, is measured: by
-    normalised style distance as `bench floors`, by the length of joints for the truth's, and by how
-    far a lattice's phase is off 16384 texels away. Prints the table.
+    The exemplar is the truth, so that only synthesis is measured: by normalised style distance as
+    in `bench floors`, by the length of joints relative to the truth's, and by the phase error of a
+    lattice 16384 texels away. Prints the table.
     """
     from matcap.lab.bench.fields import ABOUT, fields_experiment, grating, phase_off
     from matcap.lab.simulate.specimen import subjects
@@ -246,9 +246,9 @@ def gloss(
     ] = False,
     out: OutOption = Path("bench/gloss"),
 ) -> None:
-    """Roughness and F0 found of plain materials, polished to matte, the more is clipped.
+    """Estimates of roughness and F0 of plain materials, polished to matte, over exposures.
 
-    Prints the table, a row a material and exposure.
+    Prints the table, a row for each material and exposure.
     """
     from matcap.lab.bench.gloss import ABOUT, gloss_experiment, materials
 
@@ -271,9 +271,9 @@ def camera(
     jpeg: Annotated[bool, typer.Option("--jpeg", help="Simulate JPEGs, not RAW.")] = False,
     out: OutOption = Path("bench/camera"),
 ) -> None:
-    """What one falloff for all photographs of a camera changes in their coarse fits.
+    """Effect of a common camera profile (vignetting) on coarse fits.
 
-    Fits each alone, then all under the profile that they make together. Prints the table.
+    Fits each photograph alone, then all with the profile fitted to them. Prints the table.
     """
     from matcap.batch.input_folder import find_samples
     from matcap.lab.bench.cameras import ABOUT, camera_experiment
@@ -301,7 +301,7 @@ def highlight(
     ] = True,
     out: OutOption = Path("bench/highlight"),
 ) -> None:
-    """Whether the coarse fit keeps highlights, and finds flash and tilt where they were.
+    """Errors of the coarse fit's highlight, flash offset and tilt.
 
     Compares the highlight's centre, width and contrast in photographs and in re-renderings of
     their coarse fits, which are written side by side. Prints the table, and errors of offset and
@@ -315,10 +315,10 @@ def highlight(
 
 @app.command()
 def aligned(out: OutOption = Path("bench/aligned"), material: OnlyOption = None) -> None:
-    """How right the maps of the photographed sample are, texel by texel.
+    """Errors of the photographed sample's maps, texel by texel.
 
-    Photographs simulated materials and compares what is found with the true maps, by distance from
-    the flash, beside the photograph as albedo and the coarse fit alone. Prints the table.
+    Photographs simulated materials and compares exemplar, photograph as albedo and coarse fit with
+    the true maps, by distance from the flash. Prints the table.
     """
     from matcap.lab.bench.aligned import ABOUT, aligned_experiment
 
@@ -337,10 +337,10 @@ def repetition(
     size: Annotated[int, typer.Option(min=512, max=8192, help="Texels per side.")] = 4096,
     out: OutOption = Path("bench/repetition"),
 ) -> None:
-    """Whether a field by example shows its tricks.
+    """Repetition in fields by example.
 
-    Its correlation with itself beside that of two seeds, sizes of verbatim copies, and how far two
-    seeds are apart. Prints the table.
+    Autocorrelation and cross-correlation of two seeds, sizes of verbatim copies, and difference of
+    two seeds. Prints the table.
     """
     from matcap.lab.bench.repetition import ABOUT, repetition_experiment
 
@@ -371,9 +371,9 @@ def fronts(
 ) -> None:
     """Error, seconds and memory of captures, over work, photographs, detail, time and generators.
 
-    Photographs materials whose truth is known as real ones are photographed, runs `matcap capture`
-    on them and compares what it wrote with other true samples. Rows that another version of matcap
-    measured count. Seconds by the clock mean something on a quiet machine only.
+    Simulates phone photographs of materials with known truth, runs `matcap capture` on them and
+    compares its output with other true samples. Rows measured by another version of matcap are
+    kept. Wall times are meaningful only on an otherwise idle machine.
     """
     from matcap.lab.bench.fronts import USUAL, WAYS, Fronts, fronts_experiment
 
@@ -399,10 +399,10 @@ def pairs(
     count: Annotated[int, typer.Option("-n", min=1, help="Number of pairs.")] = 40,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the choice and of sides.")] = 0,
 ) -> None:
-    """Captures of the fronts side by side, without names, the truth between them.
+    """Pages for blind comparison: pairs of captures of the fronts, the truth between them.
 
     Look at the pages, write left, right or neither into the column `nearer` of pairs.csv, and put
-    it beside fronts.csv: bench report counts how often each measure agrees.
+    it next to fronts.csv: bench report counts how often each measure agrees.
     """
     from matcap.lab.bench.pairs import write_pairs
 
@@ -428,12 +428,12 @@ def relight(
         int, typer.Option(min=16, max=4096, help="Width of the pictures of --tolerances.")
     ] = 256,
 ) -> None:
-    """What relighting costs, and what leaving effects out saves.
+    """Time of relighting, and time saved by leaving effects out.
 
-    One megapixel under one light; each scene by its plan, by all effects, and the plan's next
-    picture. With --tolerances each scene at several tolerances, with all effects and with diffuse
-    light alone: seconds against the largest error, as a table and as a picture with the Pareto
-    front. With --mitsuba the named scenes' time and that of Mitsuba to 1 % of noise.
+    One megapixel under one light; each scene with the effects that the renderer chooses, with all
+    effects, and a second picture of the same surface. With --tolerances each scene at several
+    tolerances, with all effects and with diffuse light alone: seconds against the largest error, as
+    a table and a plot. With --mitsuba the named scenes' time and Mitsuba's to 1 % of noise.
     """
     from matcap.lab.bench import relight as bench
 
@@ -472,7 +472,7 @@ def synth(
     ] = None,
     repeats: Annotated[int, typer.Option(min=1, help="Repetitions; the median counts.")] = 3,
 ) -> None:
-    """What the endless field costs, beside the paper's form of the same network.
+    """Speed of synthesis, and of the paper's form of the same network.
 
     Prints the table. The paper's network takes a few gigabytes.
     """
@@ -510,9 +510,9 @@ def report(
         Path, typer.Option("--out", "-o", help="The page; a plot is written beside every CSV.")
     ] = Path("docs/notes/accuracy-and-time.md"),
 ) -> None:
-    """Write the page on accuracy and time from what was measured.
+    """Write the page on accuracy and time from the tables.
 
-    What stands under its last heading is written by hand, and kept.
+    Text under the existing page's last heading is kept.
     """
     from matcap.lab.bench.pairs import agreement
     from matcap.lab.bench.presentations import presentation_of
@@ -541,7 +541,7 @@ def paper(
 
     Photographs map sets, captures each by the default, by the decoder, and by the decoder without
     one part each; compares style under the flash and ten other lights, diversity, colour and time.
-    Writes paper.csv and paper.md, the paper's own figures beside, and prints the page.
+    Writes paper.csv and paper.md, with the paper's own figures, and prints the page.
     """
     from matcap.files.staging import staged_file
     from matcap.lab.bench.paper_tables import PaperSettings, paper_experiment, paper_page
@@ -558,7 +558,7 @@ def paper(
 
 
 def _measured(experiment: Experiment[Any, Any], out: Path) -> list[Trial]:
-    """Measure what the experiment's table in a folder lacks; its rows."""
+    """Measure the trials that the table in a folder lacks; returns the experiment's rows."""
     from matcap.files.staging import check_writable
     from matcap.lab.experiment.runner import run
 

@@ -26,9 +26,9 @@ def blend(
     overwrite: ReplaceOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Walk from one material to another: a .matcap file a step, and a strip of pictures.
+    """Interpolate between two materials: a .matcap file for each step, and a strip of pictures.
 
-    Codes and network weights are interpolated alike; the ends are A and B themselves.
+    Latent vectors and network weights are interpolated; the ends are A and B themselves.
     """
     from functools import partial
 

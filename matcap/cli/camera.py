@@ -20,11 +20,11 @@ def camera(
     given: Annotated[Given, Fields(CaptureSettings, only=("fov",))] = NOTHING,
     quiet: QuietOption = False,
 ) -> None:
-    """Estimate how much light a camera and its flash lose towards the corners.
+    """Estimate the vignetting of a camera and its flash.
 
     Takes five photographs or more of different materials, by one camera; matte ones are best. Give
     the file to matcap capture and matcap batch with --camera. A batch of five photographs or more
-    makes one by itself.
+    estimates its own.
     """
     from matcap.batch.cameras import camera_of, estimated_profile
     from matcap.batch.input_folder import find_samples

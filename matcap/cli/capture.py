@@ -58,8 +58,9 @@ def capture(
     Writes for each photograph, into a folder of its name: the material (.matcap), a first map
     set, preview.png and report.json. Ends with a verdict: good, usable, doubtful or failed, with
     the likely cause and what to do. Ctrl-C ends with the best so far, saved. By default the maps of
-    the photographed piece are found and rearranged; --generator decoder fine-tunes the decoder of
-    Henzler et al. 2021 instead. Both take the tilt that its alignment branch measures.
+    the photographed sample are estimated, and larger maps synthesised by example from them;
+    --generator decoder fine-tunes the decoder of Henzler et al. 2021 instead. Both take the tilt
+    that its alignment branch predicts.
     """
     from matcap.cli.capture_display import display
     from matcap.files.memory import keep_memory
@@ -76,7 +77,7 @@ def capture(
     results = []
     with display(quiet=quiet) as shown:
         for job in jobs:
-            # All that the process has done before its first photograph is starting.
+            # Time before the first photograph counts as the process's start.
             spent = time.process_time() if job is jobs[0] else 0.0
             results.append(_attempt(job, settings, outputs, shown, spent, overwrite=overwrite))
             if results[-1]["status"] == "interrupted":
@@ -162,7 +163,7 @@ def _capture(
 
 
 def _state(result: dict[str, Any], *, strict: bool) -> str:
-    """What becomes the exit code: how it ended, and of strict users' captures the verdict too."""
+    """State that determines the exit code: the outcome and, with --strict, the verdict."""
     state: str = result["status"]
     return "failed" if state == "done" and strict and not result["verdict"]["fit"] else state
 

@@ -45,12 +45,12 @@ class Extra:
 
     @property
     def installed(self) -> bool:
-        """Whether all of it is there."""
+        """Whether all its packages are installed."""
         return all(package.version for package in self.packages)
 
     @property
     def command(self) -> str:
-        """How to install it."""
+        """Command that installs it."""
         return f'pip install "matcap[{self.name}]"'
 
 
@@ -68,7 +68,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All of it."""
+    """Packages, extras, devices and checks of the installation."""
 
     matcap: str
     """Version."""
@@ -97,19 +97,19 @@ class Diagnosis:
 
     @property
     def healthy(self) -> bool:
-        """Whether everything needed is there and works."""
+        """Whether all required packages are installed and all checks passed."""
         whole = self.prior is not None and all(one.version for one in self.packages)
         return whole and all(check.fault is None for check in self.checks)
 
     def as_json(self) -> dict[str, Any]:
-        """The same as JSON."""
+        """The diagnosis as JSON values."""
         report = asdict(self)
         for extra, entry in zip(self.extras, report["extras"], strict=True):
             entry |= {"installed": extra.installed, "command": extra.command}
         return report | {"healthy": self.healthy}
 
     def text(self) -> str:
-        """The same for reading."""
+        """The diagnosis as text."""
         lines = [
             f"matcap {self.matcap} in {self.place}",
             f"Python {self.python}, {self.system}",
@@ -139,7 +139,7 @@ def diagnose(*, self_test: bool = True) -> Diagnosis:
     """Look at the installation; never fails.
 
     Args:
-        self_test: try the way from the prior to a picture, too; seconds.
+        self_test: also run the steps from the prior to a picture, which takes seconds.
     """
     packages, extras = _requirements()
     missing = [package.name for package in packages if package.version is None]
@@ -194,7 +194,7 @@ def _cores() -> int:
 
 
 def _devices() -> tuple[str, ...]:
-    """What torch can compute on; nothing where torch cannot be loaded."""
+    """Devices that torch can use; empty where torch cannot be loaded."""
     try:
         import torch
     except (ImportError, OSError):
@@ -209,7 +209,7 @@ def _prior() -> int | None:
 
 
 def _self_test() -> tuple[Check, ...]:
-    """From the prior that comes along to a picture and back from disk."""
+    """Run each step on a small material: packaged prior, synthesis, picture, files."""
     from matcap.brdf.folder import read_mapset
     from matcap.export.targets import export_mapset
     from matcap.field.plane import Rectangle
@@ -258,7 +258,7 @@ def _self_test() -> tuple[Check, ...]:
 
 
 def _checked(steps: Mapping[str, Callable[[], None]]) -> tuple[Check, ...]:
-    """Steps taken in turn, up to the first fault."""
+    """Run steps in order, up to the first failure."""
     checks: list[Check] = []
     for name, step in steps.items():
         start = perf_counter()

@@ -18,7 +18,7 @@ def doctor(
 ) -> None:
     """Print versions, devices and extras, and test whether all of it works.
 
-    Answers 3 where something is missing or broken.
+    Exits with 3 if something is missing or broken.
     """
     from matcap.cli.diagnosis import diagnose
     from matcap.errors import ExitCode

@@ -1,11 +1,11 @@
 """Options generated from the fields of settings (files/settings.py), their only definition.
 
-A command states where they stand in its signature:
+A command marks their position in its signature:
 
     @with_settings
     def capture(photos: ..., given: Annotated[Given, Fields(CaptureSettings)] = NOTHING) -> None:
 
-and is given those that the user gave, by field.
+and receives those that the user gave, by field.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ T = TypeVar("T")
 
 
 class Fields:
-    """Stands in a signature for the settings of some dataclasses: those named, or all but those."""
+    """Marker in a signature for dataclasses' settings: `only` some, or all `but` some."""
 
     def __init__(self, *kinds: type, but: tuple[str, ...] = (), only: tuple[str, ...] = ()) -> None:
         settings = {name: one for kind in kinds for name, one in settings_in(kind).items()}
@@ -41,7 +41,7 @@ class Fields:
 
 
 def with_settings(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with an option for each setting that its signature stands for."""
+    """The command with an option for each setting that its signature marks."""
     hints = get_type_hints(command, include_extras=True)
     shown: list[inspect.Parameter] = []
     groups: dict[str, Fields] = {}
@@ -71,13 +71,13 @@ def with_settings(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def chosen(kind: Callable[..., T], given: Given) -> T:
-    """Settings of what was given; what is of other dataclasses is left out."""
+    """Instance of `kind` from the given options; options of other dataclasses are ignored."""
     names = {one.name for one in fields(cast(Any, kind))}
     return kind(**{name: value for name, value in given.items() if name in names})
 
 
 def _parameter(one: Setting) -> inspect.Parameter:
-    """An option that is None where the user gives none."""
+    """Option of a setting; None if the user does not give it."""
     rule = one.rule
     more: dict[str, Any] = {}
     kind: Any = one.kind
@@ -105,7 +105,7 @@ def _parameter(one: Setting) -> inspect.Parameter:
 
 
 def _said(default: object) -> str:
-    """A default as users would type it; nothing where it says nothing."""
+    """A default as users would type it; empty for None, flags and empty values."""
     if default is None or isinstance(default, bool) or default in ((), ""):
         return ""
     if isinstance(default, tuple):
@@ -114,7 +114,7 @@ def _said(default: object) -> str:
 
 
 def _plain(one: Setting, value: Any) -> Any:  # noqa: ANN401
-    """What typer gives, as the field holds it."""
+    """Typer's value converted to the field's type."""
     if isinstance(value, Enum):
         return value.value
     if one.rule.several and one.rule.parse is not None:

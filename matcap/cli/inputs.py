@@ -11,7 +11,7 @@ _READ = (".matcap", ".json", ".exr")  # of a folder: materials, map sets and the
 
 
 def files_read(*given: Path | None) -> list[Path]:
-    """Files among what is given; of folders, and beside a map set's JSON file, what may be maps."""
+    """Files among `given`, and possible maps in given folders or next to a map set's JSON file."""
     return [file for path in given if path is not None for file in _of(path)]
 
 

@@ -95,7 +95,7 @@ def inspect(
 def _photo(
     path: Path, detail: int, fov: float | None, profile: CameraProfile | None
 ) -> tuple[dict[str, Any], str]:
-    """What is found, for JSON and as text."""
+    """Checks of a photograph, for JSON and as text."""
     from matcap.capture.inspection import inspect_file
     from matcap.capture.tilt import tilt_line
 
@@ -115,7 +115,7 @@ def _photo(
 
 
 def _set(paths: Sequence[Path], fov: float | None) -> tuple[dict[str, Any], str]:
-    """What photographs of one piece show and lack, for JSON and as text."""
+    """Checks of several photographs of one sample, for JSON and as text."""
     from matcap.capture.together.look import look_at_files
 
     quality = look_at_files(paths, fov)
@@ -125,7 +125,7 @@ def _set(paths: Sequence[Path], fov: float | None) -> tuple[dict[str, Any], str]
 
 
 def _strengths(measured: dict[str, Any] | None) -> list[tuple[str, str]]:
-    """How strong relief and colour are, as one would say it of the sample."""
+    """Contrast of relief and albedo in words."""
     if measured is None:
         return []
     bands = measured["bands"]
@@ -143,7 +143,7 @@ def _strengths(measured: dict[str, Any] | None) -> list[tuple[str, str]]:
 
 
 def _material(path: Path) -> tuple[dict[str, Any], str]:
-    """What a material holds, for JSON and as text."""
+    """Summary of a material, for JSON and as text."""
     from matcap.capture.compare import read_report
     from matcap.capture.outputs import REPORT
     from matcap.example.stored import read_exemplified

@@ -1,4 +1,4 @@
-"""`matcap inverse`: train the network that reads a photograph's own maps, and ship it."""
+"""`matcap inverse`: train and write the network that predicts a photograph's maps."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TrainingArgument = Annotated[
 
 @app.callback()
 def _inverse() -> None:
-    """Train the network that reads a photograph's own maps."""
+    """Train the network that predicts a photograph's maps."""
     require_laboratory()
 
 
@@ -67,7 +67,7 @@ def train(
     ] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Train one leg on endless simulated photographs; legs continue one another exactly."""
+    """Train on endless simulated photographs; a later run continues exactly."""
     from matcap.lab.inverse.train import TrainSettings
     from matcap.lab.inverse.train import train as run
 
@@ -87,7 +87,7 @@ def pack(
     out: Annotated[Path, typer.Option("--out", "-o", help="The file.")] = Path("maps.pack"),
     quiet: QuietOption = False,
 ) -> None:
-    """Write map sets of real materials as the one file that training reads."""
+    """Pack map sets of real materials into one file for training."""
     from matcap.lab.inverse.packed import pack as run
 
     count = run(folder, out)
@@ -102,7 +102,7 @@ def evaluate(
     ],
     maps: Annotated[Path, typer.Option(help="Real map sets (`inverse pack`).")],
 ) -> None:
-    """Judge networks by what none was trained on: real sets and simulated kinds held out."""
+    """Evaluate networks on held-out real map sets and simulated materials."""
     from matcap.lab.inverse import evaluate as judge
     from matcap.lab.inverse.packed import held_out_sets
     from matcap.lab.inverse.train import read_network
@@ -128,7 +128,7 @@ def distributions(
     ),
     quiet: QuietOption = False,
 ) -> None:
-    """Plot what training draws against what real materials and photographs are like."""
+    """Plot distributions of training samples against real materials and photographs."""
     from matcap.lab.inverse import distributions as of
     from matcap.lab.inverse.packed import training_sets
 
@@ -159,7 +159,7 @@ def ship(
     ] = 0.5,
     quiet: QuietOption = False,
 ) -> None:
-    """Write a training's running average as the file that captures read, in half precision."""
+    """Write a training's averaged weights in half precision, as captures read them."""
     from matcap.lab.inverse.train import ship as run
 
     card = run(folder, out, before, share if before else 1.0)

@@ -8,10 +8,10 @@ from matcap.errors import MatcapError
 
 
 def require_laboratory() -> None:
-    """Let a command of the laboratory go on.
+    """Check that the laboratory is installed.
 
     Raises:
-        MatcapError: it is not installed.
+        MatcapError: it is not.
     """
     if find_spec("matcap.lab") is None:
         raise MatcapError(

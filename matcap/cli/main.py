@@ -85,7 +85,7 @@ def _print_version(wanted: bool) -> None:
 
 
 def _print_cost(start: float) -> None:
-    """What a command took, on stderr."""
+    """Print the command's time and memory on stderr."""
     cost = f"{MAKER}: {time.perf_counter() - start:.1f} s"
     if sys.platform == "linux":
         import resource
@@ -123,8 +123,7 @@ def main(
 
     Args:
         arguments: those of the process unless given.
-        interrupted: says whether a signal came. What it breaks in the middle of a library may
-            look like any other error.
+        interrupted: whether a signal arrived. A library interrupted by it may raise any error.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     warnings.showwarning = partial(_show_warning, quiet=bool({"-q", "--quiet"} & {*arguments}))
@@ -171,30 +170,29 @@ def _show_warning(
 
 def run() -> None:
     """The console script."""
-    # Threads that spin long while they wait make a shared machine many times slower; threads that
-    # do not spin at all make fine-tuning half as fast. Read by OpenMP when torch loads. Whoever
-    # sets it otherwise is heeded.
+    # Long spinning of waiting threads makes a shared machine many times slower; no spinning makes
+    # fine-tuning half as fast. OpenMP reads this when torch loads. The user's own setting wins.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("GOMP_SPINCOUNT", "2000")
-    # NumPy's matrices are small here: its threads wait for each other, spinning, more than they
-    # compute, on a shared machine twenty times as long.
+    # NumPy's matrices are small here: its threads spin longer than they compute, on a shared
+    # machine twenty times as long.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     came = raise_on_signals()
     code = main(interrupted=came)
     ignore_signals()
-    # At its end Python looks for garbage among all there is, torch too: a third of a second. What
-    # it does not look for, OpenImageIO takes for leaks, and reports one by one.
+    # Python's last garbage collection takes a third of a second with torch loaded. Without it,
+    # OpenImageIO reports leaks one by one.
     if "OpenImageIO" not in sys.modules:
         gc.freeze()
     sys.exit(_flushed(code))
 
 
 def _flushed(code: int) -> int:
-    """The exit code, once all that was printed is out; where it cannot be, that is a failure."""
+    """The exit code after flushing stdout; a failure to flush gives its own code."""
     try:
         sys.stdout.flush()
     except OSError as error:
-        # Python would try again at its end, and report it in its own words.
+        # Python would flush again at exit, and print its own message.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if error.errno == errno.ENOSPC and not code:
             return _show_full(error, debug=False)
@@ -202,7 +200,7 @@ def _flushed(code: int) -> int:
 
 
 def _show_full(error: OSError, *, debug: bool) -> int:
-    """Only what is printed fails so: files are written through files/staging.py."""
+    """Report a failure to write to stdout; files are written through files/staging.py."""
     full = MatcapError("the disk is full", where="standard output", remedy="free some space")
     full.__cause__ = error
     _show(full, debug=debug)
@@ -210,7 +208,7 @@ def _show_full(error: OSError, *, debug: bool) -> int:
 
 
 def _show_file(error: OSError, *, debug: bool) -> int:
-    """A file that cannot even be looked at: its name is too long, a folder above it is closed."""
+    """Report an inaccessible file: its name is too long, or a parent folder is not readable."""
     why = (error.strerror or type(error).__name__).lower()
     where = str(error.filename)[:200]
     shown = MatcapError(f"cannot be used ({why})", where=where, remedy="give another file")

@@ -8,7 +8,7 @@ from typer.core import TyperCommand
 
 
 class PlainCommand(TyperCommand):
-    """As typer's, without `<bool>`."""
+    """Typer's command, without `<bool>` in the help of flags."""
 
     def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401
         """All parameters, `--help` too."""

@@ -48,7 +48,7 @@ def corpus(
     seed: Annotated[int, typer.Option(min=0, help="Seed of simulated photographs.")] = 0,
     quiet: QuietOption = False,
 ) -> None:
-    """Pack photographs for training; what cannot be read is left out and listed."""
+    """Pack photographs for training; unreadable ones are left out and listed."""
     from matcap.files.staging import check_writable
     from matcap.lab.train.corpus import build
 
@@ -74,7 +74,7 @@ def train(
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     quiet: QuietOption = False,
 ) -> None:
-    """Train encoder and decoder on a pack; a killed run goes on with --resume."""
+    """Train encoder and decoder on a pack; --resume continues an interrupted run."""
     from matcap.lab.train.pack import Pack
     from matcap.lab.train.train import train as run
     from matcap.space.prior.store import load_prior
@@ -120,7 +120,7 @@ def align(
     steps: Annotated[int, typer.Option(min=1, help="Training steps, of 24 photographs.")] = 8000,
     quiet: QuietOption = False,
 ) -> None:
-    """Train the alignment branch, which measures every capture's tilt, on simulated photographs."""
+    """Train the alignment branch, which predicts a photograph's tilt, on simulated ones."""
     from matcap.files.staging import check_writable
     from matcap.lab.train.align import make, report_alignment, train_alignment
     from matcap.space.alignment import save_alignment
@@ -145,8 +145,8 @@ def make(
 ) -> None:
     """Make a prior of photographs: corpus, training, finishing, alignment branch and card.
 
-    Hours of a processor core, resumable: the same command goes on where an earlier one ended, from
-    what it left in the folder of the prior's name.
+    Takes hours on one core. The same command resumes an earlier run from its files in the folder
+    of the prior's name.
     """
     from matcap.files.staging import check_writable
     from matcap.lab.train.make import make_prior
@@ -165,9 +165,9 @@ def anchors(
     prior: PriorOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Let a prior draw near the training photographs of a pack; its networks stay as they are.
+    """Store the codes of a pack's training photographs, near which a prior draws.
 
-    `prior finish` does so by itself.
+    The networks are unchanged. `prior finish` includes this.
     """
     from matcap.lab.train.finish import with_anchors
     from matcap.lab.train.pack import Pack
@@ -192,9 +192,9 @@ def evaluate(
 ) -> None:
     """Measure a prior on held-out photographs and unseen simulated materials.
 
-    Every result is a row of prior-evaluation.csv as soon as it is there; the same command again
-    goes on from them. They are identified by material, prior and options, not by the version of
-    matcap: after changing that, or the pack, remove the CSV.
+    Each result is appended to prior-evaluation.csv; the same command resumes from it. Rows are
+    identified by material, prior and options, not by the version of matcap: after changing that, or
+    the pack, remove the CSV.
     """
     from matcap.lab.train.evaluate import EvaluateSettings, run_evaluation
     from matcap.lab.train.pack import Pack
@@ -214,9 +214,9 @@ def ablate(
     materials: Annotated[int, typer.Option(min=1, help="Number of held-out materials.")] = 12,
     quiet: QuietOption = False,
 ) -> None:
-    """Measure captures of held-out photographs without one part of the method each.
+    """Ablation: captures of held-out photographs, each without one part of the method.
 
-    Results are kept and gone on from as `prior evaluate` does.
+    Results are stored and resumed as in `prior evaluate`.
     """
     from matcap.lab.train.evaluate import EvaluateSettings, run_evaluation
     from matcap.lab.train.pack import Pack
@@ -241,7 +241,7 @@ def variety(
     ] = 64,
     quiet: QuietOption = False,
 ) -> None:
-    """Measure how varied a prior's draws are, and how like photographs it never saw.
+    """Measure the diversity of a prior's draws and their likeness to held-out photographs.
 
     Precision, recall and pairwise style distance, and a sheet of draws.
     """

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matcap.relight.scene import Scene
 
 
-# Pixels of a flash picture whose photograph's sides are not known.
+# Size, pixels, of a flash picture if the photograph's is unknown.
 _SQUARE = (1024, 1024)
 _PIXEL_BYTES = 48  # of memory that rendering and writing a picture take
 

@@ -6,15 +6,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import monotonic
 
-# Seconds that nothing is said for.
+# Seconds before the first output.
 _PATIENCE = 2.0
 
 
 @contextmanager
 def shown(*, quiet: bool) -> Iterator[Callable[[float], None]]:
-    """A progress callback that shows the share that is done and the time that is left.
+    """A progress callback that prints the share done and the remaining time.
 
-    Nothing appears within two seconds, or anywhere but on a terminal.
+    Only on a terminal, and only after two seconds.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn

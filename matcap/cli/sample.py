@@ -30,11 +30,10 @@ def sample(
     overwrite: ReplaceOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Draw materials out of nothing and show them under a flash.
+    """Draw random materials from the prior and render them under a flash.
 
-    Each is near a random one of the photographs that the prior learnt from, or near the one given
-    with --like. They are materials like any other: synth, relight, export, view and blend take
-    them.
+    Each is near a random one of the prior's training photographs, or near the one given with
+    --like. synth, relight, export, view and blend take them like any other material.
     """
     from functools import partial
 
@@ -76,7 +75,7 @@ def sample(
 
 
 def _called(like: Path | None) -> str:
-    """What drawn materials are called, before their seed."""
+    """Name of drawn materials, without their seed."""
     from matcap.files.names import usable_name
 
     return "drawn" if like is None else f"like_{usable_name(like.stem)}"

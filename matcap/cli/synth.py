@@ -29,7 +29,7 @@ _EVERY = 10.0  # seconds between lines of progress where there is no terminal
 
 
 class SynthCommand(PlainCommand):
-    """Lets `--tile` stand alone, for both axes."""
+    """Command whose `--tile` may have no value: both axes."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
         """Give a lone --tile its value."""
@@ -69,8 +69,8 @@ def synth(
 ) -> None:
     """Make more of a material: a map set of any size, seam-free and repeatable.
 
-    The same material, seed and place give the same texels, whatever rectangle they are part of.
-    Without a material the prior draws one, another for every seed; --like a photograph, near it.
+    The same material, seed and position give the same texels in every rectangle. Without a material
+    the prior draws one by the seed; with --like, near a photograph.
     """
     import os
 
@@ -208,7 +208,7 @@ def _progress(*, quiet: bool) -> Iterator[Callable[[SynthProgress], None]]:
 
 
 def _rate(now: SynthProgress) -> str:
-    """Texels a second, and how long there is to go."""
+    """Texels a second, and the remaining time."""
     left = now.seconds_left
     time_left = "" if left is None else f", {values.spoken_duration(left)} left"
     return f"{now.rate / 1e6:.2f} million texels/s{time_left}"
