@@ -40,7 +40,7 @@ _SIMULATED = "simulated_"  # names of simulated photographs begin so, and end wi
 
 @dataclass(frozen=True)
 class Built:
-    """A pack, and the pictures that could not be used with the reason why."""
+    """A pack, and the (name, reason) of pictures left out."""
 
     pack: Pack
     skipped: tuple[tuple[str, str], ...] = field(default=())
@@ -111,10 +111,10 @@ def simulate(seed: int, *, deviation: float = _PACK_TILT) -> Entry:
 
 
 def true_piece(entry: Entry, side: int) -> MapSet | None:
-    """Maps of `side` texels of what a simulated photograph of the pack shows, at WAVE_DETAIL.
+    """True maps, `side` texels a side at WAVE_DETAIL, of a simulated photograph's material.
 
-    None for a real photograph. They are a piece of the same material as the pack's picture, which
-    is all that statistics ask for, not texel for texel what it shows.
+    None for a real photograph. They are another realisation than the photographed one, which
+    suffices for statistics.
 
     Raises:
         MatcapError: the pack was built by another version, whose seeds were other materials.
@@ -144,7 +144,7 @@ def simulated_code(
 def scene_of(
     seed: int, deviation: float = _PACK_TILT
 ) -> tuple[RandomMaterial | RandomKind, PhoneCamera, FlashSetup]:
-    """What is photographed, with which camera, and how it is held."""
+    """Material, camera and camera pose with flash, drawn from a seed."""
     rng = np.random.default_rng([20212, seed])
     material = material_of(seed, rng)
     camera = PhoneCamera(
@@ -161,17 +161,17 @@ def scene_of(
 
 
 def material_of(seed: int, rng: np.random.Generator) -> RandomMaterial | RandomKind:
-    """A thing that has structure (cells, weaves, planks, ...), or a pattern drawn from `rng`."""
+    """A material of a kind (cells, weaves, planks, ...), or a pattern drawn from `rng`."""
     which = np.random.default_rng([20213, seed])
     return random_kind(which) if which.random() < _KIND_SHARE else random_material(rng)
 
 
 def random_setup(rng: np.random.Generator, deviation: float | None) -> FlashSetup:
-    """A phone held above a material: flash 1 to 3 cm from the lens, 15 to 30 cm away.
+    """Random phone above a material: flash 1 to 3 cm from the lens, distance 15 to 30 cm.
 
     Args:
         rng: random numbers.
-        deviation: of the two tilts, in radians; None draws them evenly up to 15 degrees.
+        deviation: of the two tilts, in radians; None draws them uniformly up to 15 degrees.
     """
     angle, reach = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.03, 0.14)
     if deviation is None:

@@ -1,9 +1,8 @@
-"""DECODERONLY, an ablation: noise at several scales straight into the way up (paper, section 5).
+"""DECODERONLY, an ablation: a U-Net without its downsampling path (paper, section 5).
 
-The way up and the head are the shipped decoder's. What reaches them from the way down is here a
-1 x 1 convolution of white noise, at every level its own: nothing looks at its neighbours before
-the way up does. It is no network that is shipped: it cannot be folded (space/freeze.py) or saved
-as a material, so its pictures are read from it as it is (`Unfolded`).
+Upsampling path and head are the shipped decoder's. The skip connections carry a 1 x 1 convolution
+of each level's own white noise, without context from neighbours. The network is not shipped: it
+cannot be folded (space/freeze.py) or saved as a material, so `Unfolded` evaluates it.
 """
 
 from __future__ import annotations
@@ -30,14 +29,14 @@ from matcap.space.patch import Patch
 from matcap.space.random_field import random_field
 from matcap.statistics.lattice import Wave
 
-HALO = 4 * ALIGNMENT  # texels of true noise around what is read; the way up reaches 61 of them
+HALO = 4 * ALIGNMENT  # margin, texels; the upsampling path's receptive field extends over 61
 
 
 class DecoderOnly(Decoder):
-    """A decoder without its way down; `config.noise_channels` are those of one level.
+    """A decoder without downsampling path; `config.noise_channels` are those of one level.
 
-    The field it reads has them for every level, side by side. Level k takes every 2^k-th texel of
-    its own: independent noise of that scale, and still a function of the texel's place alone.
+    The noise field has these channels for every level. Level k takes every 2^k-th texel of its own
+    channels: independent noise of that scale, a function of the texel's position alone.
     """
 
     def __init__(self, config: DecoderConfig) -> None:
@@ -50,7 +49,7 @@ class DecoderOnly(Decoder):
     def way_down(
         self, noise: Tensor, step: Callable[[ConvolutionLayer], LayerStep]
     ) -> list[Tensor]:
-        """What the way up reads at every level, full resolution first: noise of that level."""
+        """Inputs of the upsampling path, full resolution first: each level's noise."""
         groups = noise.chunk(DEPTH + 1, dim=1)
         return [
             step(layer)(_every(2**level, group))
@@ -62,8 +61,8 @@ class DecoderOnly(Decoder):
 class Unfolded:
     """A frozen decoder of any kind as a generator of maps, layer by layer.
 
-    What Material is to folded ones: endless, the same texels whatever rectangle is asked for, but
-    for the rounding of float32.
+    The counterpart of Material for unfolded decoders: endless, and the same texels in every
+    rectangle up to rounding of float32.
 
     Attributes:
         decoder, code, moments, waves, texel_size: as of a Material.
@@ -90,5 +89,5 @@ class Unfolded:
 
 
 def _every(stride: int, noise: Tensor) -> Tensor:
-    """Every so many texels of (B, C, H, W), along both sides."""
+    """Every `stride`-th texel of (B, C, H, W) along x and y."""
     return noise[..., ::stride, ::stride].contiguous(memory_format=torch.channels_last)

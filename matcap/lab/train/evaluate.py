@@ -1,11 +1,10 @@
 """Evaluation of a prior and ablations, on held-out photographs.
 
-*Evaluation*: held-out photographs captured with and without the prior, beside the photograph as
-albedo. *Ablation* (paper, section 5.4): FULL starts from the prior and fine-tunes. SINGLE starts
-from nothing. NONTUNED does not fine-tune. DECODERONLY starts from nothing, too, and has no way down
-(decoder_only.py); it is to be compared with SINGLE. FOURIER leaves the power spectrum out of
-fine-tuning. LIGHT leaves the tilt out, wherever it is known from (in the paper: its alignment
-branch): the photograph counts as taken from straight above.
+*Evaluation*: held-out photographs captured with and without the prior, and the photograph as albedo
+as a baseline. *Ablation* (paper, section 5.4): FULL starts from the prior and fine-tunes. SINGLE
+starts from random weights. NONTUNED does not fine-tune. DECODERONLY starts from random weights and
+has no downsampling path (decoder_only.py); compare it with SINGLE. FOURIER fine-tunes without the
+power spectrum. LIGHT assumes a tilt of 0 (in the paper: no alignment branch).
 """
 
 from __future__ import annotations
@@ -59,19 +58,19 @@ Ways = Mapping[str, Configuration[Photographed, Made]]
 
 @dataclass(frozen=True)
 class EvaluateSettings:
-    """What is measured."""
+    """Steps and numbers of photographs and realisations."""
 
     steps: int = 100
-    """Of fine-tuning from the prior."""
+    """Fine-tuning steps from the prior."""
 
     longer: int = 1000
-    """Of fine-tuning from nothing."""
+    """Fine-tuning steps from random weights."""
 
     materials: int = 12
-    """How many held-out ones."""
+    """Number of held-out materials."""
 
     realisations: int = 3
-    """Of each material, that are compared with each other."""
+    """Realisations of each material, for diversity."""
 
 
 def run_evaluation(
@@ -155,7 +154,7 @@ def ways_of(prior: Prior, settings: EvaluateSettings) -> Ways:
 
 
 def variants(prior: Prior, steps: int, realisations: int = 3) -> Ways:
-    """FULL and what is left without one part each."""
+    """FULL and its ablations."""
     start, known = partial(from_prior, prior), prior_key(prior)
 
     def way(
@@ -183,10 +182,9 @@ def variants(prior: Prior, steps: int, realisations: int = 3) -> Ways:
 
 
 def albedo(shown: Photographed) -> Made:
-    """The photograph as diffuse albedo: its corner, laid in its middle.
+    """The photograph as diffuse albedo: a crop of its corner, moved to the middle.
 
-    In its own place it would be compared with itself, lit a second time, and look right where no
-    other piece of it would. There is one picture of it, so its diversity is 0.
+    An unmoved crop would be compared with itself. There is one picture, so its diversity is 0.
     """
     began = time.perf_counter()
     fixed = photo_as_albedo(shown.photo, shown.scene.setup, DETAIL)
@@ -196,7 +194,7 @@ def albedo(shown: Photographed) -> Made:
 
 
 def from_prior(prior: Prior, shown: Photographed) -> tuple[Decoder, Tensor]:
-    """Decoder and code as the prior has them for a photograph."""
+    """The prior's decoder and its encoder's code of a photograph."""
     return prior.start(shown.photo.pixels, shown.entry.coarse, shown.plane)
 
 
@@ -207,7 +205,7 @@ def from_nothing(shown: Photographed, kind: type[Decoder] = Decoder) -> tuple[De
 
 
 def prior_key(prior: Prior) -> str:
-    """16 hexadecimal digits that stand for the networks a capture starts from."""
+    """Hash of the networks that a capture starts from, 16 hexadecimal digits."""
     digest = hashlib.sha256()
     for network in (prior.encoder, prior.decoder):
         for name, value in network.state_dict().items():
@@ -226,7 +224,7 @@ def _without_tilt(shown: Photographed) -> Photographed:
 
 
 def _page(name: str, rows: Sequence[Trial], out: Path, command: str, more: str) -> str:
-    """The table as a page, and a sheet beside it: a column a material, a row a method."""
+    """Write the table as a page, and a sheet: a column for each material, a row for each method."""
     methods = [m for m in dict.fromkeys(row.configuration for row in rows) if m != ALBEDO]
     materials = list(dict.fromkeys(row.subject for row in rows))
     paths = [_picture(out / name, material, m) for m in methods for material in materials]
@@ -242,7 +240,7 @@ def _picture(folder: Path, material: str, method: str) -> Path:
 
 
 def _read(path: Path) -> Tensor:
-    """(3, H, W) sRGB in [0, 1]; black where a killed run left none."""
+    """(3, H, W) sRGB in [0, 1]; black if the file is missing after an interrupted run."""
     if not path.is_file():
         return torch.zeros(3, SIZE, SIZE)
     code = read_code(path.read_bytes(), path.name)[..., ::-1]

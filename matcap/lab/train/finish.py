@@ -1,8 +1,8 @@
-"""From a trained state to a prior: codes made standard normal, and how bases go with them.
+"""From a trained state to a prior: standardised codes, and conditional means of the bases.
 
-The aggregate of all training codes is moved to zero mean and unit variance, dimension by
-dimension. Encoder and decoder take up the change exactly, so no picture changes; only random
-draws do, which now come from where the codes are.
+The aggregate posterior of all training codes is shifted and scaled to zero mean and unit variance,
+dimension by dimension. Encoder and decoder absorb the change exactly, so that reconstructions are
+unchanged and standard normal draws match the codes' distribution.
 """
 
 from __future__ import annotations
@@ -66,9 +66,9 @@ def codes_of(encoder: Encoder, entries: Sequence[Entry]) -> Codes:
 
 
 def standardise(encoder: Encoder, decoder: Decoder, codes: Codes) -> tuple[Encoder, Decoder]:
-    """Copies whose codes z' = (z - mean) / deviation; every picture stays the same.
+    """Copies with codes z' = (z - mean) / deviation and the same pictures.
 
-    The encoder bounds log variances, which move along: where a bound held, it holds elsewhere.
+    The encoder's bounds of log variances are not shifted with them, so a clamped one may differ.
     """
     mean, variance = codes.aggregate
     deviation = variance.sqrt()
@@ -86,7 +86,7 @@ def standardise(encoder: Encoder, decoder: Decoder, codes: Codes) -> tuple[Encod
 
 
 def conditional_mean_of(codes: Codes, entries: Sequence[Entry]) -> ConditionalMean:
-    """Ridge regression of bases on standardised codes, and the covariance of the rest."""
+    """Ridge regression of bases on standardised codes, and the covariance of the residuals."""
     bases = torch.stack([varying(base_of(e.coarse, e.contrast)) for e in entries]).double()
     offset = bases.mean(0)
     code = codes.mean.double()
@@ -127,7 +127,7 @@ def finish(
 
 
 def anchors_known(codes: Codes, model: ConditionalMean, entries: Sequence[Entry]) -> Anchors:
-    """Where photographs lie in a space, of whose codes they have these."""
+    """Anchors of a prior: latent codes and bases of photographs."""
     return anchors_of(
         [
             Anchor(code, model.rest(code, base_of(entry.coarse, entry.contrast)), entry.waves)
@@ -137,6 +137,6 @@ def anchors_known(codes: Codes, model: ConditionalMean, entries: Sequence[Entry]
 
 
 def with_anchors(prior: Prior, entries: Sequence[Entry]) -> Prior:
-    """A prior whose draws are near these photographs; its networks stay as they are."""
+    """A prior whose draws are near these photographs; its networks are unchanged."""
     codes = codes_of(prior.encoder, entries)
     return replace(prior, anchors=anchors_known(codes, prior.conditional_mean, entries))

@@ -1,8 +1,7 @@
 """Held-out photographs, and errors of pictures of a material against them.
 
-Everything is compared under the photograph's own flash in the middle of the photograph, where both
-have the same light: style by random filters that no capture optimises, colours by
-XYZ histograms, and the realisations with each other.
+Pictures are compared in the middle of the photograph, under its own flash: style by random filters
+that no capture optimises, colours by XYZ histograms, and diversity of the realisations.
 """
 
 from __future__ import annotations
@@ -47,10 +46,10 @@ class Photographed:
     """A photograph ready to be captured.
 
     Attributes:
-        entry: what the pack says.
-        photo: decoded.
-        plane: rectified.
-        scene: for fine-tuning.
+        entry: its entry of the pack.
+        photo: the decoded picture.
+        plane: the rectified picture.
+        scene: target of fine-tuning.
     """
 
     entry: Entry
@@ -60,7 +59,7 @@ class Photographed:
 
     @property
     def middle(self) -> tuple[int, int]:
-        """Left top texel (x, y) of the square that is compared."""
+        """Left top texel (x, y) of the compared square."""
         width, height = self.plane.size
         return (width - SIZE) // 2, (height - SIZE) // 2
 
@@ -71,9 +70,9 @@ class Photographed:
         return _shown(self.plane.linear[:, y : y + SIZE, x : x + SIZE])
 
     def lit(self, maps: MapSet, setup: FlashSetup | None = None) -> Tensor:
-        """(3, SIZE, SIZE) sRGB of maps of that size lying in the middle, under the flash.
+        """(3, SIZE, SIZE) sRGB of maps of SIZE texels a side in the middle, under the flash.
 
-        The setup is the coarse fit's, unless the maps come with another.
+        `setup` is the coarse fit's by default.
         """
         points = plane_points(*self.middle, SIZE, SIZE, self.plane.size, dtype=torch.float32)
         with torch.inference_mode():
@@ -96,19 +95,19 @@ def photographed(entry: Entry) -> Photographed:
 
 @dataclass(frozen=True)
 class Made:
-    """What a method makes of a photograph."""
+    """Result of a method on a photograph."""
 
     pictures: Tensor
     """(N, 3, SIZE, SIZE) sRGB realisations under the photograph's flash."""
 
     seconds: float
-    """That the method took, without rendering them."""
+    """Run time of the method, without rendering."""
 
     method: str = ""
 
 
 def compared(shown: Photographed, made: Made) -> Mapping[str, Value]:
-    """What a method made against the photograph as it is."""
+    """Errors of a method's pictures against the photograph's, and their diversity."""
     first, truth, style = made.pictures[0], shown.truth, RandomFilters()
     return {
         "seconds": made.seconds,
@@ -145,7 +144,7 @@ def capture(
 
 
 def seeds(realisations: int) -> range:
-    """Of the realisations that are compared."""
+    """Seeds of the compared realisations."""
     return range(_FIRST_SEED, _FIRST_SEED + realisations)
 
 

@@ -1,10 +1,10 @@
 """Variety and realism of draws from a prior, against held-out photographs.
 
-Draws lie in the middle of a photograph's plane under a flash; of every photograph, held out or
-simulated of a seed that training never draws, the middle is taken. All are brought to the same
-mean radiance, and compared as measures/variety.py says. Blends of neighbouring held-out
-photographs, untuned, show whether the space passes through materials: a middle that is none is
-farther from all photographs than the ends of its blend are.
+Draws are rendered in the middle of a photograph's plane under a flash; photographs, held out or
+simulated with seeds that training never draws, are cropped to their middle. All are scaled to the
+same mean radiance and compared by measures/variety.py. Interpolations between held-out photographs,
+without fine-tuning, test the latent space: an implausible middle is farther from all photographs
+than the ends are.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ _ABOUT = (
 
 @dataclass(frozen=True)
 class VarietySettings:
-    """What is compared."""
+    """Numbers of draws and of photographs."""
 
     draws: int = 256
-    """How many materials are drawn, of seeds 0, 1, ..."""
+    """Number of materials drawn, with seeds 0, 1, ..."""
 
     simulated: int = 64
-    """How many unseen simulated photographs stand beside the held-out ones."""
+    """Number of unseen simulated photographs, added to the held-out ones."""
 
 
 def run_variety(
@@ -109,13 +109,13 @@ def run_variety(
 
 @dataclass(frozen=True)
 class Middle:
-    """One blend.
+    """One interpolation between two materials.
 
     Attributes:
         first, second: materials at its ends.
         ends: mean style distance of both ends to their nearest photographs.
-        middle: of the middle to its own.
-        strip: (3, size, 5 size) sRGB, the blend in five steps.
+        middle: style distance of the middle to its nearest photograph.
+        strip: (3, size, 5 size) sRGB, five steps.
     """
 
     first: str
@@ -126,7 +126,7 @@ class Middle:
 
     @property
     def ratio(self) -> float:
-        """Of the middle's distance to the ends'."""
+        """Ratio of the middle's distance to the ends'."""
         return self.middle / self.ends
 
 

@@ -34,7 +34,7 @@ def held_out_loss(
     using: With,
     sheet: Path,
 ) -> float:
-    """Mean style loss on the pack's held-out materials; a sheet of some and of seen ones.
+    """Mean style loss on held-out materials; writes a sheet of some of these and of training ones.
 
     Args:
         model: the running average.
@@ -68,12 +68,12 @@ def held_out_loss(
 def cut_plain(
     source: PreparedPhotograph, size: int, places: int, rng: np.random.Generator
 ) -> TrainingSample:
-    """Windows as they lie, without turning; colours as the generator has them."""
+    """Windows at random positions, without augmentation."""
     return cut(source, size, places, 1, Turn(), rng, augment=False)
 
 
 def encode(model: Model, sample: TrainingSample, wanted: Descriptor, device: str) -> Tensor:
-    """(1, CODE_SIZE) mean code by the running mean's encoder."""
+    """(1, CODE_SIZE) posterior mean by the averaged weights' encoder."""
     with mixed(device):
         return model.encoder(
             sample.picture[None].to(device),
@@ -83,7 +83,7 @@ def encode(model: Model, sample: TrainingSample, wanted: Descriptor, device: str
 
 
 def _pair(model: Model, sample: TrainingSample, bank: FilterBank, device: str) -> np.ndarray:
-    """A window of a photograph above what the prior makes of it."""
+    """A window of a photograph above its reconstruction."""
     code = encode(model, sample, targets([sample], bank, device)[0], device)
     (maps,) = decode_windows(model.decoder, code, [sample], 7, device)
     height = maps.height[0] / sample.texel_size

@@ -1,9 +1,9 @@
 """Training the prior: encoder and decoder together, as a VAE on flash photographs alone.
 
 Each step takes a few materials. The encoder sees each whole photograph, a code is drawn, the
-decoder turns fresh noise and that code into maps, and the maps are lit and seen as at several
-places of the photograph and compared with what is there (statistics/compare.py). A KL term, warmed
-up, keeps codes near a standard normal. The run itself is trainer.py's, curves and checkpoints too.
+decoder turns new noise and that code into maps, and the maps are rendered as at several positions
+of the photograph and compared with its windows there (statistics/compare.py). A KL term with
+warm-up keeps codes near a standard normal. trainer.py runs the steps, curves and checkpoints.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _WARM_UP = 50  # steps
 
 
 def schedule(steps: int) -> RateSchedule:
-    """A short warm-up, flat, and down over the last quarter."""
+    """Learning rate: a short warm-up, constant, and falling to 0 over the last quarter."""
     return RateSchedule(steps, _WARM_UP, steps / 4.0, 0.02)
 
 
@@ -47,7 +47,7 @@ def train(
 ) -> Training[Model]:
     """Train until config.steps, writing checkpoints, curves and a sheet into a folder.
 
-    Begins with nothing, or with a prior's networks, or where a checkpoint in the folder ends.
+    Starts from random weights, from a prior's networks, or with `resume` from the checkpoint.
 
     Raises:
         MatcapError: the checkpoint to resume from is missing, broken or of another shape.
@@ -90,7 +90,7 @@ def train(
 
 
 def draw(entries: Sequence[Entry], config: TrainConfig, rng: np.random.Generator) -> list[Entry]:
-    """Different materials, each material as likely as another, then one photograph of each."""
+    """Draw different materials uniformly, then one photograph of each."""
     kinds: dict[bool, dict[str, list[Entry]]] = {True: {}, False: {}}
     for entry in entries:
         kinds[entry.simulated].setdefault(entry.material, []).append(entry)
