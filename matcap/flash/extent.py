@@ -14,23 +14,23 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Extent:
-    """A rectangle of the plane that square texels lie on."""
+    """A rectangle of the plane, covered by square texels."""
 
     middle: tuple[float, float] = (0.0, 0.0)
-    """(x, y) of it, plane units."""
+    """(x, y) of its centre, plane units."""
     half: float = 1.0
     """Of its width."""
 
     def texel(self, across: int) -> float:
-        """Side of a texel, plane units, of so many across."""
+        """Side of a texel, plane units, of a grid of `across` texels."""
         return 2.0 * self.half / across
 
     def unit(self, across: int) -> float:
-        """Texels of the first photograph's long side, of so many across."""
+        """Texels along the first photograph's long side, of a grid of `across` texels."""
         return across / self.half
 
     def across(self, unit: float) -> int:
-        """The inverse of unit(), whole."""
+        """The inverse of unit(), rounded."""
         return round(unit * self.half)
 
     def within(self, point: tuple[float, float]) -> tuple[float, float]:
@@ -48,7 +48,7 @@ OWN = Extent()
 
 @dataclass(frozen=True)
 class Margins:
-    """Texels by which a piece reaches beyond the first photograph's own grid."""
+    """Margins of a mosaic around the first photograph's grid, texels."""
 
     left: int = 0
     right: int = 0
@@ -57,39 +57,39 @@ class Margins:
 
     @property
     def any(self) -> bool:
-        """Whether it does."""
+        """Whether any margin is not 0."""
         return max(self.left, self.right, self.top, self.bottom) > 0
 
     def around(self, size: tuple[int, int]) -> tuple[int, int]:
-        """(width, height) of the piece, of the first photograph's own grid."""
+        """(width, height) of the mosaic around a grid of `size` = (width, height)."""
         return size[0] + self.left + self.right, size[1] + self.top + self.bottom
 
     def extent(self, across: int) -> Extent:
-        """Of the piece, where the first photograph's own grid is so many texels across."""
+        """Extent of the mosaic, the first photograph's grid being `across` texels wide."""
         middle = (self.right - self.left) / across, (self.top - self.bottom) / across
         return Extent(middle, (across + self.left + self.right) / across)
 
     def turned(self) -> Margins:
-        """Of the piece turned a quarter clockwise."""
+        """Margins of the mosaic rotated 90 degrees clockwise."""
         return Margins(self.bottom, self.top, self.left, self.right)
 
     def inside_of(self, shape: tuple[int, int]) -> tuple[int, int]:
-        """(rows, columns) of the first photograph's own grid, of the piece's."""
+        """(rows, columns) of the first photograph's grid, from those of the mosaic."""
         return shape[0] - self.top - self.bottom, shape[1] - self.left - self.right
 
     def padded(self, planes: Tensor, value: float = 0.0) -> Tensor:
-        """(..., H, W) of the piece, of the first photograph's own grid, the rest one value."""
+        """Pad (..., h, w) on the first photograph's grid to the mosaic's (..., H, W)."""
         return F.pad(planes, (self.left, self.right, self.top, self.bottom), value=value)
 
     def inside(self, size: tuple[int, int]) -> tuple[slice, slice]:
-        """Rows and columns of the first photograph's own grid (width, height) in the piece's."""
+        """Slices of rows and columns of the first photograph's grid (width, height)."""
         return (
             slice(self.top, self.top + size[1]),
             slice(self.left, self.left + size[0]),
         )
 
     def own(self, size: tuple[int, int]) -> Tensor:
-        """(H, W) bool of the piece: what is the first photograph's own grid (width, height)."""
+        """(H, W) bool on the mosaic: the first photograph's grid of (width, height) texels."""
         return self.padded(torch.ones(size[::-1], dtype=torch.bool))
 
 

@@ -24,8 +24,7 @@ class Plane:
     valid: Tensor
     """(H, W) bool, texels seen by the camera and not clipped."""
     noise: Tensor | None
-    """(3, H, W) one more draw of the sensor's noise, in the picture's units, or None where it is
-    not known."""
+    """(3, H, W) a sample of the sensor noise model, in the picture's units, or None if unknown."""
     encoding: Encoding
     """The colour space in which its texture is compared."""
     channels: Tensor | None = None
@@ -66,12 +65,12 @@ class Plane:
         return self.encoding(self.linear[None])[0]
 
     def brightened(self, gain: float) -> Plane:
-        """The same picture as by so many times the light; the encoding stays."""
+        """The picture times `gain`; the encoding is not changed."""
         noise = None if self.noise is None else self.noise * gain
         return replace(self, linear=self.linear * gain, noise=noise)
 
     def shrunk(self, columns: int) -> Plane:
-        """The same on fewer texels, `columns` across; texels are means of what they hold."""
+        """Area average on a coarser grid, `columns` texels across."""
         width, height = self.size
         size = [max(1, round(height * columns / width)), columns]
 
@@ -93,7 +92,7 @@ class Plane:
         )
 
     def over(self, margins: Margins, known: Tensor) -> Plane:
-        """The same on the grid of a larger piece, where it measures nothing beyond its own.
+        """The plane padded to the grid of a mosaic, invalid beyond its own texels.
 
         Args:
             margins: of the piece.
@@ -136,5 +135,5 @@ def read_plane(photo: Photo, setup: FlashSetup, detail: int) -> Plane:
 
 
 def plane_of(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> Plane:
-    """A picture that is rectified already, with its own encoding; arguments as in Plane."""
+    """Plane of a rectified picture, with its own encoding; arguments as in Plane."""
     return Plane(linear, valid, noise, fit_encoding(linear, valid, noise))

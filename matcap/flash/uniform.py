@@ -27,11 +27,11 @@ class Uniform:
     """Camera, flash, tilt; its intensity belongs to these albedos."""
 
     def logits(self) -> Tensor:
-        """(5,) of diffuse albedo, F0 and roughness."""
+        """(5,) logits of diffuse albedo (3), F0 and roughness."""
         return torch.logit(torch.tensor([*self.diffuse, self.specular, self.roughness]), eps=1e-4)
 
     def parameters(self) -> SurfaceParameters:
-        """Its numbers, (..., 1, 1) each: what maps of the photographed piece depart from."""
+        """Its parameters, (..., 1, 1) each, to which log-parameter residuals of maps are added."""
         return SurfaceParameters.uniform(self.diffuse, self.specular, self.roughness)
 
 

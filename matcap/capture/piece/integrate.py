@@ -1,4 +1,4 @@
-"""Heights whose slopes are nearest to given ones ([frankot1988], with cosines)."""
+"""Least-squares integration of slopes to height ([frankot1988], by cosine transforms)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Heights2D = NDArray[np.float32]
 def integrate(across: Heights2D, down: Heights2D) -> Heights2D:
     """(H, W) height of zero mean by least squares: the inverse of differences of neighbours.
 
-    The Poisson equation with nothing passing the borders, solved by the discrete cosine transform.
+    The Poisson equation with Neumann boundaries, solved by the discrete cosine transform.
 
     Args:
         across: (H, W - 1) rise from each texel to the one right of it.
@@ -30,9 +30,9 @@ def integrate(across: Heights2D, down: Heights2D) -> Heights2D:
 
 
 def poisson(divergence: Heights2D, across: float = 1.0, down: float = 1.0) -> Heights2D:
-    """(H, W) of zero mean whose second differences, `across` and `down` times, sum to (H, W).
+    """Solve across d2h/dx2 + down d2h/dy2 = divergence (H, W) for h (H, W) of zero mean.
 
-    Both sides even, and nothing passes the borders.
+    Second differences, Neumann boundaries.
     """
     rows, columns = (
         2.0 * np.cos(np.pi * np.arange(side) / side) - 2.0 for side in divergence.shape

@@ -49,10 +49,10 @@ def code_step(linear: Floats) -> Floats:
 
 
 def noise_level(plane: Plane) -> float:
-    """Deviation of grey log radiance that is noise, at most what its plainest places vary by.
+    """Noise standard deviation of grey log radiance, bounded by that of the smoothest blocks.
 
-    A RAW's is known. What development leaves of noise is not, as it smooths what is plain: so the
-    finest structure of the plainest places is a bound.
+    Known for a RAW. For a developed picture, which is denoised by an unknown amount, the finest
+    structure of the smoothest blocks is an upper bound.
     """
     noise = channel_noise(plane)
     weights = channel_weights(noise)
@@ -62,10 +62,9 @@ def noise_level(plane: Plane) -> float:
 
 
 def plainest(plane: Plane, weights: Tensor) -> float:
-    """Deviation of the finest structure of log radiance where there is least of it.
+    """Noise standard deviation of log radiance in the smoothest blocks.
 
-    Mixed second differences, which are 0 on whatever bends along one direction only
-    [immerkaer1996], in blocks.
+    By mixed second differences, which vanish on structure along either axis [immerkaer1996].
     """
     log = (weights * plane.linear.clamp_min(NOISE.darkest).log()).sum(0)
     mixed = log[2:] - 2.0 * log[1:-1] + log[:-2]

@@ -34,9 +34,9 @@ def enlarged(plane: ChannelPlane, shape: tuple[int, ...]) -> ChannelPlane:
 
 
 def filled(plane: ChannelPlane, known: NDArray[np.bool_]) -> ChannelPlane:
-    """A plane (H, W) whose unknown texels go on from the known ones around them.
+    """Interpolate the unknown texels of a plane (H, W) from the known ones around them.
 
-    Means of ever larger cells (pull-push [gortler1996]); 0 where nothing is known.
+    Pull-push [gortler1996]; 0 if nothing is known.
     """
     if known.all() or min(plane.shape) < 2:
         return np.where(known, plane, np.float32(0.0))
@@ -50,9 +50,9 @@ def filled(plane: ChannelPlane, known: NDArray[np.bool_]) -> ChannelPlane:
 
 
 def split(plane: ChannelPlane, bands: Sequence[tuple[float, float]] = BANDS) -> list[ChannelPlane]:
-    """Bands of a plane (H, W) by the length of waves, and the rest.
+    """Band-pass components (H, W) of a plane, by wavelength in texels, and the low-pass rest.
 
-    Longest first; what is longer than all bands comes last. They add up to the plane.
+    Longest band first, the rest last; they sum to the plane.
     """
     height, width = plane.shape
     # cv2.dct wants even sides.

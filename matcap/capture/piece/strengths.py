@@ -42,10 +42,10 @@ class Strengths:
     slope: Doubles
     """Of the slope along the direction."""
     trust: Doubles
-    """How far the slope's strength stands out of its own scatter, 0 to 1."""
+    """Significance of the slope energy against its standard error, in [0, 1]."""
     doubt: Doubles
-    """(len(BANDS),) what the slopes' energy, squared slopes of all directions together, may be off
-    by (a standard deviation). Where nothing stands out it still is a bound."""
+    """(len(BANDS),) standard deviation of the slope energy, summed over directions; an upper bound
+    where nothing is significant."""
 
     @property
     def relief(self) -> float:
@@ -236,8 +236,8 @@ def _regress(
 ) -> Doubles:
     """(3, DIRECTIONS) A, S and S's standard error of a band, A and S not negative.
 
-    Weighted least squares of all directions together: what windows have in common is unknown too,
-    near 0 before anything is seen, and linear where A is taken from the round before.
+    Weighted least squares over all directions, with a factor m of each window that has a Gaussian
+    prior; linear, as A in the product A m is that of the previous round.
 
     Args:
         slant: (DIRECTIONS, N) of windows.
