@@ -74,7 +74,7 @@ def exemplar_maps(result: CaptureResult) -> CapturedMaps:
 
 
 def field_maps(material: Material, width: float, seed: int = 0) -> CapturedMaps:
-    """A square of a material's endless field, so many plane units wide."""
+    """A square of a material's endless field, `width` plane units wide."""
     side = round(width / material.texel_size)
     return CapturedMaps(material.maps(side, side, seed=seed), material.setup)
 

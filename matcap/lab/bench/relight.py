@@ -242,7 +242,7 @@ def chosen_scenes(scenes: Sequence[Path]) -> dict[str, Scene]:
 
 
 def leather(size: int = 1024) -> Texture:
-    """Simulated leather of so many texels a side, two plane units wide."""
+    """Simulated leather of `size` texels a side, two plane units wide."""
     return Texture.from_maps(realise("leather", size, size, 1, 2.0 / size))
 
 

@@ -174,7 +174,7 @@ def field_costs(
         settings: sizes and repeats.
         network: a name in NETWORKS.
         keeps: memory is kept by the allocator.
-        way: workers, block and precision.
+        way: (workers, block, precision).
     """
     if keeps:
         keep_memory()

@@ -2,8 +2,8 @@
 
 A set's folder holds `basecolor`, `normal`, `roughness` and, where some of it is metal, `metallic`
 (../data/maps/README.md of the project). Height is integrated from the normals: a height map's scale
-would be unknown. Each level halves the resolution; slope variance lost by that is added to
-roughness.
+would be unknown. Each level halves the resolution; the slope variance that this removes is added to
+alpha^2.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def read_set(folder: Path, *, bare_metal: bool = False) -> tuple[Picture, Pictur
 
 
 def halved(surface: Picture, height: Picture) -> tuple[Picture, Picture]:
-    """The set at half its resolution; slope variance lost is added to alpha^2."""
+    """The set at half its resolution; the slope variance removed is added to alpha^2."""
     fine = np.square(_slopes(height)).sum(0, keepdims=True)
     coarse_height = _mean(height) / 2.0
     lost = np.maximum(_mean(fine) - np.square(_slopes(coarse_height)).sum(0, keepdims=True), 0.0)

@@ -102,7 +102,7 @@ def measured(
     out: Path,
     on_progress: Callable[[str], None] = lambda line: None,
 ) -> list[Trial]:
-    """Every way on every photograph; their pictures go to a folder of the experiment's name.
+    """Every method on every photograph; pictures go to a folder of the experiment's name.
 
     Rows are identified by material and configuration, not by the version of matcap: after
     changing that, or the pack, remove the CSV.

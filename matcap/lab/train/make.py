@@ -37,7 +37,7 @@ def make_prior(
     out: Path,
     on_progress: Callable[[str], None] = lambda line: None,
 ) -> Prior:
-    """Make a prior, and beside it its card (.md) and, where it is asked for, an alignment branch.
+    """Make a prior, its card (.md) and, if the recipe has one, an alignment branch.
 
     Args:
         folder: of photographs named MATERIAL_anything.jpg; None for simulated ones alone.

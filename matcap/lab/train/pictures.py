@@ -45,7 +45,7 @@ def lit(material: Material) -> Tensor:
 
 
 def write_grid(pictures: Sequence[Tensor], columns: int, path: Path) -> None:
-    """JPEG of sRGB pictures (3, H, W) of one size, so many side by side.
+    """Write a JPEG grid of sRGB pictures (3, H, W) of one size, `columns` wide.
 
     Raises:
         MatcapError: the file cannot be written.

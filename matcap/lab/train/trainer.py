@@ -1,8 +1,8 @@
 """One trainer for every network: AdamW, averaged weights, schedule, checkpoints and curves.
 
 Everything random in a step follows from its number, so weights, moments and step are the whole
-state: a run killed at any time goes on from its last checkpoint as if nothing had happened. What a
-network is trained on and by stands beside it: train/train.py, inverse/train.py.
+state: a run killed at any time goes on from its last checkpoint as if nothing had happened. Each
+network's samples and losses are in train/train.py and inverse/train.py.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ _SAMPLE = (256, 192, 2.0 / 512.0)
 
 @dataclass(frozen=True)
 class RandomKind:
-    """One material of the stream.
+    """A material of a kind, with random parameters.
 
     Attributes:
         kind: a key of kinds_known().

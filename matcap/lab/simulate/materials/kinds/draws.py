@@ -141,5 +141,5 @@ def streaks(canvas: Canvas, label: str, across: Raster, *indices: Whole) -> Rast
 
 
 def palette_of(palette: Colours, share: Raster) -> Raster:
-    """(3, ...) colours of a palette (N, 3) at numbers in [0, 1)."""
+    """(3, ...) entries of a palette (N, 3), picked by numbers in [0, 1)."""
     return np.moveaxis(palette[(share * len(palette)).astype(np.int64)], -1, 0)
