@@ -115,7 +115,7 @@ class Rectified:
 
     @staticmethod
     def of_photo(photo: Photo, fit: Uniform, detail: int) -> Rectified:
-        """Of a photograph read with at least as many pixels as `detail` texels across.
+        """Rectify a photograph that has at least `detail` pixels across, and find its lattice.
 
         Args:
             photo: the photograph.

@@ -92,9 +92,9 @@ class CaptureClock:
 
         Args:
             on_progress: called as the work goes on.
-            stages: what there is to do, with shares of the time.
+            stages: names in order, each with its share of the time.
             limit: seconds for the whole command, or None.
-            spent: seconds of them that the command took until now.
+            spent: seconds the command has already taken.
         """
         self.seconds: dict[str, float] = {}
         self.interrupted = False

@@ -156,11 +156,11 @@ class NetworkPrediction:
 
 @dataclass(frozen=True)
 class Adaptation:
-    """Texture-statistics fit that is asked for (adapt.py).
+    """Settings of the texture-statistics fit (adapt.py).
 
     Attributes:
-        target: gives the photograph's statistics.
-        steps: of all legs, at least 1.
+        target: callback, returns the photograph's windows and statistics.
+        steps: of all stages together, at least 1.
         seed: of the order of windows.
     """
 

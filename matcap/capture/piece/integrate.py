@@ -30,7 +30,7 @@ def integrate(across: Heights2D, down: Heights2D) -> Heights2D:
 
 
 def poisson(divergence: Heights2D, across: float = 1.0, down: float = 1.0) -> Heights2D:
-    """Solve across d2h/dx2 + down d2h/dy2 = divergence (H, W) for h (H, W) of zero mean.
+    """Solve across d2h/dx2 + down d2h/dy2 = divergence for h (H, W), texels, of zero mean.
 
     Second differences, Neumann boundaries.
     """

@@ -64,7 +64,7 @@ def noise_level(plane: Plane) -> float:
 def plainest(plane: Plane, weights: Tensor) -> float:
     """Noise standard deviation of log radiance in the smoothest blocks.
 
-    By mixed second differences, which vanish on structure along either axis [immerkaer1996].
+    By mixed second differences, which vanish on f(x) + g(y) [immerkaer1996].
     """
     log = (weights * plane.linear.clamp_min(NOISE.darkest).log()).sum(0)
     mixed = log[2:] - 2.0 * log[1:-1] + log[:-2]

@@ -133,7 +133,7 @@ def _seen(use: NDArray[np.bool_] | NDArray[np.float32], cuts: list[tuple[slice, 
 
 
 def _window_energies(log: NDArray[np.float32], cuts: list[tuple[slice, slice]]) -> Doubles:
-    """(windows, len(BANDS), DIRECTIONS) mean squares of log radiance."""
+    """(windows, len(BANDS), DIRECTIONS) mean square of log radiance in each directional band."""
     window, kinds = _hann(), _kinds()
     power = float(np.square(window).sum())
     energies = []
