@@ -1,4 +1,4 @@
-"""One response for all photographs of a camera, from what each says of it.
+"""Falloff and tone curve of a camera, combined from the estimates of its photographs.
 
 Photograph i shows x_i = x + e_i of falloff and tone curve (CameraResponse): x is the camera's and
 e_i ~ N(0, tau^2 S) what relief, room light and local tone mapping add, S = diag(1, 1, 0.04).
@@ -49,7 +49,7 @@ PROFILE = ProfileSettings()
 
 
 def camera_profile(camera: str, fits: Sequence[CoarseFit]) -> CameraProfile | None:
-    """The profile of a camera, or None of fewer photographs than determine one.
+    """The profile of a camera, or None with too few photographs.
 
     Args:
         camera: its name.
@@ -62,10 +62,10 @@ def camera_profile(camera: str, fits: Sequence[CoarseFit]) -> CameraProfile | No
 
 
 def shared_response(seen: Sequence[CameraEvidence]) -> CameraResponse:
-    """What photographs say together of the next one's camera; of fewer than LEAST any camera's.
+    """Predictive Gaussian of the response in the next photograph (module equation).
 
     Args:
-        seen: what each says; their order does not matter.
+        seen: likelihoods, in any order; with fewer than LEAST the prior of any camera is returned.
     """
     prior = CameraResponse()
     if len(seen) < LEAST:
@@ -111,7 +111,7 @@ def _combined(
 
 
 def _no_gain(precision: Doubles, shift: Doubles) -> Doubles:
-    """The likeliest (3,) at which corners gain no light: neither falloff is negative."""
+    """Most likely x (3,) with non-negative falloff."""
     mean = np.linalg.solve(precision, shift)
     for gaining in np.flatnonzero(mean[:2] < 0.0):
         free = [index for index in range(3) if index != gaining]

@@ -14,7 +14,7 @@ _LOGIT_EPSILON = 1e-4  # of albedo, F0 and roughness: bounds the logit at 0 and 
 
 @dataclass(frozen=True)
 class Penalties:
-    """What is paid beside the distance of statistics; docs/notes/prior.md.
+    """Weights of the penalties added to the texture distance; docs/notes/prior.md.
 
     Attributes: weights, and what they are of.
         slope: of the mean squared slope; relief must lower the loss by more.

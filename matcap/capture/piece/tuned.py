@@ -175,7 +175,7 @@ class KindSettings:
 
 @dataclass(frozen=True)
 class RefineSettings:
-    """Levels and texels moved until they re-render to the photograph.
+    """Refinement by re-rendering (refine.py).
 
     Attributes:
         steps: of refinement. More is sharper, and takes as much longer: of granite's finest octave
@@ -214,7 +214,7 @@ class RefineSettings:
 
 @dataclass(frozen=True)
 class AdaptSettings:
-    """A few numbers moved until windows look like the photograph everywhere.
+    """Texture-statistics fit of the scaling parameters (adapt.py).
 
     Attributes:
         legs: how far each leg reaches; in between, what relief no longer explains goes back to
@@ -318,7 +318,7 @@ class InpaintSettings:
 
 @dataclass(frozen=True)
 class FinestSettings:
-    """The finest bands, carried over from the photograph.
+    """Detail transfer from the photograph (finest.py).
 
     Attributes:
         darkest: linear radiance.
@@ -353,7 +353,7 @@ FINEST = FinestSettings()
 
 @dataclass(frozen=True)
 class BandSettings:
-    """How planes are parted into bands; docs/notes/capture.md.
+    """Octave bands of a plane (smooth.py); docs/notes/capture.md.
 
     Attributes:
         coarser: texels a side that are one, for wide blurs. More is quicker, and shows as cells.
