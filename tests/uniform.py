@@ -10,7 +10,6 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, unproject
 from matcap.flash.render import render_flash
-from matcap.photo.camera import CameraResponse
 from matcap.photo.photo import Photo
 
 
@@ -50,10 +49,3 @@ def photograph(
 def a_setup(*, offset=(0.1, 0.05, 0.0), tilt=(0.0, 0.0), intensity=10.0, fov=65.0):
     """A flash beside a phone's lens."""
     return FlashSetup(fov=fov, offset=offset, tilt=tilt, intensity=(intensity,) * 3)
-
-
-def camera_response(mean, deviation, correlation=0.0):
-    """Of (a, b, log c) with standard deviations, and a correlation of a and b."""
-    covariance = np.diag(np.square(deviation))
-    covariance[0, 1] = covariance[1, 0] = correlation * deviation[0] * deviation[1]
-    return CameraResponse(tuple(mean), tuple(map(tuple, covariance.tolist())))

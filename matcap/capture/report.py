@@ -28,8 +28,8 @@ Keys:
         `branch_std`, and `picture`, which is the coarse fit's without it; null of several
         photographs, whose registration gives it), flash offset and intensity, vignetting with r^2
         and r^4, the `tone_curve` that was undone (photo/tone.py) or null, and the `profile` of the
-        camera that they were fitted under, or null: its camera, over how many photographs, `mean`
-        and `covariance` of vignetting and the logarithm of the tone curve's exponent.
+        camera that they were fitted under, or null: its camera, over how many photographs,
+        `falloff` (r^2 and r^4), `deviation` and `correlation`.
     texel_size: plane units.
     settings: that were asked for.
     effort: what they came to: preset, steps of adaptation (`adapted`) and of a decoder (`steps`),

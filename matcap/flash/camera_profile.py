@@ -1,15 +1,14 @@
-"""Falloff and tone curve of a camera, combined from the estimates of its photographs.
+"""Falloff of a camera, combined from the estimates of its photographs.
 
-Photograph i shows x_i = x + e_i of falloff and tone curve (CameraResponse): x is the camera's and
-e_i ~ N(0, tau^2 S) what relief, room light and local tone mapping add, S = diag(1, 1, 0.04).
-Its coarse fit gives the likelihood N(x_i; L_i^-1 h_i, L_i^-1) by Laplace's method
-(CameraEvidence), wide where a highlight hides the falloff. With e_i integrated out and one prior
-N(m, P) of x,
+Photograph i loses x_i = x + e_i towards its corners (Falloff's two coefficients): x is the camera's
+and e_i ~ N(0, tau^2 I) what tone curves, relief and room light add. Its coarse fit gives the
+likelihood N(x_i; L_i^-1 h_i, L_i^-1) by Laplace's method (FalloffEvidence), wide where a highlight
+hides the falloff. With e_i integrated out and one prior N(m, P) of x,
 
-    x ~ N(C (P^-1 m + sum w_i (I + tau^2 L_i S)^-1 h_i), C),
-    C = (P^-1 + sum w_i (I + tau^2 L_i S)^-1 L_i)^-1,
+    x ~ N(C (P^-1 m + sum w_i (I + tau^2 L_i)^-1 h_i), C),
+    C = (P^-1 + sum w_i (I + tau^2 L_i)^-1 L_i)^-1,
 
-a random-effects meta-analysis. The weights are Student's t's, w_i = (nu + 3) / (nu + d_i^2), where
+a random-effects meta-analysis. The weights are Student's t's, w_i = (nu + 2) / (nu + d_i^2), where
 d_i is Mahalanobis' distance between x_i and x: a photograph that is misinterpreted
 hardly counts. tau is the likeliest of some, by that t distribution of d_i.
 """
@@ -22,12 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.flash.coarse import CameraEvidence, CoarseFit
-from matcap.photo.camera import LEAST, CameraProfile, CameraResponse
+from matcap.flash.coarse import CoarseFit, FalloffEvidence
+from matcap.photo.camera import LEAST, CameraProfile, Falloff
 
 Doubles = NDArray[np.float64]
-
-_SCATTER = np.array([1.0, 1.0, 0.04])  # S
 
 
 @dataclass(frozen=True)
@@ -55,44 +52,44 @@ def camera_profile(camera: str, fits: Sequence[CoarseFit]) -> CameraProfile | No
         camera: its name.
         fits: of its photographs, in any order, under the wide prior.
     """
-    seen = [fit.camera for fit in fits if fit.camera is not None]
+    seen = [fit.falloff for fit in fits if fit.falloff is not None]
     if len(seen) < LEAST:
         return None
-    return CameraProfile(camera, shared_response(seen), len(seen))
+    return CameraProfile(camera, shared_falloff(seen), len(seen))
 
 
-def shared_response(seen: Sequence[CameraEvidence]) -> CameraResponse:
-    """Predictive Gaussian of the response in the next photograph (module equation).
+def shared_falloff(seen: Sequence[FalloffEvidence]) -> Falloff:
+    """Predictive Gaussian of the falloff in the next photograph (module equation).
 
     Args:
         seen: likelihoods, in any order; with fewer than LEAST the prior of any camera is returned.
     """
-    prior = CameraResponse()
+    prior = Falloff()
     if len(seen) < LEAST:
         return prior
     # Sums of floats depend on their order.
     ordered = sorted(seen, key=lambda one: (one.shift, one.precision))
     shifts = np.array([one.shift for one in ordered])
-    precisions = np.array([one.precision for one in ordered])
+    precisions = np.array([one.precision for one in ordered])[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     tried = (_combined(shifts, precisions, prior, scatter) for scatter in PROFILE.scatter)
     _, mean, covariance = max(tried, key=lambda one: one[0])
-    a, b, exponent = mean.tolist()
-    first, second, third = map(tuple, (0.5 * (covariance + covariance.T)).tolist())
-    return CameraResponse((a, b, exponent), (first, second, third))
+    first, second = np.sqrt(np.diagonal(covariance)).tolist()
+    across, up = mean.tolist()
+    return Falloff((across, up), (first, second), float(covariance[0, 1]) / (first * second))
 
 
 def _combined(
-    shifts: Doubles, precisions: Doubles, prior: CameraResponse, scatter: float
+    shifts: Doubles, precisions: Doubles, prior: Falloff, scatter: float
 ) -> tuple[float, Doubles, Doubles]:
-    """Log likelihood of tau, and mean (3,) and covariance (3, 3) of the next photograph's x_i.
+    """Log likelihood of tau, and mean (2,) and covariance (2, 2) of the next photograph's x_i.
 
     Args:
-        shifts: (n, 3) h_i.
-        precisions: (n, 3, 3) L_i.
+        shifts: (n, 2) h_i.
+        precisions: (n, 2, 2) L_i.
         prior: of x.
         scatter: tau.
     """
-    wider = np.eye(3) + scatter**2 * precisions * _SCATTER
+    wider = np.eye(2) + scatter**2 * precisions
     widened = np.linalg.inv(wider)
     precisions, shifts = widened @ precisions, np.einsum("nij,nj->ni", widened, shifts)
     spread = np.linalg.pinv(precisions, hermitian=True)
@@ -102,20 +99,19 @@ def _combined(
         mean = _no_gain(precision, prior.precision @ prior.mean + weight @ shifts)
         deviation = shifts - precisions @ mean
         distances = np.einsum("ni,nij,nj->n", deviation, spread, deviation)
-        weight = (PROFILE.freedom + len(mean)) / (PROFILE.freedom + distances)
+        weight = (PROFILE.freedom + 2.0) / (PROFILE.freedom + distances)
     likelihood = -0.5 * np.linalg.slogdet(wider).logabsdet
-    likelihood -= 0.5 * (PROFILE.freedom + len(mean)) * np.log1p(distances / PROFILE.freedom)
+    likelihood -= 0.5 * (PROFILE.freedom + 2.0) * np.log1p(distances / PROFILE.freedom)
     # Student's t is wider than tau says.
     variance = scatter**2 * PROFILE.freedom / (PROFILE.freedom - 2.0)
-    return float(likelihood.sum()), mean, np.linalg.inv(precision) + variance * np.diag(_SCATTER)
+    return float(likelihood.sum()), mean, np.linalg.inv(precision) + variance * np.eye(2)
 
 
 def _no_gain(precision: Doubles, shift: Doubles) -> Doubles:
-    """Most likely x (3,) with non-negative falloff."""
+    """Most likely x (2,) with non-negative coefficients."""
     mean = np.linalg.solve(precision, shift)
-    for gaining in np.flatnonzero(mean[:2] < 0.0):
-        free = [index for index in range(3) if index != gaining]
-        mean = np.zeros(3)
-        mean[free] = np.linalg.solve(precision[np.ix_(free, free)], shift[free])
-    mean[:2] = np.maximum(mean[:2], 0.0)
+    for one, other in ((0, 1), (1, 0)):
+        if mean[one] < 0.0:
+            mean = np.zeros(2)
+            mean[other] = max(0.0, shift[other] / precision[other, other])
     return np.asarray(mean, np.float64)

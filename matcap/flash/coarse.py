@@ -35,7 +35,7 @@ from matcap.flash.highlight import SURROUNDINGS, Highlight, find_highlight, ligh
 from matcap.flash.light import FlashLight, log_vignette
 from matcap.flash.rectify import CLIPPING
 from matcap.flash.uniform import Uniform
-from matcap.photo.camera import CameraResponse
+from matcap.photo.camera import Falloff
 from matcap.photo.photo import Photo
 from matcap.photo.tone import SHOULDER, ToneCurve
 
@@ -152,16 +152,16 @@ class TiltPrior:
 
 
 @dataclass(frozen=True)
-class CameraEvidence:
-    """Gaussian likelihood of the camera response x = (a, b, log c): exp(h x - x L x / 2).
+class FalloffEvidence:
+    """Gaussian likelihood of the falloff x = (a, b): exp(h x - x L x / 2).
 
     Attributes:
-        shift: (3,) h, L times the likeliest x (CameraResponse).
-        precision: (3, 3) L.
+        shift: (2,) h, L times the likeliest x = (with r^2, with r^4).
+        precision: L: its first entry, the one off the diagonal, and the last.
     """
 
-    shift: tuple[float, ...]
-    precision: tuple[tuple[float, ...], ...]
+    shift: tuple[float, float]
+    precision: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class CoarseFit(Uniform):
         tilt_prior: measurement of the tilt given as a prior, if any.
         picture_tilt: (tilt_x, tilt_y) fitted without that prior, radians; None without one.
         tone: the picture's tone curve; the identity where it has none.
-        camera: likelihood of the camera's response; None of fits not made from a photograph.
+        falloff: likelihood of the falloff; None of fits not made from a photograph.
     """
 
     residual: float
@@ -187,7 +187,7 @@ class CoarseFit(Uniform):
     tilt_prior: TiltPrior | None = None
     picture_tilt: tuple[float, float] | None = None
     tone: ToneCurve = ToneCurve()
-    camera: CameraEvidence | None = None
+    falloff: FalloffEvidence | None = None
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,7 @@ _DIELECTRIC_MEAN = Unknowns(
     offset=_numbers(0.0, 0.0),
     tilt=_numbers(0.0, 0.0),
     vignetting=_numbers(0.0, 0.0),
-    tone=_numbers(0.0),
+    tone=_numbers(0.12),
 )
 _DIELECTRIC_DEVIATION = Unknowns(
     albedo=_numbers(1.5, 1.5, 1.5),
@@ -263,14 +263,14 @@ _DIELECTRIC_DEVIATION = Unknowns(
     offset=_numbers(0.12, 0.12),
     tilt=_numbers(0.05, 0.05),
     vignetting=_numbers(1.0, 1.0),
-    tone=_numbers(1.0),
+    tone=_numbers(0.08),
 )
 _CONDUCTOR_F0 = (math.log(0.5), 0.5)
 # Of two lobes beside.
 _PARTED_MEAN = {"share": _numbers(0.0), "wider": _numbers(0.0)}
 _PARTED_DEVIATION = {"share": _numbers(1.5), "wider": _numbers(0.7)}
 _INDEX = Unknowns.of(torch.arange(13))  # of each unknown in vector(), of two lobes as well
-_CAMERA = torch.cat([_INDEX.vignetting, _INDEX.tone])
+_FALLOFF = _INDEX.vignetting
 # Logit of roughness: matte, satin, glossy, mirror-like.
 _STARTS = (0.8, -0.4, -1.4, -2.2)
 # Multiples of the roughness that a highlight's width means: clipping widens it.
@@ -318,7 +318,7 @@ def fit_coarse(
 ) -> CoarseFit:
     """Fit a uniform material and its setup to a photograph, in about a second.
 
-    The prior of falloff and tone curve is the profile of the photograph's camera, or any phone's.
+    The prior of the falloff is the profile of the photograph's camera, or any phone's.
 
     Args:
         photo: of any size; only its low frequencies are used.
@@ -371,7 +371,7 @@ class _Fitted:
     conductor: bool
     own_tilt: tuple[float, float] | None
     tone: ToneCurve
-    camera: CameraEvidence
+    falloff: FalloffEvidence
 
 
 def _prior(
@@ -381,12 +381,14 @@ def _prior(
     *,
     conductor: bool,
 ) -> _Prior:
-    camera = CameraResponse() if photo.profile is None else photo.profile.response
-    camera = camera if photo.tone_mapped else camera.linear
-    mean = replace(
-        _DIELECTRIC_MEAN, vignetting=_numbers(*camera.mean[:2]), tone=_numbers(camera.mean[2])
-    )
+    falloff = Falloff() if photo.profile is None else photo.profile.falloff
+    mean = replace(_DIELECTRIC_MEAN, vignetting=_numbers(*falloff.mean))
     deviation = _DIELECTRIC_DEVIATION
+    if not photo.tone_mapped:
+        mean, deviation = (
+            replace(mean, tone=_numbers(0.0)),
+            replace(deviation, tone=_numbers(1e-4)),
+        )
     if conductor:
         level, scatter = _CONDUCTOR_F0
         mean = replace(mean, albedo=_numbers(*[level] * 3))
@@ -403,7 +405,7 @@ def _prior(
         place, std = tilt_prior.times(*alone)
         mean, deviation = replace(mean, tilt=place), replace(deviation, tilt=std)
     precision = torch.diag(deviation.vector().pow(-2))
-    precision[_CAMERA[:, None], _CAMERA] = torch.from_numpy(camera.precision)
+    precision[_FALLOFF[:, None], _FALLOFF] = torch.from_numpy(falloff.precision)
     return _Prior(mean, precision, conductor, tilt is not None, alone)
 
 
@@ -466,7 +468,7 @@ def _fit_as(
         conductor=prior.conductor,
         own_tilt=own,
         tone=tone if photo.tone_mapped else ToneCurve(),
-        camera=last.camera_evidence(best),
+        falloff=last.falloff_evidence(best),
     )
 
 
@@ -499,7 +501,7 @@ def _coarse_fit(fitted: _Fitted, fov: float, odds: float) -> CoarseFit:
         conductor=fitted.conductor,
         odds=odds,
         tone=fitted.tone,
-        camera=fitted.camera,
+        falloff=fitted.falloff,
     )
 
 
@@ -785,21 +787,20 @@ class _Problem:
         hessian = (jacobian * weight[:, None]).T @ jacobian + self.precision
         return hessian, jacobian.T @ (weight * r) + self.precision @ (parameters - self.prior)
 
-    def camera_evidence(self, parameters: Tensor) -> CameraEvidence:
-        """Likelihood of the camera response by Laplace's method at `parameters`.
+    def falloff_evidence(self, parameters: Tensor) -> FalloffEvidence:
+        """What the picture alone says of the falloff, by Laplace's method at the parameters.
 
-        Posterior precision is the Hessian over the cost of a nat; the camera's is its Schur
-        complement over all other parameters, the likelihood's that less the prior's.
+        The Hessian over a nat's cost is the posterior's precision; its Schur complement over all
+        other unknowns is the falloff's. Less its prior's, that is the likelihood's.
         """
         hessian, gradient = self.quadratic(parameters)
-        best = (parameters - torch.linalg.solve(hessian, gradient))[_CAMERA]
+        best = (parameters - torch.linalg.solve(hessian, gradient))[_FALLOFF]
         covariance = torch.linalg.inv(hessian / self.unit)
-        posterior = torch.linalg.inv(covariance[_CAMERA[:, None], _CAMERA])
-        prior = self.precision[_CAMERA[:, None], _CAMERA] / self.unit
-        shift = posterior @ best - prior @ self.prior[_CAMERA]
-        likelihood = posterior - prior
-        symmetric = 0.5 * (likelihood + likelihood.T)
-        return CameraEvidence(tuple(shift.tolist()), tuple(map(tuple, symmetric.tolist())))
+        posterior = torch.linalg.inv(covariance[_FALLOFF[:, None], _FALLOFF])
+        prior = self.precision[_FALLOFF[:, None], _FALLOFF] / self.unit
+        first, second = (posterior @ best - prior @ self.prior[_FALLOFF]).tolist()
+        (own, both), (_, other) = (posterior - prior).tolist()
+        return FalloffEvidence((first, second), (own, both, other))
 
     def brightening(self, parameters: Tensor) -> Tensor:
         """(n,) precision at 0 that holds a falloff which has become negative."""

@@ -1,7 +1,7 @@
-"""Camera profile: falloff towards the corners and tone curve, estimated from several photographs.
+"""Camera profile: the falloff towards the corners, estimated from several photographs.
 
-The falloff of an LED's cone, the lens's vignetting and the tone curve are properties of the camera.
-They are estimated together by flash/camera_profile.py.
+The falloff of an LED's cone and the lens's vignetting are properties of the camera. They are
+estimated together by flash/camera_profile.py.
 """
 
 from __future__ import annotations
@@ -23,44 +23,35 @@ FORMAT = "matcap camera profile"
 VERSION = 1
 _MOST_BYTES = 100_000
 _MOST_LOST = 20.0  # largest magnitude of coefficients, as in material files
-_FIXED = 1e-4  # standard deviation of what is known
 
 
 @dataclass(frozen=True)
-class CameraResponse:
-    """Gaussian distribution of (a, b, log c): falloff coefficients and the tone curve's exponent.
+class Falloff:
+    """Gaussian distribution of FlashSetup's falloff coefficients (a, b).
 
     The falloff is exp(-a s - b s^2), s = r^2 / 1.25^2, so that s = 1 in the corners of a 4:3
-    picture (FlashSetup); c is ToneCurve's. The default is a wide prior for phones: 39 photographs
-    by one of them had a + b = 1.07 on average (0.88 to 1.63), and 95 a median of c of 1.2.
+    picture. The default is a wide prior for phones: 39 photographs by one of them had a + b = 1.07
+    on average (0.88 to 1.63).
     """
 
-    mean: tuple[float, float, float] = (0.3, 0.5, 0.12)
-    """Means of a, b and log c."""
-    covariance: tuple[tuple[float, float, float], ...] = (
-        (0.35**2, 0.0, 0.0),
-        (0.0, 0.7**2, 0.0),
-        (0.0, 0.0, 0.08**2),
-    )
-    """(3, 3) covariance, symmetric and positive definite."""
+    mean: tuple[float, float] = (0.3, 0.5)
+    """Means of a and b."""
+    deviation: tuple[float, float] = (0.35, 0.7)
+    """Standard deviations of a and b."""
+    correlation: float = 0.0
+    """Correlation of a and b; negative for profiles, as photographs determine a + b best."""
 
     @property
-    def deviation(self) -> tuple[float, float, float]:
-        """Standard deviations."""
-        first, second, third = np.sqrt(np.diagonal(np.array(self.covariance))).tolist()
-        return first, second, third
+    def covariance(self) -> NDArray[np.float64]:
+        """(2, 2) covariance of a and b."""
+        first, second = self.deviation
+        both = self.correlation * first * second
+        return np.array([[first**2, both], [both, second**2]])
 
     @property
     def precision(self) -> NDArray[np.float64]:
-        """(3, 3) inverse of the covariance."""
-        return np.asarray(np.linalg.inv(np.array(self.covariance)), np.float64)
-
-    @property
-    def linear(self) -> CameraResponse:
-        """The same of a picture without a tone curve: c is 1."""
-        (aa, ab, _), (_, bb, _), _ = self.covariance
-        fixed = ((aa, ab, 0.0), (ab, bb, 0.0), (0.0, 0.0, _FIXED**2))
-        return CameraResponse((*self.mean[:2], 0.0), fixed)
+        """(2, 2) inverse of the covariance."""
+        return np.asarray(np.linalg.inv(self.covariance), np.float64)
 
 
 @dataclass(frozen=True)
@@ -69,8 +60,8 @@ class CameraProfile:
 
     camera: str
     """Maker, model, lens, focal length and zoom."""
-    response: CameraResponse
-    """Its covariance includes the scatter between photographs."""
+    falloff: Falloff
+    """Its deviations include the scatter between photographs."""
     photographs: int
     """Number of photographs it was estimated from."""
 
@@ -79,17 +70,17 @@ class CameraProfile:
         return {
             "camera": self.camera,
             "photographs": self.photographs,
-            "mean": list(self.response.mean),
-            "covariance": [list(row) for row in self.response.covariance],
+            "falloff": list(self.falloff.mean),
+            "deviation": list(self.falloff.deviation),
+            "correlation": self.falloff.correlation,
         }
 
     def says(self) -> str:
         """The profile as a sentence for the user."""
-        first, second, exponent = self.response.mean
+        left = np.exp(-sum(self.falloff.mean))
         return (
             f"Profile of {self.camera} over {self.photographs} photographs: its corners get "
-            f"{np.exp(-first - second):.0%} of the middle's light, and its tone curve raises "
-            f"contrast to the power {np.exp(exponent):.2f}."
+            f"{left:.0%} of the middle's light."
         )
 
 
@@ -130,23 +121,21 @@ def read_camera_profile(path: Path) -> CameraProfile:
 
 
 def _checked(document: dict[str, Any]) -> CameraProfile:
-    def triple(values: object, key: str, least: float) -> tuple[float, float, float]:
-        if not isinstance(values, list) or len(values) != 3:
-            raise ValueError(f"{key} is not three numbers")
-        first, second, third = (bounded(value, key, least, _MOST_LOST) for value in values)
-        return first, second, third
+    def pair(key: str, least: float) -> tuple[float, float]:
+        values = document[key]
+        if not isinstance(values, list) or len(values) != 2:
+            raise ValueError(f"{key} is not two numbers")
+        first, second = (bounded(value, key, least, _MOST_LOST) for value in values)
+        return first, second
 
     if not isinstance(document["camera"], str):
         raise ValueError("camera is not a text")
-    rows = document["covariance"]
-    if not isinstance(rows, list) or len(rows) != 3:
-        raise ValueError("covariance is not three rows")
-    first, second, third = (triple(row, "covariance", -_MOST_LOST) for row in rows)
-    matrix = np.array([first, second, third])
-    if not np.array_equal(matrix, matrix.T) or np.linalg.eigvalsh(matrix)[0] < _FIXED**2:
-        raise ValueError("covariance is not symmetric and positive definite")
     return CameraProfile(
         document["camera"][:200],
-        CameraResponse(triple(document["mean"], "mean", -_MOST_LOST), (first, second, third)),
+        Falloff(
+            pair("falloff", -_MOST_LOST),
+            pair("deviation", 1e-4),
+            bounded(document["correlation"], "correlation", -0.999, 0.999),
+        ),
         whole(document["photographs"], "photographs", 1, 1_000_000),
     )

@@ -44,7 +44,7 @@ class Photo:
         exposure: Exif.exposure, or None; values are proportional to it for the same radiance.
         balance: white-balance gains by channel, or None.
         camera: maker, model, lens, focal length and zoom; "" if unknown.
-        profile: of the camera, the prior of its falloff and tone curve; or None.
+        profile: of the camera, the prior of its falloff; or None.
         tone: the tone curve that was removed from `pixels`; None if one may still be in them.
     """
 

@@ -87,7 +87,7 @@ def test_a_shoot_tells_the_falloff_of_its_camera_which_is_saved_and_taken_again(
     found = read_camera_profile(file)
     assert {job.profile for job in jobs} == {found} and len(jobs) == len(NAMES)
     assert found.photographs == len(NAMES) and found.camera.startswith("matcap simulated phone")
-    assert sum(found.response.mean[:2]) == pytest.approx(sum(LOST), abs=0.4)
+    assert sum(found.falloff.mean) == pytest.approx(sum(LOST), abs=0.4)
     assert found.says() in notes
     # Nothing is estimated again, and nothing made; what comes later has the same profile.
     before = file.read_bytes()

@@ -5,18 +5,15 @@ import json
 import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
-from uniform import camera_response
 
 from matcap.capture.pipeline import read_photograph
 from matcap.capture.settings import CaptureSettings
 from matcap.errors import UsageError
-from matcap.photo.camera import CameraProfile, read_camera_profile, write_camera_profile
+from matcap.photo.camera import CameraProfile, Falloff, read_camera_profile, write_camera_profile
 from matcap.photo.exif import read_exif
 from matcap.photo.load import load_photo
 
-PROFILE = CameraProfile(
-    "matcap phone, 4.25 mm", camera_response((0.4, 0.9, 0.2), (0.1, 0.12, 0.06), -0.5), 12
-)
+PROFILE = CameraProfile("matcap phone, 4.25 mm", Falloff((0.4, 0.9), (0.1, 0.12), -0.5), 12)
 
 
 @pytest.fixture
@@ -39,11 +36,11 @@ def test_a_profile_is_read_as_it_was_written(file):
         (lambda document: "[]", "it is none"),
         (lambda document: json.dumps({**document, "format": "matcap report"}), "it is none"),
         (lambda document: json.dumps({**document, "version": 9}), "version is 9, not 1"),
-        (lambda document: json.dumps({**document, "mean": [0.1]}), "mean is not three numbers"),
-        (lambda document: json.dumps({**document, "mean": [0.1, 0.1, 1e9]}), "mean"),
-        (lambda document: json.dumps({**document, "covariance": [[1, 0, 0]]}), "not three rows"),
-        (lambda document: json.dumps({**document, "covariance": [[1, 0, 0]] * 3}), "symmetric"),
-        (lambda document: json.dumps({**document, "covariance": [[1, 0, "x"]] * 3}), "covariance"),
+        (lambda document: json.dumps({**document, "falloff": [0.1]}), "falloff is not two numbers"),
+        (lambda document: json.dumps({**document, "falloff": [0.1, 1e9]}), "falloff"),
+        (lambda document: json.dumps({**document, "deviation": [0.1, 0.0]}), "deviation"),
+        (lambda document: json.dumps({**document, "deviation": [0.1, "x"]}), "deviation"),
+        (lambda document: json.dumps({**document, "correlation": 1.0}), "correlation"),
         (lambda document: json.dumps({**document, "photographs": 0}), "photographs"),
         (
             lambda document: json.dumps({k: v for k, v in document.items() if k != "camera"}),

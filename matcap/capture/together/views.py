@@ -66,7 +66,7 @@ class SetLight:
         radiometric: bool = False,
     ) -> SetLight:
         """Initial light of `count` photographs, all RAW (`radiometric`) or all developed."""
-        lost = SetLight.lost if profile is None else profile.response.deviation[:2]
+        lost = SetLight.lost if profile is None else profile.falloff.deviation
         return SetLight(
             torch.tensor(setup.offset[:2]).float(),
             torch.tensor([setup.vignetting, setup.vignetting_quartic]),

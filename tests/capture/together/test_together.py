@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 from seen_views import DOUBT, OFFSET, PHONE, SIZE, seen
-from uniform import camera_response
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.outputs import write_outputs
@@ -32,7 +31,7 @@ from matcap.flash.registration.register import register
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import as_photo
 from matcap.lab.simulate.specimen import subjects
-from matcap.photo.camera import CameraProfile
+from matcap.photo.camera import CameraProfile, Falloff
 
 
 def _true(seed=0):
@@ -127,7 +126,7 @@ def test_the_falloff_of_all_photographs_stays_as_near_as_the_camera_s_profile_sa
         found, _ = shared_step(views, prior.mean, prior, begun, SOLVING)
         return float(found.vignetting.sum())
 
-    narrow = CameraProfile("phone", camera_response((0.3, 0.0, 0.0), (1e-3, 1e-3, 0.01)), 9)
+    narrow = CameraProfile("phone", Falloff((0.3, 0.0), (1e-3, 1e-3)), 9)
     assert off(narrow) == pytest.approx(0.3, abs=0.01)
     assert abs(off(None)) < 0.1
 
