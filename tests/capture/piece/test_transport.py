@@ -130,3 +130,14 @@ def test_nothing_is_lent_where_nothing_hides_or_nobody_can(shot: Photographed) -
         np.eye(30, 40, dtype=np.float32)[None].repeat(4, 0), small.maps.texel_size,
     )  # fmt: skip
     assert _lent(small, tiny, torch.ones(30, 40, dtype=torch.bool), 5) is tiny
+
+
+def test_a_coloured_specular_albedo_is_copied_as_the_field_reads_it(shot: Photographed) -> None:
+    """The field's kernel takes planes of one block of memory each."""
+    exemplar = _hidden(shot)
+    coloured = replace(exemplar, specular=np.repeat(exemplar.specular, 3, axis=0))
+    seen = torch.ones(exemplar.height.shape[-2:], dtype=torch.bool)
+    maps = _lent(shot, coloured, seen, 20)
+    assert maps.specular.shape[0] == 3
+    for name in ("diffuse", "specular", "roughness", "height"):
+        assert getattr(maps, name).flags.c_contiguous, name
