@@ -171,7 +171,6 @@ class CoarseFit(Uniform):
     Attributes:
         residual: root-mean-square of the log residual over unclipped cells.
         conductor: whether fitted as bare metal; `specular` is then the mean of its coloured F0.
-        odds: cost of the other hypothesis (dielectric or conductor) less its own, nats.
         lobes: (share, roughness) of the best two-lobe fit of the highlight, the narrow lobe
             first; `roughness` is of the best single lobe.
         tilt_prior: measurement of the tilt given as a prior, if any.
@@ -183,7 +182,6 @@ class CoarseFit(Uniform):
     residual: float
     lobes: tuple[tuple[float, float], ...] = ()
     conductor: bool = False
-    odds: float = math.inf
     tilt_prior: TiltPrior | None = None
     picture_tilt: tuple[float, float] | None = None
     tone: ToneCurve = ToneCurve()
@@ -337,7 +335,7 @@ def fit_coarse(
     is_metal = odds > 0.0 and blue < red + COARSE.bluest
     is_metal &= float(torch.sigmoid(conductor.best.roughness)) < COARSE.dullest
     chosen = conductor if is_metal else dielectric
-    fit = _coarse_fit(chosen, photo.fov, abs(odds))
+    fit = _coarse_fit(chosen, photo.fov)
     return replace(fit, tilt_prior=tilt_prior, picture_tilt=chosen.own_tilt)
 
 
@@ -384,11 +382,6 @@ def _prior(
     falloff = Falloff() if photo.profile is None else photo.profile.falloff
     mean = replace(_DIELECTRIC_MEAN, vignetting=_numbers(*falloff.mean))
     deviation = _DIELECTRIC_DEVIATION
-    if not photo.tone_mapped:
-        mean, deviation = (
-            replace(mean, tone=_numbers(0.0)),
-            replace(deviation, tone=_numbers(1e-4)),
-        )
     if conductor:
         level, scatter = _CONDUCTOR_F0
         mean = replace(mean, albedo=_numbers(*[level] * 3))
@@ -458,7 +451,8 @@ def _fit_as(
         unmeasured = Unknowns.of(_levenberg_marquardt(without, best, COARSE.iterations[0])[1])
         tilt_x, tilt_y = unmeasured.tilt.tolist()
         own = (tilt_x, tilt_y)
-    tone = ToneCurve(math.exp(float(Unknowns.of(best).tone)), last.shoulder)
+    exponent = math.exp(float(Unknowns.of(best).tone))
+    tone = ToneCurve(exponent, last.shoulder) if last.shoulder > 0.0 else ToneCurve()
     return _Fitted(
         cost=cost,
         unit=last.unit,
@@ -467,12 +461,12 @@ def _fit_as(
         residual=residual,
         conductor=prior.conductor,
         own_tilt=own,
-        tone=tone if photo.tone_mapped else ToneCurve(),
+        tone=tone,
         falloff=last.falloff_evidence(best),
     )
 
 
-def _coarse_fit(fitted: _Fitted, fov: float, odds: float) -> CoarseFit:
+def _coarse_fit(fitted: _Fitted, fov: float) -> CoarseFit:
     best = fitted.best
     albedo, specular = best.albedo.tolist(), float(best.specular)
     if fitted.conductor:
@@ -499,7 +493,6 @@ def _coarse_fit(fitted: _Fitted, fov: float, odds: float) -> CoarseFit:
         residual=fitted.residual,
         lobes=tuple((float(share), float(wide)) for share, wide in fitted.both.lobes),
         conductor=fitted.conductor,
-        odds=odds,
         tone=fitted.tone,
         falloff=fitted.falloff,
     )
@@ -665,7 +658,7 @@ class _Problem:
         prior: (n,) the prior's mean, of 13 or 15 parameters.
         precision: (n, n) Hessian of the prior's cost.
         unit: cost of a nat of the prior.
-        shoulder: of the tone curve.
+        shoulder: of the tone curve; 0 without one.
         whitening: (3, 3) of the channels of cells that no bound concerns; None for as they are.
         conductor: `albedo` of the parameters is F0, and nothing is diffuse.
     """
@@ -685,7 +678,7 @@ class _Problem:
     def log_radiance(self, parameters: Tensor, image: Tensor) -> Tensor:
         """(3, n) at image coordinates (2, n), as the picture has it."""
         linear = _log_radiance(parameters, image, self.distance, conductor=self.conductor)
-        if self.shoulder == 0.0:
+        if self.shoulder == 0.0:  # no tone curve, whatever the exponent
             return linear
         # The logarithm of ToneCurve.developed().
         power = Unknowns.of(parameters).tone.exp() * linear
