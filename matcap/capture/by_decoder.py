@@ -81,7 +81,7 @@ def _tuned_decoder(
     """Initialise a decoder from the prior and fine-tune it."""
     with clock.stage("start"):
         start = initial_decoder(
-            shot.photo.pixels,
+            shot.photo.developed(shot.photo.pixels),  # as the encoder was trained on
             shot.coarse,
             shot.plane,
             target,

@@ -21,6 +21,7 @@ from matcap.files.srgb import srgb_picture
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
 from matcap.photo.photo import Photo
+from matcap.photo.tone import ToneCurve
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ class Compared:
     """As its report has it; None where there is no report beside it."""
     photograph: Path | None = None
     """The file that it was made from, as its report has it; it may be gone."""
+    tone: ToneCurve = ToneCurve()
+    """That of the photograph, as its report has it."""
 
     @staticmethod
     def open(path: Path) -> Compared:
@@ -45,7 +48,8 @@ class Compared:
         """
         file, material = open_material(path)
         report = read_report(file.parent / REPORT)
-        return Compared(file.stem, material, _verdict(report), _photograph(report))
+        tone = ToneCurve.of_report(report)
+        return Compared(file.stem, material, _verdict(report), _photograph(report), tone)
 
     def title(self) -> str:
         """Its name and verdict."""
@@ -65,6 +69,7 @@ def comparison(
     blocks = []
     for index, capture in enumerate(captures):
         photo = photographs[index] if photographs else None
+        photo = photo and photo.linearised(capture.tone)
         blocks.append(titled(block(list(_panels(capture.material, photo))), capture.title()))
     return stacked(blocks)
 

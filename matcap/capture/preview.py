@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from matcap.capture.result import CaptureResult
     from matcap.flash.geometry import FlashSetup
 from matcap.photo.checks import Rating
-from matcap.photo.tone import ToneCurve
 
 _COLUMNS = 4  # panels side by side
 _CROP, _GAP, _LABEL = 256, 12, 26  # pixels
@@ -52,7 +51,7 @@ _LEAST_SPAN = {"specular": 0.02, "roughness": 0.05, "height": 0.002}
 
 def _developed(result: CaptureResult, linear: NDArray[np.float32]) -> NDArray[np.float32]:
     """Code values of a picture (H, W, 3) as the camera develops it."""
-    return srgb_picture((result.photo.tone or ToneCurve()).developed(linear))
+    return srgb_picture(result.photo.developed(linear))
 
 
 @dataclass(frozen=True)

@@ -126,7 +126,7 @@ class CaptureClock:
         """So large a share of a stage is done."""
         self._on_progress(self._now(name, share))
 
-    def telling(self, name: str, begin: float = 0.0, end: float = 1.0) -> Callable[[float], None]:
+    def callback(self, name: str, begin: float = 0.0, end: float = 1.0) -> Callable[[float], None]:
         """Callback that takes the share done of a part of a stage."""
         return lambda share: self.within(name, begin + share * (end - begin))
 

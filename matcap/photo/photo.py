@@ -81,6 +81,10 @@ class Photo:
             return self
         return replace(self, pixels=tone.linear(self.pixels), tone=tone)
 
+    def developed(self, linear: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Radiance (H, W, 3) with the tone curve that was removed from `pixels`."""
+        return linear if self.tone is None else self.tone.developed(linear)
+
     @property
     def stem(self) -> str:
         """The file name without its suffix."""

@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-SHOULDER = 0.27  # w of a developed picture: fits are alike from 0.2 to 0.35
+from matcap.files.values import bounded
+
+SHOULDER = 0.27  # w of a developed picture; fitted as well, it hardly moves (docs/notes/gloss.md)
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,18 @@ class ToneCurve:
     """c, above 0."""
     shoulder: float = 0.0
     """w, in [0, 1)."""
+
+    @staticmethod
+    def of_report(report: dict[str, Any]) -> ToneCurve:
+        """That of a capture's photograph (report.json); the identity if the report has none."""
+        try:
+            stated = report["camera"]["tone_curve"]
+            return ToneCurve(
+                bounded(stated["exponent"], "exponent", 0.1, 10.0),
+                bounded(stated["shoulder"], "shoulder", 0.0, 0.99),
+            )
+        except (KeyError, TypeError, ValueError):
+            return ToneCurve()
 
     def developed(self, light: NDArray[Any]) -> NDArray[Any]:
         """Light at least 0 through the curve, any shape; beyond the clip level it stays beyond."""

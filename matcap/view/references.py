@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from matcap.example.exemplar import Exemplar
     from matcap.field.material import Material
     from matcap.flash.geometry import FlashSetup
+    from matcap.photo.tone import ToneCurve
 
 _LONG_SIDE = 1024
 _PHOTOGRAPHS = (
@@ -62,12 +63,16 @@ def find_references(
     Raises:
         MatcapError: the photograph cannot be read.
     """
+    from matcap.capture.compare import read_report
+    from matcap.photo.tone import ToneCurve
+
     folder = path if path.is_dir() else path.parent
     file = photo or find_photograph(path, name) or reported_photograph(folder)
     example = material.part(Example) if material else None
     setup = material.setup if material and example else None
+    tone = ToneCurve.of_report(read_report(folder / "report.json"))
     return References(
-        browser_picture(file, setup) if file else None,
+        browser_picture(file, setup, tone) if file else None,
         doubt_picture(example.exemplar) if example else None,
         read_verdict(folder),
     )
@@ -102,12 +107,15 @@ def read_verdict(folder: Path) -> tuple[str, str] | None:
         return None
 
 
-def browser_picture(file: Path, setup: FlashSetup | None = None) -> EncodedPicture:
+def browser_picture(
+    file: Path, setup: FlashSetup | None = None, tone: ToneCurve | None = None
+) -> EncodedPicture:
     """A photograph as a JPEG of at most 1024 pixels a side.
 
     Args:
         file: the photograph.
         setup: camera and flash, by which it is rectified; None leaves it as it is.
+        tone: the tone curve that is removed, as the page renders without one.
 
     Raises:
         MatcapError: the file is not a photograph that matcap reads.
@@ -118,6 +126,7 @@ def browser_picture(file: Path, setup: FlashSetup | None = None) -> EncodedPictu
     from matcap.photo.load import load_photo
 
     photo = load_photo(file, long_side=_LONG_SIDE, noise=False)
+    photo = photo if tone is None else photo.linearised(tone)
     linear = photo.pixels
     if setup is not None:
         from matcap.flash.rectify import rectify

@@ -48,3 +48,18 @@ def test_coded_pictures_have_a_curve_and_floating_point_ones_none(tmp_path, name
     assert not undone.tone_mapped
     assert np.array_equal(undone.pixels, photo.pixels) == (not mapped)
     assert np.array_equal(undone.clipped, photo.clipped)
+
+
+@pytest.mark.parametrize(
+    ("report", "exponent"),
+    [
+        ({"camera": {"tone_curve": {"exponent": 1.2, "shoulder": 0.3}}}, 1.2),
+        ({"camera": {"tone_curve": {"exponent": -1.0, "shoulder": 0.3}}}, 1.0),
+        ({"camera": {"tone_curve": {"exponent": "1.2", "shoulder": 0.3}}}, 1.0),
+        ({"camera": {"tone_curve": None}}, 1.0),
+        ({"camera": []}, 1.0),
+        ({}, 1.0),
+    ],
+)
+def test_a_report_states_the_curve_of_its_photograph_or_none(report, exponent):
+    assert ToneCurve.of_report(report).exponent == exponent

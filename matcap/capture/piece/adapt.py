@@ -70,7 +70,7 @@ class Leg:
     Attributes:
         steps: of Adam.
         reach: factor on the prior standard deviations of the scaling parameters.
-        doubt: standard deviation of the log relief strength in each of BANDS, as the photograph
+        deviation: standard deviation of the log relief strength in each of BANDS, as the photograph
             measures it; empty where it does not.
         seconds: time limit, may be infinite.
         seed: of the order of windows.
@@ -79,7 +79,7 @@ class Leg:
 
     steps: int
     reach: float = 1.0
-    doubt: Sequence[float] = ()
+    deviation: Sequence[float] = ()
     seconds: float = math.inf
     seed: int = 0
     on_progress: Callable[[float], None] = lambda _share: None
@@ -97,7 +97,7 @@ def adapt(maps: MapSet, seen: NDArray[np.bool_], scene: PhotographTarget, leg: L
     """
     if not leg.steps:
         return Adapted(maps)
-    scaled = _ScaledMaps(maps, leg.reach, leg.doubt)
+    scaled = _ScaledMaps(maps, leg.reach, leg.deviation)
     seen_corners = corners(seen, scene.windows.size)
     fitted, validation = _parted(scene.windows.count, leg.seed)
     interrupted = _Fit(scaled, scene, seen_corners, fitted).run(leg)
@@ -250,20 +250,20 @@ class Scaling:
 class _ScaledMaps:
     """Maps as a function of the numbers they are scaled by."""
 
-    def __init__(self, maps: MapSet, reach: float, doubt: Sequence[float] = ()) -> None:
+    def __init__(self, maps: MapSet, reach: float, deviation: Sequence[float] = ()) -> None:
         self._maps = maps
         self._logits = torch.logit(maps.diffuse, eps=ADAPT.logit_epsilon)
         self._means = self._logits.mean((1, 2), keepdim=True)
         self._bands = torch.from_numpy(np.stack(split(maps.height[0].numpy())))
-        self._deviations = reach * self._prior_deviations(doubt).vector()
+        self._deviations = reach * self._prior_deviations(deviation).vector()
         self.numbers = torch.zeros(len(self._deviations), requires_grad=True)
 
-    def _prior_deviations(self, doubt: Sequence[float]) -> Scaling:
+    def _prior_deviations(self, deviation: Sequence[float]) -> Scaling:
         """Prior standard deviation of each scaling parameter; of relief, band by band."""
         bands = torch.full((len(self._bands),), ADAPT.band)
-        for index, each in enumerate(doubt):
-            bands[index] = min(ADAPT.band, max(each, ADAPT.least_doubt))
-        relief = max(min(doubt), ADAPT.least_doubt) if doubt else ADAPT.relief
+        for index, each in enumerate(deviation):
+            bands[index] = min(ADAPT.band, max(each, ADAPT.least_deviation))
+        relief = max(min(deviation), ADAPT.least_deviation) if deviation else ADAPT.relief
         return Scaling(
             offset=torch.full((3,), ADAPT.offset_albedo),
             gain=torch.tensor([ADAPT.gain_albedo]),

@@ -117,10 +117,10 @@ def _wanted(height: Height, strengths: Strengths | None) -> Doubles:
     drawn = _energies(height)
     if strengths is None:
         return drawn
-    return posterior_energies(drawn, np.square(strengths.slope).sum(1), strengths.doubt)
+    return posterior_energies(drawn, np.square(strengths.slope).sum(1), strengths.deviation)
 
 
-def posterior_energies(drawn: Doubles, measured: Doubles, doubt: Doubles) -> Doubles:
+def posterior_energies(drawn: Doubles, measured: Doubles, deviation: Doubles) -> Doubles:
     """(bands,) squared slopes: MAP estimate from a prediction and a measurement of each band.
 
     With p_b the network's energy of band b, m_b and d_b the measured one and its deviation,
@@ -135,11 +135,11 @@ def posterior_energies(drawn: Doubles, measured: Doubles, doubt: Doubles) -> Dou
     Args:
         drawn: (bands,) squared slopes of the network's relief, positive.
         measured: (bands,) by the photograph, not negative.
-        doubt: (bands,) standard deviations of `measured`.
+        deviation: (bands,) standard deviations of `measured`.
     """
     reach, step = STRENGTH.posterior_reach, STRENGTH.posterior_step
     logs = np.arange(-reach, reach + step / 2.0, step)
-    scatter = doubt[:, None] + STRENGTH.least_energy
+    scatter = deviation[:, None] + STRENGTH.least_energy
     off = np.square((drawn[:, None] * np.exp(logs) - measured[:, None]) / scatter)
     # (common, band, own): c, b and x_b of the docstring.
     own_cost = np.square((logs - logs[:, None]) / STRENGTH.each_band)[:, None, :]

@@ -168,17 +168,18 @@ class Adaptation:
     steps: int
     seed: int = 0
 
-    def legs(self, doubt: Sequence[float], clock: CaptureClock) -> Iterator[Leg]:
+    def legs(self, strengths: Strengths | None, clock: CaptureClock) -> Iterator[Leg]:
         """Its legs, in the seconds that there still are when each begins."""
         count = len(ADAPT.legs)
+        deviation = strengths.log_deviations() if strengths else ()
         for number, reach in enumerate(ADAPT.legs):
             yield Leg(
                 -(-self.steps // count),
                 reach,
-                doubt,
+                deviation,
                 ADAPT.stepping * clock.left_for("adapt") / (count - number),
                 self.seed * count + number,
-                clock.telling("adapt", number / count, (number + 1) / count),
+                clock.callback("adapt", number / count, (number + 1) / count),
             )
 
 
@@ -215,8 +216,8 @@ def find_piece(
             prediction = levelled(observed, prediction)
         if adaptation is not None:
             with clock.stage("adapt"):
-                target, doubt = adaptation.target(), strengths.doubts() if strengths else ()
-                for leg in adaptation.legs(doubt, clock):
+                target = adaptation.target()
+                for leg in adaptation.legs(strengths, clock):
                     prediction, result = adapted(observed, prediction, target, leg)
                     changes += [result.change] if result.change else []
                     if result.interrupted:
@@ -452,13 +453,13 @@ def confidence(
         errors, seen: see there.
         unit: texels of the photograph's long side, where the piece reaches beyond it.
     """
-    doubt = errors.stacked().clamp(-8.0, 4.0).exp().numpy()
+    error = errors.stacked().clamp(-8.0, 4.0).exp().numpy()
     units = (
         READ.doubted_albedo, READ.doubted_specular, READ.doubted_roughness, READ.doubted_slope,
     )  # fmt: skip
-    doubt = doubt / np.array(units, np.float32)[:, None, None]
+    error = error / np.array(units, np.float32)[:, None, None]
     around = (unit or max(seen.shape)) / READ.confidence_around
-    certain = np.stack([np.exp(-smoothed(plane, around)) for plane in doubt])
+    certain = np.stack([np.exp(-smoothed(plane, around)) for plane in error])
     return np.ascontiguousarray(certain * seen, dtype=np.float32)
 
 

@@ -43,7 +43,7 @@ class Strengths:
     """Of the slope along the direction."""
     trust: Doubles
     """Significance of the slope energy against its standard error, in [0, 1]."""
-    doubt: Doubles
+    deviation: Doubles
     """(len(BANDS),) standard deviation of the slope energy, summed over directions; an upper bound
     where nothing is significant."""
 
@@ -52,10 +52,10 @@ class Strengths:
         """Root-mean-square slope of all bands and directions together."""
         return float(np.sqrt(np.square(self.slope).sum()))
 
-    def doubts(self) -> list[float]:
+    def log_deviations(self) -> list[float]:
         """Standard deviation of the log root-mean-square slope of each band."""
         energy = np.square(self.slope).sum(1)
-        return (0.5 * self.doubt / np.maximum(energy, 1e-8)).tolist()
+        return (0.5 * self.deviation / np.maximum(energy, 1e-8)).tolist()
 
     def document(self) -> dict[str, Any]:
         """As JSON: `relief`, and for each of `bands` the lengths of its waves in texels
@@ -117,12 +117,12 @@ def measure_strengths(
             slope - _regressed(energy, _responses(matte, also, use, cuts))[1]
         ).sum(1)
     # Scatter of directions cancels; what is wrong with the model goes the same way in all of them.
-    doubt = np.hypot(np.sqrt(np.square(error).sum(1)), STRENGTH.disagreed * disagreement)
+    deviation = np.hypot(np.sqrt(np.square(error).sum(1)), STRENGTH.disagreed * disagreement)
     return Strengths(
         albedo=np.sqrt(albedo),
         slope=np.sqrt(slope),
         trust=np.square(slope) / (np.square(slope) + np.square(error) + 1e-12),
-        doubt=doubt,
+        deviation=deviation,
     )
 
 

@@ -68,18 +68,18 @@ def transport(
     trusted = confidence / max(float(np.quantile(confidence[known], INPAINT.well_seen)), 1e-6)
     most = float(np.quantile(trusted[known], INPAINT.most_hidden)) + 1e-6
     hidden = trusted < min(INPAINT.trusted, most)
-    lenders = _donors(~hidden & known)
+    donors = _donors(~hidden & known)
     if left_out is not None:
         # Beyond a crop nothing is shown, and nothing is inpainted.
         hidden = (hidden & known) | (_between(known) & ~known)
-    if hidden.mean() < INPAINT.least or not len(lenders):
+    if hidden.mean() < INPAINT.least or not len(donors):
         return exemplar
     drawn = _drawn(exemplar, ~hidden)
     places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > INPAINT.wanted]
     # From well seen surroundings inwards, so that drawings go on.
     places.sort(key=lambda p: -float(trusted[_block(p)].mean()))
     photograph = _Photograph(exemplar, linear, valid, light)
-    chosen = _choose(places, lenders, drawn, ~hidden, photograph, tried)
+    chosen = _choose(places, donors, drawn, ~hidden, photograph, tried)
     source, copied = _sources(chosen, hidden)
     # One F0 and one roughness are a class's, and have steps where classes meet.
     maps = np.ascontiguousarray(drawn.laid[:, source[0], source[1]])
@@ -166,7 +166,7 @@ def _centred(log: Tensor, seen: Tensor) -> Tensor:
 
 def _choose(
     places: list[tuple[int, int]],
-    lenders: BlockPlaces,
+    donors: BlockPlaces,
     drawn: _Drawn,
     known: NDArray[np.bool_],
     photograph: _Photograph,
@@ -175,10 +175,10 @@ def _choose(
     """The donor block of every place."""
     rng = np.random.default_rng(0)
     known, seen = known.copy(), drawn.seen.copy()
-    allowed = set(map(tuple, lenders.tolist()))
+    allowed = set(map(tuple, donors.tolist()))
     chosen: dict[tuple[int, int], tuple[int, int]] = {}
     for place in places:
-        blocks = lenders[rng.integers(len(lenders), size=tried)]
+        blocks = donors[rng.integers(len(donors), size=tried)]
         follow = [s for s in _continued(place, chosen) if s in allowed]
         if follow:
             blocks = np.concatenate([blocks, np.array(follow)])

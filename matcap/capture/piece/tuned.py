@@ -228,7 +228,7 @@ class AdaptSettings:
         offset_albedo: prior deviation of the logits' mean.
         gain_albedo: prior deviation of the logarithm of albedo's contrast.
         relief, band: how far the logarithm of relief's strength is, and of each band's beside.
-        least_doubt: lower limit of that deviation, however well it is measured.
+        least_deviation: lower limit of that deviation, however well it is measured.
         validation, least_validation: number of validation windows, and the least.
         judging_seed: of their places.
         belief: of the distance of statistics, for a number that is off by its deviation.
@@ -254,7 +254,7 @@ class AdaptSettings:
     gain_albedo: float = 0.3
     relief: float = 0.5
     band: float = 0.3
-    least_doubt: float = 0.03
+    least_deviation: float = 0.03
     validation: int = 12
     least_validation: int = 3
     judging_seed: int = 1

@@ -232,8 +232,8 @@ def _aligned(
     try:
         with clock.stage("align"):
             views, _ = without_ambient(on_albedo(begun.views, begun.setup, own))
-            begun, tell = replace(begun, views=views), clock.telling("align")
-            return aligned(begun, read, settings, on_progress=tell), False
+            begun, on_progress = replace(begun, views=views), clock.callback("align")
+            return aligned(begun, read, settings, on_progress=on_progress), False
     except KeyboardInterrupt:
         return begun, True
 
@@ -248,7 +248,7 @@ def _readings(
 
     try:
         with clock.stage("join"):
-            return read_views(poses, first, coarse, read, clock.telling("join"))
+            return read_views(poses, first, coarse, read, clock.callback("join"))
     except KeyboardInterrupt:
         return None
 
@@ -273,12 +273,12 @@ def _solved(
         half = (round(down / 2), round(across / 2))
         views = poses.on_grid(half[1], half[0], tint)
         small = read.resized(half, poses.extent)
-        begun = solve(views, small, light, settings, on_progress=clock.telling("solve", 0.0, done))
+        begun = solve(views, small, light, settings, on_progress=clock.callback("solve", 0.0, done))
         light, settings = begun.light, replace(settings, rounds=settings.finer)
         poses = poses.with_relief(begun.maps.height)
     views = poses.on_grid(across, down, tint)
-    tell = clock.telling("solve", done, 1.0)
-    return poses, views, solve(views, read, light, settings, begun, tell)
+    on_progress = clock.callback("solve", done, 1.0)
+    return poses, views, solve(views, read, light, settings, begun, on_progress)
 
 
 def _whole(

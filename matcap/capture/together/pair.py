@@ -62,7 +62,7 @@ class PairSettings:
     thinned: int = 16
     """Every so manieth texel, by which the camera is found."""
     pixel: float = 2e-4
-    """Plane units that it may still lie beside the albedo, one deviation."""
+    """Plane units, standard deviation of what registration leaves."""
     step: float = 0.1
     """Of differences, log albedo and slope."""
     windows: float = 40.0
@@ -290,9 +290,11 @@ def as_steep(
     texels = np.asarray(height[0].numpy() / texel, np.float32)
     ratio = Ratio.of(views, parameters, light)
     strengths = measure_strengths(ratio.log, ratio.sensitivity, ratio.use, matte=ratio.matte)
-    # What lies beside its place by a part of a texel looks like fine relief.
+    # A registration error of part of a texel looks like fine relief.
     unsure = [shortest < SETTINGS.finest for _, shortest in BANDS]
-    strengths = strengths and replace(strengths, doubt=np.where(unsure, np.inf, strengths.doubt))
+    strengths = strengths and replace(
+        strengths, deviation=np.where(unsure, np.inf, strengths.deviation)
+    )
     even = equalise(texels, strengths, ratio.sensitivity)
     return texel * torch.from_numpy(split(texels)[-1] + even)[None]
 

@@ -42,7 +42,7 @@ from matcap.flash.plane import Plane, read_plane
 from matcap.flash.registration.camera import Doubles, PosedCamera
 
 UNREAD = 4.0  # log of what a reading is off by where its photograph does not show the piece
-_NOTHING = 1e-8  # that a reading weighs at its border: its doubt is beyond UNREAD then
+_NOTHING = 1e-8  # that a reading weighs at its border: its error is beyond UNREAD then
 
 Floats = NDArray[np.float32]
 ReadAlone = Callable[[Plane, CoarseFit], Estimate]  # of a photograph alone, on its own plane
@@ -115,7 +115,7 @@ class ReadView:
 
     parameters: Tensor
     """(PARAMETERS, H, W)."""
-    doubt: Tensor
+    log_error: Tensor
     """(4, H, W) log standard deviations, as Estimate.log_error."""
     extent: Extent = OWN
     """Of those texels."""
@@ -210,7 +210,7 @@ def joined(readings: Sequence[ReadView | None]) -> Estimate:
         readings: in any order, at least one that is not None.
     """
     every = [read for read in readings if read is not None]
-    weights = torch.stack([(-2.0 * read.doubt.clamp(-8.0, 8.0)).exp() for read in every])
+    weights = torch.stack([(-2.0 * read.log_error.clamp(-8.0, 8.0)).exp() for read in every])
     whole = weights.sum(0)
     parameters = torch.zeros_like(every[0].parameters)
     for part, kind in ((ALBEDO, 0), (F0, 1), (ROUGH, 2), (SLOPES, 3)):
@@ -218,12 +218,12 @@ def joined(readings: Sequence[ReadView | None]) -> Estimate:
             parameters[part] += weight[kind] / whole[kind] * read.parameters[part]
     # Where all err alike they are off by as much as the best of them.
     alike = weights.amax(0).reciprocal()
-    doubt = 0.5 * (READINGS.shared * alike + (1.0 - READINGS.shared) / whole).log()
-    slope_precision = (-2.0 * doubt[3]).exp()
+    log_error = 0.5 * (READINGS.shared * alike + (1.0 - READINGS.shared) / whole).log()
+    slope_precision = (-2.0 * log_error[3]).exp()
     texel_size = every[0].extent.texel(parameters.shape[-1])
     precision = torch.stack([slope_precision, slope_precision, torch.zeros_like(slope_precision)])
     height = surface_of(parameters[SLOPES], texel_size, precision)
-    return Estimate(maps_of(parameters, height, texel_size), doubt)
+    return Estimate(maps_of(parameters, height, texel_size), log_error)
 
 
 def with_others(first: Estimate, readings: Sequence[ReadView | None]) -> Estimate:
@@ -257,5 +257,6 @@ def fewer(readings: Sequence[ReadView | None], size: tuple[int, int]) -> list[Re
         return F.interpolate(values[None], size=size, mode="area")[0]
 
     return [
-        one and ReadView(small(one.parameters), small(one.doubt), one.extent) for one in readings
+        one and ReadView(small(one.parameters), small(one.log_error), one.extent)
+        for one in readings
     ]

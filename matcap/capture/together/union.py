@@ -291,7 +291,7 @@ def tint_over(
     total, weights = torch.zeros(3, 1, 1), torch.zeros(1, 1)
     for read in readings[1:]:
         if read is not None:
-            weight = (-2.0 * read.doubt[1]).exp()
+            weight = (-2.0 * read.log_error[1]).exp()
             total = total + weight * (torch.ones(3, 1, 1) if read.tint is None else read.tint)
             weights = weights + weight
     if weights.shape == (1, 1):
@@ -301,8 +301,8 @@ def tint_over(
     return torch.where(counted & ~reach.margins.own(reach.size), beyond, tint)
 
 
-def unread(doubt: Tensor, reach: Reach) -> Tensor:
+def unread(log_error: Tensor, reach: Reach) -> Tensor:
     """Log errors (4, H, W) set to UNREAD beyond the first photograph."""
     if not reach.margins.any:
-        return doubt
-    return torch.where(reach.margins.own(reach.size), doubt, torch.tensor(UNREAD))
+        return log_error
+    return torch.where(reach.margins.own(reach.size), log_error, torch.tensor(UNREAD))

@@ -96,8 +96,7 @@ class Prior:
     def place(self, photo: Photo) -> Anchor:
         """Position of a photograph in the space, rectified at DETAIL texels."""
         coarse = fit_coarse(photo)
-        photo = photo.linearised(coarse.tone)
-        plane = read_plane(photo, coarse.setup, DETAIL)
+        plane = read_plane(photo.linearised(coarse.tone), coarse.setup, DETAIL)
         code = self.code(photo.pixels, coarse, plane)
         base = base_of(coarse, log_contrast(plane.linear, plane.valid))
         waves = find_lattice(plane.encoded(), plane.valid).waves

@@ -112,5 +112,5 @@ def test_without_time_maps_stay_as_they_are(shot, scene) -> None:
 def test_relief_that_is_told_stands(shot, scene) -> None:
     weak = replace(shot.maps, height=0.5 * shot.maps.height)
     free = adapt(weak, SEEN, scene, Leg(20)).change.relief
-    result = adapt(weak, SEEN, scene, Leg(20, doubt=(0.01,) * 6)).change.relief
+    result = adapt(weak, SEEN, scene, Leg(20, deviation=(0.01,) * 6)).change.relief
     assert abs(math.log(result)) < 0.5 * abs(math.log(free))

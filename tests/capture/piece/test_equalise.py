@@ -68,7 +68,7 @@ def test_what_is_told_of_some_bands_holds_of_those_nothing_is_told_of() -> None:
     height = _bumps() + 0.02 * np.random.default_rng(0).standard_normal((512, 768))
     true = slope_strengths(height.astype(np.float32))
     result = _estimate(true)
-    result.slope[:2], result.doubt[:2] = 0.0, 1.0
+    result.slope[:2], result.deviation[:2] = 0.0, 1.0
     found = slope_strengths(equalise(np.asarray(0.3 * height, np.float32), result))
     ratio = np.sqrt(np.square(found[:2]).sum(1) / np.square(true[:2]).sum(1))
     assert (ratio > 0.6).all() and (ratio < 1.3).all()

@@ -75,7 +75,7 @@ def test_what_another_response_tells_differently_is_doubted() -> None:
     inputs = network_inputs(shot.linear, valid, shot.uniform, shot.points)
     log, shows = inputs.log.mean(0).numpy(), inputs.slope_sensitivity.numpy()
     alone, alike, apart = (
-        measure_strengths(log, shows, valid.numpy(), also=other).doubt
+        measure_strengths(log, shows, valid.numpy(), also=other).deviation
         for other in (None, shows, 1.5 * shows)
     )
     assert np.allclose(alike, alone)
@@ -94,7 +94,7 @@ def test_streaks_that_are_stronger_at_the_rim_are_no_sure_relief() -> None:
     shows[0] = np.linspace(-0.6, 0.6, streaks.shape[1])
     log = streaks * (1.0 + 0.1 * np.square(shows[0] / 0.6))
     found = measure_strengths(log, shows, np.ones(streaks.shape, bool))
-    assert (np.square(found.slope).sum(1) < 2.5 * found.doubt + 1e-3**2).all()
+    assert (np.square(found.slope).sum(1) < 2.5 * found.deviation + 1e-3**2).all()
 
 
 def test_albedo_that_mirrored_light_dilutes_is_no_relief() -> None:

@@ -78,7 +78,7 @@ def test_a_reading_is_brought_over_the_first(cameras):
     doubt = torch.full((4, down, across), -2.0)
     read = brought_over(Estimate(maps, doubt), own, cameras[1], place, (SIZE[1], SIZE[0]))
     true = parameters_of(_waves(grid_points(SIZE[1], SIZE[0]), 2.0 / SIZE[1]))
-    known = (read.doubt[3] < -1.9)[None].expand_as(true)
+    known = (read.log_error[3] < -1.9)[None].expand_as(true)
     known = known & (torch.nn.functional.avg_pool2d(known.float(), 5, 1, 2) > 0.999)
     assert 0.4 < known.float().mean() < 1.0
     assert float((read.parameters - true)[known].abs().max()) < 0.03
@@ -140,7 +140,7 @@ def test_alone_the_first_stays_as_it_was_read_and_others_leave_it_its_fine_waves
     same = with_others(alone, [first])
     torch.testing.assert_close(same.maps.stacked(), maps.stacked(), atol=1e-4, rtol=0.0)
     torch.testing.assert_close(same.log_error, doubt)
-    darker = ReadView(first.parameters.clone(), first.doubt)
+    darker = ReadView(first.parameters.clone(), first.log_error)
     darker.parameters[:3] -= 0.4
     both = with_others(alone, [first, darker, None])
     log = both.maps.diffuse.log()
