@@ -35,7 +35,7 @@ _CONFIDENCE_STEPS = 15  # confidence is a weight that needs no finer steps
 
 @dataclass(frozen=True)
 class Exemplar:
-    """Maps of the photographed piece, row 0 at the top, float32.
+    """Maps of the photographed piece, row 0 at the top, float32, each in contiguous memory.
 
     Raises:
         ValueError: a map of another shape, an empty or too large one, or values out of range.
@@ -72,6 +72,8 @@ class Exemplar:
             # Comparisons with NaN are false.
             if not (least <= float(values.min()) and float(values.max()) <= most):
                 raise ValueError(f"{name} is not within [{least:g}, {most:g}]")
+            # Kernels read planes by their address.
+            object.__setattr__(self, name, np.ascontiguousarray(values))
         if not 1e-9 <= self.texel_size <= 1e3:
             raise ValueError(f"a texel size of {self.texel_size}")
 
@@ -89,7 +91,7 @@ class Exemplar:
         """A rectangle of its texels."""
 
         def some(planes: Floats) -> Floats:
-            return np.ascontiguousarray(planes[:, rows, columns])
+            return planes[:, rows, columns]
 
         return replace(
             self,
@@ -104,7 +106,7 @@ class Exemplar:
         """The exemplar rotated by 90 degrees clockwise."""
 
         def turn(planes: Floats) -> Floats:
-            return np.ascontiguousarray(np.rot90(planes, -1, (1, 2)))
+            return np.rot90(planes, -1, (1, 2))
 
         return Exemplar(
             turn(self.diffuse),

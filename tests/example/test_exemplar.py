@@ -103,3 +103,16 @@ def test_damaged_files_are_refused():
 def test_an_exemplar_needs_no_torch():
     program = "import sys, matcap.example.exemplar; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program]).returncode == 0
+
+
+def test_planes_are_contiguous_however_they_are_given():
+    """The field's kernel reads each plane by its address."""
+    exemplar = an_exemplar()
+    interleaved = {
+        one.name: np.asfortranarray(getattr(exemplar, one.name))
+        for one in fields(Exemplar)
+        if one.name != "texel_size"
+    }
+    stored = replace(exemplar, **interleaved)
+    assert same(stored, exemplar)
+    assert all(getattr(stored, name).flags.c_contiguous for name in interleaved)

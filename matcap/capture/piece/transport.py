@@ -82,7 +82,7 @@ def transport(
     chosen = _choose(places, donors, drawn, ~hidden, photograph, tried)
     source, copied = _sources(chosen, hidden)
     # One F0 and one roughness are a class's, and have steps where classes meet.
-    maps = np.ascontiguousarray(drawn.laid[:, source[0], source[1]])
+    maps = drawn.laid[:, source[0], source[1]]
     texel = exemplar.texel_size
     log_albedo = np.log(drawn.laid[DIFFUSE].clip(INPAINT.darkest))
     drawing = np.concatenate([log_albedo, drawn.laid[HEIGHT] / texel])
