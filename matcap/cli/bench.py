@@ -501,6 +501,25 @@ def synth(
 
 
 @app.command()
+def profile(
+    photographs: Annotated[
+        list[Path], typer.Argument(metavar="PHOTO...", help="Photographs, each captured alone.")
+    ],
+    preset: Annotated[
+        list[str] | None, typer.Option(help="Only this preset; may be repeated.")
+    ] = None,
+    out: OutOption = Path("bench/profile"),
+) -> None:
+    """Processor time, wall time and peak memory of captures, by preset and stage.
+
+    Captures each photograph by each preset in a process of its own. Prints the table.
+    """
+    from matcap.lab.bench.profile import ABOUT, profile_experiment
+
+    _print(profile_experiment(photographs, preset or ()), out, ABOUT)
+
+
+@app.command()
 def report(
     tables: Annotated[
         list[Path],

@@ -1,0 +1,51 @@
+"""The profile of a capture has every stage, and its stages make up the whole."""
+
+from pathlib import Path
+
+import pytest
+
+from matcap.capture.progress import PIECE_STAGES, CaptureProgress
+from matcap.cli.main import main
+from matcap.lab.bench.profile import StageCosts
+from matcap.lab.experiment.results import read
+
+EXAMPLES = Path(__file__).parents[3] / "examples/photos"
+
+
+def test_stages_make_up_the_whole(tmp_path):
+    photograph = EXAMPLES / "tile.jpg"
+    asked = ["bench", "profile", str(photograph), "--preset", "instant", "-o", str(tmp_path)]
+    assert main(asked) == 0
+    rows = {row.configuration: row for row in read(tmp_path / "profile.csv")}
+    assert list(rows) == [f"instant, {stage}" for stage in ("start", *PIECE_STAGES, "whole")]
+    whole = rows.pop("instant, whole")
+    for column in ("seconds", "clock"):
+        parts = sum(row.number(column) for row in rows.values())
+        assert parts == pytest.approx(whole.number(column), rel=0.1)
+    peaks = [row.number("megabytes") for row in rows.values()]
+    assert max(peaks) == whole.number("megabytes") > 200.0
+    assert (
+        rows["instant, adapt"].number("seconds") == 0.0 < rows["instant, piece"].number("seconds")
+    )
+
+
+def test_peak_memory_is_each_stages_own():
+    costs = StageCosts({}, {}, {})
+    for stage, megabytes in (("large", 200), ("small", 1)):
+        costs.progress(CaptureProgress(stage, 0.0, 0.0, None))
+        held = bytearray(megabytes << 20)
+        held[:: 1 << 12] = b"1" * len(held[:: 1 << 12])
+        costs.progress(CaptureProgress(stage, 1.0, 0.0, None))
+        del held
+    assert costs.megabytes["large"] > costs.megabytes["small"] + 100.0
+
+
+def test_a_photograph_that_cannot_be_captured_is_named(tmp_path, capsys):
+    assert main(["bench", "profile", str(tmp_path / "none.jpg"), "-o", str(tmp_path)]) == 3
+    assert "none.jpg" in capsys.readouterr().err
+
+
+def test_an_unknown_preset_is_refused(tmp_path, capsys):
+    asked = ["bench", "profile", "none.jpg", "--preset", "utmost", "-o", str(tmp_path)]
+    assert main(asked) == 2
+    assert "choose from instant" in capsys.readouterr().err
