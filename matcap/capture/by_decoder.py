@@ -1,4 +1,5 @@
-"""Capture by the paper's generator: a pretrained decoder, fine-tuned to the photograph (4.6).
+"""Capture by the paper's generator: a pretrained decoder, fine-tuned to the photograph
+[henzler2021, sec. 4.6].
 
 Stages: statistics, start, fine-tuning, matching, verdict; with CaptureSettings.aligned also the
 stages of find_piece, which estimate the exemplar's maps.
@@ -40,12 +41,12 @@ def capture_by_decoder(
     Args:
         shot: the photograph, its coarse fit and plane.
         settings: of the user.
-        effort: steps and windows that follow from them.
-        method: switches for experiments.
+        effort: steps and windows that follow from the settings.
+        method: variant of the method.
         clock: of the capture.
 
     Raises:
-        MatcapError: the prior cannot be read, or the picture is too small for a target.
+        MatcapError: the prior cannot be read, or the picture is too small for `target`.
     """
     photo, coarse, plane = shot.photo, shot.coarse, shot.plane
     with clock.stage("statistics"):
@@ -59,7 +60,7 @@ def capture_by_decoder(
     about = provenance(photo, settings, coarse, effort, joined)
     material = decoder.material(photo.stem, coarse.setup, about)
     if tuned.history and effort.matched:
-        # To the first photograph, if there are others.
+        # Of several photographs, the first is matched.
         with clock.stage("matching"), postponed() as stopped:
             material = match_photograph(material, plane, settings.seed)
         clock.interrupted |= stopped()

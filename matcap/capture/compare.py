@@ -1,4 +1,4 @@
-"""Two captures side by side: their photographs, the same lights, their verdicts."""
+"""Comparison picture of captures: photographs, renderings under equal lights, maps, verdicts."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ class Compared:
     """A capture to be compared."""
 
     name: str
-    """Of the material."""
+    """Name of the material."""
     material: Material
-    """Itself."""
+    """The captured material."""
     verdict: dict[str, Any] | None
-    """As its report has it; None where there is no report beside it."""
+    """`verdict` of its report.json; None without a report."""
     photograph: Path | None = None
-    """The file that it was made from, as its report has it; it may be gone."""
+    """Path of the photograph by report.json; the file may no longer exist."""
     tone: ToneCurve = ToneCurve()
-    """That of the photograph, as its report has it."""
+    """Tone curve of the photograph by report.json."""
 
     @staticmethod
     def open(path: Path) -> Compared:
-        """A capture's folder, or its material's file.
+        """Open the folder of a capture, or its .matcap file.
 
         Raises:
-            MatcapError: no material there, or several.
+            MatcapError: the path holds no material, or several.
         """
         file, material = open_material(path)
         report = read_report(file.parent / REPORT)
@@ -52,7 +52,7 @@ class Compared:
         return Compared(file.stem, material, _verdict(report), _photograph(report), tone)
 
     def title(self) -> str:
-        """Its name and verdict."""
+        """Title of its panels: name and verdict."""
         said = self.verdict["sentence"] if self.verdict else "without a verdict"
         return f"{self.name}: {said}"
 
@@ -60,11 +60,11 @@ class Compared:
 def comparison(
     captures: Sequence[Compared], photographs: Sequence[Photo | None] = ()
 ) -> Image.Image:
-    """A block of panels for each capture.
+    """Draw a block of panels for each capture, the blocks stacked vertically.
 
     Args:
-        captures: one above the other.
-        photographs: of each, None where there is none; or none at all.
+        captures: the captures, from top to bottom.
+        photographs: photograph of each capture or None; an empty sequence means none.
     """
     blocks = []
     for index, capture in enumerate(captures):
@@ -75,6 +75,7 @@ def comparison(
 
 
 def _panels(material: Material, photo: Photo | None) -> Iterator[Panel]:
+    """Photograph, re-rendering, two other lights and the maps of a capture."""
     setup, width = material.setup, round(2.0 / material.texel_size)
     height = round(width * 3 / 4)
     if photo is not None:
@@ -97,7 +98,7 @@ def _rows(linear: torch.Tensor) -> np.ndarray[Any, np.dtype[np.float32]]:
 
 
 def read_report(file: Path) -> dict[str, Any]:
-    """A capture's report; nothing where there is none."""
+    """Read a report.json; an empty dict if it is missing or no report of matcap."""
     try:
         document = json.loads(file.read_bytes())
     except (OSError, ValueError, RecursionError):

@@ -22,7 +22,7 @@ from matcap.flash.uniform import Uniform
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave, find_lattice
 
-UNION_TIMES = 4  # a piece of several photographs over the first one's texels, at most
+UNION_TIMES = 4  # largest exemplar of several photographs, in texels of the first one's
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,14 @@ class DetailSettings:
     """Detection of coarse textures; docs/notes/capture.md."""
 
     scales: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-    """Texels: deviations of the blurs between the bands."""
+    """Standard deviations, texels, of the Gaussian blurs that separate the bands."""
     most_coarse: float = 0.08
-    """Share of the variance in the last band, waves from some 100 to 200 texels."""
+    """Share of variance in the last band (wavelengths of 100 to 200 texels) above which a texture
+    is coarse."""
     faintest: float = 1e-4
-    """Linear: bounds the logarithm in the dark."""
+    """Linear radiance below which the logarithm is clamped."""
     strongest: float = 3.0
-    """Log radiance from the median: larger departures count as this large."""
+    """Log radiance: differences from the median are clamped to +-this."""
 
 
 COARSENESS = DetailSettings()
@@ -59,8 +60,8 @@ def coarse_share(linear: Tensor, valid: Tensor) -> float:
     finer = (log - middle).clip(-COARSENESS.strongest, COARSENESS.strongest)
     variances = []
     for scale in COARSENESS.scales:
-        # What is left varies over as much as the last blur's deviation, half this one's: from
-        # 2 texels on every other texel says as much.
+        # The last blur removed all detail finer than half this scale: from 2 texels on, half as
+        # many samples suffice.
         if scale > 2.0:
             finer, seen = _halved(finer), _halved(seen)
         deviation = min(scale, 2.0)
@@ -73,12 +74,13 @@ def coarse_share(linear: Tensor, valid: Tensor) -> float:
 
 
 def _blur(picture: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:
-    # OpenCV's own border leaves out the outermost texel, which is wide once halved.
+    # OpenCV's default border excludes the outermost texel, a large share of a small picture.
     blurred = cv2.GaussianBlur(picture, (0, 0), deviation, borderType=cv2.BORDER_REFLECT)
     return np.asarray(blurred, np.float32)
 
 
 def _halved(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Box-filter to half the size."""
     size = tuple(max(1, side // 2) for side in picture.shape[::-1])
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
 
@@ -93,9 +95,9 @@ class Rectified:
     """A photograph rectified to the plane of its sample, and its lattice.
 
     Attributes:
-        whole: at the resolution of the exemplar.
+        whole: the plane at the resolution of the exemplar.
         waves: frequency vectors of its lattice, cycles per texel of `whole`; empty without one.
-        read: at the resolution for the network.
+        read: the plane at the resolution that the network takes.
     """
 
     whole: Plane
@@ -104,7 +106,10 @@ class Rectified:
 
     @staticmethod
     def of(plane: Plane, waves: tuple[Wave, ...] = ()) -> Rectified:
-        """Of a plane, whose waves the network receives as input, however long their period."""
+        """Choose the network's resolution for a plane: DETAIL; half of it if coarse and aperiodic.
+
+        Waves of any period are inputs of the network, so periodic textures need no coarser grid.
+        """
         columns = plane.size[0]
         usual = plane.shrunk(DETAIL) if columns > DETAIL else plane
         suited = usual
@@ -128,10 +133,10 @@ class Rectified:
 
     @property
     def read_waves(self) -> tuple[Wave, ...]:
-        """Cycles a texel of what is read."""
+        """Frequency vectors of the lattice, cycles per texel of `read`."""
         longer = self.whole.size[0] / self.read.size[0]
         return tuple(Wave(longer * wave.fx, longer * wave.fy) for wave in self.waves)
 
     def as_read(self) -> Rectified:
-        """As of a piece that is to have no more texels than are read."""
+        """The same photograph with an exemplar at the network's resolution."""
         return Rectified(self.read, self.read_waves, self.read)

@@ -35,7 +35,19 @@ def judged(
     estimate: ExemplarEstimate | None = None,
     tuning: Tuning | None = None,
 ) -> CaptureResult:
-    """The material beside its photograph, and the verdict on it; the last stage but writing."""
+    """Re-render a material under its photograph's flash, measure the differences and rate them.
+
+    This is the stage `verdict`, the last before writing.
+
+    Args:
+        photo: the photograph, linear.
+        material: what was captured.
+        rectified: the photograph on the sample's plane.
+        settings: of the user.
+        clock: of the capture.
+        estimate: the exemplar, if one was estimated.
+        tuning: the course of fine-tuning, if a decoder was.
+    """
     plane, waves = rectified.whole, rectified.waves
     interrupted = clock.interrupted or (estimate is not None and estimate.interrupted)
     with clock.stage("verdict"), postponed() as stopped:
@@ -45,7 +57,7 @@ def judged(
         seen = compared = _picture(plane.linear)
         if plane.left_out is not None:
             left_out = plane.left_out.numpy()[..., None]
-            compared = np.where(left_out, rerendered, seen)  # nothing is said of it
+            compared = np.where(left_out, rerendered, seen)  # a difference of zero
             seen = np.where(left_out, np.float32(0.0), seen)
         about = None if estimate is None else _piece_measurements(estimate, photo, material, waves)
         valid = plane.valid.numpy()
@@ -74,7 +86,7 @@ def provenance(
     effort: Effort,
     joined: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    """How a material was made; JSON."""
+    """JSON record of how a material was made: photographs, settings, steps and coarse fit."""
     document: dict[str, Any] = {
         "photograph": photo.name,
         "settings": settings.named(),
@@ -96,24 +108,25 @@ def provenance(
 def _piece_measurements(
     estimate: ExemplarEstimate, photo: Photo, material: Material, waves: tuple[Wave, ...]
 ) -> PieceMeasurements:
-    """What is measured of a piece for its verdict."""
+    """Measurements on an exemplar for its verdict."""
     confidence = estimate.mean_confidence(photo.kept_share)
     return PieceMeasurements(
         maps={"error": estimate.error, "slow": estimate.slow, **confidence},
         residue=highlight_residue(estimate.framed, material.setup),
         tilt=_mean_tilt(estimate),
-        # A regular order keeps its pieces together, however small its periods.
+        # Of a lattice, whole periods are rearranged, however small they are.
         variety=1.0 if waves else estimate.example.variety,
         photographs=1 if estimate.several is None else len(estimate.several.views),
     )
 
 
 def _mean_tilt(estimate: ExemplarEstimate) -> float:
-    """Degrees."""
+    """Mean angle between the exemplar's normals and the plane's, degrees."""
     upright = piece_maps(estimate.exemplar).normal[2].clamp(-1.0, 1.0)
     return float(upright.acos().rad2deg().mean())
 
 
 def _picture(linear: Tensor) -> NDArray[np.float32]:
+    """(3, H, W) to (H, W, 3)."""
     picture: NDArray[np.float32] = linear.permute(1, 2, 0).contiguous().numpy()
     return picture

@@ -1,4 +1,4 @@
-"""Quality of a photograph before capture."""
+"""Inspection of a photograph before capture: its quality, highlight, relief and tilt."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from matcap.photo.photo import Photo
 
 @dataclass(frozen=True)
 class InspectedPhotograph:
-    """A photograph looked at.
+    """Result of inspecting a photograph.
 
     Attributes:
-        quality: how good it is, and what to do at the next shot.
-        strengths: of relief and albedo, where they can be measured.
-        tilt: what the branch and what the picture says of it (capture/tilt.py).
+        quality: its checks, each with a remedy for the next shot.
+        strengths: band energies of relief and albedo; None if they cannot be measured.
+        tilt: estimates of the tilt by source, degrees (capture/tilt.py).
     """
 
     quality: Inspection
@@ -42,16 +42,16 @@ class InspectedPhotograph:
 def inspect_file(
     path: Path, detail: int, fov: float | None = None, profile: CameraProfile | None = None
 ) -> InspectedPhotograph:
-    """Look at a photograph as a capture would.
+    """Inspect a photograph after the same reading and coarse fit as in a capture.
 
     Args:
         path: of the photograph.
-        detail: pixels across its long side.
-        fov: field of view along that side, degrees; None for what the file says.
-        profile: of the camera, if it is known.
+        detail: pixels along its long side.
+        fov: field of view along that side, degrees; None for the file's metadata.
+        profile: of the camera, or None.
 
     Raises:
-        MatcapError: it cannot be read, or nothing can be fitted to it.
+        MatcapError: the file cannot be read, or the coarse fit fails.
     """
     photo = load_photo(path, long_side=detail, fov=fov, noise=False)
     photo = photo if profile is None else photo.known_by(profile)
@@ -64,7 +64,7 @@ def inspect_file(
 
 
 def photograph_quality(photo: Photo) -> Inspection:
-    """How good a photograph is, read at the detail it is captured at."""
+    """Checks of a photograph that was read at the resolution of its capture."""
     return _quality(*_rectified(photo))
 
 
@@ -81,12 +81,15 @@ def _quality(photo: Photo, coarse: CoarseFit, plane: Plane) -> Inspection:
 
 
 def _gloss(coarse: CoarseFit, plane: Plane) -> tuple[Finding, ...]:
-    """How strong and how lively the photographed highlight is: what a capture must reach."""
+    """Findings on the highlight of the photograph: its contrast and the variation of its glints.
+
+    A capture's re-rendering is compared with these two.
+    """
     picture, valid = np.minimum(plane.linear.movedim(0, -1).numpy(), 1.0), plane.valid.numpy()
     inside = valid | (picture.max(axis=2) > CLIPPING)
     profile = highlight_profile((picture, picture), inside, valid, coarse.setup)
     if profile is None or not profile.glossy:
-        return (Finding("highlight", None, Rating.NOT_JUDGED, "nothing glossy shows in it"),)
+        return (Finding("highlight", None, Rating.NOT_JUDGED, "the photograph shows no gloss"),)
     contrast = profile.contrast[0]
     says = f"the highlight is {contrast:.1f} times as bright as a matte surface would be there"
     if profile.bound:

@@ -1,4 +1,4 @@
-"""Switches of a capture's method for experiments; not user settings."""
+"""Variants of the capture method for experiments; not user settings."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 
 @dataclass(frozen=True)
 class Method:
-    """How it is done."""
+    """A variant of the capture method; by default the one that measured best."""
 
     window: int = 160
-    """Texels a side of what is compared; many cheap steps beat few exact ones."""
+    """Side, texels, of the square windows whose texture statistics are compared."""
     features: FilterBankConfig = FEATURES
-    """That textures are compared by."""
+    """Filter bank of the texture statistics."""
     decoder: DecoderConfig | None = None
-    """Shape of the decoder, where there is no prior to say it."""
+    """Layers of the decoder without a prior, which would determine them."""
     half_precision: bool = True
-    """bfloat16 inside the network and the features, where the processor computes with it."""
+    """Compute network and features in bfloat16 if the processor supports it."""
     places: int | None = None
-    """Windows a step, instead of the preset's."""
+    """Windows per step of fine-tuning; None: the preset's."""
     matched: bool | None = None
-    """At the end, instead of as the preset says."""
+    """Whether to match mean and contrast after fine-tuning; None: the preset's."""
     adapted: int | None = None
-    """Steps of the exemplar, instead of the preset's."""
+    """Steps of the texture-statistics fit of an exemplar; None: the preset's."""
     weights: Weights = Weights()
-    """Of the statistics that textures are compared by."""
+    """Weights of the texture statistics in their sum."""
     solving: SolveSettings = SolveSettings()
-    """Of several photographs."""
+    """Settings of the multi-view solve."""
     measured_tilt: bool = True
-    """Whether the alignment branch is asked."""
+    """Whether the alignment branch's tilt is a prior of the coarse fit."""

@@ -1,4 +1,4 @@
-"""The trained prior that settings name."""
+"""File of the trained prior that `CaptureSettings.prior` names."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from pathlib import Path
 
 
 def prior_file(prior: str) -> Path | None:
-    """Its file, which can be read; None where there is to be none.
+    """Path of a prior that can be loaded, or None for "none".
 
     Args:
-        prior: "auto", "none" or a file, as CaptureSettings has it.
+        prior: "auto" (the shipped prior), "none" or a path.
 
     Raises:
-        MatcapError: no such file, or no prior.
+        MatcapError: the file does not exist, or holds no prior.
     """
     if prior == "none":
         return None
@@ -20,6 +20,6 @@ def prior_file(prior: str) -> Path | None:
 
     if prior == "auto":
         return SHIPPED
-    # One that is broken would fail for every photograph.
+    # Load it now: a broken one would fail for every photograph.
     load_prior(Path(prior))
     return Path(prior)

@@ -1,4 +1,4 @@
-"""Everything that one captured photograph leaves on disk, written together."""
+"""Writing the outputs of a capture into its folder, all or none."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
 
     Args:
         result: of capture_photo.
-        folder: made when missing; the material and its maps are called as it is.
+        folder: created if missing; its name is that of the material and the maps.
         settings: what to write.
 
     Returns:
-        The material's path.
+        Path of the .matcap file.
 
     Raises:
-        MatcapError: a full disk, an unwritable folder.
+        MatcapError: the disk is full, or the folder cannot be written.
     """
     from matcap.capture.preview import write_preview
     from matcap.capture.report import write_report
 
     name = folder.name
     older = [*mapset_files(name), *_piece_files(name)]
-    # The sheet and its verdict take as long as all the rest, and one thread most of the time. The
-    # pool is left first, and what it wrote is published then.
+    # Drawing the preview takes as long as writing the rest, mostly on one thread: do both at once.
+    # The pool exits first, then `staged` publishes all files.
     with staged(folder, replacing=older) as stage, ThreadPoolExecutor(1) as pool:
         written = pool.submit(_write_material, result, stage, name, settings)
         write_preview(result, stage / PREVIEW)
@@ -58,7 +58,7 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
 def _write_material(
     result: CaptureResult, stage: Path, name: str, settings: OutputSettings
 ) -> None:
-    """The material, its first map set and, if asked for, the photographed piece."""
+    """Write the material, its first map set and, with `aligned`, the exemplar's maps."""
     material = result.material
     period = settings.size if settings.repeats(material.alignment) else None
     maps = material.maps(*settings.size, seed=settings.seed, period=period)
@@ -70,7 +70,7 @@ def _write_material(
 
 
 def no_repeat(size: tuple[int, int], alignment: int) -> str:
-    """What is said of maps that have a seam."""
+    """Message that maps of this size (width, height) show a seam when tiled."""
     width, height = size
     return (
         f"Maps of {width}x{height} do not repeat: tiled, they show a seam. For seamless maps, "
@@ -79,7 +79,7 @@ def no_repeat(size: tuple[int, int], alignment: int) -> str:
 
 
 def output_files(name: str) -> list[str]:
-    """Names of all the files that write_outputs leaves in a folder of this name, but exports."""
+    """Names of the files that write_outputs writes into a folder of this name, without exports."""
     from matcap.capture.report import CURVE
 
     return [f"{name}.matcap", PREVIEW, REPORT, CURVE, *mapset_files(name)]
@@ -88,12 +88,12 @@ def output_files(name: str) -> list[str]:
 def _write_piece(
     estimate: ExemplarEstimate, setup: FlashSetup, stage: Path, name: str, settings: OutputSettings
 ) -> None:
-    """Maps of the photographed piece, and how far each is trusted."""
+    """Write the exemplar's maps and their confidence, in [0, 1] per map and texel."""
     from matcap.capture.piece.find import piece_maps
 
     exemplar = estimate.exemplar
     about: dict[str, Any] = {"of": "the photographed piece", "error": estimate.error}
-    if estimate.framed is exemplar:  # else its middle is not the photograph's
+    if estimate.framed is exemplar:  # else the setup's origin, the photograph's centre, is not its
         about[SETUP] = asdict(setup)
     info = MapSetInfo(name + PIECE, None, provenance=about)
     write_mapset(piece_maps(exemplar), stage, info, png=settings.png, normal=settings.normal)
@@ -102,6 +102,7 @@ def _write_piece(
 
 
 def _piece_files(name: str) -> list[str]:
+    """Names of the files of an exemplar's maps."""
     return [*mapset_files(name + PIECE), _confidence_file(name)]
 
 

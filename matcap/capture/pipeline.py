@@ -1,8 +1,8 @@
-"""The whole way from a photograph to a material. This file reads as its data flow.
+"""Capture, from photographs to a folder with a material: the stages in order.
 
 read, coarse fit, piece, strengths, refine, adapt, inpaint, index, verdict, write.
-The stages from piece to index are in piece/find.py. The paper's network goes another way
-(by_decoder.py), where it is asked for.
+The stages from piece to index are in piece/find.py, those of several photographs in
+together/find.py, those of the paper's generator in by_decoder.py.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
 from matcap.photo.refusals import SHORTEST_SIDE
 
-_MATCHED = 1600  # pixels along the long side that photographs of one piece are matched on
-_WINDOW_STEP = 16  # texels that windows' sides are multiples of: a decoder's alignment
+_MATCHED = 1600  # pixels along the long side for matching keypoints of several photographs
+_WINDOW_STEP = 16  # texels: sides of windows are multiples of this, the decoder's alignment
 
 OnCapture = Callable[[CaptureProgress], None]
 
@@ -59,22 +59,28 @@ def read_photograph(
     *,
     several: bool = False,
 ) -> Photo:
-    """A photograph as a capture with these settings, done so, needs it; of several, or alone.
+    """Read a photograph for a capture: at its resolution, with camera profile, crop and mask.
+
+    Args:
+        path: of the photograph.
+        settings: of the capture.
+        method: of the capture; the default one if None.
+        several: whether it is one of several photographs of a sample.
 
     Raises:
-        UsageError: an unknown preset; a crop outside of the photograph, or of several; a bad
-            profile of the camera.
-        MatcapError: the file is not a photograph that can be read; a mask that does not fit; one
-            of several that is cut out.
+        UsageError: the preset is unknown; the crop exceeds the photograph; a crop or mask is given
+            for several photographs; the camera profile is invalid.
+        MatcapError: the file cannot be read as a photograph; the mask has another size; one of
+            several photographs has transparent pixels.
     """
-    # What is compared with the photograph must know its noise.
+    # Texture statistics of the photograph contain its noise, so that must be known.
     noise = resolve(settings, method).work(settings.generator) > 0
     detail = max(settings.detail or 0, _MATCHED) if several else settings.most_detail
     if several and (settings.crop or settings.mask):
         raise UsageError(
             "one rectangle or mask cannot fit several photographs, each taken from another place",
             where="--crop" if settings.crop else "--mask",
-            remedy="leave it out: what does not belong to the piece is detected",
+            remedy="leave it out: what does not belong to the sample is detected",
         )
     photo = load_photo(path, long_side=detail, fov=settings.fov, noise=noise)
     if settings.camera is not None:
@@ -94,9 +100,9 @@ def capture_file(
     progress: OnCapture | None = None,
     others: Sequence[str | Path] = (),
 ) -> CaptureResult:
-    """A photograph's file to a material; or those of several photographs of one sample.
+    """Capture the file of a photograph, with `others` of the same sample.
 
-    Args, Raises: as of read_photograph and capture_photo.
+    Arguments and exceptions are those of read_photograph and capture_photo.
     """
     return _read_and_captured(
         [path, *others], settings, clock_of(settings, progress, 1 + len(others))
@@ -111,18 +117,18 @@ def capture_into(
     progress: OnCapture | None = None,
     spent: float = 0.0,
 ) -> CaptureResult:
-    """The whole way: photographs of one sample to a folder with everything that is left of it.
+    """Capture photographs of one sample and write the material, maps, preview and report.
 
     Args:
-        folder: to be made; the material is called as it is.
-        paths: of the photograph, and of more of the same sample.
-        settings: what the user decides.
-        outputs: what is written.
-        progress: called as the work goes on.
-        spent: seconds of the time limit that are gone already: starting takes some, too.
+        folder: created if missing; its name becomes the material's.
+        paths: one photograph, or several of the same sample.
+        settings: of the capture.
+        outputs: what to write.
+        progress: callback.
+        spent: seconds of the time limit that the command's start has taken.
 
     Raises:
-        UsageError, MatcapError: as capture_photo; a full disk, an unwritable folder.
+        UsageError, MatcapError: as capture_photo; the disk is full; the folder cannot be written.
     """
     clock = clock_of(settings, progress, len(paths), spent)
     result = _read_and_captured(paths, settings, clock)
@@ -134,6 +140,7 @@ def capture_into(
 def _read_and_captured(
     paths: Sequence[str | Path], settings: CaptureSettings, clock: CaptureClock
 ) -> CaptureResult:
+    """Read photographs and capture them; notes on all of them become the first one's."""
     check_photographs(settings, len(paths))  # before anything is read
     with clock.stage("read"):
         several = len(paths) > 1
@@ -150,18 +157,18 @@ def capture_photo(
     method: Method | None = None,
     others: Sequence[Photo] = (),
 ) -> CaptureResult:
-    """A photograph to a material.
+    """Capture a material from a photograph, or from several of the same sample.
 
     Args:
-        photo: as read_photograph gives it.
-        settings: what the user decides.
-        progress: called as the work goes on.
-        method: how to do it; the best known way by default.
-        others: more photographs of the same sample (flash/joint.py); the result shows the first.
+        photo: returned by read_photograph.
+        settings: of the capture.
+        progress: callback.
+        method: variant of the method; the default one if None.
+        others: more photographs of the same sample; the result shows the first, `photo`.
 
     Raises:
-        UsageError: an unknown preset, or a union of one photograph.
-        MatcapError: a photograph nothing can be made of, or a prior that cannot be read.
+        UsageError: the preset is unknown, or `union` is set for one photograph.
+        MatcapError: the photograph is too small or has no valid pixels, or the prior is unreadable.
     """
     return capture_under(
         photo, settings, clock_of(settings, progress, 1 + len(others)), method or Method(), others
@@ -174,7 +181,7 @@ def clock_of(
     photographs: int = 1,
     spent: float = 0.0,
 ) -> CaptureClock:
-    """The clock of a capture of so many photographs; `write` is the caller's last stage."""
+    """Clock of a capture of a number of photographs; its last stage, `write`, is the caller's."""
     by_example = TOGETHER_STAGES if photographs > 1 else PIECE_STAGES
     stages = DECODER_STAGES if settings.generator == "decoder" else by_example
     return CaptureClock(progress, stages, settings.time_limit, spent)
@@ -187,7 +194,7 @@ def capture_under(
     method: Method,
     others: Sequence[Photo],
 ) -> CaptureResult:
-    """The stages between reading and writing; see capture_photo."""
+    """Run all stages between `read` and `write`; arguments as of capture_photo."""
     check_photographs(settings, 1 + len(others))
     effort = resolve(settings, method, 1 + len(others))
     if settings.generator == "decoder":
@@ -220,7 +227,7 @@ def _begun(
     clock: CaptureClock,
     others: Sequence[Photo] = (),
 ) -> CaptureStart:
-    """A photograph without its tone curve, under its light, on its plane."""
+    """Fit camera and flash, undo the tone curve and rectify the photograph to its plane."""
     with clock.stage("coarse fit"):
         coarse = fitted(photo, measured=method.measured_tilt)
         photo = photo.linearised(coarse.tone)
@@ -233,7 +240,7 @@ def _begun(
 def _of_one(
     photo: Photo, settings: CaptureSettings, effort: Effort, method: Method, clock: CaptureClock
 ) -> PhotographEstimate:
-    """The exemplar of one photograph."""
+    """Estimate the exemplar of one photograph."""
     shot = _begun(photo, settings, method, clock)
     adaptation = None
     if effort.adapted:
@@ -254,17 +261,21 @@ def _of_several(
     method: Method,
     clock: CaptureClock,
 ) -> PhotographEstimate:
-    """The exemplar of several photographs of one sample."""
+    """Estimate the exemplar of several photographs of one sample."""
     from matcap.capture.together.find import estimate_together
 
-    # As fine as they are solved at best, but where preset or time ask for less.
+    # The multi-view solve is limited to DETAIL; preset and time limit may ask for less.
     detail = settings.detail or min(effort.detail, DETAIL)
     solving, union = method.solving, settings.union
     return estimate_together(photos, load_inverse(), detail, solving, clock, union=union)
 
 
 def _window(plane: Plane, wanted: int, name: str) -> int:
-    """Window size that fits the picture."""
+    """Side of comparison windows, texels: `wanted`, or the largest multiple of 16 that fits.
+
+    Raises:
+        MatcapError: the plane is shorter than SHORTEST_SIDE texels; `name` is its photograph's.
+    """
     width, height = plane.size
     if min(height, width) < SHORTEST_SIDE:
         raise MatcapError(

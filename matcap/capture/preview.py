@@ -1,10 +1,9 @@
-"""preview.png: everything about a capture on one sheet, to be judged by eye.
+"""preview.png: one sheet for visual inspection of a capture.
 
-A block of two rows of equal panels (photograph, re-rendering, another light, the maps) and one row
-of crops at one picture pixel a texel, where grain, weave and checkerboards show. Where the maps of
-the photographed piece itself were found, a second block shows them, its crops of the same place; of
-several photographs a third one where each was taken from, and all of a piece that reaches beyond
-the first.
+The material's block: panels (photograph, re-rendering, another light, maps) and a row of crops at
+one pixel per texel. The exemplar's block: the same of the photographed rectangle, with crops at the
+same place. Of several photographs: a diagram of cameras and flashes, and a block of the whole
+exemplar if it extends beyond the first photograph.
 """
 
 from __future__ import annotations
@@ -43,14 +42,14 @@ _RATED = {
     Rating.DOUBTFUL: (240, 180, 41),
     Rating.FAILED: (255, 110, 100),
 }
-# Beside and in front of the sample, in plane units: grazing enough to show relief.
+# Position of the light, plane units: to the left of the sample, and above; grazing, to show relief.
 _LIGHTS = {"left": (-2.5, 0.0, 1.5), "top": (0.0, 2.0, 1.2)}
-# A map's shown range is never narrower than this, or a flat map would show its rounding noise.
+# Narrowest displayed range of a map: a flat map would show its rounding noise.
 _LEAST_SPAN = {"specular": 0.02, "roughness": 0.05, "height": 0.002}
 
 
 def _developed(result: CaptureResult, linear: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Code values of a picture (H, W, 3) as the camera develops it."""
+    """sRGB code values of a linear picture (H, W, 3) under the photograph's tone curve."""
     return srgb_picture(result.photo.developed(linear))
 
 
@@ -63,7 +62,7 @@ class Panel:
 
 
 def write_preview(result: CaptureResult, path: Path) -> None:
-    """Write the sheet of a capture as an 8-bit sRGB PNG.
+    """Write the sheet of a capture as an 8-bit sRGB PNG, all or nothing.
 
     Raises:
         MatcapError: the file cannot be written.
@@ -74,7 +73,7 @@ def write_preview(result: CaptureResult, path: Path) -> None:
 
 
 def draw_sheet(result: CaptureResult) -> Image.Image:
-    """The sheet as an RGB picture."""
+    """Draw the sheet of a capture, RGB."""
     blocks = [block(list(panels(result)))]
     if result.estimate is not None:
         from matcap.capture.piece.find import piece_maps
@@ -91,7 +90,7 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
 
             seen = srgb_picture(_picture(piece_maps(result.estimate.exemplar), "diffuse"))
             several = result.estimate.several
-            # Cameras are drawn over the piece as they were found, lying.
+            # Cameras are in landscape coordinates; so must be the picture below them.
             lying = np.ascontiguousarray(np.rot90(seen)) if result.estimate.turned else seen
             drawn = draw_set(several, lying, blocks[0].width)
             blocks.append(titled(drawn, "Cameras and flashes"))
@@ -103,7 +102,7 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
 
 
 def stacked(blocks: Sequence[Image.Image]) -> Image.Image:
-    """Pictures of one width, one above the other."""
+    """Stack pictures of equal width vertically."""
     size = (blocks[0].width, sum(shown.height for shown in blocks))
     sheet = Image.new("RGB", size, _PAPER)
     y = 0
@@ -114,7 +113,7 @@ def stacked(blocks: Sequence[Image.Image]) -> Image.Image:
 
 
 def _headline(result: CaptureResult, width: int) -> Image.Image:
-    """The verdict and where the tilt is from, across the sheet."""
+    """Banner of a width in pixels: the verdict, and the tilt with its sources."""
     verdict, sources = result.verdict, result.tilt_sources
     lines = textwrap.wrap(f"Verdict: {verdict.sentence()}", _VERDICT_WIDTH)
     below = textwrap.wrap(tilt_line(sources), _VERDICT_WIDTH) if sources else []
@@ -128,7 +127,7 @@ def _headline(result: CaptureResult, width: int) -> Image.Image:
 
 
 def panels(result: CaptureResult) -> Iterable[Panel]:
-    """Everything there is to see of a material, as code values of the photograph's rectangle."""
+    """Panels of a material, over a rectangle as large as the photograph."""
     yield Panel("photograph", _developed(result, result.rectified))
     yield Panel("re-rendered", _developed(result, result.rerendered))
     yield relit("top", result.maps, result.rerendered, result.material.setup)
@@ -137,9 +136,9 @@ def panels(result: CaptureResult) -> Iterable[Panel]:
 
 
 def piece_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[Panel]:
-    """The photographed piece beside its photograph, lit from two sides, and its maps.
+    """Panels of an exemplar: photograph, re-rendering, light from two sides, maps without normals.
 
-    Without normals, which are the height's and show in the light.
+    The normals are the height's gradient; the renderings show them.
     """
     import torch
 
@@ -157,7 +156,7 @@ def piece_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[
 
 
 def whole_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[Panel]:
-    """All of a piece that reaches beyond the first photograph, lit from two sides, and its maps."""
+    """Panels of an exemplar that extends beyond the first photograph: two lights, and maps."""
     from matcap.capture.piece.find import piece_maps
 
     maps = piece_maps(estimate.exemplar)
@@ -167,7 +166,7 @@ def whole_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[
 
 
 def block(shown: Sequence[Panel]) -> Image.Image:
-    """Panels in rows, and their crops below."""
+    """Lay out panels in rows of four, and their crops at one pixel per texel below."""
     height, width = shown[0].pixels.shape[:2]
     panel_height = max(1, round(_PANEL * height / width))
     rows = -(-len(shown) // _COLUMNS)
@@ -192,7 +191,7 @@ def block(shown: Sequence[Panel]) -> Image.Image:
 
 
 def titled(shown: Image.Image, title: str) -> Image.Image:
-    """A block below its title, in as many lines as it takes."""
+    """Add a title above a picture, wrapped to its width."""
     font = ImageFont.load_default(size=24)
     letters = int((shown.width - 2 * _GAP) / (font.getlength(title) / max(1, len(title))))
     lines = textwrap.wrap(title, max(8, letters - 2))
@@ -206,7 +205,7 @@ def titled(shown: Image.Image, title: str) -> Image.Image:
 
 
 def each_map(maps: MapSet) -> Iterable[Panel]:
-    """The maps themselves, but normals."""
+    """A panel for each map without normals: colours as sRGB, others stretched to their range."""
     yield Panel("diffuse", srgb_picture(_picture(maps, "diffuse")))
     if len(maps.specular) > 1:
         yield _coloured("specular", _picture(maps, "specular"))
@@ -217,9 +216,9 @@ def each_map(maps: MapSet) -> Iterable[Panel]:
 
 
 def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Panel:
-    """The maps from the photograph's camera, lit from one side.
+    """Render maps from the photograph's camera under a light of _LIGHTS.
 
-    Another light has no exposure of its own: it is shown as bright as the photograph.
+    Scaled to the mean radiance of the re-rendering, as this light has no exposure of its own.
     """
     import torch
 
@@ -244,13 +243,13 @@ def _picture(maps: MapSet, kind: str) -> NDArray[np.float32]:
 
 
 def _coloured(kind: str, values: NDArray[np.float32]) -> Panel:
-    """A map with a colour as it is; its mean in the label."""
+    """Panel of a colour map in sRGB, with its mean (linear RGB) in the label."""
     mean = " ".join(f"{value:.2f}" for value in values.mean(axis=(0, 1)))
     return Panel(f"{kind}: {mean} on average", srgb_picture(values))
 
 
 def _stretched(kind: str, values: NDArray[np.float32]) -> Panel:
-    """Grey between the map's own ends, printed in the label."""
+    """Panel of a scalar map, its 0.2 and 99.8 % quantiles as black and white and in the label."""
     low, high = (float(v) for v in np.quantile(values, (0.002, 0.998)))
     label = f"{kind}: {low:.3g} to {high:.3g}"
     short = max(_LEAST_SPAN[kind] - (high - low), 0.0)
@@ -260,7 +259,7 @@ def _stretched(kind: str, values: NDArray[np.float32]) -> Panel:
 
 
 def _crop(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The crop beside the middle: near the highlight, but not in it."""
+    """Crop at a quarter of the width: near the highlight at the centre, but outside of it."""
     height, width = pixels.shape[:2]
     x = max(0, min(width // 4 - _CROP // 2, width - _CROP))
     y = max(0, (height - _CROP) // 2)

@@ -11,8 +11,8 @@ from types import MappingProxyType
 
 from matcap.files.progress import Progress, ignore_progress
 
-# Stages of a capture in their order, and the share of the time that each takes of a `standard` one
-# of 12 megapixels (report.json's stage_seconds).
+# Stages of a capture in order, each with its share of the time, by report.json's stage_seconds of
+# one photograph of 12 megapixels with the preset `standard`.
 PIECE_STAGES: Mapping[str, float] = MappingProxyType(
     {
         "read": 0.03,
@@ -27,7 +27,7 @@ PIECE_STAGES: Mapping[str, float] = MappingProxyType(
         "write": 0.07,
     }
 )
-# Of five photographs of one piece.
+# The same of five photographs of one sample.
 TOGETHER_STAGES: Mapping[str, float] = MappingProxyType(
     {
         "read": 0.14,
@@ -62,23 +62,23 @@ DECODER_STAGES: Mapping[str, float] = MappingProxyType(
 
 @dataclass(frozen=True)
 class CaptureProgress(Progress):
-    """How far a capture is."""
+    """Progress of a capture."""
 
     error: float | None = None
-    """Of fine-tuning a decoder, in multiples of what the photograph's own windows differ by; else
-    None."""
+    """Texture distance in fine-tuning a decoder, over that between neighbouring windows of the
+    photograph; None in other stages."""
     in_a_minute: float | None = None
-    """That error after another minute, or None."""
+    """Forecast of `error` a minute later, or None."""
     interrupted: bool = False
-    """What there is is being finished."""
+    """Whether Ctrl-C was pressed: the remaining stages complete the best result so far."""
 
 
 class CaptureClock:
     """Times the stages of a capture and reports progress to a callback.
 
     Attributes:
-        seconds: of each stage that is over.
-        interrupted: whether Ctrl-C was pressed, and what there is is being finished.
+        seconds: duration of each completed stage.
+        interrupted: whether Ctrl-C was pressed.
     """
 
     def __init__(
@@ -91,10 +91,10 @@ class CaptureClock:
         """Start the clock.
 
         Args:
-            on_progress: called as the work goes on.
+            on_progress: callback, or None.
             stages: names in order, each with its share of the time.
             limit: seconds for the whole command, or None.
-            spent: seconds the command has already taken.
+            spent: seconds that the command has taken before.
         """
         self.seconds: dict[str, float] = {}
         self.interrupted = False
@@ -110,7 +110,7 @@ class CaptureClock:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """A stage, while the block runs."""
+        """Time a `with` block as a stage, and report its begin and end."""
         began = time.monotonic()
         self._on_progress(self._now(name, 0.0))
         try:
@@ -123,22 +123,23 @@ class CaptureClock:
         self._on_progress(self._now(name, 1.0))
 
     def within(self, name: str, share: float) -> None:
-        """So large a share of a stage is done."""
+        """Report that a share, in [0, 1], of a stage is complete."""
         self._on_progress(self._now(name, share))
 
     def callback(self, name: str, begin: float = 0.0, end: float = 1.0) -> Callable[[float], None]:
-        """Callback that takes the share done of a part of a stage."""
+        """Callback for a part of a stage, from share `begin` to `end`; it takes a share in [0, 1].
+        """
         return lambda share: self.within(name, begin + share * (end - begin))
 
     def tuning(self, share: float, error: float | None, in_a_minute: float | None) -> None:
-        """A step of fine-tuning is done."""
+        """Report a step of fine-tuning, with its error and forecast (see CaptureProgress)."""
         now = self._now("fine-tuning", share)
         self._on_progress(replace(now, error=error, in_a_minute=in_a_minute))
 
     def left_for(self, name: str) -> float:
-        """Seconds left for a stage under the time limit, less the expected time of later stages.
+        """Seconds left for a stage: limit - t - t * after / before, at least 0; infinite without.
 
-        That follows from their shares and the time taken by earlier stages; infinite without limit.
+        t is the time taken so far; `before` and `after` are the shares of earlier and later stages.
         """
         if self._limit is None:
             return float("inf")
@@ -158,8 +159,8 @@ class CaptureClock:
 def _bounds(stages: Mapping[str, float]) -> dict[str, tuple[float, float]]:
     """(begin, end) of every stage, as fractions of the whole time.
 
-    A stage begins at the very number at which the one before it ends: progress never goes back by
-    a rounding error, however floats are summed.
+    Each stage begins at exactly the float at which the previous one ends, so that rounding never
+    lowers the progress.
     """
     ends = [min(1.0, end) for end in accumulate(stages.values())]
     return dict(zip(stages, pairwise([0.0, *ends]), strict=True))

@@ -11,7 +11,7 @@ from matcap.capture.outputs import REPORT
 from matcap.capture.settings import CaptureSettings, OutputSettings, resolve
 from matcap.errors import MatcapError
 
-# Settings that say how long, and not what: the effort that follows from them is compared instead.
+# Settings that determine only the effort; the resulting effort is compared instead.
 _HOW_LONG = ("preset", "steps", "time_limit", "target")
 
 
@@ -21,16 +21,16 @@ def refuse_to_replace_capture(
     settings: CaptureSettings,
     outputs: OutputSettings,
 ) -> None:
-    """Refuse to replace a capture of another photograph, with other settings, or a longer one.
+    """Raise if a folder has a capture of another photograph, other settings or more effort.
 
     Args:
-        folder: of the capture to be.
-        photographs: its files, the first of which names it.
-        settings: of the capture to be.
-        outputs: of it.
+        folder: output folder of the new capture.
+        photographs: its files; the first one's name is compared.
+        settings: of the new capture.
+        outputs: of the new capture.
 
     Raises:
-        MatcapError: what differs, and how to replace it all the same.
+        MatcapError: lists the differences and names --overwrite.
     """
     old = _report(folder)
     if old is None:
@@ -41,15 +41,15 @@ def refuse_to_replace_capture(
 def refuse_to_replace_longer_capture(
     folder: Path, settings: CaptureSettings, photographs: int
 ) -> None:
-    """Refuse to replace a capture that took longer than these settings would.
+    """Raise if a folder has a capture of more photographs or more steps.
 
     Args:
-        folder: of the capture to be.
-        settings: of the capture to be.
-        photographs: that it is made of.
+        folder: output folder of the new capture.
+        settings: of the new capture.
+        photographs: number of its photographs.
 
     Raises:
-        MatcapError: how long the old one was, and how to replace it all the same.
+        MatcapError: states the old effort and names --overwrite.
     """
     old = _report(folder)
     _refuse(folder, [] if old is None else _longer(old, settings, photographs))
@@ -65,7 +65,7 @@ def _refuse(folder: Path, differences: Sequence[str]) -> None:
 
 
 def _longer(old: dict[str, Any], settings: CaptureSettings, photographs: int) -> list[str]:
-    """That an earlier capture came to its end and was of more photographs, or of more work."""
+    """One phrase if the earlier capture was not interrupted and had more photographs or steps."""
     if old.get("interrupted"):
         return []
     before = len((old.get("several") or {}).get("photographs", ())) or 1
@@ -73,7 +73,7 @@ def _longer(old: dict[str, Any], settings: CaptureSettings, photographs: int) ->
         return [f"one of {before} photographs"]
     work = "steps" if settings.generator == "decoder" else "adapted"
     spent = old.get("effort", {})
-    # Several photographs are not adapted, and rank above one that is.
+    # The multi-view solve has no steps, and ranks above a capture of one photograph.
     if settings.solves(photographs) or spent.get(work, 0) <= getattr(resolve(settings), work):
         return []
     return [f"a longer one, of preset {spent.get('preset')}"]
@@ -86,6 +86,7 @@ def _differences(
     settings: CaptureSettings,
     outputs: OutputSettings,
 ) -> list[str]:
+    """Phrases that name how an earlier capture differs from the new one."""
     differences = []
     before = str(old.get("photograph", {}).get("name"))
     if before != photographs[0].name:
@@ -111,12 +112,13 @@ def _differences(
 
 
 def _report(folder: Path) -> dict[str, Any] | None:
-    """The report of the capture that a folder holds, if it holds one."""
+    """report.json of a folder, or None."""
     report = _document(folder / REPORT)
     return report if report is not None and report.get("format") == "matcap report" else None
 
 
 def _document(file: Path) -> dict[str, Any] | None:
+    """A file's JSON object, or None."""
     try:
         document = json.loads(file.read_bytes())
     except (OSError, ValueError, RecursionError):

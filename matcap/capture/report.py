@@ -1,65 +1,65 @@
-"""report.json: what was done, with what, how well, and what the user should know.
+"""report.json: input, settings, errors, verdict and versions of a capture.
 
 Keys:
     format: "matcap report".
     name: of the material.
-    interrupted: whether it was ended early.
+    interrupted: whether Ctrl-C ended the capture early.
     verdict: `rating` (good, usable, doubtful or failed), `fit` (good or usable), `severity` (up to
         1 is good, 2 usable, 3 doubtful), `sentence` (the largest difference, its cause and remedy),
-        `causes` that the photograph shows, each with its remedy, and all `checks`
-        (photo/checks.py): each `value` and `unit`, rating or "not judged", severity, `says`,
-        cause and remedy.
-    highlight: of the photograph and of its re-rendering under the same flash, both clipped where
-        the photograph is, in pairs; or null where the mirror point is not in the picture. `rings`
-        about it, out to `radii` (plane units) and beyond the last: mean radiance over an even matte
-        surface's, 1 beyond the last; the first is the highlight contrast. `contrast_ratio`,
-        re-rendered over photographed (null where neither is glossy; of a clipped core also of the
-        innermost ring that is not, whichever is farther from 1); `clipped`, share of each ring:
-        beyond 5 % of the first the photographed contrast is a lower bound. `glints`, standard
+        `causes` detected in the photograph, each with its remedy, and all `checks`
+        (photo/checks.py): each `value` and `unit`, rating or "not judged", severity, `says` (the
+        finding in words), cause and remedy.
+    highlight: of the photograph and its re-rendering, in pairs, both clipped where the photograph
+        is; null if the mirror point is outside of the picture. `rings` around that point, with
+        outer `radii` (plane units) and one beyond: mean radiance over that of a uniform matte
+        surface, normalised to 1 in the last; the first is the highlight contrast. `contrast_ratio`,
+        re-rendered over photographed contrast (null if neither is glossy; of a clipped core also
+        that of the innermost unclipped ring, whichever is farther from 1); `clipped`, share of each
+        ring: above 5 % in the first the photographed contrast is a lower bound. `glints`, standard
         deviation of log radiance by octave, finest first, and `glint_ratio`.
     error: `piece`, median difference of log radiance between the photograph and the re-rendered
-        piece; `field`, difference of texture between the photograph and the endless material in
-        multiples of what the photograph's own parts differ by; null where there is none.
-    warnings: what may have hurt, a sentence each.
-    notes: what was noticed about the file, a sentence each.
+        exemplar; `field`, texture distance between the photograph and the endless material over
+        that between parts of the photograph; null if not measured.
+    warnings: sentences on what may reduce the quality.
+    notes: sentences on the file and the settings.
     photograph: name, sizes, RAW (`radiometric`) or not, flash, gain map, clipped share.
-    camera: `fov_degrees` and where it is from, distance, `tilt_degrees`, `tilt_sources` (degrees
-        about x and y: `used`, `branch`, which is the alignment branch's with its standard deviation
-        `branch_std`, and `picture`, which is the coarse fit's without it; null of several
-        photographs, whose registration gives it), flash offset and intensity, vignetting with r^2
-        and r^4, the `tone_curve` that was undone (photo/tone.py) or null, and the `profile` of the
-        camera that they were fitted under, or null: its camera, over how many photographs,
-        `falloff` (r^2 and r^4), `deviation` and `correlation`.
+    camera: `fov_degrees` and `fov_source`, distance, `tilt_degrees`, `tilt_sources` (degrees about
+        x and y: `used`; `branch`, of the alignment branch with standard deviation `branch_std`; and
+        `picture`, of the coarse fit without the branch; null of several photographs, where
+        registration gives the tilt), flash offset and intensity, vignetting coefficients of r^2 and
+        r^4, the `tone_curve` that was undone (photo/tone.py) or null, and the camera `profile` that
+        was the prior of the fit, or null: its camera, number of photographs, `falloff` (r^2 and
+        r^4), `deviation` and `correlation`.
     texel_size: plane units.
-    settings: that were asked for.
-    effort: what they came to: preset, steps of adaptation (`adapted`) and of a decoder (`steps`),
-        windows a step, matched or not.
-    seconds: that the work took.
-    stage_seconds: that each stage took.
-    tuning: of a decoder, or null: `error` (the last one), `self_difference` (what the photograph's
-        own windows differ by, in the same measure), `relative_error` (the one in multiples of the
-        other), `error_after_another_minute` (to be expected of the same work) and
-        `error_over_time` (seconds, step and error).
-    exemplar: of the maps of the photographed piece, or null: `error` (median difference of log
-        radiance between photograph and re-rendering), `slow` (its slow part, not the
-        material's), `left_out` (share that matches nothing else in it, and is not rearranged),
-        `variety` (how far its field takes it apart, from 0 to 1), `patches` (their size, in words),
-        `strengths` (root-mean-square slope and log albedo measured by the photograph, by
-        band; see capture/piece/strengths.py; or null), `sharpness` (power of the finest octave,
-        re-rendering over photograph), `adaptation` (of each leg: what it changed, how near it was
-        before and after on windows held back, and whether it was kept), `confidence` (mean, by
-        map), `specular_channels` (3 where F0 has a colour), `highlight_residue` (radial variation
-        about the flash's mirror point: of the logarithms of `albedo`, `specular` and `grain`,
-        relief's strength, and of `roughness`).
-    several: of several photographs of one piece, or null: `photographs` (name, `flash`, false of
-        one by the room's light, `matches` with the first, `likeness`, `place` in plane units, tilt,
-        `doubt`, what that place may be off by over its distance, one deviation, `residual` of its
-        re-rendering, and `predicted`, the same where all others alone decided, or null),
-        `left_out` (name and why), `measured_share` (by map: measured by photographs rather than the
-        network), flash offset and lens distortion;
-        of a union `union`: `margins` (texels around the first photograph's own), `times` (its
-        texels over those), `covered_share` (of what photographs show, in it), `seen_share` (of it,
-        by any photograph) and `limited` (it would be larger but for memory).
+    settings: of the user.
+    effort: that follows from the settings: preset, steps of the texture-statistics fit (`adapted`)
+        and of a decoder (`steps`), windows per step, detail, matched or not.
+    seconds: of the whole capture.
+    stage_seconds: of each stage.
+    tuning: of a decoder, or null: `error` (the last texture distance), `self_difference` (that
+        between neighbouring windows of the photograph), `relative_error` (their ratio),
+        `error_after_another_minute` (forecast) and `error_over_time` (seconds, step and error).
+    exemplar: or null: `error` (median difference of log radiance between photograph and
+        re-rendering), `slow` (the low-frequency residual, which is not the material's), `left_out`
+        (share that resembles no other part, and is not rearranged), `variety` (0 to 1: small
+        patches at 1), `patches` (their size, in words), `strengths` (root-mean-square slope and
+        log albedo by band, measured in the photograph; capture/piece/strengths.py; or null),
+        `sharpness` (power of the finest octave, re-rendering over photograph), `adaptation` (stages
+        of the texture-statistics fit: parameters, texture distance before and after on windows not
+        fitted, and whether it was kept), `confidence` (mean, by map), `specular_channels` (3 if F0
+        has a colour), `highlight_residue` (radial variation about the mirror point: of the
+        logarithms of `albedo`, `specular` and `grain`, the amplitude of relief, and of
+        `roughness`).
+    several: of several photographs of one sample, or null: `photographs` (name, `flash`, false if
+        lit by ambient light, `matches` with the first, `likeness`, `place` of the camera in plane
+        units, tilt, `doubt`, standard deviation of `place` over its distance, `residual` of the
+        re-rendering, and `predicted`, the same with maps from all other photographs, or null),
+        `left_out` (name and reason), `measured_share` (by map: share measured by photographs rather
+        than predicted by the network), flash offset and lens distortion;
+        with --union `union`: `margins` (texels around the first photograph's rectangle), `times`
+        (its texels over that rectangle's), `covered_share` (share of what photographs show that is
+        in it), `seen_share` (share of it that any photograph shows) and `limited` (reduced to fit
+        memory).
     provenance: how the material was made.
     versions: of matcap, Python, the system and the libraries.
 """
@@ -91,7 +91,7 @@ _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "Open
 
 
 def write_report(result: CaptureResult, path: Path) -> None:
-    """Write the report of a capture, and beside it error.png of a decoder, its error over time.
+    """Write the report of a capture; of a decoder also error.png, its error over time, next to it.
 
     Raises:
         MatcapError: the file cannot be written.
@@ -206,10 +206,10 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
 
 
 def warnings(result: CaptureResult) -> Iterable[str]:
-    """What may have hurt the result, each with what to do at the next shot."""
+    """Sentences on what may reduce the quality of the result, each with a remedy."""
     if result.interrupted:
         yield "Interrupted: this is the best so far; run it again for a better result."
-    # What the light shows of a flash is the verdict's; what the file says of it is worth a warning.
+    # The verdict checks the flash by the light; a warning is due if the metadata deny it.
     keys = (
         ("flash", "clipped", "tilt") if result.photo.flash_fired is False else ("clipped", "tilt")
     )
@@ -224,14 +224,14 @@ def warnings(result: CaptureResult) -> Iterable[str]:
         yield from _union(result.estimate.several, result.settings)
     if result.estimate is not None and result.estimate.strengths is None:
         yield (
-            "The photograph is too small, or too much of it clipped or masked, to measure the "
-            "strength of its relief: it is the network's estimate. Photograph again a stop darker, "
+            "The photograph is too small, or too much of it is clipped or masked, to measure the "
+            "depth of its relief: it is the network's estimate. Photograph again a stop darker, "
             "or from further away."
         )
 
 
 def _union(several: SetReport, settings: CaptureSettings) -> Iterable[str]:
-    """What became of a union that was asked for, where it is not all."""
+    """Sentences on an exemplar requested with --union that is not as large as the photographs."""
     if several.reach is None and settings.union:
         yield (
             "The other photographs show hardly more than the first one, so --union makes the maps "
@@ -243,35 +243,35 @@ def _union(several: SetReport, settings: CaptureSettings) -> Iterable[str]:
 
 
 def _grown(estimate: ExemplarEstimate | None) -> Iterable[str]:
-    """How large a piece is that reaches beyond the first photograph."""
+    """Sentence on the size of an exemplar that extends beyond the first photograph."""
     if estimate is not None and estimate.several is not None and estimate.several.reach is not None:
         yield estimate.several.reach.says()
 
 
 def _rules(result: CaptureResult) -> Iterable[str]:
-    """What follows from the settings and is not what it was called."""
+    """Sentences on settings that act differently from what their names suggest."""
     settings, effort = result.settings, result.effort
     if settings.solves(result.photographs):
         if settings.time_limit is not None:
             yield (
                 "Several photographs are solved in one pass, without steps that --time could "
-                "limit: it decides their detail instead."
+                "limit: it determines their detail instead."
             )
     elif effort.preset != settings.preset:
         yield (
-            "A time limit or a target decided when to stop, so the preset was "
+            "With a time limit or a target, the preset is "
             f"{effort.preset}: at most {effort.work(settings.generator)} steps. "
             "Give --steps for another number."
         )
     if settings.width_cm is None:
         yield (
             "The size of the sample is unknown: heights are in units of half the photograph's long "
-            "side. Give --width-cm, the width that the photograph shows."
+            "side. Give --width-cm, the length that this side shows."
         )
 
 
 def _finite(value: object) -> object:
-    """The same data with null for numbers that JSON does not know."""
+    """The same data with null in place of NaN and infinity, which JSON lacks."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""What a capture hands on."""
+"""Result of a capture: material, re-rendering, measurements and verdict."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from matcap.photo.photo import Photo
 
 @dataclass(frozen=True)
 class Tuning:
-    """How fine-tuning of the paper's decoder went.
+    """Course of fine-tuning of the paper's decoder.
 
     Attributes:
         history: (seconds, step, error) of fine-tuning.
-        self_difference: error between neighbouring windows of the photograph; NaN if it has none.
+        self_difference: texture distance between neighbouring windows of the photograph, in the
+            units of error; NaN if it is too small for two windows.
     """
 
     history: tuple[tuple[float, int, float], ...]
@@ -33,7 +34,7 @@ class Tuning:
 
     @property
     def relative_error(self) -> float | None:
-        """Last error over the self difference; None without fine-tuning."""
+        """Last error / self_difference; None without fine-tuning."""
         if not self.history or not self.self_difference > 0.0:
             return None
         return self.history[-1][2] / self.self_difference
@@ -41,21 +42,21 @@ class Tuning:
 
 @dataclass(frozen=True)
 class CaptureResult:
-    """A material and how it came about.
+    """Result of a capture.
 
     Attributes:
-        photo: what was captured; the first one of several.
-        material: endless.
+        photo: the photograph; the first one of several.
+        material: the endless material.
         rectified: (H, W, 3) the photograph on the plane's grid, linear.
-        rerendered: (H, W, 3) the material under the photograph's own flash, linear.
-        maps: of that same rectangle.
-        measurements: differences between photograph and re-rendering.
+        rerendered: (H, W, 3) `maps` under the photograph's own flash, linear.
+        maps: (H, W) texels of the material, as many as the photograph has.
+        measurements: differences between `rectified` and `rerendered`.
         verdict: rating, with its sentence and causes.
-        stage_seconds: of each stage.
-        settings: as given.
-        interrupted: ended by Ctrl-C, with the best so far.
-        estimate: the photographed piece; None where only a decoder was asked for.
-        tuning: of the decoder, where one was asked for.
+        stage_seconds: duration by stage.
+        settings: of the user.
+        interrupted: whether Ctrl-C ended it early, with the best result so far.
+        estimate: the exemplar; None with the decoder, unless `aligned` is set.
+        tuning: course of fine-tuning; None without a decoder.
     """
 
     photo: Photo
@@ -73,25 +74,27 @@ class CaptureResult:
 
     @property
     def photographs(self) -> int:
-        """That the material was made of."""
+        """Number of photographs that the material was made from."""
         return self.measurements.causes.photographs
 
     @property
     def effort(self) -> Effort:
-        """What the settings came to."""
+        """Effort that the settings resolve to."""
         return resolve(self.settings, photographs=self.photographs)
 
     @property
     def tilt_sources(self) -> Mapping[str, Any] | None:
-        """Degrees: what was used, what the branch and what the picture says (capture/tilt.py)."""
+        """Tilt used and its estimates by source, degrees (capture/tilt.py); None if unmeasured."""
         coarse: Mapping[str, Any] = self.material.provenance.get("coarse", {})
         return coarse.get("tilt_degrees")
 
     @property
     def errors(self) -> dict[str, float | None]:
-        """`piece`: median difference of log radiance between photograph and re-rendered piece;
-        `field`: difference of texture between photograph and the endless material, in multiples
-        of what the photograph's own parts differ by. None where there is none.
+        """Errors of exemplar and material, each None where it is not measured.
+
+        `piece`: median |log radiance of photograph - of re-rendered exemplar|.
+        `field`: texture distance between photograph and material over that between parts of the
+        photograph.
         """
         field = self.measurements.texture
         return {

@@ -1,8 +1,7 @@
-"""What the user decides of a capture and of what it writes, and what follows from it.
+"""User settings of a capture and its outputs, presets, and the effort that follows from them.
 
-Each setting is defined once, here: options, matcap.toml and the reference pages read its range, its
-default and its docstring from its field (files/settings.py). How captures are done beyond what
-users decide: method.py.
+Each setting is defined once, here: options, matcap.toml and the reference pages take its range,
+default and docstring from its field (files/settings.py). Variants for experiments are in method.py.
 """
 
 from __future__ import annotations
@@ -24,41 +23,43 @@ if TYPE_CHECKING:
     from matcap.field.source import Generator
     from matcap.files.values import Region
 
-QUICK_DETAIL = 512  # texels, for a first look: docs/notes/capture.md
-DETAIL = 1024  # docs/notes/capture.md has what more and less of them buy
-FINE_DETAIL = 2048  # likewise, of photographs that have so many
-FINEST_DETAIL = 4000  # likewise: nearly all that 12 megapixels have
+# Texels along the long side; docs/notes/capture.md compares quality and time.
+QUICK_DETAIL = 512
+DETAIL = 1024
+FINE_DETAIL = 2048
+FINEST_DETAIL = 4000  # nearly every pixel of 12 megapixels
 DETAILS = (QUICK_DETAIL, DETAIL, FINE_DETAIL, FINEST_DETAIL)
-# Statistics by name (target.py makes each), and whether a file of weights goes with them.
+# Texture statistics by name (constructors in target.py), and whether each needs a file of weights.
 STATISTICS: Mapping[str, bool] = MappingProxyType({"filterbank": False, "vgg19": True})
 STATISTICS_WORDS = "|".join(f"{name}=FILE" if file else name for name, file in STATISTICS.items())
-_STEP = 16  # texels: the least alignment that a material has
-_BESIDES = 50_000_000  # bytes: material, preview and report, generously
+_STEP = 16  # texels: smallest alignment of a material
+_BESIDES = 50_000_000  # bytes: upper bound of material, preview and report
 
 
 @dataclass(frozen=True)
 class Effort:
-    """What a capture spends."""
+    """Amount of work of a capture."""
 
     preset: str
-    """Whose effort it is, a key of PRESETS."""
+    """Its key in PRESETS."""
     adapted: int
-    """Steps by which the piece is held to the photograph (piece/adapt.py)."""
+    """Steps of the texture-statistics fit of the exemplar (piece/adapt.py)."""
     steps: int
-    """Of fine-tuning, where a decoder is asked for."""
+    """Steps of fine-tuning a decoder."""
     places: int = 2
-    """Windows a step of it; all see the same maps, so one more costs a fifth more."""
+    """Windows per step of fine-tuning; each beyond the first adds a fifth of a step's time, as all
+    are rendered from the same maps."""
     matched: bool = True
-    """Mean and contrast moved to the photograph's at the end (space/tuning/match.py)."""
+    """Whether a decoder's mean and contrast are matched after fine-tuning (space/tuning/match.py)."""
     detail: int = FINE_DETAIL
-    """Texels across of the piece, of a photograph that has so many."""
+    """Texels along the exemplar's long side, at most the photograph's pixels."""
 
     def work(self, generator: Generator) -> int:
-        """Steps of what makes a generator."""
+        """Optimisation steps of a generator."""
         return self.steps if generator == "decoder" else self.adapted
 
 
-# docs/notes/accuracy-and-time.md has what each costs and buys, beside what else could be done.
+# docs/notes/accuracy-and-time.md compares their accuracy and time.
 PRESETS: Mapping[str, Effort] = MappingProxyType(
     {
         effort.preset: effort
@@ -71,30 +72,30 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
         )
     }
 )
-# Where a time limit or a target alone decides when to stop: as many steps as there are.
+# Preset under a time limit or a target, so that these end the work rather than its step count.
 UNLIMITED = "reference"
-# Seconds that a limit leaves for so many texels: with less they would take it all.
+# (least time limit in seconds, detail): with less time, reading alone would use up the limit.
 TIME_FOR_DETAIL = ((60.0, FINE_DETAIL), (20.0, DETAIL), (0.0, QUICK_DETAIL))
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """What textures are compared by."""
+    """Choice of texture statistics."""
 
     name: str = "filterbank"
-    """A key of choices.STATISTICS."""
+    """Key of STATISTICS."""
     weights: Path | None = None
-    """A file that goes with it, torchvision's of VGG-19; None for the filter bank."""
+    """torchvision's file of weights for VGG-19; None for the filter bank."""
 
     def __str__(self) -> str:
         return self.name if self.weights is None else f"{self.name}={self.weights}"
 
     @staticmethod
     def parse(text: str | Statistics) -> Statistics:
-        """The statistics that "filterbank" or "vgg19=FILE" means.
+        """Parse "filterbank" or "vgg19=FILE".
 
         Raises:
-            UsageError: there is none of this name, or a file is missing or too many.
+            UsageError: the name is unknown, or a file is missing or not allowed.
         """
         if isinstance(text, Statistics):
             return text
@@ -110,89 +111,89 @@ class Statistics:
 
 @dataclass(frozen=True)
 class CaptureSettings:
-    """What the user decides of a capture.
+    """User settings of a capture.
 
-    With a time limit or a target, and without steps, the preset is "reference": the limit alone
-    decides when to stop.
+    With a time limit or a target, and without steps, the preset is "reference", so that only the
+    limit ends the work.
 
     Raises:
-        UsageError: a number or a word that its setting does not allow.
+        UsageError: a value is out of its setting's range.
     """
 
     preset: str = setting("standard", words=tuple(PRESETS))
-    """How much work: instant (a first look, on half the texels), draft (whether the shot will do),
-    standard (what one photograph gives), high (held to it three times as long) or reference (on all
-    texels of 12 megapixels)."""
+    """Amount of work: instant (preview at 512 texels), draft (512 texels, to check the photograph),
+    standard (2048 texels), high (three times the optimisation steps) or reference (4000 texels,
+    nearly every pixel of 12 megapixels)."""
     steps: int | None = setting(None, least=0, most=10_000_000)
-    """Steps instead of the preset's: of adapting the piece, or of fine-tuning a decoder. Several
-    photographs of one piece are solved, and have none."""
+    """Optimisation steps instead of the preset's, of the exemplar or of a decoder. Several
+    photographs of one sample are solved without steps."""
     time_limit: float | None = setting(
         None, least=0.001, most=1e7, option="time", metavar="TIME", parse=values.duration
     )
-    """Have the whole of a capture end by then, in seconds: 90s, 2m; without steps the preset is
-    reference then."""
+    """Time limit of the whole capture, in seconds or as 90s, 2m; without --steps it implies the
+    preset reference."""
     target: float | None = setting(None, least=0.01, most=1e6, metavar="TIMES")
-    """With the decoder: stop at this error, in multiples of what the photograph's own windows
-    differ by; without steps the preset is reference then."""
+    """With the decoder: stop at this texture distance, in multiples of that between neighbouring
+    windows of the photograph; without --steps it implies the preset reference."""
     detail: int | None = setting(None, least=64, most=8192, otherwise="the preset's")
-    """Texels along the photograph's long side; by default as the preset has it where the photograph
-    has so many pixels, and 1024 where it has not or a decoder is made."""
+    """Texels along the photograph's long side; by default the preset's if the photograph has as
+    many pixels, and 1024 otherwise or with the decoder."""
     fov: float | None = setting(
         None, least=1.0, most=170.0, metavar="1..170", otherwise="the photograph's"
     )
     """Field of view along the long side, degrees."""
     width_cm: float | None = setting(None, least=0.01, most=1e5)
-    """What the photograph's long side spans, in centimetres: exports are true to scale."""
+    """Length of the sample along the photograph's long side, centimetres: exports are true to
+    scale."""
     crop: Region | None = setting(None, metavar="x,y,w,h", parse=values.region)
-    """What of the photograph is the material, in its own pixels as it is looked at; the rest is
-    left out."""
+    """Rectangle of the photograph to capture, in pixels of the photograph as displayed."""
     mask: Path | None = setting(None, metavar="FILE.png")
-    """A picture of the photograph's size: white is the material, black (a finger, a label, the
-    table's edge) is left out."""
+    """Picture of the photograph's size: white is captured, black (a finger, a label, the table's
+    edge) is left out."""
     camera: Path | None = setting(None, metavar="FILE.json")
-    """Profile of the camera, as matcap camera and matcap batch write it: how much light its corners
-    lose."""
+    """Camera profile, written by matcap camera or matcap batch: the lens's falloff towards the
+    corners."""
     seed: int = setting(0, least=0, most=2**63 - 1)
-    """Seed of the work and of the map set."""
+    """Seed of the optimisation and of the map set."""
     prior: str = setting("auto", metavar="auto|none|PATH")
-    """With the decoder: trained prior to start from; auto is the one that comes with matcap, none
-    starts from nothing."""
+    """With the decoder: trained prior to start from; auto is the one that comes with matcap, none a
+    random initialisation."""
     statistics: Statistics = setting(Statistics(), metavar=STATISTICS_WORDS, parse=Statistics.parse)
-    """What textures are compared by."""
+    """Features whose statistics measure the texture distance."""
     generator: Generator = setting("example", words=("decoder", "example"))
-    """What the material is made by: the photographed piece, rearranged (example), or the paper's
-    network, fine-tuned (decoder)."""
+    """Generator of the material: the maps of the photographed rectangle, rearranged (example), or
+    the paper's network, fine-tuned (decoder)."""
     union: bool = setting(False)
-    """Of several photographs of one piece: the piece is all that they show, not the first one's
-    rectangle alone."""
+    """With several photographs of one sample: estimate maps of all that they show, not only of the
+    first one's rectangle."""
     aligned: bool = setting(False)
-    """Also the maps of the photographed piece itself, NAME_photo, with confidence."""
+    """Also write the maps of the photographed rectangle itself, NAME_photo, with confidence."""
 
     def __post_init__(self) -> None:
         check_settings(self)
 
     @staticmethod
     def of(named: Mapping[str, Any]) -> CaptureSettings:
-        """Settings by name, perhaps in words; the rest as by default.
+        """Settings from names and values, which may be text; all others are defaults.
 
         Raises:
-            TypeError: an unknown setting.
-            UsageError: words that mean none.
+            TypeError: a name is unknown.
+            UsageError: a value cannot be parsed.
         """
         return CaptureSettings(**typed_settings(CaptureSettings, named))
 
     def solves(self, photographs: int) -> bool:
-        """Whether so many photographs of one piece are solved together: nothing is adapted."""
+        """Whether this number of photographs is solved jointly, without optimisation steps."""
         return photographs > 1 and self.generator == "example"
 
     def of_sample(self, photographs: int) -> CaptureSettings:
-        """Those of a sample of so many photographs in a batch, whose steps are of single ones."""
+        """Settings of a batch for a sample with a number of photographs: no steps if solved."""
         return replace(self, steps=None) if self.solves(photographs) else self
 
     def named(self) -> dict[str, Any]:
-        """All settings by name, as files record them: numbers, words and None."""
+        """All settings by name as JSON values."""
         document = asdict(self) | {"statistics": str(self.statistics), "union": self.union or None}
-        # Unsaid where there is none, as in files of before there were any.
+        # Omitted if unset, as in files written before these settings existed.
         document |= {
             name: part and str(part)
             for name, part in (("crop", self.crop), ("mask", self.mask), ("camera", self.camera))
@@ -202,21 +203,21 @@ class CaptureSettings:
 
     @property
     def millimetres_per_unit(self) -> float | None:
-        """How long a plane unit is, half of the long side; None where it was not measured."""
+        """Length of a plane unit, half of the long side, in mm; None without `width_cm`."""
         return None if self.width_cm is None else 10.0 * self.width_cm / 2.0
 
     @property
     def most_detail(self) -> int:
-        """Texels along the long side that a photograph has to be read with.
+        """Pixels along the long side at which to read a photograph.
 
         Raises:
-            UsageError: an unknown preset.
+            UsageError: the preset is unknown.
         """
         by_default = DETAIL if self.generator == "decoder" else resolve(self).detail
         return self.detail or by_default
 
     def detail_of(self, pixels: int) -> int:
-        """Texels across a photograph that was read with so many pixels along its long side."""
+        """Texels along the long side of a photograph that has `pixels` there."""
         most = self.most_detail
         has = (texels for texels in DETAILS if texels <= min(most, pixels))
         return self.detail or max((min(most, DETAIL), *has))
@@ -224,26 +225,26 @@ class CaptureSettings:
 
 @dataclass(frozen=True)
 class InspectSettings:
-    """How photographs are inspected, before they are captured.
+    """Settings of `matcap inspect`.
 
     Raises:
-        UsageError: a number that is out of range.
+        UsageError: a number is out of range.
     """
 
     detail: int = setting(DETAIL, least=64, most=8192)
-    """Pixels across that a capture would look at."""
-    together: bool | None = setting(None, otherwise="where the names are a set's: oak_1, oak_2")
-    """All photographs show the same piece: say also what they show and lack together."""
+    """Pixels along the long side at which to read the photographs."""
+    together: bool | None = setting(None, otherwise="if names are numbered: oak_1, oak_2")
+    """All photographs show the same sample: also report what they cover and lack together."""
 
     def __post_init__(self) -> None:
         check_settings(self)
 
 
 def _known_targets(names: Sequence[str]) -> tuple[str, ...]:
-    """Targets by name, each once.
+    """Names of export targets without repetitions.
 
     Raises:
-        UsageError: there is no such target.
+        UsageError: a name is unknown.
     """
     from matcap.export.targets import check_targets
 
@@ -252,27 +253,27 @@ def _known_targets(names: Sequence[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class OutputSettings:
-    """What is written beside the material.
+    """User settings of the outputs next to the material.
 
     Raises:
-        UsageError: the size cannot tile.
+        UsageError: `tile` is set and the size cannot tile.
     """
 
     size: tuple[int, int] = setting((1024, 1024), metavar="WxH", parse=values.sides_of)
     """Size of the first map set in texels: 2048x1024, or 2K, 4K, 8K."""
     seed: int = 0
-    """Its realisation."""
-    tile: bool | None = setting(None, otherwise="where the sides are multiples of 16")
-    """A first map set that repeats without a seam."""
+    """Seed of the first map set."""
+    tile: bool | None = setting(None, otherwise="if the sides are multiples of 16")
+    """Make a first map set that repeats without a seam."""
     png: bool = setting(False)
-    """16-bit PNGs beside the EXR files."""
+    """Write 16-bit PNGs in addition to EXR files."""
     normal: NormalStyle = setting("gl", words=("gl", "dx"))
     """Normals with +Y up (gl) or down (dx)."""
     targets: tuple[str, ...] = setting(
         (), option="export", metavar="TARGET", parse=_known_targets, several=True
     )
-    """Also for this renderer or engine, into a folder of its name; see matcap export. May be given
-    several times."""
+    """Also export for this renderer or engine, into a folder of its name; see matcap export.
+    Repeatable."""
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -285,13 +286,13 @@ class OutputSettings:
             )
 
     def repeats(self, alignment: int) -> bool:
-        """Whether the map set of a material of this alignment repeats without a seam."""
+        """Whether the map set of a material with this alignment, texels, repeats without a seam."""
         fits = all(side % alignment == 0 for side in self.size)
         return fits if self.tile is None else self.tile
 
     @property
     def room(self) -> int:
-        """Bytes of disk that the outputs take at most."""
+        """Upper bound of the outputs' size on disk, bytes."""
         from matcap.brdf.folder import mapset_bytes
         from matcap.export.targets import export_bytes
 
@@ -300,16 +301,16 @@ class OutputSettings:
 
 
 def check_photographs(settings: CaptureSettings, photographs: int) -> None:
-    """Refuse what a capture of so many photographs of one piece cannot honour.
+    """Check settings against the number of photographs of a sample.
 
     Raises:
-        UsageError: a union of one photograph, or steps of several.
+        UsageError: `union` is set for one photograph, or `steps` for several.
     """
     if settings.union and photographs < 2:
         raise UsageError(
-            "one photograph cannot be extended by others",
+            "this needs several photographs",
             where="--union",
-            remedy="give two or more of one piece, and --together",
+            remedy="give two or more of one sample, and --together",
         )
     if settings.steps is not None and settings.solves(photographs):
         raise UsageError(
@@ -322,15 +323,15 @@ def check_photographs(settings: CaptureSettings, photographs: int) -> None:
 def resolve(
     settings: CaptureSettings, method: Method | None = None, photographs: int = 1
 ) -> Effort:
-    """What a capture with these settings spends.
+    """Effort of a capture with these settings.
 
     Args:
-        settings: what the user decides.
-        method: how it is done.
-        photographs: of one piece; several are solved, and not adapted.
+        settings: of the user.
+        method: its variant, whose numbers override the preset's.
+        photographs: number of photographs of the sample; several are solved without steps.
 
     Raises:
-        UsageError: an unknown preset.
+        UsageError: the preset is unknown, or `target` or `union` contradicts the generator.
     """
     if settings.preset not in PRESETS:
         raise UsageError(
@@ -344,7 +345,7 @@ def resolve(
         )
     if settings.union and settings.generator == "decoder":
         raise UsageError(
-            "a decoder uses no exemplar that could be extended",
+            "the decoder has no exemplar to extend",
             where="--union",
             remedy="leave out --union or --generator decoder",
         )

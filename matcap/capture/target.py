@@ -1,4 +1,4 @@
-"""The target of fits: windows of one photograph, or of several."""
+"""Texture statistics of windows of photographs, the target of optimisation."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from matcap.statistics.lattice import Wave
 
 @dataclass(frozen=True)
 class CaptureStart:
-    """A photograph as every way of capturing it begins.
+    """A photograph after the coarse fit.
 
     Attributes:
-        photo: as it is.
+        photo: the photograph, linear.
         coarse: its coarse fit.
-        rectified: the photograph on its plane, of a decoder on the texels it is read on.
-        window: texels a side of what is compared.
+        rectified: the photograph on its plane.
+        window: side of the comparison windows, texels.
         others: more photographs of the same sample.
     """
 
@@ -43,12 +43,12 @@ class CaptureStart:
 
     @property
     def plane(self) -> Plane:
-        """The photograph on the texels it is read on."""
+        """The photograph at the network's resolution."""
         return self.rectified.read
 
     @property
     def waves(self) -> tuple[Wave, ...]:
-        """Of its regular order, cycles a texel of that."""
+        """Frequency vectors of its lattice, cycles per texel of `plane`."""
         return self.rectified.read_waves
 
 
@@ -58,10 +58,10 @@ def photograph_target(
     """Windows and statistics for the texture distance, and a JSON entry for each other photograph.
 
     Args:
-        shot: the photograph.
-        settings: which statistics.
-        method: of which features.
-        most: windows at most, or None.
+        shot: the photograph, with others.
+        settings: names the statistics.
+        method: has window size, filter bank and weights.
+        most: largest number of windows, or None.
     """
     plane, coarse = shot.plane, shot.coarse
     bank = _features(settings, method)
@@ -83,7 +83,7 @@ def photograph_target(
 
 
 def _features(settings: CaptureSettings, method: Method) -> Features:
-    """What textures are compared by."""
+    """Features whose statistics are compared."""
     return _STATISTICS[settings.statistics.name](method, settings.statistics.weights)
 
 
@@ -92,7 +92,7 @@ def _vgg19(_: Method, weights: Path | None) -> Features:
     return load_vgg19(weights)
 
 
-# By name, as choices.STATISTICS has them; what is made of a method and a file.
+# Constructors for the keys of settings.STATISTICS.
 _STATISTICS: Mapping[str, Callable[[Method, Path | None], Features]] = {
     "filterbank": lambda method, _: FilterBank(method.features),
     "vgg19": _vgg19,

@@ -10,8 +10,8 @@ from matcap.flash.coarse import CoarseFit, TiltPrior, fit_coarse, under_flash
 from matcap.photo.photo import Photo
 from matcap.space.alignment import tilt_measurement
 
-# Radians, deviation of a bias that the branch has on a phone's developed pictures and not on the
-# simulated ones it was trained on: +6.8 and -1.4 degrees about x on the mean of two real series.
+# Radians: standard deviation of the branch's bias on developed photographs of phones, which the
+# simulated training pictures lack: means of +6.8 and -1.4 degrees about x on two real series.
 _DEVELOPED_BIAS = math.radians(5.0)
 
 
@@ -34,10 +34,10 @@ def fitted(photo: Photo, *, measured: bool = True) -> CoarseFit:
 
 
 def tilt_document(coarse: CoarseFit) -> dict[str, Any] | None:
-    """The tilt that was used and its sources, degrees about x and y; None without a measurement.
+    """Tilt about x and y by source, degrees; None without a measurement.
 
-    Keys: `used`; `branch` with the standard deviation that it was weighed with, `branch_std`; and
-    `picture`, what the coarse fit comes to without the branch.
+    Keys: `used`; `branch`, the alignment branch's, with its standard deviation `branch_std`; and
+    `picture`, the coarse fit's without the branch.
     """
     if coarse.tilt_prior is None or coarse.picture_tilt is None:
         return None

@@ -19,22 +19,22 @@ from matcap.example.example import Example
 from matcap.flash.render import render_rectified
 from matcap.statistics.lattice import Wave
 
-LIES = "The photograph is a portrait: a decoder's maps of it are turned anticlockwise by a quarter."
+LIES = "The photograph is a portrait: the decoder's maps of it are rotated 90 degrees anticlockwise."
 
 
 def upright(result: CaptureResult, waves: Sequence[Wave]) -> CaptureResult:
-    """The same capture as its photograph is looked at; itself where that lies already.
+    """Rotate a capture to the orientation of its photograph; a landscape one is returned as is.
 
     Args:
-        result: of a photograph; what is judged of it stays as it is.
-        waves: of the photograph's regular order, lying.
+        result: of a photograph; its measurements and verdict are kept.
+        waves: frequency vectors of the lattice in landscape orientation, cycles per texel.
     """
     photo, estimate = result.photo, result.estimate
     if not photo.turned:
         return result
     if estimate is None or "example" not in result.material.generators:
         return replace(result, photo=replace(photo, notes=(*photo.notes, LIES)))
-    # Columns of the upright picture are rows of the lying one from below, rows are its columns.
+    # Columns of the upright picture are rows of the landscape one from below, rows its columns.
     stood = tuple((-wave.fy, wave.fx) for wave in waves)
     example = Example.of(estimate.exemplar.turned(), stood).varied(estimate.example.variety)
     material = replace(
@@ -56,5 +56,5 @@ def upright(result: CaptureResult, waves: Sequence[Wave]) -> CaptureResult:
 
 
 def standing(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A lying picture (H, W, ...) turned a quarter clockwise."""
+    """Rotate a picture (H, W, ...) by 90 degrees clockwise."""
     return np.ascontiguousarray(np.rot90(picture, -1))

@@ -1,4 +1,4 @@
-"""VGG-19's weights, which are not matcap's to give, from the file that torchvision publishes."""
+"""Loading of VGG-19's weights from torchvision's file, which matcap does not distribute."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from torch import Tensor
 from matcap.errors import MatcapError
 from matcap.statistics.vgg import Vgg19
 
-# Where torchvision publishes the weights: the name holds the first digits of the file's SHA-256.
+# torchvision's address of the weights; the name contains the first digits of the file's SHA-256.
 PUBLISHED = "https://download.pytorch.org/models/vgg19-dcbb9e9d.pth"
 _DIGITS = "dcbb9e9d"
 _REMEDY = f"download {PUBLISHED} and give its path"
 
 
 def load_vgg19(path: Path) -> Vgg19:
-    """The network with weights from a .pth as published or a .safetensors of the same names.
+    """Load VGG-19 from torchvision's .pth, or a .safetensors with the same tensor names.
 
     Raises:
-        MatcapError: no such file, not what torchvision publishes, or other shapes.
+        MatcapError: the file does not exist, has another hash, or tensors of other shapes.
     """
     network = Vgg19()
     weights = _read(path)
@@ -40,6 +40,7 @@ def load_vgg19(path: Path) -> Vgg19:
 
 
 def _read(path: Path) -> dict[str, Tensor]:
+    """Tensors by name; a .pth is accepted only with the published hash."""
     if not path.is_file():
         raise MatcapError("there are no such weights", where=str(path), remedy=_REMEDY)
     try:
