@@ -50,7 +50,7 @@ class Effort:
     """Windows per step of fine-tuning; each beyond the first adds a fifth of a step's time, as all
     are rendered from the same maps."""
     matched: bool = True
-    """Whether a decoder's mean and contrast are matched after fine-tuning (space/tuning/match.py)."""
+    """Match a decoder's mean and contrast after fine-tuning (space/tuning/match.py)."""
     detail: int = FINE_DETAIL
     """Texels along the exemplar's long side, at most the photograph's pixels."""
 

@@ -19,7 +19,7 @@ from matcap.example.example import Example
 from matcap.flash.render import render_rectified
 from matcap.statistics.lattice import Wave
 
-LIES = "The photograph is a portrait: the decoder's maps of it are rotated 90 degrees anticlockwise."
+LIES = "The photograph is a portrait: the decoder's maps are rotated 90 degrees anticlockwise."
 
 
 def upright(result: CaptureResult, waves: Sequence[Wave]) -> CaptureResult:

@@ -44,7 +44,7 @@ def capture(
         bool,
         typer.Option(
             "--together",
-            help="The photographs show the same piece from several places: make one material of "
+            help="The photographs show the same sample from several places: make one material of "
             "them all, in the frame of the first photograph and under its name.",
         ),
     ] = False,

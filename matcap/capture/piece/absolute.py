@@ -5,7 +5,7 @@ of materials: dielectrics have F0 near 0.04 (index of refraction 1.5) whatever t
 spans two orders of magnitude; metals have a high F0 and no diffuse albedo. So the ratio of F0 to
 albedo, which a highlight measures, determines both: black leather with F0 three times its albedo is
 black. Where texels are classified as metal or dielectric (metal.py), each part has the prior of its
-own class, and metal that of its hue: gold is brighter than steel. docs/notes/capture.md.
+own class, and metal that of its hue: gold is brighter than steel. See docs/notes/capture.md.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class MaterialKind:
 
     Attributes:
         share: prior probability of the class.
-        albedo: of the mean luminance of diffuse albedo.
-        specular: of the mean F0.
+        albedo: log mean luminance of diffuse albedo.
+        specular: log mean F0.
     """
 
     share: float
@@ -59,14 +59,14 @@ class ScaleSettings:
     """Priors of albedo and F0 of materials; 78 map sets of artists and scanners agree with them.
 
     Attributes:
-        kinds: of materials. A wider F0 prior of dielectrics follows the flash's fitted intensity
-            more, and makes black things grey.
-        brightest: mean and, for single texels (`most_of`), limits of albedo and F0.
-        most_of: quantile that counts as the brightest texel.
-        most_of_metal: likewise of F0 where some is metal: glints beyond are overestimated.
-        hue: deviation of a metal's colour, logarithm, from a clean one's.
-        clean: deviation of how bright metal of a known hue is, likewise.
-        unknown: what a metal of no known hue counts for, among those within `hue` of one.
+        kinds: dielectric and metal. A wider F0 prior of dielectrics follows the fitted flash
+            intensity more, and makes black materials grey.
+        brightest: limit of albedo and F0 of the brightest texels.
+        most_of: quantile that defines the brightest texels.
+        most_of_metal: the same of F0 with metal, as F0 of glints is overestimated.
+        hue: standard deviation of the log colour of metal around a pure metal's.
+        clean: standard deviation of the log F0 of metal around the pure metal's of its hue.
+        unknown: weight of a metal of unknown hue; a pure metal of exactly the hue has weight 1.
         least_part: least share of the exemplar for a part to count.
     """
 
@@ -90,7 +90,7 @@ def how_metallic(levels: Tensor) -> float:
     """Log odds of metal against dielectric, from the ratio of F0 to albedo alone.
 
     Args:
-        levels: (5,) as SurfaceParameters.levels has them, under a flash of any strength.
+        levels: (5,) mean parameters (SurfaceParameters.levels), under any flash intensity.
     """
     luminance = float((torch.from_numpy(_LUMINANCE) * levels[:3].exp()).sum())
     logs = math.log(max(luminance, _LEAST)), float(levels[3])
@@ -103,7 +103,7 @@ def most_probable_scale(exemplar: Exemplar, metal: NDArray[np.float32] | None = 
 
     Args:
         exemplar: fitted maps.
-        metal: (h, w) share of each texel that is metal, on any grid; None without metal.
+        metal: (h, w) share of metal in each texel, on any grid; None without metal.
     """
     brightest = SCALE.most_of
     if metal is None:
@@ -121,7 +121,7 @@ def _factor_of_parts(exemplar: Exemplar, metal: NDArray[np.float32]) -> float:
     across, down = exemplar.size
     share = cv2.resize(metal, (across, down), interpolation=cv2.INTER_LINEAR)
     plain, _ = SCALE.kinds
-    # Texels more of the one than of the other, so that borders count for neither.
+    # Weights are zero for texels that are half metal, at the borders of parts.
     bare, rest = np.maximum(2.0 * share - 1.0, 0.0), np.maximum(1.0 - 2.0 * share, 0.0)
     parts = ((rest, plain), (bare, _metal_kind(exemplar, bare)))
     total = weights = 0.0
@@ -138,7 +138,7 @@ def _factor_of_parts(exemplar: Exemplar, metal: NDArray[np.float32]) -> float:
 
 
 def _metal_kind(exemplar: Exemplar, share: NDArray[np.float32]) -> MaterialKind:
-    """Prior of metal with F0 of known metals of its hue, or of any metal if none is near."""
+    """Prior of metal: F0 of pure metals, weighted by similarity of hue, and that of any metal."""
     _, anything = SCALE.kinds
     planes = np.broadcast_to(exemplar.specular, (3, *share.shape))
     colour = np.log((planes * share).sum((1, 2)) / max(float(share.sum()), 1e-6) + _LEAST)
@@ -155,7 +155,7 @@ def _metal_kind(exemplar: Exemplar, share: NDArray[np.float32]) -> MaterialKind:
 
 
 def _logs(exemplar: Exemplar, part: NDArray[np.float32]) -> tuple[float, float]:
-    """Logarithms of the mean luminance of albedo and of mean F0, of a part (H, W) of the piece."""
+    """Logarithms of mean albedo luminance and mean F0, weighted by `part` (H, W)."""
     weight = part / max(float(part.sum()), 1e-6)
     albedo = float((np.tensordot(_LUMINANCE, exemplar.diffuse, 1) * weight).sum())
     specular = float((exemplar.specular.mean(0) * weight).sum())
@@ -163,7 +163,7 @@ def _logs(exemplar: Exemplar, part: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def scaled(exemplar: Exemplar, factor: float) -> Exemplar:
-    """The exemplar with albedo and F0 times a factor, for a flash weaker by it."""
+    """Multiply an exemplar's albedo and F0 by a factor; the flash is to be divided by it."""
     return replace(
         exemplar,
         diffuse=(exemplar.diffuse * np.float32(factor)).clip(0.0, 1.0),

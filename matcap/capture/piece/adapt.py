@@ -1,11 +1,11 @@
-"""Texture-statistics fit: windows of the exemplar, lit anywhere, must match the photograph there.
+"""Texture-statistics fit: windows of the exemplar, rendered anywhere, must match the photograph.
 
 The network predicts structure well, but biased amplitudes: mean and contrast of albedo, and
-strength of relief. These few scaling parameters of the maps are fitted by Adam. The loss is the
-paper's (4.6): windows of the maps, rendered at other places under the light there, are compared
-with the photograph's windows at those places by texture statistics; plus a Gaussian prior, which is
-tight for relief that the photograph measures (strengths.py). The result is kept if it lowers the
-distance on validation windows. F0 and roughness, fitted to the classes (levels.py), do not change.
+amplitude of relief. These few scaling parameters are fitted by Adam. The loss is that of
+[henzler2021, sec. 4.6]: windows of the maps, rendered at other places under the light there, are
+compared with the photograph's windows at those places by texture statistics; plus a Gaussian prior,
+narrow for relief that the photograph measures (strengths.py). The result is kept if it lowers the
+distance on validation windows. F0 and roughness, fitted to the classes (levels.py), are fixed.
 """
 
 from __future__ import annotations
@@ -70,11 +70,11 @@ class Leg:
     Attributes:
         steps: of Adam.
         reach: factor on the prior standard deviations of the scaling parameters.
-        deviation: standard deviation of the log relief strength in each of BANDS, as the photograph
-            measures it; empty where it does not.
+        deviation: standard deviation of the measured log relief energy in each of BANDS; empty
+            without a measurement.
         seconds: time limit, may be infinite.
         seed: of the order of windows.
-        on_progress: called after every step with the share that is done, in [0, 1].
+        on_progress: called after every step with the completed share, in [0, 1].
     """
 
     steps: int
@@ -87,11 +87,11 @@ class Leg:
 
 @torch.enable_grad()
 def adapt(maps: MapSet, seen: NDArray[np.bool_], scene: PhotographTarget, leg: Leg) -> Adapted:
-    """Fit the albedo offset and contrast and the relief strength of maps to a photograph.
+    """Fit offset and contrast of albedo, and amplitudes of relief, to a photograph's statistics.
 
     Args:
         maps: of the exemplar, on the plane's grid.
-        seen: (H, W) bool, where the photograph shows them.
+        seen: (H, W) bool, valid texels of the photograph.
         scene: the photograph's windows and statistics.
         leg: settings of the stage.
     """
@@ -123,7 +123,7 @@ class _Fit:
     fitted: Tensor
 
     def run(self, leg: Leg) -> bool:
-        """Fit; whether Ctrl-C ended it. Parameters are averaged over the last steps."""
+        """Fit; average parameters over the last steps. Returns whether Ctrl-C ended it."""
         numbers, schedule = self.scaled.numbers, Schedule(leg.steps, leg.seconds, None)
         order, draw = shuffled(len(self.fitted), leg.seed), np.random.default_rng(leg.seed)
         adam = Adam([numbers], ADAPT.betas)
@@ -148,6 +148,7 @@ class _Fit:
         return interrupted
 
     def _loss(self, places: Tensor, draw: np.random.Generator, schedule: Schedule) -> Tensor:
+        """Texture distance + penalties + negative log prior, for the photograph's `places`."""
         cuts = _cut(self.scaled, self.corners, draw, len(places), self.scene.windows.size)
         stacked = torch.stack([cut.stacked() for cut in cuts])
         windows = MapSet.from_stacked(stacked, cuts[0].texel_size)
@@ -157,7 +158,7 @@ class _Fit:
 
 
 def _parted(count: int, seed: int) -> tuple[Tensor, Tensor]:
-    """Indices of windows to fit and to validate on; the same ones if few."""
+    """Indices of windows to fit, and of windows to validate on; both all of them if few."""
     mixed = torch.randperm(count, generator=torch.Generator().manual_seed(seed))
     validation = min(ADAPT.validation, count // 3)
     return (
@@ -196,7 +197,7 @@ def _judged(
     validation: Tensor,
     corners_seen: NDArray[np.int64],
 ) -> Change:
-    """The change of the distance on validation windows."""
+    """The texture distance on validation windows before and after scaling."""
     numbers = scaled.numbers.clone()
 
     def distance() -> float:
@@ -243,12 +244,12 @@ class Scaling:
 
     @staticmethod
     def of(vector: Tensor, bands: int) -> Scaling:
-        """The inverse of vector() for so many bands."""
+        """The inverse of vector(), for a number of bands."""
         return Scaling(*vector.split([3, 1, 1, bands]))
 
 
 class _ScaledMaps:
-    """Maps as a function of the numbers they are scaled by."""
+    """Maps as a differentiable function of their scaling parameters, the tensor `numbers`."""
 
     def __init__(self, maps: MapSet, reach: float, deviation: Sequence[float] = ()) -> None:
         self._maps = maps
@@ -272,11 +273,11 @@ class _ScaledMaps:
         )
 
     def scaling(self, numbers: Tensor) -> Scaling:
-        """Numbers by name."""
+        """The parameter vector by name."""
         return Scaling.of(numbers, len(self._bands))
 
     def maps(self, rows: slice = slice(None), columns: slice = slice(None)) -> MapSet:
-        """Maps of a rectangle."""
+        """Scaled maps of a rectangle of rows and columns."""
         by = self.scaling(self.numbers)
         deviation = self._logits[:, rows, columns] - self._means
         albedo = torch.sigmoid(self._means + by.offset[:, None, None] + by.gain.exp() * deviation)
@@ -295,9 +296,9 @@ class _ScaledMaps:
 
 
 def corners(seen: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
-    """(N, 2) first row and column of windows of `size` texels a side with enough seen texels.
+    """(N, 2) first row and column of windows of `size` texels a side with enough visible texels.
 
-    At least the quarter of windows with the most.
+    These are at least the quarter of windows with the most.
     """
     total = np.pad(seen.astype(np.float64), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
     windows = total[size:, size:] - total[:-size, size:] - total[size:, :-size]
@@ -309,8 +310,8 @@ def corners(seen: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
 def even_contrast(albedo: Floats, weight: Floats) -> Floats:
     """Local contrast normalisation of log albedo (3, H, W), band by band.
 
-    The local contrast becomes its mean over well seen texels: a stationary sample has the same
-    contrast everywhere, but the network's prediction loses it under a highlight.
+    The local contrast becomes its mean over visible texels: a stationary sample has equal contrast
+    everywhere, but the network's prediction loses it under a highlight.
 
     Args:
         albedo: predicted log albedo.

@@ -1,13 +1,13 @@
-"""Material classes: dielectric, metal, or metal beside a dielectric, each with mean parameters.
+"""Material classes: dielectric, metal, or a mixture of both, each with mean parameters.
 
 F0 and roughness are constant in a class: under one flash, those of a texel cannot be separated from
 its albedo and slope, and a network predicts noise with rings around the mirror point. Texels of a
 class differ in albedo (of metal: F0) and relief.
 
-The coarse fit decides whether all is metal. Metal beside a dielectric (rust, chipped paint) is a
-mixture of two classes, fitted by expectation maximisation [dempster1977] from the network's
-prediction: mean parameters to the radial profile around the mirror point (levels.py), class shares
-of a texel to the radiance of each.
+The coarse fit decides whether all is metal. Metal and a dielectric in one sample (rust, chipped
+paint) are two classes, fitted by expectation maximisation [dempster1977] from the network's
+prediction: mean parameters to the radial profile around the mirror point (levels.py), and each
+texel's class shares to its radiance under either.
 """
 
 from __future__ import annotations
@@ -30,12 +30,13 @@ from matcap.capture.piece.tuned import KINDS
 
 @dataclass(frozen=True)
 class Classes:
-    """Material classes and which texel belongs to which.
+    """K material classes and their share of each texel.
 
     Attributes:
-        shares: (K, H, W) of every texel; they sum to 1.
+        shares: (K, H, W) class shares; they sum to 1 over K.
         metal: whether each class is metal.
-        levels: (K, 5) of each, departures from the coarse fit.
+        levels: (K, 5) mean parameters (log albedo 3, log F0, logit roughness), less those of the
+            coarse fit.
     """
 
     shares: Tensor
@@ -44,24 +45,24 @@ class Classes:
 
     @staticmethod
     def whole(size: tuple[int, ...], *, metal: bool) -> Classes:
-        """One class of (H, W) texels."""
+        """A single class for all texels (H, W)."""
         return Classes(torch.ones(1, *size), (metal,), torch.zeros(1, 5))
 
     @property
     def metal_share(self) -> Tensor:
-        """(1, H, W) of each texel that is metal."""
+        """(1, H, W) share of metal in each texel."""
         is_metal = torch.tensor(self.metal, dtype=self.shares.dtype)
         return (self.shares * is_metal[:, None, None]).sum(0, keepdim=True)
 
     def flat(self, levels: Tensor | None = None) -> SurfaceParameters:
-        """Departures of classes without texture or relief; of their own levels by default."""
+        """Maps of `levels` mixed by class shares, flat; departures from the coarse fit."""
         levels = self.levels if levels is None else levels
         planes = torch.einsum("kc,khw->chw", levels, self.shares)
         diffuse, specular, roughness = planes.split(list(REFLECTANCE.values()))
         return SurfaceParameters(diffuse, specular, roughness, torch.zeros_like(specular))
 
     def means(self, departures: SurfaceParameters) -> Tensor:
-        """(K, 5) mean of reflectance over each class."""
+        """(K, 5) mean reflectance parameters over each class."""
         planes = torch.cat([getattr(departures, name) for name in REFLECTANCE])
         total = self.shares.sum((1, 2)).clamp_min(1e-6)
         return torch.einsum("chw,khw->kc", planes, self.shares) / total[:, None]
@@ -96,10 +97,10 @@ class Mixture:
     agreed: float
 
     def likely(self, uniform: SurfaceParameters) -> bool:
-        """Whether shares, F0 contrast and quality of fit are those of metal beside a dielectric.
+        """Whether shares, F0 contrast and quality of fit indicate metal and a dielectric.
 
         Args:
-            uniform: what levels depart from.
+            uniform: log parameters of the uniform material, to which mean parameters are relative.
         """
         bare, rest = self.classes.levels
         share = float(self.classes.metal_share.mean())
@@ -113,12 +114,12 @@ class Mixture:
 
 
 def find_mixture(departures: SurfaceParameters, logit: Tensor, target: RingTarget) -> Mixture:
-    """The most probable two classes.
+    """Fit two classes, metal and dielectric, by expectation maximisation.
 
     Args:
-        departures: of the exemplar, as predicted.
-        logit: (1, H, W) of metal, as predicted.
-        target: the photograph; its surface is the uniform material.
+        departures: predicted, from the coarse fit.
+        logit: (1, H, W) predicted logit of metal.
+        target: the photograph, with the uniform material as its surface.
     """
     drawn = KINDS.drawn * goes_with_metal(departures, logit)
     step = max(1, min(logit.shape[-2:]) // KINDS.texels)
@@ -150,18 +151,18 @@ def find_mixture(departures: SurfaceParameters, logit: Tensor, target: RingTarge
 
 
 def _pair(metal: Tensor) -> Classes:
-    """Metal of so large a share (1, H, W) of each texel, and the rest."""
+    """Two classes, metal with the given share (1, H, W) of each texel first."""
     return Classes(torch.cat([metal, 1.0 - metal]), (True, False), torch.zeros(2, 5))
 
 
 def _coloured(target: RingTarget, metal: Tensor) -> RingTarget:
-    """The target with the hue that is seen where metal (1, H, W) is."""
+    """The target with the specular tint of metal set to the mean colour of its texels (1, H, W)."""
     seen = metal * target.measured.all(0, keepdim=True) * target.counts
     return replace(target, hues=(whole_colour(target.linear, seen), 1.0))
 
 
 def goes_with_metal(departures: SurfaceParameters, logit: Tensor) -> Tensor:
-    """(1, H, W) standardised local evidence of metal in the prediction; median 0, deviation 1.
+    """(1, H, W) score of metal in the predicted maps, with median 0 and standard deviation 1.
 
     Sum of high-passed maps, weighted by their signed squared correlation with the high-passed logit
     of metal (1, H, W). Low frequencies of the logit are biased: to metal near a highlight.
@@ -193,22 +194,22 @@ def _nearer(target: RingTarget, levels: Tensor) -> Tensor:
         residual = torch.where(target.measured, residual, residual.clamp_min(0.0))
         grey = residual.mean(0, keepdim=True)
         colour = (residual - grey).square().sum(0, keepdim=True)
-        # Cauchy's distribution: relief in the wrong place is far off now and then.
+        # Cauchy distribution: misplaced relief gives occasional large residuals.
         tones = torch.log1p(grey.square() / KINDS.grey**2)
         off.append(tones + torch.log1p(colour / KINDS.colour**2))
     bare, rest = off
-    # Of a neighbourhood: kinds lie in patches, and relief turns to and from the light.
+    # Blurred: classes form patches, and slopes towards and away from the light cancel.
     around = KINDS.patch * target.linear.shape[-1]
     plane = cv2.GaussianBlur((rest - bare)[0].numpy(), (0, 0), around)
     return torch.from_numpy(KINDS.counts * plane)[None]
 
 
 def _share(nearer: Tensor, drawn: Tensor, before: float) -> Tensor:
-    """(1, H, W) posterior share of each texel that is metal.
+    """(1, H, W) posterior probability of metal in each texel.
 
     Args:
-        nearer, drawn: (1, H, W) log odds, by radiance and as the network drew it.
-        before: share of all that is metal.
+        nearer, drawn: (1, H, W) log odds by radiance and by the network.
+        before: prior share of metal.
     """
     common = min(max(before, KINDS.least_share), 1.0 - KINDS.least_share)
     return torch.sigmoid(math.log(common / (1.0 - common)) + nearer + drawn)

@@ -1,10 +1,10 @@
 """Directional normalisation of relief: equal slope energy everywhere, in every direction.
 
-One flash shows slopes along its direction, hardly across it, and none at the mirror point; a
-network shrinks slopes it cannot see. Relit, such relief shows a bull's-eye: flat in the middle,
-with concentric ridges. So every octave is split into directional bands, and the local energy of
-each is normalised to its mean where the light shows it. Octaves are then scaled to the energies
-that the photograph measures (strengths.py).
+One flash shows slopes along its direction, hardly across it, and none at the mirror point; the
+network shrinks slopes that do not show. Relit, such relief is flat in the middle, with concentric
+ridges around it. So every octave is split into directional bands, and the local energy of each is
+normalised to its mean over places with high sensitivity in that direction. Octaves are then scaled
+to the energies that the photograph measures (strengths.py).
 """
 
 from __future__ import annotations
@@ -26,15 +26,14 @@ Doubles = NDArray[np.float64]
 def equalise(
     height: Height, strengths: Strengths | None, sensitivity: Height | None = None
 ) -> Height:
-    """Height (H, W) in texels, slope energy equal over places and set to the measured strengths.
+    """Height (H, W) in texels, with local slope energies equalised and bands scaled to `strengths`.
 
     Args:
-        height: (H, W) the network's, texels.
-        strengths: measured by the photograph; None keeps each band's mean energy.
-        sensitivity: (2, H, W) d log L / d slope along x and y (upwards); None for the same
-            everywhere.
+        height: (H, W) predicted, texels.
+        strengths: measured in the photograph; None keeps each band's mean energy.
+        sensitivity: (2, H, W) d log L / d slope along x and y (upwards); None for a constant.
     """
-    # What is slower than all bands is the bowl that a highlight's error leaves, not relief.
+    # The low-pass rest is an error of the highlight, shaped like a bowl, and is dropped.
     bands = split(height)[:-1]
     seen = _squares(np.ones((2, *height.shape), np.float32) if sensitivity is None else sensitivity)
     with ThreadPoolExecutor() as pool:
@@ -49,7 +48,7 @@ def equalise(
 
 
 def _sum(factors: Doubles, bands: Height) -> Height:
-    """(H, W) bands (N, H, W) times a factor each, added; in one order, so that bits are kept."""
+    """(H, W) sum of factors (N,) times bands (N, H, W), in fixed order for identical bits."""
     return np.asarray(np.einsum("n,nhw->hw", factors, bands, optimize=False), np.float32)
 
 
@@ -60,11 +59,9 @@ def _squares(sensitivity: Height) -> Height:
 
 
 def _evened(band: Height, seen: Height) -> Height:
-    """A band whose local energy in every direction equals its mean where it is visible.
+    """Normalise the local energy of a band (H, W) in each direction to its mean where it shows.
 
-    Args:
-        band: (H, W).
-        seen: see _squares.
+    `seen` is the result of _squares.
     """
     height, width = band.shape
     margin = min(STRENGTH.even_margin, *(side - 1 for side in band.shape))
@@ -108,7 +105,7 @@ def _directions(shape: tuple[int, ...]) -> list[tuple[float, Height]]:
 
 
 def _energies(height: Height) -> Doubles:
-    """(len(BANDS),) of slopes."""
+    """(len(BANDS),) mean squared slopes of a height (H, W) in texels."""
     return np.square(slope_strengths(height)).sum(1).clip(STRENGTH.least_slope**2)
 
 
@@ -128,9 +125,9 @@ def posterior_energies(drawn: Doubles, measured: Doubles, deviation: Doubles) ->
         minimise  sum_b ((p_b e^{x_b} - m_b) / d_b)^2 + sum_b ((x_b - c) / s)^2 + (c / t)^2
 
     over the log factors x_b of each band and c common to all (s: STRENGTH.each_band, t: .together).
-    A network shrinks uncertain relief, all bands alike and each a little on its own. Well-measured
-    bands take the measurement; bands measured as zero shrink by the inverse of its variance; bands
-    without a measurement follow the others.
+    The network shrinks uncertain relief by a factor common to all bands and a smaller one per band.
+    Well-measured bands take the measurement; bands measured as zero shrink by the inverse of its
+    variance; bands without a measurement follow c.
 
     Args:
         drawn: (bands,) squared slopes of the network's relief, positive.

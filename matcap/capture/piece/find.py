@@ -57,18 +57,17 @@ class ExemplarEstimate:
     """The estimate of an exemplar: its maps, and how well they explain the photograph.
 
     Attributes:
-        example: its maps, indexed to be rearranged.
-        strengths: what the photograph says of relief and albedo outright, or None.
-        error: median difference of log radiance between photograph and re-rendering, of texels
-            seen and not clipped.
-        slow: mean size of its part that varies slowly, which is not the material's.
-        sharpness: strength of the finest octave of log radiance, re-rendering over photograph.
-        adaptation: what every leg of it came to; none where it was not asked for.
-        interrupted: ended by Ctrl-C.
-        several: report on several photographs, where there were.
-        scale: of albedo and F0, by which the flash is weaker than the coarse fit has it
+        example: its maps, indexed for synthesis.
+        strengths: relief and albedo energies measured in the photograph, or None.
+        error: median |log radiance of photograph - re-rendering| of valid texels.
+        slow: mean |low-frequency residual| of log radiance, which is not the material's.
+        sharpness: amplitude of the finest octave of log radiance, re-rendering over photograph.
+        adaptation: results of the stages of the texture-statistics fit; empty without it.
+        interrupted: whether Ctrl-C ended the estimation.
+        several: report on several photographs; None for one.
+        scale: factor on albedo and F0 by the exposure prior; the flash is divided by it
             (absolute.py).
-        turned: its maps stand upright, as a portrait photograph is looked at (upright.py).
+        turned: whether the maps are rotated to a portrait photograph's orientation (upright.py).
     """
 
     example: Example
@@ -89,7 +88,7 @@ class ExemplarEstimate:
 
     @property
     def framed(self) -> Exemplar:
-        """The maps within the photograph's own rectangle."""
+        """The maps within the first photograph's rectangle."""
         several = self.several
         if several is None or several.reach is None:
             return self.exemplar
@@ -99,7 +98,7 @@ class ExemplarEstimate:
         return self.exemplar.cut(*margins.inside(size))
 
     def mean_confidence(self, kept: float = 1.0) -> dict[str, float]:
-        """By map, of what is the material: `kept` of the photograph."""
+        """Mean confidence by map, in [0, 1], over the share `kept` of the photograph's texels."""
         if self.several is not None and self.several.reach is not None:
             kept = self.several.reach.known
         means = np.minimum(self.exemplar.confidence.mean((1, 2)) / np.float32(kept), 1.0).tolist()
@@ -112,9 +111,9 @@ class PhotographEstimate:
 
     Attributes:
         estimate: of the exemplar.
-        coarse: fit of the photograph; of several of the first, its camera estimated from all.
+        coarse: coarse fit of the (first) photograph; of several, with its registered camera.
         rectified: the photograph on the plane of that camera.
-        photo: as it is; of several the first, less the ambient light.
+        photo: the (first) photograph; of several, less ambient light.
     """
 
     estimate: ExemplarEstimate
@@ -131,8 +130,8 @@ class NetworkPrediction:
         departures: of the maps from the coarse fit.
         errors: the network's expected errors.
         trusted: (4, H, W) confidence of diffuse, specular, roughness and height, in [0, 1].
-        logit: (1, H, W) of metal, as the network has it; None where it has hardly any.
-        classes: material classes of the texels; of one class until `classified`.
+        logit: (1, H, W) predicted logit of metal; None if it predicts hardly any.
+        classes: material classes of the texels; one class before `classified`.
     """
 
     departures: SurfaceParameters
@@ -143,14 +142,14 @@ class NetworkPrediction:
 
     @property
     def metal(self) -> NDArray[np.float32] | None:
-        """(H, W) share of each texel that is metal; None where none is."""
+        """(H, W) share of metal in each texel; None without metal."""
         if not any(self.classes.metal):
             return None
         return np.asarray(self.classes.metal_share[0].numpy(), np.float32)
 
     @property
     def confidence(self) -> dict[str, NDArray[np.float32]]:
-        """(H, W) each, by map."""
+        """`trusted` by the name of the map, (H, W) each."""
         return dict(zip(CHANNELS, self.trusted, strict=True))
 
 
@@ -169,7 +168,7 @@ class Adaptation:
     seed: int = 0
 
     def legs(self, strengths: Strengths | None, clock: CaptureClock) -> Iterator[Leg]:
-        """Its legs, in the seconds that there still are when each begins."""
+        """Yield the settings of each stage, with its share of the time left when it begins."""
         count = len(ADAPT.legs)
         deviation = strengths.log_deviations() if strengths else ()
         for number, reach in enumerate(ADAPT.legs):
@@ -193,17 +192,18 @@ def find_piece(
     *,
     absolute: bool = False,
 ) -> ExemplarEstimate:
-    """The exemplar of a photograph, stage by stage.
+    """Estimate the exemplar of a photograph, stage by stage.
 
-    An interrupt while it is refined or adapted ends with the best so far; one before that goes on.
+    An interrupt in the stages refine and adapt ends them with the best result so far; an earlier
+    one raises KeyboardInterrupt.
 
     Args:
-        rectified: the photograph.
+        rectified: the photograph on its plane.
         coarse: its coarse fit.
-        network: reads it (network/store.py).
+        network: the inverse network (network/store.py).
         clock: of the stages.
-        adaptation: to its statistics; None for none.
-        absolute: the flash's strength is known, and albedo with it.
+        adaptation: settings of the texture-statistics fit; None for none.
+        absolute: whether the flash intensity is known, so that the exposure prior is not used.
     """
     whole, changes, interrupted = rectified.whole, list[Change](), False
     with clock.stage("piece"):
@@ -247,28 +247,29 @@ def find_piece(
 
 
 def indexed(exemplar: Exemplar, waves: Sequence[Wave]) -> Example:
-    """An exemplar ready to be rearranged, as varied as keeps what is long in it.
+    """Index an exemplar for synthesis, with the smallest patches that keep its long structures.
 
     Args:
-        exemplar: the piece.
-        waves: of its regular order, cycles a texel.
+        exemplar: the maps.
+        waves: frequency vectors of the lattice, cycles per texel.
     """
     lattice = tuple((wave.fx, wave.fy) for wave in waves)
     return with_chosen_variety(Example.of(exemplar, lattice))
 
 
 def remaining_of(observed: Observation, prediction: NetworkPrediction) -> Refined:
-    """What its re-rendering leaves of the photograph."""
+    """Residuals of the re-rendered prediction from the photograph."""
     plane = observed.plane
     return remaining(prediction.departures, plane.linear, plane.measured, observed.light)
 
 
 def unexplained(observed: Observation, prediction: NetworkPrediction) -> float:
-    """Median difference of log radiance between photograph and re-rendering, where it was seen."""
+    """Median |log radiance of photograph - re-rendering| of valid texels."""
     return _median(remaining_of(observed, prediction), observed)
 
 
 def _median(left: Refined, observed: Observation) -> float:
+    """Median |residual| of valid texels; 0 without any."""
     seen = left.residual[:, observed.plane.valid]
     return float(seen.abs().median()) if seen.numel() else 0.0
 
@@ -287,7 +288,7 @@ def read_piece(observed: Observation, network: Inverse) -> tuple[Observation, Ne
 
 
 def measured_relief(observed: Observation, prediction: NetworkPrediction) -> Strengths | None:
-    """Relief and albedo energies measured by the photograph; None where too little can be used."""
+    """Relief and albedo energies measured in the photograph; None if too few texels are valid."""
     shown = observed.light.slope_sensitivity(observed.light.maps(prediction.departures))
     return observed.strengths(shown)
 
@@ -295,7 +296,7 @@ def measured_relief(observed: Observation, prediction: NetworkPrediction) -> Str
 def strengthened(
     observed: Observation, prediction: NetworkPrediction, strengths: Strengths | None
 ) -> NetworkPrediction:
-    """Scale relief to the measured energies, in all places and directions (equalise.py)."""
+    """Scale relief to the measured energies, equally at all places and directions (equalise.py)."""
     drawn, sensitivity = prediction.departures, observed.inputs.slope_sensitivity.numpy()
     height = torch.from_numpy(equalise(drawn.height[0].numpy(), strengths, sensitivity))[None]
     return replace(prediction, departures=replace(drawn, height=height))
@@ -320,7 +321,7 @@ def classified(
 def with_levels(
     observed: Observation, prediction: NetworkPrediction, departures: SurfaceParameters
 ) -> NetworkPrediction:
-    """The prediction with levels of its classes fitted to how the highlight falls off."""
+    """Fit the classes' mean parameters to the radial profile of the highlight (levels.py)."""
     classes = prediction.classes
     target = observed.ring_target(departures, classes.metal)
     size = target.distance.shape
@@ -335,8 +336,9 @@ def with_levels(
     return replace(prediction, departures=changed, classes=classes)
 
 
-LEVEL_TEXELS = 384
-# Deviations of levels (log albedo 3, log F0, logit roughness) from what is known before relief is.
+LEVEL_TEXELS = 384  # short side of the grid of the fit
+# Prior standard deviations of mean parameters (log albedo 3, log F0, logit roughness) around their
+# values before relief is known, of dielectric and metal.
 _PLAIN_LEVELS = [1.0, 1.0, 1.0, 0.15, 0.3]
 _METAL_LEVELS = [0.05, 0.05, 0.05, 0.5, 0.3]
 
@@ -356,10 +358,10 @@ def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPre
 def adapted(
     observed: Observation, prediction: NetworkPrediction, target: PhotographTarget, leg: Leg
 ) -> tuple[NetworkPrediction, Adapted]:
-    """Run a stage of the texture-statistics fit, rejected if the re-rendering residual grows.
+    """Run a stage of the texture-statistics fit; reject it if the re-rendering residual grows.
 
-    Statistics can improve while the exemplar departs from the photograph: for bare iron beside
-    rust, predicted as paint, by rings.
+    Statistics can improve while the residual grows: for bare iron in rust, predicted as paint, the
+    fit adds rings.
     """
     plane = observed.plane
     departures = prediction.departures
@@ -394,7 +396,7 @@ def exemplar_of(observed: Observation, prediction: NetworkPrediction) -> Exempla
 
 
 def inpainted(observed: Observation, prediction: NetworkPrediction, tried: int) -> Exemplar:
-    """The exemplar, inpainted where specular light hides albedo; `tried` blocks for a place."""
+    """Inpaint the exemplar where specular light hides albedo; `tried` candidates per place."""
     plane = observed.plane
     exemplar = exemplar_of(observed, prediction)
     left_out = None if plane.left_out is None else plane.left_out.numpy()
@@ -411,7 +413,7 @@ def inpainted(observed: Observation, prediction: NetworkPrediction, tried: int) 
 def evened(
     observed: Observation, prediction: NetworkPrediction, departures: SurfaceParameters
 ) -> SurfaceParameters:
-    """Residuals without low-frequency trends of albedo, except those of the class shares."""
+    """Remove low-frequency trends of albedo, except those of the class shares (refine.flatten)."""
     across = observed.plane.extent.unit(observed.plane.size[0])
     levels = prediction.classes.flat()
     trusted = prediction.confidence["diffuse"]
@@ -436,7 +438,7 @@ def _rerendered(
 
 
 def piece_maps(exemplar: Exemplar) -> MapSet:
-    """The photographed piece as a map set."""
+    """An exemplar's maps as a map set."""
     stacked = torch.from_numpy(exemplar.stacked())
     return MapSet.from_stacked(stacked, exemplar.texel_size)
 
@@ -444,14 +446,14 @@ def piece_maps(exemplar: Exemplar) -> MapSet:
 def confidence(
     errors: ExpectedErrors, seen: NDArray[np.float32], unit: float | None = None
 ) -> NDArray[np.float32]:
-    """(4, H, W) confidence in [0, 1] from expected errors and visibility (H, W).
+    """(4, H, W) confidence in [0, 1]: visibility times a blur of exp(-error / unit).
 
-    Smoothed: confidence describes where the light shows a map, not which features are easily
-    predicted, or only homogeneous places would be trusted.
+    The blur keeps where the light shows a map, and removes which features are predicted easily.
 
     Args:
-        errors, seen: see there.
-        unit: texels of the photograph's long side, where the piece reaches beyond it.
+        errors: expected errors by map; units are READ.doubted_*.
+        seen: (H, W) visibility, in [0, 1].
+        unit: texels of the photograph's long side, if the exemplar extends beyond it.
     """
     error = errors.stacked().clamp(-8.0, 4.0).exp().numpy()
     units = (
@@ -464,10 +466,9 @@ def confidence(
 
 
 def _read(network: Inverse, inputs: Tensor) -> Tensor:
-    """(ANSWERS, H, W) prediction for inputs of any size.
+    """(ANSWERS, H, W) prediction for inputs (C, H, W) of any size.
 
-    The network works on blocks of 2 x 2 texels, which leaves a periodic artefact. So the prediction
-    is averaged over the four shifts of the block grid.
+    Averaged over the four shifts of the network's grid of 2 x 2 texels, against periodic artefacts.
     """
     height, width = inputs.shape[-2:]
     multiple = network.config.multiple

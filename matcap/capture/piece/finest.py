@@ -36,10 +36,10 @@ _OCTAVES = (slice(2, 3), slice(3, 4), slice(4, 6))  # of strengths.BANDS: 16-8, 
 
 @torch.no_grad()
 def finest(exemplar: Exemplar, plane: Plane, uniform: Uniform) -> Exemplar:
-    """The exemplar enlarged to the photograph's plane, with its finest bands.
+    """Enlarge an exemplar to the photograph's plane and add its finest bands.
 
     Args:
-        exemplar: of the same photograph on fewer texels.
+        exemplar: estimated at a lower resolution.
         plane: the photograph.
         uniform: the coarse fit.
     """
@@ -66,9 +66,9 @@ def finest(exemplar: Exemplar, plane: Plane, uniform: Uniform) -> Exemplar:
 
 
 def sharpness(maps: MapSet, plane: Plane, uniform: Uniform) -> float:
-    """Strength of the finest octave of log radiance, re-rendering over photograph; 1 is as sharp.
+    """Amplitude of the finest octave of log radiance, re-rendering over photograph.
 
-    Over measured texels; 1 without any.
+    1 is as sharp as the photograph. Over valid texels; 1 without any.
     """
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
@@ -87,6 +87,7 @@ def sharpness(maps: MapSet, plane: Plane, uniform: Uniform) -> float:
 
 
 def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
+    """Interpolate maps bicubically to a plane's resolution, albedo in logarithms."""
     def larger(values: Floats) -> Tensor:
         return torch.from_numpy(_resized(values, plane.size, cv2.INTER_CUBIC))
 
@@ -102,8 +103,10 @@ def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
 def _unshown(
     maps: MapSet, plane: Plane, light: PieceLight, coarse: tuple[int, int], noise: _Noise | None
 ) -> tuple[Tensor, Tensor]:
-    """(3, H, W) each: denoised residual of log radiance, photograph less maps, at frequencies above
-    a grid of `coarse` = (width, height) texels; and the diffuse share of the maps' radiance.
+    """(3, H, W) each: residual of log radiance, and diffuse share of the maps' radiance.
+
+    The residual, photograph less maps, is denoised and has only frequencies above those of a grid
+    of `coarse` = (width, height) texels.
     """
     rendered, share = light.logs(maps, light.flash.onto(maps.normal))
     left = plane.linear.clamp_min(FINEST.darkest).log() - rendered
@@ -120,13 +123,13 @@ class _Noise:
     """
 
     grey: Tensor
-    """(1, H, W) of the channels' mean."""
+    """(1, H, W) energy of the channels' mean."""
     colours: Tensor
-    """(3, H, W) of the chroma, channels less their mean."""
+    """(3, H, W) energy of the chroma, channels less their mean."""
 
     @staticmethod
     def of(plane: Plane, coarse: tuple[int, int]) -> _Noise | None:
-        """Of log radiance; None where it is not known: of a developed picture, or without steps."""
+        """Noise of a RAW's log radiance; None without a noise model, as of developed pictures."""
         if plane.noise is None:
             return None
         light = np.stack([smoothed(c, NOISE.around) for c in plane.linear.numpy()])
@@ -136,7 +139,7 @@ class _Noise:
         return _Noise(_energy(grey), _energy(noise - grey))
 
     def left_out(self, grain: Tensor) -> Tensor:
-        """Grain (3, H, W), weakened where its energy is the noise's (a Wiener filter)."""
+        """Wiener filter of detail (3, H, W), mean and chroma separately."""
         grey = grain.mean(0, keepdim=True)
         return _wiener(grey, self.grey) + _wiener(grain - grey, self.colours)
 
@@ -147,7 +150,7 @@ def _wiener(seen: Tensor, chance: Tensor) -> Tensor:
 
 
 def _energy(picture: Tensor) -> Tensor:
-    """(C, H, W) mean square of neighbourhoods."""
+    """(C, H, W) local mean square."""
     return torch.from_numpy(np.stack([smoothed(c, NOISE.around) for c in picture.square().numpy()]))
 
 
@@ -160,7 +163,11 @@ def _beyond(picture: Tensor, coarse: tuple[int, int]) -> Tensor:
 
 
 def _relief(exemplar: Exemplar, grain: Floats, maps: MapSet, light: PieceLight) -> Floats:
-    """(H, W) height in texels of the finest bands, drawn as the grain (H, W) of log radiance is."""
+    """(H, W) height in texels of the finest bands: `grain`, times a signed factor.
+
+    The factor gives it the extrapolated slope energy, limited by the energy of `grain`, the
+    residual's detail (H, W) in log radiance.
+    """
     octaves = math.log2(maps.size[0] / exemplar.size[0])
     texels = exemplar.height[0] / np.float32(exemplar.texel_size)
     bands = split(texels)
@@ -189,7 +196,7 @@ def _steepness(height: Floats) -> float:
 
 
 def _sign(exemplar: Exemplar, bands: list[Floats]) -> np.float32:
-    """Sign of the correlation of height and brightness, 1 or -1."""
+    """Sign of the correlation of height and albedo in the coarser bands, 1 or -1."""
     tone = split(np.log(exemplar.diffuse.clip(1e-4)).mean(0))
     trusted = exemplar.confidence[0]
     together = sum((trusted * bands[k] * tone[k]).mean() for k in (2, 3))
@@ -197,5 +204,5 @@ def _sign(exemplar: Exemplar, bands: list[Floats]) -> np.float32:
 
 
 def _resized(planes: Floats, size: tuple[int, int], how: int) -> Floats:
-    """(C, H, W) at another size (width, height)."""
+    """Resize planes (C, H, W) to (width, height) with an OpenCV interpolation."""
     return np.stack([cv2.resize(plane, size, interpolation=how) for plane in planes])

@@ -1,4 +1,4 @@
-"""Strength of relief from the contrast of glints, octave by octave.
+"""Amplitude of relief from the contrast of glints, octave by octave.
 
 Where the specular fraction is high, contrast is due to slopes: albedo is diluted, and F0 and
 roughness are constant. So the energy E_b of log radiance in octave b, noise subtracted, of the
@@ -30,11 +30,11 @@ class GlintSettings:
     """Settings of the measurement.
 
     Attributes:
-        mirrored: specular fraction of the radiance above which contrast may be slope's.
-        least_share: of the photograph that must be so, and not clipped.
-        matte: share of the photograph, that with the least specular fraction.
-        around: the long side over the deviation of what is too slow for a glint.
-        least, most: factors are kept within.
+        mirrored: specular fraction of the radiance that bounds the glossiest region.
+        least_share: least share of the photograph for that region.
+        matte: share of the photograph, with the least specular fraction, in the mattest region.
+        around: the long side over the standard deviation of the blur that is subtracted first.
+        least, most: limits of the factors.
     """
 
     mirrored: float = 0.4
@@ -56,11 +56,11 @@ def scaled_by_glints(
     """Scale each octave of relief by g_b (module equation).
 
     Args:
-        departures: of the exemplar.
+        departures: of the exemplar from the coarse fit.
         linear: (3, H, W) the photograph on the plane's grid.
         measured: (3, H, W) bool: not clipped.
         light: the photograph's own.
-        noise: (3, H, W) deviation of log radiance.
+        noise: (3, H, W) standard deviation of log radiance.
         settings: of the measurement.
     """
     settings = settings or GlintSettings()
@@ -80,7 +80,7 @@ def scaled_by_glints(
 
     def energies(where: NDArray[np.bool_]) -> NDArray[np.float64]:
         energy = _energies(photograph, where, around)
-        # The sensor's noise is white: three quarters of its energy are in the finest octave.
+        # Sensor noise is white: three quarters of its energy are in the finest octave.
         for octave in range(len(energy) - 1):
             energy[len(energy) - 2 - octave] -= variance[where].mean() * 0.75 * 0.25**octave
         return energy.clip(0.0)
@@ -89,7 +89,7 @@ def scaled_by_glints(
     diluted = np.square(1.0 - glare).clip(1e-8)
     share = diluted[region].mean() / diluted[matte].mean()
     whole = _energies(rendered, region, around)
-    # Where both regions are equally sensitive to slope, relief and albedo are hardly separable.
+    # If both regions are equally sensitive to slope, relief and albedo are hardly separable.
     relief = (whole - share * _energies(rendered, matte, around)).clip(0.5 * whole)
     excess = (energies(region) - share * energies(matte)).clip(0.0)
     gains = np.sqrt(excess / relief.clip(1e-12))

@@ -29,7 +29,7 @@ def composed(maps: Floats, source: Sources, free: NDArray[np.bool_], reach: floa
         maps: (C, H, W) m.
         source: (2, H, W) row and column of s(p); the texel itself where it is not free.
         free: (H, W) texels that are not kept.
-        reach: texels, over which the two sides of a seam come together.
+        reach: texels over which the two sides of a seam converge.
 
     Returns:
         (C, H, W) u; m where not free.

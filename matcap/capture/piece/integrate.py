@@ -20,7 +20,7 @@ def integrate(across: Heights2D, down: Heights2D) -> Heights2D:
     """
     height, width = across.shape[0], down.shape[1]
     divergence = np.zeros((height + height % 2, width + width % 2), np.float32)
-    # cv2.dct wants even sides; a row or column that rises by nothing changes next to nothing.
+    # cv2.dct requires even sides; an added row or column of zero rise hardly changes the result.
     across, down = _even(across, (height % 2, width % 2)), _even(down, (height % 2, width % 2))
     divergence[:, :-1] += across
     divergence[:, 1:] -= across
@@ -45,4 +45,5 @@ def poisson(divergence: Heights2D, across: float = 1.0, down: float = 1.0) -> He
 
 
 def _even(rise: Heights2D, more: tuple[int, int]) -> Heights2D:
+    """Append `more` = (rows, columns) of zeros."""
     return np.pad(rise, [(0, more[0]), (0, more[1])])

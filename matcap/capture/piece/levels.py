@@ -31,14 +31,14 @@ class LevelSettings:
     """Settings of the fit.
 
     Attributes:
-        innermost: radius r0, plane units; a ring is per_octave log2(1 + r / r0), rounded down.
-        per_octave: rings an octave of radius.
+        innermost: r0, plane units; the ring of radius r is per_octave log2(1 + r / r0), truncated.
+        per_octave: rings per octave of radius.
         ring_texels: n0 of the weight n / (n + n0) of a ring with n texels of a class.
-        clipped: share of clipped texels from which a ring is a lower bound only.
+        clipped: clipped share of a ring above which its mean is only a lower bound.
         noise, huber: standard deviation of a ring's log radiance, and threshold of its Huber loss.
         most: largest change of a parameter in a step.
         steps: Gauss-Newton steps.
-        texels: along the short side of the grid of the fit.
+        texels: short side of the grid of the fit.
     """
 
     innermost: float = 0.02
@@ -77,7 +77,7 @@ class RingTarget:
         distance: (H, W) plane units from the mirror point.
         flash: the photograph's.
         normal: (3, H, W) unit normals of the relief.
-        surface: parameters to which the levels are added; broadcasts to (..., H, W).
+        surface: log parameters to which mean parameters are added; broadcasts to (..., H, W).
         hues: specular tint of each class, F0 over its channel mean: (3, 1, 1) or one number.
     """
 
@@ -91,7 +91,7 @@ class RingTarget:
     hues: tuple[Tensor | float, ...] = (1.0,)
 
     def thinned(self, texels: int) -> RingTarget:
-        """Subsampled so that at least `texels` are left along the short side."""
+        """Subsample so that at least `texels` remain along the short side."""
         size = self.distance.shape
         every = slice(None, None, max(1, min(size) // texels))
 
@@ -114,8 +114,8 @@ class RingTarget:
         """Diffuse and specular radiance (3, H, W) of each class at every texel.
 
         Args:
-            levels: (K, 5), added to the surface.
-            incidence: on the relief.
+            levels: (K, 5) mean parameters, added to the surface.
+            incidence: of the flash on the relief.
             duller: added to the logit of roughness.
         """
         one = torch.ones_like(self.distance)[None]
@@ -212,7 +212,7 @@ def _linear(
     levels: Tensor,
     observed: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """(N,) residuals of rings' log radiance, and (5 K, N) d log mean / d level."""
+    """(N,) residuals of the rings' log radiance, and (5 K, N) d log mean / d mean parameter."""
     parts = target.rendered(levels, incidence)
     duller = target.rendered(levels, incidence, _STEP)
     mixed = sum(share * (d + s) for share, (d, s) in zip(shares, parts, strict=True))

@@ -15,13 +15,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-# Predicted shares below the first count as 0 and above the second as 1: the network hedges, and
-# what is no metal stays grey.
+# Predicted shares below the first count as 0 and above the second as 1: predictions are uncertain,
+# and dielectrics must stay achromatic.
 _NONE, _WHOLE = 0.25, 0.75
-_LEAST_SHARE = 0.005  # of a piece, below which nothing of it is metal
-_AROUND = 5  # texels a side of the neighbourhood whose colour is seen: less than noise's share
-# Radiance, of clipping. Of what is darker little is mirrored, and dirt and noise are seen: it has
-# the mean colour, estimated where it is bright.
+_LEAST_SHARE = 0.005  # least share of metal in an exemplar
+_AROUND = 5  # side, texels, of the neighbourhood whose colour is averaged, against noise
+# Radiance (1 at clipping) at which the local colour weighs as much as the mean: darker texels
+# mirror little, and show dirt and noise.
 _DARK = 0.05
 _LEAST = 1e-6
 
@@ -31,8 +31,8 @@ def seen_colour(linear: Tensor, weight: Tensor) -> Tensor:
 
     Args:
         linear: (..., 3, H, W) radiance.
-        weight: (..., 1, H, W) of a texel, 0 where clipped. Without weight nearby, the mean colour
-            of the whole; without any, grey.
+        weight: (..., 1, H, W) weight of a texel, 0 if clipped. Without weight nearby, the result is
+            the mean colour of the whole; without any, grey.
     """
     counted = linear.clamp_min(0.0) * weight.to(linear)
     around = _mean(counted) + _DARK * whole_colour(linear, weight)
@@ -48,7 +48,7 @@ def whole_colour(linear: Tensor, weight: Tensor) -> Tensor:
 
 
 def metal_share(metal: Tensor) -> Tensor | None:
-    """(1, H, W) share of each texel that is metal in [0, 1], or None where there is hardly any.
+    """(1, H, W) share of metal in each texel, in [0, 1], or None if there is hardly any.
 
     Args:
         metal: (1, H, W) logit predicted by the network.
@@ -58,17 +58,17 @@ def metal_share(metal: Tensor) -> Tensor | None:
 
 
 def tint(metal: Tensor, colour: Tensor) -> Tensor:
-    """(..., 3, H, W) specular tint, F0 over its channel mean: 1 where nothing is metal.
+    """(..., 3, H, W) specular tint, F0 over its channel mean: 1 without metal.
 
     Args:
-        metal: (..., 1, H, W) share that is metal, in [0, 1].
-        colour: (..., 3, H, W) that metal has there (seen_colour).
+        metal: (..., 1, H, W) share of metal, in [0, 1].
+        colour: (..., 3, H, W) colour of the metal (seen_colour).
     """
     return 1.0 + metal * (colour - 1.0)
 
 
 def _mean(picture: Tensor) -> Tensor:
-    """Of neighbourhoods; all weights alike, so that ratios of channels are of the same texels."""
+    """Local mean with equal weights, so that channels are averaged over the same texels."""
     flat = picture.reshape(-1, *picture.shape[-3:])
     pad = _AROUND // 2
     blurred = F.avg_pool2d(flat, _AROUND, stride=1, padding=pad)

@@ -1,4 +1,4 @@
-"""Observation: a rectified photograph, its light at every texel, and what the network is given."""
+"""Observation: a rectified photograph, its light at every texel, and the network's inputs."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ class Observation:
     """A rectified photograph, and its light.
 
     Attributes:
-        plane: the photograph; valid where it was seen and lit.
+        plane: the photograph; valid where visible, unclipped and lit.
         coarse: its coarse fit.
         points: (3, H, W) plane points of the texels.
-        shown: (3, H, W) bool: seen and lit, or beyond the photograph, by channel.
-        within: (H, W) bool: the material, in the photograph.
+        shown: (3, H, W) bool by channel: unclipped and lit, or outside of the photograph.
+        within: (H, W) bool: inside of the photograph and its mask.
         inputs: of the network.
         light: the photograph's, at every texel.
-        noise: (3, H, W) standard deviation of log radiance, the sensor's or the codes'.
+        noise: (3, H, W) standard deviation of log radiance, of the sensor or the 8-bit codes.
     """
 
     plane: Plane
@@ -56,7 +56,7 @@ class Observation:
         width, height = plane.size
         points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
         points = plane.extent.placed(points)
-        # What lies beyond the photograph is its mirror, not glare.
+        # Texels outside of the photograph are mirrored ones, and count as valid inputs.
         own = torch.from_numpy(inside(plane.margins.inside_of((height, width)), coarse.setup))
         mirrors = ~plane.margins.padded(own)
         if plane.left_out is not None:
@@ -76,7 +76,7 @@ class Observation:
         return np.asarray(self.inputs.gloss[0].clamp(0.0, 1.0).numpy(), np.float32)
 
     def strengths(self, read: Tensor | None = None) -> Strengths | None:
-        """Relief spectrum that the photograph measures; None where too little of it can be used.
+        """Relief spectrum measured in the photograph; None if too few texels are valid.
 
         The sensitivity to slope is the coarse fit's, which is nearer to the truth than that of the
         predicted maps (docs/notes/capture.md); the difference of both adds to the deviation.
@@ -86,7 +86,7 @@ class Observation:
                 three times the sensitivity of both together.
         """
         plane, use = self.plane, self.plane.measured.numpy()
-        # What is clipped is at least as bright as it looks.
+        # Interpolate clipped texels, to no less than the clipped value.
         channels = zip(self.inputs.log.numpy(), use, strict=True)
         whole = [np.maximum(filled(channel, seen), channel) for channel, seen in channels]
         weights = channel_weights(self.noise).numpy()
@@ -100,15 +100,15 @@ class Observation:
         )
 
     def tinted(self, metal: Tensor) -> Observation:
-        """With the specular tint seen where shares (1, H, W) are metal."""
+        """Set the specular tint to the colour of texels by their share (1, H, W) of metal."""
         seen = seen_colour(self.plane.linear, metal * self.shown.all(0, keepdim=True))
         return replace(self, light=replace(self.light, hue=tint(metal, seen)))
 
     def ring_target(self, departures: SurfaceParameters, metal: tuple[bool, ...]) -> RingTarget:
-        """The photograph around its mirror point, of a surface that departs from the coarse fit.
+        """Target of fit_levels: the photograph around its mirror point, with a surface.
 
         Args:
-            departures: of the surface.
+            departures: log parameters of the surface less those of the coarse fit.
             metal: whether each of its classes is metal.
         """
         x, y = flash_mirror_point(self.coarse.setup)
@@ -126,10 +126,10 @@ class Observation:
 
 
 def seen_share(measured: Tensor) -> NDArray[np.float32]:
-    """(H, W) visibility in [0, 1] of a texel and its neighbours, from channels (3, H, W) bool.
+    """(H, W) visibility in [0, 1] of a texel and its neighbours, from unclipped channels (3, H, W).
 
-    Light of clipped texels spreads to neighbours: an isolated sparkle lowers them little, a wide
-    clipped area to 0.
+    Light of clipped texels blurs into neighbours: next to an isolated sparkle visibility is little
+    lower, next to a large clipped area it is 0.
     """
     share = measured.float().mean(0).numpy()
     around = cv2.GaussianBlur(share, (0, 0), READ.spread_of_light, borderType=cv2.BORDER_REFLECT)
@@ -137,7 +137,7 @@ def seen_share(measured: Tensor) -> NDArray[np.float32]:
 
 
 def lit(linear: Tensor) -> Tensor:
-    """(H, W) bool: where the neighbourhood's radiance (3, H, W) is above the noise."""
+    """(H, W) bool: where the local mean of radiance (3, H, W) is above READ.unlit."""
     return torch.from_numpy(smoothed(linear.mean(0).numpy(), READ.unlit_around) > READ.unlit)
 
 

@@ -1,4 +1,4 @@
-"""Refinement by re-rendering: residuals are assigned to the maps with the largest uncertainty.
+"""Refinement by re-rendering: residuals are assigned to maps in proportion to their variance.
 
 Gauss-Newton steps at every texel assign the residual of log radiance to albedo, or to F0 of metal,
 in proportion to sensitivity and prior variance (a Wiener filter whose prior is the network's
@@ -36,9 +36,9 @@ class Refined:
     """Refined maps and residuals of their re-rendering.
 
     Attributes:
-        departures: of the maps from the coarse fit.
-        residual: (3, H, W) log photograph over re-rendering, slow part included.
-        slow: (3, H, W) its slow part, which the maps do not explain.
+        departures: log parameters of the maps less those of the coarse fit.
+        residual: (3, H, W) log radiance of the photograph less that of the re-rendering.
+        slow: (3, H, W) its low frequencies, which are not assigned to maps.
     """
 
     departures: SurfaceParameters
@@ -52,9 +52,10 @@ class PieceLight:
 
     Attributes:
         flash: the light.
-        uniform: (..., 1, 1) each: what the piece's maps depart from.
-        hue: (3, H, W) F0 over the mean of its channels, where some of the piece is metal
-            (metal.py). Departures of F0 are always its mean's.
+        uniform: (..., 1, 1) each: log parameters of the uniform material, which `departures` are
+            added to.
+        hue: (3, H, W) specular tint, F0 over the mean of its channels; None without metal
+            (metal.py). Departures of F0 are those of its mean.
     """
 
     flash: FlashLight
@@ -63,16 +64,16 @@ class PieceLight:
 
     @staticmethod
     def of(coarse: Uniform, points: Tensor) -> PieceLight:
-        """Of a coarse fit, at plane points (3, H, W)."""
+        """Light and uniform material of a coarse fit, at plane points (3, H, W)."""
         return PieceLight(FlashLight.of(coarse.setup, points), coarse.parameters().to(points))
 
     def cut(self, rows: slice, columns: slice) -> PieceLight:
-        """The light at some of the texels."""
+        """The light at a rectangle of texels."""
         hue = None if self.hue is None else self.hue[..., rows, columns]
         return replace(self, flash=self.flash.cut(rows, columns), hue=hue)
 
     def maps(self, departures: SurfaceParameters, texel_size: float = 1.0) -> MapSet:
-        """Maps that depart so far from the coarse fit."""
+        """Maps with log parameters `uniform` + departures."""
         maps = (self.uniform + departures).maps(texel_size)
         if self.hue is None:
             return maps
@@ -85,14 +86,14 @@ class PieceLight:
         return SurfaceParameters.of(maps) - self.uniform
 
     def logs(self, maps: MapSet | Reflectance, incidence: Incidence) -> tuple[Tensor, Tensor]:
-        """(3, H, W) log radiance of maps, and the diffuse share of the radiance."""
+        """(3, H, W) each: log radiance of maps, and the diffuse share of the radiance."""
         diffuse = incidence.diffuse(maps.diffuse)
         mirrored = incidence.specular(maps.specular, maps.roughness)
         radiance = (diffuse + mirrored).clamp_min(REFINE.darkest)
         return radiance.log(), diffuse / radiance
 
     def slope_sensitivity(self, maps: MapSet | Reflectance) -> Tensor:
-        """(2, H, W) d log L / d slope along x and y, of grey log radiance on a flat surface."""
+        """(2, H, W) d log L / d slope along x and y on a flat surface, L averaged over channels."""
         one = torch.ones_like(maps.roughness)
 
         def tilted(x: float, y: float) -> Tensor:
@@ -116,10 +117,10 @@ def flatten(
     A stationary sample has neither. The mean, weighted by squared confidence, is kept.
 
     Args:
-        departures: of the exemplar, from its classes' levels.
+        departures: of the exemplar from its classes' mean parameters.
         confidence: (H, W) of albedo, in [0, 1].
         specular_fraction: (H, W) specular fraction of the radiance.
-        across: texels of the photograph's long side, where the exemplar reaches beyond it.
+        across: texels of the photograph's long side, if the exemplar extends beyond it.
     """
     shape = np.stack(
         [np.ones_like(specular_fraction), specular_fraction, np.square(specular_fraction)]
@@ -144,7 +145,7 @@ def flatten(
 def _following(plane: NDArray[np.float32], shape: NDArray[np.float32]) -> NDArray[np.float32]:
     """Least-squares projection (H, W) of a plane on smooth shapes (N, H, W).
 
-    Sums are NumPy's own, on one thread: the same bits whatever the machine is doing.
+    Sums run in NumPy on one thread, so that the result is the same bits on every run.
     """
     every = slice(None, None, REFINE.thinned)
     thin = shape[:, every, every].astype(np.float64)
@@ -168,13 +169,13 @@ def refine(
     """Refine albedo, of metal F0, so that the maps re-render to the photograph.
 
     Args:
-        departures: of the exemplar.
+        departures: of the exemplar from the coarse fit.
         errors: expected errors of the prediction.
         linear: (3, H, W) the photograph on the plane's grid.
-        valid: (H, W) or (3, H, W) bool, seen and not clipped, by channel where that is known.
+        valid: (H, W) or (3, H, W) bool, visible and not clipped.
         light: the photograph's own.
-        metal: (1, H, W) share of each texel that is metal; None where none is.
-        noise: standard deviation of log radiance of the residual; (3, H, W) or one number.
+        metal: (1, H, W) share of metal in each texel; None without metal.
+        noise: standard deviation of the photograph's log radiance; (3, H, W) or one number.
     """
     observed = linear.clamp_min(REFINE.darkest).log()
     valid = valid.expand_as(linear)
@@ -200,10 +201,10 @@ def refine(
         grey = (counts * residual).sum(0, keepdim=True)
         uncertain = REFINE.glare + (REFINE.glare_metal - REFINE.glare) * bare
         glare = (uncertain * (1.0 - share)).square()
-        # The channels' noise is taken to go together: what development smooths is blotches.
+        # The channels' noise is taken as fully correlated, as development blurs it to blotches.
         unknown = (counts * white).sum(0, keepdim=True).square() + glare
         common = base * albedo * grey / (base.square() * albedo + unknown)
-        # A bound that holds says nothing of the colour.
+        # A clipped channel that is bright enough gives no information on colour.
         chroma = torch.where(informative, residual - grey, 0.0)
         own = chroma * shares * colour / (shares.square() * colour + white.square() + glare)
         departures = replace(
@@ -217,7 +218,7 @@ def refine(
 def remaining(
     departures: SurfaceParameters, linear: Tensor, valid: Tensor, light: PieceLight
 ) -> Refined:
-    """Departures and what their re-rendering leaves; arguments as for refine."""
+    """Departures with the residuals of their re-rendering; arguments as of refine."""
     maps = light.maps(departures)
     log, _ = light.logs(maps, light.flash.onto(maps.normal))
     residual = _unexplained(linear.clamp_min(REFINE.darkest).log(), log, valid)
@@ -225,7 +226,7 @@ def remaining(
 
 
 def _unexplained(observed: Tensor, log: Tensor, valid: Tensor) -> Tensor:
-    """(3, H, W) residual of log radiance; of a clipped texel only what is too dark."""
+    """(3, H, W) residual of log radiance; of clipped texels only its positive part."""
     residual = observed - log
     return torch.where(valid, residual, residual.clamp_min(0.0))
 

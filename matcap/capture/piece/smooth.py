@@ -15,12 +15,12 @@ ChannelPlane = NDArray[np.float32]
 
 
 def smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
-    """A plane (H, W) blurred by a Gaussian of many texels."""
+    """Blur a plane (H, W) by a Gaussian; the standard deviation is many texels."""
     return enlarged(coarse_smoothed(plane, deviation), plane.shape)
 
 
 def coarse_smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
-    """The same on a coarser grid."""
+    """The same, on a grid coarser by BAND.coarser."""
     rows, columns = plane.shape
     size = (max(1, columns // BAND.coarser), max(1, rows // BAND.coarser))
     thin = cv2.resize(plane, size, interpolation=cv2.INTER_AREA)
@@ -28,7 +28,7 @@ def coarse_smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
 
 
 def enlarged(plane: ChannelPlane, shape: tuple[int, ...]) -> ChannelPlane:
-    """A coarser plane at every texel of a finer one's (H, W)."""
+    """Interpolate a plane bilinearly to `shape` (H, W)."""
     size = (shape[1], shape[0])
     return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
@@ -55,7 +55,7 @@ def split(plane: ChannelPlane, bands: Sequence[tuple[float, float]] = BANDS) -> 
     Longest band first, the rest last; they sum to the plane.
     """
     height, width = plane.shape
-    # cv2.dct wants even sides.
+    # cv2.dct requires even sides.
     whole = np.pad(plane, [(0, side % 2) for side in plane.shape], mode="edge")
     waves = cv2.dct(whole.astype(np.float32))
     rows, columns = (np.arange(side) / (2.0 * side) for side in whole.shape)
@@ -70,7 +70,7 @@ def split(plane: ChannelPlane, bands: Sequence[tuple[float, float]] = BANDS) -> 
 
 
 def _ramp(octave: ChannelPlane) -> ChannelPlane:
-    """0 below a border between bands and 1 above it, octaves counted from there."""
+    """Smooth step from 0 to 1 at a border between bands; `octave` is log2 frequency over it."""
     return np.asarray(
         0.5 + 0.5 * np.sin(np.pi / 2 * (octave / BAND.soft).clip(-1.0, 1.0)), np.float32
     )

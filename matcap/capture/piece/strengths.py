@@ -1,19 +1,18 @@
 """Energies of relief and albedo by band, measured from one flash photograph in closed form.
 
-To first order the logarithm of radiance is log albedo + g . grad h, where g is how log radiance
-changes with slope (inputs.py): nothing at the flash's mirror point, more the further the light
-slants, more again where gloss shows. A stationary sample has the same spectra
-everywhere, so in a window whose mean g along a direction is s, the energy of the band's waves in
-that direction is
+To first order log L = log albedo + g . grad h, where g = d log L / d slope (inputs.py): zero at the
+mirror point, and growing with the angle of the light and with gloss. A stationary sample has the
+same spectra everywhere, so in a window whose mean g along a direction is s, the energy of log L in
+a band and that direction is
 
     E(s) = A m + 2 C s + S s^2,
 
-A the energy of log albedo, S of slopes, C their cross energy, and m, near 1, a factor of the window
-common to all directions: specular radiance dilutes albedo, dark gaps most, and lenses are soft at
-the rim. At the mirror point both m and s are small, so m = 1 would mistake albedo for relief. As
-relief shows along the light only, a weighted regression over windows and directions recovers A, S
-and the standard error of S, to which the difference between two estimates of g is added
-(docs/notes/capture.md).
+where A is the energy of log albedo, S that of slopes, C their cross energy, and m, near 1, a factor
+of the window common to all directions: specular radiance dilutes albedo, dark gaps most, and lenses
+are soft towards the corners. At the mirror point both m and s are small, so m = 1 would mistake
+albedo for relief. As relief shows along the light only, a weighted regression over windows and
+directions recovers A, S and the standard error of S, to which the difference between two estimates
+of g is added (docs/notes/capture.md).
 """
 
 from __future__ import annotations
@@ -28,28 +27,27 @@ from matcap.capture.piece.tuned import STRENGTH
 
 Doubles = NDArray[np.float64]
 
-# Waves of these lengths in texels, longest and shortest of each band.
+# Longest and shortest wavelength of each band, texels.
 BANDS = ((64.0, 32.0), (32.0, 16.0), (16.0, 8.0), (8.0, 4.0), (4.0, 2.8), (2.8, 2.0))
 DIRECTIONS = 6
 
 
 @dataclass(frozen=True)
 class Strengths:
-    """Root-mean-square strengths per band and direction, (len(BANDS), DIRECTIONS) each."""
+    """Root-mean-square amplitudes per band and direction, (len(BANDS), DIRECTIONS) each."""
 
     albedo: Doubles
-    """Of log albedo."""
+    """Amplitude of log albedo, sqrt(A)."""
     slope: Doubles
-    """Of the slope along the direction."""
+    """Amplitude of the slope along the direction, sqrt(S)."""
     trust: Doubles
-    """Significance of the slope energy against its standard error, in [0, 1]."""
+    """Significance of the slope energy, S^2 / (S^2 + standard error^2), in [0, 1]."""
     deviation: Doubles
-    """(len(BANDS),) standard deviation of the slope energy, summed over directions; an upper bound
-    where nothing is significant."""
+    """(len(BANDS),) standard deviation of the slope energy, summed over directions."""
 
     @property
     def relief(self) -> float:
-        """Root-mean-square slope of all bands and directions together."""
+        """Root-mean-square slope over all bands and directions."""
         return float(np.sqrt(np.square(self.slope).sum()))
 
     def log_deviations(self) -> list[float]:
@@ -58,9 +56,8 @@ class Strengths:
         return (0.5 * self.deviation / np.maximum(energy, 1e-8)).tolist()
 
     def document(self) -> dict[str, Any]:
-        """As JSON: `relief`, and for each of `bands` the lengths of its waves in texels
-        (`waves`), `albedo` and `slope` of all directions together, how far the slope is to be
-        trusted (`trust`), and `slopes` of waves along 0, 30 ... 150 degrees from x.
+        """JSON: `relief`, and for each of `bands` its wavelengths in texels (`waves`), `albedo`,
+        `slope` and `trust` over all directions, and `slopes` along 0, 30 ... 150 degrees from x.
         """
         energy = np.square(self.slope)
         trust = (self.trust * energy).sum(1) / np.maximum(energy.sum(1), 1e-12)
@@ -88,14 +85,14 @@ def measure_strengths(
     matte: NDArray[np.float32] | None = None,
     also: NDArray[np.float32] | None = None,
 ) -> Strengths | None:
-    """Strengths of a photograph; None where too little of it can be used.
+    """Measure the energies of a photograph; None if too few windows are visible.
 
     Args:
-        log: (H, W) log radiance over the coarse fit's; what is not used is filled from around it.
+        log: (H, W) log radiance less that of the coarse fit; invalid texels are interpolated.
         sensitivity: (2, H, W) d log L / d slope along x and y (upwards).
-        use: (H, W) share of a texel that was seen and not clipped.
-        noise: standard deviation of log radiance that is the sensor's.
-        matte: (H, W) diffuse share of the radiance; None for all of it.
+        use: (H, W) share of a texel that is visible and not clipped.
+        noise: standard deviation of log radiance due to the sensor.
+        matte: (H, W) diffuse share of the radiance; None for 1.
         also: (2, H, W) another estimate of `sensitivity`: the difference of their results adds to
             the standard deviation.
     """
@@ -104,7 +101,7 @@ def measure_strengths(
     cuts = [cut for cut, share in zip(whole, seen, strict=True) if share >= STRENGTH.seen]
     if len(cuts) < STRENGTH.fewest:
         return None
-    # What is filled is smooth, and lacks the energy of what it stands for.
+    # Interpolated texels are smooth and lack energy.
     energy = _window_energies(log, cuts) / seen[seen >= STRENGTH.seen, None, None]
     window = STRENGTH.window
     white = noise**2 * _sums(np.ones((window, window)), _kinds()) / window**2
@@ -116,7 +113,7 @@ def measure_strengths(
         disagreement = np.abs(
             slope - _regressed(energy, _responses(matte, also, use, cuts))[1]
         ).sum(1)
-    # Scatter of directions cancels; what is wrong with the model goes the same way in all of them.
+    # Standard errors of directions are independent; model errors have one sign in all of them.
     deviation = np.hypot(np.sqrt(np.square(error).sum(1)), STRENGTH.disagreed * disagreement)
     return Strengths(
         albedo=np.sqrt(albedo),
@@ -127,7 +124,7 @@ def measure_strengths(
 
 
 def _seen(use: NDArray[np.bool_] | NDArray[np.float32], cuts: list[tuple[slice, slice]]) -> Doubles:
-    """(windows,) share of each that is used, texels counted as its energies count them."""
+    """(windows,) visible share of each, weighted by the squared window function."""
     counts = np.square(_hann())
     return np.array([(use[cut] * counts).sum() for cut in cuts]) / counts.sum()
 
@@ -150,10 +147,9 @@ def _responses(
     use: NDArray[np.bool_] | NDArray[np.float32],
     cuts: list[tuple[slice, slice]],
 ) -> Doubles:
-    """(windows, 6) means over what is used of each window: of the squared diffuse share, and of a
-    response's x, y, xx, xy and yy.
+    """(windows, 6) means over visible texels: squared diffuse share d^2, and g's x, y, xx, xy, yy.
 
-    Around a highlight the response turns within a window: its mean is little and its square is not.
+    Around a highlight g changes direction within a window: its mean is small, its square is not.
     """
     counts = np.square(_hann())
     responses = []
@@ -183,7 +179,7 @@ def _regressed(energy: Doubles, responses: Doubles) -> Doubles:
 
 
 def slope_strengths(height: NDArray[np.float32]) -> Doubles:
-    """(len(BANDS), DIRECTIONS) the same strengths of a known height (H, W) in texels."""
+    """(len(BANDS), DIRECTIONS) root-mean-square slopes of a height (H, W) in texels."""
     window = _hann()
     power = float(np.square(window).sum())
     across = np.gradient(height, axis=1)
@@ -198,11 +194,13 @@ def slope_strengths(height: NDArray[np.float32]) -> Doubles:
 
 
 def _hann() -> Doubles:
+    """(window, window) Hann window."""
     hann = np.hanning(STRENGTH.window)
     return np.asarray(hann[:, None] * hann, np.float64)
 
 
 def _windows(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
+    """Rows and columns of all windows of a plane (H, W)."""
     side, stride = STRENGTH.window, STRENGTH.stride
     rows = range(0, shape[0] - side + 1, stride)
     columns = range(0, shape[1] - side + 1, stride)
@@ -210,15 +208,15 @@ def _windows(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
 
 
 def _sums(spectrum: Doubles, kinds: NDArray[np.int64]) -> Doubles:
-    """(len(BANDS), DIRECTIONS) of a spectrum (window, window)."""
+    """(len(BANDS), DIRECTIONS) sums of a power spectrum (window, window); bins as of _kinds."""
     sums = np.bincount(kinds.ravel(), spectrum.ravel(), len(BANDS) * DIRECTIONS + 1)
     return np.asarray(sums[:-1].reshape(len(BANDS), DIRECTIONS), np.float64)
 
 
 def _kinds() -> NDArray[np.int64]:
-    """(window, window) DIRECTIONS * band + direction of every wave, y upwards; last: none.
+    """(window, window) bin of each frequency, DIRECTIONS * band + direction with y upwards.
 
-    Both halves of the plane have the same.
+    Frequencies outside of all bands have the bin len(BANDS) * DIRECTIONS.
     """
     frequency = np.fft.fftfreq(STRENGTH.window)
     fx, fy = np.meshgrid(frequency, -frequency)
@@ -240,11 +238,11 @@ def _regress(
     prior; linear, as A in the product A m is that of the previous round.
 
     Args:
-        slant: (DIRECTIONS, N) of windows.
+        slant: (DIRECTIONS, N) mean of g along the direction, s, in each window.
         squared: (DIRECTIONS, N) mean of its square.
         matte: (N,) mean squared diffuse share.
-        energy: (DIRECTIONS, N) theirs.
-        counts: (N,) what each counts for, at most 1.
+        energy: (DIRECTIONS, N) energy of log radiance.
+        counts: (N,) weight of each window, at most 1.
     """
     kinds, windows = energy.shape
     each = np.eye(kinds)[:, None, :]

@@ -1,10 +1,10 @@
 """Inpainting under the highlight by blocks of the exemplar (reflectance transport [aittala2015]).
 
-Near the mirror point a highlight hides albedo, and where it clips everything. The material is
-stationary, so blocks of maps are copied there from well seen places. Of many candidates, the block
-is taken that best continues its neighbours and, rendered in place, matches the photograph (texture
-transfer [efros2001]). Renderings are compared by correlation of log radiance: their mean
-difference is an error of the fitted highlight, and would select pale blocks only.
+Near the mirror point the highlight hides albedo, and all maps where it is clipped. The material is
+stationary, so blocks of maps are copied there from visible places. The chosen block minimises, over
+random candidates, its mismatch with neighbours in the overlap plus the mismatch of its rendering in
+place with the photograph (texture transfer [efros2001]): 1 - correlation of log radiance, as the
+mean difference is an error of the fitted highlight.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ BlockPlaces = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class _Drawn:
-    """Map planes in three forms: copied, blended and compared."""
+    """Map planes in three forms: original, to be copied, and to be compared."""
 
     stacked: Floats
-    """(6, H, W) maps, whole."""
+    """(6, H, W) the exemplar's maps."""
     laid: Floats
-    """(6, H, W) the same with height high-passed; its low frequencies are not copied."""
+    """(6, H, W) the same with height high-passed, as low frequencies are not copied."""
     seen: Floats
-    """(H, W, 3) channel mean of log albedo, and slopes (x, down), over their root mean squares."""
+    """(H, W, 3) channel mean of log albedo, and slopes (x, down), each over its deviation."""
 
 
 @torch.no_grad()
@@ -55,13 +55,13 @@ def transport(
     Args:
         exemplar: estimated maps; confidence is not changed.
         linear: (3, H, W) the photograph on its plane.
-        valid: (H, W) bool, seen and not clipped.
+        valid: (H, W) bool, visible and not clipped.
         light: the photograph's, at every texel.
         tried: candidate blocks per place.
         left_out: (H, W) bool, masked texels, or None; inpainted if surrounded by the material.
 
     Returns:
-        The same object if nothing is hidden, or no donor block is seen well enough.
+        The same object if nothing is hidden, or no block qualifies as a donor.
     """
     confidence = exemplar.confidence[0]
     known = np.ones(confidence.shape, np.bool_) if left_out is None else ~left_out
@@ -70,18 +70,18 @@ def transport(
     hidden = trusted < min(INPAINT.trusted, most)
     donors = _donors(~hidden & known)
     if left_out is not None:
-        # Beyond a crop nothing is shown, and nothing is inpainted.
+        # Texels outside of a crop are not inpainted.
         hidden = (hidden & known) | (_between(known) & ~known)
     if hidden.mean() < INPAINT.least or not len(donors):
         return exemplar
     drawn = _drawn(exemplar, ~hidden)
     places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > INPAINT.wanted]
-    # From well seen surroundings inwards, so that drawings go on.
+    # From visible surroundings inwards, so that patterns continue.
     places.sort(key=lambda p: -float(trusted[_block(p)].mean()))
     photograph = _Photograph(exemplar, linear, valid, light)
     chosen = _choose(places, donors, drawn, ~hidden, photograph, tried)
     source, copied = _sources(chosen, hidden)
-    # One F0 and one roughness are a class's, and have steps where classes meet.
+    # F0 and roughness are constant in a class and have steps between classes: no blending.
     maps = drawn.laid[:, source[0], source[1]]
     texel = exemplar.texel_size
     log_albedo = np.log(drawn.laid[DIFFUSE].clip(INPAINT.darkest))
@@ -99,23 +99,23 @@ def transport(
 
 @dataclass(frozen=True)
 class _Likeness:
-    """Match of candidate blocks, rendered at a place, to the photograph there."""
+    """Match of N candidate blocks, rendered at a place, to the photograph there."""
 
     unlike: Floats
-    """(N,) one less the correlation of log radiance; 0 where nothing was seen."""
+    """(N,) 1 - correlation of log radiance; 0 without valid texels."""
     stronger: float
-    """Energy of what is photographed over that of the blocks' median."""
+    """Energy of the photographed log radiance over the candidates' median."""
     share: float
-    """Of the place that was seen and not clipped."""
+    """Share of the place that is visible and not clipped."""
 
     @property
     def is_distinct(self) -> bool:
-        """Whether the photograph there has more contrast than any block: a scratch, bare metal."""
+        """Whether the photograph has far more contrast than the candidates: scratch, bare metal."""
         return self.share > INPAINT.shown and self.stronger > INPAINT.stronger
 
 
 class _Photograph:
-    """The photograph, to which rendered blocks are compared."""
+    """The photograph and its light, for comparing rendered blocks with it."""
 
     def __init__(
         self, exemplar: Exemplar, linear: Tensor, valid: Tensor, light: PieceLight
@@ -126,7 +126,7 @@ class _Photograph:
         maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
         planes = torch.cat([maps.diffuse, maps.specular, maps.roughness, maps.normal])
         self._maps = planes.movedim(0, -1).numpy().copy()  # a texel's numbers lie together
-        # What the mean material would show is the light's doing, and in every block alike.
+        # Log radiance of the mean material, subtracted from both sides of a comparison.
         even, _ = _parts(planes.mean((1, 2), keepdim=True).expand_as(planes))
         upright = torch.zeros_like(maps.normal)
         upright[2] = 1.0
@@ -153,13 +153,13 @@ class _Photograph:
 
 
 def _parts(planes: Tensor) -> tuple[Reflectance, Tensor]:
-    """Reflectance and normals of planes (..., 8, H, W), 10 where F0 has a colour."""
+    """Split planes (..., 8, H, W), or 10 if F0 has a colour, into reflectance and normals."""
     *reflectance, normal = planes.split([3, planes.shape[-3] - 7, 1, 3], dim=-3)
     return Reflectance(*reflectance), normal
 
 
 def _centred(log: Tensor, seen: Tensor) -> Tensor:
-    """Log radiance less its mean over what is seen; 0 elsewhere."""
+    """Log radiance less its mean over visible texels; 0 elsewhere."""
     mean = (log * seen).sum((1, 2, 3), keepdim=True) / (3.0 * seen.sum())
     return (log - mean) * seen
 
@@ -172,7 +172,7 @@ def _choose(
     photograph: _Photograph,
     tried: int,
 ) -> dict[tuple[int, int], tuple[int, int]]:
-    """The donor block of every place."""
+    """Corner of the donor block of every place; distinct places keep their maps, without entry."""
     rng = np.random.default_rng(0)
     known, seen = known.copy(), drawn.seen.copy()
     allowed = set(map(tuple, donors.tolist()))
@@ -230,9 +230,9 @@ def _discontinuity(
 def _sources(
     chosen: dict[tuple[int, int], tuple[int, int]], hidden: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """(2, H, W) the texel that each is copied from, and (H, W) which are copied.
+    """(2, H, W) source row and column of each texel, and (H, W) bool, which are copied.
 
-    Where blocks overlap, a texel is of the one in which it lies deeper.
+    In an overlap, a texel takes the block whose border is farther from it.
     """
     texels = np.arange(INPAINT.block)
     inside = np.minimum(texels + 1, INPAINT.block - texels)
@@ -249,6 +249,7 @@ def _sources(
 
 
 def _drawn(exemplar: Exemplar, known: NDArray[np.bool_]) -> _Drawn:
+    """Prepare an exemplar's planes; albedo is standardised over known texels."""
     stacked = exemplar.stacked().astype(np.float32)
     height = exemplar.height[0] / exemplar.texel_size
     fine = height - cv2.GaussianBlur(height, (0, 0), INPAINT.block / 1.5)
@@ -263,7 +264,7 @@ def _drawn(exemplar: Exemplar, known: NDArray[np.bool_]) -> _Drawn:
 
 
 def _between(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(H, W) bool, texels whose row and whose column both hold a known texel."""
+    """(H, W) bool, texels that have a known texel both in their row and in their column."""
     rows, columns = np.asarray(known.any(axis=1)), np.asarray(known.any(axis=0))
     return rows[:, None] & columns[None, :]
 
@@ -280,7 +281,7 @@ def _donors(trusted: NDArray[np.bool_]) -> BlockPlaces:
 
 
 def _grid(shape: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Corners of blocks that overlap and reach the border."""
+    """Corners of overlapping blocks that cover a plane (H, W)."""
     step = INPAINT.block - INPAINT.overlap
     rows, columns = (
         [*range(0, side - INPAINT.block, step), side - INPAINT.block] for side in shape
@@ -289,4 +290,5 @@ def _grid(shape: tuple[int, ...]) -> list[tuple[int, int]]:
 
 
 def _block(corner: tuple[int, int]) -> tuple[slice, slice]:
+    """Rows and columns of the block at a corner."""
     return slice(corner[0], corner[0] + INPAINT.block), slice(corner[1], corner[1] + INPAINT.block)

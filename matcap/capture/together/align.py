@@ -3,8 +3,8 @@
 Feature matches are accurate to half a pixel, and shift with relief and light. So the maps are
 estimated on coarse to fine grids and every photograph but the first is warped by the homography
 that minimises the residual of log radiance, texel parameters eliminated (shared.py), parallax of
-the relief included. The error on a grid is a fraction of a texel, or whole texels where threads are
-as fine: a photograph with a smaller error by features is not moved on that grid.
+the relief included. The error on a grid is a fraction of a texel, but a whole period for threads of
+a few texels: a photograph with a smaller error by features is not moved on that grid.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ class AlignSettings:
             only the sampled texels move.
         slow: standard deviation of the Gaussian high-pass of heights, as a share of the long side.
         pixel: expected registration error by features, plane units.
-        doubtful: factor on the cameras' standard deviations by features: shading, their main error,
-            is modelled now (docs/notes/several.md).
+        doubtful: factor on the cameras' standard deviations by features, whose main error, shading,
+            rendering removes (docs/notes/several.md).
         surer: texels: a photograph with a smaller registration error by features is not moved
             on a grid.
     """
@@ -78,7 +78,7 @@ class Aligned:
     Attributes:
         setup: of the first, with the estimated tilt and field of view.
         views: photographs with their cameras, the first one first.
-        places: of each, the map from texels to the plane points at which it is sampled.
+        places: for each, the map from texels to the plane points at which it is sampled.
         light: of all photographs.
     """
 
@@ -101,7 +101,7 @@ class Aligned:
         return self.places[0].extent
 
     def on_grid(self, across: int, down: int, tint: Tensor | None) -> list[PieceView]:
-        """Every photograph on a grid of (down, across) texels, divided by `tint` (tint.py)."""
+        """Resample every photograph to a grid of (down, across) texels, divided by `tint`."""
         both = zip(self.views, self.places, strict=True)
         return [PieceView.of(view, across, down, place, tint) for view, place in both]
 
@@ -124,13 +124,13 @@ def aligned(
     Args:
         begun: registration by features (Aligned.of).
         read: the network's prediction of the first photograph, on the plane of `begun`.
-        solving: of the per-texel steps.
+        solving: settings of the per-texel steps.
         settings: see AlignSettings.
-        on_progress: called with the share that is done, in [0, 1].
+        on_progress: called with the completed share, in [0, 1].
     """
     prior, tint = achromatic(read.maps)
     views, setup, light, extent = list(begun.views), begun.setup, begun.light, begun.extent
-    # Maps were read on the plane of a lens without distortion.
+    # The prediction is on the plane of a lens without distortion.
     start = PosedCamera.of(setup)
     places = [ViewPlace(np.eye(3), None, start.place, extent) for _ in views]
     (width, height), finest = prior.size, min(extent.unit(prior.size[0]), settings.finest)
@@ -167,6 +167,7 @@ def aligned(
 def _less_doubted(
     views: Sequence[RegisteredView], moved: Container[int], settings: AlignSettings
 ) -> tuple[RegisteredView, ...]:
+    """Scale the standard deviations of the cameras that were registered by rendering."""
     return tuple(
         replace(v, doubt=settings.doubtful * v.doubt) if n in moved else v
         for n, v in enumerate(views)
@@ -195,7 +196,7 @@ def _begun(
     solving: SolveSettings,
     steps: int,
 ) -> Tensor:
-    """(PARAMETERS, H, W) initial parameters of a level: after some steps from `parameters`."""
+    """(PARAMETERS, H, W) parameters of a grid: upsampled from the last one, then `steps` steps."""
     if parameters is not None:
         parameters = F.interpolate(parameters[None], size=prior.mean.shape[1:], mode="bilinear")[0]
     else:
@@ -215,7 +216,7 @@ def _posed(
     places: Sequence[ViewPlace],
     settings: AlignSettings,
 ) -> tuple[FlashSetup, list[RegisteredView], list[ViewPlace]]:
-    """Cameras refitted (bundle adjustment) to the aligned places of the photographs."""
+    """Refit the cameras to the homographies of the photographs by bundle adjustment."""
     points = grid_points(24, 18).reshape(3, -1)
     first = views[0].camera.sees(points)
     inside = np.abs(first).max(0) < 1.0
@@ -236,12 +237,13 @@ def _posed(
 
 
 def _moved(homography: Doubles, points: Doubles) -> Doubles:
+    """Apply a homography of the plane to points (3, n)."""
     there = homography @ np.stack([points[0], points[1], np.ones_like(points[0])])
     return np.stack([there[0] / there[2], there[1] / there[2], np.zeros_like(points[0])])
 
 
 def reframed(maps: MapSet, old: PosedCamera, new: PosedCamera, extent: Extent = OWN) -> MapSet:
-    """Maps resampled from the plane of an earlier estimate of a camera to that of a later one."""
+    """Resample maps from the plane of an earlier estimate of a camera to that of a later one."""
     across, down = maps.size
     points = old.on_plane(new.sees(grid_points(across, down, extent)))
     middle = np.asarray(extent.middle)[:, None, None]
@@ -255,6 +257,7 @@ def reframed(maps: MapSet, old: PosedCamera, new: PosedCamera, extent: Extent = 
 
 
 def _looked_up(channel: Tensor, x: Doubles, y: Doubles) -> Tensor:
+    """Sample a plane (H, W) bilinearly at columns x and rows y."""
     looked_up = cv2.remap(
         channel.numpy(),
         x.astype(np.float32),

@@ -1,4 +1,4 @@
-"""Ambient light: subtracted from flash photographs, and a photograph by it alone as a measurement.
+"""Ambient light: its subtraction, and a photograph without flash as a measurement of albedo.
 
 A photograph without flash shows albedo under nearly uniform light. With known exposures it is
 subtracted from the flash photographs (as the pair of [aittala2015]). As ambient light varies
@@ -21,7 +21,7 @@ from matcap.flash.registration.register import RegisteredView
 from matcap.photo.photo import FULL, Photo
 
 Picture = NDArray[np.float32]
-Views = tuple[RegisteredView, ...]  # one without flash at most, last
+Views = tuple[RegisteredView, ...]  # at most one without flash, the last
 
 
 @dataclass(frozen=True)
@@ -31,18 +31,18 @@ class AmbientLightSettings:
     noise: float = 0.05
     """Standard deviation of log radiance from the model of ambient light."""
     slow: float = 0.08
-    """Deviation of the blur below which differences in illumination lie, as a share of the long
-    side."""
+    """Standard deviation of the low-pass that separates illumination, as a share of the long side.
+    """
     lean: tuple[float, float, float] = (0.0, 0.0, 0.5)
-    """Expected of AmbientLight.lean."""
+    """Prior mean of AmbientLight.lean."""
     leaning: float = 0.25
-    """Deviation of its x and y."""
+    """Prior standard deviation of its x and y."""
     darkest: float = 0.05
-    """Irradiance of any normal, over that of a level surface, at least."""
+    """Least irradiance of any normal, over that of a level surface."""
     faintest: float = 0.05
-    """Least share of a pixel's radiance that is left after subtraction."""
+    """Least share of a pixel's radiance that remains after subtraction."""
     bound: float = 0.005
-    """Share of pixels that may be darker than ambient light alone would make them."""
+    """Share of pixels that may be darker than under ambient light alone."""
 
 
 AMBIENT = AmbientLightSettings()
@@ -50,7 +50,7 @@ AMBIENT = AmbientLightSettings()
 
 @dataclass(frozen=True)
 class AmbientIncidence:
-    """Ambient light that arrives at a relief: L = (diffuse albedo + F0) E.
+    """Ambient light incident on a relief: L = (diffuse albedo + F0) E.
 
     Attributes:
         irradiance: (..., 1 or 3, h, w) E.
@@ -63,11 +63,11 @@ class AmbientIncidence:
         return albedo * self.irradiance
 
     def specular(self, specular: Tensor, roughness: Tensor) -> Tensor:
-        """Radiance (3, h, w) mirrored by F0 (1, h, w); surroundings look the same at any gloss."""
+        """Radiance (3, h, w) mirrored by F0 (1, h, w), independent of roughness."""
         return (specular + 0.0 * roughness) * self.irradiance
 
     def radiance(self, diffuse: Tensor, specular: Tensor, roughness: Tensor) -> Tensor:
-        """Radiance (3, h, w) of both."""
+        """Diffuse plus specular radiance (3, h, w)."""
         return self.diffuse(diffuse) + self.specular(specular, roughness)
 
 
@@ -75,13 +75,13 @@ class AmbientIncidence:
 class AmbientLight:
     """Ambient light: irradiance as spherical harmonics of first order [ramamoorthi2001].
 
-    Over that of a level surface of normal (0, 0, 1) it is 1 + x n_x + y n_y + z (n_z - 1).
+    E(n) = strength (1 + x n_x + y n_y + z (n_z - 1)), relative to a level surface, n = (0, 0, 1).
     """
 
     lean: Tensor = field(default_factory=lambda: torch.tensor(AMBIENT.lean))
-    """(3,) x, y and z; an even sky has (0, 0, 0.5)."""
+    """(3,) x, y and z; (0, 0, 0.5) under a uniform sky."""
     strength: Tensor | None = None
-    """(3, 1, 1) of all of it; None for 1."""
+    """(3, 1, 1) irradiance of a level surface; None for 1."""
 
     def onto(self, normal: Tensor) -> AmbientIncidence:
         """Irradiance of a relief with unit normals (3, h, w)."""
@@ -92,11 +92,12 @@ class AmbientLight:
 
 
 def evenly_lit(log: Tensor, seen: Tensor, rendered: Tensor) -> Tensor:
-    """Log radiance of an ambient photograph with the low frequencies of `rendered`.
+    """Log radiance of an ambient photograph, its low frequencies replaced by those of `rendered`.
 
     Args:
-        log, seen: (3, h, w) its log radiance, and bool, where it is measured.
-        rendered: (3, h, w) log radiance of the current maps in that light.
+        log: (3, h, w) log radiance of the photograph.
+        seen: (3, h, w) bool, where that is valid.
+        rendered: (3, h, w) log radiance of the current maps in uniform ambient light.
     """
     off = (log - rendered).numpy()
     mask = seen.float().numpy()
@@ -112,9 +113,9 @@ def evenly_lit(log: Tensor, seen: Tensor, rendered: Tensor) -> Tensor:
 
 
 def without_ambient(views: Views) -> tuple[Views, float]:
-    """Flash photographs less ambient light, and its share of the first one's radiance, in [0, 1].
+    """Subtract ambient light from flash photographs; also its share of the first one's radiance.
 
-    Unchanged, and 0, if no photograph is by ambient light alone or an exposure is unknown.
+    Returns the photographs unchanged, and 0, if none is without flash or an exposure is unknown.
     """
     *lit, ambient = views
     if ambient.flash:
@@ -146,9 +147,10 @@ def _amount(flash: Photo, ambient: Photo) -> NDArray[np.float64] | None:
 def _without(
     view: RegisteredView, ambient: RegisteredView, amount: NDArray[np.float64]
 ) -> tuple[Photo, float]:
+    """A flash photograph less `amount` times the ambient one, and the median share of that."""
     photo = view.photo
     added = _seen_from(view, ambient) * amount.astype(np.float32)
-    # Nothing can be darker than under ambient light alone: exposure metadata is wrong at times.
+    # No pixel can be darker than under ambient light alone; exposure metadata can be wrong.
     small = (64, max(8, round(64 * photo.pixels.shape[0] / photo.pixels.shape[1])))
     light, theirs = (
         np.asarray(cv2.resize(each, small, interpolation=cv2.INTER_AREA), np.float32)
@@ -159,7 +161,7 @@ def _without(
     added *= np.asarray(most, np.float32)
     share = float(np.median(added.mean(2) / np.maximum(photo.pixels.mean(2), 1e-6)))
     left = np.maximum(photo.pixels - added, AMBIENT.faintest * photo.pixels)
-    # What was clipped is a lower bound still, of whatever light.
+    # Clipped pixels remain lower bounds.
     full = photo.clipped[..., None] & (photo.pixels > FULL)
     left = np.where(full, photo.pixels, left)
     note = (
@@ -172,7 +174,7 @@ def _without(
 def _seen_from(view: RegisteredView, ambient: RegisteredView) -> Picture:
     """(H, W, 3) the ambient photograph resampled to a flash photograph's pixels."""
     rows, columns = view.photo.pixels.shape[:2]
-    # Looked up on few places: a camera's view of a plane is smooth.
+    # Project a coarse grid and interpolate: a camera's projection of a plane is smooth.
     grid = (max(2, rows // 16), max(2, columns // 16))
     v, u = np.meshgrid(
         (np.arange(grid[0]) + 0.5) / grid[0], (np.arange(grid[1]) + 0.5) / grid[1], indexing="ij"

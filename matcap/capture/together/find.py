@@ -1,7 +1,7 @@
 """Estimate the exemplar from several photographs: named stages, from values to values.
 
-Registration by features, coarse fit and network prediction of the first photograph; registration by
-rendering; predictions of all, fused; joint estimation of all maps; inpainting and indexing.
+Registration by features; coarse fit and network prediction of the first photograph; registration by
+rendering; fusion of all predictions; joint estimation of all maps; inpainting and indexing.
 """
 
 from __future__ import annotations
@@ -75,12 +75,12 @@ from matcap.statistics.lattice import Wave
 
 @dataclass(frozen=True)
 class SinglePrediction:
-    """Estimate by one photograph alone.
+    """Estimate from one photograph alone.
 
     Attributes:
-        estimate: on its plane's texels.
-        strengths: what the photograph measures of relief and albedo.
-        metal: (h, w) share that is metal, or None.
+        estimate: maps and errors on its plane's texels.
+        strengths: relief and albedo energies measured in the photograph, or None.
+        metal: (h, w) share of metal in each texel, or None.
     """
 
     estimate: Estimate
@@ -98,18 +98,18 @@ def estimate_together(
     *,
     union: bool = False,
 ) -> PhotographEstimate:
-    """The exemplar of several photographs; an interrupt ends with the best so far.
+    """Estimate the exemplar of several photographs; an interrupt ends with the best result so far.
 
     Args:
         photos: two or more; the first one with flash defines the frame.
-        network: predicts their maps (piece/network/store.py).
-        detail: texels across.
-        settings: of the solution.
+        network: the inverse network (piece/network/store.py).
+        detail: texels along the long side.
+        settings: of the multi-view solve.
         clock: of the stages.
         union: estimate all that the photographs show (union.py), not the first one's rectangle.
 
     Raises:
-        MatcapError: no other photograph shows the same piece.
+        MatcapError: no other photograph can be registered to the first.
     """
     registration, coarse, plane = registered(photos, detail, clock)
     single = read_alone(plane, coarse, network, clock)
@@ -154,10 +154,10 @@ def estimate_together(
 def registered(
     photos: Sequence[Photo], detail: int, clock: CaptureClock
 ) -> tuple[Registration, CoarseFit, Plane]:
-    """Register photographs by features; coarse fit and plane of the first with its new camera.
+    """Register photographs by features; fit and rectify the first with its registered camera.
 
     Raises:
-        MatcapError: no other photograph shows the same piece.
+        MatcapError: no other photograph can be registered to the first.
     """
     with clock.stage("register"):
         registration = register_in_any_order(photos)
@@ -174,17 +174,18 @@ def registered(
             without_ambient(linear)[0][0].photo,
             replace(registration, views=linear),
         )
-        # What the fit hardly moved at all is the camera still.
+        # The registered camera replaces the coarse fit's.
         camera = replace(coarse.setup, fov=setup.fov, tilt=setup.tilt)
         plane = read_plane(first, camera, detail)
     return registration, replace(coarse, setup=camera), plane
 
 
 def _none_fits(registration: Registration) -> MatcapError:
+    """The error if only the first photograph is registered."""
     each = "; ".join(f"{one.name}: {one.why}" for one in registration.left_out)
     return MatcapError(
         f"no other photograph can be registered to {registration.views[0].photo.name} ({each})",
-        remedy="photograph the same piece again, sharp, with two thirds of it in common",
+        remedy="photograph the same sample again, sharp, with an overlap of two thirds",
     )
 
 
@@ -192,7 +193,7 @@ def _none_fits(registration: Registration) -> MatcapError:
 def read_alone(
     plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock
 ) -> SinglePrediction:
-    """Estimate by one photograph alone, on its plane's texels: prediction, relief, classes."""
+    """Estimate from one photograph alone, on its plane's texels: prediction, relief, classes."""
     with clock.stage("piece"):
         read = Rectified.of(plane).read
         observed, prediction = read_piece(Observation.of(read, coarse), network)
@@ -210,7 +211,7 @@ def read_alone(
 
 
 def by_features(registration: Registration, coarse: CoarseFit, extent: Extent = OWN) -> Aligned:
-    """Registered photographs where features lie, under the light of the first one's fit."""
+    """Registration by features, with the light of the first photograph's coarse fit."""
     views, photo = registration.views, registration.views[0].photo
     raw = all(view.photo.radiometric for view in views)
     light = SetLight.of(coarse.setup, len(views), photo.profile, radiometric=raw)
@@ -220,13 +221,13 @@ def by_features(registration: Registration, coarse: CoarseFit, extent: Extent = 
 def _aligned(
     begun: Aligned, own: MapSet, read: Estimate, settings: SolveSettings, clock: CaptureClock
 ) -> tuple[Aligned, bool]:
-    """Photographs registered by rendering, or as they were by features if that is interrupted.
+    """Register photographs by rendering; (`begun` or its refinement, whether interrupted).
 
     Args:
-        begun: where features lie.
-        own: maps of the first photograph's rectangle.
-        read: of the piece.
-        settings: of the solution.
+        begun: registration by features.
+        own: predicted maps of the first photograph's rectangle.
+        read: prediction over the exemplar's extent.
+        settings: of the multi-view solve.
         clock: of the stages.
     """
     try:
@@ -241,7 +242,7 @@ def _aligned(
 def _readings(
     poses: Aligned, first: Estimate, coarse: CoarseFit, network: Inverse, clock: CaptureClock
 ) -> list[ReadView | None] | None:
-    """The network's prediction of each photograph; None where that was interrupted."""
+    """The network's prediction of each photograph; None if interrupted."""
 
     def read(plane: Plane, fit: CoarseFit) -> Estimate:
         return read_alone(plane, fit, network, CaptureClock(None)).estimate

@@ -1,7 +1,7 @@
 """Coverage checks of several photographs before capture: views, light directions, overlap.
 
-Photographs are registered as in a capture, but no maps are estimated. Directions are in the frame
-of the first photograph, upright.
+Photographs are registered as in a capture, but no maps are estimated. Directions are those of the
+first photograph as displayed.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ class LookSettings:
     """Limits of the coverage checks."""
 
     aside: float = 0.15
-    """Of its height, that a camera must stand to a side for the piece to be lit from there; a third
-    is asked for."""
+    """Least lateral offset of a camera, over its height, for the sample to be lit from that side;
+    the remedy asks for a third."""
     same_place: float = 0.08
-    """Of the distance, below which two cameras count as the same place."""
+    """Baseline of two cameras, over their distance to the sample, below which they coincide."""
     steep: float = 50.0
-    """Degrees of tilt, beyond which the far side is covered by few pixels."""
+    """Largest tilt, degrees; beyond it few pixels cover the far side."""
     alone: float = 0.25
-    """Share of the piece that one photograph alone may see."""
+    """Largest share of the sample that only one photograph shows."""
     grid: int = 64
-    """Points across that are looked at."""
+    """Points across the grid on which coverage is determined."""
     detail: int = 1600
-    """Pixels across that keypoints are looked for in."""
+    """Pixels along the long side for keypoints."""
 
 
 LOOK = LookSettings()
@@ -62,7 +62,7 @@ def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection
         raise MatcapError(
             "one photograph cannot be compared with others",
             where=str(paths[0]),
-            remedy="give two or more of one piece",
+            remedy="give two or more of one sample",
         )
     photos = [load_photo(path, long_side=LOOK.detail, fov=fov, noise=False) for path in paths]
     return set_quality(register_in_any_order(photos))
@@ -88,10 +88,11 @@ def set_quality(registration: Registration) -> Inspection:
 
 
 def _belonging(registration: Registration) -> Finding:
+    """Finding on which photographs could be registered."""
     used, out = len(registration.views), registration.left_out
-    says = f"{used} photographs show the same piece."
+    says = f"{used} photographs show the same sample."
     if used < 2:
-        says = f"No other photograph shows the piece of {registration.views[0].photo.name}."
+        says = f"No other photograph shows the sample of {registration.views[0].photo.name}."
     says = " ".join(
         [
             says,
@@ -104,16 +105,17 @@ def _belonging(registration: Registration) -> Finding:
         return Finding("belong", value, Rating.GOOD, says)
     remedy = "Leave it out" if len(out) == 1 else "Leave them out"
     remedy += (
-        ", or photograph again: the same piece, sharp, with flash, two thirds of it in common."
+        ", or photograph again: the same sample, sharp, with flash, with an overlap of two thirds."
     )
     return Finding("belong", value, Rating.FAILED if used < 2 else Rating.DOUBTFUL, says, remedy)
 
 
 def _room(registration: Registration) -> tuple[str, ...]:
+    """Sentence on a photograph without flash; empty without one."""
     dark = [view.photo for view in registration.views if not view.flash]
     known = all(view.photo.exposure is not None for view in registration.views)
     also = " and is subtracted from the others" if known else ""
-    helps = f"its ambient light tells albedo from relief{also}"
+    helps = f"its ambient light separates albedo from relief{also}"
     return tuple(f"{photo.name} was taken without flash: {helps}." for photo in dark)
 
 
@@ -128,7 +130,7 @@ def _sides(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
     value = {side: round(float(far), 3) for side, far in zip(_SIDES, reach, strict=True)}
     dark = [side for side, far in zip(_SIDES, reach, strict=True) if far < LOOK.aside]
     if not dark:
-        says = "The piece is lit from all four sides."
+        says = "The sample is lit from all four sides."
         return (Finding("lit_from", value, Rating.GOOD, says),)
     each = "" if len(dark) == 1 else ", once for each"
     return (
@@ -136,7 +138,7 @@ def _sides(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
             "lit_from",
             value,
             Rating.NOT_JUDGED if len(dark) < len(_SIDES) else Rating.DOUBTFUL,
-            f"No photograph lights the piece from the {_listed(dark, 'or')}.",
+            f"No photograph lights the sample from the {_listed(dark, 'or')}.",
             f"Photograph again with the phone moved by a third of its distance to the "
             f"{_listed(dark, 'and')}{each}.",
         ),
@@ -144,6 +146,7 @@ def _sides(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
 
 
 def _places(views: Sequence[RegisteredView]) -> Finding:
+    """Finding on cameras that coincide or are tilted too far."""
     same, nearest = [], math.inf
     for number, one in enumerate(views):
         for other in views[number + 1 :]:
@@ -180,14 +183,15 @@ def _cameras(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
     if worst.doubt <= DOUBTED:
         return (Finding("cameras", value, Rating.GOOD, f"{says}."),)
     says += f" ({worst.photo.name}), because the flash's shading moves with the camera."
-    remedy = "Nothing to do: a capture models the shading, and halves this or better."
+    remedy = "None needed: a capture models the shading, which at least halves this."
     return (Finding("cameras", value, Rating.NOT_JUDGED, says, remedy),)
 
 
 def _common(views: Sequence[RegisteredView]) -> Finding:
+    """Finding on the share of the sample that two photographs or more show."""
     seen = np.stack([_seen(view, views[0]) for view in views]).sum(0)
     alone = float((seen < 2).mean())
-    says = f"{1.0 - alone:.0%} of the piece is in two photographs or more."
+    says = f"{1.0 - alone:.0%} of the sample is in two photographs or more."
     if alone <= LOOK.alone:
         return Finding("common", round(alone, 3), Rating.GOOD, says)
     return Finding(
@@ -195,7 +199,7 @@ def _common(views: Sequence[RegisteredView]) -> Finding:
         round(alone, 3),
         Rating.DOUBTFUL,
         says,
-        "Aim the phone at the middle of the piece each time, so that all of it is in the picture.",
+        "Aim the phone at the middle of the sample each time, so that all of it is in the picture.",
     )
 
 
@@ -214,7 +218,7 @@ def _union(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
 
 
 def _seen(view: RegisteredView, first: RegisteredView) -> NDArray[np.bool_]:
-    """(h, w) whether points of the first photograph's piece are in a photograph."""
+    """(h, w) bool, whether a photograph shows points of the first one's rectangle."""
     rows, columns = first.photo.pixels.shape[:2]
     image = view.camera.sees(grid_points(LOOK.grid, round(LOOK.grid * rows / columns)))
     rows, columns = view.photo.pixels.shape[:2]
@@ -223,6 +227,7 @@ def _seen(view: RegisteredView, first: RegisteredView) -> NDArray[np.bool_]:
 
 
 def _listed(words: Sequence[str], joint: str) -> str:
+    """ "a, b and c", with `joint` before the last."""
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} {joint} {words[-1]}"

@@ -26,9 +26,9 @@ from matcap.capture.piece.strengths import BANDS
 Floats = NDArray[np.float32]
 
 _OCTAVES = ((256.0, 128.0), (128.0, 64.0), *BANDS)
-_AROUND = 2.0  # waves over which noise is averaged
-_LEAST = 1e-12  # of variances
-_NOISE = 1.0  # share of itself that the noise's variance may be off by
+_AROUND = 2.0  # wavelengths over which noise is averaged
+_LEAST = 1e-12  # lower limit of variances
+_NOISE = 1.0  # relative standard error of the noise's variance
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def _octaves(
     """Octave bands of both maps, and the low-pass remainder."""
     share = np.float32(
         max(0.5, 1.0 - 1.0 / len(changes))
-    )  # with one photograph its change is all of it
+    )  # (n - 1) / n of the jackknife, but not 0 for one photograph
     noises = [np.full_like(measured, _LEAST) for _ in range(len(_OCTAVES) + 1)]
     for change in changes:
         for noise, band in zip(noises, split(change, _OCTAVES), strict=True):

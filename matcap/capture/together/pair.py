@@ -1,14 +1,14 @@
-"""One photograph with the flash and one without: registered on albedo, relief by their ratio.
+"""One photograph with flash and one without: registered on albedo, relief by their ratio.
 
-What a flash shades lies on the flash's side of every bump, what a window shades on the window's:
-features of the two shift against each other, by several texels towards the border. Albedo does not
-move with the light. So the ambient photograph is registered to the log albedo that the network
-reads from the flash photograph, by a homography of greatest correlation
-(ECC: [evangelidis2008]), from which the camera follows.
+Features of shading lie on the side of a bump that faces the light, so those of a flash and of
+ambient light are displaced against each other, by several texels towards the border. Albedo is not.
+So the ambient photograph is registered to the log albedo that the network predicts from the flash
+photograph, by the homography of greatest correlation (ECC: [evangelidis2008]), which determines the
+camera.
 
-Albedo cancels in the ratio of the two. To first order its logarithm is (g - l) . s, where g and l
-are d log L / d slope under the flash and under the room's light: what varies in it is relief. So
-energies of slopes are measured by octave and direction as of one photograph (piece/strengths.py),
+Albedo cancels in the ratio of the two photographs. To first order its logarithm is (g - l) . s with
+slope s, where g and l are d log L / d slope under flash and ambient light. So slope energies are
+measured by octave and direction in the ratio as they are in one photograph (piece/strengths.py),
 with noise and misregistration in place of albedo.
 """
 
@@ -50,44 +50,45 @@ class PairSettings:
         (32.0, 16.0),
         (16.0, 8.0),
     )
-    """Texels: waves that are compared, longest and shortest of each octave."""
+    """Longest and shortest wavelength of each compared octave, texels."""
     around: float = 24.0
-    """Texels over which contrast is evened."""
+    """Standard deviation of the local contrast normalisation, texels."""
     shrunk: tuple[float, ...] = (4.0, 2.0, 1.0)
-    """Texels a side that are averaged, coarse to fine."""
+    """Subsampling of the grids of ECC, coarse to fine, texels."""
     steps: int = 60
-    """Of ECC on each grid, at most."""
+    """Most iterations of ECC on each grid."""
     least: float = 0.2
-    """Correlation below which the photograph stays where its features are."""
+    """Least correlation; below it the registration by features is kept."""
     thinned: int = 16
-    """Every so manieth texel, by which the camera is found."""
+    """Subsampling of points for the camera and of texels for the regression, texels."""
     pixel: float = 2e-4
-    """Plane units, standard deviation of what registration leaves."""
+    """Standard deviation of the resulting registration, plane units."""
     step: float = 0.1
-    """Of differences, log albedo and slope."""
+    """Step of finite differences in log albedo and slope."""
     windows: float = 40.0
-    """The long side over the deviation of what the contrast is averaged over."""
+    """The long side over the standard deviation of local energies."""
     surer: float = 1.0
-    """Texels: a photograph with a smaller registration error by features stays where they are."""
+    """Texels: a smaller registration error by features is kept."""
     finest: float = 4.0
-    """Texels: waves that are shorter keep the energy they have."""
+    """Wavelength, texels, below which bands keep their predicted energy."""
     slow: float = 16.0
-    """Of the ratio, the long side over the deviation of what is light's, not relief's."""
+    """The long side over the standard deviation of the low-pass that is subtracted from the ratio.
+    """
 
 
 SETTINGS = PairSettings()
 
 
 def on_albedo(views: Views, setup: FlashSetup, read: MapSet) -> Views:
-    """Registered photographs, the camera of one without flash refitted.
+    """Refit the camera of the photograph without flash on predicted albedo.
 
     Args:
         views: registered by features.
-        setup: of the first photograph, as its coarse fit has it.
-        read: of the first photograph, on its plane in that setup.
+        setup: coarse fit of the first photograph.
+        read: prediction of the first photograph, on its plane in that setup.
 
     Returns:
-        Unchanged where none is without flash, or it correlates too little.
+        `views`, unchanged if none is without flash, or its correlation is too small.
     """
     first, room = views[0], views[-1]
     if room.flash:
@@ -110,12 +111,12 @@ def on_albedo(views: Views, setup: FlashSetup, read: MapSet) -> Views:
 
 
 def _seen(views: Views, setup: FlashSetup, points: Doubles) -> Doubles:
-    """(2, ...) where the ambient photograph shows points (3, ...) of the plane in a setup."""
+    """(2, ...) image coordinates in the ambient photograph of plane points (3, ...) of a setup."""
     return views[-1].camera.sees(views[0].camera.on_plane(PosedCamera.of(setup).sees(points)))
 
 
 def _moved(points: Doubles, move: Floats, size: tuple[int, int]) -> Doubles:
-    """Points (3, n) of a grid's plane, moved by a homography of its texels."""
+    """Move plane points (3, n) by a homography of the texels of a grid of (across, down)."""
     across, down = size
     texels = np.stack([0.5 * (points[0] + 1.0) * across, 0.5 * (down - points[1] * across)]) - 0.5
     x, y, w = move.astype(np.float64) @ np.vstack([texels, np.ones_like(texels[:1])])
@@ -135,7 +136,7 @@ def _camera(plane: Doubles, image: Doubles, lens: Lens) -> PosedCamera:
 
 
 def _looked_up(view: RegisteredView, image: Doubles) -> Floats:
-    """(h, w) grey log radiance of a photograph at image coordinates (2, h, w)."""
+    """(h, w) channel mean of a photograph's log radiance at image coordinates (2, h, w)."""
     pixels = view.photo.pixels
     rows, columns = pixels.shape[:2]
     shrink = min(1.0, 2.0 * image.shape[2] / columns)
@@ -147,14 +148,14 @@ def _looked_up(view: RegisteredView, image: Doubles) -> Floats:
 
 
 def _evened(log: Floats) -> Floats:
-    """(h, w) some octaves of a picture over the contrast around."""
+    """(h, w) octaves of SETTINGS.bands of a picture over their local contrast."""
     fine = np.sum(split(np.asarray(log, np.float32), SETTINGS.bands)[:-1], axis=0)
     around = cv2.GaussianBlur(fine * fine, (0, 0), SETTINGS.around)
     return np.asarray(fine / np.sqrt(around + 1e-6), np.float32)
 
 
 def _correlated(fixed: Floats, moving: Floats) -> Floats | None:
-    """(3, 3) homography of texels by which the second is to be looked up; None where it fails."""
+    """(3, 3) homography from texels of `fixed` to those of `moving` by ECC; None if it fails."""
     move, correlation = np.eye(3, dtype=np.float32), 0.0
     for factor in SETTINGS.shrunk:
         scale = np.diag([1.0 / factor, 1.0 / factor, 1.0]).astype(np.float32)
@@ -176,13 +177,13 @@ def _correlated(fixed: Floats, moving: Floats) -> Floats | None:
 
 @dataclass(frozen=True)
 class Ratio:
-    """Log radiance of a photograph with flash over that of one without, albedo cancelled.
+    """Log ratio of a flash photograph's radiance to an ambient one's, in which albedo cancels.
 
     Attributes:
-        log: (H, W), less what is slow in it.
-        sensitivity: (2, H, W) d log / d slope along x and y (upwards), of neighbourhoods.
+        log: (H, W) the log ratio, high-passed.
+        sensitivity: (2, H, W) its derivative by slope along x and y (upwards), smoothed.
         matte: (H, W) diffuse share of the flash photograph's radiance.
-        use: (H, W) 1 where both were seen and not clipped, else 0.
+        use: (H, W) 1 where both are valid, else 0.
     """
 
     log: Floats
@@ -192,12 +193,12 @@ class Ratio:
 
     @staticmethod
     def of(views: Sequence[PieceView], parameters: Tensor, light: SetLight) -> Ratio:
-        """Of the first and the last of views, to first order about a flat piece.
+        """Ratio of the first to the last photograph, linearised about a flat surface.
 
         Args:
             views: the first with flash, the last without.
-            parameters: (PARAMETERS, H, W) of texels so far; their gloss and mean albedo count.
-            light: of all.
+            parameters: (PARAMETERS, H, W) current; F0, roughness and mean albedo are used.
+            light: of all photographs.
         """
         some = ((0, views[0]), (len(views) - 1, views[-1]))
         points, step = points_of(parameters.shape[1:], extent=views[0].extent), SETTINGS.step
@@ -231,13 +232,11 @@ class Ratio:
 
 
 def with_lean(views: Sequence[PieceView], parameters: Tensor, light: SetLight) -> SetLight:
-    """The light, the side that a room's comes from found by the contrast of the ratio.
+    """Estimate the direction of ambient light (SetLight.lean) from the contrast of the ratio.
 
-    Relief of slope energy S in all directions alike has the energy A + S |g - l|^2 / 2 in the
-    ratio: least where both lights lean alike, g = l. Quadratic in g, by weighted least squares.
-    Unchanged where no photograph is without flash.
-
-    Args: as of Ratio.of.
+    Isotropic relief of slope energy S has the energy A + S |g - l|^2 / 2 in the ratio, with its
+    minimum at g = l. So local energies are fitted by weighted least squares as quadratic in g.
+    Returns `light` unchanged if no photograph is without flash. Arguments are those of Ratio.of.
     """
     if views[-1].ambient is None:
         return light
@@ -262,7 +261,7 @@ def with_lean(views: Sequence[PieceView], parameters: Tensor, light: SetLight) -
         )
         weight = 1.0 / np.square(np.maximum(fitted @ terms, 0.2 * wanted.mean()))
     relief = max(float(fitted[3]), 1e-9)
-    # Windows that overlap count as one.
+    # Effective number of independent samples, as local energies overlap.
     alike = weight.size * 4.0 * np.pi * around**2 / seen_share / ratio.use.size
     scatter = float((weight * np.square(fitted @ terms - wanted)).mean()) * alike
     variance = scatter * np.linalg.inv(normal).diagonal()
@@ -276,12 +275,12 @@ def with_lean(views: Sequence[PieceView], parameters: Tensor, light: SetLight) -
 def as_steep(
     height: Tensor, views: Sequence[PieceView], parameters: Tensor, light: SetLight
 ) -> Tensor:
-    """A height (1, H, W), its slopes as strong in each octave and direction as the ratio's.
+    """Scale a height's slope energies by octave and direction to those measured in the ratio.
 
-    Unchanged but for one photograph with the flash and one without.
+    Returns the height unchanged, unless there is one photograph with flash and one without.
 
     Args:
-        height: in plane units.
+        height: (1, H, W), plane units.
         views, parameters, light: as of Ratio.of.
     """
     if len(views) != 2 or views[1].ambient is None:
@@ -290,7 +289,7 @@ def as_steep(
     texels = np.asarray(height[0].numpy() / texel, np.float32)
     ratio = Ratio.of(views, parameters, light)
     strengths = measure_strengths(ratio.log, ratio.sensitivity, ratio.use, matte=ratio.matte)
-    # A registration error of part of a texel looks like fine relief.
+    # A registration error below a texel looks like fine relief.
     unsure = [shortest < SETTINGS.finest for _, shortest in BANDS]
     strengths = strengths and replace(
         strengths, deviation=np.where(unsure, np.inf, strengths.deviation)
@@ -300,6 +299,6 @@ def as_steep(
 
 
 def _mean(plane: Floats, use: Floats, around: float) -> Floats:
-    """(H, W) weighted means of a plane's neighbourhoods."""
+    """(H, W) local mean of a plane, weighted by `use`; `around`: standard deviation, texels."""
     weight = np.maximum(smoothed(use, around), np.float32(1e-3))
     return np.asarray(smoothed(plane * use, around) / weight, np.float32)

@@ -22,23 +22,23 @@ _CAMERAS: tuple[CodeTriple, ...] = (
     (120, 200, 255), (140, 230, 150), (255, 170, 110), (225, 150, 255), (255, 235, 130),
     (130, 225, 225), (255, 150, 170), (190, 190, 255),
 )  # fmt: skip
-_ROUND, _SPARK = 11, 4  # pixels: radii of a camera and of a flash
-_MARGIN = 0.12  # of what is drawn, around it
-_LINE = 24  # pixels
+_ROUND, _SPARK = 11, 4  # radii of the symbols of a camera and a flash, pixels
+_MARGIN = 0.12  # around the diagram, as a share of its size
+_LINE = 24  # height of a line of text, pixels
 
 
 @dataclass(frozen=True)
 class _View:
-    """A camera to be drawn, in plane units."""
+    """A camera of the diagram, in plane units."""
 
     number: int
-    """Of its photograph, from 1."""
+    """Number of its photograph, from 1."""
     place: Doubles
-    """(3,) of the camera."""
+    """(3,) position of the camera."""
     flash: Doubles | None
-    """(3,) of its light; None where there was none."""
+    """(3,) position of its flash, or None."""
     seen: Doubles
-    """(3, 4) corners of what it saw of the plane."""
+    """(3, 4) corners of its picture on the plane."""
 
     @property
     def colour(self) -> CodeTriple:
@@ -47,7 +47,7 @@ class _View:
 
 @dataclass(frozen=True)
 class _Frame:
-    """From plane units to the pixels of a drawing: x to the right, y upwards."""
+    """Map from a rectangle in plane units, y upwards, to a drawing of width x height pixels."""
 
     low: Doubles
     high: Doubles
@@ -56,7 +56,7 @@ class _Frame:
 
     @staticmethod
     def around(points: Doubles, width: int, height: int) -> _Frame:
-        """One that holds points (2, n)."""
+        """The map that shows all points (2, n), with a margin."""
         low, high = points.min(axis=1), points.max(axis=1)
         margin = _MARGIN * float((high - low).max())
         return _Frame(low - margin, high + margin, width, height)
@@ -87,8 +87,9 @@ def draw_set(report: SetReport, piece: NDArray[np.float32], width: int) -> Image
 
 
 def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
-    """Lines of the report on a set, each with the number of its photograph, None for all, or 0 for
-    one that was left out.
+    """Lines of the report on several photographs, each with the number of its photograph.
+
+    The number is None for lines on all photographs, and 0 for a photograph that was left out.
     """
     predicted: tuple[float | None, ...] = report.predicted or (None,) * len(report.views)
     each = zip(report.views, report.residuals, predicted, strict=True)
@@ -103,7 +104,7 @@ def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
         yield f"left out: {one.name}, {one.why}", 0
     names = ("diffuse", "specular", "roughness", "height")
     shares = [f"{name} {100.0 * s:.0f} %" for name, s in zip(names, report.measured, strict=True)]
-    yield "measured, not guessed: " + ", ".join(shares), None
+    yield "measured, not predicted: " + ", ".join(shares), None
     if report.reach is not None:
         yield report.reach.says(), None
 
@@ -124,7 +125,7 @@ def _high(report: SetReport, piece: NDArray[np.float32]) -> float:
 
 
 def _rim(report: SetReport, piece: NDArray[np.float32]) -> Doubles:
-    """(2, 2) x and y of the piece's left bottom and right top."""
+    """(2, 2) x and y of the exemplar's bottom left and top right corner, plane units."""
     extent = OWN if report.reach is None else report.reach.extent
     half = extent.half * np.array([[1.0], [piece.shape[0] / piece.shape[1]]])
     return np.array(extent.middle)[:, None] + half * np.array([[-1.0, 1.0]])
@@ -168,7 +169,7 @@ def _from_the_side(views: list[_View], rim: Doubles, width: int, height: int) ->
 
 
 def _words(report: SetReport, width: int, height: int) -> Image.Image:
-    sheet, ink = _blank(width, height, "what each adds")
+    sheet, ink = _blank(width, height, "error of each photograph")
     font = ImageFont.load_default(size=14)
     y = 2 * _LINE
     for said, number in set_report_lines(report):
@@ -195,7 +196,7 @@ def _wrapped(
 
 
 def _ground(view: _View) -> Doubles:
-    """(2, n) of the plane that a view concerns."""
+    """(2, n) plane points below a camera, its flash and the corners of its picture."""
     points = [view.place] if view.flash is None else [view.place, view.flash]
     return np.concatenate([view.seen[:2], *(point[:2, None] for point in points)], axis=1)
 

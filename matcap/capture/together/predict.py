@@ -1,6 +1,6 @@
 """Leave-one-out error of a set: each photograph predicted from all the others.
 
-No ground truth is needed: maps of the others cannot be fitted to the photograph left out.
+This needs no ground truth, as maps of the others are not fitted to the photograph left out.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from matcap.capture.together.texels import SolveSettings
 
 @dataclass(frozen=True)
 class PredictSettings:
-    """How each is predicted; docs/notes/several.md."""
+    """Settings of the leave-one-out solves; docs/notes/several.md."""
 
     across: int = 224
-    """Texels; a prediction's error is that of shading and gloss, which show there."""
+    """Texels across the grid, enough for errors of shading and gloss."""
     rounds: tuple[int, ...] = (2, 1)
-    """Of solving."""
+    """SolveSettings.rounds."""
     sampled: int = 1500
-    """Texels that the light of all is found from, which is nearly known."""
+    """SolveSettings.sampled; few, as the initial light is nearly exact."""
 
 
 @dataclass(frozen=True)
 class Predictions:
     """Leave-one-out prediction errors and residuals, (photographs,) each.
 
-    Median absolute differences of log radiance, gain and white balance fitted, of maps estimated on
-    the same coarse grid. NaN for a photograph by ambient light.
+    Median absolute differences of log radiance after a fit of gain and white balance, with maps
+    estimated on the same coarse grid. NaN for a photograph without flash.
     """
 
     predicted: tuple[float, ...]
@@ -78,7 +78,7 @@ def predictions(
 
     def by(kept: Sequence[int]) -> Solved:
         read = [few[k] for k in kept]
-        # A lone photograph too steep to be read is left with what the first was read as.
+        # A single photograph without a prediction, for its tilt, gets those of all.
         prior = joined(read if any(read) else few)
         return solve([views[k] for k in kept], prior, solved.light.of_some(kept), quicker)
 

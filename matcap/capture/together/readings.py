@@ -41,11 +41,11 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.registration.camera import Doubles, PosedCamera
 
-UNREAD = 4.0  # log of what a reading is off by where its photograph does not show the piece
-_NOTHING = 1e-8  # that a reading weighs at its border: its error is beyond UNREAD then
+UNREAD = 4.0  # log error of a prediction outside of its photograph
+_NOTHING = 1e-8  # weight of a prediction at its border, whose log error then exceeds UNREAD
 
 Floats = NDArray[np.float32]
-ReadAlone = Callable[[Plane, CoarseFit], Estimate]  # of a photograph alone, on its own plane
+ReadAlone = Callable[[Plane, CoarseFit], Estimate]  # predicts a photograph on its own plane
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ class ReadingSettings:
     """How predictions are fused; docs/notes/several.md."""
 
     across: int = 384
-    """Texels across of the fused predictions; finer detail is the first photograph's."""
+    """Texels across the grid of fusion; finer detail is the first photograph's."""
     steepest: float = 35.0
-    """Degrees of tilt beyond which the network was not trained."""
+    """Largest tilt in the network's training, degrees."""
     shared: float = 0.5
     """Share of the error variance that is common to all predictions."""
     fades: float = 0.12
@@ -70,17 +70,17 @@ class OwnPlane:
     """Frame of the plane that faces a camera, within the first photograph's frame."""
 
     setup: FlashSetup
-    """Of the camera and its flash, in its own frame."""
+    """Camera and flash in this frame."""
     origin: Doubles
-    """(2,) of it."""
+    """(2,) its origin in the first photograph's frame."""
     scale: float
-    """Its unit."""
+    """Length of its plane unit in the first photograph's."""
     roll: float
-    """Radians that its x lies to the left of the first's."""
+    """Angle of its x axis to the first photograph's, radians anticlockwise."""
 
     @staticmethod
     def of(camera: PosedCamera, light: SetLight, number: int) -> OwnPlane:
-        """Of a camera, under the light of a photograph's number."""
+        """Frame of photograph `number` with its camera and the shared light."""
         distance = camera.place[2] / camera.turn[2, 2]
         origin = (camera.place - distance * camera.turn[2])[:2]
         scale = float(distance / camera.lens.focal)
@@ -103,7 +103,7 @@ class OwnPlane:
         return OwnPlane(setup, origin, scale, roll)
 
     def here(self, points: Doubles) -> Doubles:
-        """(2, ...) in this frame of points (3, ...) of the first's plane."""
+        """(2, ...) coordinates in this frame of points (3, ...) of the first photograph's plane."""
         c, s = math.cos(self.roll), math.sin(self.roll)
         offset = points[:2] - self.origin.reshape(2, *(1,) * (points.ndim - 1))
         return np.asarray(np.tensordot(np.array([[c, s], [-s, c]]), offset, 1)) / self.scale
@@ -114,13 +114,13 @@ class ReadView:
     """The network's prediction of a photograph, on the first one's texels."""
 
     parameters: Tensor
-    """(PARAMETERS, H, W)."""
+    """(PARAMETERS, H, W) predicted parameters (texels.py)."""
     log_error: Tensor
     """(4, H, W) log standard deviations, as Estimate.log_error."""
     extent: Extent = OWN
-    """Of those texels."""
+    """Extent of the grid."""
     tint: Tensor | None = None
-    """(3, H, W) metal's, that was taken off (tint.py), where it was read of any."""
+    """(3, H, W) specular tint that was divided out (tint.py); None without metal."""
 
 
 def read_views(
@@ -137,10 +137,10 @@ def read_views(
         first: prediction of the first, in the estimated frame.
         coarse: fit of the first, whose mean material all share.
         read: predicts the maps of one photograph.
-        on_progress: called with the share that is done, in [0, 1].
+        on_progress: called with the completed share, in [0, 1].
 
     Returns:
-        For each photograph; None for one by ambient light or with too large a tilt.
+        One prediction per photograph; None if it is without flash or has too large a tilt.
     """
     extent = alignment.extent
     width, height = first.maps.size
@@ -168,7 +168,15 @@ def brought_over(
     place: ViewPlace,
     size: tuple[int, int],
 ) -> ReadView:
-    """A prediction resampled from a photograph's own plane to (across, down) of the first's."""
+    """Resample a prediction from its photograph's own plane to the first one's.
+
+    Args:
+        read: the prediction.
+        own: frame of its plane.
+        camera: of its photograph.
+        place: of its photograph, by registration.
+        size: (across, down) texels of the first one's grid.
+    """
     width, height = read.maps.size
     points = own.here(camera.on_plane(camera.sees(place.points(*size))))
     x = ((points[0] + 1.0) * width / 2.0 - 0.5).astype(np.float32)
@@ -216,7 +224,7 @@ def joined(readings: Sequence[ReadView | None]) -> Estimate:
     for part, kind in ((ALBEDO, 0), (F0, 1), (ROUGH, 2), (SLOPES, 3)):
         for read, weight in zip(every, weights, strict=True):
             parameters[part] += weight[kind] / whole[kind] * read.parameters[part]
-    # Where all err alike they are off by as much as the best of them.
+    # The common part of the error variance is that of the best prediction.
     alike = weights.amax(0).reciprocal()
     log_error = 0.5 * (READINGS.shared * alike + (1.0 - READINGS.shared) / whole).log()
     slope_precision = (-2.0 * log_error[3]).exp()
@@ -239,7 +247,7 @@ def with_others(first: Estimate, readings: Sequence[ReadView | None]) -> Estimat
 
     log_error = first.log_error + wide(together.log_error - alone.log_error)
     if own is not None and own.extent != OWN:
-        # Beyond the first one there is no height of it, and only slopes can be added to.
+        # Outside of the first photograph there is no predicted height to add to: integrate slopes.
         parameters = parameters_of(maps) + wide(parameters_of(together.maps) - own.parameters)
         raised = surface_of(parameters[SLOPES], maps.texel_size)
     else:

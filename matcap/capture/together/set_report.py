@@ -1,4 +1,4 @@
-"""The report on several photographs of one sample that were solved together."""
+"""Report on several photographs of one sample: cameras, residuals, measured shares."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from matcap.flash.registration.register import LeftOut, RegisteredView, Registra
 
 @dataclass(frozen=True)
 class SetReport:
-    """Cameras, residuals and measured shares of photographs that were solved together."""
+    """Result of a multi-view solve, by photograph."""
 
     views: tuple[RegisteredView, ...]
-    """Those that were used, each with its camera, the first one first."""
+    """Registered photographs, the first one first."""
     residuals: tuple[float, ...]
-    """Median difference of log radiance between each and its re-rendering."""
+    """Median |log radiance of photograph - re-rendering| of each."""
     predicted: tuple[float, ...]
-    """The same of each when all the others alone decide, on the same texels (predict.py); NaN of
-    one by ambient light; empty where it was not computed."""
+    """The same with maps from all other photographs (predict.py); NaN without flash; empty if not
+    computed."""
     left_out: tuple[LeftOut, ...]
-    """Those that were not used, and why."""
+    """Photographs that could not be registered, with reasons."""
     measured: tuple[float, float, float, float]
-    """Share of maps that was measured rather than read: albedo, F0, roughness, relief."""
+    """Share of albedo, F0, roughness and slope measured by photographs (Solved.measured)."""
     flash_offset: tuple[float, float]
-    """Of all photographs."""
+    """Position of the flash relative to the lens, x and y in plane units."""
     bent: tuple[float, float]
-    """The lens's distortion."""
+    """Radial distortion of the lens (Lens.bent)."""
     reach: Reach | None = None
-    """How far the piece reaches beyond the first photograph; None where it does not."""
+    """Extent of the mosaic; None if it is the first photograph's rectangle."""
 
     @staticmethod
     def of(
@@ -44,7 +44,7 @@ class SetReport:
         ahead: Predictions | None,
         reach: Reach | None = None,
     ) -> SetReport:
-        """Of the registered, aligned and solved set."""
+        """Collect the report of a solve; `ahead` are its leave-one-out errors."""
         x, y = solved.light.offset.tolist()
         return SetReport(
             alignment.views,
@@ -65,7 +65,7 @@ class SetReport:
         worst, names = max(view.doubt for view in far), ", ".join(v.photo.name for v in far)
         return (
             f"Camera positions are uncertain by {100 * worst:.1f} % of their distance ({names}), "
-            "and so are directions of light: relief may lean slightly."
+            "and so are directions of light: the relief may be slightly tilted."
         )
 
     def document(self) -> dict[str, Any]:
@@ -97,5 +97,6 @@ class SetReport:
 
 
 def _known(first: tuple[float, ...], otherwise: tuple[float, ...]) -> tuple[float, ...]:
+    """`first` with its NaNs replaced by the values of `otherwise`."""
     both = zip(first, otherwise, strict=True)
     return tuple(other if math.isnan(one) else one for one, other in both)

@@ -35,9 +35,9 @@ from matcap.flash.registration.camera import Doubles
 
 _OFFSET, _VIGNETTING, _GLOSS = slice(0, 2), slice(2, 4), slice(4, 6)
 _LIGHT = slice(0, 4)  # offset and vignetting
-_SHARED, _GAINS, _MOVES = 6, 3, 8  # of all, of a photograph, and of a homography near the identity
-_FOURTH = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], np.float32) / 12.0
-_ROUNDING = 1e-5  # of a diagonal, by which single precision may make it indefinite
+_SHARED, _GAINS, _MOVES = 6, 3, 8  # numbers of parameters: common, gains of each, homography
+_FOURTH = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], np.float32) / 12.0  # fourth-order derivative
+_ROUNDING = 1e-5  # damping of the diagonal against rounding in single precision
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,12 @@ class SharedSettings:
         steps: Gauss-Newton steps.
         counted: weight of a texel, below 1 as errors of neighbouring texels are correlated.
         offset: prior standard deviation of the flash position, plane units.
-        gloss: of the change of mean log F0 and of mean logit roughness from the prediction.
-        known_gloss: the same where one flash photograph is all there is: what it tells was read.
-        gain: of the log gain of a photograph.
-        separate_gain: of the same where no texel of a mosaic is in two photographs.
-        astray: deviation of a photograph's registration, plane units.
-        farthest: a photograph is moved in a step, texels.
+        gloss: the same of the change of mean log F0 and mean logit roughness from the prediction.
+        known_gloss: `gloss` for a single flash photograph, which the prediction has already used.
+        gain: the same of the log gain of a photograph.
+        separate_gain: `gain` if no texel of a mosaic is in two photographs.
+        astray: the same of a photograph's registration, plane units.
+        farthest: largest displacement of a photograph in a step, texels.
     """
 
     steps: int = 3
@@ -74,7 +74,7 @@ class _Samples:
     points: Tensor
     logs: list[Tensor]
     seen: list[Tensor]
-    along: list[Tensor]  # (MOVES, 3, 1, N): what a move of a photograph changes
+    along: list[Tensor]  # (_MOVES, 3, 1, N): d log L / d homography parameter
 
 
 def shared_step(
@@ -95,7 +95,8 @@ def shared_step(
         parameters: (PARAMETERS, H, W) current estimate.
         prior: of the parameters.
         light: current estimate.
-        settings, shared: see there.
+        settings: see SolveSettings.
+        shared: see SharedSettings.
         moved: indices of photographs to register; the others get the identity.
     """
     if sum(view.ambient is None for view in views) == 1:
@@ -117,7 +118,7 @@ def shared_step(
     )
     expected, tight = layout.vector(light), layout.deviations(light, moved, shared)
     values = expected.clone()
-    # Gloss is expected as it was read, whatever was found since.
+    # The prior mean of gloss is always the prediction's.
     expected[_GLOSS] = 0.0
     farthest = shared.farthest * views[0].extent.texel(parameters.shape[-1])
     for _ in range(shared.steps):
@@ -135,25 +136,25 @@ def shared_step(
 class _Layout:
     """Indices of the shared parameters in their vector.
 
-    Flash offset (2), vignetting (2), gloss (2); then of every photograph but the first its log
-    gains (3) and, where registration is solved for, its homography (8).
+    Flash offset (2), vignetting (2), gloss (2); then for every photograph but the first its log
+    gains (3) and, if registration is solved for (`moving`), its homography (8).
     """
 
     photographs: int
     moving: bool
 
     def own(self, number: int) -> slice:
-        """Of a photograph, from 1."""
+        """All parameters of photograph `number`, at least 1."""
         size = _GAINS + self.moving * _MOVES
         return slice(_SHARED + size * (number - 1), _SHARED + size * number)
 
     def gains(self, number: int) -> slice:
-        """Of a photograph."""
+        """Log gains of a photograph."""
         first = self.own(number).start
         return slice(first, first + _GAINS)
 
     def move(self, number: int) -> slice:
-        """Of a photograph; of no length where none moves."""
+        """Homography of a photograph; empty if registration is not solved for."""
         return slice(self.gains(number).stop, self.own(number).stop)
 
     def vector(self, light: SetLight) -> Tensor:
@@ -192,8 +193,9 @@ class _Layout:
 
 
 def _chosen(views: Sequence[PieceView], count: int) -> tuple[Tensor, bool]:
-    """(1, count) random texel indices, in a mosaic of texels that two photographs show; and
-    whether there are such texels.
+    """(1, count) random texel indices, and whether two photographs show a common texel.
+
+    In a mosaic, only texels that two photographs show are drawn, if there are any.
     """
     generator = torch.Generator().manual_seed(0)
     every = views[0].log[0].numel()
@@ -206,6 +208,7 @@ def _chosen(views: Sequence[PieceView], count: int) -> tuple[Tensor, bool]:
 
 
 def _sampled(views: Sequence[PieceView], chosen: Tensor, moving: bool) -> _Samples:
+    """All photographs at the `chosen` texels, with image gradients if `moving`."""
     size = views[0].log.shape[-2:]
     texel = views[0].extent.texel(size[-1])
     points = points_of(size, extent=views[0].extent).flatten(1)[:, chosen]
@@ -251,8 +254,8 @@ class _Eliminated:
 
     normal: Tensor
     gradient: Tensor
-    alone: Tensor  # (N, PARAMETERS) texels' step if nothing shared moves
-    answer: Tensor  # (N, PARAMETERS, count) what it loses by a step of what is shared
+    alone: Tensor  # (N, PARAMETERS) texels' step at fixed shared parameters
+    answer: Tensor  # (N, PARAMETERS, count) minus its derivative by the shared parameters' step
 
     def texels(self, step: Tensor) -> Tensor:
         """(PARAMETERS, 1, N) texel parameters' step by back-substitution of the shared `step`."""
@@ -288,7 +291,7 @@ class _SharedFit:
         right = precision * (self.prior.mean - some)[:, 0].T
         normal = torch.zeros(count, count, dtype=torch.float64)
         gradient = torch.zeros(count, dtype=torch.float64)
-        # The mean of gloss is seen through every texel's prior alone: hierarchical least squares.
+        # The mean of gloss acts only through the texels' priors: hierarchical least squares.
         right[:, GLOSS] += precision[:, GLOSS] * values[_GLOSS].float()
         between[:, GLOSS, _GLOSS] = -torch.diag_embed(precision[:, GLOSS])
         normal[_GLOSS, _GLOSS] = torch.diag(precision[:, GLOSS].double().sum(0))
@@ -319,13 +322,14 @@ class _SharedFit:
         )
 
     def _lit(self, number: int, values: Tensor) -> FlashLight | AmbientLight:
+        """Light of a photograph at the samples, with shared parameters `values`."""
         light = self.layout.light(values, self.light)
         return light_at(number, self.views[number], light, self.samples.points)
 
     def _by_shared(
         self, number: int, some: Tensor, log: Tensor, values: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """(columns, 3, N) d log L of a photograph / d shared parameter, and which of these."""
+        """(columns, 3, N) d log L of a photograph / d shared parameter, and their indices."""
         columns, places = [], list(range(*_LIGHT.indices(len(values))))
         for index in places:
             other = values.clone()
@@ -344,11 +348,11 @@ class _SharedFit:
 def texels_solved(within: Tensor, sides: Tensor) -> Tensor:
     """(N, PARAMETERS, k) solutions of every texel's normal equations (N, PARAMETERS, PARAMETERS).
 
-    Some are singular in single precision: their solution is set to 0, where a step of any size
+    Solutions of equations that are singular in single precision are set to 0, as an arbitrary step
     would propagate into the shared parameters.
 
     Args:
-        within: symmetric, positive but for rounding.
+        within: symmetric, positive definite up to rounding.
         sides: (N, PARAMETERS, k) right-hand sides.
     """
     damped = within + torch.diag_embed(_ROUNDING * within.diagonal(dim1=-2, dim2=-1))

@@ -59,7 +59,7 @@ class Solved:
         measured: share of the posterior precision of log albedo, log F0, roughness and slopes that
             photographs contribute rather than the prior, in [0, 1]; medians over texels.
         read_off: standard deviation of the network's slopes, measured by the photographs.
-        interrupted: ended early, with the best so far.
+        interrupted: whether Ctrl-C ended the solve, with the best result so far.
     """
 
     estimate: Estimate
@@ -92,12 +92,12 @@ def solve(
         light: initial value.
         settings: see SolveSettings.
         begun: solution on a coarser grid, to start from; None to start from `read`.
-        on_progress: called with the share that is done, in [0, 1].
+        on_progress: called with the completed share, in [0, 1].
     """
     prior, fresh = ParameterPrior.of(read, settings), begun is None
     parameters = prior.mean.clone() if begun is None else _continued(prior.mean, read.maps, begun)
     off = 0.0 if begun is None else begun.read_off
-    # Of the light, which a common error of slopes would move, and of texels.
+    # Prior for shared parameters, which common slope errors would bias, and prior for texels.
     known = prior.with_least_slope(off)
     prior = prior.with_least_slope(settings.slope if fresh else settings.wider * off)
     total, done, interrupted = sum(settings.rounds) + 2, 0, False
@@ -177,7 +177,7 @@ def _continued(prior_mean: Tensor, prior: MapSet, begun: Solved) -> Tensor:
 def predicted(view: PieceView, solved: Solved) -> float:
     """Median absolute residual of log radiance of a photograph not used for the maps.
 
-    Each channel's gain is fitted to it first. NaN where it shows nothing.
+    Each channel's gain is fitted to it first. NaN without valid texels.
     """
     parameters = parameters_of(solved.maps)
     size = view.log.shape[-2:]
@@ -195,9 +195,9 @@ def predicted(view: PieceView, solved: Solved) -> float:
 
 
 def _without_slow(slopes: Tensor, unit: float, settings: SolveSettings) -> Tensor:
-    """High-pass filtered slopes; low frequencies hold errors of cameras and lights.
+    """High-pass filtered slopes.
 
-    They also hold the bend and tilt of the sheet, which are not relief of the material.
+    Low frequencies contain errors of cameras and lights, and bend and tilt of the sample.
     """
     deviation = settings.slow * unit
     slow = [torch.from_numpy(smoothed(plane, deviation)) for plane in slopes.numpy()]
@@ -272,6 +272,7 @@ def _log_errors(precision: Tensor, prior: ParameterPrior) -> Tensor:
 
 
 def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, float, float, float]:
+    """Solved.measured."""
     share = precision / (precision + prior.precision)
     every = [share[part].flatten().median().item() for part in (ALBEDO, F0, ROUGH, SLOPES)]
     return every[0], every[1], every[2], every[3]
@@ -280,6 +281,7 @@ def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, float, flo
 def _residuals(
     views: Sequence[PieceView], parameters: Tensor, light: SetLight, settings: SolveSettings
 ) -> tuple[float, ...]:
+    """Solved.residual."""
     left = []
     for k, view in enumerate(views):
         off = []

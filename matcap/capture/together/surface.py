@@ -19,14 +19,14 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class SurfaceSettings:
-    """How slopes become a surface; docs/notes/several.md."""
+    """Settings of the integration; docs/notes/several.md."""
 
     model: float = 0.03
-    """Deviation of slopes that no precision knows of: shadows, parallax, what is bent."""
+    """Standard deviation of slopes due to model errors: shadows, parallax, bend."""
     steps: int = 4
-    """Of conjugate gradients; more restore finer waves, and their noise."""
+    """Conjugate gradient steps; more restore shorter wavelengths, and their noise."""
     even: float = 4.0
-    """texels' deviation of what precision is evened by before each step."""
+    """Standard deviation of the smoothing of precision in the preconditioner, texels."""
     least: float = 1e-3
     """Least precision of a slope, as a share of the mean."""
 
@@ -40,8 +40,8 @@ def surface_of(
     """(1, H, W) height, plane units, whose central slopes are nearest to slopes (2, H, W).
 
     Minimises the sum over texels of e^T P e, e being the slope error (2,), by conjugate gradients
-    with a Poisson preconditioner. Two photographs hardly measure slopes across the line between
-    them; there the other slope decides, as the gradient of a height has no curl.
+    with a Poisson preconditioner. Two photographs hardly measure slopes perpendicular to their
+    baseline; the other slope then determines them, as a gradient has no curl.
 
     Args:
         slopes: along x and y.
@@ -121,6 +121,7 @@ def _evening(weight: Floats, deviation: float) -> Callable[[Floats], Floats]:
 
 
 def _weighted(slopes: Floats, weight: Floats) -> Floats:
+    """P e of slopes e (2, H, W), with elements xx, yy and xy of P in `weight` (3, H, W)."""
     x, y = slopes
     return np.stack([weight[0] * x + weight[2] * y, weight[1] * y + weight[2] * x])
 

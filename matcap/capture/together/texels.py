@@ -81,7 +81,7 @@ class Stepped:
         relief: (3, H, W) precision of slopes: xx, yy and xy of the posterior, all other parameters
             eliminated.
         changes: (photographs, PARAMETERS, H, W) change when each photograph is left out: the
-            jackknife [efron1982]. Empty where it was not asked for.
+            jackknife [efron1982]. Empty unless requested.
     """
 
     parameters: Tensor
@@ -141,7 +141,7 @@ class ParameterPrior:
 
     @property
     def precision(self) -> Tensor:
-        """(PARAMETERS, ...)."""
+        """(PARAMETERS, ...) 1 / deviation^2."""
         return self.deviation.square().reciprocal()
 
     def with_gloss_of(self, light: SetLight) -> ParameterPrior:
@@ -216,7 +216,7 @@ def rendered(parameters: Tensor, lights: Sequence[FlashLight | AmbientLight]) ->
 def under_fitted_ambient(
     views: Sequence[PieceView], parameters: Tensor, light: SetLight
 ) -> list[PieceView]:
-    """Photographs, the ambient one without slow differences from the current parameters."""
+    """Replace the ambient photograph's low frequencies by those of the rendered parameters."""
 
     def even(view: PieceView) -> PieceView:
         shown = rendered(parameters, [AmbientLight(light.lean)])[0].log()
@@ -240,7 +240,16 @@ def stepped(
     *,
     without_each: bool = False,
 ) -> Stepped:
-    """A Gauss-Newton step at every texel; `without_each`: also without each photograph."""
+    """A Gauss-Newton step at every texel; with `without_each` also the jackknife changes.
+
+    Args:
+        views: photographs on the grid.
+        parameters: (PARAMETERS, H, W) current estimate.
+        prior: of the parameters.
+        light: of all photographs.
+        settings: see SolveSettings.
+        without_each: repeat the step without each photograph.
+    """
     moved, precision = torch.empty_like(parameters), torch.empty_like(parameters)
     relief = torch.empty(3, *parameters.shape[1:])
     changes = torch.zeros(len(views) * without_each, *parameters.shape)
@@ -282,7 +291,7 @@ def _system(
         residual = view.log[:, rows] - log
         weight = weights(residual, seen, view.noise, settings).flatten(1)
         weighted = shown * weight
-        # Albedo's channels show in themselves alone.
+        # Albedo of a channel changes only that channel's radiance.
         for channel in range(3):
             own = weighted[channel, channel]
             normal[channel, channel] = own * shown[channel, channel]
@@ -347,7 +356,7 @@ def _solved(
     right = gradient + prior_precision * (expected - here)
     step = torch.cholesky_solve(right[..., None], factor)[..., 0]
     step = step.nan_to_num(0.0).clamp(-0.7, 0.7)
-    # The factor's last corner is that of the slopes' precision, all else eliminated.
+    # The factor's last block is that of the slopes' precision with other parameters eliminated.
     first, across, second = factor[:, 5, 5], factor[:, 6, 5], factor[:, 6, 6]
     relief = torch.stack([first.square(), across.square() + second.square(), first * across])
     return (

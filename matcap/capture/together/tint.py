@@ -4,8 +4,8 @@ With F0 = tint f, f the mean of F0 over channels, and irradiance E, radiance by 
 
     L = E (diffuse / pi + tint f lobe) = tint E (diffuse / tint / pi + f lobe).
 
-So log L - log tint is solved for the albedo diffuse / tint and an achromatic F0 = f, as of all
-other materials. Schlick's achromatic rise to 1 at grazing angles is neglected.
+So log L - log tint is solved for the albedo diffuse / tint and an achromatic F0 = f, by the same
+solver as for dielectrics. Schlick's achromatic rise to 1 at grazing angles is neglected.
 """
 
 from __future__ import annotations

@@ -37,18 +37,17 @@ class UnionSettings:
     """Limits of the mosaic; docs/notes/several.md."""
 
     steepest: float = 60.0
-    """Degrees between a ray and the plane's normal beyond which a texel counts as unseen; at 60 it
-    is foreshortened by half."""
+    """Largest angle of a ray to the plane's normal, degrees; at 60, foreshortening is one half."""
     least: float = 0.3
-    """Share of a side that must be seen, or the side is cut off."""
+    """Least visible share of a side; below it the side is cut off."""
     most: float = UNION_TIMES
-    """Area at most, times the first photograph's; time and memory are proportional."""
+    """Largest area over the first photograph's; time and memory are proportional."""
     texels: int = 4_000_000
-    """Texels at most, for memory; never fewer than the first photograph's own."""
+    """Largest number of texels, but no fewer than the first photograph's own."""
     cells: int = 64
     """Cells across the first photograph, in which coverage is determined."""
     farthest: int = 256
-    """Cells searched to each side."""
+    """Cells searched on each side."""
     thinnest: int = 3
     """Least width of a margin, cells."""
     rows: int = 256
@@ -86,11 +85,11 @@ class Reach:
 
     @staticmethod
     def own(size: tuple[int, int]) -> Reach:
-        """The first photograph's rectangle (width, height) in texels, and no more."""
+        """Extent of the first photograph's rectangle, (width, height) in texels."""
         return Reach(NO_MARGINS, size)
 
     def says(self) -> str:
-        """A sentence."""
+        """Sentence on the size of the mosaic."""
         width, height = self.margins.around(self.size)
         return (
             f"The maps cover all that the photographs show: {width} x {height} texels, "
@@ -103,12 +102,12 @@ class Reach:
             return None
         return (
             f"{1.0 - self.covered:.0%} of what the photographs show is left out of the maps, which "
-            f"already have {self.times:.1f} times the first photograph's texels, the most allowed: "
+            f"have {self.times:.1f} times the first photograph's texels, the largest size: "
             "capture it separately, or give a smaller --detail."
         )
 
     def document(self) -> dict[str, Any]:
-        """JSON."""
+        """JSON (report.py describes the keys)."""
         m = self.margins
         return {
             "margins": {"left": m.left, "right": m.right, "top": m.top, "bottom": m.bottom},
@@ -164,6 +163,7 @@ def seen_by_any(
 
 
 def _any_sees(views: Sequence[RegisteredView], points: Doubles, settings: UnionSettings) -> Marks:
+    """(h, w) bool, whether any flash photograph shows plane points (3, h, w)."""
     seen = np.zeros(points.shape[1:], np.bool_)
     for view in views:
         if view.flash:
@@ -184,13 +184,13 @@ def sees(camera: PosedCamera, points: Doubles, up: float, steepest: float) -> Ma
     to_camera = camera.place.reshape(3, 1, 1) - points
     upright = to_camera[2] > math.cos(math.radians(steepest)) * np.sqrt(np.square(to_camera).sum(0))
     u, v = camera.sees(points)
-    # Far outside of a picture a lens's polynomial may come back into it.
+    # Far outside of the picture, the lens's polynomial can map points back into it.
     near = np.abs(replace(camera, lens=Lens(camera.lens.focal)).sees(points)).max(0) < 1.5
     return np.asarray(upright & near & (np.abs(u) < 1.0) & (np.abs(v) < up))
 
 
 def _cells(cells: int, rows: int, size: tuple[int, int], far: int) -> Doubles:
-    """(3, h, w) centres of the cells, the first photograph's in the middle, plane units."""
+    """(3, h, w) centres of the cells, plane units, with `far` cells around the first photograph."""
     across, up = 2.0 / cells, size[1] / size[0]
     x = (np.arange(-far, cells + far) + 0.5) * across - 1.0
     beyond = up + (np.arange(far) + 0.5) * across
@@ -202,10 +202,10 @@ def _cells(cells: int, rows: int, size: tuple[int, int], far: int) -> Doubles:
 def _box(
     seen: Marks, own: tuple[int, int], far: int, least: float, most: float
 ) -> tuple[slice, slice]:
-    """Rows and columns of the box around seen cells, which holds the first photograph's.
+    """Rows and columns of the box around visible cells, including the first photograph's.
 
-    The side with the smallest seen share is cut off until each has at least `least` and the box at
-    most `most` cells.
+    The side with the smallest visible share is cut off until each has at least `least` and the box
+    at most `most` cells.
     """
     wanted = seen.copy()
     wanted[far : far + own[0], far : far + own[1]] = True
@@ -232,7 +232,7 @@ def _box(
 
 
 def spread_over(read: Estimate, margins: Margins) -> Estimate:
-    """The first photograph's estimate extrapolated smoothly over the margins.
+    """Extrapolate the first photograph's estimate smoothly over the margins.
 
     Its error there is the standard deviation of the parameters within the first photograph.
 
@@ -261,13 +261,13 @@ def scatter(read: Estimate) -> Tensor:
 
 
 def rounded_off(maps: MapSet, known: Tensor, slow: float) -> MapSet:
-    """Maps extrapolated smoothly over unseen texels, height high-passed.
+    """Extrapolate maps smoothly over unseen texels, and high-pass the height.
 
     Biased slopes of a photograph accumulate over a mosaic, and unseen texels leave steps in height.
 
     Args:
         maps: estimated.
-        known: (H, W) bool, seen.
+        known: (H, W) bool, texels that a photograph shows.
         slow: standard deviation of the Gaussian high-pass, texels.
     """
     seen = known.numpy()
@@ -282,8 +282,8 @@ def tint_over(
     """Specular tint (3, H, W) over the mosaic, from the other predictions beyond the first's.
 
     Args:
-        tint: (3, H, W) from the first prediction, extrapolated; None where it shows no metal.
-        readings: predictions of each, the first one first; None where there are none.
+        tint: (3, H, W) from the first prediction, extrapolated; None without metal.
+        readings: predictions of each photograph, the first one first; or None.
         reach: of the mosaic.
     """
     if tint is None or readings is None or not reach.margins.any:

@@ -22,12 +22,12 @@ from matcap.flash.registration.register import RegisteredView
 from matcap.photo.camera import CameraProfile
 from matcap.photo.photo import FULL
 
-_FINER = 2  # places a texel's side is seen at
-_MOST_CLIPPED = 0.25  # share of a texel that may have been clipped
-_DARKEST = 1e-5  # linear radiance
-_ROWS = 256  # of texels that are looked up at a time, of a piece larger than a photograph
-RAW_FALLOFF = (1e-3, 1e-3)  # deviations of the vignetting of RAW photographs
-_BORDER = 2.0  # pixels at a photograph's border that are not used
+_FINER = 2  # samples along the side of a texel
+_MOST_CLIPPED = 0.25  # largest clipped share of a valid texel
+_DARKEST = 1e-5  # linear radiance, lower limit
+_ROWS = 256  # rows of a mosaic's texels that are projected at a time
+RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs
+_BORDER = 2.0  # width of a photograph's unused border, pixels
 
 
 Doubles = NDArray[np.float64]
@@ -44,9 +44,8 @@ class SetLight:
         intensity: (3,) of the first photograph's flash.
         gloss: (2,) change of mean log F0 and mean logit roughness from the prediction; their error
             scales all slopes.
-        lost: (2,) prior standard deviations of `vignetting`, the camera profile's where there is
-            one.
-        lean: (3,) of ambient light, of the photograph without flash (AmbientLight).
+        lost: (2,) prior standard deviations of `vignetting`, by the camera profile if there is one.
+        lean: (3,) direction of the ambient light (AmbientLight.lean).
     """
 
     offset: Tensor
@@ -84,7 +83,7 @@ class SetLight:
         )
 
     def of_some(self, kept: Sequence[int]) -> SetLight:
-        """Of a subset of the photographs; kept[0] becomes the first."""
+        """Light of a subset of the photographs; kept[0] becomes the first."""
         gain = self.gain[list(kept)]
         return replace(self, gain=gain - gain[:1], intensity=self.intensity * gain[0].exp())
 
@@ -106,7 +105,7 @@ class ViewPlace:
     extent: Extent = OWN
 
     def points(self, across: int, down: int, rows: slice = slice(None)) -> Doubles:
-        """(3, down, across) points of a grid's texels, or of some of its rows."""
+        """(3, down, across) plane points of a grid's texels, or of some of its rows."""
         points = grid_points(across, down, self.extent, rows)
         height = np.zeros(points.shape[1:], np.float32)
         if self.relief is not None:
@@ -152,7 +151,7 @@ class PieceView:
         place: ViewPlace | None = None,
         tint: Tensor | None = None,
     ) -> PieceView:
-        """A registered photograph on a grid of (down, across) texels.
+        """Resample a registered photograph to a grid of (down, across) texels.
 
         Args:
             view: the photograph.
@@ -195,16 +194,17 @@ class PieceView:
 def _looked_up(
     view: RegisteredView, place: ViewPlace | None, fine: tuple[int, int], size: tuple[int, int]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Columns and rows of a photograph of a size that a grid of fine texels shows."""
+    """Columns and rows in a photograph of `size` pixels of the texels of a grid `fine`."""
     if place is None:
         return to_pixels(view.camera.sees(grid_points(*fine)), *size)
-    # A larger piece's points, doubles and many, are some rows' at a time.
+    # The many points of a mosaic are projected some rows at a time, to bound memory.
     parts = [slice(None)] if place.extent == OWN else [*strips(fine[1], _ROWS)]
     pixels = [to_pixels(view.camera.sees(place.points(*fine, rows)), *size) for rows in parts]
     return np.concatenate([x for x, _ in pixels]), np.concatenate([y for _, y in pixels])
 
 
 def _shrunk(picture: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    """Box-filter a picture to (width, height)."""
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
 
 

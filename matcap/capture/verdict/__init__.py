@@ -1,6 +1,6 @@
-"""A plain verdict on a capture: what a person would look at, in words.
+"""Verdict on a capture: rating, largest visible difference, likely cause and remedy.
 
 `measurements.py` compares photograph and re-rendering, `findings.py` rates every measurement by the
-table of checks (photo/checks.py), `judge.py` makes one verdict of them. How far it agrees with the
-eye is in docs/notes/verdict.md.
+table of checks (photo/checks.py), `causes.py` looks for causes in the photograph, `judge.py` makes
+one verdict. Its agreement with human ratings is in docs/notes/verdict.md.
 """

@@ -1,7 +1,7 @@
 """Causes of a poor capture that can be measured in the photograph, each with a remedy.
 
-Each cause has its own measurement, of photograph and re-rendering, and is named where that exceeds
-its limit (docs/notes/verdict.md).
+Each cause has its own measurement, from photograph and re-rendering, and is reported if that
+exceeds its limit (docs/notes/verdict.md).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ DARK = (
 )
 _HIGHLIGHT = frozenset({"highlight_contrast", "highlight_place", "highlight_width"})
 _LIGHT = _HIGHLIGHT | {"light", "colour", "piece", "flash", "tilt", "flash_offset"}
-# A highlight of another strength passes for a bent tone curve and for light over everything.
+# A highlight of the wrong contrast looks like a tone curve or ambient light.
 _LEVELS = _LIGHT - {"highlight_contrast"}
 _DRAWING = frozenset({"texture", "contrast", "order", "light"})
 _RELIEF = frozenset({"texture", "contrast", "piece", "confidence", "glint_contrast"})
@@ -34,32 +34,37 @@ _CLIPPED = _HIGHLIGHT | {"clipped", "colour", "confidence", "piece", "contrast",
 
 @dataclass(frozen=True)
 class CauseLimits:
-    """Measured values from which a cause is named; docs/notes/verdict.md."""
+    """Limits of CauseMeasurements at which a cause is reported; docs/notes/verdict.md."""
 
     side: float = 0.3
-    """Log: so much brighter a side counts as twice what a flash never does."""
+    """Log ratio of `side` that adds 1 to the strength; any positive ratio excludes a flash."""
     even: float = 0.1
-    """Log: up to so much brighter, no side differs from the middle."""
+    """Largest log ratio of `side` that counts as uniform light."""
     room: float = 0.25
+    """Limit of `room`."""
     curve: float = 0.12
+    """Limit of `curve`."""
     streak: float = 1.35
+    """Limit of `streak`."""
     channels: float = 0.04
+    """Limit of `channels`."""
     tilt: float = 25.0
-    """See CauseMeasurements."""
+    """Limit of `tilt`, degrees."""
     variety: float = 0.2
-    """Up to it what is drawn hangs together over much of the photograph."""
+    """Limit of `variety`, below which features are as large as the photograph."""
     rings: int = 6
-    """That what changes with distance from the middle is measured by."""
+    """Piecewise linear terms in the distance from the centre."""
     brightest: float = 0.7
-    """Of the light: above it a highlight's error would pass for a curve."""
+    """Quantile of the light above which texels are not fitted, as the highlight's error would look
+    like a tone curve."""
     strip: float = 0.06
-    """Of a side's length: width of the border that stands for a side."""
+    """Width of the border that represents a side, as a share of the picture's."""
     around: tuple[float, float] = (0.25, 0.5)
-    """Plane units, from and to: what is around the middle, its highlight left out."""
+    """Inner and outer radius, plane units, of the ring that represents the centre."""
     streak_blur: float = 0.03
-    """Plane units, deviation: a texture's grain is smaller than a highlight."""
+    """Standard deviation, plane units, of the blur that removes texture from a highlight."""
     clip: float = 0.995
-    """Of 1, where a channel counts as clipped."""
+    """Pixel value from which a channel counts as clipped."""
 
 
 CAUSES = CauseLimits()
@@ -67,30 +72,30 @@ CAUSES = CauseLimits()
 
 @dataclass(frozen=True)
 class CauseMeasurements:
-    """Of a photograph beside its re-rendering; the defaults show nothing."""
+    """Measurements of causes; the defaults mean that there is none."""
 
     side: float = -1.0
-    """Log of the brightest side's light over that around the middle; a flash makes it negative,
-    wherever its beam points."""
+    """Log ratio of the brightest side's light to that around the centre; negative under a flash in
+    any direction."""
     room: float = 0.0
-    """Radiance that lies over everything, as a share of the photograph's dark parts."""
+    """Uniform radiance added to the flash's, as a share of the radiance of dark parts."""
     curve: float = 0.0
-    """Log radiance, root-mean-square, that goes with brightness instead of place."""
+    """Root-mean-square difference of log radiance that is a function of brightness."""
     streak: float = 1.0
-    """How much longer than wide the highlight is, over the re-rendering's."""
+    """Length over width of the highlight, divided by that of the re-rendered one."""
     channels: float = 0.0
     """Share of the photograph where some channels are clipped and others are not."""
     tilt: float = 0.0
-    """Mean angle of the piece's relief, degrees."""
+    """Mean angle of the exemplar's normals to the plane's, degrees."""
     variety: float = 1.0
-    """Of the field, from 0, the piece repeated because what it shows is as large as the photograph,
-    to 1."""
+    """Patch size of the field: 1 for small patches, 0 for the whole exemplar, whose features are as
+    large as the photograph."""
     developed: bool = False
-    """Whether a tone curve can be in it, as in a JPEG."""
+    """Whether the photograph is developed, so that it can have a tone curve."""
     fired: bool | None = None
-    """Whether the flash fired, as the file says; None where it does not."""
+    """Whether the flash fired by the file's metadata; None if unknown."""
     photographs: int = 1
-    """That the piece was made of."""
+    """Number of photographs of the sample."""
 
     def with_photograph(
         self,
@@ -103,8 +108,8 @@ class CauseMeasurements:
 
         Args:
             pixels: (H, W, 3) the photograph, linear, 1 at clipping.
-            smooth: (h, w, 3) what is smooth of photograph and re-rendering on the plane.
-            pictures: both, whole.
+            smooth: (h, w, 3) low-pass filtered photograph and re-rendering on the plane.
+            pictures: (H, W, 3) both, unfiltered.
             highlights: of both.
         """
         light, model = (each.mean(axis=2) for each in smooth)
@@ -121,21 +126,22 @@ class CauseMeasurements:
 
 @dataclass(frozen=True)
 class Cause:
-    """One cause that shows."""
+    """A cause of differences between photograph and re-rendering."""
 
     name: str
+    """Name in the report."""
     strength: float
-    """The measurement over its limit; at least 1."""
+    """The measurement over its limit; a cause is reported from 1."""
     says: str
-    """What it is."""
+    """Description for the verdict."""
     remedy: str
-    """What helps."""
+    """Remedy for the verdict."""
     explains: frozenset[str]
-    """Keys of the checks that suffer from it."""
+    """Keys of the checks that it can affect."""
 
 
 def more_photographs(given: int) -> str:
-    """Advice where so many photographs are not enough."""
+    """Remedy for a capture that one or more photographs do not determine well enough."""
     if given < 2:
         return "take five photographs and give them with --together, which measure more than one"
     if given < 5:
@@ -144,13 +150,13 @@ def more_photographs(given: int) -> str:
 
 
 def causes(measured: CauseMeasurements) -> tuple[Cause, ...]:
-    """All that show, the strongest first."""
+    """Causes with a strength of at least 1, the strongest first."""
     visible = [cause for cause in _all(measured) if cause.strength >= 1.0]
     return tuple(sorted(visible, key=lambda cause: -cause.strength))
 
 
 def _all(measured: CauseMeasurements) -> Iterator[Cause]:
-    """Every cause, whatever its strength."""
+    """Every cause, at any strength."""
     yield Cause(
         "anisotropic highlight",
         (measured.streak - 1.0) / (CAUSES.streak - 1.0),
@@ -163,17 +169,16 @@ def _all(measured: CauseMeasurements) -> Iterator[Cause]:
     yield Cause(
         "steep relief",
         measured.tilt / CAUSES.tilt,
-        f"the relief's mean slope is {measured.tilt:.0f} degrees, too steep to be measured from "
-        "one flash position",
+        f"the relief's mean slope is {measured.tilt:.0f} degrees, too steep to measure from one "
+        "flash position",
         more_photographs(measured.photographs),
         _RELIEF,
     )
     yield Cause(
         "large features",
         (1.0 - measured.variety) / (1.0 - CAUSES.variety),
-        "the pattern's features are almost as large as the photograph, which leaves too little to "
-        "rearrange",
-        "use it with --variety 0, or photograph more of it from further away",
+        "the pattern's features are almost as large as the photograph, too large to rearrange",
+        "use it with --variety 0, or photograph more of the sample from further away",
         _DRAWING,
     )
 
@@ -191,8 +196,8 @@ def _of_light(measured: CauseMeasurements) -> Iterator[Cause]:
     yield Cause(
         "light from a side",
         0.0 if even else 1.0 + measured.side / CAUSES.side,
-        f"other light from one side: there it is {math.exp(measured.side):.1f} times as bright as "
-        "in the middle",
+        f"other light from one side, which is {math.exp(measured.side):.1f} times as bright as the "
+        "middle",
         DARK,
         _LIGHT,
     )
@@ -200,7 +205,8 @@ def _of_light(measured: CauseMeasurements) -> Iterator[Cause]:
     yield Cause(
         "room light",
         0.0 if bent else measured.room / CAUSES.room,
-        f"{min(measured.room, 1.0):.0%} of the light in the dark parts is room light, not flash",
+        f"{min(measured.room, 1.0):.0%} of the light in the dark parts is room light, not the "
+        "flash's",
         DARK,
         _LEVELS,
     )
@@ -222,14 +228,15 @@ def _of_light(measured: CauseMeasurements) -> Iterator[Cause]:
 
 
 def by_place(difference: SmoothLight) -> SmoothLight:
-    """(h, w) projection of a difference (h, w) on functions linear in position, plus functions of
-    the distance from the middle: light varies so, texture hardly does.
+    """(h, w) projection of a difference on functions that are linear in position or depend on the
+    distance from the centre: light varies so, texture hardly does.
     """
     terms = np.concatenate([_plane(difference.shape), _rings(difference.shape)])
     return _projected(difference, terms)
 
 
 def _brightest_side(light: SmoothLight) -> float:
+    """CauseMeasurements.side of smooth light (h, w)."""
     height, width = light.shape
     rows, columns = (max(1, round(CAUSES.strip * side)) for side in (height, width))
     sides = (light[:rows], light[-rows:], light[:, :columns], light[:, -columns:])
@@ -257,9 +264,9 @@ def _bent(light: SmoothLight, model: SmoothLight) -> float:
 
 
 def _laid_over(light: SmoothLight, model: SmoothLight) -> float:
-    """Offset b of the fit light = a model + b, over the light of the darkest tenth."""
+    """Offset b of the fit light = a model + b, over the 10 % quantile of light."""
     fit = model < np.quantile(model, CAUSES.brightest)
-    weight = 1.0 / (model[fit] + 1e-6)  # logarithms count alike
+    weight = 1.0 / (model[fit] + 1e-6)  # relative residuals
     columns = np.stack([model[fit] * weight, weight], axis=1)
     added = float(np.linalg.lstsq(columns, light[fit] * weight, rcond=None)[0][1])
     return max(added, 0.0) / (float(np.quantile(light, 0.1)) + 1e-6)
@@ -268,6 +275,7 @@ def _laid_over(light: SmoothLight, model: SmoothLight) -> float:
 def _streak(
     pictures: tuple[Picture, Picture], highlights: tuple[Highlight | None, Highlight | None]
 ) -> float:
+    """CauseMeasurements.streak; 1 without a highlight in the photograph."""
     first, second = (
         None if highlight is None else _elongation(light_of(picture), highlight)
         for picture, highlight in zip(pictures, highlights, strict=True)
@@ -278,7 +286,7 @@ def _streak(
 
 
 def _elongation(light: SmoothLight, highlight: Highlight) -> float | None:
-    """A highlight's length over its width."""
+    """A highlight's length over its width, above half of its peak; None if that is empty."""
     height, width = light.shape
     blurred = cv2.GaussianBlur(light, (0, 0), CAUSES.streak_blur * width / 2.0)
     v, u = np.mgrid[:height, :width].astype(np.float64)
@@ -302,19 +310,20 @@ def _plane(shape: Sequence[int]) -> SmoothLight:
 
 
 def _rings(shape: Sequence[int]) -> SmoothLight:
-    """(rings, h, w) shares of rings around the middle, which add up to 1."""
+    """(rings, h, w) linear interpolation weights in the distance from the centre; they sum to 1."""
     distance = np.hypot(*_from_middle(shape))
     at = distance / distance.max() * (CAUSES.rings - 1)
     return np.stack([np.clip(1.0 - np.abs(at - ring), 0.0, 1.0) for ring in range(CAUSES.rings)])
 
 
 def _from_middle(shape: Sequence[int]) -> tuple[SmoothLight, SmoothLight]:
-    """Columns (1, w) and rows (h, 1) from the middle, the long side 1."""
+    """Offsets of columns (1, w) and rows (h, 1) from the centre; the long side is 1."""
     down, across = ((np.arange(side) + 0.5 - side / 2.0) / max(shape) for side in shape)
     return across[None, :], down[:, None]
 
 
 def _projected(plane: SmoothLight, terms: SmoothLight) -> SmoothLight:
+    """Least-squares projection of a plane (h, w) on terms (n, h, w)."""
     flat = terms.reshape(len(terms), -1)
     weights = np.linalg.lstsq(flat.T, plane.ravel(), rcond=1e-9)[0]
     return np.asarray(np.einsum("n,nhw->hw", weights, terms), np.float64)

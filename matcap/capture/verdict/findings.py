@@ -13,12 +13,12 @@ from matcap.flash.highlight import HIGHLIGHT, Highlight
 from matcap.photo.checks import CHECKS, Finding
 
 PHOTOGRAPHED = ("flash", "clipped", "tilt", "stationarity")
-"""Checks of the photograph that count in the verdict on its capture."""
+"""Keys of the photograph's own checks that are part of the verdict."""
 
 
 @dataclass(frozen=True)
 class FindingSettings:
-    """Limits of what is rated; docs/notes/verdict.md."""
+    """Limits of visibility for the ratings; docs/notes/verdict.md."""
 
     widest: float = 0.34
     """Largest half width of a visible highlight, plane units (below that of the falloff)."""
@@ -32,7 +32,7 @@ class FindingSettings:
 
 FINDINGS = FindingSettings()
 
-# Of every map: how large a residue is just visible in it, and what is said of it.
+# By map: the smallest visible highlight residue, and its phrase in the verdict.
 RESIDUES: Mapping[str, tuple[float, str]] = {
     "albedo": (0.05, "diffuse differs there by a factor of {:.2f}"),
     "specular": (0.15, "specular differs there by a factor of {:.2f}"),
@@ -71,7 +71,7 @@ def plain(highlight: Highlight | None) -> bool:
 
 
 def _highlight(seen: Measurements) -> Iterator[Finding]:
-    """Strength, glints, place and width."""
+    """Findings on the highlight: contrast, glints, position and width."""
     yield highlight_contrast(seen)
     glints = math.nan if seen.profile is None else seen.profile.glint_ratio
     yield (
@@ -91,13 +91,13 @@ def _highlight(seen: Measurements) -> Iterator[Finding]:
 def highlight_contrast(seen: Measurements) -> Finding:
     """Highlight contrast, re-rendered over photographed: the worse of ring and peak contrast.
 
-    Ring means miss a peak of a few texels, and a highlight away from the mirror point.
+    Ring means miss a peak of a few texels, and a highlight that is not at the mirror point.
     """
     check, profile = CHECKS["highlight_contrast"], seen.profile
     ratios = [_peak_ratio(*seen.highlights), math.nan if profile is None else profile.ratio]
     known = [ratio for ratio in ratios if math.isfinite(ratio)]
     if not known:
-        return check.not_judged("nothing is glossy in the photograph or in its re-rendering")
+        return check.not_judged("neither the photograph nor its re-rendering has a highlight")
     ratio = max(known, key=check.severity)
     clipped = 0.0 if profile is None or not profile.bound else profile.clipped[0]
     bound = f", or less: {clipped:.0%} of the photograph's highlight is clipped" if clipped else ""
@@ -118,7 +118,7 @@ def _peak_ratio(before: Highlight | None, after: Highlight | None) -> float:
 
 
 def _contrast(seen: Measurements, more: str) -> Finding:
-    """Of the band and region that differ most."""
+    """Finding on texture contrast, in the band and region that differ most."""
     factors = {
         band: (after + UNSEEN) / (before + UNSEEN)
         for band, (before, after) in seen.contrast.items()
@@ -130,6 +130,7 @@ def _contrast(seen: Measurements, more: str) -> Finding:
 
 
 def _order(seen: Measurements) -> Iterator[Finding]:
+    """Finding on how regular the pattern is; none for an aperiodic texture."""
     if seen.order is None:
         return
     before, after = seen.order
@@ -141,6 +142,7 @@ def _order(seen: Measurements) -> Iterator[Finding]:
 
 
 def _piece(seen: Measurements, more: str) -> Iterator[Finding]:
+    """Findings on the exemplar's re-rendering error and confidence; none without one."""
     if seen.piece is None:
         return
     yield CHECKS["piece"].finding(seen.piece["error"], more=more)
@@ -151,7 +153,7 @@ def _piece(seen: Measurements, more: str) -> Iterator[Finding]:
 
 
 def _residue(residue: Mapping[str, float], more: str) -> Finding:
-    """Of the map in which it is most visible."""
+    """Finding on highlight residue, in the map where it is most visible."""
     name = max(RESIDUES, key=lambda one: residue[one] / RESIDUES[one][0])
     visible, says = RESIDUES[name]
     amount = residue[name] if name == "roughness" else math.exp(residue[name])

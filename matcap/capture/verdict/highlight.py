@@ -1,12 +1,12 @@
 """Highlight contrast and glint contrast, re-rendered over photographed.
 
 Both pictures are clipped at the photograph's clip level 1, then averaged in rings around the mirror
-point and divided by M, an even matte surface under the same flash. With <> a mean over texels,
+point and divided by M, a uniform matte surface under the same flash. With <> a mean over texels,
 
     profile(r) = <L>_r / <M>_r,    contrast = profile(r < NEAR) / profile(r > FAR),
 
 and 1 is a matte surface. Glint contrast is the standard deviation of log L in octaves of spatial
-frequency, where at least MIRRORED of the photographed radiance is the highlight's.
+frequency, where the specular fraction of the photograph is at least MIRRORED.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ Picture = NDArray[np.float32]
 TexelMask = NDArray[np.bool_]
 
 NEAR, FAR = 0.06, 0.3  # plane units from the mirror point
-_EDGES = (0.0, NEAR, 0.085, 0.12, 0.17, 0.24, FAR, 9.0)  # plane units; an octave is two rings
-GLOSSY = 1.3  # contrast from which a highlight is looked for, as in flash/highlight.py
-MIRRORED = GlintSettings.mirrored  # specular fraction from which contrast is slope's
-BOUND = LevelSettings.clipped  # share from which a ring is a lower bound
-UNSEEN = 0.01  # log radiance, standard deviation, that the eye does not see in a surface
-_LEAST = GlintSettings.least_share  # of the picture, that glints are measured in
-_OCTAVES = 3  # from 1 texel on
-_DARKEST = 1e-4  # radiance
+_EDGES = (0.0, NEAR, 0.085, 0.12, 0.17, 0.24, FAR, 9.0)  # radii, plane units; two rings per octave
+GLOSSY = 1.3  # least contrast of a highlight, as in flash/highlight.py
+MIRRORED = GlintSettings.mirrored  # specular fraction above which slopes dominate the contrast
+BOUND = LevelSettings.clipped  # clipped share above which a ring's mean is a lower bound
+UNSEEN = 0.01  # standard deviation of log radiance that is invisible
+_LEAST = GlintSettings.least_share  # least share of the picture for measuring glints
+_OCTAVES = 3  # number, from 1 texel on
+_DARKEST = 1e-4  # radiance below which logarithms are clamped
 
 
 @dataclass(frozen=True)
 class HighlightProfile:
-    """A photographed highlight and its re-rendering, clipped alike; pairs are in this order."""
+    """A highlight in photograph and re-rendering, clipped alike; pairs are in this order."""
 
     rings: tuple[tuple[float, float], ...]
-    """Of every ring, radiance over a matte surface's, relative to the outermost ring's; the first
-    is the contrast."""
+    """By ring from the innermost: profile(r) over that of the outermost; the first is the
+    contrast."""
     clipped: tuple[float, ...]
-    """Share of every ring that is clipped in the photograph."""
+    """By ring: share that is clipped in the photograph."""
     glints: tuple[tuple[float, float], ...] = ()
     """By octave, finest first: standard deviation of log radiance; empty without a highlight."""
 
@@ -66,12 +66,12 @@ class HighlightProfile:
 
     @property
     def bound(self) -> bool:
-        """Whether the photographed contrast is a lower bound only, because its core is clipped."""
+        """Whether the photographed contrast is only a lower bound, as its core is clipped."""
         return self.clipped[0] > BOUND
 
     @property
     def ratio(self) -> float:
-        """Highlight contrast, re-rendered over photographed; NaN where neither is glossy.
+        """Highlight contrast, re-rendered over photographed; NaN if neither is glossy.
 
         If the core is clipped, the innermost unclipped ring of the highlight is compared as well;
         the ratio farther from 1 is returned.
@@ -98,7 +98,7 @@ class HighlightProfile:
         return after / before
 
     def document(self) -> Mapping[str, Any]:
-        """As JSON; radii in plane units."""
+        """JSON; radii in plane units."""
         return {
             "radii": list(_EDGES[1:-1]),
             "rings": [list(pair) for pair in self.rings],
@@ -112,13 +112,13 @@ class HighlightProfile:
 def highlight_profile(
     pictures: tuple[Picture, Picture], seen: TexelMask, measured: TexelMask, setup: FlashSetup
 ) -> HighlightProfile | None:
-    """Radial profiles and glints of both pictures; None with the mirror point outside of them.
+    """Radial profiles and glints of both pictures; None if the mirror point is outside of them.
 
     Args:
         pictures: (H, W, 3) radiance of photograph and re-rendering on the plane's grid, clipped
             alike at 1.
-        seen: (H, W) bool, in the photograph.
-        measured: (H, W) bool, seen and not clipped.
+        seen: (H, W) bool, inside of the photograph.
+        measured: (H, W) bool, `seen` and not clipped.
         setup: camera and flash.
     """
     lights = [picture.mean(axis=2) for picture in pictures]
@@ -148,6 +148,7 @@ def _reach(profile: NDArray[np.float64]) -> float:
 
 
 def _octaves(picture: Picture, region: TexelMask) -> list[float]:
+    """Standard deviation of log radiance over a region, by octave, finest first."""
     log = filled(np.log(np.maximum(picture, _DARKEST)).astype(np.float32), region)
     blurs = [cv2.GaussianBlur(log, (0, 0), 2.0**octave) for octave in range(_OCTAVES + 1)]
     return [float((a - b)[region].std()) for a, b in zip(blurs, blurs[1:], strict=False)]
@@ -161,7 +162,7 @@ def from_mirror_point(setup: FlashSetup, shape: tuple[int, ...]) -> NDArray[np.f
 
 
 def _matte(setup: FlashSetup, shape: tuple[int, ...]) -> Picture:
-    """(H, W) radiance of an even matte surface."""
+    """(H, W) radiance of a uniform matte surface."""
     one = torch.ones(1, *shape)
     maps = MapSet(one.expand(3, -1, -1), 1e-6 * one, one, 0.0 * one, 2.0 / shape[1])
     return np.asarray(render_rectified(maps, setup).mean(0).numpy(), np.float32)

@@ -1,4 +1,4 @@
-"""One verdict of all findings."""
+"""The verdict on a capture from its findings and causes."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from matcap.capture.verdict.measurements import Measurements
 from matcap.photo.checks import Finding, Rating
 
 NORM = 6.0
-"""That joins severities: the worst counts most, several small ones a little more than one (three of
-1.8 are one of 2.2); docs/notes/verdict.md."""
+"""Exponent p of the severity (sum s^p)^(1/p): near the largest s, and a little above it for several
+(three of 1.8 give 2.2); docs/notes/verdict.md."""
 
 
 @dataclass(frozen=True)
@@ -20,41 +20,41 @@ class CaptureVerdict:
     """Rating of a capture, with its findings and causes."""
 
     findings: tuple[Finding, ...]
-    """All that was looked at."""
+    """All findings, in the order of the report."""
     causes: tuple[Cause, ...] = ()
-    """What the photograph shows of why, the strongest first."""
+    """Causes detected in the photograph, the strongest first."""
     photographs: int = 1
-    """That the capture was made of."""
+    """Number of photographs of the sample."""
 
     @property
     def severity(self) -> float:
-        """Of all findings together, on their scale."""
+        """NORM-norm of the findings' severities."""
         return float(sum(finding.severity**NORM for finding in self.findings) ** (1.0 / NORM))
 
     @property
     def rating(self) -> Rating:
-        """The word."""
+        """Rating by severity: good up to 1, usable up to 2, doubtful up to 3, else failed."""
         return Rating.of(self.severity)
 
     @property
     def fit(self) -> bool:
-        """Whether it is fit for use: good or usable."""
+        """Whether the rating is good or usable."""
         return self.rating.fit
 
     @property
     def worst(self) -> Finding:
-        """The largest difference."""
+        """The finding with the largest severity."""
         return max(self.findings, key=lambda finding: finding.severity)
 
     def sentence(self) -> str:
-        """The verdict in one line: the word, the largest difference, its cause and what to do."""
+        """The verdict in one line: rating, largest difference, likely cause and remedy."""
         if self.rating is Rating.GOOD:
             return f"{self.rating.value}: looks like the photograph"
         cause, remedy = self.cause()
         return f"{self.rating.value}: {self.worst.says}. {cause}. Remedy: {remedy}."
 
     def cause(self) -> tuple[str, str]:
-        """(likely cause of the largest difference, remedy), sentences."""
+        """Sentences on the likely cause of the largest difference and its remedy."""
         worst = self.worst
         for cause in self.causes:
             if worst.name in cause.explains:
@@ -62,10 +62,10 @@ class CaptureVerdict:
         remedy = worst.remedy or more_photographs(self.photographs)
         if worst.cause:
             return f"Likely cause: {worst.cause}", remedy
-        return "The photograph shows no cause for it", remedy
+        return "Cause unknown: the photograph shows none", remedy
 
     def document(self) -> dict[str, Any]:
-        """As JSON."""
+        """JSON (report.py describes the keys)."""
         return {
             "rating": self.rating.value,
             "fit": self.fit,
@@ -79,5 +79,5 @@ class CaptureVerdict:
 
 
 def judge(seen: Measurements) -> CaptureVerdict:
-    """The verdict on what was measured."""
+    """Rate measurements and look for causes."""
     return CaptureVerdict(tuple(findings(seen)), causes(seen.causes), seen.causes.photographs)

@@ -34,28 +34,28 @@ TexelMask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class MeasurementSettings:
-    """How photograph and re-rendering are looked at; docs/notes/verdict.md."""
+    """Filters and windows of the comparison; docs/notes/verdict.md."""
 
     cells: int = 64
-    """Across the long side, of what is smooth."""
+    """Cells across the low-pass filtered pictures."""
     smooth: float = 2.0
-    """Cells, deviation: a sixteenth of the picture is light, less is texture."""
+    """Standard deviation of the low-pass, cells: shorter wavelengths are texture, not light."""
     toe: float = 0.02
-    """Of the median: bounds logarithms in the dark."""
+    """Share of the median that is added before logarithms."""
     fine: tuple[float, float] = (1.0, 3.0)
-    """Texels, deviations of the blurs on either side of a band of texture."""
+    """Standard deviations, texels, of the two Gaussians of the band-pass for fine texture."""
     coarse: tuple[float, float] = (4.0, 16.0)
-    """Likewise."""
+    """The same for coarse texture."""
     chroma: tuple[float, float] = (2.0, 16.0)
-    """Likewise, of log red and blue over green."""
+    """The same for coloured texture, log red / green and blue / green."""
     bright: float = 0.2
-    """Share of tiles that are looked at by themselves, the brightest."""
+    """Share of tiles, the brightest, that form the region in the light."""
     window: int = 160
-    """Texels a side of the windows whose texture is compared."""
+    """Side of the windows whose texture statistics are compared, texels."""
     places: tuple[int, int] = (4, 3)
-    """Windows across and down."""
+    """Number of windows across and down."""
     least_seen: float = 0.5
-    """Share of a window that must be seen."""
+    """Least valid share of a window."""
 
 
 MEASURED = MeasurementSettings()
@@ -63,48 +63,50 @@ MEASURED = MeasurementSettings()
 
 @dataclass(frozen=True)
 class PieceMeasurements:
-    """What a capture says of the photographed piece, before anything is compared."""
+    """Measurements on the exemplar itself, without the photograph."""
 
     maps: Mapping[str, float] | None = None
+    """Measurements.piece."""
     residue: Mapping[str, float] | None = None
-    """Both as of Measurements."""
+    """Measurements.residue."""
     tilt: float = 0.0
+    """CauseMeasurements.tilt."""
     variety: float = 1.0
+    """CauseMeasurements.variety."""
     photographs: int = 1
-    """All three as of CauseMeasurements."""
+    """CauseMeasurements.photographs."""
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """Of a capture; pairs are of the photograph and of its re-rendering."""
+    """Measurements of a capture; pairs are of the photograph and its re-rendering."""
 
     photograph: Inspection
-    """What `inspect` finds in it."""
+    """Checks of the photograph by `matcap inspect`."""
     highlights: tuple[Highlight | None, Highlight | None]
-    """None where nothing stands out."""
+    """Detected highlights, or None."""
     profile: HighlightProfile | None
-    """Of the highlight in rings; None where its mirror point is not in the picture."""
+    """Radial profile of the highlight; None if the mirror point is outside of the picture."""
     colour: tuple[float, float, float]
-    """(3,) log of re-rendering over photograph, median over cells, by channel."""
+    """(3,) log of re-rendering over photograph by channel, median over cells."""
     light: float
-    """Root-mean-square difference of log luminance that goes with place, as light does: across the
-    picture, and with distance from its middle."""
+    """Root-mean-square difference of log luminance that varies with position as light does (linear,
+    or by distance from the centre)."""
     texture: float
-    """Difference of texture statistics between re-rendering and photograph, in multiples of what
-    neighbouring parts of the photograph differ by; NaN where it has none."""
+    """Texture distance between re-rendering and photograph over that between neighbouring parts of
+    the photograph; NaN if that is too small."""
     contrast: Mapping[str, tuple[float, float]]
-    """By band and region, root-mean-square log luminance of the texture."""
+    """By band and region: root-mean-square log luminance of the texture."""
     order: tuple[float, float] | None
-    """Likeness to themselves a period further, each at most 1; None without a regular order."""
+    """Autocorrelation at a lag of one period, at most 1; None without a lattice."""
     offset: float
-    """Of the flash from the lens, plane units."""
+    """Distance of the flash from the lens, plane units."""
     piece: Mapping[str, float] | None = None
-    """Of the photographed piece's own maps: `error`, `slow` (log radiance) and confidence by map;
-    None where they were not looked for."""
+    """Of the exemplar: `error`, `slow` (log radiance) and confidence by map; None without one."""
     residue: Mapping[str, float] | None = None
-    """Radial variation of the piece's maps about the mirror point; see residue.py."""
+    """Radial variation of the exemplar's maps about the mirror point (residue.py)."""
     causes: CauseMeasurements = CauseMeasurements()
-    """Of what may be the cause of all that."""
+    """Measurements of possible causes."""
 
 
 def measured(
@@ -116,19 +118,19 @@ def measured(
     waves: tuple[Wave, ...] = (),
     piece: PieceMeasurements | None = None,
 ) -> Measurements:
-    """Measure a capture, in about a second.
+    """Measure the differences between a photograph and its re-rendering.
 
     Args:
         photo: the photograph.
-        setup: its camera and flash, as fitted.
+        setup: its fitted camera and flash.
         rectified: (H, W, 3) the photograph on the plane's grid, linear.
         rerendered: (H, W, 3) the material under that flash, linear.
-        valid: (H, W) bool, texels seen by the camera and not clipped.
-        waves: the plane waves of its regular order, cycles a texel.
-        piece: of the photographed piece's own maps.
+        valid: (H, W) bool, visible and not clipped.
+        waves: frequency vectors of its lattice, cycles per texel.
+        piece: measurements on the exemplar.
     """
     piece = piece or PieceMeasurements()
-    # What the camera would have seen of the re-rendering: clipped where the photograph is.
+    # Both are clipped at the camera's limit.
     pictures = np.minimum(rectified, 1.0), np.minimum(rerendered, 1.0)
     smooth = _smooth(pictures[0]), _smooth(pictures[1])
     colour, light = smooth_difference(*smooth)
@@ -213,16 +215,19 @@ def _tile_contrasts(picture: Picture) -> dict[str, Picture]:
 
 
 def _band(log: Picture, least: float, most: float) -> Picture:
+    """Difference of two Gaussian blurs with these standard deviations, texels."""
     fine, wide = (cv2.GaussianBlur(log, (0, 0), deviation) for deviation in (least, most))
     return np.asarray(fine - wide, np.float32)
 
 
 def _tiles(picture: Picture) -> Picture:
+    """Mean of a picture in tiles, eight across."""
     rows = max(1, round(8 * picture.shape[0] / picture.shape[1]))
     return np.asarray(cv2.resize(picture, (8, rows), interpolation=cv2.INTER_AREA), np.float32)
 
 
 def _smooth(picture: Picture) -> NDArray[np.float64]:
+    """Low-pass filtered picture (H, W, 3), MEASURED.cells across."""
     rows = max(4, round(MEASURED.cells * picture.shape[0] / picture.shape[1]))
     small = cv2.resize(picture, (MEASURED.cells, rows), interpolation=cv2.INTER_AREA)
     blurred = cv2.GaussianBlur(small, (0, 0), MEASURED.smooth, borderType=cv2.BORDER_REFLECT)
@@ -239,7 +244,7 @@ def texture_difference(plane: Plane, rendering: Tensor) -> float:
     Returns:
         median distance of texture statistics (statistics/compare.py) between rendering and
         photograph at the same places over that between neighbouring places of the photograph;
-        without mean colours. NaN where the picture is too small.
+        without mean colours. NaN if the picture is too small.
     """
     width, height = plane.size
     places = [
@@ -268,11 +273,12 @@ def texture_difference(plane: Plane, rendering: Tensor) -> float:
 
 
 def _spread(room: int, count: int) -> list[int]:
-    """Evenly spaced places from 0 to `room`; none where there is no room."""
+    """`count` evenly spaced integers from 0 to `room`; none if that is negative."""
     return [round(i * room / (count - 1)) for i in range(count)] if room >= 0 else []
 
 
 def _planes(picture: Picture) -> Tensor:
+    """(H, W, 3) to (3, H, W)."""
     return torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))
 
 

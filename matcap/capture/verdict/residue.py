@@ -21,14 +21,14 @@ BlockMeans = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ResidueSettings:
-    """How it is measured; docs/notes/verdict.md."""
+    """Settings of the measurement; docs/notes/verdict.md."""
 
     blocks: int = 24
-    """Along the long side: what is smaller is drawing."""
+    """Blocks along the long side; smaller structure is texture."""
     rings: int = 6
-    """Of equally many blocks: more follow the residue closer, and chance too."""
+    """Rings of equally many blocks; more resolve finer, with more sampling variance."""
     toe: float = 0.004
-    """Of albedo and F0: bounds logarithms in the dark."""
+    """Added to albedo and F0 before logarithms."""
 
 
 RESIDUE = ResidueSettings()
@@ -49,7 +49,7 @@ def highlight_residue(piece: Exemplar, setup: FlashSetup) -> dict[str, float]:
         "albedo": _blocks(np.log(piece.diffuse.mean(0, dtype=np.float64) + RESIDUE.toe)),
         "specular": _blocks(np.log(piece.specular.mean(0, dtype=np.float64) + RESIDUE.toe)),
         "roughness": _blocks(piece.roughness[0].astype(np.float64)),
-        # A flat piece has slopes of a thousandth, from rounding.
+        # A flat exemplar has slopes of a thousandth, from rounding.
         "grain": 0.5 * np.log(steep + 1e-4),
     }
     distances = _blocks(distance)
@@ -75,7 +75,7 @@ def in_rings(values: BlockMeans, distances: BlockMeans) -> float:
 
 
 def _blocks(plane: BlockMeans) -> BlockMeans:
-    """Means of square blocks; what is left over at the end belongs to the last ones."""
+    """Means of square blocks; the last ones include the remaining rows and columns."""
     side = max(1, max(plane.shape) // RESIDUE.blocks)
     rows, columns = (np.arange(0, max(n - side, 0) + 1, side) for n in plane.shape)
     counts = [np.diff([*starts, n]) for starts, n in zip((rows, columns), plane.shape, strict=True)]

@@ -30,7 +30,7 @@ def test_a_set_is_told_what_it_lacks(looked):
     assert values["belong"].value == {"used": 3, "left_out": ["leather_9"]}
     assert "leather_9 does not belong" in values["belong"].says
     # The second camera is moved to the right, the third to the top.
-    assert values["lit_from"].says == "No photograph lights the piece from the left or bottom."
+    assert values["lit_from"].says == "No photograph lights the sample from the left or bottom."
     assert values["lit_from"].rating is Rating.NOT_JUDGED
     assert values["places"].rating is Rating.GOOD
     assert values["common"].rating is Rating.GOOD
@@ -62,7 +62,7 @@ def test_directions_are_those_of_the_upright_picture(looked):
     views = tuple(replace(v, photo=replace(v.photo, turned=True)) for v in looked.views)
     values = set_quality(replace(looked, views=views))
     # Turned back clockwise what lay at the right lies at the bottom, and the top at the right.
-    assert values["lit_from"].says == "No photograph lights the piece from the left or top."
+    assert values["lit_from"].says == "No photograph lights the sample from the left or top."
 
 
 def test_two_from_the_same_place_are_named(looked):

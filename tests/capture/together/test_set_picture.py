@@ -58,7 +58,7 @@ def test_what_each_told_is_told():
     said = [line for line, _ in set_report_lines(report())]
     assert said[0] == "1 oak_1.jpg: re-rendered within 2.0 %, predicted by the others within 4.0 %"
     assert said[2] == "left out: cat.jpg, it shows something else"
-    assert said[3].startswith("measured, not guessed: diffuse 90 %, specular 30 %")
+    assert said[3].startswith("measured, not predicted: diffuse 90 %, specular 30 %")
 
 
 def test_an_interrupted_set_has_predicted_nothing():

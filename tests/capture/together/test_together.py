@@ -224,7 +224,7 @@ def test_boards_are_kept_whole_as_of_one_photograph():
 
 def test_nothing_in_common_is_refused(held, foreign):
     _, photos = held
-    with pytest.raises(MatcapError, match=r"leather_9.*photograph the same piece"):
+    with pytest.raises(MatcapError, match=r"leather_9.*photograph the same sample"):
         capture_photo(photos[0], CaptureSettings(preset="instant", detail=192), others=[foreign])
 
 

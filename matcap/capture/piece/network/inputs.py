@@ -1,9 +1,9 @@
 """Inputs of the inverse network.
 
 The photograph enters as the logarithm of its radiance over that of a uniform material in the same
-setup (the coarse fit), and the setup as its sensitivities: the derivatives of log radiance
-by slope and by roughness at every texel. So one network serves every field of view, flash and
-tilt. Heights are in texels, slopes therefore physical at any detail.
+setup (the coarse fit), and the setup as its sensitivities: the derivatives of log radiance by slope
+and by roughness at every texel. So one network serves every field of view, flash and tilt. Heights
+are in texels, so slopes are rise over run at any resolution.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ def network_inputs(
 
     Args:
         linear: (3, H, W) scene-linear radiance.
-        valid: (H, W) bool, seen and not clipped.
+        valid: (H, W) bool, visible and not clipped.
         uniform: the coarse fit.
         points: (3, H, W) plane points of the texels (flash.geometry.plane_points).
     """
     height, width = linear.shape[-2:]
     size = tuple(max(2, -(-side // READ.coarser)) for side in (height, width))
-    # From the first texel to the last one, whose points lie on a grid.
+    # A coarse grid from the first to the last texel, whose points are linear in the index.
     thin = _resized(points, size)
     light = FlashLight.of(uniform.setup, thin)
     flat, diffuse = uniform_radiance(uniform, light)
@@ -75,7 +75,7 @@ def network_inputs(
 
 def _shown_of_slope(uniform: Uniform, light: FlashLight) -> Tensor:
     """(2, h, w) d log L / d slope along x and y, by central differences."""
-    # All at once: small tensors cost by the call.
+    # One call for all four, as calls dominate the time of small tensors.
     moves = torch.tensor([[READ.step, 0.0], [-READ.step, 0.0], [0.0, READ.step], [0.0, -READ.step]])
     flat = torch.zeros_like(light.to_light[:1])
     across, up = (move.to(flat)[:, None, None, None] + flat for move in moves.T)
@@ -91,5 +91,5 @@ def _shown_of_roughness(uniform: Uniform, light: FlashLight, flat: Tensor) -> Te
 
 
 def _resized(picture: Tensor, size: tuple[int, ...]) -> Tensor:
-    """(C, *size) of (C, H, W), corner texels on corner texels."""
+    """Resize (C, H, W) bilinearly to (C, *size), with corners aligned."""
     return F.interpolate(picture[None], size=list(size), mode="bilinear", align_corners=True)[0]

@@ -1,10 +1,10 @@
 """A U-Net from a flash photograph to log-parameter residuals from a uniform material.
 
-Half the picture's resolution at its finest, by rearranging 2 x 2 texels into channels: at full
-resolution only a thin head works. Fully convolutional; information needed across the whole picture
-(gloss at the rim, relief in the middle) goes through pooled context: means of every level's
-features, plain and weighted by the sensitivity to slope and by gloss, scale and shift the features
-of the decoder (FiLM [perez2018]).
+Its finest level has half the picture's resolution, with 2 x 2 texels as channels; only a narrow
+head works at full resolution. Fully convolutional; information needed across the whole picture
+(gloss at the rim, relief in the middle) goes through a pooled context: means of every level's
+features, uniform and weighted by the sensitivity to slope and by gloss, scale and shift the
+features of the decoder (FiLM [perez2018]).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from matcap.brdf.maps import CHANNELS
 from matcap.brdf.parameters import SurfaceParameters
 
-# Channels of the input by name, in this order.
+# Number of channels of each input, in order.
 _INPUT_CHANNELS = {
     "log": 3, "valid": 1, "tangent": 2, "slope_sensitivity": 2,
     "roughness_sensitivity": 1, "gloss": 1, "uniform": 3, "relief": 2,
@@ -26,16 +26,16 @@ _INPUT_CHANNELS = {
 _DOUBTED = {"albedo": 1, "specular": 1, "roughness": 1, "slope": 1}
 INPUTS, ERRORS = sum(_INPUT_CHANNELS.values()), len(_DOUBTED)
 OUTPUTS = sum(CHANNELS.values())
-ANSWERS = OUTPUTS + ERRORS + 1  # metal's last
-_WEIGHTINGS = 3  # of the context's means: even, by what shows of relief, by gloss
+ANSWERS = OUTPUTS + ERRORS + 1  # the last is the logit of metal
+_WEIGHTINGS = 3  # of the context's means: uniform, by squared slope sensitivity, by gloss
 _SLOPE = 0.2  # of LeakyReLU
-_SELDOM_METAL = -3.0  # logit that training begins with
-_GROUPS = 4  # of channels that are normalised together
+_SELDOM_METAL = -3.0  # initial bias of the logit of metal
+_GROUPS = 4  # of GroupNorm
 
 
 @dataclass(frozen=True)
 class InverseConfig:
-    """Shape of the network."""
+    """Widths of the network's layers."""
 
     widths: tuple[int, ...] = (32, 48, 64, 96, 128)
     """Channels at 1/2, 1/4, ... of the picture's resolution."""
@@ -55,9 +55,9 @@ class NetworkInputs:
     log: Tensor
     """Log radiance over the uniform material's, 3 channels."""
     valid: Tensor
-    """1 where it was seen and not clipped."""
+    """1 where visible and not clipped, else 0."""
     tangent: Tensor
-    """X and y of the way to the light over z."""
+    """x / z and y / z of the direction to the light."""
     slope_sensitivity: Tensor
     """d log L / d slope along x and y."""
     roughness_sensitivity: Tensor
@@ -65,7 +65,7 @@ class NetworkInputs:
     gloss: Tensor
     """Specular fraction of the uniform material's radiance, in [0, 1]."""
     uniform: Tensor
-    """Logit of its roughness, log F0, log albedo, scaled; the same everywhere."""
+    """The uniform material's logit of roughness, log F0 and log albedo, scaled; constant planes."""
     relief: Tensor
     """First-order estimate of the slope along x and y from log radiance."""
 
@@ -81,16 +81,16 @@ class NetworkInputs:
 
 @dataclass(frozen=True)
 class ExpectedErrors:
-    """Logarithms of what an answer is expected to be off by, (..., 1, H, W) each."""
+    """Logarithms of the expected absolute errors of a prediction, (..., 1, H, W) each."""
 
     albedo: Tensor
-    """Of log albedo."""
+    """Log of the error of log albedo."""
     specular: Tensor
-    """Of log F0."""
+    """Log of the error of log F0."""
     roughness: Tensor
-    """Of its logit."""
+    """Log of the error of logit roughness."""
     slope: Tensor
-    """Of slopes."""
+    """Log of the error of slopes."""
 
     def stacked(self) -> Tensor:
         """(..., ERRORS, H, W)."""
@@ -104,18 +104,18 @@ class ExpectedErrors:
 
 @dataclass(frozen=True)
 class NetworkAnswer:
-    """What the network answers."""
+    """Output of the network."""
 
     departures: SurfaceParameters
-    """Of the maps from the uniform material; F0 by the mean of its channels."""
+    """Log parameters of the maps less those of the uniform material; F0 is its channels' mean."""
     errors: ExpectedErrors
-    """To be expected of them."""
+    """Their expected errors."""
     metal: Tensor
-    """(..., 1, H, W) logit of the share of each texel that is metal (metal.py)."""
+    """(..., 1, H, W) logit of the share of metal in each texel (metal.py)."""
 
     @staticmethod
     def from_stacked(stacked: Tensor) -> NetworkAnswer:
-        """Of the network's output (..., ANSWERS, H, W)."""
+        """Split the output tensor (..., ANSWERS, H, W)."""
         departures, errors, metal = stacked.split([OUTPUTS, ERRORS, 1], dim=-3)
         return NetworkAnswer(
             SurfaceParameters.from_stacked(departures), ExpectedErrors.from_stacked(errors), metal
@@ -167,13 +167,13 @@ class Inverse(nn.Module):
             self.out.bias[-1] = _SELDOM_METAL
 
     def forward(self, inputs: Tensor) -> Tensor:
-        """Read pictures.
+        """Predict the maps of a batch of photographs.
 
         Args:
             inputs: (B, INPUTS, H, W), sides multiples of config.multiple.
 
         Returns:
-            (B, ANSWERS, H, W), as NetworkAnswer reads them.
+            (B, ANSWERS, H, W), to be split by NetworkAnswer.from_stacked.
         """
         parts = NetworkInputs.from_stacked(inputs)
         weights = _weightings(parts)
@@ -192,7 +192,7 @@ class Inverse(nn.Module):
             x = self.merge[index](torch.cat([levels[index], x], dim=1))
             scale, shift = self.modulation[index](context)[..., None, None].chunk(2, dim=1)
             x = self.up[index](x * (1.0 + scale) + shift)
-            # A wave twice as long is as steep at twice the height.
+            # Heights are proportional to the wavelength at equal slope.
             here = self.heights[index](x) * 2.0**index
             if height is not None:
                 here = here + F.interpolate(
@@ -204,14 +204,14 @@ class Inverse(nn.Module):
         fine = F.leaky_relu(self.fine(torch.cat([fine, inputs], dim=1)), _SLOPE)
         answer = NetworkAnswer.from_stacked(self.out(fine))
         coarse = F.interpolate(height, scale_factor=2.0, mode="bilinear", align_corners=False)
-        # The photograph's own departure is the first guess of albedo's.
+        # Albedo is predicted relative to the photograph's log radiance over the uniform material.
         first = answer.departures
         departures = replace(first, diffuse=first.diffuse + parts.log, height=first.height + coarse)
         return replace(answer, departures=departures).stacked()
 
 
 class _ResidualBlock(nn.Module):
-    """Two convolutions beside a shortcut, each after normalisation over the whole picture."""
+    """Two convolutions, each after GroupNorm and LeakyReLU, plus a shortcut."""
 
     def __init__(self, before: int, width: int) -> None:
         super().__init__()
@@ -230,14 +230,14 @@ class _ResidualBlock(nn.Module):
 
 
 def _weightings(parts: NetworkInputs) -> Tensor:
-    """(B, _WEIGHTINGS, H, W): uniform, by squared slope sensitivity, by gloss; of valid texels."""
+    """(B, _WEIGHTINGS, H, W) weights of valid texels: 1, squared slope sensitivity, gloss."""
     valid = parts.valid + 1e-3
     relief = parts.slope_sensitivity.square().sum(1, keepdim=True)
     return torch.cat([valid, valid * relief, valid * parts.gloss], dim=1)
 
 
 def _means(features: Tensor, weights: Tensor) -> Tensor:
-    """(B, _WEIGHTINGS * C) weighted means of magnitudes."""
+    """(B, _WEIGHTINGS * C) weighted means of |features| (B, C, H, W)."""
     total = weights.sum((2, 3)).clamp_min(1e-6)
     means = torch.einsum("bchw,bkhw->bkc", features.abs(), weights) / total[..., None]
     return means.flatten(1)

@@ -1,4 +1,4 @@
-"""The inverse network's weights as they come with matcap: half floats, and a card."""
+"""File of the inverse network: weights in half precision, and a model card."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ def save_inverse(network: Inverse, path: Path, card: Mapping[str, Any]) -> None:
 
 
 def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
-    """A network and its card.
+    """Read a network and its model card.
 
     Raises:
-        MatcapError: missing, of another kind or version, damaged.
+        MatcapError: the file is missing, damaged, or of another format or version.
     """
     try:
         with safe_open(path, framework="pt") as file:
@@ -65,7 +65,7 @@ def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
             for name, expected in network.state_dict().items():
                 value = file.get_tensor(name).float()
                 if name.startswith("out.") and about["version"] == _NO_METAL:
-                    # Of metal it says nothing: that there is hardly any.
+                    # A network without that output predicts the initial logit of metal.
                     last = expected[-1:]
                     value = torch.cat([value, last if last.ndim == 1 else torch.zeros_like(last)])
                 if value.shape != expected.shape or not bool(torch.isfinite(value).all()):
@@ -84,5 +84,5 @@ def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
 
 @cache
 def load_inverse() -> Inverse:
-    """The network that comes with matcap."""
+    """Load the network that comes with matcap, once per process."""
     return read_inverse(SHIPPED)[0]
