@@ -49,7 +49,7 @@ _LEAST_SPAN = {"specular": 0.02, "roughness": 0.05, "height": 0.002}
 
 
 def _developed(result: CaptureResult, linear: NDArray[np.float32]) -> NDArray[np.float32]:
-    """sRGB code values of a linear picture (H, W, 3) under the photograph's tone curve."""
+    """Code values (sRGB) of a linear picture (H, W, 3) under the photograph's tone curve."""
     return srgb_picture(result.photo.developed(linear))
 
 

@@ -127,8 +127,7 @@ class CaptureClock:
         self._on_progress(self._now(name, share))
 
     def callback(self, name: str, begin: float = 0.0, end: float = 1.0) -> Callable[[float], None]:
-        """Callback for a part of a stage, from share `begin` to `end`; it takes a share in [0, 1].
-        """
+        """Callback for the part of a stage from `begin` to `end`; it takes a share in [0, 1]."""
         return lambda share: self.within(name, begin + share * (end - begin))
 
     def tuning(self, share: float, error: float | None, in_a_minute: float | None) -> None:

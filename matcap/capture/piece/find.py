@@ -194,8 +194,7 @@ def find_piece(
 ) -> ExemplarEstimate:
     """Estimate the exemplar of a photograph, stage by stage.
 
-    An interrupt in the stages refine and adapt ends them with the best result so far; an earlier
-    one raises KeyboardInterrupt.
+    An interrupt in refine or adapt ends these stages with the best result so far.
 
     Args:
         rectified: the photograph on its plane.

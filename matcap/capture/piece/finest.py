@@ -88,6 +88,7 @@ def sharpness(maps: MapSet, plane: Plane, uniform: Uniform) -> float:
 
 def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
     """Interpolate maps bicubically to a plane's resolution, albedo in logarithms."""
+
     def larger(values: Floats) -> Tensor:
         return torch.from_numpy(_resized(values, plane.size, cv2.INTER_CUBIC))
 

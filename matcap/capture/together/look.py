@@ -227,7 +227,7 @@ def _seen(view: RegisteredView, first: RegisteredView) -> NDArray[np.bool_]:
 
 
 def _listed(words: Sequence[str], joint: str) -> str:
-    """ "a, b and c", with `joint` before the last."""
+    """Enumerate words: commas, and `joint` before the last."""
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} {joint} {words[-1]}"
