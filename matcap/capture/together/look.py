@@ -92,7 +92,7 @@ def _belonging(registration: Registration) -> Finding:
     used, out = len(registration.views), registration.left_out
     says = f"{used} photographs show the same sample."
     if used < 2:
-        says = f"No other photograph shows the sample of {registration.views[0].photo.name}."
+        says = f"No other photograph shows the same sample as {registration.views[0].photo.name}."
     says = " ".join(
         [
             says,

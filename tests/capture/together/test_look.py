@@ -75,7 +75,9 @@ def test_two_from_the_same_place_are_named(looked):
 def test_one_alone_is_poor(looked):
     values = set_quality(replace(looked, views=looked.views[:1]))
     assert values.rating is Rating.FAILED
-    assert values["belong"].says.startswith("No other photograph shows the piece of plaster_0.")
+    assert values["belong"].says.startswith(
+        "No other photograph shows the same sample as plaster_0."
+    )
 
 
 def test_one_photograph_is_no_set(tmp_path):
