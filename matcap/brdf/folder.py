@@ -1,9 +1,10 @@
 """A map set as a folder: EXR pictures and one JSON document.
 
 `<name>_diffuse.exr`, `_specular`, `_roughness` and `_normal` in half float, `_height` in 32-bit
-float; `<name>.json` states what the numbers mean; 16-bit PNGs on request. Reading takes the EXR
-files and derives normals from the height. If the normal file disagrees a note says so, and
-`--normals file` reads it instead (other_normals.py).
+float; `<name>.json` states what the numbers mean; 16-bit PNGs on request; of synthesised ones
+`<name>_preview.png` (synth/preview.py). Reading takes the EXR files and derives normals from the
+height. If the normal file disagrees a note says so, and `--normals file` reads it instead
+(other_normals.py).
 
 Keys:
     format: "matcap map set".
@@ -255,7 +256,12 @@ def refuse_to_replace(folder: Path, new: dict[str, Any], names: Iterable[str]) -
 def mapset_files(name: str) -> list[str]:
     """Names of all files that a map set may have."""
     maps = [f"{name}_{kind}.{suffix}" for kind in MEANINGS for suffix in ("exr", "png")]
-    return [*maps, f"{name}.json"]
+    return [*maps, preview_name(name), f"{name}.json"]
+
+
+def preview_name(name: str) -> str:
+    """File name of a map set's preview."""
+    return f"{name}_preview.png"
 
 
 def mapset_bytes(width: int, height: int, *, png: bool) -> int:

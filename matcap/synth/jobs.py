@@ -10,10 +10,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from matcap.field.blocks import BlockPart
 from matcap.files.cluster import WorkerLost
-from matcap.synth.pictures import Rendered, render
+from matcap.synth.pictures import Rendered, encode
 from matcap.synth.plan import PlannedMapSet
+from matcap.synth.preview import lit_from_top
 
 if TYPE_CHECKING:
     from matcap.field.source import Source
@@ -33,9 +37,19 @@ class Future(Protocol[T_co]):
         ...
 
 
+@dataclass(frozen=True)
+class BlockResult:
+    """What a job computes."""
+
+    pictures: list[Rendered]
+    """A contribution to each picture of the map set."""
+    lit: NDArray[np.float16] | None
+    """(rows, columns, 3) radiance of the part under a light, if the preview shows it."""
+
+
 # A part of a block, and the map set that it is written to.
 Job = tuple[BlockPart, PlannedMapSet]
-Submit = Callable[[Job], Future[list[Rendered]]]
+Submit = Callable[[Job], Future[BlockResult]]
 
 
 @dataclass(frozen=True)
@@ -47,14 +61,14 @@ class WorkerPool:
     ahead: int
     """Most jobs in flight."""
 
-    def run(self, jobs: Iterable[Job]) -> Iterator[tuple[Job, list[Rendered]]]:
+    def run(self, jobs: Iterable[Job]) -> Iterator[tuple[Job, BlockResult]]:
         """Run the jobs; yield each with its result, in order.
 
         Raises:
             MatcapError: raised by a job.
             WorkerLost: a worker process was killed.
         """
-        pending: deque[tuple[Job, Future[list[Rendered]]]] = deque()
+        pending: deque[tuple[Job, Future[BlockResult]]] = deque()
         try:
             for job in jobs:
                 pending.append((job, self.submit(job)))
@@ -72,10 +86,18 @@ class WorkerPool:
                 result.cancel()
 
 
-def rendered(source: Source, job: Job) -> list[Rendered]:
-    """Compute and encode the job's part of a block for each picture."""
+def rendered(source: Source, job: Job) -> BlockResult:
+    """Compute the job's part of a block, encode it for each picture, and light what is shown.
+
+    Raises:
+        MatcapError: a value is not finite, or too large for half float.
+    """
     part, mapset = job
-    return render(source, part, mapset.pictures, mapset.normal)
+    planes = source.planes(part.block, mapset.normal)[(..., *part.source)]
+    pictures = encode(planes, part, mapset.pictures, source.specular_channels)
+    return BlockResult(
+        pictures, lit_from_top(planes, mapset.normal) if mapset.shows(part) else None
+    )
 
 
 def pack(source: Source) -> bytes:
@@ -83,7 +105,7 @@ def pack(source: Source) -> bytes:
     return pickle.dumps(source)
 
 
-def render_packed(packed: bytes, job: Job) -> list[Rendered]:
+def render_packed(packed: bytes, job: Job) -> BlockResult:
     """Run a job on a pickled source."""
     return rendered(unpacked(packed), job)
 
@@ -95,6 +117,6 @@ def unpacked(packed: bytes) -> Source:
     return source
 
 
-def _first(pending: deque[tuple[Job, Future[list[Rendered]]]]) -> tuple[Job, list[Rendered]]:
+def _first(pending: deque[tuple[Job, Future[BlockResult]]]) -> tuple[Job, BlockResult]:
     job, result = pending.popleft()
     return job, result.result()

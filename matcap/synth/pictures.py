@@ -5,18 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.heights import check_heights
-from matcap.brdf.stated import NormalStyle
 from matcap.field.blocks import BlockPart
 from matcap.synth.exr_tiles import TILE, Channel, Layout, Tile, encode_tile, stored
-
-if TYPE_CHECKING:
-    from matcap.field.source import Source
 
 # Channel names of each map, in a file of its own and in one file of all maps. An F0 with a colour
 # has those of diffuse.
@@ -110,20 +105,25 @@ def channels_of(kind: str, *, specular: int, single: bool) -> tuple[str, ...]:
     return tuple(f"{kind}.{letter}" for letter in letters) if single else tuple(letters)
 
 
-def render(
-    source: Source, part: BlockPart, pictures: Sequence[PictureFile], normal: NormalStyle
+def encode(
+    planes: NDArray[np.float32], part: BlockPart, pictures: Sequence[PictureFile], specular: int
 ) -> list[Rendered]:
-    """Compute a part of a block, and encode its whole tiles for each picture.
+    """Encode the whole tiles of a part of a block for each picture.
+
+    Args:
+        planes: of the part.
+        part: its place.
+        pictures: of the map set.
+        specular: channels of F0.
 
     Raises:
         MatcapError: a value is not finite, or too large for half float.
     """
-    wanted = source.planes(part.block, normal)[(..., *part.source)]
-    check_heights(wanted[kind_planes(source.specular_channels)["height"][0]], "the material")
-    return [_render(picture, part, wanted) for picture in pictures]
+    check_heights(planes[kind_planes(specular)["height"][0]], "the material")
+    return [_encode(picture, part, planes) for picture in pictures]
 
 
-def _render(picture: PictureFile, part: BlockPart, planes: NDArray[np.float32]) -> Rendered:
+def _encode(picture: PictureFile, part: BlockPart, planes: NDArray[np.float32]) -> Rendered:
     layout, (rows, columns) = picture.layout, part.target
     values = [
         stored(channel, planes[plane], picture.file)

@@ -26,6 +26,7 @@ from matcap.field.plane import Rectangle
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.names import plain_name
 from matcap.synth.pictures import PictureFile, channels_of, pictures_of
+from matcap.synth.preview import Preview, preview_of
 
 if TYPE_CHECKING:
     from matcap.field.source import Source
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 _UDIM_COLUMNS = 10
 _UDIM_ROWS = 900
 _LARGEST_SIDE = 2**31 - 1  # texels, of an OpenEXR file
-_SPARE = 1_000_000  # bytes for headers and the JSON file
+_SPARE = 5_000_000  # bytes for headers, the JSON file and the preview
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,12 @@ class PlannedMapSet:
     area: Rectangle
     pictures: tuple[PictureFile, ...]
     normal: NormalStyle
+    preview: Preview | None
+    """What the preview shows; None where none is written."""
+
+    def shows(self, part: BlockPart) -> bool:
+        """Whether the preview shows some of a part."""
+        return self.preview is not None and bool(self.preview.places(self.area, part))
 
     def parts(self, source: Source) -> Iterator[BlockPart]:
         """Its parts by block, in the order in which they are computed."""
@@ -91,6 +98,7 @@ def key_of(request: SynthRequest, field: OpenedField) -> str:
         request.normal,
         request.single,
         request.mipmap,
+        request.preview,
     )
     _feed(digest.update, (versions, field.source, *stored, request.udim))
     return f"{digest.hexdigest()} {field.source.device_type}"
@@ -100,6 +108,7 @@ def mapsets_of(request: SynthRequest, field: OpenedField) -> list[PlannedMapSet]
     """The map sets to write: left to right, the lowest row of a texture set first."""
     area, columns, rows = request.area, *(request.udim or (1, 1))
     wrap, specular = _wrap(request, field.source), field.source.specular_channels
+    preview = preview_of(request.whole, field.source.period) if request.preview else None
     sets = []
     for row in range(rows):
         for column in range(columns):
@@ -115,7 +124,7 @@ def mapsets_of(request: SynthRequest, field: OpenedField) -> list[PlannedMapSet]
                 wrap=wrap,
             )
             place = Rectangle(x, y, area.width, area.height)
-            sets.append(PlannedMapSet(place, pictures, request.normal))
+            sets.append(PlannedMapSet(place, pictures, request.normal, preview))
     return sets
 
 

@@ -1,6 +1,6 @@
 """Writes a rectangle of any size to files, in memory that does not grow with its size.
 
-    blocks -> tiles (in the workers) -> one file a map, tile by tile -> mip levels, PNGs
+    blocks -> tiles (in the workers) -> one file a map, tile by tile -> mip levels, PNGs, preview
            -> published together
 
 The request alone determines the order of the tiles. An interrupted run is resumed after its last
@@ -18,11 +18,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from matcap.brdf.folder import refuse_to_replace
+from matcap.brdf.folder import preview_name, refuse_to_replace
 from matcap.files.mark import check_replaceable
 from matcap.files.staging import check_writable
 from matcap.synth.assembly import Assembly, assembly
-from matcap.synth.jobs import Job, WorkerPool
+from matcap.synth.jobs import BlockResult, Job, WorkerPool
 from matcap.synth.levels import write_levels
 from matcap.synth.plan import (
     PlannedMapSet,
@@ -32,12 +32,14 @@ from matcap.synth.plan import (
     key_of,
     mapsets_of,
 )
+from matcap.synth.preview import PreviewPicture
 from matcap.synth.request import SynthProgress, SynthRequest, Work
 from matcap.synth.strips import height_coding, write_pngs
 from matcap.synth.unfinished import files_of, unfinished, unfinished_bytes
 from matcap.synth.workers import worker_pool
 
 if TYPE_CHECKING:
+    from matcap.field.blocks import BlockPart
     from matcap.field.source import Source
     from matcap.synth.fields import OpenedField
 
@@ -78,9 +80,14 @@ def write_field(
         blocks = sum(1 for mapset in mapsets for _ in mapset.parts(source))
         pool = stack.enter_context(worker_pool(source, work.workers, blocks, work.scheduler))
         sets = []
+        preview = mapsets[0].preview
+        shown = None if preview is None else PreviewPicture(preview)
         for mapset in mapsets:
             files = stack.enter_context(assembly(stage, mapset.pictures))
-            _fill(source, mapset, files, pool, clock)
+            for part, result in _missing(source, mapset, files, pool, clock):
+                files.add(result.pictures)
+                if shown is not None and result.lit is not None:
+                    shown.add(mapset.area, part, result.lit)
             for picture, file in zip(mapset.pictures, files.files, strict=True):
                 write_levels(picture, file, work.workers)
                 file.finish()
@@ -90,25 +97,27 @@ def write_field(
             for files in sets:
                 write_pngs(stage, files, heights)
         document = document_of(request, field, heights)
+        if shown is not None:
+            (stage / preview_name(name)).write_bytes(shown.encoded())
         text = json.dumps(document, indent=2, allow_nan=False, default=str)
         (stage / f"{name}.json").write_text(text + "\n")
     return folder / f"{name}.json"
 
 
-def _fill(
+def _missing(
     source: Source, mapset: PlannedMapSet, files: Assembly, pool: WorkerPool, clock: _Clock
-) -> None:
-    """Compute and write the blocks of a map set that a resumed run lacks."""
+) -> Iterator[tuple[BlockPart, BlockResult]]:
+    """Compute the parts of a map set that a resumed run lacks, and those that its preview shows."""
 
     def missing() -> Iterator[Job]:
         for part in mapset.parts(source):
-            if files.lacks(part):
+            if files.lacks(part) or mapset.shows(part):
                 yield part, mapset
             else:
                 clock.skip(part.texels)
 
-    for (part, _), rendered in pool.run(missing()):
-        files.add(rendered)
+    for (part, _), result in pool.run(missing()):
+        yield part, result
         clock.done(part.texels)
 
 

@@ -19,8 +19,16 @@ from matcap.field.single import compute_alone, single_threaded
 from matcap.files.cluster import Cluster
 from matcap.files.interrupts import settle_child, starting_children
 from matcap.files.memory import keep_memory
-from matcap.synth.jobs import Future, Job, WorkerPool, pack, render_packed, rendered, unpacked
-from matcap.synth.pictures import Rendered
+from matcap.synth.jobs import (
+    BlockResult,
+    Future,
+    Job,
+    WorkerPool,
+    pack,
+    render_packed,
+    rendered,
+    unpacked,
+)
 
 if TYPE_CHECKING:
     from matcap.field.source import Source
@@ -65,19 +73,19 @@ def worker_pool(
             processes.shutdown(cancel_futures=True)
 
 
-def _submit(processes: ProcessPoolExecutor, job: Job) -> Future[list[Rendered]]:
+def _submit(processes: ProcessPoolExecutor, job: Job) -> Future[BlockResult]:
     """Submit a job to a pool, which may start a process for it."""
     with starting_children():
         return processes.submit(_render_here, job)
 
 
-def _render_alone(packed: bytes, job: Job) -> list[Rendered]:
+def _render_alone(packed: bytes, job: Job) -> BlockResult:
     """Run a job on one thread of a cluster's worker."""
     with single_threaded(1) as pool:
         return pool.submit(render_packed, packed, job).result()
 
 
-def _render_here(job: Job) -> list[Rendered]:
+def _render_here(job: Job) -> BlockResult:
     """Run a job in a worker process."""
     return rendered(_task[0], job)
 

@@ -40,7 +40,7 @@ def test_the_same_request_in_two_processes_gives_the_same_files(folder):
         said = run(folder, "synth", "noise.matcap", "--size", "96x40", "--seed", "7", "-o", out)
         assert said.returncode == 0, said.stderr
     files = sorted(f.name for f in (folder / "first").iterdir())
-    assert len(files) == 6
+    assert len(files) == 7
     for name in files:
         assert filecmp.cmp(folder / "first" / name, folder / "second" / name, shallow=False)
 

@@ -54,7 +54,7 @@ def test_a_rectangle_of_the_field(matcap, material, tmp_path):
     assert document["provenance"] == {"made": "up"}
     assert_stored(maps, Field(Material.load(material), 7).read(100, -50, 24, 8))
     names = {"diffuse", "specular", "roughness", "height", "normal"}
-    files = {f"leather_{name}.exr" for name in names} | {"leather.json"}
+    files = {f"leather_{name}.exr" for name in names} | {"leather.json", "leather_preview.png"}
     assert {file.name for file in (tmp_path / "set").iterdir()} == files
 
 
@@ -67,7 +67,7 @@ def test_twice_the_same_gives_the_same_files(matcap, material, tmp_path):
     for folder in ("a", "b"):
         assert matcap("synth", material, "--size", "16", "--png", "-o", folder).code == 0
     files = sorted(f.name for f in (tmp_path / "a").iterdir())
-    assert len(files) == 11
+    assert len(files) == 12
     for name in files:
         assert filecmp.cmp(tmp_path / "a" / name, tmp_path / "b" / name, shallow=False)
 
@@ -100,7 +100,7 @@ def test_a_texture_set_is_one_field(matcap, material, tmp_path):
 def test_one_file_of_all_maps_is_read_back(matcap, material, tmp_path):
     assert matcap("synth", material, "--size", "70x20", "--single", "-o", "set", "-q").code == 0
     names = {file.name for file in (tmp_path / "set").iterdir()}
-    assert names == {"leather_maps.exr", "leather.json"}
+    assert names == {"leather_maps.exr", "leather_preview.png", "leather.json"}
     maps, _ = read_mapset(tmp_path / "set")
     assert_stored(maps, Field(Material.load(material), 0).read(0, 0, 70, 20))
 
@@ -145,7 +145,7 @@ def test_an_interrupted_run_goes_on(matcap, material, tmp_path, monkeypatch):
     assert matcap(*arguments, "-o", "cut", "--resume").code == 0
     for file in (tmp_path / "whole").iterdir():
         assert filecmp.cmp(file, tmp_path / "cut" / file.name, shallow=False)
-    assert len(list((tmp_path / "cut").iterdir())) == 6
+    assert len(list((tmp_path / "cut").iterdir())) == 7
 
 
 def test_failures_leave_nothing(matcap, material, tmp_path):

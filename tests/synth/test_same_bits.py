@@ -44,10 +44,10 @@ def corner():
 
 
 def digests(words, folder):
-    """Of every file that synth writes: pixels of pictures, and what the document says."""
+    """Of every map that synth writes, and of what the document says."""
     assert main(["synth", str(MATERIAL), "--seed", str(SEED), *words, "-q", "-o", str(folder)]) == 0
     found = {}
-    for file in sorted(folder.iterdir()):
+    for file in sorted([*folder.glob("*.exr"), *folder.glob("*.json")]):
         if file.suffix == ".json":
             result = json.loads(file.read_text())
             content = json.dumps(result | {"matcap": "any"}).encode()

@@ -88,7 +88,7 @@ def test_workers_change_no_byte(material, tmp_path):
 
 def test_a_killed_run_is_resumed_to_the_same_bytes(material, tmp_path):
     """SIGKILL: nobody tidies up, and the worker processes must not outlive it."""
-    area = Rectangle(0, 0, 12 * 128, 12 * 64)
+    area = Rectangle(0, 0, 12 * 128, 16 * 64)  # wider than the preview, which is made again
     (tmp_path / "request").write_bytes(pickle.dumps(request(material, area)))
     program = (
         "import pickle; from matcap.synth.stream import Work, write_field\n"
@@ -135,10 +135,10 @@ def test_what_an_older_set_had_and_a_newer_has_not_goes(material, tmp_path):
     (tmp_path / "m_of_mine.txt").touch()
     write_field(*request(material, png=True), tmp_path)
     write_field(*request(material, udim=(2, 1)), tmp_path)
-    assert len(list(tmp_path.iterdir())) == 2 + 2 * 5
+    assert len(list(tmp_path.iterdir())) == 3 + 2 * 5
     write_field(*request(material, single=True), tmp_path)
     names = {file.name for file in tmp_path.iterdir()}
-    assert names == {"m_of_mine.txt", "m_maps.exr", "m.json"}
+    assert names == {"m_of_mine.txt", "m_maps.exr", "m_preview.png", "m.json"}
 
 
 def test_pngs_hold_what_the_exrs_hold(material, tmp_path):

@@ -19,16 +19,20 @@ import numpy as np
 
 from matcap.relight.effects.bound import Bound
 from matcap.relight.loops.library import address, loops
-from matcap.relight.loops.structures import CHorizon, CLamp
+from matcap.relight.loops.structures import (
+    DIFFUSE,
+    LOST,
+    SPECULAR,
+    VECTOR,
+    CHorizon,
+    CLamp,
+)
 from matcap.relight.scene import DirectionalLight, PointLight, RectangleLight, SphereLight
 from matcap.relight.scene_bounds import LARGEST_ALBEDO, SceneBounds
 from matcap.relight.vectors import Array, unit3
 
 if TYPE_CHECKING:
     from matcap.relight.block import Block
-
-# Terms that a light adds, as bits (lights.c); VECTOR is vector irradiance.
-DIFFUSE, SPECULAR, LOST, VECTOR = 1, 2, 4, 8
 
 
 def diffuse_bound(limits: SceneBounds) -> Bound:

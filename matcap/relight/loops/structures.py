@@ -12,6 +12,8 @@ from matcap.relight.visible_normals import lattice
 
 _Three, _Nine = Pointer * 3, Pointer * 9
 _Vector = Real * 3
+# Terms that a CLamp adds, as bits (lights.c); VECTOR is vector irradiance.
+DIFFUSE, SPECULAR, LOST, VECTOR = 1, 2, 4, 8
 
 
 class CField(ctypes.Structure):
