@@ -1,4 +1,4 @@
-"""Adam [kingma2015], started afresh as often as needed."""
+"""Adam [kingma2015], without PyTorch's optimiser class."""
 
 from __future__ import annotations
 
@@ -10,12 +10,17 @@ from torch.optim.adam import adam
 
 
 class Adam:
-    """Adam by torch.optim's function; its class takes a second to import PyTorch's compiler."""
+    """Adam by torch.optim's function, as its class imports PyTorch's compiler, which takes 1 s."""
 
     def __init__(
         self, parameters: Sequence[Tensor], betas: tuple[float, float] = (0.9, 0.99)
     ) -> None:
-        """Nothing is known of the gradients of some parameters, floats, which steps change."""
+        """Start with zero moments.
+
+        Args:
+            parameters: float tensors, which steps change in place.
+            betas: decay of the first and second moments.
+        """
         self._parameters = list(parameters)
         self._betas = betas
         self._means = [torch.zeros_like(p) for p in self._parameters]
@@ -24,7 +29,7 @@ class Adam:
 
     @torch.no_grad()
     def step(self, rate: float) -> None:
-        """One step along the gradients there are."""
+        """Take a step for all parameters that have a gradient; `rate` is the learning rate."""
         had = [i for i, p in enumerate(self._parameters) if p.grad is not None]
         adam(
             [self._parameters[i] for i in had],

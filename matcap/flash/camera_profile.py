@@ -1,16 +1,16 @@
 """Falloff of a camera, combined from the estimates of its photographs.
 
-Photograph i loses x_i = x + e_i towards its corners (Falloff's two coefficients): x is the camera's
-and e_i ~ N(0, tau^2 I) what tone curves, relief and room light add. Its coarse fit gives the
-likelihood N(x_i; L_i^-1 h_i, L_i^-1) by Laplace's method (FalloffEvidence), wide where a highlight
-hides the falloff. With e_i integrated out and one prior N(m, P) of x,
+Photograph i has the falloff x_i = x + e_i (Falloff's two coefficients): x is the camera's, and
+e_i ~ N(0, tau^2 I) is due to tone curves, relief and ambient light. Its coarse fit gives the
+likelihood N(x_i; L_i^-1 h_i, L_i^-1) by Laplace's method (FalloffEvidence), wide if a highlight
+hides the falloff. With e_i integrated out and the prior N(m, P) of x,
 
     x ~ N(C (P^-1 m + sum w_i (I + tau^2 L_i)^-1 h_i), C),
     C = (P^-1 + sum w_i (I + tau^2 L_i)^-1 L_i)^-1,
 
-a random-effects meta-analysis. The weights are Student's t's, w_i = (nu + 2) / (nu + d_i^2), where
-d_i is Mahalanobis' distance between x_i and x: a photograph that is misinterpreted
-hardly counts. tau is the likeliest of some, by that t distribution of d_i.
+a random-effects meta-analysis. The weights are those of Student's t, w_i = (nu + 2) / (nu + d_i^2),
+where d_i is the Mahalanobis distance between x_i and x, so that outliers hardly count. tau is the
+value of greatest likelihood under that t distribution, among those of ProfileSettings.scatter.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ Doubles = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ProfileSettings:
-    """How photographs are combined.
+    """Settings of the combination.
 
     Attributes:
-        freedom: degrees, nu, above 2: fewer trust fewer photographs.
-        scatter: deviations between photographs that are tried for tau.
-        rounds: of weights.
+        freedom: degrees of freedom nu of Student's t, above 2; smaller reject more outliers.
+        scatter: values of tau among which the likeliest is chosen.
+        rounds: iterations of the weights.
     """
 
     freedom: float = 4.0
@@ -46,11 +46,11 @@ PROFILE = ProfileSettings()
 
 
 def camera_profile(camera: str, fits: Sequence[CoarseFit]) -> CameraProfile | None:
-    """The profile of a camera, or None with too few photographs.
+    """The profile of a camera, or None with fewer than LEAST photographs.
 
     Args:
         camera: its name.
-        fits: of its photographs, in any order, under the wide prior.
+        fits: coarse fits of its photographs, in any order, with the prior of any camera.
     """
     seen = [fit.falloff for fit in fits if fit.falloff is not None]
     if len(seen) < LEAST:
@@ -67,7 +67,7 @@ def shared_falloff(seen: Sequence[FalloffEvidence]) -> Falloff:
     prior = Falloff()
     if len(seen) < LEAST:
         return prior
-    # Sums of floats depend on their order.
+    # In fixed order, as sums of floats depend on it.
     ordered = sorted(seen, key=lambda one: (one.shift, one.precision))
     shifts = np.array([one.shift for one in ordered])
     precisions = np.array([one.precision for one in ordered])[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
@@ -102,7 +102,7 @@ def _combined(
         weight = (PROFILE.freedom + 2.0) / (PROFILE.freedom + distances)
     likelihood = -0.5 * np.linalg.slogdet(wider).logabsdet
     likelihood -= 0.5 * (PROFILE.freedom + 2.0) * np.log1p(distances / PROFILE.freedom)
-    # Student's t is wider than tau says.
+    # The variance of Student's t with scale tau.
     variance = scatter**2 * PROFILE.freedom / (PROFILE.freedom - 2.0)
     return float(likelihood.sum()), mean, np.linalg.inv(precision) + variance * np.eye(2)
 

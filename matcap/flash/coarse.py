@@ -39,8 +39,8 @@ from matcap.photo.camera import Falloff
 from matcap.photo.photo import Photo
 from matcap.photo.tone import SHOULDER, ToneCurve
 
-_STEP = 1e-5  # of a parameter, all of which are of order 1, for differences
-_DARKEST = 1e-12  # radiance, so that there is a logarithm
+_STEP = 1e-5  # of finite differences in parameters, all of which are of order 1
+_DARKEST = 1e-12  # radiance added before logarithms
 
 
 @dataclass(frozen=True)
@@ -48,49 +48,49 @@ class CoarseSettings:
     """Settings of the coarse fit; measurements in docs/notes/capture.md.
 
     Attributes:
-        cells: across the long side, enough for what is smooth; all starts are tried on the former.
-        patch_cells: across the highlight's patch, likewise.
-        patch_reach: of the patch, in half widths of the highlight from its centre.
-        patch_weight: what the patch weighs beside the whole picture, however small it is.
-        left_out: share of a cell that may be none of the material.
-        knee_developed, knee_radiometric: shares of the clip level above which cells are lower
-            bounds: a developed picture compresses its brightest tones before it clips them, RAW is
-            linear up to the clip level itself.
-        above_knee: what a model is blamed for being brighter than such a cell, of 1: it is darker
-            than light was, but not by any amount.
-        huber: log radiance; beyond it a residual counts linearly.
-        iterations: of Levenberg-Marquardt, at most: of every start, and of those worth it.
-        kept: starts that are worth finishing.
-        distinct: logit of roughness: starts that end nearer to each other are one.
-        tilt_radiometric: radians, deviation: nor does a tone curve pass for a tilt there.
-        hidden: share of the picture: where more is clipped whole, a matte fit is tried besides.
-        alike: log radiance, root-mean-square: fits that leave so much more explain as well.
-        crushed: share of a developed cell's brightest channel below which another is only
-            known to be dark: saturated colours lie outside of what a file can hold.
-        brightening: deviation of a falloff below 0: corners that gain light are room light's.
+        cells: cells across the long side, on the coarse grid for all starting points and the fine
+            one for the best.
+        patch_cells: the same across the highlight's patch.
+        patch_reach: half side of the patch, in half widths of the highlight.
+        patch_weight: least weight of the patch; that of the whole picture is 1.
+        left_out: largest masked share of a cell.
+        knee_developed, knee_radiometric: radiance (1 at clipping) above which cells are lower
+            bounds: development compresses bright tones below clipping, RAW is linear up to it.
+        above_knee: factor on the residual of a model brighter than such a cell.
+        huber: threshold of the Huber loss, log radiance.
+        iterations: most Levenberg-Marquardt iterations, of every start and of the best.
+        kept: number of best starts that are fitted on the fine grid.
+        distinct: starts whose logits of roughness differ by less are duplicates.
+        tilt_radiometric: prior standard deviation of the tilt of a RAW, radians; larger than that
+            of developed pictures, whose tone curve looks like tilt.
+        hidden: share of cells clipped in all channels above which a matte start is added.
+        alike: root-mean-square log radiance by which a fit may be worse and count as equal.
+        crushed: share of a developed cell's brightest channel added to all of them before the
+            logarithm, as dark channels of saturated colours are clipped by the colour space.
+        brightening: prior standard deviation of negative falloff, which ambient light imitates.
         black: diffuse albedo of a conductor over its F0.
-        conductor_odds: nats of the prior by which a conductor must explain a photograph better.
-            Most photographs show none, and a falloff or tone curve that is off imitates one: with
-            2.6 (a prior share of 7 %) wood, limestone and brown leather become metal; bare steel
-            has 8 and more.
-        bluest: log F0 of a metal's blue over its red, at most.
-        dullest: roughness of a metal, at most: a photograph without any highlight shows none.
+        conductor_odds: least log odds (nats) of a conductor. Most photographs show none, and errors
+            of falloff or tone curve imitate one: with 2.6 (a prior share of 7 %) wood, limestone
+            and brown leather become metal; bare steel has 8 and more beyond this.
+        bluest: largest log ratio of a metal's F0 in blue to red.
+        dullest: largest roughness of a metal, as a photograph without highlight shows none.
         brightest: upper limit of mean albedo or F0.
-        most_albedo: or F0, under a known flash: no surface gives back all.
-        prior_share_developed: share of the cells in which residuals of `huber` weigh like one
-            deviation of the prior: what the model lacks there (tone mapping) is smooth.
-        cells_that_count: likewise of residuals themselves in a RAW, found by trial: about as many
-            as there are, for their whitened channels are independent and a blotch fills several.
-        centre_deviation: of a highlight's centre from where the plane mirrors the flash: plane
-            units, and share of its half width.
-        middle_deviation: likewise of the middle of its half-way ring.
-        level_deviation: log radiance, of its peak, half-way level and surroundings.
-        evidence_developed, evidence_radiometric: what one deviation of the highlight's measures
-            weighs: a tone curve bends what is around it, in a RAW they only show the way.
+        most_albedo: upper limit of albedo and F0 under a known flash intensity.
+        prior_share_developed: weight of one nat of the prior, in shares of the picture with
+            residuals of `huber`, of developed pictures, whose model errors (tone mapping) are
+            smooth.
+        cells_that_count: number of residuals per nat of the prior in a RAW, chosen empirically;
+            about the number of cells, whose whitened channels are independent.
+        centre_deviation: standard deviation of the highlight's centre from the mirror point: plane
+            units, plus a share of its half width.
+        middle_deviation: the same of the centre of its half-way ring.
+        level_deviation: standard deviation, log radiance, of peak, half-way level and surroundings.
+        evidence_developed, evidence_radiometric: weight of the highlight's seven measurements; in a
+            RAW they only help convergence, a tone curve changes the surroundings.
         directions: points of a ring.
-        colour_noise: log radiance: least deviation of the difference of two channels.
-        texture_at_most: log radiance: larger residuals count as this large.
-        least_whole_cells: at least, for nine numbers.
+        colour_noise: log radiance, least standard deviation of differences of channels.
+        texture_at_most: log radiance; residuals are clipped to +-this before whitening.
+        least_whole_cells: least number of unclipped cells for whitening.
     """
 
     cells: tuple[int, int] = (24, 32)
@@ -156,8 +156,8 @@ class FalloffEvidence:
     """Gaussian likelihood of the falloff x = (a, b): exp(h x - x L x / 2).
 
     Attributes:
-        shift: (2,) h, L times the likeliest x = (with r^2, with r^4).
-        precision: L: its first entry, the one off the diagonal, and the last.
+        shift: (2,) h = L times the most likely x.
+        precision: elements aa, ab and bb of L.
     """
 
     shift: tuple[float, float]
@@ -280,16 +280,16 @@ _HALF_GGX = 0.644
 
 @dataclass(frozen=True)
 class _Cells:
-    """The observations: cell averages of the photograph.
+    """Observations of the fit: averages of the photograph over n cells.
 
     Attributes:
         image: (2, n) image coordinates of the cells.
         observed: (3, n) log radiance.
-        toe: (3, n) radiance added to cell and model before the logarithm: darker values are
+        toe: (3, n) radiance added to cell and model before the logarithm, as darker values are
             uncertain.
         above: (3, n) factor on the residual of a model brighter than the cell: 1, or less for
             lower bounds.
-        weight: (n,) of each cell; the sum is the weight of the picture.
+        weight: (n,) weight of each cell; they sum to 1/3.
     """
 
     image: Tensor
@@ -300,11 +300,11 @@ class _Cells:
 
     @property
     def hidden(self) -> bool:
-        """Whether so much is clipped that a highlight might be hidden in it."""
+        """Whether clipped cells may hide a highlight."""
         return float(self.weight[(self.above == 0.0).all(0)].sum()) > COARSE.hidden / 3.0
 
     def differences(self, log_radiance: Tensor) -> Tensor:
-        """(3, n) log of a model's radiance over theirs."""
+        """(3, n) log radiance of a model less that of the cells, with toe."""
         return (log_radiance.exp() + self.toe).log() - self.observed
 
 
@@ -331,7 +331,7 @@ def fit_coarse(
     )
     odds = (dielectric.cost - conductor.cost) / conductor.unit - COARSE.conductor_odds
     red, _, blue = conductor.best.albedo.tolist()
-    # No metal reflects blue better than red: what does is a black surface with a blue sheen.
+    # No metal reflects blue better than red, unlike a black surface with a blue sheen.
     is_metal = odds > 0.0 and blue < red + COARSE.bluest
     is_metal &= float(torch.sigmoid(conductor.best.roughness)) < COARSE.dullest
     chosen = conductor if is_metal else dielectric
@@ -472,7 +472,7 @@ def _coarse_fit(fitted: _Fitted, fov: float) -> CoarseFit:
     if fitted.conductor:
         specular = float(best.albedo.exp().mean().log())
         albedo = [value + math.log(COARSE.black) for value in albedo]
-    # Only ratios are seen: albedos brighter than paper mean a brighter flash.
+    # Only the product with the flash's intensity is measured: limit albedo, raise the intensity.
     excess = max(0.0, max(*albedo, specular) - math.log(COARSE.brightest))
     red, green, blue = (math.exp(value - excess) for value in albedo)
     across, up = best.offset.tolist()
@@ -545,7 +545,7 @@ def _see(photo: Photo, highlight: Highlight | None, level: int) -> _Cells:
     size = (across, max(4, round(across * rows / columns)))
     whole = _cells(photo, (0, 0, columns, rows), size)
     if not whole.weight.any():
-        # Holes in every cell are as fine as a mask's specks: their mirrors are a pixel or two away.
+        # Every cell has masked pixels: the mask is so fine that its fill is from nearby.
         photo = replace(photo, left_out=None)
         whole = _cells(photo, (0, 0, columns, rows), size)
     if highlight is None:
@@ -609,7 +609,7 @@ def _cells(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int]) 
         part = photo.left_out[top:bottom, left:right].astype(np.float32)
         share = cv2.resize(part, size, interpolation=cv2.INTER_AREA).ravel()
         kept = torch.from_numpy(share < COARSE.left_out).double()
-        # What is kept weighs as much as the whole would; a part of which nothing is, nothing.
+        # The sum of weights is that without a mask, or 0 if no cell is left.
         weight = weight * kept * (count / max(float(kept.sum()), 1.0))
     return _Cells(
         torch.from_numpy(image), flat(np.log(small + toe)), flat(toe), flat(above), weight
@@ -617,7 +617,7 @@ def _cells(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int]) 
 
 
 def _circle() -> Tensor:
-    """(2, directions) unit vectors all around."""
+    """(2, directions) unit vectors at equal angles."""
     turn = torch.arange(COARSE.directions, dtype=torch.float64) * (
         2.0 * math.pi / COARSE.directions
     )
@@ -647,10 +647,10 @@ def _mirror(parameters: Tensor, distance: float) -> Tensor:
 
 @dataclass(frozen=True)
 class _Problem:
-    """What is minimised: the Huber cost of weighted residuals, and a Gaussian prior's.
+    """The function to minimise: Huber cost of weighted residuals plus that of a Gaussian prior.
 
     Attributes:
-        cells: what is seen.
+        cells: observations.
         distance: of the camera.
         highlight: whose centre is evidence, or None.
         evidence: its weight, as share of the picture's.
@@ -676,7 +676,7 @@ class _Problem:
     conductor: bool = False
 
     def log_radiance(self, parameters: Tensor, image: Tensor) -> Tensor:
-        """(3, n) at image coordinates (2, n), as the picture has it."""
+        """(3, n) log radiance at image coordinates (2, n), tone curve included."""
         linear = _log_radiance(parameters, image, self.distance, conductor=self.conductor)
         if self.shoulder == 0.0:  # no tone curve, whatever the exponent
             return linear
@@ -728,7 +728,7 @@ class _Problem:
 
     @property
     def weight(self) -> Tensor:
-        """(residuals,) what each counts."""
+        """(residuals,) weight of each residual."""
         each = self.cells.weight.repeat(3)
         if self.highlight is None:
             return each
@@ -737,8 +737,8 @@ class _Problem:
     def _evidence(self, parameters: Tensor, highlight: Highlight) -> Tensor:
         """(7,) scaled residuals of mirror point (2), ring symmetry (2), peak, ring, surroundings.
 
-        The mirror point converges from afar but is only about the centre of a wide highlight; the
-        symmetry of the half-width ring is exact.
+        The mirror point converges from any distance, but is only near the centre of a wide
+        highlight; the symmetry of the half-width ring is exact.
         """
         centre = torch.tensor(highlight.centre, dtype=parameters.dtype)
         deviation = COARSE.centre_deviation[0] + COARSE.centre_deviation[1] * highlight.width
@@ -759,10 +759,10 @@ class _Problem:
         return torch.cat([place_error, aside, difference])
 
     def residuals(self, parameters: Tensor) -> Tensor:
-        """(residuals,) of the parameters, in log radiance."""
+        """(residuals,) residuals at the parameters, in log radiance."""
         cells = self.cells
         difference = cells.differences(self.log_radiance(parameters, cells.image))
-        # A lower bound only complains when the model stays below it.
+        # Of a lower bound, only a darker model has a residual.
         bounded = torch.where(difference > 0.0, difference * cells.above, difference)
         if self.whitening is not None:
             whole = (cells.above == 1.0).all(0)
@@ -773,7 +773,7 @@ class _Problem:
         return torch.cat([difference, COARSE.huber * self._evidence(parameters, self.highlight)])
 
     def quadratic(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
-        """(n, n) Gauss-Newton Hessian of the cost and (n,) its gradient, but for brightening."""
+        """(n, n) Gauss-Newton Hessian of the cost and (n,) its gradient, without brightening."""
         r = self.residuals(parameters)
         jacobian = _jacobian(self.residuals, parameters, r)
         weight = self.weight * COARSE.huber / r.abs().clamp_min(COARSE.huber)
@@ -781,7 +781,7 @@ class _Problem:
         return hessian, jacobian.T @ (weight * r) + self.precision @ (parameters - self.prior)
 
     def falloff_evidence(self, parameters: Tensor) -> FalloffEvidence:
-        """What the picture alone says of the falloff, by Laplace's method at the parameters.
+        """Likelihood of the falloff by Laplace's method at the parameters.
 
         The Hessian over a nat's cost is the posterior's precision; its Schur complement over all
         other unknowns is the falloff's. Less its prior's, that is the likelihood's.
@@ -796,7 +796,7 @@ class _Problem:
         return FalloffEvidence((first, second), (own, both, other))
 
     def brightening(self, parameters: Tensor) -> Tensor:
-        """(n,) precision at 0 that holds a falloff which has become negative."""
+        """(n,) precision of the prior at 0 of negative falloff coefficients."""
         vignetting = Unknowns.of(parameters).vignetting
         precision_there = torch.where(vignetting < 0.0, self.unit / COARSE.brightening**2, 0.0)
         return replace(
@@ -804,7 +804,7 @@ class _Problem:
         ).vector()
 
     def cost(self, parameters: Tensor) -> float:
-        """To be minimised."""
+        """Cost at the parameters."""
         r = self.residuals(parameters).abs()
         huber = torch.where(
             r < COARSE.huber, 0.5 * r.square(), COARSE.huber * (r - 0.5 * COARSE.huber)
@@ -878,14 +878,14 @@ def _distinct(fits: Sequence[Tensor]) -> list[Tensor]:
 
 
 def _matte(candidate: Tensor) -> Tensor:
-    """The same with the widest highlight there is."""
+    """The same parameters with roughness near 1."""
     unknowns = Unknowns.of(candidate)
     return replace(unknowns, roughness=torch.full_like(unknowns.roughness, _MATTE)).vector()
 
 
 def _mattest(fits: Sequence[tuple[float, Tensor]]) -> Tensor:
-    """Among fits (cost, parameters) of nearly equal quality, the one with the weakest highlight:
-    none is invented in clipped areas.
+    """The roughest among fits (cost, parameters) of nearly equal cost, so that no highlight is
+    invented in clipped areas.
     """
     least = min(cost for cost, _ in fits)
     alike = [candidate for cost, candidate in fits if cost <= least + 0.5 * COARSE.alike**2]
@@ -917,7 +917,7 @@ def _starts(
         logits = [_STARTS[0]]
         logits += [math.log(share * means / (1.0 - share * means)) for share in _WIDTHS]
         u, v = highlight.centre
-        # The centre lies where it does because the flash is beside the lens, or the plane tilted.
+        # The centre is determined by the flash's offset or by the tilt: start from both.
         tilt_x, tilt_y = mean.tilt.tolist()
         across, up = u + distance * math.tan(tilt_y), v - distance * math.tan(tilt_x)
         shifted = replace(mean, offset=_numbers(2.0 * across, 2.0 * up))

@@ -19,7 +19,7 @@ class Extent:
     middle: tuple[float, float] = (0.0, 0.0)
     """(x, y) of its centre, plane units."""
     half: float = 1.0
-    """Of its width."""
+    """Half of its width, plane units."""
 
     def texel(self, across: int) -> float:
         """Side of a texel, plane units, of a grid of `across` texels."""
@@ -34,11 +34,11 @@ class Extent:
         return round(unit * self.half)
 
     def within(self, point: tuple[float, float]) -> tuple[float, float]:
-        """A point of the plane in halves of this rectangle's width from its middle."""
+        """Coordinates of a plane point relative to the centre, in halves of the width."""
         return (point[0] - self.middle[0]) / self.half, (point[1] - self.middle[1]) / self.half
 
     def placed(self, points: Tensor) -> Tensor:
-        """(3, ...) plane points of a grid as if this were OWN, where they are."""
+        """Map plane points (3, ...) of a grid over OWN to this rectangle."""
         middle = torch.tensor([*self.middle, 0.0], dtype=points.dtype)
         return self.half * points + middle.reshape(3, *(1,) * (points.ndim - 1))
 

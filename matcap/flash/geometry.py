@@ -3,11 +3,12 @@
 Two frames share the origin, the point of the plane on the optical axis:
 
 - the *camera frame*: camera at (0, 0, d) looking down -z, x right, y up; d = 1 / tan(fov / 2);
-- the *plane frame*: the plane is z = 0. A point p of it stands at R p in the camera frame,
+- the *plane frame*: the plane is z = 0. A point p of it is R p in the camera frame,
   R = Ry(tilt_y) Rx(tilt_x), right-handed. Positive tilt_x turns the plane's upper edge towards
   the camera, positive tilt_y its left edge.
 
-Maps live in the plane frame, so a tilted photograph is rectified before it is compared with them.
+Plane units are half of the long side of the photographed rectangle. Maps are in the plane frame, so
+a tilted photograph is rectified before it is compared with them.
 """
 
 from __future__ import annotations
@@ -26,19 +27,19 @@ class FlashSetup:
     fov: float = 45.0
     """Field of view across the long side, in degrees."""
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """The flash's place relative to the camera, in plane units, camera frame."""
+    """Position of the flash relative to the camera, plane units, camera frame."""
     tilt: tuple[float, float] = (0.0, 0.0)
     """(tilt_x, tilt_y) in radians."""
     intensity: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Radiant intensity of the flash, per colour channel; scales the whole picture."""
+    """Radiant intensity of the flash by channel; proportional to the picture's radiance."""
     vignetting: float = 0.0
-    """Share of light lost in the corners of the picture (r = 1.25), growing with r^2: what lens and
-    tone mapping leave of the falloff. May be negative."""
+    """a of the falloff exp(-a s - b s^2), with s = (r / 1.25)^2, 1 in the corner of a 4:3 picture.
+    May be negative, as tone mapping changes it."""
     vignetting_quartic: float = 0.0
-    """Likewise, growing with r^4: a phone's flash lights a cone."""
+    """b of the falloff; large for a flash that lights a cone."""
     turned: bool = False
-    """The photograph is a portrait. Both frames are then those of the picture lying, turned a
-    quarter anticlockwise, while its maps stand upright."""
+    """The photograph is a portrait: both frames are those of the picture rotated 90 degrees
+    anticlockwise, to landscape, but maps are upright."""
 
     @property
     def distance(self) -> float:
@@ -50,13 +51,13 @@ class FlashSetup:
         return replace(self, intensity=intensity)
 
     def dimmed(self, factor: float) -> FlashSetup:
-        """The same setup with a flash so many times weaker."""
+        """The same setup with the flash's intensity divided by `factor`."""
         red, green, blue = (channel / factor for channel in self.intensity)
         return self.with_intensity((red, green, blue))
 
 
 def stood(setup: FlashSetup, vector: Tensor) -> Tensor:
-    """A vector (3,) of a setup's plane frame in that of its maps, which stand if it is turned."""
+    """Rotate a vector (3,) from a setup's plane frame to that of its maps, upright if turned."""
     return torch.stack([vector[1], -vector[0], vector[2]]) if setup.turned else vector
 
 
@@ -81,7 +82,7 @@ def setup_rotation(setup: FlashSetup, dtype: torch.dtype = torch.float64) -> Ten
 
 
 def camera_in_plane(setup: FlashSetup) -> tuple[Tensor, Tensor]:
-    """Places of camera and flash in the plane frame, two float64 (3,) tensors."""
+    """Positions of camera and flash in the plane frame, two float64 (3,) tensors."""
     turn = setup_rotation(setup)
     camera = torch.tensor([0.0, 0.0, setup.distance], dtype=torch.float64)
     light = camera + torch.tensor(setup.offset, dtype=torch.float64)
@@ -89,7 +90,7 @@ def camera_in_plane(setup: FlashSetup) -> tuple[Tensor, Tensor]:
 
 
 def flash_mirror_point(setup: FlashSetup) -> tuple[float, float]:
-    """Where a mirror in the plane shows the flash, plane units."""
+    """(x, y) of the mirror point, where a mirror in the plane shows the flash; plane units."""
     camera, light = camera_in_plane(setup)
     share = camera[2] / (camera[2] + light[2])
     x, y = (camera + share * (light - camera))[:2].tolist()
@@ -101,8 +102,8 @@ def plane_points(
 ) -> Tensor:
     """(3, height, width) plane points of a rectangle of texels of a picture-sized grid.
 
-    The grid has `extent` = (W, H) texels, W along x in [-1, 1]; texel (0, 0) is the left top one
-    and its centre lies half a texel inside. The rectangle may reach outside the grid.
+    The grid has `extent` = (W, H) texels, W along x in [-1, 1]; texel (0, 0) is the top left one
+    and its centre lies half a texel inside. The rectangle may extend beyond the grid.
     """
     grid_width, grid_height = extent
     texel = 2.0 / grid_width

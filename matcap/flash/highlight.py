@@ -1,4 +1,4 @@
-"""Detection of the flash's highlight: place, width and contrast.
+"""Detection of the flash's highlight: position, width and contrast.
 
 The same measurement is made in a photograph and its re-rendering, to compare them: on a grid of
 cells, with medians over rings, robust to texture and glints, and without a reflectance model. The
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 Luminance = NDArray[np.float64]
 
-CELLS = 256  # across the long side: a spot of four pixels in a thousand is still a cell
+CELLS = 256  # across the long side: a spot of 0.4 % of it is one cell
 SURROUNDINGS = (0.5, 0.7)  # plane units from the centre: outside most highlights
 
 
@@ -24,23 +24,23 @@ class HighlightSettings:
     """Settings of the detection; docs/notes/capture.md."""
 
     seed_blur: float = 0.04
-    """Plane units, deviation: a glint is smaller, a highlight is not."""
+    """Standard deviation of the blur that removes glints for the first centre, plane units."""
     ring: float = 0.02
-    """Plane units, width of one."""
+    """Width of a ring, plane units."""
     widest: float = 0.5
-    """Plane units: a half width beyond this is the falloff itself."""
+    """Largest half width, plane units; wider is the flash's falloff."""
     faintest: float = 1.3
+    """Least peak over the quantile `usual` of the surroundings."""
     usual: float = 0.9
-    """The faintest highlight's peak over what of the surroundings so large a share is darker than:
-    a white square of a plaid is no highlight."""
+    """That quantile; high, so that a white square of a plaid is no highlight."""
     top: float = 0.3
-    """Of the way down from the peak, what its centre is the centroid of."""
+    """Share of the peak's height, from the top, whose centroid is the centre."""
     rounds: int = 8
-    """Of moving the centre."""
+    """Iterations of the centre."""
     textures: tuple[float, ...] = (0.0, 0.015, 0.03, 0.06, 0.12)
-    """Plane units, deviations: how far texture is blurred away until the spot is the only one."""
+    """Standard deviations of blurs, plane units, tried until the spot is the only bright one."""
     others: float = 0.25
-    """Area as bright beyond two half widths, of the spot's own, that makes it texture."""
+    """Area of other bright spots, over the spot's own, from which it is texture."""
 
 
 HIGHLIGHT = HighlightSettings()
@@ -48,16 +48,16 @@ HIGHLIGHT = HighlightSettings()
 
 @dataclass(frozen=True)
 class Highlight:
-    """A highlight."""
+    """A detected highlight."""
 
     centre: tuple[float, float]
     """Image coordinates (u right, v up; the long side in [-1, 1])."""
     width: float
-    """Radius at which light is half-way between peak and surroundings, plane units."""
+    """Radius at which radiance is half-way between peak and surroundings, plane units."""
     peak: float
-    """Light in its middle, no more than the picture's clip level."""
+    """Radiance at its centre, at most the clip level."""
     surroundings: float
-    """Light 0.5 to 0.7 plane units away."""
+    """Radiance at 0.5 to 0.7 plane units from the centre."""
 
     @property
     def contrast(self) -> float:
@@ -74,10 +74,10 @@ def light_of(pixels: NDArray[np.float32], cells: int = CELLS) -> Luminance:
 
 
 def find_highlight(light: Luminance) -> Highlight | None:
-    """The brightest smooth spot of a picture (h, w), linear; None where none stands out.
+    """The brightest smooth spot of a linear picture (h, w); None without a distinct one.
 
-    Where several spots are as bright (bare metal between rust, pale leaves), the spot is sought in
-    the low-pass filtered picture instead, and rejected if none stands out there.
+    If other spots are as bright (bare metal between rust, pale leaves), the picture is blurred
+    more and more until there is only one, or none.
     """
     cell = 2.0 / light.shape[1]
     spot = None
@@ -90,7 +90,7 @@ def find_highlight(light: Luminance) -> Highlight | None:
 
 
 def _others(light: Luminance, spot: Highlight) -> float:
-    """Area elsewhere that is as bright as a highlight's half-way ring, in areas of that ring."""
+    """Area outside of a highlight that is brighter than its half-way level, over its own area."""
     distance = np.hypot(*(c - at for c, at in zip(_coordinates(light), spot.centre, strict=True)))
     middle = 0.5 * (spot.peak + spot.surroundings)
     elsewhere = (light > middle) & (distance > 2.0 * spot.width) & (distance < SURROUNDINGS[1])
@@ -106,7 +106,7 @@ def _coordinates(light: Luminance) -> tuple[Luminance, Luminance]:
 
 
 def _brightest(light: Luminance) -> Highlight | None:
-    """The brightest spot, as it is."""
+    """The brightest spot, or None if its contrast is too small."""
     width = light.shape[1]
     cell = 2.0 / width
     u, v = (c.ravel() for c in _coordinates(light))
@@ -120,8 +120,8 @@ def _brightest(light: Luminance) -> Highlight | None:
         if profile is None:
             return None
         peak, surroundings, half = profile
-        # Light near the top, none of it counting for more than the peak: lower down, what is around
-        # the highlight pulls it to the brighter side.
+        # Centroid of the light near the top, clamped to the peak; lower levels would shift it
+        # towards brighter surroundings.
         high = peak - HIGHLIGHT.top * (peak - surroundings)
         over = np.clip(_blur(light, 0.25 * half / cell) - high, 0.0, peak - high)
         over = over * (distance < 1.2 * half + 2.0 * cell)
@@ -145,7 +145,13 @@ def _brightest(light: Luminance) -> Highlight | None:
 def _profile(
     light: Luminance, distance: Luminance, reach: float
 ) -> tuple[float, float, float] | None:
-    """Peak, surroundings and the radius half-way between them; None without one."""
+    """Peak, surroundings and half-way radius about a centre; None without the latter.
+
+    Args:
+        light: (h, w) linear picture.
+        distance: (h, w) from the centre, plane units.
+        reach: radius of the disc whose median is the peak.
+    """
     ring = (distance < SURROUNDINGS[1]) & (distance > SURROUNDINGS[0])
     if not ring.any():
         return None
@@ -153,7 +159,7 @@ def _profile(
     inner = distance < max(reach, float(distance.min()))
     peak = float(np.median(light[inner])) if inner.any() else float(light.flat[distance.argmin()])
     middle = 0.5 * (peak + surroundings)
-    # Medians of rings, the first of them a disc, from the middle outwards.
+    # Medians over rings, from the centre outwards.
     last_radius, last = 0.0, peak
     step = min(HIGHLIGHT.ring, 0.5 * max(reach, HIGHLIGHT.ring / 2.0))
     for k in range(1, int(HIGHLIGHT.widest / step) + 1):
@@ -174,6 +180,7 @@ def _profile(
 
 
 def _blur(light: Luminance, deviation: float) -> Luminance:
+    """Gaussian blur; the deviation is in cells, at least 0.3."""
     return np.asarray(
         cv2.GaussianBlur(light, (0, 0), max(deviation, 0.3), borderType=cv2.BORDER_REFLECT_101)
     )

@@ -87,5 +87,5 @@ def _joined_noise(windows: Sequence[Windows]) -> Tensor | None:
 
 
 def _brightness(fit: CoarseFit) -> float:
-    """Mean diffuse albedo times flash intensity (green), which a photograph does determine."""
+    """Mean diffuse albedo times flash intensity (green), a product that one photograph measures."""
     return sum(fit.diffuse) / 3.0 * fit.setup.intensity[1]

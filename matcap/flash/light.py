@@ -1,13 +1,12 @@
-"""The flash's light on a surface: the one differentiable renderer of flash photographs.
+"""The flash's light on a surface: the differentiable renderer of flash photographs.
 
-A point light, inverse-square falloff, the Cook-Torrance reflectance (brdf/cook_torrance.py), no
-shadows: the flash sits beside the lens, so what it cannot reach the camera hardly sees. Radiance is
-linear in irradiance E = I (n.l) / d^2, and in its two parts:
+A point light with inverse-square falloff and the Cook-Torrance reflectance (brdf/cook_torrance.py).
+No shadows: the flash is next to the lens, so the camera hardly sees what it does not light.
 
-    L = (diffuse / pi + D G F / (4 (n.l)(n.v))) E
+    L = (diffuse / pi + D G F / (4 (n.l)(n.v))) E,    E = I (n.l) / d^2.
 
-What stays the same is worked out once: directions and power of a light that stands still
-(`FlashLight`), then what arrives at a relief that does (`Incidence`). Any leading batch dimensions.
+Precomputed are directions and power of a light at fixed points (`FlashLight`), and its irradiance
+on a fixed relief (`Incidence`). Any leading batch dimensions.
 
 Read next: render.py, pictures of whole map sets.
 """
@@ -23,19 +22,18 @@ from torch import Tensor
 from matcap.brdf.cook_torrance import Angles, dot, normalize, specular_lobe
 from matcap.flash.geometry import FlashSetup, camera_in_plane, project
 
-# Corner of a 4:3 picture: its squared distance from the middle, where vignetting is stated.
+# Squared distance from the centre of the corner of a 4:3 picture, the unit of vignetting.
 CORNER_SQUARED = 1.25**2
 
 
 @dataclass(frozen=True)
 class Incidence:
-    """Light that arrives at a relief, and is seen."""
+    """Light incident on a relief, with the direction to the camera."""
 
     angles: Angles
-    """Between normal, light and view."""
+    """Angles between normal, light and view."""
     irradiance: Tensor
-    """(..., 1 or 3, H, W) E; 0 where light or view is below the surface, unless the angles are
-    quick."""
+    """(..., 1 or 3, H, W) E; 0 where light or view is below the surface, unless Angles.quick."""
 
     def diffuse(self, albedo: Tensor) -> Tensor:
         """Radiance (..., 3, H, W) of diffuse albedo (..., 3, H, W)."""
@@ -46,28 +44,29 @@ class Incidence:
         return specular_lobe(specular, roughness, self.angles) * self.irradiance
 
     def radiance(self, diffuse: Tensor, specular: Tensor, roughness: Tensor) -> Tensor:
-        """Radiance (..., 3, H, W) of both parts."""
+        """Diffuse plus specular radiance (..., 3, H, W)."""
         return self.diffuse(diffuse) + self.specular(specular, roughness)
 
 
 @dataclass(frozen=True)
 class FlashLight:
-    """A point light and a camera, from places of the plane."""
+    """Directions to a point light and a camera from points of the plane."""
 
     to_light: Tensor
+    """(..., 3, H, W) unit vectors to the light."""
     to_view: Tensor
-    """(..., 3, H, W) unit vectors."""
+    """(..., 3, H, W) unit vectors to the camera."""
     power: Tensor
     """(..., 1 or 3, H, W) irradiance of a surface that faces the light."""
 
     @staticmethod
     def between(points: Tensor, camera: Tensor, light: Tensor, intensity: Tensor) -> FlashLight:
-        """Of a light and a camera anywhere.
+        """Light and camera at given positions, plane units.
 
         Args:
-            points: (..., 3, H, W) places that are lit, in plane units.
-            camera: (3,) or (..., 3, 1, 1) place of the camera.
-            light: likewise, of the light.
+            points: (..., 3, H, W) lit points.
+            camera: (3,) or (..., 3, 1, 1) position of the camera.
+            light: (3,) or (..., 3, 1, 1) position of the light.
             intensity: (3,), (..., 1 or 3, 1, 1) or (..., 1 or 3, H, W): radiant intensity.
         """
         camera, light, intensity = (_column(v) for v in (camera, light, intensity))
@@ -81,13 +80,13 @@ class FlashLight:
 
     @staticmethod
     def of(setup: FlashSetup, points: Tensor) -> FlashLight:
-        """Of a photograph, its lens's vignetting included, at plane points (..., 3, H, W)."""
+        """Light of a photograph's setup at plane points (..., 3, H, W), vignetting included."""
         camera, light = (v.to(points) for v in camera_in_plane(setup))
         intensity = torch.tensor(setup.intensity).to(points)[:, None, None]
         return FlashLight.between(points, camera, light, intensity * vignette(points, setup))
 
     def cut(self, rows: slice, columns: slice) -> FlashLight:
-        """The light at some of the places."""
+        """The light at a rectangle of points."""
         return FlashLight(
             self.to_light[..., rows, columns],
             self.to_view[..., rows, columns],
@@ -95,12 +94,12 @@ class FlashLight:
         )
 
     def onto(self, normal: Tensor, *, exact: bool = False) -> Incidence:
-        """What arrives at a relief of unit normals (..., 3, H, W).
+        """Incidence on a relief.
 
         Args:
-            normal: of the relief.
-            exact: highlights of any width, and dark below the horizon; else in single precision
-                and never quite dark, for logarithms and gradients (Angles.quick).
+            normal: (..., 3, H, W) unit normals.
+            exact: whether highlights of any width are accurate and the back side is dark; else
+                single precision and radiance above 0, for logarithms and gradients (Angles.quick).
         """
         angles = (Angles.exact if exact else Angles.quick)(normal, self.to_light, self.to_view)
         return Incidence(angles, angles.lit(self.power * angles.n_dot_l))
@@ -113,10 +112,11 @@ def vignette(points: Tensor, setup: FlashSetup) -> Tensor:
 
 
 def log_vignette(image: Tensor, vignetting: float | Tensor, quartic: float | Tensor) -> Tensor:
-    """(...) logarithm of that share at image coordinates (2, ...); FlashSetup has the numbers."""
+    """(...) logarithm of that share at image coordinates (2, ...): -a s - b s^2 (FlashSetup)."""
     squared = image.square().sum(0) / CORNER_SQUARED
     return -squared * (vignetting + quartic * squared)
 
 
 def _column(vector: Tensor) -> Tensor:
+    """(3,) to (3, 1, 1)."""
     return vector[:, None, None] if vector.ndim == 1 else vector

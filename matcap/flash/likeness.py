@@ -1,7 +1,7 @@
 """Texture distance of a material to a photograph: windows rendered under its light.
 
-The loss of every generator: the decoder (space/tuning) and the photographed
-piece (capture/piece/adapt.py) alike (paper, 4.3 and 4.6).
+The loss of both the decoder (space/tuning) and the exemplar's texture-statistics fit
+(capture/piece/adapt.py) [henzler2021, sec. 4.3 and 4.6].
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from matcap.statistics.precision import computes_bfloat16
 
 @dataclass(frozen=True)
 class PhotographTarget:
-    """Windows and statistics of one photograph, or several of one sample, to be matched."""
+    """Target statistics of windows of one photograph, or of several of one sample."""
 
     windows: Windows
-    """Places and targets."""
+    """Windows, with their statistics."""
     setup: FlashSetup
     """Camera and flash."""
     encoding: Encoding
-    """Of its colours."""
+    """Colour space of the comparison."""
     bank: Features
-    """Features."""
+    """Features whose statistics are compared."""
     waves: tuple[Wave, ...]
-    """Of its regular order."""
+    """Frequency vectors of the photograph's lattice, cycles per texel."""
     texel_size: float
-    """In plane units."""
+    """Side of a texel, plane units."""
     weights: Weights = Weights()
-    """Of the statistics."""
+    """Weights of the statistics."""
     expected: Tensor | None = None
     """(5,) logits of the coarse fit's diffuse albedo, F0 and roughness, or None."""
     others: tuple[FlashSetup, ...] = ()
@@ -47,7 +47,7 @@ class PhotographTarget:
 
 
 def shuffled(count: int, seed: int) -> Iterator[int]:
-    """Every number under `count` once in a random order, for ever."""
+    """Yield random permutations of 0 ... count - 1, without end."""
     generator = torch.Generator().manual_seed(seed)
     while True:
         yield from torch.randperm(count, generator=generator).tolist()
@@ -83,7 +83,7 @@ def compare_windows(
 def with_noise(rendered: Tensor, noise: Tensor, step: int) -> Tensor:
     """Add sensor noise (Windows.noise) to renderings (B, 3, size, size).
 
-    Rolled and with random sign, which differ at every step; scaled by shot_deviation.
+    The noise is shifted and signed at random by step, and scaled by shot_deviation.
     """
     generator = torch.Generator().manual_seed(step)
     down, across, sign = torch.randint(noise.shape[-1], (3,), generator=generator).tolist()

@@ -1,7 +1,7 @@
-"""Fill of masked texels of a plane: mirrored neighbours, relit for their new place.
+"""Fill of masked texels of a plane by mirrored neighbours, relit for their new place.
 
-Mirrored radiance alone would carry the shading of another place, and bias networks and filters
-whose support reaches into the masked texels.
+Without relighting they would have the shading of another place, which would bias networks and
+filters whose support includes masked texels.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from matcap.flash.plane import Plane
 from matcap.flash.uniform import Uniform, uniform_radiance
 from matcap.photo.left_out import mirrored
 
-_THIN = 8  # texels between the places that light, which is smooth, is worked out at
+_THIN = 8  # subsampling, texels, of the uniform material's radiance, which is smooth
 
 
 @torch.no_grad()
@@ -25,7 +25,7 @@ def lit_mirror(plane: Plane, uniform: Uniform) -> Plane:
     """Fill masked texels by mirrored ones, times the ratio of the uniform material's radiance.
 
     Args:
-        plane: the photograph; returned as it is if nothing is masked.
+        plane: the photograph; returned unchanged without masked texels.
         uniform: its coarse fit.
     """
     if plane.left_out is None:

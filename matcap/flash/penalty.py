@@ -1,4 +1,4 @@
-"""Regularisers of maps: penalties on structure that the photograph does not call for."""
+"""Regularisers of maps: penalties on structure that the photograph does not need."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ _LOGIT_EPSILON = 1e-4  # of albedo, F0 and roughness: bounds the logit at 0 and 
 class Penalties:
     """Weights of the penalties added to the texture distance; docs/notes/prior.md.
 
-    Attributes: weights, and what they are of.
-        slope: of the mean squared slope; relief must lower the loss by more.
-        steep: of squared slopes beyond `steepest`.
-        specular, roughness: of their logits' variance; what diffuse albedo explains as well is
-            not to become blotches of gloss.
-        departure: of mean maps that leave the coarse fit, in its squared deviations.
-        outlier: of texels beyond `outlying` standard deviations of diffuse albedo, F0 or
-            roughness, in their squared excess; few of them do not show in the statistics.
+    Attributes:
+        slope: weight of the mean squared slope.
+        steep: weight of the squared excess of slopes over `steepest`.
+        specular, roughness: weights of the variances of their logits, so that diffuse albedo is
+            preferred where it explains the photograph as well.
+        departure: weight of the squared difference of mean maps from the coarse fit, over `belief`.
+        outlier: weight of the squared excess of texels over `outlying` standard deviations, in
+            logits of diffuse albedo, F0 and roughness; the statistics do not see few of them.
         outlying: standard deviations of a map.
-        outliers_from: share of the work before outliers are penalised: what belongs there,
-            as metal between rust, begins as specks too, and has spread by then.
-        even: logits, added to the standard deviation: an even map has none.
-        steepest: slopes beyond are not relief that a flash photograph shows: 45 degrees.
-        belief: logits, prior deviations of the coarse fit's diffuse albedo (3), F0 and roughness:
-            the texture's bumps widen the highlight, so its roughness is uncertain.
+        outliers_from: share of the steps before outliers are penalised, as real features (metal
+            between rust) also begin as specks.
+        even: logits, added in quadrature to the standard deviation of a map.
+        steepest: slope; 1 is 45 degrees, the steepest that a flash photograph shows.
+        belief: logits, standard deviations of the coarse fit's diffuse albedo (3), F0 and
+            roughness, the last of which is biased by relief, which widens the highlight.
     """
 
     slope: float = 0.005
@@ -47,19 +47,19 @@ class Penalties:
 
 
 def price(maps: MapSet, expected: Tensor | None, weights: Penalties, share: float) -> Tensor:
-    """Penalty of maps (B, ., H, W); a number, differentiable.
+    """Penalty of maps (B, ., H, W), a differentiable scalar.
 
     Args:
         maps: of one step.
         expected: (5,) logits of the coarse fit's diffuse albedo, F0 and roughness, or None.
         weights: of the terms.
-        share: of the work that is done.
+        share: completed share of the steps, in [0, 1].
     """
     normal = maps.normal
     squared = (normal[:, :2] / normal[:, 2:]).square().sum(dim=1)
     steep = torch.relu((squared + 1e-6).sqrt() - weights.steepest).square().mean()
     penalty = weights.slope * squared.mean() + weights.steep * steep
-    # Of a coloured F0 the mean is compared, as the fit's is grey.
+    # A coloured F0 is averaged over channels, as the coarse fit's is achromatic.
     maps = replace(maps, specular=maps.specular.mean(dim=1, keepdim=True))
     specular = torch.logit(maps.specular, eps=_LOGIT_EPSILON)
     roughness = torch.logit(maps.roughness, eps=_LOGIT_EPSILON)
@@ -74,6 +74,7 @@ def price(maps: MapSet, expected: Tensor | None, weights: Penalties, share: floa
 
 
 def _outlying(logits: list[Tensor], weights: Penalties) -> Tensor:
+    """Mean squared excess of outliers, summed over channels, in standard deviations."""
     reflectance = torch.cat(logits, dim=1)
     deviation = reflectance - reflectance.mean(dim=(0, 2, 3), keepdim=True)
     variance = deviation.square().mean(dim=(0, 2, 3), keepdim=True)
@@ -82,7 +83,8 @@ def _outlying(logits: list[Tensor], weights: Penalties) -> Tensor:
 
 
 def _departure(maps: MapSet, expected: Tensor, weights: Penalties) -> Tensor:
-    # The fit saw a blurred photograph: what it says is the mean, not the mean of logits.
+    """Squared standardised difference of mean maps from the coarse fit."""
+    # The fit is to a blurred photograph, so it estimates means of maps, not of logits.
     linear = torch.cat([maps.diffuse, maps.specular, maps.roughness], dim=1)
     means = torch.logit(linear.mean(dim=(0, 2, 3)), eps=_LOGIT_EPSILON)
     return ((means - expected) / expected.new_tensor(weights.belief)).square().sum()

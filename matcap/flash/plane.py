@@ -20,23 +20,21 @@ class Plane:
     """A rectified photograph."""
 
     linear: Tensor
-    """(3, H, W) scene-linear picture; lighting is left as photographed."""
+    """(3, H, W) scene-linear picture with its shading."""
     valid: Tensor
-    """(H, W) bool, texels seen by the camera and not clipped."""
+    """(H, W) bool, texels inside of the photograph and not clipped."""
     noise: Tensor | None
     """(3, H, W) a sample of the sensor noise model, in the picture's units, or None if unknown."""
     encoding: Encoding
-    """The colour space in which its texture is compared."""
+    """Colour space in which its texture is compared."""
     channels: Tensor | None = None
-    """(3, H, W) bool, where each channel was seen and not clipped; None where only whole texels are
-    known, as `valid` has them."""
+    """(3, H, W) bool, the same by channel; None for `valid` in all channels."""
     left_out: Tensor | None = None
-    """(H, W) bool, what is not the material and shows a mirror of what is; None where all of it
-    is."""
+    """(H, W) bool, masked texels, which are filled by mirrored ones; None without a mask."""
     developed: bool = False
-    """Whether the camera developed the picture to codes of 8 bits."""
+    """Whether the picture is developed (8-bit codes), not RAW."""
     margins: Margins = NO_MARGINS
-    """By which it reaches beyond the photograph's own grid, of a piece that others show more of."""
+    """Margins of a mosaic's grid around the photograph's own."""
 
     @property
     def measured(self) -> Tensor:
@@ -57,7 +55,7 @@ class Plane:
 
     @property
     def extent(self) -> Extent:
-        """Of its texels."""
+        """Extent of its grid on the plane."""
         return self.margins.extent(self.linear.shape[-1] - self.margins.left - self.margins.right)
 
     def encoded(self) -> Tensor:
@@ -95,8 +93,8 @@ class Plane:
         """The plane padded to the grid of a mosaic, invalid beyond its own texels.
 
         Args:
-            margins: of the piece.
-            known: (H, W) bool of the piece: what is left out is what is not.
+            margins: of the mosaic.
+            known: (H, W) bool on the mosaic; texels that are not known are masked.
         """
 
         def padded(planes: Tensor) -> Tensor:
@@ -115,12 +113,12 @@ class Plane:
 
 
 def read_plane(photo: Photo, setup: FlashSetup, detail: int) -> Plane:
-    """A photograph on the plane's own grid, `detail` texels across its long side.
+    """Rectify a photograph to the plane's grid.
 
     Args:
         photo: the photograph.
         setup: its geometry; only field of view and tilt matter here.
-        detail: texels across.
+        detail: texels along the long side.
     """
     linear, valid = rectify(photo, setup, detail)
     whole = plane_of(linear, valid, rectify_noise(photo, setup, detail))

@@ -16,24 +16,22 @@ from torch import Tensor
 from matcap.flash.geometry import FlashSetup, setup_rotation
 from matcap.photo.photo import Photo
 
-_FINER = 2  # places a texel's side is seen at, where the photograph has more pixels than texels
-CLIPPING = 0.95  # a clipped pixel's channels above this did it
-_LEFT_OUT = 0.02  # share of a texel that may have been left out
-MOST_CLIPPED = 0.25  # share of a texel that may have been clipped
+_FINER = 2  # samples along the side of a texel, if the photograph has more pixels than texels
+CLIPPING = 0.95  # channels of a clipped pixel above this are the clipped ones
+_LEFT_OUT = 0.02  # largest masked share of a valid texel
+MOST_CLIPPED = 0.25  # largest clipped share of a valid texel
 
 
 def rectify(photo: Photo, setup: FlashSetup, detail: int) -> tuple[Tensor, Tensor]:
-    """Picture of the plane rectangle x in [-1, 1], `detail` texels across.
-
-    Lighting is left as photographed: a texel keeps the radiance it had in the photograph.
+    """Resample a photograph to the plane rectangle x in [-1, 1]; radiance is not changed.
 
     Args:
         photo: the photograph.
         setup: its geometry; only field of view and tilt matter here.
-        detail: texels across the long side.
+        detail: texels along the long side.
 
     Returns:
-        linear (3, H, W) float32 and valid (H, W) bool: seen by the camera and not clipped.
+        linear (3, H, W) float32 and valid (H, W) bool: inside of the photograph and not clipped.
     """
     linear = _resampled(photo.pixels, setup, detail, cv2.INTER_CUBIC).clip(0.0)
     clipped = _resampled(photo.clipped.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
@@ -43,9 +41,9 @@ def rectify(photo: Photo, setup: FlashSetup, detail: int) -> tuple[Tensor, Tenso
 
 
 def measured(photo: Photo, setup: FlashSetup, detail: int) -> Tensor:
-    """(3, H, W) bool: where each channel was seen and not clipped.
+    """(3, H, W) bool: where each channel is inside of the photograph and not clipped.
 
-    A sparkle that clips in red is still measured in green and blue.
+    A sparkle clipped in red can still be valid in green and blue.
     """
     full = photo.clipped[..., None] & (photo.pixels > CLIPPING)
     clipped = _resampled(full.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
@@ -55,7 +53,7 @@ def measured(photo: Photo, setup: FlashSetup, detail: int) -> Tensor:
 
 
 def rectify_noise(photo: Photo, setup: FlashSetup, detail: int) -> Tensor | None:
-    """(3, H, W) the photograph's noise as `rectify` makes it; None where it is not known."""
+    """(3, H, W) noise sample of a photograph, resampled as by `rectify`; None if unknown."""
     if photo.noise is None:
         return None
     return _planes(_resampled(photo.noise, setup, detail, cv2.INTER_CUBIC))
@@ -70,6 +68,7 @@ def kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_] | No
 
 
 def _kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_]:
+    """The same, (1, 1) True without a mask."""
     mask = kept(photo, setup, detail)
     return np.ones((1, 1), np.bool_) if mask is None else mask
 
@@ -77,7 +76,7 @@ def _kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_]:
 def _resampled(
     picture: NDArray[np.float32], setup: FlashSetup, detail: int, how: int
 ) -> NDArray[np.float32]:
-    """(H, W) or (H, W, 3) a picture on the plane's grid; cubic interpolation may overshoot."""
+    """Resample a picture to the plane's grid, (H, W) or (H, W, 3); cubic may overshoot."""
     rows, columns = picture.shape[:2]
     finer = _FINER if columns > detail else 1
     fine = (finer * detail, finer * round(detail * rows / columns))
@@ -96,7 +95,7 @@ def _resampled(
 
 
 def inside(shape: tuple[int, ...], setup: FlashSetup) -> NDArray[np.bool_]:
-    """(H, W) bool, texels in the picture; `rectify` mirrors the others at the border."""
+    """(H, W) bool, texels inside of the picture; `rectify` mirrors the others at its border."""
     height, width = shape
     row, column = np.mgrid[0:height, 0:width].reshape(2, -1).astype(np.float64)
     places = np.stack([column, row, np.ones_like(row)])
@@ -136,4 +135,5 @@ def _centred(size: tuple[int, int]) -> NDArray[np.float64]:
 
 
 def _planes(picture: NDArray[np.float32]) -> Tensor:
+    """(H, W, 3) to (3, H, W)."""
     return torch.from_numpy(picture).permute(2, 0, 1).contiguous()

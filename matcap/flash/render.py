@@ -15,8 +15,8 @@ def shade(maps: MapSet, points: Tensor, camera: Tensor, light: Tensor, intensity
     """Radiance of a point-lit material seen from a camera, (..., 3, H, W).
 
     Args:
-        maps: the material at `points`; its slopes are small enough to ignore its own shadows.
-        points, camera, light, intensity: as FlashLight.between takes them.
+        maps: the material at `points`; shadows are neglected.
+        points, camera, light, intensity: as of FlashLight.between.
     """
     return _picture(maps, FlashLight.between(points, camera, light, intensity))
 
@@ -24,8 +24,8 @@ def shade(maps: MapSet, points: Tensor, camera: Tensor, light: Tensor, intensity
 def render_flash(maps: MapSet, setup: FlashSetup, points: Tensor) -> Tensor:
     """Scene-linear picture of a material under the setup's own flash, (..., 3, H, W).
 
-    Not clipped. `points` are the plane points of the maps' texels (plane_points), so that a
-    window is lit and seen as where it was cut.
+    Not clipped. `points` are the plane points of the texels (plane_points), which determine the
+    directions of light and view.
     """
     return _picture(maps, FlashLight.of(setup, points))
 
@@ -33,8 +33,8 @@ def render_flash(maps: MapSet, setup: FlashSetup, points: Tensor) -> Tensor:
 def render_rectified(maps: MapSet, setup: FlashSetup) -> Tensor:
     """The flash picture of maps spanning the whole plane rectangle, on the plane's own grid.
 
-    The maps' long side spans two plane units whatever their texel size says: x in [-1, 1], or y
-    where the setup is turned and maps and picture stand.
+    The long side spans two plane units at any texel size: x in [-1, 1], or y if the setup is turned
+    and maps and picture are upright.
     """
     if setup.turned:
         lying = render_rectified(maps.turned(1), replace(setup, turned=False))

@@ -12,11 +12,11 @@ class ScheduleSettings:
     """Settings of every optimisation run; docs/notes/prior.md."""
 
     warm_up: int = 10
-    """Steps."""
+    """Steps of linear warm-up of the learning rate."""
     floor: float = 0.05
-    """Of the learning rate, at the end of the cosine."""
+    """Final share of the learning rate."""
     frozen_share: float = 0.15
-    """Of the work, at the end, done with frozen statistics."""
+    """Last share of the run, with frozen statistics."""
 
 
 SCHEDULE = ScheduleSettings()
@@ -26,13 +26,18 @@ class Schedule:
     """Progress of a run, which ends by steps, by time or by its error, whichever is first.
 
     Attributes:
-        step: how many are done.
-        share: of the work done, in [0, 1], as `over` found it.
-        seconds: of the work so far.
+        step: number of completed steps.
+        share: completed share of the run, in [0, 1], updated by `over`.
     """
 
     def __init__(self, steps: int, seconds: float | None, target: float | None) -> None:
-        """At most so many steps and seconds; at the target error only the frozen end is left."""
+        """Start the clock.
+
+        Args:
+            steps: largest number of steps.
+            seconds: time limit, or None.
+            target: error at which the last, frozen share of the run begins, or None.
+        """
         self.step, self.share = 0, 0.0
         self._steps, self._limit, self._target = steps, seconds, target
         self._started = time.monotonic()
@@ -48,7 +53,7 @@ class Schedule:
 
     @property
     def seconds(self) -> float:
-        """Since the beginning."""
+        """Seconds since the start."""
         return time.monotonic() - self._started
 
     @property

@@ -15,23 +15,23 @@ from matcap.flash.light import FlashLight
 
 @dataclass(frozen=True)
 class Uniform:
-    """A uniform material and the setup it was photographed with."""
+    """A uniform material and the camera and flash of its photograph."""
 
     diffuse: tuple[float, float, float]
-    """(r, g, b) albedo."""
+    """(r, g, b) diffuse albedo."""
     specular: float
     """F0."""
     roughness: float
-    """In (0, 1)."""
+    """GGX roughness, in (0, 1)."""
     setup: FlashSetup
-    """Camera, flash, tilt; its intensity belongs to these albedos."""
+    """Camera, flash and tilt; its intensity is determined only as a product with albedo and F0."""
 
     def logits(self) -> Tensor:
         """(5,) logits of diffuse albedo (3), F0 and roughness."""
         return torch.logit(torch.tensor([*self.diffuse, self.specular, self.roughness]), eps=1e-4)
 
     def parameters(self) -> SurfaceParameters:
-        """Its parameters, (..., 1, 1) each, to which log-parameter residuals of maps are added."""
+        """Log parameters, (..., 1, 1) each, to which the maps' residuals are added."""
         return SurfaceParameters.uniform(self.diffuse, self.specular, self.roughness)
 
 
@@ -46,8 +46,8 @@ def uniform_radiance(
 
     Args:
         uniform: the material and its setup.
-        light: its setup's at some places, (3, H, W).
-        slopes: (dh/dx, dh/dy) (..., 1, H, W) of the places; flat by default.
+        light: of that setup, at (3, H, W) points.
+        slopes: (dh/dx, dh/dy), (..., 1, H, W) each; flat by default.
         duller: added to the logit of roughness.
     """
     one = torch.ones_like(light.power[..., :1, :, :])

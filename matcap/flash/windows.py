@@ -23,15 +23,15 @@ class WindowSettings:
     """Settings of the comparison; docs/notes/prior.md."""
 
     hiss: float = 2e-3
-    """Of the clip level, added to what shot noise grows with: sensors hiss in the dark."""
+    """Read noise, as a share of the clip level added to the radiance in shot noise."""
     together: int = 4
-    """Windows described at a time: more outgrow the processor's caches."""
+    """Windows described at a time, so that they fit the processor's caches."""
     pairs: int = 64
-    """Pairs of windows by which the scatter of statistics is measured."""
+    """Pairs of windows on which the bias of the L1 distance is measured."""
     least_scale: float = 0.7
-    """Of a target: more than that is no scatter."""
+    """Lower limit of the correcting scale."""
     least_seen: float = 0.3
-    """Share of a window's texels that must be inside the picture and not clipped."""
+    """Least valid share of a window."""
 
 
 WINDOWS = WindowSettings()
@@ -42,32 +42,30 @@ class Windows:
     """Windows of a photograph: plane points, texture statistics and noise."""
 
     size: int
-    """Of the square windows, in texels."""
+    """Side of the square windows, texels."""
     points: Tensor
-    """(B, 3, size, size) their plane points."""
+    """(B, 3, size, size) plane points."""
     target: Descriptor
-    """Their descriptors in the photograph, raised by what an L1 distance falls short of."""
+    """Descriptors of the photograph's windows, corrected for the bias of the L1 distance."""
     noise: Tensor | None = None
-    """(B, 3, size, size) one more draw of the sensor's noise there, as a share of what shot noise
-    deviates by (`shot_deviation`), or None."""
+    """(B, 3, size, size) a sample of the sensor noise over `shot_deviation`, or None."""
     photographs: Tensor | None = None
-    """(B,) which photograph each is of, where there are several (joint.py): 0 is the first one;
-    None where there is one."""
+    """(B,) index of each window's photograph (joint.py), 0 for the first; None with only one."""
 
     @property
     def count(self) -> int:
-        """How many."""
+        """Number of windows."""
         return len(self.points)
 
 
 def cut_windows(plane: Plane, bank: Features, size: int, *, most: int | None = None) -> Windows:
-    """Windows all over a rectified picture, overlapping by about half.
+    """Cut windows from a rectified picture, overlapping by about half, and describe them.
 
     Args:
-        plane: the picture; windows hardly seen are left out, unless all are.
-        bank: features to describe with.
-        size: of the windows; not larger than the picture.
-        most: so many at most, the first; None for all.
+        plane: the picture; windows with too few valid texels are omitted, unless all are.
+        bank: features of the descriptors.
+        size: side of the windows, texels, at most the picture's.
+        most: largest number of windows; None for all.
     """
     width, height = plane.size
     places = [(x, y) for y in _steps(height, size) for x in _steps(width, size)]
@@ -100,7 +98,7 @@ def side_by_side(points: Tensor, size: int) -> tuple[Tensor, Tensor]:
     centres = points[:, :2].mean(dim=(2, 3))[None].double()
     texel = float(points[0, 0, 0, 1] - points[0, 0, 0, 0])
     distance = torch.cdist(centres, centres)[0] / (texel * size)
-    # Places are rounded, and at a border closer.
+    # Positions are rounded, and closer at a border.
     first, second = ((distance > 0.85) & (distance < 1.15)).nonzero(as_tuple=True)
     return first, second
 
@@ -147,5 +145,6 @@ def shot_deviation(linear: Tensor) -> Tensor:
 
 
 def _steps(length: int, size: int) -> list[int]:
+    """First texels of windows of a size that cover a length, overlapping by at least half."""
     count = max(1, math.ceil((length - size) / (size / 2)) + 1)
     return [round(i * (length - size) / max(1, count - 1)) for i in range(count)]

@@ -26,22 +26,22 @@ class AdjustSettings:
     """Priors of the bundle adjustment, and its stopping rule."""
 
     huber: float = 1.0
-    """Pixels beyond which a residual counts linearly."""
+    """Threshold of the Huber loss, pixels."""
     counted: float = 40.0
-    """Matches of a photograph that count as independent, however many there are: relief shifts
-    those that lie together by its parallax, all the same way."""
+    """Largest effective number of a photograph's matches, as the parallax of relief is correlated
+    between neighbours."""
     relief: float = 0.01
-    """Deviation of a feature's height, plane units: a match may lie that far along its parallax for
-    nothing."""
+    """Prior standard deviation of a feature's height, plane units."""
     steps: int = 30
-    """Of Levenberg and Marquardt."""
+    """Most iterations of Levenberg-Marquardt."""
     known_focal: float = 0.01
+    """Prior standard deviation of log d if EXIF gives the field of view."""
     assumed_focal: float = 0.1
-    """Deviations of log d where EXIF gives the field of view, and where it is unknown."""
+    """The same if the field of view is unknown."""
     bent: tuple[float, float] = (0.03, 0.01)
-    """Deviations of k1 and k2."""
+    """Prior standard deviations of k1 and k2."""
     tilt: float = 0.15
-    """Deviation of the first camera's tilt, radians."""
+    """Prior standard deviation of the first camera's tilt, radians."""
 
 
 @dataclass(frozen=True)
@@ -49,28 +49,29 @@ class Pair:
     """Feature matches of a photograph with the first."""
 
     first: Doubles
+    """(2, n) image coordinates in the first."""
     second: Doubles
-    """(2, n) image coordinates in both."""
+    """(2, n) image coordinates in the photograph."""
     pixel: float
-    """Of the second, in image coordinates."""
+    """Size of the photograph's pixel in image coordinates."""
     focal: float = 1.0
-    """Focal length of the second, by its file or assumed, over the first's."""
+    """Focal length of the photograph over the first's, by metadata or assumed."""
 
 
 _COMMON = 5  # log focal, k1, k2, the first camera's two tilts
-_OWN = 6  # Rodrigues' vector and place
+_OWN = 6  # rotation vector and position
 
 
 @dataclass(frozen=True)
 class Adjusted:
-    """Cameras that explain all matches."""
+    """Result of the bundle adjustment."""
 
     first: FlashSetup
-    """Setup of the first, its tilt and field of view as found."""
+    """Setup of the first photograph with the estimated tilt and field of view."""
     cameras: tuple[PosedCamera, ...]
-    """Of all photographs, the first one's first."""
+    """Cameras of all photographs, the first one's first."""
     off: tuple[float, ...]
-    """(photographs - 1,) median distance of its matches, in pixels."""
+    """(photographs - 1,) median reprojection error of each, pixels."""
 
 
 def adjust(
@@ -126,6 +127,7 @@ def adjust(
 
 
 def _first_camera(setup: FlashSetup, common: Doubles) -> PosedCamera:
+    """The first camera by the common parameters (5,)."""
     distance = setup.distance * math.exp(common[0])
     fov = 2.0 * math.degrees(math.atan(1.0 / distance))
     tilted = replace(setup, fov=fov, tilt=(float(common[3]), float(common[4])))
@@ -133,6 +135,7 @@ def _first_camera(setup: FlashSetup, common: Doubles) -> PosedCamera:
 
 
 def _camera(setup: FlashSetup, common: Doubles, own: Doubles, pair: Pair) -> PosedCamera:
+    """Another camera by the common parameters (5,) and its own (6,)."""
     focal = setup.distance * math.exp(common[0]) * pair.focal
     turn = np.asarray(cv2.Rodrigues(own[:3])[0], np.float64)
     return PosedCamera(turn, own[3:], Lens(focal, (float(common[1]), float(common[2]))))
@@ -152,14 +155,17 @@ def reprojection(
     """(2, n) reprojection errors in pixels, and the parallax of a height above the plane."""
     points = first.on_plane(pair.first)
     seen = camera.sees(points)
-    # Seen by the first where it was, a feature off the plane lies nearer to the first camera.
+    # Raised along the first camera's rays, so that it sees the features at the same coordinates.
     raised = points + height * (first.place[:, None] - points) / first.place[2]
     parallax = (camera.sees(raised) - seen) / pair.pixel
     return (seen - pair.second) / pair.pixel, parallax
 
 
 def less_relief(residual: Doubles, parallax: Doubles) -> Doubles:
-    """(2, n) of residuals, where a pixel is as probable as a parallax."""
+    """Residuals (2, n) with heights eliminated, which have unit variance in units of `parallax`.
+
+    The squared length of the result is the minimum over x of |residual - x parallax|^2 + x^2.
+    """
     squared = np.square(parallax).sum(0)
     along = (1.0 - 1.0 / np.sqrt(1.0 + squared)) / np.maximum(squared, 1e-12)
     left = residual - along * (residual * parallax).sum(0) * parallax
@@ -181,6 +187,7 @@ def _cost(
     own: Sequence[Doubles],
     settings: AdjustSettings,
 ) -> float:
+    """Huber cost of all photographs' reprojection errors."""
     return sum(
         _huber(_residuals(setup, pair, common, each, settings), settings)[0]
         for pair, each in zip(pairs, own, strict=True)
@@ -230,6 +237,7 @@ class _System:
 
 
 def _parts(step: Doubles) -> list[Doubles]:
+    """Each photograph's own part (6,) of a step."""
     return list(step[_COMMON:].reshape(-1, _OWN))
 
 

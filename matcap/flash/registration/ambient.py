@@ -1,7 +1,7 @@
 """Detection of photographs without flash, by their metadata or their light.
 
-Radiance by a flash beside the lens falls off from its mirror point; that by ambient light does not.
-Metadata take precedence; the falloff decides only where they are silent.
+Radiance under a flash next to the lens falls off from its mirror point; under ambient light it does
+not. Metadata take precedence; the falloff decides only without them.
 """
 
 from __future__ import annotations
@@ -15,18 +15,17 @@ from matcap.photo.photo import Photo
 
 @dataclass(frozen=True)
 class AmbientSettings:
-    """When a photograph counts as one without flash."""
+    """Limits of the falloff."""
 
     faint: float = 1.15
-    """Its middle over its border, at most, where its file says nothing; trades ambient photographs
-    that are taken for flash against flash photographs that are left out."""
+    """Largest ratio of centre to border of a photograph without flash; larger values reject more
+    flash photographs, smaller ones accept more ambient ones."""
     shown: float = 1.3
-    """The same of a photograph whose flash surely shows, at least; without one there is nothing to
-    tell by."""
+    """Least ratio that proves a flash; without such a photograph none counts as ambient."""
 
 
 def flash_first(photos: Sequence[Photo]) -> list[Photo]:
-    """Photographs in their order, but for those without flash, which come last."""
+    """Move photographs without flash to the end, otherwise keeping the order."""
     dark = without_flash(photos)
     lit = [photo for number, photo in enumerate(photos) if number not in dark]
     return lit + [photos[number] for number in dark]
@@ -37,11 +36,11 @@ def without_flash(
 ) -> dict[int, str]:
     """Indices of photographs taken without flash, each with its reason (end of a sentence).
 
-    Empty where no photograph seems to have flash: EXIF does not record external flashes and ring
+    Empty if no photograph seems to have flash, as EXIF does not record external flashes and ring
     lights.
 
     Args:
-        photos: of one piece.
+        photos: of one sample.
         settings: see AmbientSettings.
     """
     falloff = [hot_spot(photo)[1] for photo in photos]
@@ -54,10 +53,10 @@ def without_flash(
     reasons = {}
     for number, (photo, bright) in enumerate(zip(photos, falloff, strict=True)):
         if photo.flash_fired is False:
-            reasons[number] = "its file says that the flash did not fire"
+            reasons[number] = "the flash did not fire by its metadata"
         elif photo.flash_fired is None and bright < settings.faint:
             reasons[number] = (
-                "no flash shows in it: its middle is hardly brighter than its border "
+                "it shows no flash: its middle is hardly brighter than its border "
                 f"({bright:.2f} times)"
             )
     return reasons

@@ -1,9 +1,9 @@
-"""A hand-held camera over the plane, its lens, and the flash beside it.
+"""A camera with any pose over the plane, and its lens.
 
-The plane's frame is the first photograph's (flash/geometry.py). A point p of it lies at
-q = turn (p - place) in front of a camera, which looks down -z, x right, y up; it is seen at
-u = d q_x / -q_z, v = d q_y / -q_z with d = 1 / tan(fov / 2), the long side in [-1, 1], and drawn
-by the lens at (1 + k1 r^2 + k2 r^4) times that ([brown1966], radial terms alone).
+The plane frame is the first photograph's (flash/geometry.py). A point p is q = turn (p - place) in
+the frame of a camera, which looks down -z, x right, y up. Its ideal image coordinates are
+u = d q_x / -q_z, v = d q_y / -q_z with d = 1 / tan(fov / 2), the long side in [-1, 1]; the lens
+multiplies them by 1 + k1 r^2 + k2 r^4 ([brown1966], radial terms only).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from matcap.flash.geometry import FlashSetup, camera_in_plane, setup_rotation
 
 Doubles = NDArray[np.float64]
 
-_ROUNDS = 12  # of undoing a lens's distortion; each gains two digits at a phone's 3 %
+_ROUNDS = 12  # fixed-point iterations of undistortion; each gains two digits at a distortion of 3 %
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Lens:
     """Pinhole lens with radial distortion about the image centre."""
 
     focal: float
-    """D, its distance from a picture whose long side is in [-1, 1]."""
+    """Focal length d, in halves of the picture's long side."""
     bent: tuple[float, float] = (0.0, 0.0)
     """(k1, k2) of its radial distortion."""
 
@@ -45,18 +45,18 @@ class Lens:
 
 @dataclass(frozen=True)
 class PosedCamera:
-    """Camera with pose and lens, in the frame of the plane."""
+    """Camera with pose and lens, in the plane frame."""
 
     turn: Doubles
-    """(3, 3) rotation from the plane's frame to the camera's."""
+    """(3, 3) rotation from the plane frame to the camera's."""
     place: Doubles
-    """(3,) of the camera in the plane's frame."""
+    """(3,) position of the camera in the plane frame, plane units."""
     lens: Lens
-    """Its lens."""
+    """Focal length and distortion."""
 
     @staticmethod
     def of(setup: FlashSetup, bent: tuple[float, float] = (0.0, 0.0)) -> PosedCamera:
-        """The camera of a photograph that the plane's frame belongs to."""
+        """The first photograph's camera, which defines the plane frame; `bent` is (k1, k2)."""
         place, _ = camera_in_plane(setup)
         return PosedCamera(setup_rotation(setup).numpy(), place.numpy(), Lens(setup.distance, bent))
 
@@ -68,7 +68,7 @@ class PosedCamera:
         return self.lens.drawn(self.lens.focal * np.stack([x, y]) / depth)
 
     def on_plane(self, image: Doubles) -> Doubles:
-        """(3, ...) points of the plane seen at (2, ...); the inverse of sees()."""
+        """(3, ...) plane points at image coordinates (2, ...); the inverse of sees()."""
         u, v = self.lens.undone(image)
         ray = np.tensordot(self.turn.T, np.stack([u, v, np.full_like(u, -self.lens.focal)]), 1)
         column = self.place.reshape(3, *(1,) * (ray.ndim - 1))

@@ -1,10 +1,10 @@
 """Covariance of the bundle-adjusted cameras.
 
-The random error of features averages out; that of shading does not. The lit side of a bump follows
-the flash, like a point at another depth (a highlight like the bump's centre of curvature), and does
-so for all bumps of a material. This common depth cannot be estimated from the matches, since a
-plane at that depth gives the same; its size is bounded by the depths at which single features
-appear. It is a consider parameter: in the covariance, but not estimated [schmidt1966].
+Random errors of features average out; those of shading do not. The lit side of a bump follows the
+flash, like a point at another depth (a highlight like the bump's centre of curvature), by the same
+depth for all bumps of a material. This common depth cannot be estimated from the matches, as a
+plane at that depth gives the same ones; its standard deviation is taken from the apparent depths of
+single features. It is a consider parameter: in the covariance, but not estimated [schmidt1966].
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from matcap.flash.registration.adjust import Adjusted, Pair, less_relief, reproj
 from matcap.flash.registration.camera import Doubles, Lens, PosedCamera
 from matcap.flash.registration.grid import grid_points
 
-DOUBTED = 0.002  # of the distance: what may be farther off is said
+DOUBTED = 0.002  # standard deviation of a position, over its distance, above which it is reported
 
 
 @dataclass(frozen=True)
@@ -34,18 +34,18 @@ class DoubtSettings:
     alone: float = 0.25
     """Share of features that are independent (do not overlap others)."""
     tilt: float = 0.15
-    """Of the first camera's tilt, radians, as in bundle adjustment."""
+    """Prior standard deviation of the first camera's tilt, radians, as in bundle adjustment."""
     focal: float = 0.005
-    """Of the log focal length."""
+    """Prior standard deviation of the log focal length."""
     bent: float = 0.03
-    """Of k1."""
+    """Prior standard deviation of k1."""
     relief: float = 0.01
-    """Height that features may have without a residual, plane units."""
+    """Prior standard deviation of features' heights, plane units (adjust.less_relief)."""
 
 
-_COMMON = 4  # log focal, k1, turns about x and y
-_OWN = 6  # turns about x, y and z, place
-_STEP = 1e-6
+_COMMON = 4  # log focal, k1, the first camera's rotations about x and y
+_OWN = 6  # rotations about x, y and z, position
+_STEP = 1e-6  # of finite differences
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ class Doubts:
     """Standard deviations of camera positions and registration, (photographs - 1,) each."""
 
     places: Doubles
-    """Of each camera's position relative to the first, over its distance."""
+    """Each camera's position relative to the first, over its distance."""
     astray: Doubles
-    """Of each photograph's registration to the first, plane units. Much less than `places`: errors
+    """Each photograph's registration to the first, plane units; much less than `places`, as errors
     of position and rotation nearly cancel on the plane."""
 
 
@@ -90,7 +90,7 @@ def _covariance(fit: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings) -
         noise, depth = _scatter(residual, parallax, settings)
         depths.append(depth)
         jacobian, shading = _linear(first, camera, pair, settings)
-        # Those far off are outliers, which weigh nothing.
+        # Matches beyond four standard deviations are outliers, with weight 0.
         kept = np.tile(np.hypot(*less_relief(residual, parallax)) < 4.0 * noise, 2)
         weight = settings.alone * kept / noise**2
         places = _numbers(number + 1)

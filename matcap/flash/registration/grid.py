@@ -1,4 +1,4 @@
-"""The plane's grid, and the pixels of a picture."""
+"""Plane points of a grid of texels, and pixels of image coordinates."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from matcap.flash.extent import OWN, Extent
 def grid_points(
     across: int, down: int, extent: Extent = OWN, rows: slice = slice(None)
 ) -> NDArray[np.float64]:
-    """(3, down, across) plane points of the texels of a rectangle, or of some of its rows.
+    """(3, down, across) plane points of a grid's texels, or of some of its rows.
 
-    As geometry.plane_points has them.
+    The layout is that of geometry.plane_points.
     """
     texel = extent.texel(across)
     x = (np.arange(across) + 0.5 - across / 2.0) * texel + extent.middle[0]
@@ -24,7 +24,7 @@ def grid_points(
 def to_pixels(
     image: NDArray[np.float64], columns: int, rows: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Columns and rows of image coordinates (2, ...), as cv2.remap wants them; far off for NaN."""
+    """Columns and rows of image coordinates (2, ...) for cv2.remap; -1e6 for NaN."""
     x = (image[0] + 1.0) * columns / 2.0 - 0.5
     y = (rows - image[1] * columns) / 2.0 - 0.5
     return (

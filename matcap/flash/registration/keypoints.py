@@ -1,4 +1,4 @@
-"""Feature matches of two photographs: keypoints by SIFT [lowe2004] on even contrast.
+"""Feature matches of two photographs: SIFT keypoints [lowe2004] on normalised contrast.
 
 The flash moves with the camera, so shading differs between photographs: local contrast is
 normalised before detection, by its local mean amplitude, or by CLAHE where that gives few matches.
@@ -20,34 +20,35 @@ from matcap.photo.photo import Photo
 
 Doubles = NDArray[np.float64]
 
-_AT_ONCE = 1024  # features whose distances are known at a time: 25 MB
+_AT_ONCE = 1024  # rows of the distance matrix computed at a time, 25 MB
 
 
 @dataclass(frozen=True)
 class KeypointSettings:
-    """How features are found and matched; trades matches for time."""
+    """Settings of detection and matching."""
 
     long_side: int = 1600
-    """Pixels across that are looked at."""
+    """Pixels along the long side of the downsampled photograph."""
     most: int = 6000
-    """Features of a photograph."""
+    """Largest number of features of a photograph."""
     contrast: float = 0.01
-    """Least contrast of a feature; low, for materials are faint."""
+    """Contrast threshold of SIFT; low, as materials have little contrast."""
     ratio: float = 0.95
-    """A match's distance over the next best's, at most [lowe2004]."""
+    """Largest ratio of the distances of nearest and second nearest match [lowe2004]."""
     off: float = 2.5
-    """Pixels that a match may lie beside a homography."""
+    """Largest distance of an inlier from the homography, pixels."""
     enough: int = 200
-    """Matches that agree, below which more is tried: matches that vote, and contrast made even in
-    the other way."""
+    """Inliers below which votes and the other contrast normalisation are tried as well."""
     voters: int = 600
-    """Matches whose vote is asked for, at most."""
+    """Largest number of matches that vote."""
     fine: float = 0.8
+    """Standard deviation of the blur against noise, pixels."""
     slow: float = 24.0
+    """Standard deviation of the high-pass, pixels."""
     around: float = 40.0
-    """Pixels: deviations of noise, of light, and of what contrast is the mean of."""
+    """Standard deviation of the local contrast, pixels."""
     faint: float = 0.01
-    """Log radiance: contrast below this stays low."""
+    """Log radiance added to the local contrast, so that noise is not amplified."""
 
 
 @dataclass(frozen=True)
@@ -57,18 +58,18 @@ class Keypoints:
     image: Doubles
     """(2, n) image coordinates."""
     described: NDArray[np.float32]
-    """(n, 128) by SIFT, roots of shares [arandjelovic2012]."""
+    """(n, 128) RootSIFT descriptors [arandjelovic2012]."""
     pixel: float
-    """A pixel's side in image coordinates."""
+    """Size of a pixel in image coordinates."""
     shape: NDArray[np.complex128]
-    """(n,) complex: size in image coordinates, turned as the feature is."""
+    """(n,) complex: the modulus is the size in image coordinates, the argument the orientation."""
 
 
 class KeypointFinder:
-    """Keypoints of photographs, each looked for once and only when asked for."""
+    """Matches of photographs, with a cache of their keypoints."""
 
     def __init__(self, settings: KeypointSettings = KeypointSettings()) -> None:
-        """With settings."""
+        """Start with an empty cache."""
         self._settings = settings
         self._cached: dict[tuple[int, int], Keypoints] = {}
 
@@ -86,6 +87,7 @@ class KeypointFinder:
         return best
 
     def _keypoints(self, photo: Photo, number: int) -> Keypoints:
+        """Keypoints of a photograph after the contrast normalisation _EVEN[number]."""
         key = (id(photo), number)
         if key not in self._cached:
             self._cached[key] = find_keypoints(photo, _EVEN[number], self._settings)
@@ -97,12 +99,12 @@ def find_keypoints(
     even: Callable[[NDArray[np.float32], KeypointSettings], NDArray[np.uint8]],
     settings: KeypointSettings,
 ) -> Keypoints:
-    """Keypoints of a photograph whose contrast is made even by a function."""
+    """Keypoints of a photograph after the contrast normalisation `even`."""
     rows, columns = photo.pixels.shape[:2]
     shrunk = min(1.0, settings.long_side / columns)
     size = (round(columns * shrunk), round(rows * shrunk))
     grey = cv2.resize(photo.pixels.mean(2), size, interpolation=cv2.INTER_AREA)
-    # Without precise upscaling all lie a quarter of a pixel to the right and below.
+    # Without precise upscaling, all coordinates are biased by a quarter of a pixel.
     sift = cv2.SIFT.create(
         settings.most, contrastThreshold=settings.contrast, enable_precise_upscale=True
     )
@@ -130,7 +132,7 @@ def even_contrast(grey: NDArray[np.float32], settings: KeypointSettings) -> NDAr
 
 def even_histogram(grey: NDArray[np.float32], settings: KeypointSettings) -> NDArray[np.uint8]:
     """8-bit sRGB code after contrast-limited adaptive equalisation (CLAHE [zuiderveld1994])."""
-    # A dark photograph's features are as good as a bright one's.
+    # Normalise exposure by the median.
     level = 0.25 / max(float(np.median(grey)), 1e-6)
     codes = (255.0 * srgb_encode((grey * level).clip(0.0, 1.0))).round().astype(np.uint8)
     return np.asarray(cv2.createCLAHE(3.0, (12, 12)).apply(codes))
@@ -142,9 +144,9 @@ _EVEN = (even_contrast, even_histogram)
 def matched(
     first: Keypoints, second: Keypoints, settings: KeypointSettings
 ) -> tuple[Doubles, Doubles]:
-    """(2, n) image coordinates in both of features that agree with one homography.
+    """(2, n) image coordinates in both photographs of matches consistent with a homography.
 
-    Robust by MAGSAC++ [barath2020].
+    The homography is estimated by MAGSAC++ [barath2020].
     """
     nothing = np.zeros((2, 0))
     if min(len(first.described), len(second.described)) < 8:
@@ -153,7 +155,7 @@ def matched(
     if len(i) < 8:
         return nothing, nothing
     one, other = first.image[:, i], second.image[:, j]
-    # In pixels: thresholds know no other scale.
+    # Thresholds are in pixels.
     places = one / first.pixel, other / second.pixel
     _, chosen = _homography(*places, settings)
     if chosen.sum() < settings.enough:
@@ -211,7 +213,7 @@ def _homography(
 def _consistent(
     some: NDArray[np.bool_], one: Doubles, other: Doubles, settings: KeypointSettings
 ) -> NDArray[np.bool_]:
-    """(n,) which matches agree with the homography fitted to some of them."""
+    """(n,) bool, inliers of the homography that is fitted to `some` of the matches."""
     matrix, _ = _homography(one[:, some], other[:, some], settings)
     among = np.zeros(one.shape[1], bool)
     if matrix is None:
@@ -233,14 +235,14 @@ def _voted(
     Args:
         one, other: (2, n) image coordinates.
         shapes: (n,) complex, scale and rotation of features in the second over the first.
-        settings: see there.
+        settings: see KeypointSettings.
     """
     here, there = one[0] + 1j * one[1], other[0] + 1j * other[1]
     step = -(-len(here) // settings.voters)
     between = here[None] - here[::step, None]
     off = np.abs(there[::step, None] + shapes[::step, None] * between - there[None])
     far, ratio = np.abs(between), np.abs(np.log(shapes[None] / shapes[::step, None]))
-    # Perspective turns and stretches what lies farther away; what lies at the same place repeats.
+    # Perspective makes the tolerance grow with distance; matches at the same point do not vote.
     along = (off < 0.03 + 0.3 * far) & (ratio < 0.6) & (far < 0.7)
     votes = (along & (far > 0.02)).sum(1)
     return np.asarray(along[int(np.argmax(votes))])

@@ -21,10 +21,11 @@ class PeriodSettings:
     across: int = 640
     """Width of the downsampled photograph, pixels."""
     fine: float = 0.8
+    """Smaller standard deviation of the band-pass (difference of Gaussians), pixels."""
     slow: float = 12.0
-    """Standard deviations of the band-pass (difference of Gaussians), pixels."""
+    """Larger standard deviation of the band-pass, pixels."""
     nearest: int = 4
-    """Least lag, pixels: below it smoothness alone correlates."""
+    """Least lag, pixels; at smaller ones any smooth texture correlates."""
     reach: float = 0.2
     """Largest lag along each axis, as a share of the width."""
     alike: float = 0.35

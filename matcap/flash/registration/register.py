@@ -1,4 +1,4 @@
-"""Register photographs of one sample: a camera for each; unrelated ones are named."""
+"""Register photographs of one sample: a camera for each, and those that do not fit."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ from matcap.photo.photo import DEFAULT_FOV, Photo
 
 @dataclass(frozen=True)
 class RegisterSettings:
-    """When a photograph belongs to a piece; stricter leaves more out."""
+    """Limits beyond which a photograph is left out."""
 
     matches: int = 18
-    """Least number that agree; by chance 6 to 13 do (docs/notes/several.md)."""
+    """Least number of inliers; by chance there are 6 to 13 (docs/notes/several.md)."""
     off: float = 2.0
-    """Pixels that its matches lie beside each other, at most (median)."""
+    """Largest median reprojection error, pixels."""
     steepest: float = 65.0
-    """Degrees that a camera may lean."""
+    """Largest tilt of a camera, degrees."""
     alike: float = 0.12
-    """Least correlation of what both show, fine texture over even contrast, at the found place; by
-    chance it is 0, of the same piece 0.2 to 0.9."""
+    """Least correlation of fine texture with the first photograph after registration; it is 0 by
+    chance, and 0.2 to 0.9 for the same sample."""
     compared: int = 384
-    """Texels across that are compared."""
+    """Texels across the grid of the correlation."""
     shifted: int = 5
-    """Texels to all sides where the correlation must be lower."""
+    """Shift in texels at which the correlation must be lower."""
     straight: AdjustSettings = AdjustSettings(bent=(0.003, 0.001))
-    """Priors where only one photograph has flash: its features lie beside those of the others as
-    if a lens distorted them, for shading goes with the light."""
+    """Priors if only one photograph has flash, as the displacement of its shading looks like
+    distortion by a lens."""
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A photograph that is not used."""
+    """A photograph that could not be registered."""
 
     name: str
-    """Its file's."""
+    """Name of its file."""
     why: str
-    """The rest of a sentence."""
+    """Reason, as the end of a sentence."""
 
 
 @dataclass(frozen=True)
@@ -62,40 +62,40 @@ class RegisteredView:
     photo: Photo
     """The photograph."""
     camera: PosedCamera
-    """In the plane's frame."""
+    """Its camera in the plane frame."""
     matches: int = 0
-    """With the first photograph that agree; 0 of the first itself."""
+    """Number of inlier matches with the first photograph; 0 for the first."""
     off: float = 0.0
-    """Pixels that they lie beside each other (median)."""
+    """Median reprojection error of these, pixels."""
     alike: float = 1.0
-    """Correlation with the first photograph."""
+    """Correlation of fine texture with the first photograph."""
     flash: bool = True
-    """Whether its own flash lit it; else the room did."""
+    """Whether it is lit by flash, not by ambient light alone."""
     doubt: float = 0.0
-    """What its camera's place beside the first one's may be off by, over its distance, one
-    deviation (doubt.py)."""
+    """Standard deviation of the camera's position relative to the first, over its distance
+    (doubt.py)."""
     astray: float = 0.0
-    """Plane units that it may lie beside the first by, one deviation, likewise."""
+    """Standard deviation of its registration to the first, plane units (doubt.py)."""
 
 
 @dataclass(frozen=True)
 class Registration:
-    """Photographs of one piece."""
+    """Result of registering photographs of one sample."""
 
     setup: FlashSetup
-    """Of the first one, field of view and tilt estimated from all."""
+    """Setup of the first one, with field of view and tilt estimated from all."""
     views: tuple[RegisteredView, ...]
-    """Those that belong, the first one first; one without flash at most, last."""
+    """Registered photographs, the first one first; at most one without flash, last."""
     left_out: tuple[LeftOut, ...]
-    """Those that do not."""
+    """Photographs that could not be registered."""
     blurred: bool = False
-    """Whether the first one is, beside the others."""
+    """Whether the first one is blurred compared with the others."""
 
 
 def register_in_any_order(photos: Sequence[Photo]) -> Registration:
-    """Register photographs; the first with flash gives the frame, or the next if that is blurred.
+    """Register photographs; the first with flash defines the frame, or the next if that is blurred.
 
-    The first camera begins above the plane: where it begins makes no difference
+    The initial tilt of the first camera is 0; the result hardly depends on it
     (docs/notes/several.md).
 
     Args:
@@ -139,7 +139,7 @@ def register(
                 f"at least {settings.matches} are needed"
             )
             if repeats_itself(photos[0]):
-                why += "; its pattern repeats: let all photographs show a border or a mark"
+                why += "; its pattern repeats: show a border or a mark in all photographs"
             left_out[index] = why
             continue
         ratio = FlashSetup(fov=photos[index].fov).distance / FlashSetup(fov=photos[0].fov).distance
@@ -154,7 +154,7 @@ def register(
             blurred, wrong = _blurred(photos, list(pairs), dark, adjusted)
         if not wrong:
             break
-        # The worst goes first: it may have misled the others.
+        # Remove the worst and fit again, as it affects the others.
         index, why = wrong[0]
         left_out[index] = why
         del pairs[index]
@@ -174,7 +174,7 @@ def _views(
     adjusted: Adjusted,
     settings: RegisterSettings,
 ) -> tuple[tuple[RegisteredView, ...], dict[int, str]]:
-    """Photographs with flash, then the best without, and why others without are not used."""
+    """Views with flash, then the best one without; and reasons by index for the others without."""
     lit, unlit = [RegisteredView(photos[0], adjusted.cameras[0])], dict[int, RegisteredView]()
     unsure = doubts(adjusted, list(pairs.values()))
     for number, (index, pair) in enumerate(pairs.items()):
@@ -201,12 +201,12 @@ def _views(
 def _blurred(
     photos: Sequence[Photo], others: Sequence[int], dark: Container[int], adjusted: Adjusted
 ) -> tuple[bool, list[tuple[int, str]]]:
-    """Whether the first is blurred, and which others are, the worst first, each with why."""
+    """Whether the first is blurred; and (index, reason) of blurred others, the worst first."""
     lit = [(0, 0), *((index, n) for n, index in enumerate(others, 1) if index not in dark)]
     blur = blurring([photos[index] for index, _ in lit], [adjusted.cameras[n] for _, n in lit])
     ranked = sorted(zip(blur, lit, strict=True), reverse=True)
     return blur[0] > SHARP.blurred, [
-        (index, f"it is blurred: it shows {math.exp(-amount):.0%} of the others' finest detail")
+        (index, f"it is blurred: its finest detail is {math.exp(-amount):.0%} of the others'")
         for amount, (index, _) in ranked
         if index and amount > SHARP.blurred
     ]
@@ -215,15 +215,15 @@ def _blurred(
 def _wrong(
     photos: Sequence[Photo], numbers: dict[int, int], adjusted: Adjusted, settings: RegisterSettings
 ) -> list[tuple[int, str]]:
-    """Photographs with an implausible camera, the worst first, each with its reason."""
+    """(index, reason) of photographs with an implausible camera, the worst first."""
     wrong = []
     first = RegisteredView(photos[0], adjusted.cameras[0])
     for index, number in numbers.items():
         camera, off = adjusted.cameras[number + 1], adjusted.off[number]
         if not np.isfinite(camera.place).all() or camera.place[2] <= 0.05:
-            wrong.append((math.inf, index, "its matches fit no camera position above a flat piece"))
+            wrong.append((math.inf, index, "its matches fit no camera above a flat sample"))
         elif off > settings.off:
-            why = f"its matches are {off:.1f} pixels off: the piece moved or is not flat"
+            why = f"its matches are {off:.1f} pixels off: the sample moved or is not flat"
             wrong.append((off / settings.off, index, why))
         elif math.degrees(camera.tilt) > settings.steepest:
             why = (
@@ -242,7 +242,7 @@ def _wrong(
 def likeness(first: RegisteredView, second: RegisteredView, settings: RegisterSettings) -> float:
     """Correlation of the fine texture of two registered photographs over their overlap.
 
-    In [-1, 1]; -1 without overlap, or where a shift by a few texels correlates better.
+    In [-1, 1]; -1 without overlap, or if a shift by a few texels correlates better.
     """
     across = settings.compared
     down = round(across * first.photo.pixels.shape[0] / first.photo.pixels.shape[1])

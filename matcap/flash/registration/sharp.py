@@ -1,4 +1,4 @@
-"""Detection of blurred photographs: all show the same texture, so the sharpest are the reference.
+"""Detection of blurred photographs by comparison with others of the same texture.
 
 Sharpness is the ratio of the amplitudes of the finest band and of a band of four times the
 wavelength: defocus and motion lower it, light hardly affects it.
@@ -23,18 +23,19 @@ ChannelPlane = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class SharpSettings:
-    """When a photograph counts as blurred; docs/notes/several.md."""
+    """Settings of the detection; docs/notes/several.md."""
 
     blurred: float = 0.22
-    """Log: so much less of the finest waves than the set's middle shows; sharp ones scatter by
-    0.14, a smear of a hundredth of the width is 0.28 and more."""
+    """Log loss of sharpness against the median from which a photograph is blurred; sharp ones vary
+    by 0.14, a motion blur of a hundredth of the width is 0.28 and more."""
     across: int = 640
-    """Texels that are looked at."""
+    """Texels across the grid of the comparison."""
     tiles: int = 12
-    """Across."""
+    """Tiles across."""
     fine: tuple[float, float] = (0.7, 1.4)
+    """Standard deviations of the two Gaussians of the finest band, texels."""
     long: tuple[float, float] = (2.8, 5.6)
-    """Texels, deviations of the blurs on either side of each band."""
+    """The same of the longer band."""
 
 
 SHARP = SharpSettings()
@@ -57,7 +58,7 @@ def blurring(photos: Sequence[Photo], cameras: Sequence[PosedCamera]) -> list[fl
 
 
 def _fineness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.float64]:
-    """(tiles,) log sharpness; NaN for a tile that is not wholly seen."""
+    """(tiles,) log sharpness on the first photograph's plane; NaN for a tile partly outside."""
     across = SHARP.across
     down = round(across * first.pixels.shape[0] / first.pixels.shape[1])
     rows, columns = photo.pixels.shape[:2]
@@ -78,5 +79,6 @@ def _fineness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.flo
 
 
 def _band(log: NDArray[Any], reach: tuple[float, float]) -> ChannelPlane:
+    """Squared difference of two Gaussian blurs."""
     near, far = (cv2.GaussianBlur(log, (0, 0), deviation) for deviation in reach)
     return np.asarray(np.square(near - far), np.float32)
