@@ -176,21 +176,18 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
 def _thumbnails(result: CaptureResult) -> dict[str, str]:
     """The preview's panels as small JPEGs, base64 by label, for the index page."""
     import base64
-
-    import cv2
-    import numpy as np
+    from io import BytesIO
 
     from matcap.capture.preview import panels
 
     pictures = {}
     for panel in panels(result):
-        height, width = panel.pixels.shape[:2]
+        height, width = panel.values.shape[:2]
         scale = min(1.0, _THUMBNAIL / max(height, width))
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
-        small = cv2.resize(panel.pixels, size, interpolation=cv2.INTER_AREA)
-        code = np.rint(np.clip(small, 0.0, 1.0) * 255.0).astype(np.uint8)[..., ::-1]
-        jpeg = cv2.imencode(".jpg", np.ascontiguousarray(code), [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
-        pictures[panel.label] = base64.b64encode(jpeg.tobytes()).decode()
+        jpeg = BytesIO()
+        panel.resized(size).save(jpeg, "JPEG", quality=80)
+        pictures[panel.label] = base64.b64encode(jpeg.getvalue()).decode()
     return pictures
 
 

@@ -17,7 +17,6 @@ from matcap.capture.preview import Panel, block, each_map, relit, stacked, title
 from matcap.capture.upright import standing
 from matcap.field.material import Material
 from matcap.field.opened import open_material
-from matcap.files.srgb import srgb_picture
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
 from matcap.photo.photo import Photo
@@ -81,13 +80,13 @@ def _panels(material: Material, photo: Photo | None) -> Iterator[Panel]:
     if photo is not None:
         height = round(width * photo.pixels.shape[0] / photo.pixels.shape[1])
         linear = _rows(rectify(photo, setup, width)[0])
-        yield Panel("photograph", srgb_picture(standing(linear) if setup.turned else linear))
+        yield Panel("photograph", standing(linear) if setup.turned else linear)
     if setup.turned:
         width, height = height, width
     maps = material.maps(width, height)
     with torch.inference_mode():
         rendered = _rows(render_rectified(maps, setup))
-    yield Panel("re-rendered", srgb_picture(rendered))
+    yield Panel("re-rendered", rendered)
     for side in ("left", "top"):
         yield relit(side, maps, rendered, setup)
     yield from each_map(maps)

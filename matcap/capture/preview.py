@@ -9,7 +9,7 @@ exemplar if it extends beyond the first photograph.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -48,17 +48,43 @@ _LIGHTS = {"left": (-2.5, 0.0, 1.5), "top": (0.0, 2.0, 1.2)}
 _LEAST_SPAN = {"specular": 0.02, "roughness": 0.05, "height": 0.002}
 
 
-def _developed(result: CaptureResult, linear: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Code values (sRGB) of a linear picture (H, W, 3) under the photograph's tone curve."""
-    return srgb_picture(result.photo.developed(linear))
-
-
 @dataclass(frozen=True)
 class Panel:
     """A labelled picture of the sheet."""
 
     label: str
-    pixels: NDArray[np.float32]  # (H, W, 3) code values in [0, 1]
+    values: NDArray[np.float32]
+    """(H, W, 3) or (H, W), as they average."""
+    code: Callable[[NDArray[np.float32]], NDArray[np.float32]] = srgb_picture
+    """Code values in [0, 1] of them, only of what is shown."""
+
+    @property
+    def aspect(self) -> float:
+        """Height over width."""
+        return self.values.shape[0] / self.values.shape[1]
+
+    def resized(self, size: tuple[int, int]) -> Image.Image:
+        """All of it, (width, height) pixels."""
+        import cv2
+
+        way = cv2.INTER_AREA if size[0] <= self.values.shape[1] else cv2.INTER_NEAREST
+        return self._image(np.asarray(cv2.resize(self.values, size, interpolation=way), np.float32))
+
+    def crop(self) -> Image.Image:
+        """The crop beside the middle: near the highlight, but not in it."""
+        height, width = self.values.shape[:2]
+        x = max(0, min(width // 4 - _CROP // 2, width - _CROP))
+        y = max(0, (height - _CROP) // 2)
+        return self._image(self.values[y : y + _CROP, x : x + _CROP])
+
+    def _image(self, values: NDArray[np.float32]) -> Image.Image:
+        code = np.rint(np.clip(self.code(values), 0.0, 1.0) * 255.0)
+        return Image.fromarray(code.astype(np.uint8)).convert("RGB")
+
+
+def _developed(label: str, result: CaptureResult, linear: NDArray[np.float32]) -> Panel:
+    """A linear picture (H, W, 3) as the camera develops it."""
+    return Panel(label, linear, lambda some: srgb_picture(result.photo.developed(some)))
 
 
 def write_preview(result: CaptureResult, path: Path) -> None:
@@ -128,11 +154,11 @@ def _headline(result: CaptureResult, width: int) -> Image.Image:
 
 def panels(result: CaptureResult) -> Iterable[Panel]:
     """Panels of a material, over a rectangle as large as the photograph."""
-    yield Panel("photograph", _developed(result, result.rectified))
-    yield Panel("re-rendered", _developed(result, result.rerendered))
+    yield _developed("photograph", result, result.rectified)
+    yield _developed("re-rendered", result, result.rerendered)
     yield relit("top", result.maps, result.rerendered, result.material.setup)
     yield from each_map(result.maps)
-    yield Panel("normal", 0.5 + 0.5 * _picture(result.maps, "normal"))
+    yield Panel("normal", _picture(result.maps, "normal"), lambda some: 0.5 + 0.5 * some)
 
 
 def piece_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[Panel]:
@@ -148,8 +174,8 @@ def piece_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[
     maps, setup = piece_maps(estimate.framed), result.material.setup
     with torch.inference_mode():
         rerendered = render_rectified(maps, setup).movedim(0, -1).numpy()
-    yield Panel("photograph", _developed(result, result.rectified))
-    yield Panel("re-rendered", _developed(result, rerendered))
+    yield _developed("photograph", result, result.rectified)
+    yield _developed("re-rendered", result, rerendered)
     for side in _LIGHTS:
         yield relit(side, maps, rerendered, setup)
     yield from each_map(maps)
@@ -167,8 +193,8 @@ def whole_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[
 
 def block(shown: Sequence[Panel]) -> Image.Image:
     """Lay out panels in rows of four, and their crops at one pixel per texel below."""
-    height, width = shown[0].pixels.shape[:2]
-    panel_height = max(1, round(_PANEL * height / width))
+    height = shown[0].values.shape[0]
+    panel_height = max(1, round(_PANEL * shown[0].aspect))
     rows = -(-len(shown) // _COLUMNS)
     size = (
         _GAP + _COLUMNS * (_PANEL + _GAP),
@@ -181,12 +207,12 @@ def block(shown: Sequence[Panel]) -> Image.Image:
         row, column = divmod(index, _COLUMNS)
         x, y = _GAP + column * (_PANEL + _GAP), row * (_LABEL + panel_height + _GAP)
         draw.text((x, y + 5), panel.label, fill=_INK, font=font)
-        sheet.paste(_resized(panel.pixels, (_PANEL, panel_height)), (x, y + _LABEL))
+        sheet.paste(panel.resized((_PANEL, panel_height)), (x, y + _LABEL))
     y = rows * (_LABEL + panel_height + _GAP)
     for index, panel in enumerate(shown):
         x = _GAP + index * (_CROP + _GAP)
         draw.text((x, y + 5), f"{panel.label.split(':')[0]}, 1:1", fill=_INK, font=font)
-        sheet.paste(_image(_crop(panel.pixels)), (x, y + _LABEL))
+        sheet.paste(panel.crop(), (x, y + _LABEL))
     return sheet
 
 
@@ -206,7 +232,7 @@ def titled(shown: Image.Image, title: str) -> Image.Image:
 
 def each_map(maps: MapSet) -> Iterable[Panel]:
     """A panel for each map without normals: colours as sRGB, others stretched to their range."""
-    yield Panel("diffuse", srgb_picture(_picture(maps, "diffuse")))
+    yield Panel("diffuse", _picture(maps, "diffuse"))
     if len(maps.specular) > 1:
         yield _coloured("specular", _picture(maps, "specular"))
     else:
@@ -233,19 +259,19 @@ def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: Flash
     with torch.no_grad():
         radiance = shade(maps, points, camera, light, torch.ones(3))
     gain = float(rerendered.mean()) / max(float(radiance.mean()), 1e-9)
-    return Panel(f"light from the {side}", srgb_picture((radiance * gain).movedim(0, -1).numpy()))
+    return Panel(f"light from the {side}", (radiance * gain).movedim(0, -1).contiguous().numpy())
 
 
 def _picture(maps: MapSet, kind: str) -> NDArray[np.float32]:
     """(H, W, C) of one map."""
-    picture: NDArray[np.float32] = getattr(maps, kind).detach().movedim(0, -1).numpy()
+    picture: NDArray[np.float32] = getattr(maps, kind).detach().movedim(0, -1).contiguous().numpy()
     return picture
 
 
 def _coloured(kind: str, values: NDArray[np.float32]) -> Panel:
     """Panel of a colour map in sRGB, with its mean (linear RGB) in the label."""
     mean = " ".join(f"{value:.2f}" for value in values.mean(axis=(0, 1)))
-    return Panel(f"{kind}: {mean} on average", srgb_picture(values))
+    return Panel(f"{kind}: {mean} on average", values)
 
 
 def _stretched(kind: str, values: NDArray[np.float32]) -> Panel:
@@ -254,25 +280,4 @@ def _stretched(kind: str, values: NDArray[np.float32]) -> Panel:
     label = f"{kind}: {low:.3g} to {high:.3g}"
     short = max(_LEAST_SPAN[kind] - (high - low), 0.0)
     low, high = low - short / 2, high + short / 2
-    grey = np.clip((values - low) / (high - low), 0.0, 1.0)
-    return Panel(label, np.repeat(grey, 3, axis=2))
-
-
-def _crop(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Crop at a quarter of the width: near the highlight at the centre, but outside of it."""
-    height, width = pixels.shape[:2]
-    x = max(0, min(width // 4 - _CROP // 2, width - _CROP))
-    y = max(0, (height - _CROP) // 2)
-    return pixels[y : y + _CROP, x : x + _CROP]
-
-
-def _resized(pixels: NDArray[np.float32], size: tuple[int, int]) -> Image.Image:
-    import cv2
-
-    shrinks = size[0] <= pixels.shape[1]
-    way = cv2.INTER_AREA if shrinks else cv2.INTER_NEAREST
-    return _image(np.asarray(cv2.resize(pixels, size, interpolation=way), dtype=np.float32))
-
-
-def _image(coded: NDArray[np.float32]) -> Image.Image:
-    return Image.fromarray(np.rint(np.clip(coded, 0.0, 1.0) * 255.0).astype(np.uint8))
+    return Panel(label, values[..., 0], lambda some: (some - low) / (high - low))

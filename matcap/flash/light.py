@@ -14,6 +14,7 @@ Read next: render.py, pictures of whole map sets.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -24,6 +25,7 @@ from matcap.flash.geometry import FlashSetup, camera_in_plane, project
 
 # Squared distance from the centre of the corner of a 4:3 picture, the unit of vignetting.
 CORNER_SQUARED = 1.25**2
+_STRIP = 1 << 16  # places whose intermediate values a processor's cache holds
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,13 @@ class FlashLight:
         """
         angles = (Angles.exact if exact else Angles.quick)(normal, self.to_light, self.to_view)
         return Incidence(angles, angles.lit(self.power * angles.n_dot_l))
+
+
+def strips(shape: Sequence[int]) -> list[slice]:
+    """Rows of (..., H, W) in strips, to work through a large picture in the processor's cache."""
+    height, width = shape[-2:]
+    step = max(1, _STRIP // width)
+    return [slice(top, min(top + step, height)) for top in range(0, height, step)]
 
 
 def vignette(points: Tensor, setup: FlashSetup) -> Tensor:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
+import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, plane_points
-from matcap.flash.light import FlashLight
+from matcap.flash.light import FlashLight, strips
 
 
 def shade(maps: MapSet, points: Tensor, camera: Tensor, light: Tensor, intensity: Tensor) -> Tensor:
@@ -18,7 +20,7 @@ def shade(maps: MapSet, points: Tensor, camera: Tensor, light: Tensor, intensity
         maps: the material at `points`; shadows are neglected.
         points, camera, light, intensity: as of FlashLight.between.
     """
-    return _picture(maps, FlashLight.between(points, camera, light, intensity))
+    return _picture(maps, points, lambda some: FlashLight.between(some, camera, light, intensity))
 
 
 def render_flash(maps: MapSet, setup: FlashSetup, points: Tensor) -> Tensor:
@@ -27,7 +29,7 @@ def render_flash(maps: MapSet, setup: FlashSetup, points: Tensor) -> Tensor:
     Not clipped. `points` are the plane points of the texels (plane_points), which determine the
     directions of light and view.
     """
-    return _picture(maps, FlashLight.of(setup, points))
+    return _picture(maps, points, lambda some: FlashLight.of(setup, some))
 
 
 def render_rectified(maps: MapSet, setup: FlashSetup) -> Tensor:
@@ -44,6 +46,13 @@ def render_rectified(maps: MapSet, setup: FlashSetup) -> Tensor:
     return render_flash(maps, setup, points.to(maps.height.device))
 
 
-def _picture(maps: MapSet, light: FlashLight) -> Tensor:
-    incidence = light.onto(maps.normal, exact=True)
-    return incidence.radiance(maps.diffuse, maps.specular, maps.roughness)
+def _picture(maps: MapSet, points: Tensor, light_at: Callable[[Tensor], FlashLight]) -> Tensor:
+    normal = maps.normal
+
+    def some(rows: slice) -> Tensor:
+        normals, *materials = (
+            values[..., rows, :] for values in (normal, maps.diffuse, maps.specular, maps.roughness)
+        )
+        return light_at(points[..., rows, :]).onto(normals, exact=True).radiance(*materials)
+
+    return torch.cat([some(rows) for rows in strips(points.shape)], dim=-2)

@@ -52,6 +52,7 @@ class ShotSettings:
 
 
 SHOT = ShotSettings()
+_CELLS = 4.0  # cells of the coarser grid of a wide blur to its deviation
 _HDR = "HDR gain map"  # in notes that have a finding of their own
 
 
@@ -171,7 +172,7 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
     """
     light = _log_light(pixels)
     width = light.shape[1]
-    fine, middle = (cv2.GaussianBlur(light, (0, 0), width / s) for s in (128.0, 32.0))
+    fine, middle = (blurred(light, width / s) for s in (128.0, 32.0))
     colour = np.log(pixels + SHOT.toe * float(np.median(pixels)) + 1e-9)
     measures = [
         0.5 * np.log(_tiles((light - fine) ** 2) + 1e-6),
@@ -350,6 +351,22 @@ def _gradient_energy(light: NDArray[np.float32], scale: float) -> NDArray[np.flo
     across, down = np.diff(smooth, axis=1)[:-1], np.diff(smooth, axis=0)[:, :-1]
     energy: NDArray[np.float32] = across * across + down * down
     return energy
+
+
+def blurred(picture: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:
+    """A picture (H, W) or (H, W, C) blurred by a Gaussian; a wide one on a coarser grid."""
+    step = int(deviation / _CELLS)
+    if step < 2:
+        return np.asarray(cv2.GaussianBlur(picture, (0, 0), deviation), np.float32)
+    height, width = picture.shape[:2]
+    size = (max(1, width // step), max(1, height // step))
+    thin = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    # Averaging and interpolation blur as well: variances s^2 / 12 and s^2 / 6 for a step of s.
+    rest = math.sqrt(deviation**2 - step**2 / 4.0)
+    thin = cv2.GaussianBlur(
+        thin, (0, 0), sigmaX=rest * size[0] / width, sigmaY=rest * size[1] / height
+    )
+    return np.asarray(cv2.resize(thin, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def _small(picture: NDArray[np.float32], columns: int) -> Values:

@@ -73,7 +73,7 @@ def sharpness(maps: MapSet, plane: Plane, uniform: Uniform) -> float:
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     light = PieceLight.of(uniform, points)
-    rendered = light.logs(maps, light.flash.onto(maps.normal))[0]
+    rendered = light.rendered(maps)[0]
     observed = plane.linear.clamp_min(FINEST.darkest).log()
     half = ((width + 1) // 2, (height + 1) // 2)
     seen = plane.valid
@@ -109,7 +109,7 @@ def _unshown(
     The residual, photograph less maps, is denoised and has only frequencies above those of a grid
     of `coarse` = (width, height) texels.
     """
-    rendered, share = light.logs(maps, light.flash.onto(maps.normal))
+    rendered, share = light.rendered(maps)
     left = plane.linear.clamp_min(FINEST.darkest).log() - rendered
     left = torch.where(plane.measured, left, left.clamp_min(0.0)).clamp(-FINEST.most, FINEST.most)
     grain = _beyond(left, coarse)

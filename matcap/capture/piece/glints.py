@@ -65,7 +65,7 @@ def scaled_by_glints(
     """
     settings = settings or GlintSettings()
     maps = light.maps(departures)
-    _, diffuse_share = light.logs(maps, light.flash.onto(maps.normal))
+    _, diffuse_share = light.rendered(maps)
     around = max(linear.shape) / settings.around
     glare = 1.0 - smoothed(diffuse_share.mean(0).numpy(), around / 4.0)
     seen = measured.all(0).numpy()
@@ -74,7 +74,7 @@ def scaled_by_glints(
         return departures
     mean = departures.diffuse.mean((1, 2), keepdim=True)
     maps = light.maps(replace(departures, diffuse=mean.expand_as(linear)))
-    rendered = light.logs(maps, light.flash.onto(maps.normal))[0].mean(0).numpy()
+    rendered = light.rendered(maps)[0].mean(0).numpy()
     photograph = linear.clamp_min(1e-5).log().mean(0).numpy()
     variance = (noise.square().mean(0) / 3.0).numpy()
 

@@ -27,7 +27,7 @@ from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.noise import channel_weights
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.tuned import REFINE
-from matcap.flash.light import FlashLight, Incidence
+from matcap.flash.light import FlashLight, Incidence, strips
 from matcap.flash.uniform import Uniform
 
 
@@ -91,6 +91,19 @@ class PieceLight:
         mirrored = incidence.specular(maps.specular, maps.roughness)
         radiance = (diffuse + mirrored).clamp_min(REFINE.darkest)
         return radiance.log(), diffuse / radiance
+
+    def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
+        """logs() of maps on their own relief, strip by strip."""
+        normal = maps.normal
+
+        def some(rows: slice) -> tuple[Tensor, Tensor]:
+            cut = (m[..., rows, :] for m in (maps.diffuse, maps.specular, maps.roughness))
+            incidence = self.flash.cut(rows, slice(None)).onto(normal[..., rows, :])
+            return self.logs(Reflectance(*cut), incidence)
+
+        parts = [some(rows) for rows in strips(normal.shape)]
+        log, share = (torch.cat(each, dim=-2) for each in zip(*parts, strict=True))
+        return log, share
 
     def slope_sensitivity(self, maps: MapSet | Reflectance) -> Tensor:
         """(2, H, W) d log L / d slope along x and y on a flat surface, L averaged over channels."""
@@ -220,7 +233,7 @@ def remaining(
 ) -> Refined:
     """Departures with the residuals of their re-rendering; arguments as of refine."""
     maps = light.maps(departures)
-    log, _ = light.logs(maps, light.flash.onto(maps.normal))
+    log, _ = light.rendered(maps)
     residual = _unexplained(linear.clamp_min(REFINE.darkest).log(), log, valid)
     return Refined(departures, residual, _slow(residual, valid))
 

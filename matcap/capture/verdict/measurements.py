@@ -22,7 +22,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.rectify import CLIPPING
-from matcap.photo.inspect import Inspection, inspect_photo
+from matcap.photo.inspect import Inspection, blurred, inspect_photo
 from matcap.photo.photo import Photo
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank
@@ -216,8 +216,7 @@ def _tile_contrasts(picture: Picture) -> dict[str, Picture]:
 
 def _band(log: Picture, least: float, most: float) -> Picture:
     """Difference of two Gaussian blurs with these standard deviations, texels."""
-    fine, wide = (cv2.GaussianBlur(log, (0, 0), deviation) for deviation in (least, most))
-    return np.asarray(fine - wide, np.float32)
+    return blurred(log, least) - blurred(log, most)
 
 
 def _tiles(picture: Picture) -> Picture:
