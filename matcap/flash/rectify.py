@@ -97,11 +97,12 @@ def _resampled(
 def inside(shape: tuple[int, ...], setup: FlashSetup) -> NDArray[np.bool_]:
     """(H, W) bool, texels inside of the picture; `rectify` mirrors the others at its border."""
     height, width = shape
-    row, column = np.mgrid[0:height, 0:width].reshape(2, -1).astype(np.float64)
-    places = np.stack([column, row, np.ones_like(row)])
-    x, y, w = _homography(setup, (width, height), (width, height)) @ places
-    seen = (x > -0.5 * w) & (x < (width - 0.5) * w) & (y > -0.5 * w) & (y < (height - 0.5) * w)
-    return seen.reshape(height, width)
+    column, row = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)[:, None]
+    x, y, w = (
+        a * column + (b * row + c)
+        for a, b, c in _homography(setup, (width, height), (width, height))
+    )
+    return (x > -0.5 * w) & (x < (width - 0.5) * w) & (y > -0.5 * w) & (y < (height - 0.5) * w)
 
 
 def _homography(
