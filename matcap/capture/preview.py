@@ -54,9 +54,9 @@ class Panel:
 
     label: str
     values: NDArray[np.float32]
-    """(H, W, 3) or (H, W), as they average."""
+    """(H, W, 3) or (H, W), linear: averaged where the panel has fewer pixels."""
     code: Callable[[NDArray[np.float32]], NDArray[np.float32]] = srgb_picture
-    """Code values in [0, 1] of them, only of what is shown."""
+    """Function from values to code values in [0, 1], applied after averaging."""
 
     @property
     def aspect(self) -> float:
@@ -64,14 +64,14 @@ class Panel:
         return self.values.shape[0] / self.values.shape[1]
 
     def resized(self, size: tuple[int, int]) -> Image.Image:
-        """All of it, (width, height) pixels."""
+        """The whole picture at a size of (width, height) pixels."""
         import cv2
 
         way = cv2.INTER_AREA if size[0] <= self.values.shape[1] else cv2.INTER_NEAREST
         return self._image(np.asarray(cv2.resize(self.values, size, interpolation=way), np.float32))
 
     def crop(self) -> Image.Image:
-        """The crop beside the middle: near the highlight, but not in it."""
+        """Crop at one pixel a texel, beside the middle: near the highlight, but not in it."""
         height, width = self.values.shape[:2]
         x = max(0, min(width // 4 - _CROP // 2, width - _CROP))
         y = max(0, (height - _CROP) // 2)
@@ -83,7 +83,7 @@ class Panel:
 
 
 def _developed(label: str, result: CaptureResult, linear: NDArray[np.float32]) -> Panel:
-    """A linear picture (H, W, 3) as the camera develops it."""
+    """Panel of a linear picture (H, W, 3) under the photograph's tone curve, as sRGB."""
     return Panel(label, linear, lambda some: srgb_picture(result.photo.developed(some)))
 
 
