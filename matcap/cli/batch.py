@@ -29,14 +29,16 @@ def batch(
     given: Annotated[Given, Fields(CaptureSettings, OutputSettings, BatchSettings)] = NOTHING,
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="A dask scheduler's, tcp://host:8786; see docs."),
+        typer.Option(metavar="ADDRESS", help="Address of a dask scheduler, tcp://host:8786."),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what would be done, how long and how large.")
+        bool, typer.Option("--dry-run", help="Only print the plan, its time and its disk space.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Make what is done again.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Capture again what is already captured.")
+    ] = False,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Try what could not be used again.")
+        bool, typer.Option("--retry-failed", help="Capture again what failed before.")
     ] = False,
     fail_fast: Annotated[
         bool, typer.Option("--fail-fast", help="End at the first failure.")
@@ -59,7 +61,7 @@ def batch(
     settings = settings_of(source, given)
     policy = Policy(force, retry_failed, fail_fast, strict, overwrite)
     with batch_display(quiet=quiet) as shown:
-        if scheduler:  # other machines stand in other folders
+        if scheduler:  # workers have other current folders
             source, out = source.resolve(), out.resolve()
         prepared = prepare(source, out, settings, policy, shown)
         if dry_run:

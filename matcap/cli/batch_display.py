@@ -1,4 +1,4 @@
-"""What the user sees while a batch runs: on stderr, live on a terminal, a line each elsewhere."""
+"""Progress display of a batch on stderr: live on a terminal, a line per sample elsewhere."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class BatchDisplay:
     """Shows the progress of a batch on a console.
 
     Args:
-        console: where to.
-        bars: the live display, or None where lines are printed instead.
-        quiet: say nothing but failures.
+        console: the console to print on.
+        bars: the live display, or None to print lines.
+        quiet: print only failures.
     """
 
     def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:
@@ -37,7 +37,7 @@ class BatchDisplay:
         self._began: float | None = None
 
     def expect(self, total: int) -> None:
-        """So many samples there are."""
+        """Set the number of samples."""
         self._total = total
         if self._bars is not None:
             self._whole = self._bars.add_task("all", total=total, stage="", left="")
@@ -51,7 +51,7 @@ class BatchDisplay:
             self._tasks[name] = self._bars.add_task(name, total=1.0, stage="waiting", left="")
 
     def progress(self, entry: BatchEntry, now: WorkProgress) -> None:
-        """It has come this far."""
+        """Update the progress of a sample."""
         name = entry.sample.name
         self._shares[name] = now.fraction
         if self._bars is not None and name in self._tasks:
@@ -60,7 +60,7 @@ class BatchDisplay:
                 self._bars.update(self._whole, left=self._left())
 
     def ended(self, entry: BatchEntry) -> None:
-        """It is made, kept, failed or left."""
+        """A sample is made, kept, failed or left."""
         name = entry.sample.name
         self._shares.pop(name, None)
         self._ended += 1
@@ -83,12 +83,12 @@ class BatchDisplay:
             self._say(f"{count} {name}: failed")
 
     def note(self, sentence: str) -> None:
-        """Something else worth knowing."""
+        """Print a sentence, unless quiet."""
         if not self._quiet:
             self._say(sentence)
 
     def _left(self) -> str:
-        """Words for the time that is left, once there is something to judge by."""
+        """Remaining time in words; empty until a tenth of a sample is done."""
         done = self._made + sum(self._shares.values())
         if self._began is None or done < 0.1:
             return ""
@@ -96,7 +96,7 @@ class BatchDisplay:
         return f"{spoken_duration((time.monotonic() - self._began) / done * max(0.0, to_do))} left"
 
     def _say(self, line: str) -> None:
-        # Paths and sentences are no markup, and one sentence stays one line.
+        """Print a line as plain text, without markup or wrapping."""
         self._console.print(line.strip(), markup=False, highlight=False, soft_wrap=True)
 
 

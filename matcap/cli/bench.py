@@ -171,7 +171,7 @@ def floors(
     ambient = several.Ambient(room, union, downward(camera) if union else Hand())
     experiment = several.several_experiment(chosen, photographs, out, settings, evaluation, ambient)
     rows = _print(experiment, out, several.ABOUT)
-    _draw(rows, out / "photographs.png", "What more photographs of one sample are worth")
+    _draw(rows, out / "photographs.png", "Error by number of photographs of one sample")
 
 
 @app.command()
@@ -526,7 +526,7 @@ def report(
         typer.Argument(metavar="TABLE...", help="CSVs of bench fronts and bench relight."),
     ],
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="The page; a plot is written beside every CSV.")
+        Path, typer.Option("--out", "-o", help="The page; a plot is written next to each CSV.")
     ] = Path("docs/notes/accuracy-and-time.md"),
 ) -> None:
     """Write the page on accuracy and time from the tables.

@@ -11,7 +11,7 @@ from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
 from matcap.cli.options import QuietOption, ReplaceOption
 from matcap.field.draw_options import BlendOptions
 
-_MARK = "matcap blend"  # what its strip says of who wrote it
+_MARK = "matcap blend"  # in its strip's metadata
 _STRIP = "strip.png"
 
 

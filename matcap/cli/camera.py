@@ -22,8 +22,8 @@ def camera(
 ) -> None:
     """Estimate the vignetting of a camera and its flash.
 
-    Takes five photographs or more of different materials, by one camera; matte ones are best. Give
-    the file to matcap capture and matcap batch with --camera. A batch of five photographs or more
+    Needs five photographs or more of different materials by one camera, preferably matte. Give the
+    file to matcap capture and matcap batch with --camera. A batch of five photographs or more
     estimates its own.
     """
     from matcap.batch.cameras import camera_of, estimated_profile
@@ -36,14 +36,14 @@ def camera(
         raise MatcapError(
             f"these photographs are of {len(cameras)} cameras ({'; '.join(cameras[:4])})",
             where=str(source),
-            remedy="give a folder of one camera's, or matcap batch all of them",
+            remedy="give a folder of one camera, or run matcap batch, which separates cameras",
         )
     profile = estimated_profile(cameras[0], photos, CaptureSettings(**given))
     if profile is None:
         raise MatcapError(
             f"{len(photos)} photographs are too few for a camera's profile",
             where=str(source),
-            remedy="give five or more that can be used, of different materials",
+            remedy="give five or more usable ones of different materials",
         )
     write_camera_profile(out, profile)
     if not quiet:

@@ -56,11 +56,11 @@ def capture(
     """Turn flash photographs into materials.
 
     Writes for each photograph, into a folder of its name: the material (.matcap), a first map
-    set, preview.png and report.json. Ends with a verdict: good, usable, doubtful or failed, with
-    the likely cause and what to do. Ctrl-C ends with the best so far, saved. By default the maps of
-    the photographed sample are estimated, and larger maps synthesised by example from them;
-    --generator decoder fine-tunes the decoder of Henzler et al. 2021 instead. Both take the tilt
-    that its alignment branch predicts.
+    set, preview.png and report.json. Prints a verdict: good, usable, doubtful or failed, with the
+    likely cause and a remedy. Ctrl-C saves the best result so far. By default the maps of the
+    photographed sample are estimated, and larger maps synthesised by example from them; --generator
+    decoder fine-tunes the decoder of Henzler et al. 2021 instead. Both use the tilt that its
+    alignment branch predicts.
     """
     from matcap.cli.capture_display import display
     from matcap.files.memory import keep_memory

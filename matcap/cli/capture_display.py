@@ -1,4 +1,4 @@
-"""What the user sees while a capture runs: on stderr, live on a terminal, plain lines elsewhere."""
+"""Progress display of captures on stderr: live on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Display:
     """Shows the progress of captures on a console.
 
     Args:
-        console: where to; quiet ones print only failures.
-        bars: the live display, or None where lines are printed instead.
-        quiet: say nothing but failures.
+        console: the console to print on.
+        bars: the live display, or None to print lines.
+        quiet: print only failures.
     """
 
     def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:
@@ -33,7 +33,7 @@ class Display:
         self._stage, self._interrupted = "", False
 
     def started(self, photo: Path) -> None:
-        """A photograph is about to be read."""
+        """Begin the display of a photograph."""
         self._stage, self._interrupted = "", False
         if self._bars is not None:
             self._task = self._bars.add_task(
@@ -41,11 +41,11 @@ class Display:
             )
 
     def progress(self, now: CaptureProgress) -> None:
-        """The work has come this far."""
+        """Show the stage, the error and the remaining time."""
         error = ""
         left = "" if now.seconds_left is None else spoken_duration(now.seconds_left)
         if now.error is not None:
-            error = f"{now.error:.2f} times as unlike the photograph as its own parts"
+            error = f"texture distance {now.error:.2f} times that between parts of the photograph"
         if now.in_a_minute is not None:
             error += f" ({now.in_a_minute:.2f} after another minute)"
         if self._bars is not None and self._task is not None:
@@ -54,15 +54,15 @@ class Display:
                 self._task, completed=now.fraction, stage=now.stage, error=error, left=to_go
             )
         elif not self._quiet and now.stage not in (self._stage, "read"):
-            # What cannot be read has a sentence of its own, and nothing before it.
+            # Without the stage `read`, so that an unreadable file prints only its error.
             self._say(f"  {now.seconds:6.1f} s  {now.stage}  {error}".rstrip())
         if now.interrupted and not self._interrupted and not self._quiet:
             soon = left and f", in about {left}"
-            self._say(f"  interrupted: the best so far is being finished{soon}")
+            self._say(f"  interrupted: saving the best so far{soon}")
         self._stage, self._interrupted = now.stage, now.interrupted
 
     def finished(self, photo: Path, done: dict[str, Any]) -> None:
-        """A photograph's outputs stand in their folder."""
+        """Print the folder, the verdict and notes of a completed capture."""
         self._end_bar()
         if not self._quiet:
             early = " (interrupted: the best so far)" if done["status"] == "interrupted" else ""
@@ -72,12 +72,12 @@ class Display:
                 self.note(note)
 
     def note(self, sentence: str) -> None:
-        """Something worth knowing."""
+        """Print a sentence, unless quiet."""
         if not self._quiet:
             self._say(f"  {sentence}")
 
     def failed(self, photo: Path, sentence: str) -> None:
-        """A photograph could not be captured; the others go on."""
+        """Print why a photograph could not be captured."""
         self._end_bar()
         self._say(f"matcap: {sentence}")
 
@@ -87,7 +87,7 @@ class Display:
             self._task = None
 
     def _say(self, line: str) -> None:
-        # Paths and sentences are no markup, and one sentence stays one line.
+        """Print a line as plain text, without markup or wrapping."""
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 

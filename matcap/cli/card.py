@@ -16,11 +16,11 @@ def card(
     ),
     quiet: QuietOption = False,
 ) -> None:
-    """Write a card to print: a board that measures millimetres and tilt, and patches of colour.
+    """Write a calibration card to print: a board for scale and tilt, and colour patches.
 
-    Lay it flat, photograph it as the samples are, and put the photograph into the folder as
-    card.dng or card.jpg: matcap batch finds it. Colours need a real ColorChecker; print shifts
-    them.
+    Lay it flat, photograph it in the same way as the samples, and name the photograph card.dng or
+    card.jpg in their folder, where matcap batch reads it. Printing changes colours: calibrate them
+    with a real ColorChecker.
     """
     from matcap.photo.card import write_card
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matcap.photo.photo import Photo
 
 
-_MARK = "matcap compare"  # what its picture says of who wrote it
+_MARK = "matcap compare"  # in its picture's metadata
 
 
 def compare(
@@ -28,8 +28,8 @@ def compare(
     photo: Annotated[
         list[Path] | None,
         typer.Option(
-            show_default="the one each was made from",
-            help="A photograph to show beside both; given twice, of A and of B.",
+            show_default="the captured ones",
+            help="A photograph to show with both; given twice, with A and with B.",
         ),
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="The picture, a PNG.")] = Path(
@@ -70,12 +70,12 @@ def compare(
 
 
 def _own(capture: Compared, *, quiet: bool) -> Path | None:
-    """The photograph that a capture was made from; None where it is gone or not known."""
+    """The photograph of a capture; None if unknown or the file no longer exists."""
     file = capture.photograph
     if file is None or file.is_file():
         return file
     if not quiet:
-        said = f"{capture.name}: its photograph {file} is gone; give it by --photo to see it."
+        said = f"{capture.name}: its photograph {file} does not exist; give it with --photo."
         typer.echo(said, err=True)
     return None
 

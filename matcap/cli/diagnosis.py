@@ -29,9 +29,9 @@ class Package:
     """A package that matcap needs or can use."""
 
     name: str
-    """On PyPI."""
+    """Name on PyPI."""
     version: str | None
-    """Installed, or None."""
+    """Installed version, or None."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class Extra:
     """An optional part of matcap."""
 
     name: str
-    """In brackets after `matcap`."""
+    """Name in brackets after `matcap`."""
     packages: tuple[Package, ...]
-    """What it consists of."""
+    """Packages that it installs."""
 
     @property
     def installed(self) -> bool:
@@ -59,11 +59,11 @@ class Check:
     """One step of the self-test."""
 
     name: str
-    """What was tried."""
+    """What it tests."""
     seconds: float
-    """How long it took."""
+    """Duration."""
     fault: str | None
-    """What went wrong, or None."""
+    """Error message, or None."""
 
 
 @dataclass(frozen=True)
@@ -71,29 +71,29 @@ class Diagnosis:
     """Packages, extras, devices and checks of the installation."""
 
     matcap: str
-    """Version."""
+    """Version of matcap."""
     python: str
-    """Version."""
+    """Version of Python."""
     system: str
     """Operating system and processor."""
     place: str
-    """Where matcap is installed."""
+    """Folder of the installed package."""
     cores: int
-    """This process may use."""
+    """Number of cores that this process may use."""
     devices: tuple[str, ...]
-    """What torch can compute on."""
+    """Devices of torch."""
     compiled: bool
-    """Whether the inner loops of the field by example were built, and."""
+    """Whether the compiled loops of the field by example exist; it cannot run without."""
     compiled_relighting: bool
-    """Those of relighting; neither runs without them."""
+    """The same of relighting."""
     prior: int | None
-    """Bytes of the trained prior that comes along, or None where it is missing."""
+    """Bytes of the shipped prior, or None if it is missing."""
     packages: tuple[Package, ...]
-    """What matcap cannot do without."""
+    """Required packages."""
     extras: tuple[Extra, ...]
-    """What it can."""
+    """Optional packages."""
     checks: tuple[Check, ...]
-    """The self-test, in order; it stops at the first fault."""
+    """Steps of the self-test, in order, up to the first fault."""
 
     @property
     def healthy(self) -> bool:
@@ -136,10 +136,10 @@ class Diagnosis:
 
 
 def diagnose(*, self_test: bool = True) -> Diagnosis:
-    """Look at the installation; never fails.
+    """Diagnose the installation, without raising.
 
     Args:
-        self_test: also run the steps from the prior to a picture, which takes seconds.
+        self_test: also run a small material from the prior to a picture, which takes seconds.
     """
     packages, extras = _requirements()
     missing = [package.name for package in packages if package.version is None]
@@ -239,7 +239,7 @@ def _self_test() -> tuple[Check, ...]:
         with tempfile.TemporaryDirectory() as folder:
             write(folder)
             if (read_mapset(Path(folder))[0].height != results["maps"].height).any():
-                raise MatcapError("a map set does not come back as it was written")
+                raise MatcapError("a map set changed when written and read again")
 
     def export() -> None:
         with tempfile.TemporaryDirectory() as folder:
@@ -265,7 +265,7 @@ def _checked(steps: Mapping[str, Callable[[], None]]) -> tuple[Check, ...]:
         try:
             step()
             fault = None
-        except Exception as error:  # whatever it is, it is what the user came to know
+        except Exception as error:  # any failure is a finding
             fault = f"{type(error).__name__}: {error}"
         checks.append(Check(name, perf_counter() - start, fault))
         if fault is not None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matcap.export.targets import Exported
 
 
-_TEXEL_BYTES = 150  # of memory that an export takes at least
+_TEXEL_BYTES = 150  # memory of an export per texel, at least
 
 
 @with_settings
@@ -37,7 +37,7 @@ def export(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Folder; by default a new one named after all this."),
+        typer.Option("--out", "-o", help="Folder; by default named after material and options."),
     ] = None,
     of: Annotated[Given, Fields(ExportArea)] = NOTHING,
     reading: Annotated[Given, Fields(ReadOptions)] = NOTHING,
@@ -48,7 +48,7 @@ def export(
 ) -> None:
     """Write a material for another renderer or engine.
 
-    Prints what the target cannot express: how far its light is from matcap's. See
+    Prints the target's shading error against matcap's renderer, due to what it cannot express. See
     docs/guide/export.md.
     """
     from matcap.errors import MatcapError, UsageError
@@ -94,7 +94,7 @@ def export(
     given = {"--size": size, "--udim": udim, "--seed": seed, "--variety": read.variety}
     for option in (option for option, value in given.items() if value is not None and tile):
         raise UsageError(
-            "the photographed piece is one map set of fixed size, not drawn by a seed",
+            "the periodic exemplar is one map set of fixed size, without a seed",
             where=f"{option} with --tile piece",
             remedy="leave one of the two out",
         )

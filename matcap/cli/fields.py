@@ -105,7 +105,7 @@ def _parameter(one: Setting) -> inspect.Parameter:
 
 
 def _said(default: object) -> str:
-    """A default as users would type it; empty for None, flags and empty values."""
+    """A default value as option text; empty for None, flags and empty values."""
     if default is None or isinstance(default, bool) or default in ((), ""):
         return ""
     if isinstance(default, tuple):

@@ -35,14 +35,14 @@ def inspect(
     captured: Annotated[Given, Fields(CaptureSettings, only=("fov", "camera"))] = NOTHING,
     as_json: JsonOption = False,
 ) -> None:
-    """Rate photographs before they are captured, and say what to change at the next one.
+    """Rate photographs before they are captured, with advice for the next one.
 
     Checks flash, clipping, hot spot, tilt, sharpness and uniformity; prints the kind of file, the
-    strength of highlight and glints, and the contrast of relief and albedo where it can be
-    measured. Ratings are those of a capture's verdict: "-" usable, "?" doubtful, "!" failed. Of
-    several photographs of one piece: which do not belong to it, which sides no photograph lights,
-    which are nearly the same. Of a material: its exemplar, the share of it left out, its F0, and
-    highlight and glints of its verdict.
+    contrast of highlight and glints, and that of relief and albedo if it can be measured. Ratings
+    are those of a capture's verdict: "-" usable, "?" doubtful, "!" failed. Of several photographs
+    of one sample it reports which cannot be registered, which sides no photograph lights, and
+    which are nearly the same. Of a material it prints its exemplar, the share of it left out, its
+    F0, and highlight and glints of its verdict.
     """
     from matcap.files.names import are_a_series
     from matcap.photo.camera import read_camera_profile
@@ -51,7 +51,7 @@ def inspect(
     fov, camera = captured.get("fov"), captured.get("camera")
     pictures = [path for path in photos if path.suffix.lower() != ".matcap"]
     if together and not pictures:
-        raise UsageError("there are no photographs", where="--together", remedy="give some")
+        raise UsageError("there are no photographs", where="--together", remedy="name two or more")
     profile = None if camera is None else read_camera_profile(camera)
     photographs: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []
@@ -132,13 +132,13 @@ def _strengths(measured: dict[str, Any] | None) -> list[tuple[str, str]]:
 
     def finest(of: str) -> str:
         low, high = sorted(max(bands, key=lambda band: float(band[of]))["waves"])
-        return f"most of it in details of {low / 2:g} to {high / 2:g} pixels"
+        return f"mostly in details of {low / 2:g} to {high / 2:g} pixels"
 
     steep = math.degrees(math.atan(math.hypot(*(band["slope"] for band in bands))))
     varies = math.expm1(math.hypot(*(band["albedo"] for band in bands)))
     return [
         ("relief", f"Slopes of about {steep:.0f} degrees, {finest('slope')}."),
-        ("albedo", f"Its colour is lighter and darker by about {varies:.0%}, {finest('albedo')}."),
+        ("albedo", f"Its lightness varies by about {varies:.0%}, {finest('albedo')}."),
     ]
 
 
@@ -152,7 +152,7 @@ def _material(path: Path) -> tuple[dict[str, Any], str]:
 
     exemplified = read_exemplified(path)
     if exemplified is None:
-        return {"exemplar": None}, f"{path}: a network alone, without an exemplar"
+        return {"exemplar": None}, f"{path}: a decoder without an exemplar"
     about = summary(exemplified.example)
     lines = [
         f"     {name:<13} {says}" for name, says in about.lines(known_scale(exemplified.provenance))

@@ -57,7 +57,7 @@ def train(
     ] = 1,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     maps: Annotated[
-        Path | None, typer.Option(help="Real map sets (`inverse pack`), beside simulated ones.")
+        Path | None, typer.Option(help="Real map sets (`inverse pack`), besides simulated ones.")
     ] = None,
     real: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of photographs of real materials.")

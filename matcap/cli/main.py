@@ -1,7 +1,7 @@
-"""The `matcap` command: its subcommands, its exit codes, and what a failure looks like.
+"""The `matcap` command: subcommands, exit codes and error messages.
 
 Nothing heavy is imported here or by the command modules; each command imports what it needs when
-it runs, so that --help answers at once.
+it runs, so that --help is instant.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ app = typer.Typer(
     help="One phone flash photograph in, an endless generator of SVBRDF maps out. After Henzler, "
     'Deschaintre, Mitra and Ritschel 2021, "Generative Modelling of BRDF Textures from Flash '
     'Images": their generator is --generator decoder; the default rearranges the maps of the '
-    "photographed piece (docs/guide/paper.md).",
+    "photographed rectangle (docs/guide/paper.md).",
     epilog="Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 nothing succeeded, "
     "4 some inputs failed, 130 interrupted.",
     no_args_is_help=True,
@@ -104,7 +104,7 @@ def _matcap(
         ),
     ] = False,
     verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Print what the command took, at its end.")
+        bool, typer.Option("--verbose", "-v", help="Print the command's time and memory.")
     ] = False,
     debug: Annotated[
         bool,
@@ -113,7 +113,7 @@ def _matcap(
 ) -> None:
     if verbose:
         context.call_on_close(partial(_print_cost, time.perf_counter()))
-    del debug  # main() looks for it itself: a failed command leaves no context to ask
+    del debug  # main() parses it, as a failed command has no context
 
 
 def main(
@@ -122,8 +122,8 @@ def main(
     """Run the command line and return its exit code; failures become one sentence on stderr.
 
     Args:
-        arguments: those of the process unless given.
-        interrupted: whether a signal arrived. A library interrupted by it may raise any error.
+        arguments: command line; None for that of the process.
+        interrupted: callback, whether a signal arrived; an interrupted library may raise any error.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     warnings.showwarning = partial(_show_warning, quiet=bool({"-q", "--quiet"} & {*arguments}))
@@ -170,12 +170,12 @@ def _show_warning(
 
 def run() -> None:
     """The console script."""
-    # Long spinning of waiting threads makes a shared machine many times slower; no spinning makes
-    # fine-tuning half as fast. OpenMP reads this when torch loads. The user's own setting wins.
+    # Long spinning of waiting threads makes a shared machine many times slower; no spinning halves
+    # the speed of fine-tuning. OpenMP reads this when torch loads. A user's setting is kept.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("GOMP_SPINCOUNT", "2000")
-    # NumPy's matrices are small here: its threads spin longer than they compute, on a shared
-    # machine twenty times as long.
+    # NumPy's matrices are small here: on a shared machine its threads spin twenty times as long as
+    # they compute.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     came = raise_on_signals()
     code = main(interrupted=came)

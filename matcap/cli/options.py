@@ -40,10 +40,10 @@ StrictOption = Annotated[
 ]
 OverwriteOption = Annotated[
     bool,
-    typer.Option("--overwrite", help="Replace what is there, even where it is something else."),
+    typer.Option("--overwrite", help="Replace existing outputs, even of another kind."),
 ]
 ReplaceOption = Annotated[
     bool,
     typer.Option("--overwrite", help="Replace a file that another program or command wrote."),
 ]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but failures.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only failures.")]

@@ -134,7 +134,7 @@ def align(
 @app.command()
 def make(
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="The prior; its card is written beside it.")
+        Path, typer.Option("--out", "-o", help="The prior; its card is written next to it.")
     ],
     folder: Annotated[
         Path | None,
@@ -165,7 +165,7 @@ def anchors(
     prior: PriorOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Store the codes of a pack's training photographs, near which a prior draws.
+    """Store latent vectors of a pack's training photographs, near which the prior draws.
 
     The networks are unchanged. `prior finish` includes this.
     """
@@ -237,7 +237,7 @@ def variety(
     draws: Annotated[int, typer.Option(min=8, help="Number of materials to draw.")] = 256,
     simulated: Annotated[
         int,
-        typer.Option(min=8, help="Simulated photographs to compare with, beside held-out ones."),
+        typer.Option(min=8, help="Simulated photographs to compare with, besides held-out ones."),
     ] = 64,
     quiet: QuietOption = False,
 ) -> None:

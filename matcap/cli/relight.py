@@ -81,10 +81,10 @@ def relight(
         )
     read = chosen(ReadOptions, reading)
     if maps_from is not None and read != ReadOptions(read.generator):
-        refused = {"adjust": "are not adjusted", "variety": "have no pieces"}
+        refused = {"adjust": "are not adjusted", "variety": "have no patches"}
         name = next(name for name in reading if name != "generator")
         why = refused.get(name, "have their own")
-        raise UsageError(f"maps of others {why}", where=f"--{name}", remedy="leave it out")
+        raise UsageError(f"maps of other sources {why}", where=f"--{name}", remedy="leave it out")
     if explain_map is not None and (animate is not None or sheet is not None):
         raise UsageError(
             "the map of effects describes a single picture, not --animate or --sheet",
@@ -154,7 +154,7 @@ def _scene(name: str | None, lights: Sequence[str], size: values.Size | None) ->
 
 
 def _photographed(path: Path, size: values.Size | None) -> Scene | None:
-    """The photograph's own scene, where a material records it."""
+    """Camera and flash of a material's photograph as a scene, or None."""
     from matcap.field.opened import open_photographed
     from matcap.relight.photographed import photographed_scene
     from matcap.relight.scene import Film

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matcap.field.material import Material
 
 
-_MARK = "matcap sample"  # what its picture says of who wrote it
+_MARK = "matcap sample"  # in its picture's metadata
 
 
 @with_settings

@@ -1,4 +1,4 @@
-"""Process entry: until the command line is loaded, Ctrl-C ends it without a traceback."""
+"""Entry point; Ctrl-C ends the process without a traceback until the command line is loaded."""
 
 from __future__ import annotations
 

@@ -48,15 +48,14 @@ def synth(
         Path | None,
         typer.Argument(
             metavar="MATERIAL",
-            help="A .matcap file or the folder it stands in; without one, the prior draws a "
-            "material.",
+            help="A .matcap file or its folder; without one, the prior draws a material.",
         ),
     ] = None,
     near: Annotated[Given, Fields(DrawOptions)] = NOTHING,
     where: Annotated[Given, Fields(SynthArea)] = NOTHING,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Folder; by default a new one named after all this."),
+        typer.Option("--out", "-o", help="Folder; by default named after material and options."),
     ] = None,
     given: Annotated[Given, Fields(SynthRequest)] = NOTHING,
     reading: Annotated[Given, Fields(ReadOptions, but=("normals",))] = NOTHING,
@@ -67,7 +66,7 @@ def synth(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Make more of a material: a map set of any size, seam-free and repeatable.
+    """Synthesise a map set of any size from a material, without seams.
 
     The same material, seed and position give the same texels in every rectangle. Without a material
     the prior draws one by the seed; with --like, near a photograph.
@@ -90,7 +89,7 @@ def synth(
     is_piece = given.get("tile") == "piece"
     if is_piece and {"size", "region"} & {*where}:
         raise UsageError(
-            "the photographed piece has a fixed size",
+            "the periodic exemplar has a fixed size",
             where="--tile piece",
             remedy="leave out --size and --region, or give --tile alone for a periodic texture",
         )
@@ -126,7 +125,7 @@ def synth(
             work = Work(progress=on_progress, overwrite=overwrite, inputs=inputs, **working)
             document = synthesise(asked, folder, work, on_precision)
     except KeyboardInterrupt:
-        typer.echo("matcap: interrupted; the same command with --resume goes on.", err=True)
+        typer.echo("matcap: interrupted; the same command with --resume continues.", err=True)
         raise typer.Exit(ExitCode.INTERRUPTED) from None
     for target in targets:
         from matcap.export.targets import export_mapset
@@ -160,11 +159,11 @@ def _slug(asked: SynthRequest) -> str:
 
 
 def _subject(material: Path | None, seed: int, near: Given) -> tuple[Path | Material, str]:
-    """The material's file, or a material that the prior draws; and what its maps are called."""
+    """The material's file, or a material drawn from the prior; and the name of its maps."""
     if material is not None:
         if near:
             raise UsageError(
-                "only a material that the prior draws is like a photograph",
+                "this applies only to a material drawn from the prior",
                 where="--like" if "like" in near else "-t",
                 remedy="leave the material out, or the option",
             )

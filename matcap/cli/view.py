@@ -26,10 +26,10 @@ def view(
     overwrite: ReplaceOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Look at a material: endless plane, sphere and cylinder, under any light, in the browser.
+    """Show a material in the browser: endless plane, sphere and cylinder, under any light.
 
-    A folder of captures, as matcap batch leaves it, is shown as a library. The page is served to
-    this machine alone, until Ctrl-C. Its address goes to stdout.
+    A folder of captures, written by matcap batch, is shown as a library. The page is served to this
+    machine only, until Ctrl-C. Its address is printed on stdout.
     """
     from matcap.errors import UsageError
     from matcap.files.mark import check_replaceable

@@ -62,7 +62,7 @@ def test_the_photograph_that_a_report_names_is_shown_or_said_to_be_gone(matcap, 
         assert own.tobytes() == given.tobytes()
     file.unlink()
     said = matcap("compare", captures / "a", captures / "b", "-o", three)
-    assert said.code == 0 and f"a: its photograph {file} is gone" in said.err
+    assert said.code == 0 and f"a: its photograph {file} does not exist" in said.err
     with Image.open(one) as own, Image.open(three) as gone:
         assert own.tobytes() != gone.tobytes()
 

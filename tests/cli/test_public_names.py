@@ -87,5 +87,5 @@ def test_several_photographs_of_one_piece_are_read_together(monkeypatch):
 
 
 def test_a_union_of_one_photograph_is_refused(photo):
-    with pytest.raises(matcap.MatcapError, match="one photograph cannot be extended"):
+    with pytest.raises(matcap.MatcapError, match="this needs several photographs"):
         matcap.capture(photo, preset="instant", union=True)

@@ -30,8 +30,7 @@ from matcap.lab.simulate.specimen import EXAMPLES, Specimen, photograph
 ABOUT = (
     "Albedo and specular: mean absolute differences of logarithms; roughness: of values; normal: "
     "degrees, where the true relief is steeper than 3; height: correlation; relit: mean absolute "
-    "difference of log radiance over the bench's lights. By distance from the point below the "
-    "flash."
+    "difference of log radiance under other lights. By distance from the point below the flash."
 )
 METHODS = ("exemplar", "photo-as-albedo", "coarse fit")
 # Distances from the flash's foot in plane units that divide the picture.

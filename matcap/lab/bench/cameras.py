@@ -27,9 +27,9 @@ from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
 
 ABOUT = (
-    "lost: log of the light that corners lose, as fitted; exponent: of the tone curve; metal: 1 "
-    "where taken for it. Errors of simulated ones: of lost and of roughness, and of log F0, log "
-    "albedo and their difference, which alone a photograph determines without knowing its flash."
+    "lost: fitted falloff in the corners, log radiance; exponent: of the tone curve; metal: 1 if "
+    "classified as metal. Errors on simulated photographs: of lost and roughness, and of log F0, "
+    "log albedo and their difference, which does not depend on the flash's intensity."
 )
 _PHONE = PhoneCamera(width=512, height=384)
 _WIDTH = 512  # pixels across of real ones

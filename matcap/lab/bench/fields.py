@@ -31,10 +31,10 @@ from matcap.lab.simulate.specimen import Specimen
 from matcap.statistics.lattice import find_lattice
 
 ABOUT = (
-    "NSD of true maps: 1 is indistinguishable from another sample. Variety: that was chosen; "
-    "joints: median length of a joint in the field over that of the exemplar; phase: turns that a "
-    "lattice is off by, 16384 texels away, of its worst wave; seam: how far neighbouring texels of "
-    "different places differ in log albedo and slope over the exemplar's neighbours, median "
+    "NSD of true maps: 1 is indistinguishable from another sample. Variety: the chosen value; "
+    "joints: median length of a joint in the field over that in the exemplar; phase: largest phase "
+    "error of a lattice's waves 16384 texels away, turns; seam: difference in log albedo and slope "
+    "of neighbouring texels from different places over that of neighbours in the exemplar, median "
     "and 99th percentile."
 )
 _SIZE = (1024, 768)  # texels of the exemplar

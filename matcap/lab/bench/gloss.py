@@ -25,7 +25,7 @@ from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.simulate.photograph import PhoneCamera, Shot, as_photo, take
 
 ABOUT = (
-    "Roughness and F0 as found; off: of roughness; near: 1 where that is within 0.05; clipped: "
+    "Estimated roughness and F0; off: error of roughness; near: 1 if that is within 0.05; clipped: "
     "share of the photograph. Subjects: slope of bumps, red albedo, F0, roughness."
 )
 SETUP = FlashSetup(offset=(0.10, 0.05, 0.0), tilt=(0.02, -0.02))

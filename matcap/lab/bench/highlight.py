@@ -32,10 +32,10 @@ from matcap.photo.load import load_photo
 from matcap.photo.photo import DEFAULT_FOV, Photo
 
 ABOUT = (
-    "Of real photographs: apart: plane units between the highlight's centres in photograph and "
-    "re-rendering; width and contrast: the re-rendering's over the photograph's; kept: 1 where all "
-    "three are within 0.03, 20 % and 20 %. Of simulated ones: errors of the flash's offset (plane "
-    "units) and tilt (degrees); visible: 1 where the highlight is plain to see."
+    "Of real photographs: apart: distance of the highlight's centre in photograph and re-rendering "
+    "(plane units); width and contrast: the re-rendering's over the photograph's; kept: 1 if these "
+    "are within 0.03, 20 % and 20 %. Of simulated ones: errors of the flash's offset (plane units) "
+    "and tilt (degrees); visible: 1 if the highlight is clearly visible."
 )
 # Tolerances of a reproduced highlight: centre in plane units, relative width and contrast.
 CENTRE, WIDTH, CONTRAST = 0.03, 0.2, 0.2

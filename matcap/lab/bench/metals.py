@@ -25,9 +25,9 @@ from matcap.lab.simulate.photograph import PhoneCamera, Shot, true_maps
 from matcap.lab.simulate.specimen import Specimen, photograph
 
 ABOUT = (
-    "Red, green, blue: F0 found over true of what truly is metal. Hue: what each channel is off by "
-    "over their mean, %; nothing where F0 was found without a colour. Beside: mean F0 of what is "
-    "no metal, found and true."
+    "Red, green, blue: estimated over true F0 where the truth is metal. Hue: deviation of each "
+    "channel's ratio from their mean, %; empty if the estimated F0 is achromatic. Beside: mean F0 "
+    "of dielectric texels, estimated and true."
 )
 # Mean F0 above which a texel is metal, below which it is dielectric; borders are left out.
 METAL, NONE = 0.2, 0.08

@@ -30,8 +30,8 @@ from matcap.lab.simulate.specimen import Specimen, photograph
 ABOUT = (
     "NSD: normalised style distance by SqueezeNet under new lights; 1 is indistinguishable from "
     "another sample (matcap/lab/measures/nsd.py). Tilt: mean, degrees; albedo: standard deviation "
-    "of its logarithm; roughness: mean; each beside that of true samples. NSD mirrored: under five "
-    "lights whose mirror images are in the picture; highlight: contrast under them, found over "
+    "of its logarithm; roughness: mean; each with that of true samples. NSD mirrored: under five "
+    "lights whose mirror images are in the picture; highlight: contrast under them, estimated over "
     "true; imprint: of the flash, by map, 0 is none (matcap/lab/measures/gloss.py)."
 )
 ALBEDO, EXEMPLAR, FIELD = "photograph as albedo", "exemplar", "field"

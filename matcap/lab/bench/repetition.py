@@ -34,8 +34,8 @@ from matcap.statistics.lattice import find_lattice
 
 ABOUT = (
     "With itself, of two seeds: largest correlation of roughness at shifts of more than 128 texels "
-    "(matcap/lab/bench/repetition.py); below n, larger: share of texels in verbatim copies of such "
-    "a size; diversity: how far two seeds are apart, 1 for maps without relation."
+    "(matcap/lab/bench/repetition.py); below n, larger: share of texels in verbatim copies of that "
+    "size, texels; diversity: difference of two seeds, 1 for unrelated maps."
 )
 NEAR = 128  # texels: twice what a piece is begun with
 SIZES = (16, 256, 1024, 4096, 16384, 65536)  # texels of a piece, upper ends of the classes

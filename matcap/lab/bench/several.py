@@ -35,10 +35,10 @@ from matcap.lab.simulate.specimen import Specimen
 
 ABOUT = (
     "NSD: normalised style distance of the exemplar; 1 is indistinguishable from another sample. "
-    "Normals: degrees off where the truth leans, `flat` for flat maps; albedo and roughness: mean "
-    "absolute differences, of the logarithm and of the value; residual and predicted: medians over "
-    "photographs of log radiance, predicted by all others. Of what only others than the first "
-    "photograph show: `beyond`."
+    "Normals: error in degrees where the truth is not flat, `flat` for flat maps; albedo and "
+    "roughness: mean absolute differences, of the logarithm and of the value; residual and "
+    "predicted: medians over photographs of differences of log radiance, from maps of all "
+    "photographs and of all others; beyond: texels that the first photograph does not show."
 )
 
 

@@ -54,11 +54,10 @@ from matcap.space.tuned import TunedDecoder
 from matcap.synth.precision import multiplies_bfloat16
 
 ABOUT = (
-    "Seconds by the wall, processor: of all cores; paper: the paper's form beside it, ratio: how "
-    "many times as long it takes, also in processor time, which other programs disturb less. GMAC: "
-    "10^9 multiply-adds a second on one thread, of whole blocks and of plain convolutions of the "
-    "same shapes. By example: a megatexel's processor seconds. Megabytes: most memory of the "
-    "process."
+    "Seconds: wall time; processor: time of all cores; paper: of the paper's form of the network; "
+    "ratio: of these, also in processor time, which other programs disturb less. GMAC: 10^9 "
+    "multiply-adds per second on one thread, of whole blocks and of plain convolutions of the same "
+    "shapes. By example: processor seconds per megatexel. Megabytes: peak memory of the process."
 )
 NETWORKS = {"shipped": DecoderConfig(), "paper": PAPER_CONFIG}
 BLOCKS = ("256x256", "512x256", "512x512", "1024x256", "1024x1024")

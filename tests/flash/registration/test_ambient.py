@@ -38,7 +38,7 @@ def test_what_the_file_says_counts(pair):
 def test_light_tells_where_the_file_does_not(pair):
     flash, ambient = (replace(photo, flash_fired=None) for photo in pair)
     result = without_flash([flash, ambient, flash])
-    assert list(result) == [1] and "no flash shows" in result[1]
+    assert list(result) == [1] and "shows no flash" in result[1]
 
 
 def test_where_no_flash_shows_at_all_none_is_named(pair):
