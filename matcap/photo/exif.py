@@ -23,6 +23,7 @@ from matcap.files.stated_color import png_chunks, riff_chunks
 
 # mm, diagonal of the 36 x 24 mm frame, which FocalLengthIn35mmFilm refers to (CIPA DCG-001).
 _FILM_DIAGONAL = hypot(36.0, 24.0)
+_PHONE_REACH = tan(radians(33.0))  # half the long side over the distance
 _LARGEST_XMP = 1 << 22  # bytes of XMP that are parsed
 # Millimetres by FocalPlaneResolutionUnit (Exif 2.32); some cameras use 4 and 5.
 _UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
@@ -109,6 +110,16 @@ def fov_of_film(focal_length: float, width: int, height: int) -> float:
     """
     share = max(width, height) / hypot(width, height)
     return degrees(2.0 * atan(share * _FILM_DIAGONAL / 2.0 / focal_length))
+
+
+def phone_fov(width: int, height: int) -> float:
+    """Field of view across a picture's long side in degrees, where the file does not state it.
+
+    A phone's main camera (24 to 28 mm on film) sees 66 degrees across 4:3; narrower shapes are cut
+    from that, so that a square sees 52.
+    """
+    share = min(max(width, height) / min(width, height) * 3.0 / 4.0, 1.0)
+    return degrees(2.0 * atan(share * _PHONE_REACH))
 
 
 def read_exif(source: Path | bytes, xmp: bytes = b"") -> Exif:

@@ -14,14 +14,14 @@ from matcap.errors import MatcapError, UsageError
 from matcap.files.quiet import quiet_decoders
 from matcap.photo.decoded import Decoded
 from matcap.photo.dng import Corrections, read_corrections
-from matcap.photo.exif import Exif, read_exif
+from matcap.photo.exif import Exif, phone_fov, read_exif
 from matcap.photo.jxl import read_jxl
 from matcap.photo.kind import FileKind, file_kind
 from matcap.photo.left_out import leave_transparent_out
 from matcap.photo.lossless import read_png_or_tiff
 from matcap.photo.lossy import read_heic, read_jpeg, read_webp_or_avif
 from matcap.photo.orient import quarter_turn, upright
-from matcap.photo.photo import DEFAULT_FOV, Photo
+from matcap.photo.photo import Photo
 from matcap.photo.raw import read_raw
 from matcap.photo.refusals import SHORTEST_SIDE
 from matcap.photo.tone import ToneCurve
@@ -43,7 +43,7 @@ def load_photo(
         path: DNG or other RAW, JPEG, PNG, TIFF (8, 16 bits or float), WebP, AVIF, HEIC (extra
             `heic`). Transparent pixels are left out, as by a mask.
         long_side: downsample to this many pixels along the long side; never upsample.
-        fov: field of view across the long side, degrees; None is the file's, or 45.
+        fov: field of view across the long side, degrees; None is the file's, or phone_fov().
         noise: compute Photo.noise of a RAW, for which it is developed twice.
 
     Returns:
@@ -96,7 +96,7 @@ def _photo(
     photo = Photo(
         pixels=lying(picture.pixels),
         clipped=lying(picture.clipped),
-        fov=DEFAULT_FOV if known is None else known,
+        fov=phone_fov(*size) if known is None else known,
         fov_source="assumed" if known is None else source,
         radiometric=picture.radiometric,
         name=name,

@@ -12,7 +12,6 @@ from matcap.photo.camera import CameraProfile
 from matcap.photo.tone import ToneCurve
 
 FULL = 0.95  # of the clip level: channels of a clipped pixel above this count as clipped
-DEFAULT_FOV = 45.0  # degrees across the long side, if unknown, as in the paper
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,10 @@ class Photo:
         """Notes of reading the file, including an assumed field of view."""
         if self.path is None or self.fov_source != "assumed":
             return self.notes
-        says = f"The file does not say its field of view: {self.fov:g} degrees assumed (--fov)."
+        says = (
+            f"The file does not say its field of view: {self.fov:.0f} degrees assumed, "
+            "as a phone's main camera has (--fov)."
+        )
         return (*self.notes, says)
 
     @property

@@ -31,6 +31,7 @@ from matcap.space.residual import ResidualBlock
 
 WIDTH = 256  # columns of the input image
 CONDITIONS = 3  # scalar inputs
+UNKNOWN_FOV = 45.0  # degrees: input of a photograph whose field of view is not known
 SHIPPED = Path(__file__).parent / "prior" / "weights" / "alignment.safetensors"
 
 _FORMAT = "matcap-alignment-1"
@@ -115,9 +116,11 @@ def tilt_measurement(photo: Photo, branch: Alignment | None = None) -> TiltMeasu
     if photo.left_out is not None and not photo.left_out.all():
         out = photo.left_out[..., None]
         pixels = np.where(out, np.median(pixels[~photo.left_out], axis=0), pixels)
-    known = torch.tensor([photo.fov_source != "assumed"])
+    known = photo.fov_source != "assumed"
     known_conditions = conditions(
-        torch.tensor([photo.fov]), known, torch.tensor([photo.radiometric])
+        torch.tensor([photo.fov if known else UNKNOWN_FOV]),
+        torch.tensor([known]),
+        torch.tensor([photo.radiometric]),
     )
     with torch.inference_mode():
         mean, log_std = (branch or _shipped())(

@@ -12,7 +12,7 @@ from PIL import Image, PngImagePlugin
 
 from matcap.errors import UsageError
 from matcap.files.png import png_chunk
-from matcap.photo.exif import Exif, fov_of_film, read_exif
+from matcap.photo.exif import Exif, fov_of_film, phone_fov, read_exif
 from matcap.photo.load import load_photo
 from matcap.photo.orient import upright
 
@@ -61,7 +61,8 @@ def test_unknown_field_of_view_is_assumed(tmp_path, codes, focal_length):
     path = tmp_path / "a.jpg"
     Image.fromarray(codes).save(path, exif=exif(1, focal_length, 0x10))
     photo = load_photo(path)
-    assert (photo.fov, photo.fov_source, photo.flash_fired) == (45.0, "assumed", False)
+    assert (photo.fov_source, photo.flash_fired) == ("assumed", False)
+    assert photo.fov == pytest.approx(66.0)
 
 
 def focal_plane(length=4.0, per_unit=1000.0, unit=3, film=None, pixels=None):
@@ -182,6 +183,13 @@ def save_with_xmp(path: Path, codes, xmp: str, **options) -> None:
         image.save(path, xmp=xmp.encode(), **options)
 
 
+def test_a_shape_cut_from_a_phones_picture_keeps_its_distance():
+    """A whole 4:3 picture, its square middle and its 16:9 strip, from one distance."""
+    reach = np.tan(np.radians([phone_fov(*size) / 2.0 for size in [(4, 3), (3, 3), (16, 9)]]))
+    np.testing.assert_allclose(reach / reach[0], [1.0, 0.75, 1.0])
+    assert phone_fov(3, 4) == phone_fov(4, 3) == pytest.approx(66.0)
+
+
 @pytest.mark.parametrize("xmp", [AS_ATTRIBUTES, AS_ELEMENTS], ids=["attributes", "elements"])
 @pytest.mark.parametrize("form", ["jpg", "png", "tif", "webp"])
 def test_orientation_in_xmp_alone(tmp_path, codes, form, xmp):
@@ -190,7 +198,7 @@ def test_orientation_in_xmp_alone(tmp_path, codes, form, xmp):
     Image.fromarray(codes).save(tmp_path / f"b.{form}", **options)
     photo, plain = (load_photo(tmp_path / f"{name}.{form}") for name in "ab")
     np.testing.assert_array_equal(photo.pixels, plain.pixels[::-1, ::-1])
-    assert photo.fov == pytest.approx(fov_of_film(26, 4, 3)) and plain.fov == 45.0
+    assert photo.fov == pytest.approx(fov_of_film(26, 4, 3)) and plain.fov == pytest.approx(66.0)
 
 
 def test_exif_goes_before_xmp(tmp_path, codes):

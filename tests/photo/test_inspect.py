@@ -216,7 +216,7 @@ def test_what_was_noticed_when_reading_is_a_finding():
 
 def test_an_assumed_field_of_view_is_told_of(tmp_path, codes):
     Image.fromarray(codes).save(tmp_path / "a.png")
-    assert "45 degrees assumed" in inspect_photo(load_photo(tmp_path / "a.png"))["reading"].says
+    assert "66 degrees assumed" in inspect_photo(load_photo(tmp_path / "a.png"))["reading"].says
     given = inspect_photo(load_photo(tmp_path / "a.png", fov=60.0))
     assert "reading" not in given.document()
 

@@ -20,7 +20,7 @@ from matcap.flash.registration.grid import grid_points, to_pixels
 from matcap.flash.registration.keypoints import KeypointFinder
 from matcap.flash.registration.period import repeats_itself
 from matcap.flash.registration.sharp import SHARP, blurring
-from matcap.photo.photo import DEFAULT_FOV, Photo
+from matcap.photo.photo import Photo
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def register(
             continue
         ratio = FlashSetup(fov=photos[index].fov).distance / FlashSetup(fov=photos[0].fov).distance
         pairs[index] = Pair(first, second, pixel, ratio)
-    known = photos[0].fov_source != "assumed" and photos[0].fov != DEFAULT_FOV
+    known = photos[0].fov_source != "assumed"
     blurred = False
     while True:
         priors = settings.straight if all(index in dark for index in pairs) else AdjustSettings()

@@ -28,8 +28,9 @@ from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.simulate.materials import random_material
 from matcap.lab.simulate.materials.kinds import random_kind
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
+from matcap.photo.exif import phone_fov
 from matcap.photo.load import load_photo
-from matcap.photo.photo import DEFAULT_FOV, Photo
+from matcap.photo.photo import Photo
 
 ABOUT = (
     "Of real photographs: apart: distance of the highlight's centre in photograph and re-rendering "
@@ -157,5 +158,5 @@ def _taken(
     shot = take(lambda w, h, texel: realise(w, h, number, texel), camera, setup)
     photo = as_photo(shot, number, f"{number}")
     if not has_fov:
-        photo = replace(photo, fov=DEFAULT_FOV, fov_source="assumed")
+        photo = replace(photo, fov=phone_fov(*photo.original_size), fov_source="assumed")
     return photo, shot.setup

@@ -34,8 +34,8 @@ from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
 from matcap.lab.simulate.photograph import PhoneCamera, take
 from matcap.lab.train.pack import decode
 from matcap.lab.train.trainer import RateSchedule, Reporting, Training, fit, mixed
-from matcap.photo.photo import DEFAULT_FOV, Photo
-from matcap.space.alignment import WIDTH, Alignment, conditions, tilt_measurement
+from matcap.photo.photo import Photo
+from matcap.space.alignment import UNKNOWN_FOV, WIDTH, Alignment, conditions, tilt_measurement
 from matcap.space.picture import log_colour, picture_coordinates
 
 # Kinds and patterns excluded from training: the branch is evaluated on them.
@@ -204,7 +204,7 @@ def develop(taken: Tilted, rng: np.random.Generator, radiometric: bool | None = 
         linear = _exposed(radiance.float(), offset, is_raw, rng)
         blind = not is_raw and rng.random() < _WITHOUT_EXIF
         pictures.append(linear)
-        fov.append(DEFAULT_FOV if blind else float(view))
+        fov.append(UNKNOWN_FOV if blind else float(view))
         known.append(not blind)
         raw.append(is_raw)
     return Developed(

@@ -25,7 +25,8 @@ from matcap.lab.simulate.materials.kinds import RandomKind, random_kind
 from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.lab.train.pack import WAVE_DETAIL, Entry, Pack, decode, read_code
-from matcap.photo.photo import DEFAULT_FOV, Photo
+from matcap.photo.exif import phone_fov
+from matcap.photo.photo import Photo
 from matcap.space.tuning.start import log_contrast
 from matcap.statistics.lattice import find_lattice
 
@@ -100,7 +101,7 @@ def read(path: Path) -> Entry:
     if code.shape[1] > LONG_SIDE:
         size = (LONG_SIDE, round(LONG_SIDE * code.shape[0] / code.shape[1]))
         code = np.asarray(cv2.resize(code, size, interpolation=cv2.INTER_AREA), np.uint8)
-    return entry(path.name, path.stem.split("_")[0], code, DEFAULT_FOV)
+    return entry(path.name, path.stem.split("_")[0], code, phone_fov(*code.shape[:2]))
 
 
 def simulate(seed: int, *, deviation: float = _PACK_TILT) -> Entry:
