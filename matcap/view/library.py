@@ -53,10 +53,10 @@ class Library:
         return [asdict(_entry(file)) for file in self.files]
 
     def subject(self, first: int, second: int | None = None) -> Materials:
-        """Open a material, or two to blend; the last _OPENED are cached.
+        """Open a material, or two to compare; the last _OPENED are cached.
 
         Raises:
-            MatcapError: a broken file, or two that cannot be blended.
+            MatcapError: a broken file.
         """
         return self._kept(first, second)
 

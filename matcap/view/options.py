@@ -18,7 +18,7 @@ class ViewOptions:
     """
 
     blend: Path | None = setting(None, metavar="FILE")
-    """A second material to blend with."""
+    """A second material to compare and blend with."""
     photo: Path | None = setting(None, metavar="FILE", otherwise="that of the folder")
     """A photograph to show next to the material."""
     seed: int = setting(0, metavar="SEED", parse=values.seed)

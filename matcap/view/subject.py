@@ -102,11 +102,10 @@ class Materials:
 
     Args:
         first: the material.
-        second: to blend with, or None.
+        second: to compare and blend with, or None.
         seed: of the realisation shown first.
 
     Raises:
-        MatcapError: the two cannot be blended.
         UsageError: the seed is out of range.
     """
 
@@ -114,7 +113,7 @@ class Materials:
         self.first, self.second, self.seed = first, second, seed
         self._averages: dict[int, Callable[[], ExemplarAverages]] = {}
         self._field = lru_cache(_FIELDS)(self._open)
-        self._field(seed, 0.0 if second is None else 0.5)  # to raise errors here
+        self._field(seed, 0.0)  # to raise errors here
 
     @property
     def facts(self) -> ViewFacts:
@@ -278,7 +277,9 @@ def open_subject(
     file = _material_in(path)
     if file is not None:
         first = Material.load(file).by(read.generator).varied(read.variety)
-        return Materials(first, Material.load(second) if second else None, seed)
+        subject = Materials(first, Material.load(second) if second else None, seed)
+        subject.at(0.0 if second is None else 0.5)  # raises where the two cannot be blended
+        return subject
     from matcap.brdf.folder import read_mapset
 
     maps, document = read_mapset(path)

@@ -142,24 +142,26 @@ def test_spheres_follow_one_light_and_open_their_material(tab, served, library):
         page.page.click("#theme")
         page.until(f"{stage} < {light} - 0.3")
         page.page.focus(".card >> nth=2 >> a")
-        page.page.keyboard.press("b")
+        page.page.keyboard.press("c")
         assert page.page.inner_text("#chosen").startswith("moss is chosen.")
         assert page.page.get_attribute(".card >> nth=2 >> button", "aria-pressed") == "true"
         page.page.keyboard.press("Escape")
         assert page.page.inner_text("#chosen") == "moss is let go."
         assert page.page.get_attribute(".card >> nth=2 >> button", "aria-pressed") == "false"
-        page.page.keyboard.press("b")
+        page.page.keyboard.press("c")
         page.page.focus(".card >> nth=0 >> button")
         page.page.keyboard.press("Enter")
         page.page.wait_for_url("**/m/2+0/**")
         page.loaded()
-        assert page.page.input_value("#share") == "0.5"
+        assert page.page.is_checked("input[name=left][value=second]")
+        words = page.page.get_attribute("#wipe", "aria-valuetext")
+        assert words == "brick to the left, moss to the right"
         page.page.go_back()
         page.until(SHOWN, 120)
         page.page.drag_and_drop(".card >> nth=0", ".card >> nth=1")
         page.page.wait_for_url("**/m/1+0/**")
         page.loaded()
-        assert page.page.input_value("#share") == "0.5"
+        assert page.page.is_checked("input[name=left][value=second]")
         assert page.page.inner_text("#name") == "cloth"
         page.page.click("#home")
         page.page.wait_for_url(address.url)

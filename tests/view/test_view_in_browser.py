@@ -619,6 +619,39 @@ def test_the_wipe_between_photograph_own_flash_relit_piece_and_field(tab, served
     assert np.abs(of_the_piece(brighter, exemplar)[:, :half] - doubled).max() <= 2 * STEP
 
 
+def test_the_wipe_between_two_materials(tab, address, subject):
+    """By keyboard and by finger; neither verdict nor doubt of the first lies over the second."""
+    page = tab(address.url, has_touch=True)
+    page.loaded()
+    page.page.focus("input[name=left][value=none]")
+    page.page.keyboard.press("ArrowRight")
+    assert page.ask("matcap.view.state.left") == "second"
+    assert page.page.is_visible("#wipe") and not page.page.is_visible("#right-choice")
+    assert page.page.inner_text("#wipe-left") == "other"
+    assert page.page.inner_text("#wipe-right") == "test"
+    place = {"x": 512, "y": 512, "span": WIDTH, "map": "diffuse", "seed": 2}
+    shown = picture(page, left="second", wipe=0.5, **place)
+    half = WIDTH // 2
+    for material, side in ((subject.second, slice(0, half)), (subject.first, slice(half, None))):
+        maps = material.maps(WIDTH, HEIGHT, seed=2, x=512 - half, y=512 - HEIGHT // 2)
+        wanted = encode(maps.diffuse.movedim(0, -1).numpy(), Film())
+        assert np.abs(shown - wanted)[:, side].max() <= 2 * STEP
+    blended = picture(page, left="second", wipe=0.5, share=0.5, **place)
+    assert np.array_equal(blended[:, :half], shown[:, :half])  # only the right side walks
+    assert np.abs(blended - shown)[:, half:].max() > 0.1
+    assert page.page.inner_text("#wipe-right") == "blend"
+    box = page.page.locator("#wipe").bounding_box()
+    finger = page.page.context.new_cdp_session(page.page)
+    for kind, x in (
+        ("touchStart", box["x"] + box["width"] / 2),
+        ("touchMove", 90),
+        ("touchEnd", None),
+    ):
+        points = [] if x is None else [{"x": x, "y": 100}]
+        finger.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+    page.until("matcap.view.state.wipe < 0.25")
+
+
 def test_turntable_and_export(tab, address):
     page = tab(address.url)
     page.loaded()

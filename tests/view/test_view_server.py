@@ -17,6 +17,7 @@ from PIL import Image
 
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
 from matcap.brdf.maps import MapSet
+from matcap.errors import MatcapError
 from matcap.field.field import Field
 from matcap.field.plane import Rectangle
 from matcap.files.exr import write_exr
@@ -191,6 +192,13 @@ def test_neighbours_share_what_lies_between_them(client):
                 one[:, -2 * APRON :].astype(np.float32),
                 other[:, : 2 * APRON].astype(np.float32), atol=1e-5,
             )  # fmt: skip
+
+
+def test_two_that_cannot_be_blended_can_be_compared(material):
+    pair = Materials(material, a_material("other"))
+    assert pair.moments(0, Rectangle(0, 0, 8, 8), seed=0, share=1.0)[0].shape[1:] == (8, 8)
+    with pytest.raises(MatcapError, match="different shapes"):
+        pair.moments(0, Rectangle(0, 0, 8, 8), seed=0, share=0.5)
 
 
 def test_share_blends(client, subject):

@@ -12,7 +12,8 @@ export const CHOICES = {
   light: ["Light", 3, { point: "Point", studio: "Studio", window: "Window", dusk: "Dusk", own: "Own" }],
   map: ["Show", 3, { lit: "Lit", diffuse: "Diffuse", specular: "Specular", roughness: "Roughness",
     height: "Height", normal: "Normal" }],
-  left: ["Left of the wipe", 0, { none: "Nothing", photo: "Photo", flash: "Flash", piece: "Relit" }],
+  left: ["Left of the wipe", 0, { none: "Nothing", photo: "Photo", flash: "Flash", piece: "Relit",
+    second: "Other" }],
   right: ["Right of the wipe", 0, { flash: "Flash", piece: "Relit", field: "Endless" }],
 };
 

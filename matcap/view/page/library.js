@@ -75,27 +75,27 @@ class Shelf {
   }
 }
 
-// Two materials to blend: the first waits for the second.
-const blending = { first: null };
+// Two materials to compare: the first waits for the second.
+const comparing = { first: null };
 
 function choose(card) {
-  const { first } = blending, name = card?.material.name;
+  const { first } = comparing, name = card?.material.name;
   first?.button.setAttribute("aria-pressed", "false");
-  blending.first = null;
+  comparing.first = null;
   if (!card || card === first) {
     $("chosen").textContent = first ? `${first.material.name} is let go.` : "";
   } else if (first) {
-    $("chosen").textContent = `Blending ${first.material.name} with ${name}.`;
-    blend(first.index, card.index);
+    $("chosen").textContent = `Comparing ${first.material.name} with ${name}.`;
+    compare(first.index, card.index);
   } else {
-    blending.first = card;
+    comparing.first = card;
     card.button.setAttribute("aria-pressed", "true");
-    $("chosen").textContent = `${name} is chosen. Choose another one to blend it with.`;
+    $("chosen").textContent = `${name} is chosen. Choose another one to compare it with.`;
   }
 }
 
-function blend(first, second) {
-  location.href = `m/${first}+${second}/#share=0.5`;
+function compare(first, second) {
+  location.href = `m/${first}+${second}/#left=second`;
 }
 
 function makeCard(material, index) {
@@ -110,13 +110,13 @@ function makeCard(material, index) {
   name.textContent = material.name;
   link.append(face, name);
   const button = document.createElement("button");
-  Object.assign(button, { type: "button", className: "quiet", textContent: "Blend" });
+  Object.assign(button, { type: "button", className: "quiet", textContent: "Compare" });
   button.setAttribute("aria-pressed", "false");
-  button.setAttribute("aria-label", `Blend ${material.name} with another`);
+  button.setAttribute("aria-label", `Compare ${material.name} with another`);
   const card = { box, link, face, button, index, material };
   button.addEventListener("click", () => choose(card));
   box.addEventListener("keydown", (event) => {
-    if (event.key.toLowerCase() !== "b" || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key.toLowerCase() !== "c" || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
     choose(card);
   });
@@ -137,7 +137,7 @@ function makeCard(material, index) {
     event.preventDefault();
     box.classList.remove("over");
     const other = Number(event.dataTransfer.getData("text/plain"));
-    if (Number.isInteger(other) && other !== index) blend(index, other);
+    if (Number.isInteger(other) && other !== index) compare(index, other);
   });
   box.append(link, button);
   $("shelf").append(box);
@@ -180,7 +180,7 @@ function makeCard(material, index) {
   $("rating").addEventListener("change", filter);
   followTheme(redraw);
   addEventListener("keydown", ({ key }) => { if (key === "Escape") choose(null); });
-  addEventListener("pageshow", () => { if (blending.first) choose(null); }); // come back to
+  addEventListener("pageshow", () => { if (comparing.first) choose(null); }); // come back to
   addEventListener("resize", fit);
   addEventListener("scroll", redraw, { passive: true });
   addEventListener("pointermove", (event) => {

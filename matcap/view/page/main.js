@@ -5,7 +5,7 @@ import { fromAddress, toAddress } from "./address.js";
 import { EnclosedPages, ServedPages } from "./source.js";
 import { ROOMS, roomRadiance } from "./rooms.js";
 import { GONE, LEFTS, MAPS, RIGHTS, SHAPES, View } from "./view.js";
-import { $, ADJUSTED, CHOICES, makeControls, saySlider } from "./controls.js";
+import { $, ADJUSTED, CHOICES, makeControls, offer, saySlider } from "./controls.js";
 import { describe, legend, showPiece, showScale, showState, whereabouts } from "./panel.js";
 import { followTheme } from "./theme.js";
 import { readSurroundings } from "./reading.js";
@@ -52,9 +52,12 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
   });
 
   // --- state and address ------------------------------------------------------------------------
-  const lefts = about.piece ? LEFTS.filter((name) => name !== "photo" || about.photo) : ["none"];
+  const there = { none: true, field: true, photo: about.piece && about.photo, flash: about.piece,
+    piece: about.piece, second: about.second };
+  const [lefts, rights] = [LEFTS, RIGHTS].map((names) => names.filter((name) => there[name]));
+  for (const name of LEFTS) offer("left", name, there[name]);
   const choices = () => (
-    { shape: SHAPES, map: MAPS, light: view.lights, left: lefts, right: RIGHTS });
+    { shape: SHAPES, map: MAPS, light: view.lights, left: lefts, right: rights });
   const begin = () => fromAddress(location.hash.slice(1), view.initial(), choices());
   let told = 0;
   const set = (changes) => {
@@ -94,7 +97,7 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
     $(`${name}-choice`).addEventListener("change", ({ target }) => {
       if (target.name !== name) return;
       const home = name === "left" && !view.wiped && target.value !== "none"
-        ? { shape: "plane", ...view.homeward() } : {};
+        ? { shape: "plane", ...(target.value === "second" ? {} : view.homeward()) } : {};
       set({ [name]: target.value, ...home });
     });
   }

@@ -22,8 +22,7 @@ export function describe(about) {
     $("share-row").hidden = false;
     $("share-label").textContent = `Blend with ${about.second}`;
   }
-  $("left-choice").hidden = !about.piece;
-  offer("left", "photo", Boolean(about.photo));
+  $("left-choice").hidden = !about.piece && !about.second;
   offer("light", "own", false);
   if (about.doubt) {
     $("doubt").src = about.doubt;
@@ -101,10 +100,12 @@ export function showState(view) {
 // The wipe with the labels of its sides, and the doubt mask, clipped at the wipe.
 export function showPiece(view) {
   const { state, canvas } = view, shown = view.wiped;
-  for (const id of ["piece", "wipe"]) $(id).hidden = !shown;
-  $("right-choice").hidden = !shown;
-  $("doubt-row").hidden = !view.about.verdict && !view.about.doubt;
-  $("verdict").hidden = !shown || !$("doubted").checked || !view.about.verdict;
+  const own = state.left !== "second"; // of this material, which verdict and doubt speak of
+  $("wipe").hidden = !shown;
+  $("piece").hidden = !shown || !own;
+  $("right-choice").hidden = !shown || !view.piece;
+  $("doubt-row").hidden = !own || (!view.about.verdict && !view.about.doubt);
+  $("verdict").hidden = !shown || !own || !$("doubted").checked || !view.about.verdict;
   if (!shown) return;
   const at = state.wipe * canvas.clientWidth;
   $("wipe").style.left = `${at}px`;
@@ -113,6 +114,7 @@ export function showPiece(view) {
     `${sideOf(view, state.left)} to the left, ${sideOf(view, state.right)} to the right`);
   $("wipe-left").textContent = sideOf(view, state.left);
   $("wipe-right").textContent = sideOf(view, state.right);
+  if (!own) return;
   $("piece").style.width = `${at}px`;
   const [left, top, wide, tall] = view.pieceBox;
   Object.assign($("doubt").style, {
@@ -121,9 +123,11 @@ export function showPiece(view) {
   $("doubt").hidden = !$("doubted").checked || !view.about.doubt;
 }
 
-function sideOf(view, side) {
+function sideOf({ state, about }, side) {
   return {
     photo: "photograph", flash: "re-rendered, own flash", piece: "the piece, relit",
-    field: view.about.period ? "repeated" : "endless",
+    second: about.second,
+    field: state.share > 0 ? "blend" : state.left === "second" ? about.name
+      : about.period ? "repeated" : "endless",
   }[side];
 }

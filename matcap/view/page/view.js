@@ -10,8 +10,8 @@ import { dressed } from "./theme.js";
 export const SHAPES = ["plane", "sphere", "cylinder"];
 const LIGHTS = ["point", ...Object.keys(ROOMS), "own"];
 // What either side of the wipe may show: the photograph, the exemplar under the photograph's flash,
-// the exemplar under the page's light, the endless field.
-export const LEFTS = ["none", "photo", "flash", "piece"];
+// the exemplar under the page's light, the second material's endless field, the field or blend.
+export const LEFTS = ["none", "photo", "flash", "piece", "second"];
 export const RIGHTS = ["flash", "piece", "field"];
 export const MAPS = ["lit", "diffuse", "specular", "roughness", "height", "normal"];
 // Framing as in the shader: a sphere as in matcap relight, a cylinder with its full height.
@@ -26,7 +26,7 @@ const MIRRORED = 48, HURRIED = 8; // directions of a room, and while anything mo
 const STRIPS = 12; // that a picture is settled in
 const SETTLED = 200; // milliseconds after which nothing moves any more
 const PIECES = 20; // pages of the piece
-const SPARE = { field: 12, piece: 4 }; // pages kept for coarse forms and for what was just seen
+const SPARE = 12, SPARE_PIECE = 4; // pages kept for coarse forms and for what was just seen
 export const GONE = "The server does not answer.";
 
 export class View {
@@ -38,11 +38,14 @@ export class View {
     if (!gl) throw new Error("no WebGL2");
     Object.assign(this, { canvas, gl, source, about });
     // Small devices cache fewer pages: 130 MB of textures, not 320.
-    const small = Math.min(screen.width, screen.height) < 700;
-    this.pages = new Pages(gl, source.form, small ? 26 : 64);
-    this.field = { name: "field", pages: this.pages, finest: 0 };
+    const small = Math.min(screen.width, screen.height) < 700, count = small ? 26 : 64;
+    this.pages = new Pages(gl, source.form, count);
+    this.field = { name: "field", pages: this.pages, finest: 0, count, spare: SPARE };
+    // The second material alone, in no more memory than a small device has.
+    this.second = { name: "second", pages: null, finest: 0, count: 26, spare: SPARE };
     // The exemplar, if there is one; its finest level may be coarser than the field's.
-    this.piece = about.piece && { name: "piece", pages: null, finest: about.piece_level };
+    this.piece = about.piece && { name: "piece", pages: null, finest: about.piece_level,
+      count: PIECES, spare: SPARE_PIECE };
     this.rooms = new Map(); // surroundings by the light's name, made when they are first seen
     const places = buildProgram(gl, source.form);
     this.places = places;
@@ -77,16 +80,21 @@ export class View {
     this.state = { ...before, ...changes };
     if (!this.lights.includes(this.state.light)) this.state.light = "point";
     this.state.span = Math.min(Math.max(this.state.span, NEAREST), FARTHEST);
-    if (before.seed !== this.state.seed || before.share !== this.state.share) {
-      for (const [key, { stop }] of this.loading) {
-        if (key.startsWith("piece")) continue;
-        stop.abort();
-        this.loading.delete(key);
-      }
-      this.pages.clear();
-    }
+    const sown = before.seed !== this.state.seed;
+    if (sown || before.share !== this.state.share) this.#forget(this.field);
+    if (sown) this.#forget(this.second);
     this.failure = "";
     this.redraw();
+  }
+
+  // Drop a layer's pages, and those that are being loaded.
+  #forget(layer) {
+    for (const [key, { stop }] of this.loading) {
+      if (!key.startsWith(layer.name)) continue;
+      stop.abort();
+      this.loading.delete(key);
+    }
+    layer.pages?.clear();
   }
 
   // Texels per unit.
@@ -129,7 +137,7 @@ export class View {
   }
 
   get wiped() {
-    return Boolean(this.piece) && this.state.left !== "none" && this.state.shape === "plane";
+    return this.state.left !== "none" && this.state.shape === "plane";
   }
 
   // Layers to draw, the left side of the wipe last.
@@ -138,7 +146,7 @@ export class View {
   }
 
   #layerOf(side) {
-    return side === "field" ? this.field : this.piece;
+    return { field: this.field, second: this.second }[side] || this.piece;
   }
 
   // Layers that are drawn from pages.
@@ -151,7 +159,7 @@ export class View {
   // middle is where the view begins.
   #whereabouts(layer) {
     const { x, y } = this.state;
-    if (layer === this.field) return { x, y, bounds: [-Infinity, -Infinity, Infinity, Infinity] };
+    if (layer !== this.piece) return { x, y, bounds: [-Infinity, -Infinity, Infinity, Infinity] };
     const home = this.initial(), [wide, tall] = this.about.piece;
     return { x: x - home.x + wide / 2, y: y - home.y + tall / 2, bounds: [0, 0, wide, tall] };
   }
@@ -190,7 +198,7 @@ export class View {
   // for all pages.
   wanted(layer = this.field) {
     let best = Math.max(this.level, layer.finest);
-    const room = (layer.pages ? layer.pages.count : PIECES) - SPARE[layer.name];
+    const room = layer.count - layer.spare;
     while (this.#count(best, layer) > room && best < FARTHEST_LEVEL) best += 1;
     const coarse = this.#listed(Math.min(best + COARSER, FARTHEST_LEVEL), layer);
     return { best, pages: [...coarse, ...this.#listed(best, layer)] };
@@ -324,9 +332,9 @@ export class View {
     return appearing;
   }
 
-  // Pages of the exemplar are created at the first use.
+  // Pages of the exemplar and of a second material are created at the first use.
   #open(layer) {
-    layer.pages ||= new Pages(this.gl, this.source.form, PIECES);
+    layer.pages ||= new Pages(this.gl, this.source.form, layer.count);
     return layer.pages;
   }
 
@@ -431,12 +439,13 @@ export class View {
       if (this.loading.has(key)) continue;
       const stop = new AbortController(), entry = { stop };
       this.loading.set(key, entry);
-      const { seed, share } = this.state, piece = place.layer === this.piece;
+      const { seed } = this.state, piece = place.layer === this.piece;
+      const share = place.layer === this.second ? 1 : this.state.share;
       this.source.load(place, { seed, share, piece }, stop.signal).then(
         (page) => {
           if (this.loading.get(key) !== entry) return; // nobody waits for it any more
           this.loading.delete(key);
-          if (!piece) this.texelSize = page.texelSize;
+          if (place.layer === this.field) this.texelSize = page.texelSize;
           this.#open(place.layer).put(place.level, place.column, place.row, page, performance.now());
           this.#fetch(); // at once: a frame may take longer than a page
           this.redraw();
