@@ -23,7 +23,7 @@ class BatchEntry:
     """A sample and its state, which the batch updates."""
 
     sample: ShotSample
-    """Its photographs."""
+    """Name and photographs of the sample."""
     identity: str
     """Hash of the material to be made (identity.py); "" if a photograph cannot be read."""
     state: EntryState
@@ -32,7 +32,7 @@ class BatchEntry:
     reason: str = ""
     """Why it failed or was left."""
     record: dict[str, Any] = field(default_factory=dict)
-    """Record of the material (record.py), where it is done."""
+    """Record of the material (record.py); empty if not captured yet."""
 
 
 def make_plan(

@@ -46,13 +46,13 @@ class ShotSample:
     """The photographs of one material."""
 
     name: str
-    """Of the material and its folder; unique, ignoring case."""
+    """Name of the material and its folder; unique, ignoring case."""
     photos: tuple[Path, ...]
     """The photographs it is made from."""
     superseded: tuple[Path, ...] = ()
     """JPEG or HEIC files that are not used because a RAW file of the same shot exists."""
     profile: CameraProfile | None = None
-    """Of the camera, if there is one (cameras.py)."""
+    """Profile of the camera (cameras.py), or None."""
 
 
 def find_samples(

@@ -31,7 +31,7 @@ _AGAIN = "Free some space and run the same command again."
 
 @dataclass(frozen=True)
 class Policy:
-    """What is made again, and what counts as failure."""
+    """Which samples are captured again, and what counts as failure."""
 
     force: bool = False
     """Make materials again that are done."""

@@ -1,4 +1,4 @@
-"""Settings of a batch: matcap.toml beside the input folder, overridden by options."""
+"""Settings of a batch: matcap.toml in or next to the input folder, overridden by options."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class BatchSettings:
     """Settings of a batch, and of the captures in it."""
 
     capture: CaptureSettings = CaptureSettings()
-    """Of every capture."""
+    """Settings of every capture."""
     outputs: OutputSettings = OutputSettings()
-    """Of every capture's files."""
+    """Settings of every capture's outputs."""
     group: str = setting("name", words=("none", "name", "dir", "time"))
     """Which photographs show one sample."""
     gap: float = setting(10.0, least=0.0, most=1e9)

@@ -34,7 +34,7 @@ class Prepared:
     out: Path
     """The output folder."""
     settings: BatchSettings
-    """Of the batch."""
+    """Settings of the batch."""
     entries: Sequence[BatchEntry]
     """All samples with their states."""
     worker_bytes: int

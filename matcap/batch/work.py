@@ -37,13 +37,13 @@ class BatchJob:
     """One sample to capture."""
 
     name: str
-    """Of the material."""
+    """Name of the material."""
     photos: tuple[Path, ...]
-    """Of the sample."""
+    """Photographs of the sample."""
     identity: str
     """Hash of the inputs, for the record."""
     settings: BatchSettings
-    """Of the batch."""
+    """Settings of the batch."""
     run: Run
     """Workspace."""
     detail: int
@@ -53,7 +53,7 @@ class BatchJob:
     card: Calibration | None = None
     """Calibration from a card's photograph, or None."""
     profile: CameraProfile | None = None
-    """Of the camera, estimated from the input folder, or None."""
+    """Camera profile estimated from the input folder, or None."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ class Event:
     """An event of a job."""
 
     job: Any
-    """As given to start()."""
+    """The job given to start()."""
     kind: Literal["progress", "done", "died"]
     value: Any
     """A Progress; the work's result; or the process's exit code, negative for a signal."""

@@ -280,7 +280,7 @@ def find_mapsets(folder: Path) -> list[Path]:
 
 
 def _arrays(maps: MapSet, normal: NormalStyle) -> dict[str, NDArray[np.float32]]:
-    """Every map as it is stored: (H, W, 3) or (H, W) float32."""
+    """Pictures of all maps for the files: (H, W, 3) or (H, W) float32."""
     from matcap.brdf.maps import MAP_NAMES
 
     if maps.height.ndim != 3:

@@ -32,7 +32,7 @@ class StatedMaps:
     """The checked entries of a map set's document."""
 
     name: str
-    """Of the set, a plain file name."""
+    """Name of the set, a plain file name."""
     size: tuple[int, int]
     """(width, height) in texels."""
     texel_size: float
@@ -48,7 +48,7 @@ class StatedMaps:
     files: Mapping[str, tuple[str, tuple[str, ...] | None]]
     """File name by map, with its channels' names where several maps share a file."""
     provenance: dict[str, Any]
-    """How the material was made; its numbers are finite."""
+    """Record of how the material was made; its numbers are finite."""
 
 
 def stated_maps(document: Mapping[str, Any], kinds: Mapping[str, int], file: Path) -> StatedMaps:

@@ -71,7 +71,7 @@ class Panel:
         return self._image(np.asarray(cv2.resize(self.values, size, interpolation=way), np.float32))
 
     def crop(self) -> Image.Image:
-        """Crop at one pixel a texel, beside the middle: near the highlight, but not in it."""
+        """Crop at one pixel per texel, at a quarter of the width, next to the highlight."""
         height, width = self.values.shape[:2]
         x = max(0, min(width // 4 - _CROP // 2, width - _CROP))
         y = max(0, (height - _CROP) // 2)

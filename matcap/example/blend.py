@@ -190,7 +190,7 @@ class Votes:
     """The nodes of a band for an area.
 
     Attributes:
-        level: of the places that nodes read, 2^level steps of the grid of places apart.
+        level: level of the places that nodes read, which are 2^level grid steps apart.
         bits: log2 of the step of the grid of places, texels.
         across, down: nodes along columns and rows.
     """

@@ -44,7 +44,7 @@ _GRID = 1536  # texels of the grid's longer side, at most
 
 @dataclass(frozen=True)
 class _Ready:
-    """What is computed from an example once it is used.
+    """Data computed from an example at its first use.
 
     Attributes:
         lookup: for the synthesis of places.
@@ -244,7 +244,7 @@ class Example:
 
     @property
     def lookup(self) -> Lookup:
-        """What places are synthesised from."""
+        """Index and phases for the synthesis of places."""
         return self._ready.lookup
 
     @property

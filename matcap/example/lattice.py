@@ -145,7 +145,7 @@ class Cells:
     column: Integers
     """(rows, columns) number of the patch along the first wave, equal where the field repeats."""
     row: Integers
-    """Likewise along the second wave."""
+    """The same along the second wave."""
     middle_x: Integers
     """(rows, columns) centre of the patch, texels."""
     middle_y: Integers
@@ -205,7 +205,7 @@ def _together(wave: Frequency, cells: float) -> int:
 
 
 def _two(lattice: PhasedLattice, cells: float) -> tuple[Frequency, Frequency]:
-    """Its waves; with a single one, a second at right angles with a period of `cells` texels."""
+    """The lattice's waves; with only one, a perpendicular one with a period of `cells` texels."""
     if len(lattice.waves) == 2:
         return lattice.waves[0], lattice.waves[1]
     (wave,) = lattice.waves

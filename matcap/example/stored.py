@@ -21,7 +21,7 @@ class Exemplified:
     name: str
     """Name of the material."""
     provenance: dict[str, Any]
-    """How it was made; JSON."""
+    """Record of how it was made; JSON."""
     example: Example
     """The indexed exemplar."""
 

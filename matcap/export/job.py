@@ -33,9 +33,9 @@ class ExportJob:
     depth: Depth | None = None
     """Depth of all textures, instead of the target's default."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    """How the material was made; any JSON."""
+    """Record of how the material was made; JSON."""
     container: Container | None = None
-    """File format of the textures, where it can hold them, instead of the target's default."""
+    """File format of textures that it can hold, instead of the target's default."""
     reach: float | None = None
     """Integer heights cover [-reach, reach] plane units, the same for all realisations of a
     material; None is derived from these maps."""

@@ -24,10 +24,10 @@ def _listed(text: str | Sequence[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ExportArea:
-    """What is read from a material.
+    """Rectangle of a material to export.
 
     Raises:
-        UsageError: a word that there is not.
+        UsageError: a value is unknown.
     """
 
     size: Size | None = setting(
@@ -39,7 +39,7 @@ class ExportArea:
     """A texture set of C columns (at most 10) and R rows (at most 900) of a material, each tile of
     --size."""
     seed: int | None = setting(None, metavar="SEED", parse=values.seed, otherwise="0")
-    """Which piece is read from a material."""
+    """Seed of the material's realisation."""
     tile: Literal["piece"] | None = setting(None, words=("piece",), otherwise="a part of the field")
     """piece: the photographed piece itself, made to repeat, at about its own size."""
 

@@ -103,7 +103,7 @@ class PackedMaterial:
 
 @dataclass(frozen=True)
 class EngineModel:
-    """How an engine computes reflectance from its textures."""
+    """An engine's reflectance as a function of its textures."""
 
     shading: TargetShading
     """The engine's shading model."""
@@ -173,7 +173,7 @@ class Preset:
     pattern: str
     """File names without suffix; fields stem, map, res and format."""
     textures: dict[str, PresetTexture]
-    """By their names in --maps."""
+    """Textures by their names in --maps."""
     normal: NormalMaps = "gl"
     """Direction of the normal map's green."""
     normal_labels: tuple[str, str] = ("normal_gl", "normal_dx")

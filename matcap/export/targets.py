@@ -118,7 +118,7 @@ class Exported:
     workflow: Workflow | None = None
     """The form that was written; None for targets with one form."""
     residuals: Mapping[str, Residual] = field(default_factory=dict)
-    """Of every form and every known reader, by name."""
+    """Residuals of every form and every known reader, by name."""
 
 
 def check_target(name: str, where: str = "--to") -> str:

@@ -39,7 +39,7 @@ class TextureFile:
     container: Container = "png"
     """File format."""
     udim: bool = False
-    """One file for every tile of a texture set."""
+    """Whether each UDIM tile of a texture set has its own file."""
     eight_of_16: bool = False
     """Choose 16-bit values whose upper byte is the nearest 8-bit value, for browsers, which drop
     the lower byte; costs readers of 16 bits up to half an 8-bit step."""

@@ -39,7 +39,7 @@ class Export:
     """The files of an export, before they are written."""
 
     textures: dict[str, TextureFile]
-    """By file name."""
+    """Textures by file name."""
     documents: dict[str, Callable[[Path], bytes]]
     """Functions from the folder, with all textures written, to a file's content, by file name."""
     surfaces: dict[str, MadeSurface]

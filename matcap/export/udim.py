@@ -35,7 +35,7 @@ class TextureSet:
     """
 
     material: Material
-    """With one generator."""
+    """The material, with one generator."""
     columns: int
     """1 to MOST_COLUMNS."""
     rows: int

@@ -24,7 +24,7 @@ class DrawOptions:
     like: Path | None = setting(None, metavar="PHOTO")
     """Draw a material similar to this flash photograph's."""
     spread: float = setting(SPREAD, option="-t", least=0.0, most=1.0, metavar="0..1")
-    """Distance from there: 0 is the photograph itself, 1 is independent of it."""
+    """Distance of the draw from the photograph: 0 is the photograph, 1 is independent of it."""
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -73,7 +73,7 @@ class Field:
 
 
 def read_source(source: Source, wanted: Rectangle, workers: int) -> MapSet:
-    """Compute the maps of a rectangle with so many threads; see Field.read."""
+    """Compute the maps of a rectangle with `workers` threads; see Field.read."""
     channels = MAP_CHANNELS + source.specular_channels
     stacked = torch.empty(channels, wanted.height, wanted.width)
     parts = list(block_parts(wanted, source.grid, source.period))

@@ -73,7 +73,7 @@ class Material:
     setup: FlashSetup
     """Camera and flash of the photograph."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    """How it was made; JSON."""
+    """Record of how it was made; JSON."""
 
     def part(self, kind: type[PartKind]) -> PartKind | None:
         """The generator of this class, or None."""

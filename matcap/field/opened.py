@@ -35,7 +35,7 @@ class OpenedMaps:
     name: str
     """Name of the map set or the material."""
     provenance: dict[str, Any] = field(default_factory=dict)
-    """How the material was made; any JSON."""
+    """Record of how the material was made; JSON."""
 
 
 def open_tile(
@@ -88,7 +88,7 @@ def open_tile(
 
 def _own(path: Path, option: str) -> UsageError:
     return UsageError(
-        f"this is a map set ({path}), which has its own",
+        f"this is a map set ({path}), where this is fixed",
         where=option,
         remedy="give the material (.matcap), or leave it out",
     )
@@ -114,7 +114,7 @@ def _adjusted_with_provenance(
 
 @dataclass(frozen=True)
 class PhotographedAs:
-    """How a material was photographed."""
+    """Camera, flash and size of a material's photograph."""
 
     setup: FlashSetup
     """Camera and flash."""
@@ -186,7 +186,7 @@ class AdjustedMaterial:
 
     @property
     def texel_size(self) -> float:
-        """In plane units."""
+        """Side of a texel, plane units."""
         return self.material.texel_size
 
     def maps(self, width: int, height: int, *, seed: int = 0, x: int = 0, y: int = 0) -> MapSet:

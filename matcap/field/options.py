@@ -33,7 +33,7 @@ class ReadOptions:
         words=("example", "decoder"),
         otherwise="example, where the material has an exemplar",
     )
-    """Rearrange the photographed piece (example), or run the fine-tuned network (decoder)."""
+    """Rearrange the photographed rectangle (example), or run the fine-tuned network (decoder)."""
     adjust: Adjustments | None = setting(None, metavar="NAME=VALUE,...", parse=_adjustments)
     """Change relief (factor), roughness (added), saturation, brightness (factors) or tint (#rrggbb)
     of the maps, not of the material: relief=1.3,roughness=-0.1. Or a sidecar (.json) that records
@@ -41,8 +41,8 @@ class ReadOptions:
     variety: float | None = setting(
         None, least=0.0, most=1.0, metavar="0..1", otherwise="what capture chose"
     )
-    """Size of the patches that the photographed piece is cut into: 0 is one patch, the whole piece;
-    1 is the smallest patches."""
+    """Size of the patches that the exemplar is cut into: 0 is one patch, the whole exemplar; 1 is
+    the smallest patches."""
     normals: NormalSource | None = setting(None, words=("height", "file"), otherwise="height")
     """Normals of a map set: computed from its height, or read from its normal file."""
 

@@ -25,7 +25,7 @@ class Rectangle:
     height: int
 
     def grown(self, by: int) -> Rectangle:
-        """The rectangle extended by so many texels on every side."""
+        """The rectangle extended by `by` texels on every side."""
         return Rectangle(self.x - by, self.y - by, self.width + 2 * by, self.height + 2 * by)
 
     def coarser(self, bits: int) -> Rectangle:

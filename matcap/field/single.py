@@ -18,7 +18,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def single_threaded(workers: int) -> Iterator[ThreadPoolExecutor]:
-    """Context of a pool of so many threads, each of which computes on one core."""
+    """Context of a pool of `workers` threads, each of which computes on one core."""
     torch = sys.modules.get("torch")
     if torch is None:
         with ThreadPoolExecutor(workers) as pool:

@@ -37,7 +37,7 @@ class Source(Protocol):
 
     @property
     def period(self) -> Period | None:
-        """In texels; None if the field never repeats."""
+        """Period along (x, y), texels; None if the field never repeats."""
         ...
 
     @property
@@ -120,7 +120,7 @@ class FieldGenerator(Protocol):
 
 
 class Generated(Protocol):
-    """What Field needs of a Material (material.py)."""
+    """Interface of Material (material.py) that Field uses."""
 
     def by(self, generator: Generator | None) -> Generated:
         """A copy with only this generator; itself for None."""

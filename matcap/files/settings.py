@@ -39,7 +39,7 @@ class SettingRule:
     option: str = ""
     """Name of the option; "" is the field's name."""
     short: str = ""
-    """One-letter option."""
+    """One-letter form of the option."""
     metavar: str | None = None
     """Placeholder of its value in help."""
     otherwise: str = ""

@@ -53,7 +53,7 @@ class StatedColor:
     profile: bytes | None = None
     """ICC profile, which has precedence over `space`, or None."""
     space: ColorSpace = SRGB
-    """By other statements; sRGB without any."""
+    """Colour space by other metadata; sRGB without any."""
     notes: tuple[str, ...] = ()
     """Notes to the user."""
 

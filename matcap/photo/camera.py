@@ -61,7 +61,7 @@ class CameraProfile:
     camera: str
     """Maker, model, lens, focal length and zoom."""
     falloff: Falloff
-    """Its deviations include the scatter between photographs."""
+    """Falloff of the next photograph: its standard deviations include the scatter between them."""
     photographs: int
     """Number of photographs it was estimated from."""
 

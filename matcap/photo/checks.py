@@ -216,7 +216,8 @@ _TABLE = (
         _HIGHLIGHT, factor=True,
     ),
     QualityCheck(
-        "light", "log luminance that goes with place as light does", "share", (0.12, 0.22, 0.4),
+        "light", "log luminance difference that varies with position as light does", "share",
+        (0.12, 0.22, 0.4),
         "shading across the picture differs from the photograph's by {percent:.0f} %", "",
         "{more}",
     ),
@@ -225,7 +226,7 @@ _TABLE = (
         "colours are off by {percent:.0f} %",
     ),
     QualityCheck(
-        "texture", "difference of texture statistics", "of the photograph's parts among themselves",
+        "texture", "distance of texture statistics", "times that between parts of the photograph",
         (1.1, 1.5, 2.3),
         "the texture differs from the photograph {value:.1f} times as much as two parts of the "
         "photograph differ from each other",
@@ -235,32 +236,33 @@ _TABLE = (
         (1.25, 1.6, 2.5), "{band} is {more_or_less} than in the photograph", factor=True,
     ),
     QualityCheck(
-        "order", "likeness a period further that is lost", "share", (0.3, 0.5, 0.75),
+        "order", "loss of autocorrelation at one period", "share", (0.3, 0.5, 0.75),
         "the pattern is {kept:.0f} % as regular as in the photograph",
-        "the pattern's period was not found exactly, or it bends",
+        "the pattern's period was not measured exactly, or it bends",
         "try --preset high, or photograph it flat and from nearer",
     ),
     QualityCheck(
-        "piece", "log radiance that the maps of the photographed piece leave", "share",
+        "piece", "difference of log radiance between photograph and re-rendered exemplar", "share",
         (0.12, 0.22, 0.4),
-        "re-rendered from its maps, the photographed piece differs from the photograph by "
+        "the re-rendered maps of the photographed rectangle differ from the photograph by "
         "{percent:.0f} %",
     ),
     QualityCheck(
-        "confidence", "mean of what the maps' confidence lacks", "share", (0.6, 0.75, 0.9),
-        "{percent:.0f} % of the maps is the network's guess rather than measured, most of all "
+        "confidence", "1 less the mean confidence of the maps", "share", (0.6, 0.75, 0.9),
+        "{percent:.0f} % of the maps is predicted by the network rather than measured, most of all "
         "{least}",
-        "clipped, dark or matte parts of a photograph say little of gloss and relief", _RETAKE,
+        "clipped, dark or matte parts of a photograph show little of gloss and relief", _RETAKE,
     ),
     QualityCheck(
-        "highlight_residue", "radial variation of a map about the mirror point", "just visible",
+        "highlight_residue", "radial variation of a map about the mirror point",
+        "times the visible threshold",
         (1.0, 2.0, 4.0), "the flash's highlight has left a spot in the maps: {amount}",
         "part of the highlight was taken for colour or gloss of the material", "{more}",
     ),
     QualityCheck(
         "flash_offset", "distance of the flash from the lens", "plane units", (0.25, 0.35, 0.6),
-        "the light seems to be {off:.0f} % of the picture's long side away from the lens, where "
-        "no phone has its flash",
+        "the light seems to be {off:.0f} % of the picture's long side away from the lens, farther "
+        "than a phone's flash",
         "other light, or a wrong field of view",
         "switch other lights off, and give --fov if you know it",
     ),

@@ -31,7 +31,7 @@ class ToneCurve:
 
     @staticmethod
     def of_report(report: dict[str, Any]) -> ToneCurve:
-        """That of a capture's photograph (report.json); the identity if the report has none."""
+        """Tone curve of a capture's photograph by report.json; the identity without one."""
         try:
             stated = report["camera"]["tone_curve"]
             return ToneCurve(

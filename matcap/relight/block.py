@@ -36,9 +36,9 @@ class ShadingContext:
     sampler: Sampler
     """Filtered lookups of the material."""
     relief: Relief
-    """Its height field."""
+    """Height field of the surface."""
     plan: Plan
-    """Which effects run."""
+    """Effects that run."""
     environments: tuple[Environment, ...]
     """One for each environment light, in their order."""
     horizons: Horizons | None

@@ -27,7 +27,7 @@ class Budget:
     """Error that each pixel may have."""
 
     codes: float
-    """In code values, [0, 1]."""
+    """Tolerance left, in code values, [0, 1]."""
     film: Film
     """Exposure and transfer of the picture."""
     running: frozenset[str]

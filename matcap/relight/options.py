@@ -21,10 +21,10 @@ _MOST_FRAMES, _MOST_LIGHTS = 10_000, 64
 
 @dataclass(frozen=True)
 class RelightOptions:
-    """What is rendered of a material, under which light.
+    """Settings of a rendering: light, camera, size and accuracy.
 
     Raises:
-        UsageError: a word or a number that there is not.
+        UsageError: a value is unknown or out of range.
     """
 
     light: Sequence[str] = setting(
@@ -39,13 +39,13 @@ class RelightOptions:
     """Pixels of the picture, at most 32768 a side; by default the scene's, or one a texel of a map
     set."""
     seed: int = setting(0, metavar="SEED", parse=values.seed)
-    """Which piece is read from a material."""
+    """Seed of the material's realisation."""
     effects: str = setting("auto", metavar="auto|all|none|+x,-y")
-    """Which effects run (see --explain)."""
+    """Effects to run (see --explain)."""
     tolerance: float = setting(
         DEFAULT_TOLERANCE, least=0.0, most=1e9, metavar="0..1e9", otherwise="half an 8-bit step"
     )
-    """What skipped effects may change at most, in code values from 0 to 1."""
+    """Largest change by skipped effects, in code values from 0 to 1."""
     explain_map: Path | None = setting(None, metavar="FILE.png")
     """A picture of the tiles that each effect ran in."""
     animate: Literal["light-orbit", "turntable"] | None = setting(
@@ -59,7 +59,7 @@ class RelightOptions:
     maps_from: Path | None = setting(None)
     """A folder of maps that matcap did not make (ambientCG, Poly Haven names)."""
     normal: NormalStyle | None = setting(None, words=("gl", "dx"))
-    """Which way green points in normal maps of --maps-from."""
+    """Direction of green in normal maps of --maps-from: up (gl) or down (dx)."""
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -1,4 +1,4 @@
-"""Write radiance to files: exposed and encoded (PNG, GIF, MP4), or as it is (EXR)."""
+"""Write radiance to files: exposed and encoded (PNG, GIF, MP4), or linear (EXR)."""
 
 from __future__ import annotations
 

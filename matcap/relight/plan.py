@@ -18,7 +18,7 @@ class Step:
     """One effect's entry in the plan."""
 
     effect: str
-    """Its name."""
+    """Name of the effect."""
     on: bool
     """Whether it runs."""
     bound: float

@@ -33,7 +33,7 @@ class Relief:
     displacement: float
     """Factor on the heights."""
     endless: bool = True
-    """It repeats; else border heights are continued outwards: opposite borders would not meet."""
+    """Whether it repeats; else border heights are extended outwards, as opposite borders differ."""
 
     @cached_property
     def heights(self) -> Array:

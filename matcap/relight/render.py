@@ -69,7 +69,7 @@ class Rendering:
     radiance: NDArray[np.float32]
     """(H, W, 3) float32, linear Rec.709; 0 where there is no surface."""
     plan: Plan
-    """Which effects ran, why, and the milliseconds of each."""
+    """Effects that ran, with reasons and milliseconds."""
     film: Film
     """Size, exposure and transfer of the picture."""
     seconds: float

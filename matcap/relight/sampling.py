@@ -41,7 +41,7 @@ class Sampler:
     repeat: float
     """Factor by which the material is shrunk on the surface."""
     endless: bool = True
-    """It repeats; else lookups are clamped to its border."""
+    """Whether it repeats; else lookups are clamped to its border."""
 
     def texels(self, place: tuple[Array, Array]) -> tuple[Array, Array]:
         """Columns and rows of places in plane units; texel centres are whole numbers."""

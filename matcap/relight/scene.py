@@ -30,7 +30,7 @@ class Film:
     exposure: float = 0.0
     """Exposure value, EV: encoded pictures are multiplied by 2^exposure; EXR radiance is not."""
     transfer: Literal["srgb", "linear"] = "srgb"
-    """How encoded pictures (PNG, GIF, MP4) store light."""
+    """Transfer function of encoded pictures (PNG, GIF, MP4)."""
 
     @property
     def gain(self) -> float:
@@ -45,7 +45,7 @@ class Camera:
     type: Literal["perspective", "orthographic"] = "perspective"
     """Either "perspective" or "orthographic"."""
     position: Vector = (0.0, 0.0, 1.0 / math.tan(math.radians(22.5)))
-    """In plane units."""
+    """Plane units."""
     target: Vector = (0.0, 0.0, 0.0)
     """The point in the middle of the picture."""
     fov: float = 45.0
@@ -85,7 +85,7 @@ class PointLight:
     """A point light: irradiance falls off with distance squared."""
 
     position: Vector
-    """In plane units."""
+    """Plane units."""
     intensity: Colour = WHITE
     """Radiant intensity."""
 
@@ -105,9 +105,9 @@ class SphereLight:
     """A sphere that emits the same radiance everywhere, in all directions."""
 
     position: Vector
-    """Of its centre, in plane units."""
+    """Position of its centre, plane units."""
     radius: float
-    """In plane units."""
+    """Plane units."""
     radiance: Colour = WHITE
     """Emitted radiance."""
 
@@ -117,7 +117,7 @@ class RectangleLight:
     """A rectangle that emits the same radiance everywhere on its front."""
 
     position: Vector
-    """Of its centre, in plane units."""
+    """Position of its centre, plane units."""
     normal: Vector
     """Direction that its front faces; any length."""
     up: Vector = (0.0, 1.0, 0.0)

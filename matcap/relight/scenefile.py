@@ -37,7 +37,7 @@ _LARGEST_EXPONENT = 20.0  # of vignetting, as in material files
 
 
 class _Fault(Exception):
-    """What a value should be, as "a number"; the reader adds the rest of the sentence."""
+    """Expected kind of a value, such as "a number"; the reader completes the sentence."""
 
 
 Checked = Callable[[Any, Path], Any]

@@ -47,7 +47,7 @@ class Texture:
     slopes: Array
     """(2, H, W) dh/dx and dh/dy of the shading normal (-dh/dx, -dh/dy, 1)."""
     texel_size: float
-    """In plane units."""
+    """Side of a texel, plane units."""
     periodic: bool = True
     """Whether the maps tile seamlessly."""
 

@@ -25,16 +25,16 @@ from matcap.statistics.lattice import Wave
 
 
 class Seeded(Protocol):
-    """What a random field is computed from."""
+    """Inputs of a random field."""
 
     @property
     def seed(self) -> int:
-        """Of the realisation."""
+        """Seed of the realisation."""
         ...
 
     @property
     def period(self) -> Period | None:
-        """In texels; None if the field never repeats."""
+        """Period along (x, y), texels; None if the field never repeats."""
         ...
 
     @property
@@ -53,7 +53,7 @@ class BlockSpans:
 
 
 def spans_of_block(block: Rectangle, convolutions: tuple[int, int]) -> BlockSpans:
-    """Spans for a block and its ring, for so many convolutions a block of layers (down, up)."""
+    """Spans for a block and its ring; `convolutions` per block of layers, (down, up)."""
     rows, columns = (
         spans_of(Span(-RING, size + RING), convolutions) for size in (block.height, block.width)
     )

@@ -22,7 +22,7 @@ class Spans:
     """Input of a level's block on the way up (the level below upsampled, skip connection, lattice),
     for levels 0 to DEPTH - 1. The outermost upsampled texel is not valid."""
     risen: tuple[Span, ...]
-    """What a level contributes to the upsampling, for levels 1 to DEPTH; entry 0 is the output."""
+    """Span of each level that is upsampled, for levels 1 to DEPTH; entry 0 is the output."""
     down: tuple[Span, ...]
     """Input of a level's block on the way down; entry 0 is the noise."""
     skips: tuple[Span, ...]

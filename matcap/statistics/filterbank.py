@@ -32,7 +32,7 @@ class FilterBankConfig:
 
 
 class FilterBank:
-    """Random filters for images of so many channels; implements compare.Features."""
+    """Random filters for images with a number of channels; implements compare.Features."""
 
     def __init__(self, config: FilterBankConfig, *, channels: int = 3) -> None:
         self.config = config

@@ -29,7 +29,7 @@ class LatticeSettings:
     least_share: float = 0.004
     """Least share of the texture's power in a peak."""
     most_peaks: int = 12
-    """Only so many of the strongest peaks are used."""
+    """Largest number of peaks that are used, the strongest."""
     longest: float = 80.0
     """Texels: longest period that counts as regular."""
     tolerance: float = 0.9

@@ -28,7 +28,7 @@ class AdjustedSource:
 
     @property
     def texel_size(self) -> float:
-        """In plane units."""
+        """Side of a texel, plane units."""
         return self.source.texel_size
 
     @property
@@ -38,7 +38,7 @@ class AdjustedSource:
 
     @property
     def period(self) -> Period | None:
-        """In texels; None if the field never repeats."""
+        """Period along (x, y), texels; None if the field never repeats."""
         return self.source.period
 
     @property
@@ -64,5 +64,5 @@ class AdjustedSource:
 
 
 def adjusted_source(source: Source, adjustments: Adjustments) -> Source:
-    """The source with adjustments; the source itself where there are none."""
+    """The source with adjustments; the source itself without any."""
     return AdjustedSource(source, adjustments) if adjustments.changes else source

@@ -69,7 +69,7 @@ class BlendSource:
 
     @property
     def period(self) -> Period | None:
-        """In texels; None if the field never repeats."""
+        """Period along (x, y), texels; None if the field never repeats."""
         return self.first.period
 
     @property
@@ -137,7 +137,7 @@ def blend_source(
     device: torch.device = _CPU,
     generator: Generator | None = None,
 ) -> BlendSource:
-    """The field that shows `first` where the mask is black and `second` where it is white.
+    """The field of `first` where the mask is black, and of `second` where it is white.
 
     The result has the first material's texel size; the second is not resampled to it.
 

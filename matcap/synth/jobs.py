@@ -39,7 +39,7 @@ class Future(Protocol[T_co]):
 
 @dataclass(frozen=True)
 class BlockResult:
-    """What a job computes."""
+    """Result of a job."""
 
     pictures: list[Rendered]
     """A contribution to each picture of the map set."""

@@ -21,7 +21,7 @@ _COLOUR = ("specular", 3)
 
 
 def kind_planes(specular: int) -> dict[str, tuple[int, ...]]:
-    """Indices of each map's planes among the stored planes, for F0 of so many channels."""
+    """Indices of each map's planes among the stored planes, for a number of channels of F0."""
     counts = {"diffuse": 3, "specular": specular, "roughness": 1, "height": 1, "normal": 3}
     ends = accumulate(counts.values())
     return {

@@ -47,14 +47,14 @@ class PlannedMapSet:
     pictures: tuple[PictureFile, ...]
     normal: NormalStyle
     preview: Preview | None
-    """What the preview shows; None where none is written."""
+    """Preview to write, or None."""
 
     def shows(self, part: BlockPart) -> bool:
         """Whether the preview shows some of a part."""
         return self.preview is not None and bool(self.preview.places(self.area, part))
 
     def parts(self, source: Source) -> Iterator[BlockPart]:
-        """Its parts by block, in the order in which they are computed."""
+        """Yield its parts by block, in the order of their computation."""
         return block_parts(self.area, source.grid, source.period)
 
 

@@ -37,7 +37,7 @@ class ChosenPrecision:
     name: str
     """"fp32", "bf16" or one of _CHOICES."""
     steps: dict[str, float]
-    """Largest difference from fp32 in 8-bit steps by map; empty where it was not measured."""
+    """Largest difference from fp32 in 8-bit steps by map; empty if not measured."""
 
     def sentence(self) -> str:
         """The precision and its largest error, as a phrase."""

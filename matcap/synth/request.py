@@ -117,7 +117,7 @@ class SynthRequest:
     """A texture set of C columns (at most 10) and R rows (at most 900), each tile of the given
     size."""
     single: bool = setting(False)
-    """All maps in one EXR file."""
+    """Write all maps into one EXR file."""
     mipmap: bool = setting(False, option="mip")
     """Mip-mapped EXR files."""
     png: bool = setting(False)
@@ -166,7 +166,7 @@ class SynthProgress(Progress):
 
 @dataclass(frozen=True)
 class Work:
-    """How a request is computed and written."""
+    """Settings of computing and writing a request."""
 
     workers: int = setting(1, least=1, most=1024, short="-j", otherwise="one a core")
     """Processes (threads for a few blocks, and on CUDA); their number changes no bit."""

@@ -21,7 +21,7 @@ class ExportRequest:
     """An export that the page asks for."""
 
     target: str
-    """One of those of `matcap export`, --to or --preset."""
+    """Target of `matcap export`: a document or a preset."""
     size: int
     """Sides in texels; ignored for a map set."""
     seed: int

@@ -71,7 +71,7 @@ class ExampleLevels:
 
     @property
     def texel_size(self) -> float:
-        """In plane units."""
+        """Side of a texel, plane units."""
         return self.example.exemplar.texel_size
 
     def read(self, level: int, area: Rectangle) -> Planes:
@@ -145,7 +145,7 @@ class NetworkLevels:
 
     @property
     def texel_size(self) -> float:
-        """In plane units."""
+        """Side of a texel, plane units."""
         return self.source.texel_size
 
     def read(self, level: int, area: Rectangle) -> Planes:

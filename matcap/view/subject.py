@@ -76,7 +76,7 @@ class Viewable(Protocol):
 
     @property
     def facts(self) -> ViewFacts:
-        """Its description."""
+        """Description for the page."""
         ...
 
     def moments(

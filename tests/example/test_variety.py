@@ -112,7 +112,7 @@ def test_every_command_that_reads_a_material_takes_a_variety(tmp_path, capsys):
     assert main(["view", file, "-q", "--tile", "64", *asked, "--html", page]) == 0
     capsys.readouterr()
     assert main(["relight", str(tmp_path / "own"), *asked, "-o", picture]) == 2
-    assert "has its own" in capsys.readouterr().err
+    assert "where this is fixed" in capsys.readouterr().err
     assert main(["synth", file, "--variety", "1.5"]) == 2
     plain = a_material("plain", seed=5)
     plain.save(tmp_path / "plain.matcap")

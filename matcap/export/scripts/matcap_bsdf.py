@@ -87,7 +87,7 @@ class Matcap(mi.BSDF):
         return dr.select(above, 0.5 * (glossy + spread), 0.0)
 
     def eval_pdf(self, ctx, si, wo, active=True):
-        """Both."""
+        """Reflectance times cosine, and probability density of a direction."""
         return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
 

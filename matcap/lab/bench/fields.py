@@ -106,12 +106,12 @@ def nsd(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
 
 
 def variety(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
-    """That was chosen by synthesis."""
+    """The variety that synthesis chose."""
     return {"variety": true.example.variety if samples is true.fields else math.nan}
 
 
 def joints(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
-    """Median length of the field's joints over the exemplar's, where there are enough."""
+    """Median length of the field's joints over the exemplar's; NaN with too few."""
     if samples is not true.fields:
         return {"joints": math.nan}
     of_field = joint_length(samples[0].height[0].numpy())
@@ -120,7 +120,7 @@ def joints(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
 
 
 def phase(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
-    """Of the field's lattice."""
+    """Phase error of the field's lattice."""
     off = phase_off(true.example) if samples is true.fields else None
     return {"phase": math.nan if off is None else off}
 

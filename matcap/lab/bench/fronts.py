@@ -144,7 +144,7 @@ PRESENTATION = Presentation(
 
 @dataclass(frozen=True)
 class Fronts:
-    """What is measured."""
+    """Subjects and configurations to measure."""
 
     out: Path
     """Folder of photographs, sheets, reports and the table."""

@@ -34,7 +34,7 @@ class CapturedMaps:
     """Maps that a method makes of a photograph."""
 
     maps: MapSet
-    """Of the photographed rectangle, or a square of an endless field."""
+    """Maps of the photographed rectangle, or of a square of an endless field."""
 
     setup: FlashSetup
     """Camera and flash they go with."""

@@ -39,7 +39,7 @@ ALBEDO, EXEMPLAR, FIELD = "photograph as albedo", "exemplar", "field"
 
 @dataclass(frozen=True)
 class PhotographSettings:
-    """How materials are photographed and captured."""
+    """Settings of photographs and captures."""
 
     captured: CaptureSettings = field(default_factory=CaptureSettings)
     """Settings of the captures; their `detail` is the exemplar's resolution."""

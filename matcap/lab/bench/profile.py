@@ -84,7 +84,7 @@ def profiled(photograph: Path, preset: str) -> ByStage:
 
 @dataclass
 class StageCosts:
-    """Processor seconds and peak memory of stages, told by a capture's progress."""
+    """Processor seconds and peak memory of stages, from a capture's progress callback."""
 
     began: dict[str, float]
     """Processor seconds when a stage was entered."""

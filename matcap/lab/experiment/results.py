@@ -33,7 +33,7 @@ class Trial:
     configuration: str
     subject: str
     values: Mapping[str, Value]
-    """By column; NaN where there is no number."""
+    """Values by column; NaN if missing."""
 
     group: str = ""
     seed: int = 0
@@ -54,7 +54,7 @@ class Trial:
         return f"{self.subject}, {self.configuration}{seed}: {', '.join(parts)}"
 
     def number(self, column: str) -> float:
-        """A column's number; NaN where there is none."""
+        """A column's number; NaN if missing."""
         value = self.values.get(column, math.nan)
         return value if isinstance(value, float | int) else math.nan
 
@@ -81,7 +81,7 @@ class Mean:
     """Standard deviations over seeds, averaged over the subjects; NaN with one seed."""
 
     def __getitem__(self, column: str) -> float:
-        """A column's mean; NaN where there is none."""
+        """A column's mean; NaN if missing."""
         return self.values.get(column, math.nan)
 
 
@@ -303,12 +303,12 @@ def _written(value: object) -> str:
 
 
 def _mean(values: Sequence[float]) -> float:
-    """Of those that are numbers."""
+    """Mean of the values that are not NaN."""
     known = [value for value in values if not math.isnan(value)]
     return statistics.fmean(known) if known else math.nan
 
 
 def _deviation(values: Sequence[float]) -> float:
-    """Of those that are numbers."""
+    """Standard deviation of the values that are not NaN."""
     known = [value for value in values if not math.isnan(value)]
     return statistics.pstdev(known) if known else math.nan

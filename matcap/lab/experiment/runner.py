@@ -51,16 +51,16 @@ class Experiment(Generic[Subject, Outcome]):
     """Subjects, configurations and measures."""
 
     name: str
-    """As in `matcap bench NAME`."""
+    """Name of the command, `matcap bench NAME`."""
 
     subjects: Mapping[str, Callable[[], Subject]]
     """Preparation functions by name, called only if a trial of the subject is missing."""
 
     configurations: Mapping[str, Configuration[Subject, Outcome]]
-    """By name."""
+    """Configurations by name."""
 
     measures: Sequence[Measure[Subject, Outcome]]
-    """In the order of their columns, which follow the configuration's run time, `seconds`."""
+    """Measures in the order of their columns, after `seconds`, the configuration's run time."""
 
     seeds: Sequence[int] = (0,)
     """Seeds that each configuration runs with."""

@@ -41,7 +41,7 @@ class BenchLight:
 
 @dataclass(frozen=True)
 class BenchScene:
-    """Where camera and lights are.
+    """Positions of camera and lights.
 
     Attributes:
         distance: height of the camera above the plane's middle, plane units.

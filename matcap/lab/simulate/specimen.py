@@ -63,7 +63,7 @@ class Specimen:
     def write(
         self, shot: Shot, out: Path, number: int | None = None, *, jpeg: bool = False
     ) -> Path:
-        """Write a shot to path(); MatcapError where that fails."""
+        """Write a simulated photograph to path(); MatcapError if that fails."""
         path, seed = self.path(out, number, jpeg=jpeg), self.seed + (number or 0)
         if jpeg:
             write_jpeg(path, shot, seed, PHONE)

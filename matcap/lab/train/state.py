@@ -1,4 +1,4 @@
-"""How a prior is trained: its settings, its networks, and where training starts."""
+"""State of training a prior: settings, networks and their initialisation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from matcap.space.prior.store import Prior
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How a prior is trained; a TOML file of the same names (cli/prior.py).
+    """Settings of training a prior; a TOML file has the same names (cli/prior.py).
 
     Attributes:
         steps: when training ends; the learning rate falls to nothing over the last quarter.

@@ -39,19 +39,19 @@ class RateSchedule:
     """Learning-rate schedule and number of steps."""
 
     steps: int
-    """To have done in all."""
+    """Total number of steps."""
 
     warm_up: int
     """Steps over which the rate rises."""
 
     cooling: float = 0.0
-    """Steps before the last over which it falls; 0 for a run that knows nothing of its end."""
+    """Last steps, over which the rate falls; 0 for a run without a planned end."""
 
     least: float = 0.0
-    """Share that it falls to."""
+    """Final share of the rate."""
 
     seconds: float = math.inf
-    """To end after, if sooner."""
+    """Time limit, seconds."""
 
     def share(self, step: int) -> float:
         """Share of the full learning rate at a step counted from 0."""
@@ -60,7 +60,7 @@ class RateSchedule:
 
 
 class Training(Generic[Trained]):
-    """All that training changes: a network, its running average, AdamW's moments, and the step.
+    """State of training: a network, its running average, AdamW's moments, and the step.
 
     The average is what is shipped.
     """
@@ -166,19 +166,19 @@ class Training(Generic[Trained]):
 
 @dataclass(frozen=True)
 class Reporting:
-    """What a run writes as it goes."""
+    """Reports of a run: progress lines, curves and checkpoints."""
 
     every: int
     """Steps between rows of the curves."""
 
     minutes: float
-    """Between checkpoints."""
+    """Minutes between checkpoints."""
 
     measure: Callable[[], Mapping[str, float]] = field(default=dict)
-    """More columns, measured when a row is written."""
+    """Callback for more columns, at each row."""
 
     on_progress: Callable[[str], None] = field(default=lambda _line: None)
-    """Called with each row."""
+    """Callback with each row as text."""
 
 
 # A step's loss, and its parts.
@@ -230,7 +230,7 @@ class Curves:
         self._started = time.monotonic()
 
     def note(self, parts: Mapping[str, float]) -> None:
-        """One step's losses."""
+        """Record one step's losses."""
         self._notes.append(parts)
 
     def write(self, step: int, more: Mapping[str, float]) -> str:

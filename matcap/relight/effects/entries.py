@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect: its bound, and where it acts."""
+    """An effect: its bound, and the stage in which it acts."""
 
     bound: Callable[[SceneBounds], Bound]
     """Upper bound on the change from leaving it out."""

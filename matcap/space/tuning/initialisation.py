@@ -26,7 +26,7 @@ _CANDIDATES, _CANDIDATE_STEPS = 3, 40
 
 @dataclass(frozen=True)
 class InitialDecoder:
-    """What fine-tuning starts from."""
+    """Initial state of fine-tuning."""
 
     decoder: Decoder
     code: Tensor

@@ -104,7 +104,7 @@ def loops(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
 
 
 def tread(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
-    """One motif embossed over and over: tread plate, studded rubber, embossed card."""
+    """A repeated embossed motif: tread plate, studded rubber, embossed card."""
     size = log_uniform(rng, 0.04, 0.15)
     along, across = turned(canvas, "tread", angle(rng), 4.0 * size, 0.0)
     u, v = along / size, across / size
