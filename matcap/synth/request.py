@@ -123,8 +123,8 @@ class SynthRequest:
     png: bool = setting(False)
     """Also write 16-bit PNGs."""
     preview: bool = setting(True)
-    """Also write NAME_preview.png: about a megapixel of it lit from the top, with the seam's place
-    marked where it repeats."""
+    """Also write NAME_preview.png: about a megapixel, lit from the top, with the seam marked if the
+    maps repeat."""
     normal: NormalStyle = setting("gl", words=("gl", "dx"))
     """Normals with +Y up (gl) or down (dx)."""
     blend: MaskedBlend | None = None
