@@ -74,11 +74,11 @@ class Processes:
         self._working: dict[Connection, tuple[_Worker, Any]] = {}
 
     def busy(self) -> int:
-        """As BatchWorkers.busy."""
+        """Number of running jobs."""
         return len(self._working)
 
     def start(self, job: Any) -> None:  # noqa: ANN401
-        """As BatchWorkers.start."""
+        """Start a job on an idle worker."""
         while self._idle:
             worker = self._idle.pop()
             if worker.give(job):
@@ -89,7 +89,7 @@ class Processes:
         self._working[worker.pipe] = (worker, job)
 
     def wait(self, seconds: float) -> list[Event]:
-        """As BatchWorkers.wait."""
+        """Events since the last call; waits up to `seconds` for the first."""
         events = []
         for pipe in connection.wait(list(self._working), seconds):
             assert isinstance(pipe, Connection)
@@ -107,7 +107,7 @@ class Processes:
         return events
 
     def close(self) -> None:
-        """As BatchWorkers.close."""
+        """Kill all workers."""
         for worker in [*self._idle, *(worker for worker, _ in self._working.values())]:
             worker.kill()
         self._idle, self._working = [], {}
@@ -191,15 +191,15 @@ class Machines:
         self._jobs: dict[RemoteResult, Any] = {}
 
     def busy(self) -> int:
-        """As BatchWorkers.busy."""
+        """Number of running jobs."""
         return len(self._jobs)
 
     def start(self, job: Any) -> None:  # noqa: ANN401
-        """As BatchWorkers.start."""
+        """Start a job on an idle worker."""
         self._jobs[self._cluster.submit(_there, self._work, self._prepare, job)] = job
 
     def wait(self, seconds: float) -> list[Event]:
-        """As BatchWorkers.wait."""
+        """Events since the last call; waits up to `seconds` for the first."""
         limit = time.monotonic() + seconds
         while not any(one.done() for one in self._jobs) and time.monotonic() < limit:
             time.sleep(_POLL_EVERY)
@@ -214,7 +214,7 @@ class Machines:
         return events
 
     def close(self) -> None:
-        """As BatchWorkers.close."""
+        """Kill all workers."""
         for one in self._jobs:
             one.cancel()
         self._jobs = {}

@@ -89,7 +89,7 @@ def read_photograph(
         raise MatcapError(
             "a part of the picture is transparent, which is not supported with --together",
             where=str(path),
-            remedy="give the photograph as it was taken: what does not belong is detected",
+            remedy="give the original photograph: what is not the sample is detected",
         )
     return leave_out(photo, settings.crop, settings.mask)
 

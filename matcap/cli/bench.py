@@ -35,7 +35,7 @@ MaterialArgument = Annotated[
     ),
 ]
 OnlyOption = Annotated[
-    list[str] | None, typer.Option(help="Measure only this one; may be repeated.")
+    list[str] | None, typer.Option(help="Measure only the named one; may be repeated.")
 ]
 SetsOption = Annotated[
     Path | None,

@@ -61,7 +61,7 @@ class Check:
     name: str
     """What it tests."""
     seconds: float
-    """Duration."""
+    """Duration, seconds."""
     fault: str | None
     """Error message, or None."""
 

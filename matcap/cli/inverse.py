@@ -84,7 +84,7 @@ def pack(
     folder: Annotated[
         Path, typer.Argument(help="Folders with basecolor, normal, roughness and metallic.")
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="The file.")] = Path("maps.pack"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="The packed file.")] = Path("maps.pack"),
     quiet: QuietOption = False,
 ) -> None:
     """Pack map sets of real materials into one file for training."""

@@ -81,7 +81,7 @@ def synth(
     targets = exported.get("targets", ())
     if targets and (given.get("single") or given.get("udim")):
         raise UsageError(
-            "only a map set of single files can be exported",
+            "only a map set with a file per map can be exported",
             where="--export",
             remedy="leave out --single or --udim",
         )

@@ -34,7 +34,7 @@ class Basis:
     weights: NDArray[np.int8]
     """(DIMENSIONS, TAPS), at most LIMIT; taps are ordered by row, column, plane."""
     shift: int
-    """Bits."""
+    """Right shift of the projected values, bits."""
     step: int
     """Distance of the neighbourhood's texels, in texels of the features' grid."""
 

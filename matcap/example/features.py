@@ -32,9 +32,9 @@ class Scale:
     """Quantisation of planes: feature = round((value - offset) * factor), clipped to LIMIT."""
 
     offsets: NDArray[np.float32]
-    """(PLANES,)."""
+    """(PLANES,) subtracted from each plane."""
     factors: NDArray[np.float32]
-    """(PLANES,)."""
+    """(PLANES,) factor on each plane."""
 
 
 def planes_of(exemplar: Exemplar) -> NDArray[np.float32]:

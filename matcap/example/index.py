@@ -50,11 +50,11 @@ class Index:
     """Index of an exemplar on its grid of places."""
 
     scale: Scale
-    """From maps to features."""
+    """Scale factors from maps to features."""
     bases: tuple[Basis, ...]
-    """By level, finest first, from features to appearance."""
+    """PCA basis from features to appearance vectors of each level, finest first."""
     similar: tuple[NDArray[np.int16], ...]
-    """By level, (H, W, 2): x, y in texels of each place's k-coherence candidate."""
+    """(H, W, 2) x, y in texels of each place's k-coherence candidate, of each level."""
     penalty: NDArray[np.uint8]
     """(H, W) of squares of 4 x 4 texels, square root of the placement cost in units of
     2^LOOKUP.cost_bits; 255 excludes a place."""

@@ -33,7 +33,7 @@ class Level:
     bits: int
     """log2 of the appearance grid's step in texels."""
     appearance: Appearance
-    """(H, W, DIMENSIONS)."""
+    """(H, W, DIMENSIONS) appearance vectors of the exemplar's places."""
     similar_bits: int
     """log2 of the candidate grid's step in texels."""
     similar: NDArray[np.int16]
@@ -49,7 +49,7 @@ class Lookup:
     """Tables of all levels."""
 
     levels: tuple[Level, ...]
-    """Finest first."""
+    """Levels of the pyramid, finest first."""
     lattice: PhasedLattice | None
     sizes: PatchSizes
     """Sizes of the coarsest level's patches."""

@@ -207,12 +207,12 @@ class MapRows:
     columns: slice
 
     def picture(self, kind: str) -> Picture:
-        """As ExportJob.picture."""
+        """Picture of a map of these rows (ExportJob.picture)."""
         return self.job.picture(kind)[self.rows, self.columns]
 
     @property
     def ones(self) -> Picture:
-        """(H, W) of 1."""
+        """(H, W) picture of ones."""
         return np.ones_like(self.picture("roughness"))
 
 

@@ -64,7 +64,7 @@ class PackedMaterial:
     """A rectangle of the maps, converted to an engine's parameters."""
 
     piece: MapRows
-    """The maps."""
+    """Rows of the material's maps."""
     model: EngineModel
     """The engine's shading and parametrisation."""
 

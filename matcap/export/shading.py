@@ -70,9 +70,9 @@ class Geometry:
     view: Tensor
     """n.v, clamped to 0."""
     half: Tensor
-    """n.h."""
+    """n.h, cosine of normal and half vector."""
     difference: Tensor
-    """v.h."""
+    """v.h, cosine of view and half vector."""
     above: Tensor
     """1 where light and view are above the surface, else 0."""
 

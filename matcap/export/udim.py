@@ -37,18 +37,18 @@ class TextureSet:
     material: Material
     """The material, with one generator."""
     columns: int
-    """1 to MOST_COLUMNS."""
+    """Number of tiles across, 1 to MOST_COLUMNS."""
     rows: int
-    """1 to MOST_ROWS."""
+    """Number of tiles down, 1 to MOST_ROWS."""
     size: tuple[int, int]
     """(width, height) of a tile in texels."""
     seed: int = 0
-    """Realisation."""
+    """Seed of the realisation."""
 
     def __post_init__(self) -> None:
         if not (1 <= self.columns <= MOST_COLUMNS and 1 <= self.rows <= MOST_ROWS):
             raise UsageError(
-                f"a texture set of {self.columns}x{self.rows} tiles",
+                f"a texture set cannot have {self.columns}x{self.rows} tiles",
                 where="--udim",
                 remedy=f"ask for at most {MOST_COLUMNS} columns and {MOST_ROWS} rows",
             )

@@ -79,7 +79,7 @@ class _UsdMaterial:
     layered: Layered
     """Textures and index of refraction of the MaterialX network."""
     coloured: bool
-    """F0 is coloured."""
+    """Whether F0 has three channels."""
 
     def files(self, name: str) -> dict[str, str]:
         """File names of all textures by kind."""

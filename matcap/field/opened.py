@@ -190,7 +190,7 @@ class AdjustedMaterial:
         return self.material.texel_size
 
     def maps(self, width: int, height: int, *, seed: int = 0, x: int = 0, y: int = 0) -> MapSet:
-        """See Material.maps."""
+        """Maps of a rectangle of the endless field (Material.maps), with adjustments."""
         return adjusted(self.material.maps(width, height, seed=seed, x=x, y=y), self.adjust)
 
 

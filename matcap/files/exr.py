@@ -93,7 +93,7 @@ class NamedChannels:
     """Content of an EXR file."""
 
     pixels: NDArray[np.float32]
-    """(H, W, C)."""
+    """(H, W, C) values of the channels."""
     names: tuple[str, ...]
     """Names of the channels."""
     primaries: tuple[float, ...] | None

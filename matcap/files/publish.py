@@ -83,7 +83,7 @@ def refuse_folders(folder: Path, names: Iterable[str]) -> None:
 
 
 def _exchange(stage: Path, fresh: list[str], folder: Path, old: list[str]) -> None:
-    """Steps 2 to 4."""
+    """Write the journal, rename the files and delete the list (steps 2 to 4 of the module)."""
     try:
         _write_journal(stage, fresh, folder, old)
         for name in fresh:

@@ -20,7 +20,7 @@ class Uniform:
     diffuse: tuple[float, float, float]
     """(r, g, b) diffuse albedo."""
     specular: float
-    """F0."""
+    """Specular albedo F0."""
     roughness: float
     """GGX roughness, in (0, 1)."""
     setup: FlashSetup

@@ -116,7 +116,7 @@ def read_camera_profile(path: Path) -> CameraProfile:
         raise UsageError(why, where=str(path), remedy=remedy) from error
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         said = f"{error} is missing" if isinstance(error, KeyError) else error
-        why = f"this is no camera's profile ({said})"
+        why = f"this is not a camera profile ({said})"
         raise UsageError(why, where=str(path), remedy=remedy) from error
 
 

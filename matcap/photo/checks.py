@@ -79,7 +79,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class QualityCheck:
-    """A check."""
+    """A quality check: measurement, limits and messages."""
 
     key: str
     measures: str

@@ -25,9 +25,9 @@ class ToneCurve:
     """g with its two numbers; by default the identity."""
 
     exponent: float = 1.0
-    """c, above 0."""
+    """Exponent c, above 0."""
     shoulder: float = 0.0
-    """w, in [0, 1)."""
+    """Weight w of the shoulder, in [0, 1)."""
 
     @staticmethod
     def of_report(report: dict[str, Any]) -> ToneCurve:

@@ -27,7 +27,7 @@ class Relief:
     """A texture's height, scaled to the surface it lies on."""
 
     texture: Texture
-    """The material."""
+    """Maps of the material."""
     repeat: float
     """Factor by which the material is shrunk on the surface, heights included."""
     displacement: float

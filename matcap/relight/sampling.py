@@ -37,7 +37,7 @@ class Sampler:
     """A texture on a surface, its middle at (0, 0)."""
 
     texture: Texture
-    """The material."""
+    """Maps of the material."""
     repeat: float
     """Factor by which the material is shrunk on the surface."""
     endless: bool = True

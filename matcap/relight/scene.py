@@ -24,9 +24,9 @@ class Film:
     """Size and encoding of the picture."""
 
     width: int = 1024
-    """Pixels."""
+    """Width of the picture, pixels."""
     height: int = 768
-    """Pixels."""
+    """Height of the picture, pixels."""
     exposure: float = 0.0
     """Exposure value, EV: encoded pictures are multiplied by 2^exposure; EXR radiance is not."""
     transfer: Literal["srgb", "linear"] = "srgb"
@@ -45,7 +45,7 @@ class Camera:
     type: Literal["perspective", "orthographic"] = "perspective"
     """Either "perspective" or "orthographic"."""
     position: Vector = (0.0, 0.0, 1.0 / math.tan(math.radians(22.5)))
-    """Plane units."""
+    """Position of the camera, plane units."""
     target: Vector = (0.0, 0.0, 0.0)
     """The point in the middle of the picture."""
     fov: float = 45.0
@@ -85,7 +85,7 @@ class PointLight:
     """A point light: irradiance falls off with distance squared."""
 
     position: Vector
-    """Plane units."""
+    """Position of the light, plane units."""
     intensity: Colour = WHITE
     """Radiant intensity."""
 
@@ -107,7 +107,7 @@ class SphereLight:
     position: Vector
     """Position of its centre, plane units."""
     radius: float
-    """Plane units."""
+    """Radius of the sphere, plane units."""
     radiance: Colour = WHITE
     """Emitted radiance."""
 

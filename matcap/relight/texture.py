@@ -23,7 +23,7 @@ class Extremes:
     specular: float
     """Largest F0 of any channel."""
     roughness: tuple[float, float]
-    """(smallest, largest)."""
+    """(smallest, largest) roughness."""
     slope: float
     """Largest |slope| of the shading normals."""
     relief_slope: float

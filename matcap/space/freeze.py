@@ -64,7 +64,7 @@ class FoldedLayer:
     """(out, in_i, k, k) for each part of its input, in channels_last memory format. On the way up
     the parts are the level below, the skip connection and, if any, the lattice channels."""
     bias: Tensor
-    """(out,)."""
+    """(out,) bias of each channel."""
     activate: bool
     """Whether a ReLU follows."""
 

@@ -105,7 +105,7 @@ class DecoderSource:
 
     @property
     def specular_channels(self) -> int:
-        """Channels of F0: 1, as the network has none for its colour."""
+        """Channels of F0: 1, as the network's F0 is achromatic."""
         return 1
 
     @property

@@ -19,14 +19,14 @@ class Spans:
     output: Span
     """Span of the raw outputs."""
     joined: tuple[Span, ...]
-    """Input of a level's block on the way up (the level below upsampled, skip connection, lattice),
+    """Span of the input of each upward block (the level below upsampled, skip connection, lattice),
     for levels 0 to DEPTH - 1. The outermost upsampled texel is not valid."""
     risen: tuple[Span, ...]
     """Span of each level that is upsampled, for levels 1 to DEPTH; entry 0 is the output."""
     down: tuple[Span, ...]
-    """Input of a level's block on the way down; entry 0 is the noise."""
+    """Span of the input of each downward block; entry 0 is the noise."""
     skips: tuple[Span, ...]
-    """Output of that block."""
+    """Span of the output of each downward block, which the skip connection takes."""
 
 
 def spans_of(output: Span, convolutions: tuple[int, int]) -> Spans:

@@ -64,7 +64,7 @@ def check_request(request: SynthRequest, name: str) -> None:
     columns, rows = request.udim or (1, 1)
     if not (1 <= columns <= _UDIM_COLUMNS and 1 <= rows <= _UDIM_ROWS):
         raise UsageError(
-            f"a texture set of {columns}x{rows} tiles",
+            f"a texture set cannot have {columns}x{rows} tiles",
             remedy=f"ask for at most {_UDIM_COLUMNS} columns and {_UDIM_ROWS} rows",
         )
     check_rectangle(request.area)

@@ -71,7 +71,7 @@ class Page:
     """A page of moments."""
 
     data: bytes
-    """See the module."""
+    """Encoded moments (module docstring)."""
     texel_size: float
     """A texel's side at level 0, in plane units."""
     ends: tuple[tuple[float, float], ...]

@@ -117,7 +117,7 @@ class Materials:
 
     @property
     def facts(self) -> ViewFacts:
-        """See Viewable."""
+        """Description for the page."""
         second = self.second.name if self.second else ""
         size = self.first.texel_size
         piece = self.first.generator.piece_size
@@ -167,7 +167,7 @@ class Materials:
     def moments(
         self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
     ) -> tuple[Planes, float]:
-        """See Viewable."""
+        """Moments of an area, and the texel size (Viewable.moments)."""
         if piece:
             return self._piece.read(level, area), self.first.texel_size
         field = self._field(seed, share)
@@ -206,7 +206,7 @@ class Maps:
 
     @property
     def facts(self) -> ViewFacts:
-        """See Viewable."""
+        """Description for the page."""
         from matcap.view.moments import mean_of
 
         whole = Rectangle(0, 0, *self.maps.size)
@@ -216,7 +216,7 @@ class Maps:
     def moments(
         self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
     ) -> tuple[Planes, float]:
-        """See Viewable."""
+        """Moments of an area, and the texel size (Viewable.moments)."""
         if piece:
             raise _no_piece()
         if seed != 0 or share != 0.0:

@@ -146,7 +146,7 @@ def test_pictures_without_exif_are_one_camera_s_by_size_and_folder(shoot):
 def test_a_damaged_profile_in_the_output_ends_the_batch_in_a_sentence(batch, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out/camera.json").write_text("{}")
-    with pytest.raises(UsageError, match=r"camera\.json: this is no camera's profile"):
+    with pytest.raises(UsageError, match=r"camera\.json: this is not a camera profile"):
         batch()
 
 

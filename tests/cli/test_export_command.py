@@ -204,7 +204,7 @@ def test_synth_writes_for_other_programs_too(matcap, material, tmp_path):
     assert (tmp_path / "set" / "materialx" / "noise.mtlx").is_file()
     said = matcap("synth", material, "--single", "--export", "raw", "-o", "other")
     assert said.code == 2
-    assert "only a map set of single files can be exported" in said.err
+    assert "only a map set with a file per map can be exported" in said.err
     assert not (tmp_path / "other").exists()
 
 

@@ -32,7 +32,7 @@ def test_a_profile_is_read_as_it_was_written(file):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda document: "{", "this is no camera's profile"),
+        (lambda document: "{", "this is not a camera profile"),
         (lambda document: "[]", "it is none"),
         (lambda document: json.dumps({**document, "format": "matcap report"}), "it is none"),
         (lambda document: json.dumps({**document, "version": 9}), "version is 9, not 1"),

@@ -83,7 +83,7 @@ class ExemplarEstimate:
 
     @property
     def exemplar(self) -> Exemplar:
-        """The maps."""
+        """The estimated maps with their confidence."""
         return self.example.exemplar
 
     @property

@@ -53,7 +53,7 @@ def scaled_by_glints(
     noise: Tensor,
     settings: GlintSettings | None = None,
 ) -> SurfaceParameters:
-    """Scale each octave of relief by g_b (module equation).
+    """Scale each octave of relief by its factor g_b, measured in the glints (module equation).
 
     Args:
         departures: of the exemplar from the coarse fit.

@@ -39,7 +39,7 @@ class AdjustSettings:
     assumed_focal: float = 0.1
     """The same if the field of view is unknown."""
     bent: tuple[float, float] = (0.03, 0.01)
-    """Prior standard deviations of k1 and k2."""
+    """Prior standard deviations of the lens distortion, k1 and k2."""
     tilt: float = 0.15
     """Prior standard deviation of the first camera's tilt, radians."""
 

@@ -38,7 +38,7 @@ class DoubtSettings:
     focal: float = 0.005
     """Prior standard deviation of the log focal length."""
     bent: float = 0.03
-    """Prior standard deviation of k1."""
+    """Prior standard deviation of the lens distortion k1."""
     relief: float = 0.01
     """Prior standard deviation of features' heights, plane units (adjust.less_relief)."""
 

@@ -153,7 +153,7 @@ class Fronts:
     """Folder of map sets."""
 
     ways: Sequence[str] = USUAL
-    """Names in WAYS."""
+    """Names of configurations, keys of WAYS."""
 
     materials: Sequence[str] = ()
     """Named materials, kinds and map sets; by default the six named materials and, with a folder

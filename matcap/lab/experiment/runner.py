@@ -143,7 +143,9 @@ def run(
     ]
     available = [rows[key] for key in asked if key in rows]
     if not available:
-        raise MatcapError("nothing could be measured", where=str(table), remedy="see why above")
+        raise MatcapError(
+            "nothing could be measured", where=str(table), remedy="correct the errors printed above"
+        )
     return available
 
 

@@ -73,7 +73,7 @@ class Style(Protocol):
     """Texture statistics: sRGB pictures (B, 3, H, W) in [0, 1] to groups."""
 
     def __call__(self, pictures: Tensor) -> StyleStatistics:
-        """Describe."""
+        """Style statistics of pictures."""
         ...
 
 

@@ -48,7 +48,7 @@ class Specimen:
         return self.pieces(self.seed)
 
     def take(self, camera: PhoneCamera) -> Shot:
-        """Photograph it."""
+        """Simulate a photograph of the specimen."""
         return take(self.realise, camera, self.setup)
 
     def truth(self, camera: PhoneCamera) -> MapSet:

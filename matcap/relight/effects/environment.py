@@ -149,7 +149,11 @@ def _mirror(block: Block, environment: Environment) -> None:
 
 
 def _sampled(block: Block, rest: Environment, horizon: CHorizon, which: Array) -> Array:
-    """(2, 3, n) scale and bias of the reflected difference from the mean, of pixels `which`."""
+    """(2, 3, n) correction of scale and bias, in F0 scale + bias, by sampling the lobe.
+
+    It is the reflection of the environment with occlusion, less that of its mean without, at pixels
+    `which`.
+    """
     c_directions, _ = directions(block.context.samples)
     if rest.varying == 0.0:
         hidden = np.empty((2, len(which)), dtype=np.float32)

@@ -48,18 +48,18 @@ class Mesh:
     """(rows, W) index of the visible triangle of each pixel, or -1; filled by seen_by()."""
 
     def framed(self, film: Film) -> float:
-        """As Shape.framed."""
+        """Span of the picture's long side at the origin that shows all of it, plane units."""
         size = np.ptp(self.corners.reshape(-1, 3), axis=0)
         long, short = max(film.width, film.height), min(film.width, film.height)
         # The longest side fits the picture's short side; + depth, for perspective.
         return float(size.max() * _MARGIN * long / short + size[2])
 
     def seen_by(self, view: View) -> Mesh:
-        """As Shape.seen_by."""
+        """This shape, prepared for a view."""
         return Mesh(self.corners, self.normals, self.places, _visible(self.corners, view))
 
     def hits(self, view: View, top: int, bottom: int) -> Hits:
-        """As Shape.hits."""
+        """Intersections of the rays of rows [top, bottom) of the picture."""
         face = self.seen[top:bottom, slice(*view.across)]
         seen = face >= 0
         face = np.where(seen, face, 0)
@@ -86,7 +86,7 @@ class Mesh:
         return hits_of(view, point, frame, spot, seen, along, direction)  # type: ignore[arg-type]
 
     def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
-        """As Shape.region."""
+        """Box around the visible points, and the largest side of a pixel's footprint."""
         lift = max(abs(relief.low), abs(relief.high))
         low = (self.corners.min(axis=(0, 1)) - lift).tolist()
         high = (self.corners.max(axis=(0, 1)) + lift).tolist()

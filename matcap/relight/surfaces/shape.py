@@ -42,19 +42,19 @@ class Flat:
     extent: tuple[float, float]
 
     def framed(self, film: Film) -> float:
-        """As Shape.framed."""
+        """Span of the picture's long side at the origin that shows all of it, plane units."""
         return max(self.extent)
 
     def seen_by(self, view: View) -> Shape:
-        """As Shape.seen_by."""
+        """This shape, prepared for a view."""
         return self
 
     def hits(self, view: View, top: int, bottom: int) -> Hits:
-        """As Shape.hits."""
+        """Intersections of the rays of rows [top, bottom) of the picture."""
         return plane_hits(view, top, bottom, self.extent)
 
     def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
-        """As Shape.region."""
+        """Box around the visible points, and the largest side of a pixel's footprint."""
         return plane_region(view, self.extent, (relief.low, relief.high))
 
 
@@ -66,16 +66,16 @@ class Round:
     cylinder: bool
 
     def framed(self, film: Film) -> float:
-        """As Shape.framed."""
+        """Span of the picture's long side at the origin that shows all of it, plane units."""
         sides = max(film.width, film.height) / min(film.width, film.height)
         return 2.0 * self.radius * _MARGIN * sides
 
     def seen_by(self, view: View) -> Shape:
-        """As Shape.seen_by."""
+        """This shape, prepared for a view."""
         return self
 
     def hits(self, view: View, top: int, bottom: int) -> Hits:
-        """As Shape.hits."""
+        """Intersections of the rays of rows [top, bottom) of the picture."""
         if self.cylinder:
             return cylinder_hits(view, top, bottom, self.radius, 2.0 * self.radius)
         return sphere_hits(view, top, bottom, self.radius)

@@ -76,9 +76,9 @@ class Anchors:
     """Positions of the N training photographs."""
 
     codes: Tensor
-    """(N, CODE_SIZE)."""
+    """(N, CODE_SIZE) standardised latent vectors."""
     rests: Tensor
-    """(N, VARYING)."""
+    """(N, VARYING) whitened residuals of the base maps, `rest` in the module."""
     waves: Tensor
     """(N, 2, 2) frequencies (fx, fy) of two waves; (0, 0) for absent ones."""
 

@@ -41,7 +41,7 @@ class TuneSettings:
     """Limits, rates and penalties of fine-tuning."""
 
     steps: int
-    """Most steps."""
+    """Largest number of steps."""
     seconds: float | None = None
     """Most seconds, or None."""
     target: float | None = None

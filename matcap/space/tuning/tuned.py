@@ -12,11 +12,11 @@ class HeadSettings:
     contrast_gain: float = 1.2
     """Logits of diffuse albedo per log radiance: d log sigmoid(x) / dx is below 1."""
     specular_contrast: float = 0.1
-    """Logits of F0."""
+    """Initial standard deviation of the logit of F0."""
     roughness_contrast: float = 0.1
-    """Logits of roughness."""
+    """Initial standard deviation of the logit of roughness."""
     relief: float = 0.15
-    """Height, texels."""
+    """Initial standard deviation of height, texels."""
 
 
 HEAD = HeadSettings()

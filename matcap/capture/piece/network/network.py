@@ -70,7 +70,7 @@ class NetworkInputs:
     """First-order estimate of the slope along x and y from log radiance."""
 
     def stacked(self) -> Tensor:
-        """(..., INPUTS, H, W)."""
+        """All inputs concatenated, (..., INPUTS, H, W)."""
         return torch.cat([getattr(self, name) for name in _INPUT_CHANNELS], dim=-3)
 
     @staticmethod
@@ -93,7 +93,7 @@ class ExpectedErrors:
     """Log of the error of slopes."""
 
     def stacked(self) -> Tensor:
-        """(..., ERRORS, H, W)."""
+        """All errors concatenated, (..., ERRORS, H, W)."""
         return torch.cat([getattr(self, name) for name in _DOUBTED], dim=-3)
 
     @staticmethod
