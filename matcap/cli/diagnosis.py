@@ -85,7 +85,7 @@ class Diagnosis:
     compiled: bool
     """Whether the compiled loops of the field by example exist; it cannot run without."""
     compiled_relighting: bool
-    """The same of relighting."""
+    """Whether the compiled loops of relighting exist; it cannot run without."""
     prior: int | None
     """Bytes of the shipped prior, or None if it is missing."""
     packages: tuple[Package, ...]

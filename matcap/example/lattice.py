@@ -145,7 +145,7 @@ class Cells:
     column: Integers
     """(rows, columns) number of the patch along the first wave, equal where the field repeats."""
     row: Integers
-    """The same along the second wave."""
+    """(rows, columns) number of the patch along the second wave."""
     middle_x: Integers
     """(rows, columns) centre of the patch, texels."""
     middle_y: Integers

@@ -41,7 +41,7 @@ class Occlusion:
     open: Picture
     """(H, W) irradiance of a uniform sky over that without occlusion, [0, 1]."""
     cavity: Picture
-    """(H, W) the same with occluders within CAVITY_REACH texels."""
+    """(H, W) that irradiance with only occluders within CAVITY_REACH texels, [0, 1]."""
     bent: Picture
     """(H, W, 3) mean unoccluded direction, unit vectors, +Y up."""
     size: tuple[int, int] | None = None

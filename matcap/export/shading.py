@@ -78,7 +78,7 @@ class Geometry:
 
     @staticmethod
     def of(normal: Tensor, to_light: Tensor, to_view: Tensor) -> Geometry:
-        """Of (3, H, W) normals of any length, and unit vectors (3, H, W) or (3, 1, 1)."""
+        """Cosines of normals (3, H, W) of any length with unit vectors (3, H, W) or (3, 1, 1)."""
         normal, half = normalize(normal), normalize(to_light + to_view)
         light, view = dot(normal, to_light), dot(normal, to_view)
         above = ((light > 0) & (view > 0)).to(light.dtype)

@@ -86,7 +86,7 @@ class Span:
         return Span(self.start - margin, self.stop + margin)
 
     def doubled(self) -> Span:
-        """The same texels of the next finer level."""
+        """The span in texels of the next finer level."""
         return Span(2 * self.start, 2 * self.stop)
 
     @property

@@ -70,7 +70,7 @@ def _is_srgb(space: ColorSpace) -> bool:
 def inks_lineariser_of(
     profile: bytes, dtype: np.dtype[np.generic]
 ) -> tuple[Linearise, tuple[str, ...]] | None:
-    """As lineariser_of for CMYK rows (n, W, 4); None if the profile cannot be used."""
+    """Function from CMYK rows (n, W, 4) to linear colours, and notes; None if unusable."""
     managed = _managed(profile, dtype) if profile[16:20] == b"CMYK" else None
     note = "Colours converted from inks through the file's profile at 8 bits."
     return None if managed is None else (managed, (note,))

@@ -84,7 +84,7 @@ def size(text: str | Size) -> Size:
 
 
 def sides_of(text: str | int | Sequence[int]) -> tuple[int, int]:
-    """As size(): '4096x256', 512 or [4096, 256] to (width, height)."""
+    """Parse '4096x256', 512 or [4096, 256] to (width, height)."""
     words = text if isinstance(text, str | int) else "x".join(str(part) for part in text)
     sides = size(str(words))
     return sides.width, sides.height

@@ -685,9 +685,9 @@ class _Problem:
         return power - (1.0 + self.shoulder * power.expm1()).log()
 
     def whitened(self, parameters: Tensor) -> _Problem:
-        """The same with channels whitened by the residuals at `parameters`.
+        """The problem with channels whitened by the residuals at `parameters`.
 
-        Light is common to all channels, texture is not: channel differences tell the two apart.
+        Light is common to all channels, texture is not: channel differences separate the two.
         """
         cells = self.cells
         whole = (cells.above == 1.0).all(0)
@@ -697,7 +697,7 @@ class _Problem:
         return replace(self, whitening=_whitening(rest[:, whole], cells.weight[whole]))
 
     def trusting(self, parameters: Tensor) -> _Problem:
-        """The same with the prior's weight set from the residuals of a first fit."""
+        """The problem with the prior's weight set from the residuals of a first fit."""
         count = self.cells.observed.numel()
         rest = self.residuals(parameters)[:count].clamp(-0.5, 0.5)
         variance = (self.weight[:count] * rest.square()).sum() / self.weight[:count].sum()
@@ -705,14 +705,14 @@ class _Problem:
         return replace(self, precision=self.precision * (nat / self.unit), unit=nat)
 
     def with_two_lobes(self) -> _Problem:
-        """The same with the share of the narrow lobe, and how much wider the other is."""
+        """The problem with two specular lobes: a share of the narrow one, and a wider one."""
         mean = replace(Unknowns.of(self.prior), **_PARTED_MEAN).vector()
         parted = torch.cat([each.pow(-2) for each in _PARTED_DEVIATION.values()])
         precision = torch.block_diag(self.precision, self.unit * torch.diag(parted))
         return replace(self, prior=mean, precision=precision)
 
     def with_tilt(self, mean: Tensor, std: Tensor) -> _Problem:
-        """The same with another prior of the tilt, (2,) each."""
+        """The problem with another Gaussian prior of the tilt, (2,) each."""
         precision = self.precision.clone()
         precision[_INDEX.tilt, _INDEX.tilt] = self.unit * std.pow(-2)
         return replace(
@@ -878,7 +878,7 @@ def _distinct(fits: Sequence[Tensor]) -> list[Tensor]:
 
 
 def _matte(candidate: Tensor) -> Tensor:
-    """The same parameters with roughness near 1."""
+    """Parameters with roughness set near 1, for a matte starting point."""
     unknowns = Unknowns.of(candidate)
     return replace(unknowns, roughness=torch.full_like(unknowns.roughness, _MATTE)).vector()
 

@@ -47,7 +47,7 @@ class FlashSetup:
         return 1.0 / math.tan(math.radians(self.fov) / 2.0)
 
     def with_intensity(self, intensity: tuple[float, float, float]) -> FlashSetup:
-        """The same setup with another flash."""
+        """This setup with another radiant intensity of the flash."""
         return replace(self, intensity=intensity)
 
     def dimmed(self, factor: float) -> FlashSetup:

@@ -32,7 +32,8 @@ class HighlightSettings:
     faintest: float = 1.3
     """Least peak over the quantile `usual` of the surroundings."""
     usual: float = 0.9
-    """That quantile; high, so that a white square of a plaid is no highlight."""
+    """Quantile of the surroundings that a peak is compared with; high, so that a white square of a
+    plaid is no highlight."""
     top: float = 0.3
     """Share of the peak's height, from the top, whose centroid is the centre."""
     rounds: int = 8

@@ -68,7 +68,7 @@ def kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_] | No
 
 
 def _kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_]:
-    """The same, (1, 1) True without a mask."""
+    """(H, W) bool, texels within the material's mask; (1, 1) True without a mask."""
     mask = kept(photo, setup, detail)
     return np.ones((1, 1), np.bool_) if mask is None else mask
 

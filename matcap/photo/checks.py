@@ -58,7 +58,7 @@ class Finding:
     cause: str = ""
     """Likely cause, if the measurement alone determines it; or ""."""
     severity: float = 0.0
-    """See the module; 0 if nothing is measured."""
+    """Severity: up to 1 acceptable, 2 visible, 3 doubtful; 0 if nothing is measured."""
 
     def line(self) -> str:
         """Result and remedy as sentences."""

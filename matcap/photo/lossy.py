@@ -185,7 +185,7 @@ def _properties(path: Path) -> bmff.Properties:
 
 
 def _coded(pixels: NDArray[Any], color: StatedColor, notes: tuple[str, ...]) -> Coded:
-    """Coded of a decoded picture (H, W) or (H, W, 1 to 4); 2 and 4 channels include alpha."""
+    """Wrap decoded code values (H, W) or (H, W, 1 to 4); 2 and 4 channels include alpha."""
     alpha = pixels.ndim == 3 and pixels.shape[2] in (2, 4)
     return Coded(
         lambda top, bottom: three_channels(pixels[top:bottom]),

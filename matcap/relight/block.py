@@ -162,5 +162,5 @@ class Block:
 
     @property
     def as_c(self) -> CPixels:
-        """As a C structure (loops/structures.py)."""
+        """The block as a C structure (loops/structures.py)."""
         return self._as_c[0]

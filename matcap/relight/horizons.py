@@ -105,7 +105,7 @@ class Horizons:
         return state.transfer
 
     def as_c(self, *, adaptive: bool) -> CHorizon:
-        """As a C structure (loops/structures.py)."""
+        """The horizons as a C structure (loops/structures.py)."""
         width, height = self.relief.texture.size
         return CHorizon(self.tangents.ctypes.data, width, height, int(adaptive))
 

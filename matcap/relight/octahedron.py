@@ -40,7 +40,7 @@ class Octahedra:
         return math.sqrt(4.0 * math.pi) / float(self.sides[0])
 
     def as_c(self, kept: KeptArrays) -> CEnvironment:
-        """As a C structure (loops/structures.py)."""
+        """The levels as a C structure (loops/structures.py)."""
         return CEnvironment(
             kept.of(self.atlas), kept.of(self.tops), kept.of(self.sides),
             self.atlas.shape[1], len(self.sides), self.finest,

@@ -107,7 +107,7 @@ class AdaIN(nn.Module):
         )
 
     def measured(self, features: Tensor, code: Tensor) -> tuple[Tensor, Moments]:
-        """forward() without moments, and the moments (C,) of the features, in float32."""
+        """Normalise by the features' own moments (C,), which are returned as well; in float32."""
         mean, deviation = (target.float() for target in self.target(code))
         adapted, own, inverse = torch.native_batch_norm(
             features.float(), deviation, mean, None, None, True, 0.0, _EPSILON

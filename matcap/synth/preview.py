@@ -115,7 +115,7 @@ class PreviewPicture:
             self._radiance[place] = lit[source]
 
     def encoded(self) -> bytes:
-        """As PNG, with the seams marked; dark materials are brightened."""
+        """The picture as PNG, with the seams marked; dark materials are brightened."""
         bright = float(np.quantile(self._radiance[::8, ::8].astype(np.float32), _BRIGHT_SHARE))
         gain = min(max(_BRIGHT / max(bright, 1e-6), 1.0), _LARGEST_GAIN)
         # Of all half floats up to 1, which are the first in the order of their bits.

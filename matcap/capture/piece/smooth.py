@@ -20,7 +20,7 @@ def smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
 
 
 def coarse_smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
-    """The same, on a grid coarser by BAND.coarser."""
+    """Gaussian blur of a plane (H, W), on a grid coarser by BAND.coarser."""
     rows, columns = plane.shape
     size = (max(1, columns // BAND.coarser), max(1, rows // BAND.coarser))
     thin = cv2.resize(plane, size, interpolation=cv2.INTER_AREA)

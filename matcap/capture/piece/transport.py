@@ -35,7 +35,7 @@ class _Drawn:
     stacked: Floats
     """(6, H, W) the exemplar's maps."""
     laid: Floats
-    """(6, H, W) the same with height high-passed, as low frequencies are not copied."""
+    """(6, H, W) these maps with height high-passed, as low frequencies are not copied."""
     seen: Floats
     """(H, W, 3) channel mean of log albedo, and slopes (x, down), each over its deviation."""
 

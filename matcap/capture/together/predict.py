@@ -41,7 +41,7 @@ class Predictions:
     predicted: tuple[float, ...]
     """Error of each in a rendering of maps estimated from all others."""
     residual: tuple[float, ...]
-    """The same of maps estimated from all photographs."""
+    """Error of each in a rendering of maps estimated from all photographs."""
 
 
 @torch.no_grad()

@@ -23,7 +23,7 @@ class SetReport:
     residuals: tuple[float, ...]
     """Median |log radiance of photograph - re-rendering| of each."""
     predicted: tuple[float, ...]
-    """The same with maps from all other photographs (predict.py); NaN without flash; empty if not
+    """Residuals of maps from all other photographs (predict.py); NaN without flash; empty if not
     computed."""
     left_out: tuple[LeftOut, ...]
     """Photographs that could not be registered, with reasons."""

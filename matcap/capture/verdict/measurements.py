@@ -45,9 +45,9 @@ class MeasurementSettings:
     fine: tuple[float, float] = (1.0, 3.0)
     """Standard deviations, texels, of the two Gaussians of the band-pass for fine texture."""
     coarse: tuple[float, float] = (4.0, 16.0)
-    """The same for coarse texture."""
+    """Standard deviations of the band-pass for coarse texture, texels."""
     chroma: tuple[float, float] = (2.0, 16.0)
-    """The same for coloured texture, log red / green and blue / green."""
+    """Those for coloured texture, log red / green and blue / green."""
     bright: float = 0.2
     """Share of tiles, the brightest, that form the region in the light."""
     window: int = 160
@@ -102,7 +102,7 @@ class Measurements:
     offset: float
     """Distance of the flash from the lens, plane units."""
     piece: Mapping[str, float] | None = None
-    """Of the exemplar: `error`, `slow` (log radiance) and confidence by map; None without one."""
+    """`error`, `slow` (log radiance) and confidence by map of the exemplar; None without one."""
     residue: Mapping[str, float] | None = None
     """Radial variation of the exemplar's maps about the mirror point (residue.py)."""
     causes: CauseMeasurements = CauseMeasurements()

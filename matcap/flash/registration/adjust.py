@@ -37,7 +37,7 @@ class AdjustSettings:
     known_focal: float = 0.01
     """Prior standard deviation of log d if EXIF gives the field of view."""
     assumed_focal: float = 0.1
-    """The same if the field of view is unknown."""
+    """Prior standard deviation of log d if the field of view is unknown."""
     bent: tuple[float, float] = (0.03, 0.01)
     """Prior standard deviations of the lens distortion, k1 and k2."""
     tilt: float = 0.15

@@ -35,7 +35,7 @@ class SharpSettings:
     fine: tuple[float, float] = (0.7, 1.4)
     """Standard deviations of the two Gaussians of the finest band, texels."""
     long: tuple[float, float] = (2.8, 5.6)
-    """The same of the longer band."""
+    """Standard deviations of the two Gaussians of the longer band, texels."""
 
 
 SHARP = SharpSettings()

@@ -50,7 +50,7 @@ class Judged:
     """Its DNG, the only input of captures."""
 
     photo: Photo
-    """The same photograph in memory."""
+    """The photograph in memory."""
 
     setup: FlashSetup
     """True camera and flash."""

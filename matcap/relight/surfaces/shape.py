@@ -81,7 +81,7 @@ class Round:
         return sphere_hits(view, top, bottom, self.radius)
 
     def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
-        """See Shape; footprints are unbounded towards the outline."""
+        """Box around the visible points; footprints are unbounded towards the outline."""
         r = self.radius + max(abs(relief.low), abs(relief.high))
         return VisibleRegion((-r, -r, -r), (r, r, r), flat=False), math.inf
 
