@@ -145,7 +145,7 @@ def parse_adjustments(text: str | None) -> Adjustments:
         known = [field.name for field in fields(Adjustments)]
         if not equals or name not in known:
             raise UsageError(
-                f"'{part.strip()[:40]}' is no adjustment",
+                f"'{part.strip()[:40]}' is not an adjustment",
                 where=WHERE,
                 remedy=f"give name=value with a name of {', '.join(known)}",
             )

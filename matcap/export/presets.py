@@ -411,7 +411,7 @@ def _checked(pattern: str) -> str:
                 raise ValueError(f"'{field}' is put in as it is, without a width or a conversion")
     except ValueError as error:
         raise UsageError(
-            f"'{pattern}' is no pattern ({error})",
+            f"'{pattern}' is not a pattern ({error})",
             where="--name",
             remedy="write it like '{stem}_{map}_{res}'",
         ) from error

@@ -160,7 +160,7 @@ def material_file(path: Path) -> Path:
     resolved = _resolved(path)
     if resolved.is_dir() or resolved.suffix.lower() == ".json":
         raise MatcapError(
-            "this is a map set, of which there is no more",
+            "this is a map set, from which no more can be synthesised",
             where=str(path),
             remedy="give the material (.matcap)",
         )

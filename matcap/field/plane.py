@@ -58,7 +58,9 @@ def check_variety(variety: float) -> float:
     """Return the variety; raise UsageError outside [0, 1]."""
     if not 0.0 <= variety <= 1.0:
         raise UsageError(
-            f"a variety of {variety:g}", where="--variety", remedy="give a number from 0 to 1"
+            f"a variety of {variety:g} is out of range",
+            where="--variety",
+            remedy="give a number from 0 to 1",
         )
     return variety
 

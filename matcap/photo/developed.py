@@ -133,5 +133,5 @@ def _constant_alpha_notes(coded: Coded) -> tuple[str, ...]:
     if codes is None or codes.min() != codes.max():
         return ()
     whole = np.iinfo(codes.dtype).max if np.issubdtype(codes.dtype, np.integer) else 1.0
-    says = "The picture is transparent all over alike: its transparency is ignored."
+    says = "All of the picture is equally transparent: its transparency is ignored."
     return () if codes.flat[0] >= whole else (says,)

@@ -95,7 +95,7 @@ def _rerendered(material: Material) -> _Rerendered:
 
 def _unplaced(material: Material) -> MatcapError:
     return MatcapError(
-        "this material does not say where it lies among others",
+        "this material has no latent vector",
         where=material.name,
         remedy="capture its photograph again",
     )

@@ -92,7 +92,7 @@ class TunedDecoder:
             UsageError: always.
         """
         raise UsageError(
-            f"a decoder rearranges no pieces, so has no variety of {variety:g}",
+            f"a decoder rearranges no patches, so it has no variety of {variety:g}",
             where="--variety",
             remedy="leave it out",
         )
@@ -104,7 +104,7 @@ class TunedDecoder:
             UsageError: always.
         """
         raise UsageError(
-            "a decoder holds no photographed piece that could repeat",
+            "a decoder has no exemplar to repeat",
             where="--tile piece",
             remedy="give --tile alone for a periodic texture, or capture with --generator example",
         )

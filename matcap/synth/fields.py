@@ -156,7 +156,7 @@ def _check_piece(request: SynthRequest) -> None:
     }
     for option in (option for option, given in refused.items() if given):
         raise UsageError(
-            "the photographed piece is one map set of fixed size, not drawn by a seed",
+            "the periodic exemplar is one map set of fixed size, without a seed",
             where=f"{option} with --tile piece",
             remedy=f"leave out {option}, or give --tile alone for a periodic texture",
         )

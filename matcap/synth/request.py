@@ -185,7 +185,7 @@ class Work:
         """Raise UsageError for an invalid scheduler address, or a scheduler with CUDA."""
         if self.scheduler is not None and not _ADDRESS.fullmatch(self.scheduler):
             raise UsageError(
-                f"'{self.scheduler}' is no address",
+                f"'{self.scheduler}' is not an address",
                 where="--scheduler",
                 remedy="give one such as tcp://192.168.1.7:8786",
             )

@@ -152,7 +152,7 @@ def check_page_path(path: Path) -> None:
     """Raise UsageError unless the name ends in .html."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise UsageError(
-            f"'{path.suffix}' is no page", where=str(path), remedy="choose a name in .html"
+            f"'{path.suffix}' is not a page", where=str(path), remedy="choose a name in .html"
         )
 
 

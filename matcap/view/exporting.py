@@ -45,7 +45,9 @@ def export_request(values: Mapping[str, str]) -> ExportRequest:
         )  # fmt: skip
         target = values["target"]
     except (KeyError, ValueError) as error:
-        raise UsageError("this names no export", remedy="give target, size and seed") from error
+        raise UsageError(
+            "the request is not that of an export", remedy="give target, size and seed"
+        ) from error
     if not 16 <= size <= _LARGEST or size % 16:
         raise UsageError(
             f"a size of {size} texels", remedy=f"give a multiple of 16 from 16 to {_LARGEST}"
@@ -55,7 +57,7 @@ def export_request(values: Mapping[str, str]) -> ExportRequest:
     # A link must not name a file of this machine.
     text = values.get("adjust", "")
     if text.lower().endswith(".json"):
-        raise UsageError("adjustments are no file here", remedy="give relief=1.3 or the like")
+        raise UsageError("adjustments cannot be a file here", remedy="give relief=1.3 or the like")
     return ExportRequest(check_targets([target])[0], size, seed, share, parse_adjustments(text))
 
 

@@ -231,7 +231,7 @@ class Maps:
 
 
 def _no_piece() -> UsageError:
-    return UsageError("there is no photographed piece", remedy="view a material that has one")
+    return UsageError("this has no exemplar", remedy="view a material that has one")
 
 
 def _flashed(setup: FlashSetup) -> Flashed:
@@ -289,7 +289,7 @@ def open_subject(
         )
     if read.variety is not None:
         raise UsageError(
-            "a map set has no pieces", where="--variety", remedy="give the .matcap file"
+            "a map set has no patches", where="--variety", remedy="give the .matcap file"
         )
     if seed != 0:
         raise UsageError(

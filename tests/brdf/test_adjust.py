@@ -92,7 +92,7 @@ def test_what_is_written_is_read(text):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("relief", "no adjustment"),
+        ("relief", "is not an adjustment"),
         ("shine=2", "a name of relief, roughness"),
         ("relief=2,relief=3", "twice"),
         ("relief=much", "give a number"),
@@ -102,7 +102,7 @@ def test_what_is_written_is_read(text):
         ("brightness=inf", "give a number"),
         ("tint=red", "a colour other than black"),
         ("tint=#000000", "a colour other than black"),
-        ("relief=1,,", "no adjustment"),
+        ("relief=1,,", "is not an adjustment"),
         ("nowhere.json", "no adjustments"),
     ],
 )

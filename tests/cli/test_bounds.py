@@ -49,7 +49,7 @@ HUGE = "9" * 23
         (("relight", "a", "--size", "32768", "--sheet", "64x64"), "GB"),
         (("export", "a", "--to", "usd", "--size", "65536"), "GB"),
         (("synth", "a", "--size", "1000000000", "-j", "1"), "are needed but the disk has"),
-        (("synth", "a", "--scheduler", "nonsense"), "'nonsense' is no address"),
+        (("synth", "a", "--scheduler", "nonsense"), "'nonsense' is not an address"),
         (("sample", "-t", "nan"), "is not from 0 to 1"),
         (("view", "a", "--html", "a.html", "--tile", "99999999"), "2048"),
         (("inspect", "a", "--fov", "nan"), "is not from 1 to 170"),
@@ -82,7 +82,7 @@ def test_synth_takes_the_folder_that_others_take(matcap, place):
     said = matcap("synth", "empty", *words)
     assert said.code == 3 and "no map set and no material in this folder" in said.err
     said = matcap("synth", "a_16x16_seed0", *words)
-    assert said.code == 3 and "this is a map set, of which there is no more" in said.err
+    assert said.code == 3 and "this is a map set, from which no more can be synthesised" in said.err
 
 
 def test_several_lights_add_up(matcap, place):

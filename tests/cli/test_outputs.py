@@ -100,7 +100,7 @@ def test_no_command_writes_over_what_it_reads(matcap, place, words):
         (("compare", "a.matcap", "b.matcap", "-o", "photo.jpg"), "the picture is a PNG"),
         (("relight", "set", "-o", "a.matcap"), "unknown picture format"),
         (("sample", "-o", "a.matcap"), "unknown picture format"),
-        (("view", "set", "--html", "a.matcap"), "is no page"),
+        (("view", "set", "--html", "a.matcap"), "is not a page"),
     ],
 )
 def test_suffixes_are_checked_everywhere(matcap, place, words, said):

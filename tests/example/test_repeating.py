@@ -176,7 +176,7 @@ def test_synth_and_export_write_the_piece_that_repeats(tmp_path, capsys):
 def test_a_decoder_has_no_piece_and_says_what_it_has(tmp_path, capsys):
     a_material("plain", seed=5).save(tmp_path / "plain.matcap")
     assert main(["synth", str(tmp_path / "plain.matcap"), "--tile", "piece"]) == 2
-    assert "holds no photographed piece" in capsys.readouterr().err
+    assert "has no exemplar to repeat" in capsys.readouterr().err
 
 
 def test_nothing_is_drawn_from_what_is_left_out():

@@ -117,7 +117,7 @@ def test_every_command_that_reads_a_material_takes_a_variety(tmp_path, capsys):
     plain = a_material("plain", seed=5)
     plain.save(tmp_path / "plain.matcap")
     assert main(["synth", str(tmp_path / "plain.matcap"), *asked]) == 2
-    assert "no pieces" in capsys.readouterr().err
+    assert "no patches" in capsys.readouterr().err
 
 
 def test_a_lattice_keeps_its_phase_in_larger_pieces():

@@ -163,7 +163,7 @@ def test_patterns_of_the_users_own():
     [
         ("{stem}", "two maps are called moss.exr"),
         ("{stem}_{mop}", "there is no 'mop'; did you mean 'map'"),
-        ("{stem}_{map", "is no pattern"),
+        ("{stem}_{map", "is not a pattern"),
         ("{map.real}", "choose from stem, map, res, format"),
         ("../{map}", "plain file name"),
         ("{}", "choose from"),

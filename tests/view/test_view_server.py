@@ -389,7 +389,7 @@ def test_the_photographed_piece_is_the_exemplar(tmp_path):
     wide, tall = example.exemplar.size
     found, _ = subject.moments(0, Rectangle(0, 0, wide, tall), seed=9, share=0.0, piece=True)
     assert np.array_equal(found[:4], example.exemplar.stacked()[:4])
-    with pytest.raises(Exception, match="no photographed piece"):
+    with pytest.raises(Exception, match="has no exemplar"):
         Materials(a_material()).moments(0, Rectangle(0, 0, 8, 8), seed=0, share=0.0, piece=True)
 
 

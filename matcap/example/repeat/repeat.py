@@ -56,7 +56,7 @@ def repeated(
     height, width = maps.shape[1:]
     if min(height, width) < _LEAST:
         raise UsageError(
-            f"a piece of {width} x {height} texels is too small to repeat",
+            f"an exemplar of {width} x {height} texels is too small to repeat",
             where="--tile piece",
             remedy=f"capture it with at least {_LEAST} texels per side, or give --tile alone",
         )

@@ -64,7 +64,7 @@ def highlight_experiment(
     def real(path: Path) -> Seen:
         photo = load_photo(path, noise=False)
         if not plain(find_highlight(light_of(photo.pixels))):
-            raise MatcapError("no highlight is plain to see in it")
+            raise MatcapError("it shows no clear highlight")
         return photo, None
 
     def pair(seen: Seen, fit: CoarseFit) -> Mapping[str, Value]:

@@ -87,7 +87,7 @@ def _recipe(path: Path) -> tuple[dict[str, Any], dict[str, dict[str, int]]]:
         ]
         if wrong:
             raise UsageError(
-                f"'{wrong[0]}' is no whole number that is known here",
+                f"'{wrong[0]}' is not a number of this table",
                 where=f"{path}, {name}",
                 remedy=f"use {', '.join(defaults)}",
             )

@@ -28,7 +28,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise UsageError(f"it cannot be read ({error.strerror})", where=str(path)) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(
-            f"it cannot be read: this is no TOML ({error})", where=str(path)
+            f"it cannot be read: this is not TOML ({error})", where=str(path)
         ) from error
 
 

@@ -275,7 +275,9 @@ def read_tensors(
             f"the {what} cannot be read ({error})", where=str(path), remedy=remedy
         ) from error
     if (metadata.get("format"), metadata.get("version")) != (kind[0], str(kind[1])):
-        raise MatcapError(f"this is no {what} of version {kind[1]}", where=str(path), remedy=remedy)
+        raise MatcapError(
+            f"this is not a {what} of version {kind[1]}", where=str(path), remedy=remedy
+        )
     return metadata, tensors
 
 

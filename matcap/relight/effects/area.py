@@ -54,8 +54,8 @@ class Rule:
     """A quadrature rule: N points of a light, (N,) arrays."""
 
     places: tuple[Array, Array, Array]
-    """Sample points. Of a rectangle: x, y, z in the scene. Of a sphere: (1 - cosine) over that of the
-    cone's edge, [0, 1], and cosine and sine of the azimuth."""
+    """Sample points. Of a rectangle: x, y, z in the scene. Of a sphere: (1 - cosine) over that of
+    the cone's edge, [0, 1], and cosine and sine of the azimuth."""
     weights: Array
     """Sum to 1 over a rectangle, to 2 pi over a sphere's cone."""
     cell: Array
