@@ -70,8 +70,8 @@ class CoarseSettings:
         brightening: prior standard deviation of negative falloff, which ambient light imitates.
         black: diffuse albedo of a conductor over its F0.
         conductor_odds: least log odds (nats) of a conductor. Most photographs show none, and errors
-            of falloff or tone curve imitate one: with 2.6 (a prior share of 7 %) wood, limestone
-            and brown leather become metal; bare steel has 8 and more beyond this.
+            of falloff or tone curve imitate one: black lacquer and black and brown leather have 10
+            to 12, bare steel 14 (docs/notes/gloss.md).
         bluest: largest log ratio of a metal's F0 in blue to red.
         dullest: largest roughness of a metal, as a photograph without highlight shows none.
         brightest: upper limit of mean albedo or F0.
@@ -111,7 +111,7 @@ class CoarseSettings:
     crushed: float = 0.02
     brightening: float = 0.02
     black: float = 0.005
-    conductor_odds: float = 9.0
+    conductor_odds: float = 12.0
     bluest: float = 0.1
     dullest: float = 0.8
     brightest: float = 0.8
