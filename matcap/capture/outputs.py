@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from matcap.brdf.folder import PIECE, SETUP, MapSetInfo, mapset_files, write_mapset
 from matcap.capture.settings import OutputSettings
 from matcap.example.exemplar import CHANNELS
-from matcap.export.targets import export_mapset
 from matcap.files.exr import write_exr_channels
 from matcap.files.staging import staged
 
@@ -50,6 +49,8 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
         write_preview(result, stage / PREVIEW)
         write_report(result, stage / REPORT)
         written.result()
+    if settings.targets:
+        from matcap.export.targets import export_mapset
     for target in settings.targets:
         export_mapset(folder / f"{name}.json", target)
     return folder / f"{name}.matcap"

