@@ -78,7 +78,7 @@ def find_candidates(
     line = hash_places(_SEED, 1, np.arange(flat.shape[1]), np.zeros(1, np.int64))
     for index in range(SIMILAR.rounds * SIMILAR.lines):
         directions = draw(line, index, 2 * SIMILAR.steepest + 1) - SIMILAR.steepest
-        order = np.argsort(flat.astype(np.int32) @ directions.astype(np.int32), kind="stable")
+        order = _ordered(flat.astype(np.float32) @ directions.astype(np.float32))
         for before, after in ((order[:-1], order[1:]), (order[1:], order[:-1])):
             adjacent = np.empty_like(order)
             adjacent[before] = after
@@ -90,3 +90,13 @@ def find_candidates(
                 rows, columns = (np.roll(one, (y, x), (0, 1)) for one in (best_rows, best_columns))
                 attempt(rows + np.int32(y), columns + np.int32(x))
     return Candidates(best_rows, best_columns, best)
+
+
+def _ordered(numbers: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Stable sorting indices of whole numbers below 2^24: sorted with their indices, not by them.
+
+    A projection is at most LARGEST * steepest * DIMENSIONS, below 2^24, hence exact.
+    """
+    keys = (numbers.astype(np.int64) << 32) | np.arange(len(numbers))
+    keys.sort()
+    return np.asarray(keys & 0xFFFFFFFF, np.int64)
