@@ -257,11 +257,12 @@ def _rules(result: CaptureResult) -> Iterable[str]:
                 "Several photographs are solved in one pass, without steps that --time could "
                 "limit: it determines their detail instead."
             )
-    elif effort.preset != settings.preset:
+    elif settings.steps is None and (
+        settings.time_limit is not None or settings.target is not None
+    ):
         yield (
-            "With a time limit or a target, the preset is "
-            f"{effort.preset}: at most {effort.work(settings.generator)} steps. "
-            "Give --steps for another number."
+            "With a time limit or a target, the preset has no effect: at most "
+            f"{effort.work(settings.generator)} steps. Give --steps for another number."
         )
     if settings.width_cm is None:
         yield (

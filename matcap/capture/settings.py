@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 QUICK_DETAIL = 512
 DETAIL = 1024
 FINE_DETAIL = 2048
-FINEST_DETAIL = 4000  # nearly every pixel of 12 megapixels
-DETAILS = (QUICK_DETAIL, DETAIL, FINE_DETAIL, FINEST_DETAIL)
+DETAILS = (QUICK_DETAIL, DETAIL, FINE_DETAIL)
 # Texture statistics by name (constructors in target.py), and whether each needs a file of weights.
 STATISTICS: Mapping[str, bool] = MappingProxyType({"filterbank": False, "vgg19": True})
 STATISTICS_WORDS = "|".join(f"{name}=FILE" if file else name for name, file in STATISTICS.items())
@@ -67,13 +66,11 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
             Effort("instant", 0, 0, detail=QUICK_DETAIL),
             Effort("draft", 16, 32, matched=False, detail=QUICK_DETAIL),
             Effort("standard", 40, 160, places=3),
-            Effort("high", 120, 320, places=3),
-            Effort("reference", 120, 800, detail=FINEST_DETAIL),
         )
     }
 )
-# Preset under a time limit or a target, so that these end the work rather than its step count.
-UNLIMITED = "reference"
+# Under a time limit or a target, so that these end the work rather than its step count.
+UNLIMITED = Effort("standard", 120, 800)
 # (least time limit in seconds, detail): with less time, reading alone would use up the limit.
 TIME_FOR_DETAIL = ((60.0, FINE_DETAIL), (20.0, DETAIL), (0.0, QUICK_DETAIL))
 
@@ -113,28 +110,27 @@ class Statistics:
 class CaptureSettings:
     """User settings of a capture.
 
-    With a time limit or a target, and without steps, the preset is "reference", so that only the
-    limit ends the work.
+    With a time limit or a target, and without steps, the steps are those of UNLIMITED, so that only
+    the limit ends the work.
 
     Raises:
         UsageError: a value is out of its setting's range.
     """
 
     preset: str = setting("standard", words=tuple(PRESETS))
-    """Amount of work: instant (preview at 512 texels), draft (512 texels, to check the photograph),
-    standard (2048 texels), high (three times the optimisation steps) or reference (4000 texels,
-    nearly every pixel of 12 megapixels)."""
+    """Amount of work: instant (preview at 512 texels), draft (512 texels, to check the photograph)
+    or standard (2048 texels)."""
     steps: int | None = setting(None, least=0, most=10_000_000)
     """Optimisation steps instead of the preset's, of the exemplar or of a decoder. Several
     photographs of one sample are solved without steps."""
     time_limit: float | None = setting(
         None, least=0.001, most=1e7, option="time", metavar="TIME", parse=values.duration
     )
-    """Time limit of the whole capture, in seconds or as 90s, 2m; without --steps it implies the
-    preset reference."""
+    """Time limit of the whole capture, in seconds or as 90s, 2m; without --steps it sets the steps
+    and the texels instead of the preset."""
     target: float | None = setting(None, least=0.01, most=1e6, metavar="TIMES")
     """With the decoder: stop at this texture distance, in multiples of that between neighbouring
-    windows of the photograph; without --steps it implies the preset reference."""
+    windows of the photograph, or after 800 steps without --steps."""
     detail: int | None = setting(None, least=64, most=8192, otherwise="the preset's")
     """Texels along the photograph's long side; by default the preset's if the photograph has as
     many pixels, and 1024 otherwise or with the decoder."""
@@ -353,10 +349,9 @@ def resolve(
     if settings.steps is not None:
         effort = replace(effort, steps=settings.steps, adapted=settings.steps)
     elif settings.time_limit is not None or settings.target is not None:
-        effort = PRESETS[UNLIMITED]
         limit = settings.time_limit or math.inf
         detail = next(texels for least, texels in TIME_FOR_DETAIL if limit >= least)
-        effort = replace(effort, detail=detail)
+        effort = replace(UNLIMITED, detail=detail)
     if method is not None and method.places is not None:
         effort = replace(effort, places=method.places)
     if method is not None and method.matched is not None:

@@ -91,7 +91,7 @@ class QualityCheck:
     """Message, formatted with `value`, `percent` and the caller's words."""
     cause: str = ""
     """Likely cause if the photograph shows no other, or ""."""
-    remedy: str = "try --preset high, or {more}"
+    remedy: str = "{more}"
     """What to do; `more` is which photographs would help."""
     factor: bool = False
     """Whether the measurement is a ratio r, for which r and 1 / r are equally severe."""
@@ -152,7 +152,7 @@ def sentence(clause: str) -> str:
 
 
 _RETAKE = "photograph again, squarely from above, in the dark, a stop darker, RAW if you can"
-_HIGHLIGHT = f"try --preset high, give --fov if you know it, or {_RETAKE}"
+_HIGHLIGHT = f"give --fov if you know it, or {_RETAKE}"
 
 _TABLE = (
     # Of the photograph.
@@ -239,7 +239,7 @@ _TABLE = (
         "order", "loss of autocorrelation at one period", "share", (0.3, 0.5, 0.75),
         "the pattern is {kept:.0f} % as regular as in the photograph",
         "the pattern's period was not measured exactly, or it bends",
-        "try --preset high, or photograph it flat and from nearer",
+        "photograph it flat and from nearer",
     ),
     QualityCheck(
         "piece", "difference of log radiance between photograph and re-rendered exemplar", "share",

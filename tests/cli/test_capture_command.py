@@ -245,7 +245,7 @@ def test_an_earlier_capture_is_not_replaced_by_a_lesser_or_another_one(
 
 
 def test_the_same_capture_or_a_longer_one_comes_in_its_place(matcap, pipeline, photo, out):
-    for more in ((), (), ("--preset", "high")):
+    for more in ((), (), ("--steps", 120)):
         assert matcap("capture", photo, "-o", out, "--size", 16, *more).code == 0
 
 

@@ -97,7 +97,7 @@ def _ways() -> dict[str, Way]:
     for seconds in (10, 20, 40, 60):
         ways[f"--time {seconds}s"] = Way("time", ("--time", f"{seconds}s"))
     for steps in (0, 32, 160, 320, 800):
-        options = ("--generator", "decoder", "--preset", "reference", "--steps", f"{steps}")
+        options = ("--generator", "decoder", "--steps", f"{steps}")
         ways[f"decoder, {steps} steps"] = Way("decoder", options)
     for detail in (512, 1024, 2048, 4096):
         options = ("--detail", f"{detail}", "--steps", "40")
