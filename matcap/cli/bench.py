@@ -397,7 +397,9 @@ def pairs(
         Path, typer.Option("--out", "-o", help="Folder for pages of pairs and pairs.csv.")
     ] = Path("bench/pairs"),
     count: Annotated[int, typer.Option("-n", min=1, help="Number of pairs.")] = 40,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the choice and of sides.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the choice of pairs and of their sides.")
+    ] = 0,
 ) -> None:
     """Pages for blind comparison: pairs of captures of the fronts, the truth between them.
 

@@ -11,7 +11,7 @@ class PlainCommand(TyperCommand):
     """Typer's command, without `<bool>` in the help of flags."""
 
     def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401
-        """All parameters, `--help` too."""
+        """All parameters including `--help`, flags without a type."""
         params = super().get_params(ctx)
         for param in params:
             if getattr(param, "is_flag", False) and param.metavar is None:

@@ -26,9 +26,9 @@ class Candidates:
     """The candidate of every place of a grid."""
 
     rows: NDArray[np.int32]
-    """(H, W) in grid steps."""
+    """(H, W) coordinate of the candidates, grid steps."""
     columns: NDArray[np.int32]
-    """(H, W) in grid steps."""
+    """(H, W) coordinate of the candidates, grid steps."""
     distances: NDArray[np.int32]
     """(H, W) squared distance of the appearance vectors."""
 

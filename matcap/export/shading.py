@@ -207,7 +207,7 @@ def directional_albedo(roughness: Tensor, cosine: Tensor) -> tuple[Tensor, Tenso
 
 @lru_cache(maxsize=1)
 def _tables() -> Tensor:
-    """(1, 2, 64, 64) bias and total, rows by roughness, columns by sqrt(n.v)."""
+    """(1, 2, 64, 64) tables b and b + s of the albedo F0 s + b, by roughness and sqrt(n.v)."""
     from matcap.relight.tables import albedo
 
     made = albedo()

@@ -97,7 +97,7 @@ class DirectionalLight:
     direction: Vector
     """Towards the light; any length."""
     irradiance: Colour = WHITE
-    """On a surface facing the light."""
+    """Irradiance of a surface that faces the light."""
 
 
 @dataclass(frozen=True)

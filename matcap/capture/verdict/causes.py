@@ -41,15 +41,15 @@ class CauseLimits:
     even: float = 0.1
     """Largest log ratio of `side` that counts as uniform light."""
     room: float = 0.25
-    """Limit of `room`."""
+    """Limit of the share of ambient light, CauseMeasurements.room."""
     curve: float = 0.12
-    """Limit of `curve`."""
+    """Limit of the tone curve's difference of log radiance, CauseMeasurements.curve."""
     streak: float = 1.35
-    """Limit of `streak`."""
+    """Limit of the highlight's elongation, CauseMeasurements.streak."""
     channels: float = 0.04
-    """Limit of `channels`."""
+    """Limit of the share clipped in some channels only, CauseMeasurements.channels."""
     tilt: float = 25.0
-    """Limit of `tilt`, degrees."""
+    """Limit of the mean angle of normals, degrees, CauseMeasurements.tilt."""
     variety: float = 0.2
     """Limit of `variety`, below which features are as large as the photograph."""
     rings: int = 6

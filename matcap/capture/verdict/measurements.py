@@ -66,15 +66,15 @@ class PieceMeasurements:
     """Measurements on the exemplar itself, without the photograph."""
 
     maps: Mapping[str, float] | None = None
-    """Measurements.piece."""
+    """`error`, `slow` (log radiance) and confidence by map, for Measurements.piece."""
     residue: Mapping[str, float] | None = None
-    """Measurements.residue."""
+    """Radial variation by map about the mirror point, for Measurements.residue."""
     tilt: float = 0.0
-    """CauseMeasurements.tilt."""
+    """Mean angle of the normals to the plane's, degrees."""
     variety: float = 1.0
-    """CauseMeasurements.variety."""
+    """Patch size of the field, from 0 (the whole exemplar) to 1 (small patches)."""
     photographs: int = 1
-    """CauseMeasurements.photographs."""
+    """Number of photographs of the sample."""
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ class CField(ctypes.Structure):
 
 
 class CPixels(ctypes.Structure):
-    """Pixels: a block."""
+    """Structure of a block of pixels."""
 
     _fields_ = (
         ("count", ctypes.c_int64), ("column", Pointer), ("row", Pointer), ("point", _Three),
