@@ -45,7 +45,7 @@ class PhasedLattice:
         return replace(self, phase_offsets=self.phase_offsets[:, y >> GRID :, x >> GRID :])
 
     def periods(self) -> NDArray[np.int64]:
-        """(2, len(waves)) shift (x, y), 1/256 texel, by which each wave advances one turn, and the other none."""
+        """(2, len(waves)) shift (x, y), 1/256 texel, that advances one wave only, by a turn."""
         if len(self.waves) == 1:
             ((ax, ay),) = self.waves
             area, columns = ax * ax + ay * ay, [[ax], [ay]]

@@ -127,11 +127,11 @@ PRESENTATION = Presentation(
     "*Field*, *exemplar*: normalised style distance by SqueezeNet of the endless material and of "
     "the photographed rectangle, under lights away from the flash; 1 is indistinguishable from "
     "another sample. *Flash*: of the field under the photograph's own light; *fine*: of the field "
-    "on twice as many texels across (1024; 2048 of large photographs), where the others see 512 "
-    "and nothing finer. *Patches*: by the sliced Wasserstein distance of patches of 3, 7 and 15 "
+    "in pictures of 1024 pixels (2048 of large photographs), which show finer detail than the 512 "
+    "of the others. *Patches*: by the sliced Wasserstein distance of patches of 3, 7 and 15 "
     "texels at three scales; *filters*: by random filters, statistics of the kind that decoders "
-    "are tuned by. Seconds of the processor and memory are of the whole command, libraries "
-    "included, on one thread; seconds by the clock count for little where other programs ran. A "
+    "are fitted to. Seconds of the processor and memory are of the whole command, libraries "
+    "included, on one thread; *clock*: wall time, meaningless while other programs ran. A "
     "configuration measured on fewer materials is given by its ratio to `standard` on the same "
     "ones; *over seeds*: standard deviation between seeds, its mean over materials.",
     ("seconds", "field"),

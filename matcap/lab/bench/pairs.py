@@ -85,8 +85,10 @@ def agreement(table: Path) -> list[str]:
         separate = [(a, b, nearer) for a, b, nearer in both if max(a, b) >= _SEPARATION * min(a, b)]
         rows.append([name, _agreed(both), _agreed(separate)])
     head = ["measure", "agrees", f"{_SEPARATION - 1.0:.0%} apart, agrees"]
-    about = f"Pairs looked at without names ({path.name}); in {len(looked)} of them one was nearer."
-    return ["### What eyes say", "", about, "", *markdown(head, rows), ""]
+    about = (
+        f"Blind comparison of pairs ({path.name}): in {len(looked)} one was nearer to the truth."
+    )
+    return ["### Agreement with people", "", about, "", *markdown(head, rows), ""]
 
 
 def _agreed(pairs: Sequence[tuple[float, float, str]]) -> str:

@@ -103,7 +103,8 @@ def relight(
     """(3, H, W) float32 sRGB picture in [0, 1] of maps in the middle of the plane.
 
     The light's strength is relative to the flash estimated with the maps, so the scale between
-    flash and albedo, ambiguous in one photograph, cancels. It is exposed like the photograph, and clipped at 1.
+    flash and albedo, ambiguous in one photograph, cancels. The picture is exposed like the
+    photograph, and clipped at 1.
 
     Args:
         maps: one map set without batch dimensions.
