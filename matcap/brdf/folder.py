@@ -144,7 +144,7 @@ def write_mapset(
         info, maps.size, maps.texel_size, periodic=maps.periodic, normal=normal, specular=coloured
     )
     document["seam"] = round(seam_ratio(maps), 3)
-    with staged(folder, replacing=mapset_files(name)) as stage:
+    with staged(folder, replacing=[*mapset_files(name), preview_name(name)]) as stage:
         for kind, pixels in arrays.items():
             file = f"{name}_{kind}.exr"
             write_exr(stage / file, pixels, half=kind != "height")
@@ -254,9 +254,9 @@ def refuse_to_replace(folder: Path, new: dict[str, Any], names: Iterable[str]) -
 
 
 def mapset_files(name: str) -> list[str]:
-    """Names of all files that a map set may have."""
+    """Names of all files that write_mapset may write."""
     maps = [f"{name}_{kind}.{suffix}" for kind in MEANINGS for suffix in ("exr", "png")]
-    return [*maps, preview_name(name), f"{name}.json"]
+    return [*maps, f"{name}.json"]
 
 
 def preview_name(name: str) -> str:

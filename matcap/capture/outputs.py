@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matcap.brdf.folder import PIECE, SETUP, MapSetInfo, mapset_files, write_mapset
+from matcap.brdf.folder import PIECE, SETUP, MapSetInfo, mapset_files, preview_name, write_mapset
 from matcap.capture.settings import OutputSettings
 from matcap.example.exemplar import CHANNELS
 from matcap.files.exr import write_exr_channels
@@ -41,7 +41,7 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
     from matcap.capture.report import write_report
 
     name = folder.name
-    older = [*mapset_files(name), *_piece_files(name)]
+    older = [*mapset_files(name), preview_name(name), *_piece_files(name)]
     # Drawing the preview takes as long as writing the rest, mostly on one thread: do both at once.
     # The pool exits first, then `staged` publishes all files.
     with staged(folder, replacing=older) as stage, ThreadPoolExecutor(1) as pool:

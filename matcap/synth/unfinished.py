@@ -17,7 +17,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from matcap.brdf.folder import MEANINGS, mapset_files
+from matcap.brdf.folder import MEANINGS, mapset_files, preview_name
 from matcap.errors import MatcapError
 from matcap.files.cluster import WorkerLost
 from matcap.files.names import StagedFolder, plain_name
@@ -129,4 +129,4 @@ def files_of(folder: Path, name: str) -> list[str]:
     tiles = [
         file.name for kind in kinds for file in folder.glob(f"{name}_{kind}.1[0-9][0-9][0-9].*")
     ]
-    return [*mapset_files(name), f"{name}_maps.exr", *tiles]
+    return [*mapset_files(name), preview_name(name), f"{name}_maps.exr", *tiles]

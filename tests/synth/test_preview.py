@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from matcap.brdf.folder import read_mapset
+from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
 from matcap.field.plane import Rectangle
 from matcap.files.mark import mark_of
 from matcap.relight.render import Renderer
@@ -95,3 +95,9 @@ def test_about_a_megapixel_is_shown_of_any_size(whole, repeats, shown):
     x, y, width, height = shown
     assert preview.shown == Rectangle(7 + x, y - 5, width, height)
     assert preview.repeats == (repeats, repeats)
+
+
+def test_maps_written_over_synthesised_ones_leave_no_preview_of_those(material, tmp_path):
+    _, document = written(material, tmp_path, Rectangle(0, 0, 16, 16))
+    write_mapset(material.maps(16, 16), tmp_path, MapSetInfo(document.stem))
+    assert not list(tmp_path.glob("*_preview.png"))
