@@ -15,16 +15,16 @@ from matcap.files.progress import Progress, ignore_progress
 # one photograph of 12 megapixels with the preset `standard`.
 PIECE_STAGES: Mapping[str, float] = MappingProxyType(
     {
-        "read": 0.03,
-        "coarse fit": 0.08,
-        "piece": 0.11,
-        "strengths": 0.07,
-        "refine": 0.03,
-        "adapt": 0.30,
-        "inpaint": 0.12,
-        "index": 0.07,
-        "verdict": 0.12,
-        "write": 0.07,
+        "read": 0.02,
+        "coarse fit": 0.13,
+        "piece": 0.04,
+        "strengths": 0.02,
+        "refine": 0.05,
+        "adapt": 0.26,
+        "inpaint": 0.09,
+        "index": 0.09,
+        "verdict": 0.18,
+        "write": 0.12,
     }
 )
 # The same of five photographs of one sample.

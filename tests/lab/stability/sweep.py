@@ -15,6 +15,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[2]))  # arrays.py
+
 from stable.domains import DOMAINS, QUICK, USUAL, failures, stability_experiment
 
 from matcap.errors import ExitCode

@@ -1,5 +1,9 @@
 """`sweep.py` finds what it looks for, counts it and says so by its exit code."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 import torch
 from stable import domains, reflectance
@@ -63,3 +67,9 @@ def test_a_call_that_takes_too_long_is_a_failure(monkeypatch, tmp_path):
     monkeypatch.setattr(domains, "LONGEST", -1.0)
     monkeypatch.setattr(domains, "DOMAINS", {"sets": {"slow": Entry(domain_of(Swept(1)), 1.0)}})
     assert main(["-o", str(tmp_path), "sets=1"]) == 4
+
+
+def test_it_runs_from_any_folder_as_documented(tmp_path):
+    command = [sys.executable, str(Path(__file__).with_name("sweep.py")), "--help"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "GROUP=DRAWS" in done.stdout
