@@ -196,7 +196,8 @@ class Unknowns:
         albedo: (3,) log of diffuse albedo; of a conductor, log of F0.
         specular: (1,) log of a dielectric's F0.
         roughness: (1,) logit; of the narrow lobe, if there are two.
-        intensity: (1,) log of the flash's.
+        intensity: (1,) log of the flash's, in green.
+        hue: (2,) log of the flash's intensity in red and in blue over that.
         offset: (2,) of the flash from the camera, plane units.
         tilt: (2,) radians.
         vignetting: (2,) with r^2 and with r^4, as FlashSetup has them.
@@ -209,6 +210,7 @@ class Unknowns:
     specular: Tensor
     roughness: Tensor
     intensity: Tensor
+    hue: Tensor
     offset: Tensor
     tilt: Tensor
     vignetting: Tensor
@@ -217,17 +219,23 @@ class Unknowns:
     wider: Tensor | None = None
 
     def vector(self) -> Tensor:
-        """(13,), or (15,) of two lobes."""
+        """(15,), or (17,) of two lobes."""
         parts = (getattr(self, f.name) for f in fields(self))
         return torch.cat([part for part in parts if part is not None])
 
     @staticmethod
     def of(vector: Tensor) -> Unknowns:
         """The inverse of vector()."""
-        one_lobe = (3, 1, 1, 1, 2, 2, 2, 1)
+        one_lobe = (3, 1, 1, 1, 2, 2, 2, 2, 1)
         return Unknowns(
             *vector.split(one_lobe if len(vector) == sum(one_lobe) else (*one_lobe, 1, 1))
         )
+
+    @property
+    def flash(self) -> Tensor:
+        """(3,) log of the flash's intensity by channel."""
+        red, blue = (self.intensity + self.hue).split(1)
+        return torch.cat([red, self.intensity, blue])
 
     @property
     def lobes(self) -> list[tuple[Tensor | float, Tensor]]:
@@ -248,6 +256,7 @@ _DIELECTRIC_MEAN = Unknowns(
     specular=_numbers(math.log(0.04)),
     roughness=_numbers(0.0),
     intensity=_numbers(3.0),
+    hue=_numbers(0.0, 0.0),
     offset=_numbers(0.0, 0.0),
     tilt=_numbers(0.0, 0.0),
     vignetting=_numbers(0.0, 0.0),
@@ -258,6 +267,7 @@ _DIELECTRIC_DEVIATION = Unknowns(
     specular=_numbers(0.15),
     roughness=_numbers(1.5),
     intensity=_numbers(5.0),
+    hue=_numbers(0.3, 0.3),  # white balance is the whole picture's, not the flash's
     offset=_numbers(0.12, 0.12),
     tilt=_numbers(0.05, 0.05),
     vignetting=_numbers(1.0, 1.0),
@@ -267,7 +277,7 @@ _CONDUCTOR_F0 = (math.log(0.5), 0.5)
 # Of two lobes beside.
 _PARTED_MEAN = {"share": _numbers(0.0), "wider": _numbers(0.0)}
 _PARTED_DEVIATION = {"share": _numbers(1.5), "wider": _numbers(0.7)}
-_INDEX = Unknowns.of(torch.arange(13))  # of each unknown in vector(), of two lobes as well
+_INDEX = Unknowns.of(torch.arange(15))  # of each unknown in vector(), of two lobes as well
 _FALLOFF = _INDEX.vignetting
 # Logit of roughness: matte, satin, glossy, mirror-like.
 _STARTS = (0.8, -0.4, -1.4, -2.2)
@@ -343,7 +353,7 @@ def fit_coarse(
 class _Prior:
     """A hypothesis: Gaussian prior of the unknowns, and whether they are a conductor's.
 
-    `precision` is (13, 13), the inverse covariance. `alone` is the tilt's mean and deviation
+    `precision` is (15, 15), the inverse covariance. `alone` is the tilt's mean and deviation
     without a measurement of it, where there is one.
     """
 
@@ -386,6 +396,9 @@ def _prior(
         level, scatter = _CONDUCTOR_F0
         mean = replace(mean, albedo=_numbers(*[level] * 3))
         deviation = replace(deviation, albedo=_numbers(*[scatter] * 3))
+    # A conductor colours all that it reflects; RAW and cards are white under the flash.
+    if conductor or photo.radiometric or photo.flash_intensity is not None:
+        deviation = replace(deviation, hue=_numbers(1e-4, 1e-4))
     if photo.radiometric:
         leaning = _numbers(COARSE.tilt_radiometric, COARSE.tilt_radiometric)
         deviation = replace(deviation, tilt=leaning)
@@ -475,6 +488,7 @@ def _coarse_fit(fitted: _Fitted, fov: float) -> CoarseFit:
     # Only the product with the flash's intensity is measured: limit albedo, raise the intensity.
     excess = max(0.0, max(*albedo, specular) - math.log(COARSE.brightest))
     red, green, blue = (math.exp(value - excess) for value in albedo)
+    flash_red, flash_green, flash_blue = (best.flash + excess).exp().tolist()
     across, up = best.offset.tolist()
     tilt_x, tilt_y = best.tilt.tolist()
     squared, quartic = best.vignetting.tolist()
@@ -486,7 +500,7 @@ def _coarse_fit(fitted: _Fitted, fov: float) -> CoarseFit:
             fov=fov,
             offset=(across, up, 0.0),
             tilt=(tilt_x, tilt_y),
-            intensity=(math.exp(float(best.intensity) + excess),) * 3,
+            intensity=(flash_red, flash_green, flash_blue),
             vignetting=squared,
             vignetting_quartic=quartic,
         ),
@@ -525,7 +539,9 @@ def render_coarse(fit: CoarseFit, width: int, height: int) -> NDArray[np.float64
         albedo=_numbers(*fit.diffuse).log(),
         specular=_numbers(fit.specular).log(),
         roughness=_numbers(fit.roughness).logit(),
-        intensity=_numbers(fit.setup.intensity[0]).log(),
+        intensity=_numbers(fit.setup.intensity[1]).log(),
+        hue=_numbers(fit.setup.intensity[0], fit.setup.intensity[2]).log()
+        - math.log(fit.setup.intensity[1]),
         offset=_numbers(across, up),
         tilt=_numbers(*fit.setup.tilt),
         vignetting=_numbers(fit.setup.vignetting, fit.setup.vignetting_quartic),
@@ -655,7 +671,7 @@ class _Problem:
         highlight: whose centre is evidence, or None.
         evidence: its weight, as share of the picture's.
         rings: (2, 3 * directions) image coordinates: its middle, half width and surroundings.
-        prior: (n,) the prior's mean, of 13 or 15 parameters.
+        prior: (n,) the prior's mean, of 15 or 17 parameters.
         precision: (n, n) Hessian of the prior's cost.
         unit: cost of a nat of the prior.
         shoulder: of the tone curve; 0 without one.
@@ -855,7 +871,7 @@ def _log_radiance(
     ray = torch.cat([image, torch.full_like(image[:1], -distance)])
     along = -(normal[2] * distance) / torch.tensordot(normal, ray, dims=1)
     points = camera[:, None, None] + along * ray
-    light = FlashLight.between(points, camera, flash, unknowns.intensity.exp()[:, None, None])
+    light = FlashLight.between(points, camera, flash, unknowns.flash.exp()[:, None, None])
     incidence = light.onto(normal[:, None, None].expand_as(points), exact=True)
     colour = unknowns.albedo.exp()[:, None, None]
     radiance = incidence.diffuse(colour * (COARSE.black if conductor else 1.0))

@@ -217,3 +217,16 @@ def test_a_raw_has_no_tone_curve():
     _, photo = made(roughness=0.5)
     assert fit_coarse(photo).tone == ToneCurve()
     assert fit_coarse(replace(photo, radiometric=False)).tone.exponent != 1.0
+
+
+def test_a_coloured_flash_does_not_colour_a_black_dielectric():
+    """A dielectric's highlight has the flash's colour: its albedo is what the rest leaves."""
+    hue = (0.8, 1.0, 1.15)
+    setup = replace(a_setup(), intensity=tuple(8.0 * channel for channel in hue))
+    black = (0.004, 0.004, 0.004)
+    fit = fit_coarse(photograph(setup, diffuse=black, roughness=0.35, radiometric=False))
+    red, green, blue = fit.setup.intensity
+    assert (red / green, blue / green) == pytest.approx((0.8, 1.15), rel=0.06)
+    assert fit.diffuse[2] / fit.diffuse[0] == pytest.approx(1.0, abs=0.15)
+    raw = fit_coarse(photograph(setup, diffuse=black, roughness=0.35))
+    assert raw.setup.intensity[2] / raw.setup.intensity[0] == pytest.approx(1.0, abs=0.01)
