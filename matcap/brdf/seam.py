@@ -31,7 +31,7 @@ def _each(maps: MapSet) -> tuple[Tensor, ...]:
 
 
 def _ratio(channels: Tensor, axis: int) -> float:
-    """The ratio of one map (C, H, W) along one axis."""
+    """Step across the border over the step between lines inside, of one map (C, H, W)."""
     if channels.shape[axis] < 3:
         return 1.0
     values, other = channels.detach(), -3 - axis

@@ -18,7 +18,7 @@ _STRIP = "strip.png"
 @with_settings
 def blend(
     first: Annotated[Path, typer.Argument(metavar="A", help="A .matcap file.")],
-    second: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="A .matcap file.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for materials and strip.")] = (
         Path("blend")
     ),

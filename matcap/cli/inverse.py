@@ -43,7 +43,8 @@ def train(
     ] = None,
     rate: Annotated[float, typer.Option(help="Learning rate of Adam.")] = 4e-4,
     cooling: Annotated[
-        int, typer.Option(min=0, help="Last steps, over which the rate falls to 0.")
+        int,
+        typer.Option(min=0, help="Number of last steps, over which the learning rate falls to 0."),
     ] = 0,
     batch: Annotated[int, typer.Option(min=1, help="Photographs per step.")] = 1,
     size: Annotated[

@@ -78,9 +78,9 @@ class Residual:
     """Absolute difference of reflected light, over matcap's light."""
 
     mean: float
-    """Over all texels, views and lights."""
+    """Mean over all texels, views and lights."""
     worst: float
-    """Largest of any one view and light, over all texels."""
+    """Mean over all texels for the pair of view and light with the largest residual."""
 
     def __str__(self) -> str:
         return f"{self.mean:.2%} of the light on average, {self.worst:.2%} at worst"

@@ -228,7 +228,7 @@ def sidecar_name(name: str, target: str) -> str:
 
 
 def preset_forms(name: str, choice: ExportOptions | None = None) -> Forms:
-    """The forms of a preset; a name such as "unreal-metallic" selects one.
+    """Writers of a preset by workflow (specular, metallic); "unreal-metallic" selects one.
 
     Raises:
         UsageError: no such preset.

@@ -25,9 +25,9 @@ class PredictSettings:
     across: int = 224
     """Texels across the grid, enough for errors of shading and gloss."""
     rounds: tuple[int, ...] = (2, 1)
-    """SolveSettings.rounds."""
+    """Steps per texel in each round; a round begins with a fit of the shared parameters."""
     sampled: int = 1500
-    """SolveSettings.sampled; few, as the initial light is nearly exact."""
+    """Texels to which shared parameters are fitted; few, as the initial light is nearly exact."""
 
 
 @dataclass(frozen=True)

@@ -272,7 +272,7 @@ def _log_errors(precision: Tensor, prior: ParameterPrior) -> Tensor:
 
 
 def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, float, float, float]:
-    """Solved.measured."""
+    """Photographs' share in the posterior precision of each map, median over texels."""
     share = precision / (precision + prior.precision)
     every = [share[part].flatten().median().item() for part in (ALBEDO, F0, ROUGH, SLOPES)]
     return every[0], every[1], every[2], every[3]
@@ -281,7 +281,7 @@ def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, float, flo
 def _residuals(
     views: Sequence[PieceView], parameters: Tensor, light: SetLight, settings: SolveSettings
 ) -> tuple[float, ...]:
-    """Solved.residual."""
+    """Median absolute residual of log radiance of each photograph."""
     left = []
     for k, view in enumerate(views):
         off = []

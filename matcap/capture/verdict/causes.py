@@ -236,7 +236,7 @@ def by_place(difference: SmoothLight) -> SmoothLight:
 
 
 def _brightest_side(light: SmoothLight) -> float:
-    """CauseMeasurements.side of smooth light (h, w)."""
+    """Log ratio of the brightest side to the surroundings of the centre, of smooth light (h, w)."""
     height, width = light.shape
     rows, columns = (max(1, round(CAUSES.strip * side)) for side in (height, width))
     sides = (light[:rows], light[-rows:], light[:, :columns], light[:, -columns:])
@@ -275,7 +275,7 @@ def _laid_over(light: SmoothLight, model: SmoothLight) -> float:
 def _streak(
     pictures: tuple[Picture, Picture], highlights: tuple[Highlight | None, Highlight | None]
 ) -> float:
-    """CauseMeasurements.streak; 1 without a highlight in the photograph."""
+    """Length over width of the highlight over that re-rendered; 1 without one in the photograph."""
     first, second = (
         None if highlight is None else _elongation(light_of(picture), highlight)
         for picture, highlight in zip(pictures, highlights, strict=True)

@@ -16,7 +16,7 @@ from matcap.photo.photo import Photo
 
 @dataclass(frozen=True)
 class PeriodSettings:
-    """Settings of the test."""
+    """Settings of the test whether a match is shifted by a period of a repeating pattern."""
 
     across: int = 640
     """Width of the downsampled photograph, pixels."""

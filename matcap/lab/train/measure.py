@@ -128,7 +128,9 @@ def capture(
     started = time.perf_counter()
     decoder, code = begin()
     scene = tuned.scene
-    outcome = finetune(decoder, code, scene, TuneSettings(steps=steps, learning_rate=rate), _untold)
+    outcome = finetune(
+        decoder, code, scene, TuneSettings(steps=steps, learning_rate=rate), _ignored
+    )
     seconds = time.perf_counter() - started
     if outcome.interrupted:
         raise KeyboardInterrupt  # half a capture is no measurement
@@ -148,5 +150,5 @@ def seeds(realisations: int) -> range:
     return range(_FIRST_SEED, _FIRST_SEED + realisations)
 
 
-def _untold(share: float, error: float, seconds: float) -> None:
+def _ignored(share: float, error: float, seconds: float) -> None:
     """Ignore progress."""
