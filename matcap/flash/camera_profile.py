@@ -29,7 +29,7 @@ Doubles = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ProfileSettings:
-    """Settings of the combination.
+    """Settings of the combination of falloffs to a camera profile.
 
     Attributes:
         freedom: degrees of freedom nu of Student's t, above 2; smaller reject more outliers.

@@ -21,7 +21,7 @@ SURROUNDINGS = (0.5, 0.7)  # plane units from the centre: outside most highlight
 
 @dataclass(frozen=True)
 class HighlightSettings:
-    """Settings of the detection; docs/notes/capture.md."""
+    """Settings of the detection of the highlight; docs/notes/capture.md."""
 
     seed_blur: float = 0.04
     """Standard deviation of the blur that removes glints for the first centre, plane units."""

@@ -20,7 +20,7 @@ from matcap.statistics.compare import UNSEEN, Descriptor, Features, describe
 
 @dataclass(frozen=True)
 class WindowSettings:
-    """Settings of the comparison; docs/notes/prior.md."""
+    """Windows in which photograph and rendering are compared; docs/notes/prior.md."""
 
     hiss: float = 2e-3
     """Read noise, as a share of the clip level added to the radiance in shot noise."""

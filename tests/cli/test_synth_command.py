@@ -157,7 +157,11 @@ def test_failures_leave_nothing(matcap, material, tmp_path):
         ([material, "-o", "set", "--udim", "11x1"], "at most 10 columns", 2),
         ([material, "-o", "set", "--mask", "mask.png"], "give --blend", 2),
         ([material, "-o", "set", "--blend", material], "give a picture with --mask", 2),
-        ([material, "-o", "set", "--like", "photo.jpg"], "--like: this applies only to a material", 2),
+        (
+            [material, "-o", "set", "--like", "photo.jpg"],
+            "--like: this applies only to a material",
+            2,
+        ),
         ([material, "-o", "set", "-t", "0.2"], "-t: this applies only to a material", 2),
         (["-o", "set", "--like", "none.jpg"], "none.jpg: there is no such file", 3),
         ([material, "-o", material / "set"], "a file stands where a folder is needed", 3),

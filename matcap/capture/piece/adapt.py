@@ -64,8 +64,8 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Leg:
-    """Settings of a stage of the fit.
+class FitStage:
+    """Settings of one stage of the texture-statistics fit.
 
     Attributes:
         steps: of Adam.
@@ -86,21 +86,23 @@ class Leg:
 
 
 @torch.enable_grad()
-def adapt(maps: MapSet, seen: NDArray[np.bool_], scene: PhotographTarget, leg: Leg) -> Adapted:
+def adapt(
+    maps: MapSet, seen: NDArray[np.bool_], scene: PhotographTarget, fit_stage: FitStage
+) -> Adapted:
     """Fit offset and contrast of albedo, and amplitudes of relief, to a photograph's statistics.
 
     Args:
         maps: of the exemplar, on the plane's grid.
         seen: (H, W) bool, valid texels of the photograph.
         scene: the photograph's windows and statistics.
-        leg: settings of the stage.
+        fit_stage: settings of the stage.
     """
-    if not leg.steps:
+    if not fit_stage.steps:
         return Adapted(maps)
-    scaled = _ScaledMaps(maps, leg.reach, leg.deviation)
+    scaled = _ScaledMaps(maps, fit_stage.reach, fit_stage.deviation)
     seen_corners = corners(seen, scene.windows.size)
-    fitted, validation = _parted(scene.windows.count, leg.seed)
-    interrupted = _Fit(scaled, scene, seen_corners, fitted).run(leg)
+    fitted, validation = _parted(scene.windows.count, fit_stage.seed)
+    interrupted = _Fit(scaled, scene, seen_corners, fitted).run(fit_stage)
     with torch.no_grad():
         change = _judged(scaled, scene, validation, seen_corners)
         return Adapted(scaled.maps() if change.kept else maps, interrupted, change)
@@ -122,10 +124,13 @@ class _Fit:
     corners: NDArray[np.int64]
     fitted: Tensor
 
-    def run(self, leg: Leg) -> bool:
+    def run(self, fit_stage: FitStage) -> bool:
         """Fit; average parameters over the last steps. Returns whether Ctrl-C ended it."""
-        numbers, schedule = self.scaled.numbers, Schedule(leg.steps, leg.seconds, None)
-        order, draw = shuffled(len(self.fitted), leg.seed), np.random.default_rng(leg.seed)
+        numbers, schedule = self.scaled.numbers, Schedule(fit_stage.steps, fit_stage.seconds, None)
+        order, draw = (
+            shuffled(len(self.fitted), fit_stage.seed),
+            np.random.default_rng(fit_stage.seed),
+        )
         adam = Adam([numbers], ADAPT.betas)
         total, averaged = torch.zeros_like(numbers), 0
         interrupted = False
@@ -135,11 +140,11 @@ class _Fit:
                 (numbers.grad,) = torch.autograd.grad(self._loss(places, draw, schedule), [numbers])
                 if torch.isfinite(numbers.grad).all():
                     falling = min(1.0, (1.0 - schedule.share) / ADAPT.averaged_from)
-                    adam.step(leg.reach * ADAPT.rate * falling)
+                    adam.step(fit_stage.reach * ADAPT.rate * falling)
                 if schedule.share >= ADAPT.averaged_from:
                     total, averaged = total + numbers.detach(), averaged + 1
                 schedule.step += 1
-                leg.on_progress(min(1.0, schedule.step / leg.steps))
+                fit_stage.on_progress(min(1.0, schedule.step / fit_stage.steps))
         except KeyboardInterrupt:
             interrupted = True
         if averaged:

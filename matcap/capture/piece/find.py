@@ -21,7 +21,7 @@ from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.detail import Rectified
 from matcap.capture.piece.absolute import most_probable_scale, scaled
-from matcap.capture.piece.adapt import Adapted, Change, Leg, adapt, even_contrast
+from matcap.capture.piece.adapt import Adapted, Change, FitStage, adapt, even_contrast
 from matcap.capture.piece.classes import Classes, find_mixture
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.finest import finest, sharpness
@@ -167,12 +167,12 @@ class Adaptation:
     steps: int
     seed: int = 0
 
-    def legs(self, strengths: Strengths | None, clock: CaptureClock) -> Iterator[Leg]:
+    def fit_stages(self, strengths: Strengths | None, clock: CaptureClock) -> Iterator[FitStage]:
         """Yield the settings of each stage, with its share of the time left when it begins."""
-        count = len(ADAPT.legs)
+        count = len(ADAPT.fit_stages)
         deviation = strengths.log_deviations() if strengths else ()
-        for number, reach in enumerate(ADAPT.legs):
-            yield Leg(
+        for number, reach in enumerate(ADAPT.fit_stages):
+            yield FitStage(
                 -(-self.steps // count),
                 reach,
                 deviation,
@@ -216,8 +216,8 @@ def find_piece(
         if adaptation is not None:
             with clock.stage("adapt"):
                 target = adaptation.target()
-                for leg in adaptation.legs(strengths, clock):
-                    prediction, result = adapted(observed, prediction, target, leg)
+                for fit_stage in adaptation.fit_stages(strengths, clock):
+                    prediction, result = adapted(observed, prediction, target, fit_stage)
                     changes += [result.change] if result.change else []
                     if result.interrupted:
                         raise KeyboardInterrupt
@@ -355,7 +355,10 @@ def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPre
 
 
 def adapted(
-    observed: Observation, prediction: NetworkPrediction, target: PhotographTarget, leg: Leg
+    observed: Observation,
+    prediction: NetworkPrediction,
+    target: PhotographTarget,
+    fit_stage: FitStage,
 ) -> tuple[NetworkPrediction, Adapted]:
     """Run a stage of the texture-statistics fit; reject it if the re-rendering residual grows.
 
@@ -370,7 +373,7 @@ def adapted(
         observed.light.maps(replace(departures, diffuse=albedo), plane.texel_size),
         plane.valid.numpy(),
         target,
-        leg,
+        fit_stage,
     )
     if fitted.change is None or not fitted.change.kept:
         return prediction, fitted

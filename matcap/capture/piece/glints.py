@@ -27,7 +27,7 @@ from matcap.capture.piece.smooth import filled, smoothed, split
 
 @dataclass(frozen=True)
 class GlintSettings:
-    """Settings of the measurement.
+    """Settings of the measurement of relief from glints.
 
     Attributes:
         mirrored: specular fraction of the radiance that bounds the glossiest region.

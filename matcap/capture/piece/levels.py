@@ -28,7 +28,7 @@ _STEP = 0.03  # of logit roughness, for differences
 
 @dataclass(frozen=True)
 class LevelSettings:
-    """Settings of the fit.
+    """Settings of the fit of mean F0 and roughness to rings around the mirror point.
 
     Attributes:
         innermost: r0, plane units; the ring of radius r is per_octave log2(1 + r / r0), truncated.

@@ -222,7 +222,8 @@ class AdaptSettings:
     """Texture-statistics fit of the scaling parameters (adapt.py).
 
     Attributes:
-        legs: factor on rate and prior standard deviations, by stage; albedo is refined after each.
+        fit_stages: factor on rate and prior standard deviations, by stage; albedo is refined after
+            each.
             Long steps in the last stage leave relief off by a tenth.
         stepping: share of a stage's time limit for its steps; the rest is for validation and
             refinement.
@@ -249,7 +250,7 @@ class AdaptSettings:
         contrast_unseen: added to the visibility as weight of the local contrast.
     """
 
-    legs: tuple[float, ...] = (1.0, 0.35)
+    fit_stages: tuple[float, ...] = (1.0, 0.35)
     stepping: float = 0.8
     rate: float = 0.06
     betas: tuple[float, float] = (0.8, 0.95)

@@ -19,7 +19,7 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class SurfaceSettings:
-    """Settings of the integration; docs/notes/several.md."""
+    """Settings of the integration of slopes to heights; docs/notes/several.md."""
 
     model: float = 0.03
     """Standard deviation of slopes due to model errors: shadows, parallax, bend."""

@@ -21,7 +21,7 @@ BlockMeans = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ResidueSettings:
-    """Settings of the measurement; docs/notes/verdict.md."""
+    """Settings of the measurement of what the highlight left in the maps; docs/notes/verdict.md."""
 
     blocks: int = 24
     """Blocks along the long side; smaller structure is texture."""

@@ -23,7 +23,7 @@ ChannelPlane = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class SharpSettings:
-    """Settings of the detection; docs/notes/several.md."""
+    """Settings of the detection of blurred photographs; docs/notes/several.md."""
 
     blurred: float = 0.22
     """Log loss of sharpness against the median from which a photograph is blurred; sharp ones vary

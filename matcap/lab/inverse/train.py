@@ -1,4 +1,4 @@
-"""Training of the inverse network in legs that continue one another exactly.
+"""Training of the inverse network in runs that continue one another exactly.
 
 A step trains on simulated photographs; samples are a pure function of their numbers, prefetched by
 worker processes. lab/train/trainer.py runs the steps. The shipped weights are the running average.
@@ -42,11 +42,11 @@ SampleBatch = list[tuple[Tensor, Sample]]  # inputs and truth, of one size
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """Settings of a leg.
+    """Settings of one training run of the inverse network.
 
     Attributes:
-        steps: total number of steps at the end of the leg.
-        seconds: time limit of the leg.
+        steps: total number of steps at the end of the run.
+        seconds: time limit of the run.
         rate: Adam's learning rate.
         cooling: number of last steps over which the learning rate falls to 0.
         average: decay of the weights' running average.
@@ -95,14 +95,14 @@ def train(
     on_progress: Callable[[str], None] = print,
     begin: Path | None = None,
 ) -> Training[Inverse]:
-    """Train one leg, from the checkpoint in a folder if there is one.
+    """Train one run, from the checkpoint in a folder if there is one.
 
     Args:
         folder: for checkpoint and curves.
-        settings: of the leg.
+        settings: of the run.
         config: shape of the network.
         on_progress: called with a line every 50 steps.
-        begin: a shipped network to initialise the first leg; None for random weights.
+        begin: a shipped network to initialise the first run; None for random weights.
     """
     training = start(config, settings)
     if (folder / CHECKPOINT).exists():
@@ -139,7 +139,7 @@ def step_loss(
         model: the network.
         step: its number.
         batch: the samples.
-        settings: of the leg.
+        settings: of the run.
         compare: `losses.compared`, or its compiled form.
     """
     device = settings.device

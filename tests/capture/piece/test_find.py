@@ -14,7 +14,7 @@ from photographed import photographed
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.detail import Rectified
-from matcap.capture.piece.adapt import Adapted, Change, Leg
+from matcap.capture.piece.adapt import Adapted, Change, FitStage
 from matcap.capture.piece.find import (
     ExemplarEstimate,
     _read,
@@ -86,7 +86,7 @@ def test_a_leg_after_which_the_piece_looks_otherwise_is_not_taken(
 
     monkeypatch.setattr(sys.modules[adapted.__module__], "adapt", nearer)
     nothing = cast(PhotographTarget, None)  # which what is put in adapt's place does not look at
-    found, result = adapted(sight, reading, nothing, Leg(1))
+    found, result = adapted(sight, reading, nothing, FitStage(1))
     assert result.change is not None and result.change.kept is taken
     assert (found is reading) is not taken
     assert unexplained(sight, found) < 1.3 * max(before, 0.15)

@@ -1,4 +1,4 @@
-"""Training of the inverse network: samples, losses, legs that continue one another."""
+"""Training of the inverse network: samples, losses, runs that continue one another."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def test_the_truth_has_no_loss_but_doubt() -> None:
 
 def test_legs_continue_exactly(tmp_path: Path) -> None:
     whole = train(tmp_path / "whole", TrainSettings(**{**vars(SMALL), "steps": 4}), TINY, _quiet)
-    train(tmp_path / "legs", TrainSettings(**{**vars(SMALL), "steps": 2}), TINY, _quiet)
-    resumed = train(tmp_path / "legs", TrainSettings(**{**vars(SMALL), "steps": 4}), TINY, _quiet)
+    train(tmp_path / "runs", TrainSettings(**{**vars(SMALL), "steps": 2}), TINY, _quiet)
+    resumed = train(tmp_path / "runs", TrainSettings(**{**vars(SMALL), "steps": 4}), TINY, _quiet)
     assert resumed.step == whole.step == 4
     for a, b in zip(whole.model.parameters(), resumed.model.parameters(), strict=True):
         assert torch.equal(a, b)
@@ -89,7 +89,7 @@ def test_a_first_leg_goes_on_from_a_shipped_network(tmp_path: Path) -> None:
     save_inverse(Inverse(TINY), tmp_path / "before.safetensors", {"steps": 7})
     before, _ = read_inverse(tmp_path / "before.safetensors")
     none = TrainSettings(**{**vars(SMALL), "steps": 0})
-    state = train(tmp_path / "leg", none, TINY, _quiet, begin=tmp_path / "before.safetensors")
+    state = train(tmp_path / "run", none, TINY, _quiet, begin=tmp_path / "before.safetensors")
     assert state.step == 0 and state.about["origin"] == {"steps": 7}
     for a, b in zip(before.parameters(), state.average.parameters(), strict=True):
         assert torch.equal(a, b)
@@ -100,8 +100,8 @@ def test_what_is_shipped_may_lie_on_the_way(tmp_path: Path) -> None:
     save_inverse(Inverse(), tmp_path / "before.safetensors", {"steps": 7})
     once = TrainSettings(**{**vars(SMALL), "steps": 1})
     begin = tmp_path / "before.safetensors"
-    state = train(tmp_path / "leg", once, InverseConfig(), _quiet, begin=begin)
-    card = ship(tmp_path / "leg", tmp_path / "between.safetensors", begin, 0.5)
+    state = train(tmp_path / "run", once, InverseConfig(), _quiet, begin=begin)
+    card = ship(tmp_path / "run", tmp_path / "between.safetensors", begin, 0.5)
     assert card["photographs_seen"] == 8 and card["share"] == 0.5
     before, between = read_inverse(begin)[0], read_inverse(tmp_path / "between.safetensors")[0]
     for a, b, c in zip(
@@ -114,7 +114,7 @@ def test_the_rate_warms_up_stays_and_falls_to_nothing() -> None:
     cooled = TrainSettings(steps=10_000, rate=1e-3, cooling=4_000)
     rates = [cooled.schedule.share(step) for step in (0, 199, 6_000, 8_000, 10_000, 10_001)]
     assert rates == pytest.approx([5e-3, 1.0, 1.0, 0.5, 0.0, 0.0])
-    # A leg without cooling knows nothing of its end.
+    # A run without cooling knows nothing of its end.
     assert TrainSettings(steps=10_000).schedule.share(10_000) == 1.0
 
 
