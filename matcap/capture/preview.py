@@ -109,7 +109,7 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
         piece = block(list(piece_panels(result, result.estimate)))
         blocks = [
             titled(blocks[0], f"The material, {generator}"),
-            titled(piece, "The photographed piece itself"),
+            titled(piece, "The photographed rectangle itself"),
         ]
         if result.estimate.several is not None:
             from matcap.capture.together.picture import draw_set

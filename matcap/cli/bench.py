@@ -35,7 +35,7 @@ MaterialArgument = Annotated[
     ),
 ]
 OnlyOption = Annotated[
-    list[str] | None, typer.Option(help="Measure only the named one; may be repeated.")
+    list[str] | None, typer.Option(help="Measure only what is named; repeatable.")
 ]
 SetsOption = Annotated[
     Path | None,

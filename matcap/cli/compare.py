@@ -24,7 +24,7 @@ def compare(
     first: Annotated[
         Path, typer.Argument(metavar="A", help="A capture's folder, or its .matcap file.")
     ],
-    second: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another capture.")],
     photo: Annotated[
         list[Path] | None,
         typer.Option(

@@ -35,7 +35,7 @@ _CONFIDENCE_STEPS = 15  # confidence is a weight that needs no finer steps
 
 @dataclass(frozen=True)
 class Exemplar:
-    """Maps of the photographed piece, row 0 at the top, float32, each in contiguous memory.
+    """Maps of the photographed rectangle, row 0 at the top, float32, each in contiguous memory.
 
     Raises:
         ValueError: a map of another shape, an empty or too large one, or values out of range.

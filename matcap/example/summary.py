@@ -54,7 +54,7 @@ class Summary:
             periods = " and ".join(f"{period:.1f}" for period in self.periods)
             lattice = f"It repeats every {periods} texels."
         return [
-            ("exemplar", f"{width} x {height} texels of the photographed piece."),
+            ("exemplar", f"{width} x {height} texels of the photographed rectangle."),
             ("lattice", lattice),
             ("variety", f"{self.variety:g}: {self.patches_text(millimetres)}."),
             ("left out", f"{100 * self.left_out:.1f} % of it matches nothing else in it."),

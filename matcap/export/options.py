@@ -41,7 +41,7 @@ class ExportArea:
     seed: int | None = setting(None, metavar="SEED", parse=values.seed, otherwise="0")
     """Seed of the material's realisation."""
     tile: Literal["piece"] | None = setting(None, words=("piece",), otherwise="a part of the field")
-    """piece: the photographed piece itself, made to repeat, at about its own size."""
+    """piece: the photographed rectangle itself, made to repeat, at about its own size."""
 
     def __post_init__(self) -> None:
         check_settings(self)

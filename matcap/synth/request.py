@@ -111,8 +111,8 @@ class SynthRequest:
     tile: Literal["both", "x", "y", "piece"] | None = setting(
         None, words=("both", "x", "y", "piece")
     )
-    """Make the maps seamless along both axes, or along x or y alone; piece: the photographed piece
-    itself as a seamless tile, a little smaller than it is."""
+    """Make the maps seamless along both axes, or along x or y alone; piece: the photographed
+    rectangle itself as a seamless tile, a little smaller than it is."""
     udim: tuple[int, int] | None = setting(None, metavar="CxR", parse=values.sides_of)
     """A texture set of C columns (at most 10) and R rows (at most 900), each tile of the given
     size."""

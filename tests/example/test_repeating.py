@@ -1,4 +1,4 @@
-"""The photographed piece made to repeat: no seam, nothing slow, whole periods, no stain moved."""
+"""The exemplar made periodic: no seam, no slow drift, whole periods, stains stay in place."""
 
 from dataclasses import replace
 from functools import cache

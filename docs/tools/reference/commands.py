@@ -22,8 +22,8 @@ from reference.docstrings import table
 _HEAD = """\
 # Commands
 
-`matcap COMMAND --help` tells the same. Every command knows `--help`, and
-`matcap --install-completion` teaches your shell all of them.
+`matcap COMMAND --help` prints the same. After `matcap --install-completion` your shell completes
+commands and options.
 """
 _KINDS = {int: "INTEGER", float: "FLOAT", Path: "PATH", str: "TEXT"}
 

@@ -85,7 +85,7 @@ def test_the_drawing_is_what_the_photograph_shows_there(shot: Photographed) -> N
 
 
 def test_what_nothing_looks_like_stays(shot: Photographed) -> None:
-    """A scratch through the glare is the photographed piece's own."""
+    """A scratch that continues through the highlight is kept."""
     albedo = shot.maps.diffuse.clone()
     albedo[:, 100:220, 250:262] *= 4.0
     maps = replace(shot.maps, diffuse=albedo)
