@@ -130,7 +130,8 @@ def highlight_profile(
     if not all(ring.any() for ring in rings):
         return None
     levels = np.array([[each[ring].sum() / matte[ring].sum() for each in lights] for ring in rings])
-    levels /= np.maximum(levels[-1], 1e-9)
+    levels = np.maximum(levels, _DARKEST)  # a ring may be black
+    levels /= levels[-1]
     reach = _reach(levels[:, 0])
     region = seen & measured & (lights[1] < 1.0) & (distance < reach)
     glints = [_octaves(each, region) for each in lights] if region.mean() >= _LEAST else [[], []]

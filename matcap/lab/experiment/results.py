@@ -309,6 +309,6 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def _deviation(values: Sequence[float]) -> float:
-    """Standard deviation of the values that are not NaN."""
+    """Standard deviation of the values that are not NaN; NaN where one is infinite."""
     known = [value for value in values if not math.isnan(value)]
-    return statistics.pstdev(known) if known else math.nan
+    return statistics.pstdev(known) if known and all(map(math.isfinite, known)) else math.nan

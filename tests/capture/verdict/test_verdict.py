@@ -427,3 +427,14 @@ def test_a_set_is_not_told_to_be_one():
     assert "take five photographs" in remedy(1)
     assert "from other sides to these 3" in remedy(3)
     assert "moved further" in remedy(5) and "--together" not in remedy(5)
+
+
+def test_a_white_dot_on_black_has_a_highlight_profile():
+    black, setup = np.zeros((96, 128, 3), np.float32), shots.SETUP
+    dot = black.copy()
+    dot[5, 7] = 1.0
+    whole = np.ones(black.shape[:2], np.bool_)
+    for pictures in ((dot, dot), (dot, black), (black, dot), (black, black + 0.5)):
+        found = highlight_profile(pictures, whole, whole, setup)
+        assert math.isfinite(found.contrast[0] / found.contrast[1])
+        assert math.isnan(found.ratio) or 0.0 < found.ratio < math.inf

@@ -73,6 +73,12 @@ def test_means_are_over_subjects_and_the_last_row_counts():
     assert math.isnan(mean["flash"])
 
 
+def test_an_infinite_error_has_no_spread():
+    (mean,) = means([trial(error=1.0), trial(subject="tile", error=math.inf)])
+    assert mean["error"] == math.inf
+    assert math.isnan(mean.spread["error"])
+
+
 def test_seeds_scatter_within_a_subject_and_subjects_spread():
     rows = [replace(trial(error=error), seed=seed) for seed, error in enumerate((1.0, 3.0))]
     rows += [replace(trial(subject="tile", error=6.0), seed=seed) for seed in (0, 1)]
