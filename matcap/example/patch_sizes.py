@@ -16,7 +16,7 @@ class PatchSizes:
     width: int
     height: int
     cells: float
-    """Size of a lattice's patches, about; see PhasedLattice.patch_width."""
+    """Approximate width of patches of a lattice; they are rounded to whole cells."""
     loose: bool
     """Variety 1: squares of a power of two, not fitted to their neighbours."""
 
