@@ -180,9 +180,9 @@ def test_a_flash_that_fired_is_not_said_to_be_missing():
     assert judge(even).causes == ()
 
 
-def test_where_the_photograph_shows_no_cause_none_is_told():
+def test_where_the_photograph_shows_no_cause_none_is_named():
     sentence = judge(replace(FINE, light=0.5)).sentence()
-    assert "shows no cause" in sentence and "room" not in sentence and "curve" not in sentence
+    assert "Cause unknown" in sentence and "room" not in sentence and "curve" not in sentence
 
 
 def test_a_cause_that_explains_another_fault_is_not_told_of_this_one():
