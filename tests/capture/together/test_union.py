@@ -252,4 +252,4 @@ def test_one_photograph_is_no_union(tmp_path, capsys):
     photo.write_bytes(b"")
     for more in ([], ["--together"]):
         assert main(["capture", str(photo), "--union", *more, "-o", str(tmp_path / "out")]) == 2
-        assert "give two or more of one piece" in capsys.readouterr().err
+        assert "give two or more of one sample" in capsys.readouterr().err
