@@ -30,8 +30,8 @@ class Falloff:
     """Gaussian distribution of FlashSetup's falloff coefficients (a, b).
 
     The falloff is exp(-a s - b s^2), s = r^2 / 1.25^2, so that s = 1 in the corners of a 4:3
-    picture. The default is a wide prior for phones: 39 photographs by one of them had a + b = 1.07
-    on average (0.88 to 1.63).
+    picture. The default is a wide prior for phones: 95 photographs by one of them had a + b = 0.73
+    on the median, with a deviation of 0.35.
     """
 
     mean: tuple[float, float] = (0.3, 0.5)
