@@ -168,8 +168,9 @@ def test_an_inspection_and_a_comparison_show_the_colour(tmp_path, capsys):
     assert result[0] == pytest.approx(hue.exemplar.specular.mean((1, 2)), abs=1e-3)
     assert len(result[1]) == 1
     (shown,) = (one for one in each_map(hue.piece()) if one.label.startswith("specular"))
-    assert shown.pixels.shape == (144, 176, 3)
-    assert np.abs(shown.pixels[..., 0] - shown.pixels[..., 2]).max() > 0.05
+    assert shown.values.shape == (144, 176, 3)
+    code = shown.code(shown.values)
+    assert np.abs(code[..., 0] - code[..., 2]).max() > 0.05
     out = str(tmp_path / "both.png")
     assert main(["compare", *files, "-o", out, "-q"]) == 0
 

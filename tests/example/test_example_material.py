@@ -88,7 +88,7 @@ def test_files_are_the_same_whoever_writes_them(first, tmp_path):
     for workers in ("1", "2"):
         assert main([*words, "-j", workers, "-o", str(tmp_path / workers)]) == 0
     names = sorted(file.name for file in (tmp_path / "1").iterdir())
-    assert len(names) == 11
+    assert len(names) == 12
     _, differing, missing = filecmp.cmpfiles(tmp_path / "1", tmp_path / "2", names, shallow=False)
     assert not differing and not missing
 

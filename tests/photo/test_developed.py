@@ -94,7 +94,7 @@ def test_transparency_does_not_darken(tmp_path, codes):
     Image.fromarray(rgba).save(tmp_path / "a.png")
     photo = load_photo(tmp_path / "a.png")
     np.testing.assert_allclose(photo.pixels, srgb_decode(codes / 255), rtol=1e-6)
-    assert photo.left_out is None and "transparent all over alike" in photo.notes[0]
+    assert photo.left_out is None and "equally transparent" in photo.notes[0]
 
 
 @pytest.mark.parametrize("form", ["png", "tif", "webp"])

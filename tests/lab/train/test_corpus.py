@@ -54,7 +54,7 @@ def test_what_is_no_pack_is_refused(tmp_path):
     from safetensors.torch import save_file
 
     save_file({"x": torch.zeros(1)}, path)
-    with pytest.raises(MatcapError, match="no pack of version"):
+    with pytest.raises(MatcapError, match="not a pack of version"):
         Pack.load(path)
 
 

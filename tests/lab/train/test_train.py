@@ -105,7 +105,7 @@ def test_a_broken_or_foreign_checkpoint_is_refused(small_pack, tmp_path):
     with pytest.raises(MatcapError, match="no such checkpoint"):
         train(small_pack, TINY, tmp_path, resume=True)
     save_file({"x": torch.zeros(1)}, path)
-    with pytest.raises(MatcapError, match="no checkpoint of version"):
+    with pytest.raises(MatcapError, match="not a checkpoint of version"):
         train(small_pack, TINY, tmp_path, resume=True)
     train(small_pack, replace(TINY, steps=1), tmp_path)
     tensors = load_file(path)
@@ -145,7 +145,7 @@ def test_the_rate_warms_up_stays_and_falls():
         ("steps = 3.5", "'steps' is 3.5"),
         ("window = 100", "window 100"),
         ("[encoder]\nbackbone = 'vit'", "no backbone 'vit'"),
-        ("steps =", "no TOML"),
+        ("steps =", "not TOML"),
     ],
 )
 def test_a_wrong_configuration_is_told(tmp_path, text, message):
