@@ -14,7 +14,6 @@ Read next: render.py, pictures of whole map sets.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -107,11 +106,14 @@ class FlashLight:
         return Incidence(angles, angles.lit(self.power * angles.n_dot_l))
 
 
-def strips(shape: Sequence[int]) -> list[slice]:
-    """Rows of (..., H, W) in strips, to work through a large picture in the processor's cache."""
-    height, width = shape[-2:]
-    step = max(1, _STRIP // width)
-    return [slice(top, min(top + step, height)) for top in range(0, height, step)]
+def strips(height: int, rows: int) -> list[slice]:
+    """Slices of `rows` rows each, to bound memory or to work in the processor's cache."""
+    return [slice(top, min(height, top + rows)) for top in range(0, height, rows)]
+
+
+def cached_rows(width: int) -> int:
+    """Rows of a picture whose shading fits the processor's cache."""
+    return max(1, _STRIP // width)
 
 
 def vignette(points: Tensor, setup: FlashSetup) -> Tensor:

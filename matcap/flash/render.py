@@ -10,7 +10,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, plane_points
-from matcap.flash.light import FlashLight, strips
+from matcap.flash.light import FlashLight, cached_rows, strips
 
 
 def shade(maps: MapSet, points: Tensor, camera: Tensor, light: Tensor, intensity: Tensor) -> Tensor:
@@ -55,4 +55,5 @@ def _picture(maps: MapSet, points: Tensor, light_at: Callable[[Tensor], FlashLig
         )
         return light_at(points[..., rows, :]).onto(normals, exact=True).radiance(*materials)
 
-    return torch.cat([some(rows) for rows in strips(points.shape)], dim=-2)
+    height, width = points.shape[-2:]
+    return torch.cat([some(rows) for rows in strips(height, cached_rows(width))], dim=-2)

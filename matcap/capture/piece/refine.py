@@ -27,7 +27,7 @@ from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.noise import channel_weights
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.tuned import REFINE
-from matcap.flash.light import FlashLight, Incidence, strips
+from matcap.flash.light import FlashLight, Incidence, cached_rows, strips
 from matcap.flash.uniform import Uniform
 
 
@@ -101,7 +101,8 @@ class PieceLight:
             incidence = self.flash.cut(rows, slice(None)).onto(normal[..., rows, :])
             return self.logs(Reflectance(*cut), incidence)
 
-        parts = [some(rows) for rows in strips(normal.shape)]
+        height, width = normal.shape[-2:]
+        parts = [some(rows) for rows in strips(height, cached_rows(width))]
         log, share = (torch.cat(each, dim=-2) for each in zip(*parts, strict=True))
         return log, share
 

@@ -45,7 +45,8 @@ from matcap.capture.together.texels import (
     stepped,
     under_fitted_ambient,
 )
-from matcap.capture.together.views import PieceView, SetLight, light_at, strips
+from matcap.capture.together.views import PieceView, SetLight, light_at
+from matcap.flash.light import strips
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,10 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_height, normals_from_slopes
 from matcap.capture.together.ambient_light import AmbientLight, evenly_lit
-from matcap.capture.together.views import PieceView, SetLight, light_at, logarithm, radiance, strips
+from matcap.capture.together.views import PieceView, SetLight, light_at, logarithm, radiance
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import plane_points
-from matcap.flash.light import FlashLight
+from matcap.flash.light import FlashLight, strips
 
 ALBEDO, F0, ROUGH, SLOPES = slice(0, 3), 3, 4, slice(5, 7)
 GLOSS = slice(3, 5)  # F0 and ROUGH

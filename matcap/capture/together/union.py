@@ -23,8 +23,8 @@ from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.together.readings import UNREAD, ReadView
 from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, Estimate, parameters_of
 from matcap.capture.together.tint import on_grid
-from matcap.capture.together.views import strips
 from matcap.flash.extent import NO_MARGINS, Extent, Margins
+from matcap.flash.light import strips
 from matcap.flash.registration.camera import Doubles, Lens, PosedCamera
 from matcap.flash.registration.grid import grid_points
 from matcap.flash.registration.register import RegisteredView

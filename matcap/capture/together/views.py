@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -15,7 +15,7 @@ from matcap.capture.together.ambient_light import AMBIENT, AmbientLight
 from matcap.capture.together.tint import on_grid
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.light import FlashLight, log_vignette
+from matcap.flash.light import FlashLight, log_vignette, strips
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.grid import grid_points, to_pixels
 from matcap.flash.registration.register import RegisteredView
@@ -198,7 +198,7 @@ def _looked_up(
     if place is None:
         return to_pixels(view.camera.sees(grid_points(*fine)), *size)
     # The many points of a mosaic are projected some rows at a time, to bound memory.
-    parts = [slice(None)] if place.extent == OWN else [*strips(fine[1], _ROWS)]
+    parts = [slice(None)] if place.extent == OWN else strips(fine[1], _ROWS)
     pixels = [to_pixels(view.camera.sees(place.points(*fine, rows)), *size) for rows in parts]
     return np.concatenate([x for x, _ in pixels]), np.concatenate([y for _, y in pixels])
 
@@ -235,9 +235,3 @@ def radiance(
 def logarithm(radiance: Tensor) -> Tensor:
     """Log radiance, with radiance bounded below."""
     return radiance.clamp_min(_DARKEST).log()
-
-
-def strips(height: int, rows: int) -> Iterator[slice]:
-    """Slices of `rows` rows each, to bound memory."""
-    for top in range(0, height, rows):
-        yield slice(top, min(height, top + rows))
