@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matcap.brdf.stated import NormalStyle
     from matcap.field.plane import Period
 
-_PIXELS, _SIDE = 1 << 20, 1024  # of the picture; its sides are longer only beside shorter ones
+_PIXELS, _SIDE = 1 << 20, 1024  # of the picture; one side is longer if the other is shorter
 # Dark materials are multiplied until this quantile of the radiance has this value.
 _BRIGHT_SHARE, _BRIGHT, _LARGEST_GAIN = 0.99, 0.5, 4.0
 _MARGIN, _PAPER, _INK = 16, 24, (240, 180, 41)  # pixels around what repeats; sRGB code values
