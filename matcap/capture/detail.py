@@ -25,22 +25,15 @@ from matcap.statistics.lattice import Wave, find_lattice
 UNION_TIMES = 4  # largest exemplar of several photographs, in texels of the first one's
 
 
-@dataclass(frozen=True)
-class DetailSettings:
-    """Detection of coarse textures; docs/notes/capture.md."""
+# Detection of coarse textures; docs/notes/capture.md.
 
-    scales: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-    """Standard deviations, texels, of the Gaussian blurs that separate the bands."""
-    most_coarse: float = 0.08
-    """Share of variance in the last band (wavelengths of 100 to 200 texels) above which a texture
-    is coarse."""
-    faintest: float = 1e-4
-    """Linear radiance below which the logarithm is clamped."""
-    strongest: float = 3.0
-    """Log radiance: differences from the median are clamped to +-this."""
-
-
-COARSENESS = DetailSettings()
+# Standard deviations, texels, of the Gaussian blurs that separate the bands.
+_SCALES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+# Share of variance in the last band (wavelengths of 100 to 200 texels) above which a texture is
+# coarse.
+_MOST_COARSE = 0.08
+_FAINTEST = 1e-4  # linear radiance below which the logarithm is clamped
+_STRONGEST = 3.0  # log radiance: differences from the median are clamped to +-this
 
 
 def coarse_share(linear: Tensor, valid: Tensor) -> float:
@@ -55,11 +48,11 @@ def coarse_share(linear: Tensor, valid: Tensor) -> float:
     seen = valid.numpy().astype(np.float32)
     if not seen.any():
         return 0.0
-    log = np.log(np.maximum(linear.mean(0).numpy(), COARSENESS.faintest))
+    log = np.log(np.maximum(linear.mean(0).numpy(), _FAINTEST))
     middle = float(np.median(log[seen > 0.0]))
-    finer = (log - middle).clip(-COARSENESS.strongest, COARSENESS.strongest)
+    finer = (log - middle).clip(-_STRONGEST, _STRONGEST)
     variances = []
-    for scale in COARSENESS.scales:
+    for scale in _SCALES:
         # The last blur removed all detail finer than half this scale: from 2 texels on, half as
         # many samples suffice.
         if scale > 2.0:
@@ -87,7 +80,7 @@ def _halved(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def detail_for(linear: Tensor, valid: Tensor) -> int:
     """Texels across on which to read an aperiodic texture: DETAIL, or half of it if coarse."""
-    return DETAIL // 2 if coarse_share(linear, valid) > COARSENESS.most_coarse else DETAIL
+    return DETAIL // 2 if coarse_share(linear, valid) > _MOST_COARSE else DETAIL
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from matcap.capture.together.texels import SolveSettings
 from matcap.statistics.compare import Weights
 from matcap.statistics.filterbank import FilterBankConfig
 
@@ -35,7 +34,5 @@ class Method:
     """Steps of the texture-statistics fit of an exemplar; None: the preset's."""
     weights: Weights = Weights()
     """Weights of the texture statistics in their sum."""
-    solving: SolveSettings = SolveSettings()
-    """Settings of the multi-view solve."""
     measured_tilt: bool = True
     """Whether the alignment branch's tilt is a prior of the coarse fit."""

@@ -266,8 +266,7 @@ def _of_several(
 
     # The multi-view solve is limited to DETAIL; preset and time limit may ask for less.
     detail = settings.detail or min(effort.detail, DETAIL)
-    solving, union = method.solving, settings.union
-    return estimate_together(photos, load_inverse(), detail, solving, clock, union=union)
+    return estimate_together(photos, load_inverse(), detail, clock, union=settings.union)
 
 
 def _window(plane: Plane, wanted: int, name: str) -> int:

@@ -10,13 +10,12 @@ hides the falloff. With e_i integrated out and the prior N(m, P) of x,
 
 a random-effects meta-analysis. The weights are those of Student's t, w_i = (nu + 2) / (nu + d_i^2),
 where d_i is the Mahalanobis distance between x_i and x, so that outliers hardly count. tau is the
-value of greatest likelihood under that t distribution, among those of ProfileSettings.scatter.
+value of greatest likelihood under that t distribution, among those of _SCATTER.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,22 +26,11 @@ from matcap.photo.camera import LEAST, CameraProfile, Falloff
 Doubles = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class ProfileSettings:
-    """Settings of the combination of falloffs to a camera profile.
-
-    Attributes:
-        freedom: degrees of freedom nu of Student's t, above 2; smaller reject more outliers.
-        scatter: values of tau among which the likeliest is chosen.
-        rounds: iterations of the weights.
-    """
-
-    freedom: float = 4.0
-    scatter: tuple[float, ...] = (0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8)
-    rounds: int = 30
-
-
-PROFILE = ProfileSettings()
+# Settings of the combination of falloffs to a camera profile.
+_FREEDOM = 4.0  # degrees of freedom nu of Student's t, above 2; smaller reject more outliers
+# values of tau among which the likeliest is chosen.
+_SCATTER = (0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8)
+_ROUNDS = 30  # iterations of the weights
 
 
 def camera_profile(camera: str, fits: Sequence[CoarseFit]) -> CameraProfile | None:
@@ -71,7 +59,7 @@ def shared_falloff(seen: Sequence[FalloffEvidence]) -> Falloff:
     ordered = sorted(seen, key=lambda one: (one.shift, one.precision))
     shifts = np.array([one.shift for one in ordered])
     precisions = np.array([one.precision for one in ordered])[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-    tried = (_combined(shifts, precisions, prior, scatter) for scatter in PROFILE.scatter)
+    tried = (_combined(shifts, precisions, prior, scatter) for scatter in _SCATTER)
     _, mean, covariance = max(tried, key=lambda one: one[0])
     first, second = np.sqrt(np.diagonal(covariance)).tolist()
     across, up = mean.tolist()
@@ -94,16 +82,16 @@ def _combined(
     precisions, shifts = widened @ precisions, np.einsum("nij,nj->ni", widened, shifts)
     spread = np.linalg.pinv(precisions, hermitian=True)
     weight = np.ones(len(shifts))
-    for _ in range(PROFILE.rounds):
+    for _ in range(_ROUNDS):
         precision = prior.precision + np.einsum("n,nij->ij", weight, precisions)
         mean = _no_gain(precision, prior.precision @ prior.mean + weight @ shifts)
         deviation = shifts - precisions @ mean
         distances = np.einsum("ni,nij,nj->n", deviation, spread, deviation)
-        weight = (PROFILE.freedom + 2.0) / (PROFILE.freedom + distances)
+        weight = (_FREEDOM + 2.0) / (_FREEDOM + distances)
     likelihood = -0.5 * np.linalg.slogdet(wider).logabsdet
-    likelihood -= 0.5 * (PROFILE.freedom + 2.0) * np.log1p(distances / PROFILE.freedom)
+    likelihood -= 0.5 * (_FREEDOM + 2.0) * np.log1p(distances / _FREEDOM)
     # The variance of Student's t with scale tau.
-    variance = scatter**2 * PROFILE.freedom / (PROFILE.freedom - 2.0)
+    variance = scatter**2 * _FREEDOM / (_FREEDOM - 2.0)
     return float(likelihood.sum()), mean, np.linalg.inv(precision) + variance * np.eye(2)
 
 

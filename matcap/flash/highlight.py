@@ -19,32 +19,21 @@ CELLS = 256  # across the long side: a spot of 0.4 % of it is one cell
 SURROUNDINGS = (0.5, 0.7)  # plane units from the centre: outside most highlights
 
 
-@dataclass(frozen=True)
-class HighlightSettings:
-    """Settings of the detection of the highlight; docs/notes/capture.md."""
+# Settings of the detection of the highlight; docs/notes/capture.md.
 
-    seed_blur: float = 0.04
-    """Standard deviation of the blur that removes glints for the first centre, plane units."""
-    ring: float = 0.02
-    """Width of a ring, plane units."""
-    widest: float = 0.5
-    """Largest half width, plane units; wider is the flash's falloff."""
-    faintest: float = 1.3
-    """Least peak over the quantile `usual` of the surroundings."""
-    usual: float = 0.9
-    """Quantile of the surroundings that a peak is compared with; high, so that a white square of a
-    plaid is no highlight."""
-    top: float = 0.3
-    """Share of the peak's height, from the top, whose centroid is the centre."""
-    rounds: int = 8
-    """Iterations of the centre."""
-    textures: tuple[float, ...] = (0.0, 0.015, 0.03, 0.06, 0.12)
-    """Standard deviations of blurs, plane units, tried until the spot is the only bright one."""
-    others: float = 0.25
-    """Area of other bright spots, over the spot's own, from which it is texture."""
-
-
-HIGHLIGHT = HighlightSettings()
+# Standard deviation of the blur that removes glints for the first centre, plane units.
+_SEED_BLUR = 0.04
+_RING = 0.02  # width of a ring, plane units
+_WIDEST = 0.5  # largest half width, plane units; wider is the flash's falloff
+FAINTEST_HIGHLIGHT = 1.3  # least peak over the quantile _USUAL of the surroundings
+# Quantile of the surroundings that a peak is compared with; high, so that a white square of a
+# plaid is no highlight.
+_USUAL = 0.9
+_TOP = 0.3  # share of the peak's height, from the top, whose centroid is the centre
+_ROUNDS = 8  # iterations of the centre
+# Standard deviations of blurs, plane units, tried until the spot is the only bright one.
+_TEXTURES = (0.0, 0.015, 0.03, 0.06, 0.12)
+_OTHERS = 0.25  # area of other bright spots, over the spot's own, from which it is texture
 
 
 @dataclass(frozen=True)
@@ -82,10 +71,10 @@ def find_highlight(light: Luminance) -> Highlight | None:
     """
     cell = 2.0 / light.shape[1]
     spot = None
-    for texture in HIGHLIGHT.textures:
+    for texture in _TEXTURES:
         blurred = _blur(light, texture / cell) if texture else light
         spot = _brightest(blurred)
-        if spot is None or _others(blurred, spot) < HIGHLIGHT.others:
+        if spot is None or _others(blurred, spot) < _OTHERS:
             break
     return spot
 
@@ -111,11 +100,11 @@ def _brightest(light: Luminance) -> Highlight | None:
     width = light.shape[1]
     cell = 2.0 / width
     u, v = (c.ravel() for c in _coordinates(light))
-    smooth = _blur(light, HIGHLIGHT.seed_blur / cell)
+    smooth = _blur(light, _SEED_BLUR / cell)
     row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)
     centre, profile = np.array([u[column], v[row]]), None
-    reach = 2.0 * HIGHLIGHT.ring
-    for _ in range(HIGHLIGHT.rounds):
+    reach = 2.0 * _RING
+    for _ in range(_ROUNDS):
         distance = np.hypot(u[None, :] - centre[0], v[:, None] - centre[1])
         profile = _profile(light, distance, reach)
         if profile is None:
@@ -123,7 +112,7 @@ def _brightest(light: Luminance) -> Highlight | None:
         peak, surroundings, half = profile
         # Centroid of the light near the top, clamped to the peak; lower levels would shift it
         # towards brighter surroundings.
-        high = peak - HIGHLIGHT.top * (peak - surroundings)
+        high = peak - _TOP * (peak - surroundings)
         over = np.clip(_blur(light, 0.25 * half / cell) - high, 0.0, peak - high)
         over = over * (distance < 1.2 * half + 2.0 * cell)
         if over.sum() <= 0.0:
@@ -138,7 +127,7 @@ def _brightest(light: Luminance) -> Highlight | None:
         return None
     peak, surroundings, half = profile[0], max(profile[1], 1e-6), profile[2]
     ring = (distance > SURROUNDINGS[0]) & (distance < SURROUNDINGS[1])
-    if peak < HIGHLIGHT.faintest * float(np.quantile(light[ring], HIGHLIGHT.usual)):
+    if peak < FAINTEST_HIGHLIGHT * float(np.quantile(light[ring], _USUAL)):
         return None
     return Highlight((float(centre[0]), float(centre[1])), half, peak, surroundings)
 
@@ -162,8 +151,8 @@ def _profile(
     middle = 0.5 * (peak + surroundings)
     # Medians over rings, from the centre outwards.
     last_radius, last = 0.0, peak
-    step = min(HIGHLIGHT.ring, 0.5 * max(reach, HIGHLIGHT.ring / 2.0))
-    for k in range(1, int(HIGHLIGHT.widest / step) + 1):
+    step = min(_RING, 0.5 * max(reach, _RING / 2.0))
+    for k in range(1, int(_WIDEST / step) + 1):
         radius = k * step
         inside = (distance >= radius - 0.5 * step) & (distance < radius + 0.5 * step)
         if not inside.any():

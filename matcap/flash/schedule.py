@@ -4,22 +4,11 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
 
-
-@dataclass(frozen=True)
-class ScheduleSettings:
-    """Settings of every optimisation run; docs/notes/prior.md."""
-
-    warm_up: int = 10
-    """Steps of linear warm-up of the learning rate."""
-    floor: float = 0.05
-    """Final share of the learning rate."""
-    frozen_share: float = 0.15
-    """Last share of the run, with frozen statistics."""
-
-
-SCHEDULE = ScheduleSettings()
+# Settings of every optimisation run; docs/notes/prior.md.
+_WARM_UP = 10  # steps of linear warm-up of the learning rate
+_FLOOR = 0.05  # final share of the learning rate
+_FROZEN_SHARE = 0.15  # last share of the run, with frozen statistics
 
 
 class Schedule:
@@ -44,8 +33,8 @@ class Schedule:
 
     def over(self, error: float) -> bool:
         """Update `share` from steps, clock and running error; whether the run is done."""
-        if self._target is not None and error <= self._target and self.step >= SCHEDULE.warm_up:
-            self._steps = min(self._steps, math.ceil(self.step / (1.0 - SCHEDULE.frozen_share)))
+        if self._target is not None and error <= self._target and self.step >= _WARM_UP:
+            self._steps = min(self._steps, math.ceil(self.step / (1.0 - _FROZEN_SHARE)))
         self.share = self.step / self._steps
         if self._limit is not None:
             self.share = max(self.share, self.seconds / self._limit if self._limit > 0.0 else 1.0)
@@ -59,12 +48,10 @@ class Schedule:
     @property
     def freezes(self) -> bool:
         """Whether the remaining steps use frozen statistics."""
-        return self.share >= 1.0 - SCHEDULE.frozen_share
+        return self.share >= 1.0 - _FROZEN_SHARE
 
     @property
     def pace(self) -> float:
-        """Share of the learning rate: a warm-up, then a cosine down to SCHEDULE.floor."""
-        warm = min(1.0, (self.step + 1) / SCHEDULE.warm_up)
-        return warm * (
-            SCHEDULE.floor + (1.0 - SCHEDULE.floor) * (0.5 + 0.5 * math.cos(math.pi * self.share))
-        )
+        """Share of the learning rate: a warm-up, then a cosine down to _FLOOR."""
+        warm = min(1.0, (self.step + 1) / _WARM_UP)
+        return warm * (_FLOOR + (1.0 - _FLOOR) * (0.5 + 0.5 * math.cos(math.pi * self.share)))

@@ -17,24 +17,12 @@ from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
 from matcap.statistics.compare import UNSEEN, Descriptor, Features, describe
 
-
-@dataclass(frozen=True)
-class WindowSettings:
-    """Windows in which photograph and rendering are compared; docs/notes/prior.md."""
-
-    hiss: float = 2e-3
-    """Read noise, as a share of the clip level added to the radiance in shot noise."""
-    together: int = 4
-    """Windows described at a time, so that they fit the processor's caches."""
-    pairs: int = 64
-    """Pairs of windows on which the bias of the L1 distance is measured."""
-    least_scale: float = 0.7
-    """Lower limit of the correcting scale."""
-    least_seen: float = 0.3
-    """Least valid share of a window."""
-
-
-WINDOWS = WindowSettings()
+# Windows in which photograph and rendering are compared; docs/notes/prior.md.
+_HISS = 2e-3  # read noise, as a share of the clip level added to the radiance in shot noise
+_TOGETHER = 4  # windows described at a time, so that they fit the processor's caches
+_PAIRS = 64  # pairs of windows on which the bias of the L1 distance is measured
+_LEAST_SCALE = 0.7  # lower limit of the correcting scale
+_LEAST_SEEN = 0.3  # least valid share of a window
 
 
 @dataclass(frozen=True)
@@ -72,12 +60,12 @@ def cut_windows(plane: Plane, bank: Features, size: int, *, most: int | None = N
     seen = [
         (x, y)
         for x, y in places
-        if float(plane.valid[y : y + size, x : x + size].float().mean()) >= WINDOWS.least_seen
+        if float(plane.valid[y : y + size, x : x + size].float().mean()) >= _LEAST_SEEN
     ]
     places = (seen or places)[:most]
     cut = torch.stack([plane.linear[:, y : y + size, x : x + size] for x, y in places])
     with torch.no_grad():
-        described = [describe(some, plane.encoding, bank) for some in cut.split(WINDOWS.together)]
+        described = [describe(some, plane.encoding, bank) for some in cut.split(_TOGETHER)]
     points = [
         plane_points(x, y, size, size, (width, height), dtype=torch.float32) for x, y in places
     ]
@@ -112,7 +100,7 @@ def _raised(target: Descriptor, first: Tensor, second: Tensor) -> Descriptor:
     """
     if not len(first):
         return target
-    some = torch.randperm(len(first), generator=torch.Generator().manual_seed(0))[: WINDOWS.pairs]
+    some = torch.randperm(len(first), generator=torch.Generator().manual_seed(0))[:_PAIRS]
 
     def raised(level: Tensor) -> Tensor:
         return level / _best_scale(level[first[some]], level[second[some]])
@@ -126,7 +114,7 @@ def _raised(target: Descriptor, first: Tensor, second: Tensor) -> Descriptor:
 
 
 def _best_scale(sample: Tensor, target: Tensor) -> float:
-    """The s in [WINDOWS.least_scale, 1] that minimises the mean of |s sample - target|.
+    """The s in [_LEAST_SCALE, 1] that minimises the mean of |s sample - target|.
 
     The median of target / sample, weighted by |sample| over the window's mean |target|.
     """
@@ -136,12 +124,12 @@ def _best_scale(sample: Tensor, target: Tensor) -> float:
     ordered, order = quotient.sort()
     heavier = weight[order].double().cumsum(0)
     middle = int(torch.searchsorted(heavier, 0.5 * heavier[-1]))
-    return min(1.0, max(WINDOWS.least_scale, float(ordered[min(middle, len(ordered) - 1)])))
+    return min(1.0, max(_LEAST_SCALE, float(ordered[min(middle, len(ordered) - 1)])))
 
 
 def shot_deviation(linear: Tensor) -> Tensor:
     """sqrt(L + hiss), proportional to the standard deviation of shot and read noise."""
-    return (linear.clamp_min(0.0) + WINDOWS.hiss).sqrt()
+    return (linear.clamp_min(0.0) + _HISS).sqrt()
 
 
 def _steps(length: int, size: int) -> list[int]:

@@ -8,8 +8,6 @@ has no such step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -20,30 +18,14 @@ from matcap.photo.photo import Photo
 Values = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class BorderSettings:
-    """Thresholds of a border.
-
-    Attributes:
-        cells: along the long side; a step is one or two cells wide.
-        least: least step of the two log hues and log brightness.
-        unlike: least ratio of a step to the 0.9 quantile of those in the middle.
-        kept: share of that limit by which all lines beyond must differ.
-        before: number of lines that they are compared with.
-        most: largest share of a side to crop at each end.
-        dark: added inside logarithms, as a share of the median.
-    """
-
-    cells: int = 64
-    least: tuple[float, float, float] = (0.15, 0.15, 0.35)
-    unlike: float = 4.0
-    kept: float = 0.6
-    before: int = 4
-    most: float = 0.3
-    dark: float = 0.15
-
-
-BORDER = BorderSettings()
+# Thresholds of a border.
+_CELLS = 64  # along the long side; a step is one or two cells wide
+_LEAST = (0.15, 0.15, 0.35)  # least step of the two log hues and log brightness
+_UNLIKE = 4.0  # least ratio of a step to the 0.9 quantile of those in the middle
+_KEPT = 0.6  # share of that limit by which all lines beyond must differ
+_BEFORE = 4  # number of lines that they are compared with
+_MOST = 0.3  # largest share of a side to crop at each end
+_DARK = 0.15  # added inside logarithms, as a share of the median
 
 
 def border_crop(photo: Photo) -> Region | None:
@@ -67,10 +49,10 @@ def border_crop(photo: Photo) -> Region | None:
 def _cells(pixels: NDArray[np.float32]) -> Values:
     """(3, rows, columns) cells: log(R / G), log(B / G), mean log radiance."""
     height, width = pixels.shape[:2]
-    columns = min(BORDER.cells, width)
+    columns = min(_CELLS, width)
     rows = max(8, round(columns * height / width))
     small = cv2.resize(pixels, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float64)
-    log = np.log(small + BORDER.dark * float(np.median(small)) + 1e-9)
+    log = np.log(small + _DARK * float(np.median(small)) + 1e-9)
     return np.stack([log[..., 0] - log[..., 1], log[..., 2] - log[..., 1], log.mean(axis=-1)])
 
 
@@ -80,16 +62,16 @@ def _cut(cells: Values) -> int:
     lines = np.median(cells[:, :, along // 8 : along - along // 8], axis=2)
     steps = np.abs(lines[:, 2:] - lines[:, :-2])  # across line k + 1
     usual = np.quantile(steps[:, count // 4 : count - count // 4], 0.9, axis=1)
-    limit = np.maximum(BORDER.least, BORDER.unlike * usual)[:, None]
-    most = int(BORDER.most * count)
+    limit = np.maximum(_LEAST, _UNLIKE * usual)[:, None]
+    most = int(_MOST * count)
     over = (steps[:, :most] / limit).max(axis=0)
     for at in np.argsort(-over):
         if over[at] <= 1.0:
             break
         plane = int(np.argmax(steps[:, at] / limit[:, 0]))
-        inside = lines[plane, at + 2 : at + 2 + BORDER.before]
+        inside = lines[plane, at + 2 : at + 2 + _BEFORE]
         beyond = lines[plane, : at + 1] - np.median(inside)
         sign = np.sign(beyond[at])
-        if (sign * beyond > BORDER.kept * limit[plane, 0]).all():
+        if (sign * beyond > _KEPT * limit[plane, 0]).all():
             return int(at) + 2
     return 0

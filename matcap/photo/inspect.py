@@ -22,36 +22,22 @@ from matcap.photo.photo import Photo
 Values = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class ShotSettings:
-    """Constants of the measures; docs/notes/verdict.md. Limits are in checks.py.
-
-    Attributes:
-        toe: added inside logarithms, as a share of the median.
-        hot_cells: cells across in which the hot spot is searched.
-        hot_blur: standard deviation of the blur before the maximum is taken, share of the width.
-        hot_reach: standard deviation of the Gaussian window of the paraboloid's fit around the hot
-            spot, share of the width.
-        hot_rounds: iterations of that fit.
-        sharpest: quantile over tiles of the blur, as smooth parts do not show the focus.
-        least_detail: least squared gradient of log radiance, per pixel, of a tile with detail.
-        usual: usual differences between tiles: log contrast of a fine and of a coarser band, and
-            two log hues.
-        tiles: along the long side.
-    """
-
-    toe: float = 0.02
-    hot_cells: int = 128
-    hot_blur: float = 0.08
-    hot_reach: float = 0.14
-    hot_rounds: int = 4
-    sharpest: float = 0.25
-    least_detail: float = 1e-5
-    usual: tuple[float, float, float, float] = (0.4, 0.6, 0.15, 0.15)
-    tiles: int = 8
+# Constants of the measures; docs/notes/verdict.md. Limits are in checks.py.
+_TOE = 0.02  # added inside logarithms, as a share of the median
+_HOT_CELLS = 128  # cells across in which the hot spot is searched
+_HOT_BLUR = 0.08  # standard deviation of the blur before the maximum is taken, share of the width
+# Standard deviation of the Gaussian window of the paraboloid's fit around the hot spot, share of
+# the width.
+_HOT_REACH = 0.14
+_HOT_ROUNDS = 4  # iterations of that fit
+_SHARPEST = 0.25  # quantile over tiles of the blur, as smooth parts do not show the focus
+_LEAST_DETAIL = 1e-5  # least squared gradient of log radiance, per pixel, of a tile with detail
+# Usual differences between tiles: log contrast of a fine and of a coarser band, and two log
+# hues.
+_USUAL = (0.4, 0.6, 0.15, 0.15)
+_TILES = 8  # along the long side
 
 
-SHOT = ShotSettings()
 _CELLS = 4.0  # cells of the coarser grid of a wide blur to its deviation
 _HDR = "HDR gain map"  # in notes that have a finding of their own
 
@@ -122,16 +108,16 @@ def hot_spot(photo: Photo) -> tuple[tuple[float, float], float]:
         (x, y) in shares of the width and height of photo.pixels, from the upper left; and the ratio
         of the blurred radiance there to the median along the border.
     """
-    light = _small(photo.pixels, SHOT.hot_cells).mean(axis=-1)
-    light = np.log(light + SHOT.toe * float(np.median(light)) + 1e-9)
+    light = _small(photo.pixels, _HOT_CELLS).mean(axis=-1)
+    light = np.log(light + _TOE * float(np.median(light)) + 1e-9)
     height, width = light.shape
-    blurred = cv2.GaussianBlur(light, (0, 0), SHOT.hot_blur * width)
+    blurred = cv2.GaussianBlur(light, (0, 0), _HOT_BLUR * width)
     row, column = np.unravel_index(int(blurred.argmax()), blurred.shape)
     y, x = float(row), float(column)
     rows, columns = np.mgrid[:height, :width].astype(np.float64)
-    for _ in range(SHOT.hot_rounds):
+    for _ in range(_HOT_ROUNDS):
         u, v = (columns - x) / width, (rows - y) / width
-        weight = np.exp(-(u**2 + v**2) / (4.0 * SHOT.hot_reach**2)).ravel()  # root of a Gaussian's
+        weight = np.exp(-(u**2 + v**2) / (4.0 * _HOT_REACH**2)).ravel()  # root of a Gaussian's
         terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1).reshape(-1, 6)
         c = np.linalg.lstsq(terms * weight[:, None], light.ravel() * weight, rcond=None)[0]
         bend = np.array([[2.0 * c[3], c[4]], [c[4], 2.0 * c[5]]])
@@ -153,15 +139,15 @@ def softness(pixels: NDArray[np.float32]) -> float:
     """
     light = _log_light(pixels)
     one, two = (_tiles(_gradient_energy(light, scale)) for scale in (1.0, 2.0))
-    if float(np.quantile(one, 1.0 - SHOT.sharpest)) < SHOT.least_detail:
+    if float(np.quantile(one, 1.0 - _SHARPEST)) < _LEAST_DETAIL:
         return math.nan
     ratio = np.clip(two / np.maximum(one, 1e-12), 0.0, 0.99)
     blur = np.sqrt(np.maximum(4.0 * ratio - 1.0, 0.0) / (1.0 - ratio))
-    return float(np.quantile(blur, SHOT.sharpest))
+    return float(np.quantile(blur, _SHARPEST))
 
 
 def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Values:
-    """(rows, columns) difference of tiles from a uniform material, in units of SHOT.usual.
+    """(rows, columns) difference of tiles from a uniform material, in units of _USUAL.
 
     Root sum of squares over the log contrast in two bands and two log hues, each less its
     regression on functions of the distance from the hot spot, which is an effect of the flash.
@@ -173,7 +159,7 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
     light = _log_light(pixels)
     width = light.shape[1]
     fine, middle = (blurred(light, width / s) for s in (128.0, 32.0))
-    colour = np.log(pixels + SHOT.toe * float(np.median(pixels)) + 1e-9)
+    colour = np.log(pixels + _TOE * float(np.median(pixels)) + 1e-9)
     measures = [
         0.5 * np.log(_tiles((light - fine) ** 2) + 1e-6),
         0.5 * np.log(_tiles((fine - middle) ** 2) + 1e-6),
@@ -186,7 +172,7 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
     squared += (((y + 0.5) / rows - place[1]) * pixels.shape[0] / width) ** 2
     terms = np.stack([np.ones_like(x), squared, np.exp(-40.0 * squared)], axis=-1).reshape(-1, 3)
     total = np.zeros_like(x)
-    for measure, usual in zip(measures, SHOT.usual, strict=True):
+    for measure, usual in zip(measures, _USUAL, strict=True):
         fitted = terms @ np.linalg.lstsq(terms, measure.ravel(), rcond=None)[0]
         total += ((measure - fitted.reshape(measure.shape)) / usual) ** 2
     return np.sqrt(total)
@@ -342,7 +328,7 @@ def _side(right: float, up: float) -> str:
 
 def _log_light(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
     light = pixels.mean(axis=-1)
-    logarithm: NDArray[np.float32] = np.log(light + SHOT.toe * float(np.median(light)) + 1e-9)
+    logarithm: NDArray[np.float32] = np.log(light + _TOE * float(np.median(light)) + 1e-9)
     return logarithm
 
 
@@ -376,5 +362,5 @@ def _small(picture: NDArray[np.float32], columns: int) -> Values:
 
 
 def _tiles(picture: NDArray[np.float32]) -> Values:
-    """Averages over about square tiles, SHOT.tiles along the long side."""
-    return _small(picture, SHOT.tiles)
+    """Averages over about square tiles, _TILES along the long side."""
+    return _small(picture, _TILES)

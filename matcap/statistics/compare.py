@@ -24,20 +24,11 @@ from matcap.statistics.filterbank import pyramid
 from matcap.statistics.gram import moments
 from matcap.statistics.spectrum import autocorrelation
 
+# Tuned constants of descriptors; docs/notes/prior.md.
+_LAGS = 12  # largest lag of the autocorrelation, in texels of its pyramid level
+QUANTILES = 64  # number of quantiles per colour channel
+_LARGEST = 144  # texels: a larger pyramid level is cropped to a central square of this side
 
-@dataclass(frozen=True)
-class CompareSettings:
-    """Tuned constants of descriptors; docs/notes/prior.md."""
-
-    lags: int = 12
-    """Largest lag of the autocorrelation, in texels of its pyramid level."""
-    quantiles: int = 64
-    """Number of quantiles per colour channel."""
-    largest: int = 144
-    """Texels: a larger pyramid level is cropped to a central square of this side."""
-
-
-COMPARE = CompareSettings()
 
 # Lower limit of the L1 norm that differences are divided by: a tenth of the least in photographs of
 # textures. Without it the distance to a uniform photograph would divide by zero.
@@ -130,8 +121,7 @@ def describe(linear: Tensor, encoding: Encoding, bank: Features) -> Descriptor:
         grams=grams,
         crosses=crosses,
         spectra=tuple(
-            autocorrelation(level, min(COMPARE.lags, min(level.shape[-2:]) // 2 - 1))
-            for level in levels
+            autocorrelation(level, min(_LAGS, min(level.shape[-2:]) // 2 - 1)) for level in levels
         ),
         quantiles=tuple(_quantiles(level) for level in levels),
     )
@@ -152,10 +142,10 @@ def distance(sample: Descriptor, target: Descriptor, weights: Weights) -> Tensor
 
 
 def _middle(level: Tensor) -> Tensor:
-    """Central crop of a pyramid level, at most COMPARE.largest texels a side, to save time."""
+    """Central crop of a pyramid level, at most _LARGEST texels a side, to save time."""
     height, width = level.shape[-2:]
-    y, x = max(0, height - COMPARE.largest) // 2, max(0, width - COMPARE.largest) // 2
-    return level[..., y : y + min(height, COMPARE.largest), x : x + min(width, COMPARE.largest)]
+    y, x = max(0, height - _LARGEST) // 2, max(0, width - _LARGEST) // 2
+    return level[..., y : y + min(height, _LARGEST), x : x + min(width, _LARGEST)]
 
 
 def _relative(sample: Tensor, target: Tensor) -> Tensor:
@@ -167,7 +157,7 @@ def _relative(sample: Tensor, target: Tensor) -> Tensor:
 def _quantiles(level: Tensor) -> Tensor:
     """(B, 3, Q) evenly spaced quantiles of the colours less their mean."""
     flat = level.flatten(2)
-    count = min(COMPARE.quantiles, flat.shape[2])
+    count = min(QUANTILES, flat.shape[2])
     chunk = flat.shape[2] // count
     centred = flat - flat.mean(dim=2, keepdim=True)
     ordered = centred.gather(2, _order(flat)) if flat.requires_grad else _sorted(centred)

@@ -14,26 +14,17 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+# Tuned constants of the encoding; docs/notes/prior.md.
 
-@dataclass(frozen=True)
-class EncodingSettings:
-    """Tuned constants of the encoding; docs/notes/prior.md."""
-
-    toe: float = 0.05
-    """Added inside the logarithm, as a share of the median radiance; it bounds the log of black."""
-    faintest: float = 0.2
-    """Lower limit of a colour direction's deviation, as a share of the strongest direction's."""
-    least_contrast: float = 0.02
-    """Lower limit of the strongest direction's standard deviation, log radiance; below is noise."""
-    least_signal: float = 0.05
-    """Lower limit of the signal's share of a colour direction's variance."""
-    least_texels: int = 64
-    """With fewer valid texels the covariance is taken over all texels."""
-    shading_scale: int = 48
-    """Texels: side of the box average that separates shading from texture."""
-
-
-ENCODING = EncodingSettings()
+# Added inside the logarithm, as a share of the median radiance; it bounds the log of black.
+_TOE = 0.05
+# Lower limit of a colour direction's deviation, as a share of the strongest direction's.
+_FAINTEST = 0.2
+# Lower limit of the strongest direction's standard deviation, log radiance; below is noise.
+_LEAST_CONTRAST = 0.02
+_LEAST_SIGNAL = 0.05  # lower limit of the signal's share of a colour direction's variance
+_LEAST_TEXELS = 64  # with fewer valid texels the covariance is taken over all texels
+_SHADING_SCALE = 48  # texels: side of the box average that separates shading from texture
 
 
 @dataclass(frozen=True)
@@ -51,9 +42,7 @@ class Encoding:
 
     def log(self, linear: Tensor) -> Tensor:
         """Logarithm ln((L / median + toe) / (1 + toe)) of radiance L (B, 3, H, W) in [0, 1]."""
-        return torch.log(
-            (linear.clamp(0.0, 1.0) / self.median + ENCODING.toe) / (1.0 + ENCODING.toe)
-        )
+        return torch.log((linear.clamp(0.0, 1.0) / self.median + _TOE) / (1.0 + _TOE))
 
 
 def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> Encoding:
@@ -62,11 +51,11 @@ def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> 
     Args:
         linear: (3, H, W) scene-linear radiance.
         valid: (H, W) bool, texels inside the photograph and not clipped; all texels are used where
-            fewer than ENCODING.least_texels are valid.
+            fewer than _LEAST_TEXELS are valid.
         noise: (3, H, W) an independent sample of the photograph's noise; each colour direction is
             scaled by the square root of its signal's share of the variance.
     """
-    if int(valid.sum()) < ENCODING.least_texels:
+    if int(valid.sum()) < _LEAST_TEXELS:
         valid = torch.ones_like(valid)
     seen = linear[:, valid]
     median = max(float(seen.mean(0).median()), 1e-6)
@@ -74,19 +63,17 @@ def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> 
     log = plain.log(linear[None])
     texture = (log - shading(log))[0][:, valid]
     values, vectors = torch.linalg.eigh(torch.cov(texture.double()))
-    strongest = values[-1].clamp_min(ENCODING.least_contrast**2)
-    scale = torch.rsqrt(values.clamp_min(ENCODING.faintest**2 * strongest))
+    strongest = values[-1].clamp_min(_LEAST_CONTRAST**2)
+    scale = torch.rsqrt(values.clamp_min(_FAINTEST**2 * strongest))
     if noise is not None:
         added = (plain.log((linear + noise)[None]) - log)[0][:, valid]
         noisy = (vectors * (torch.cov(added.double()) @ vectors)).sum(dim=0)
-        scale = (
-            scale * (1.0 - noisy / values.clamp_min(1e-12)).clamp_min(ENCODING.least_signal).sqrt()
-        )
+        scale = scale * (1.0 - noisy / values.clamp_min(1e-12)).clamp_min(_LEAST_SIGNAL).sqrt()
     return Encoding(median, (vectors * scale).T.float().contiguous())
 
 
 def shading(image: Tensor) -> Tensor:
-    """(B, C, H, W) smooth part of an image: box averages of ENCODING.shading_scale, upsampled."""
-    size = min(ENCODING.shading_scale, *image.shape[-2:])
+    """(B, C, H, W) smooth part of an image: box averages of _SHADING_SCALE, upsampled."""
+    size = min(_SHADING_SCALE, *image.shape[-2:])
     small = F.avg_pool2d(image, size, stride=max(1, size // 2))
     return F.interpolate(small, size=image.shape[-2:], mode="bilinear", align_corners=False)

@@ -17,40 +17,22 @@ from torch import Tensor
 
 from matcap.statistics.spectrum import power_spectrum
 
+# Tuned constants of the lattice's detection; docs/notes/prior.md.
+_WINDOW = 256  # texels: side of the windows whose spectra are averaged
+_PEAK_RATIO = 8.0  # least ratio of a peak to the median power of the 15 x 15 bins around it
+_LEAST_SHARE = 0.004  # least share of the texture's power in a peak
+_MOST_PEAKS = 12  # largest number of peaks that are used, the strongest
+_LONGEST = 80.0  # texels: longest period that counts as regular
+_TOLERANCE = 0.9  # spectral bins: largest distance of a peak from its lattice point
+_LEAST_VARIANCE = 1e-4  # least variance of a window of the encoded picture; others are skipped
+_MULTIPLES = (1, 2, 3, 4)  # multiples of a peak's period that are tried as the texture's period
+_CLEARLY = 0.05  # gain in autocorrelation that a multiple needs to replace the single period
+_REACH = 0.4  # largest shift, as a share of the picture's side
+_NEAR = 2  # texels around a shift over which the autocorrelation's maximum is taken
+_SHADING = 255  # texels: side of the local mean that is subtracted as shading
+# Share of the texture's power on the lattice below which there is no lattice.
+_LEAST_EXPLAINED = 0.05
 
-@dataclass(frozen=True)
-class LatticeSettings:
-    """Tuned constants of the lattice's detection; docs/notes/prior.md."""
-
-    window: int = 256
-    """Texels: side of the windows whose spectra are averaged."""
-    peak_ratio: float = 8.0
-    """Least ratio of a peak to the median power of the 15 x 15 bins around it."""
-    least_share: float = 0.004
-    """Least share of the texture's power in a peak."""
-    most_peaks: int = 12
-    """Largest number of peaks that are used, the strongest."""
-    longest: float = 80.0
-    """Texels: longest period that counts as regular."""
-    tolerance: float = 0.9
-    """Spectral bins: largest distance of a peak from its lattice point."""
-    least_variance: float = 1e-4
-    """Least variance of a window of the encoded picture; others are skipped."""
-    multiples: tuple[int, ...] = (1, 2, 3, 4)
-    """Multiples of a peak's period that are tried as the texture's period."""
-    clearly: float = 0.05
-    """Gain in autocorrelation that a multiple needs to replace the single period."""
-    reach: float = 0.4
-    """Largest shift, as a share of the picture's side."""
-    near: int = 2
-    """Texels around a shift over which the autocorrelation's maximum is taken."""
-    shading: int = 255
-    """Texels: side of the local mean that is subtracted as shading."""
-    least_explained: float = 0.05
-    """Share of the texture's power on the lattice below which there is no lattice."""
-
-
-LATTICE = LatticeSettings()
 
 _ORDERS = range(-4, 5)
 
@@ -101,9 +83,9 @@ def find_lattice(colour: Tensor, valid: Tensor) -> Lattice:
         cost = 0.02 * (len(basis) - 1) + 0.01 / _cell(basis)
         if explained - cost > best[0]:
             best = (explained - cost, basis, explained)
-    if best[2] < LATTICE.least_explained:
+    if best[2] < _LEAST_EXPLAINED:
         return Lattice((), best[2])
-    waves = tuple(Wave(fx / LATTICE.window, fy / LATTICE.window) for fx, fy in best[1])
+    waves = tuple(Wave(fx / _WINDOW, fy / _WINDOW) for fx, fy in best[1])
     return Lattice(_whole_periods(waves, colour, valid), best[2])
 
 
@@ -128,8 +110,8 @@ def _whole_periods(waves: tuple[Wave, ...], colour: Tensor, valid: Tensor) -> tu
     correlation = _autocorrelation_of(colour, valid)
     fundamentals = []
     for wave, (x, y) in zip(waves, _periods(waves), strict=True):
-        at = {m: correlation(m * x, m * y) for m in LATTICE.multiples}
-        times = max(LATTICE.multiples, key=lambda m: at[m] - LATTICE.clearly * (m > 1))
+        at = {m: correlation(m * x, m * y) for m in _MULTIPLES}
+        times = max(_MULTIPLES, key=lambda m: at[m] - _CLEARLY * (m > 1))
         fundamentals.append(Wave(wave.fx / times, wave.fy / times))
     return tuple(fundamentals)
 
@@ -164,36 +146,36 @@ def _autocorrelation_of(colour: Tensor, valid: Tensor) -> Callable[[float, float
     variance = float(correlation[0, 0].clamp_min(1e-12))
 
     def at(x: float, y: float) -> float:
-        if abs(x) > width * LATTICE.reach or abs(y) > height * LATTICE.reach:
+        if abs(x) > width * _REACH or abs(y) > height * _REACH:
             return -1.0
-        rows = torch.arange(round(y) - LATTICE.near, round(y) + LATTICE.near + 1) % size[0]
-        columns = torch.arange(round(x) - LATTICE.near, round(x) + LATTICE.near + 1) % size[1]
+        rows = torch.arange(round(y) - _NEAR, round(y) + _NEAR + 1) % size[0]
+        columns = torch.arange(round(x) - _NEAR, round(x) + _NEAR + 1) % size[1]
         return float(correlation[rows[:, None], columns].max()) / variance
 
     return at
 
 
 def _local_means(planes: Tensor) -> Tensor:
-    """Box averages over squares of LATTICE.shading texels, padded with zeros."""
-    half = LATTICE.shading // 2
-    rows = F.avg_pool2d(planes, (LATTICE.shading, 1), stride=1, padding=(half, 0))
-    return F.avg_pool2d(rows, (1, LATTICE.shading), stride=1, padding=(0, half))
+    """Box averages over squares of _SHADING texels, padded with zeros."""
+    half = _SHADING // 2
+    rows = F.avg_pool2d(planes, (_SHADING, 1), stride=1, padding=(half, 0))
+    return F.avg_pool2d(rows, (1, _SHADING), stride=1, padding=(0, half))
 
 
 def _mean_spectrum(colour: Tensor, valid: Tensor) -> Tensor | None:
     """(W, W // 2 + 1) mean of windows' power spectra, each of unit mean; None without a window."""
     height, width = colour.shape[-2:]
-    if min(height, width) < LATTICE.window:
+    if min(height, width) < _WINDOW:
         return None
-    step = LATTICE.window // 2
+    step = _WINDOW // 2
     spectra = []
-    for y in range(0, height - LATTICE.window + 1, step):
-        for x in range(0, width - LATTICE.window + 1, step):
-            if float(valid[y : y + LATTICE.window, x : x + LATTICE.window].float().mean()) < 0.9:
+    for y in range(0, height - _WINDOW + 1, step):
+        for x in range(0, width - _WINDOW + 1, step):
+            if float(valid[y : y + _WINDOW, x : x + _WINDOW].float().mean()) < 0.9:
                 continue
-            window = colour[None, :, y : y + LATTICE.window, x : x + LATTICE.window]
+            window = colour[None, :, y : y + _WINDOW, x : x + _WINDOW]
             spectrum = power_spectrum(window)[0].sum(0)
-            if float(spectrum.mean()) < LATTICE.least_variance:
+            if float(spectrum.mean()) < _LEAST_VARIANCE:
                 continue
             spectra.append(spectrum / spectrum[2:-1, 2:].mean().clamp_min(1e-12))
     return torch.stack(spectra).mean(0) if spectra else None
@@ -204,15 +186,15 @@ def _peaks(spectrum: Tensor) -> tuple[list[tuple[float, float, float]], float]:
     # The full plane with zero frequency at the centre, so that no neighbourhood crosses a border.
     full = torch.cat([spectrum, _mirror(spectrum)], dim=1)
     full = torch.fft.fftshift(full)
-    middle = LATTICE.window // 2
+    middle = _WINDOW // 2
     around = F.pad(full[None, None], (7, 7, 7, 7), mode="circular")
-    patches = F.unfold(around, 15).view(225, LATTICE.window, LATTICE.window)
+    patches = F.unfold(around, 15).view(225, _WINDOW, _WINDOW)
     highest = F.max_pool2d(full[None, None], 5, stride=1, padding=2)[0, 0]
     rows, columns = torch.meshgrid(
-        torch.arange(LATTICE.window) - middle, torch.arange(LATTICE.window) - middle, indexing="ij"
+        torch.arange(_WINDOW) - middle, torch.arange(_WINDOW) - middle, indexing="ij"
     )
     radius = (rows.square() + columns.square()).sqrt()
-    texture = radius >= LATTICE.window / LATTICE.longest
+    texture = radius >= _WINDOW / _LONGEST
     total = float(full[texture].sum())
     sums = F.avg_pool2d(full[None, None], 3, stride=1, padding=1)[0, 0] * 9.0
     half = (columns > 0) | ((columns == 0) & (rows > 0))
@@ -220,15 +202,13 @@ def _peaks(spectrum: Tensor) -> tuple[list[tuple[float, float, float]], float]:
     # Only at local maxima, as the median is expensive.
     background = patches[:, row, column].median(dim=0).values
     mass = sums[row, column] - 9.0 * background
-    is_peak = (full[row, column] > LATTICE.peak_ratio * background) & (
-        2.0 * mass > LATTICE.least_share * total
-    )
+    is_peak = (full[row, column] > _PEAK_RATIO * background) & (2.0 * mass > _LEAST_SHARE * total)
     peaks = []
     for y, x, power in zip(*(v[is_peak].tolist() for v in (row, column, mass)), strict=True):
         fy, fx = _refine(full, y, x)
         peaks.append((fx - middle, fy - middle, 2.0 * power))
     peaks.sort(key=lambda peak: -peak[2])
-    return peaks[: LATTICE.most_peaks], total
+    return peaks[:_MOST_PEAKS], total
 
 
 def _mirror(spectrum: Tensor) -> Tensor:
@@ -260,7 +240,7 @@ def _candidates(peaks: list[tuple[float, float]]) -> list[tuple[float, float]]:
     for (ax, ay), (bx, by) in itertools.combinations(peaks[:6], 2):
         candidates += [((ax + bx) / 2.0, (ay + by) / 2.0), ((ax - bx) / 2.0, (ay - by) / 2.0)]
         candidates += [(ax - bx, ay - by)]
-    least = LATTICE.window / LATTICE.longest
+    least = _WINDOW / _LONGEST
     return [(fx, fy) for fx, fy in candidates if (fx * fx + fy * fy) ** 0.5 >= least]
 
 
@@ -292,7 +272,7 @@ def _explained(
     points[lonely[:, None] & (orders[:, 0] == 0)] = math.inf
     hit = torch.zeros(len(bases), len(peaks), dtype=torch.bool)
     for index, place in enumerate(places):
-        hit[:, index] = ((points - place).square().sum(dim=2) < LATTICE.tolerance**2).any(dim=1)
+        hit[:, index] = ((points - place).square().sum(dim=2) < _TOLERANCE**2).any(dim=1)
     # Nearly parallel vectors are two close frequencies, not a lattice.
     (ax, ay), (bx, by) = waves[:, 0].T, waves[:, 1].T
     lengths = waves[:, 0].norm(dim=1) * waves[:, 1].norm(dim=1)

@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 
 from matcap.statistics.compare import (
-    COMPARE,
+    QUANTILES,
     Descriptor,
     Weights,
     _quantiles,
@@ -141,8 +141,8 @@ def test_quantiles_are_those_of_sorted_colours_with_or_without_a_gradient(dtype)
     level = torch.randn(2, 3, 40, 40, generator=generator).to(dtype)
     level[0, 0, 0, :2] = torch.tensor([0.0, -0.0])
     centred = level.flatten(2) - level.flatten(2).mean(dim=2, keepdim=True)
-    chunk = centred.shape[2] // COMPARE.quantiles
-    expected = centred.sort(dim=2).values[..., : chunk * COMPARE.quantiles]
-    expected = expected.unflatten(2, (COMPARE.quantiles, chunk)).mean(dim=3)
+    chunk = centred.shape[2] // QUANTILES
+    expected = centred.sort(dim=2).values[..., : chunk * QUANTILES]
+    expected = expected.unflatten(2, (QUANTILES, chunk)).mean(dim=3)
     for needed in (False, True):
         assert torch.equal(_quantiles(level.clone().requires_grad_(needed)), expected)

@@ -27,7 +27,6 @@ from matcap.capture.together.texels import (
     SLOPES,
     Estimate,
     ParameterPrior,
-    SolveSettings,
     stepped,
     under_fitted_ambient,
 )
@@ -40,35 +39,23 @@ from matcap.flash.registration.camera import Doubles, PosedCamera
 from matcap.flash.registration.grid import grid_points
 from matcap.flash.registration.register import RegisteredView
 
+# Settings of the registration by rendering; larger grids are more accurate and slower.
 
-@dataclass(frozen=True)
-class AlignSettings:
-    """Settings of the registration by rendering; larger grids are more accurate and slower.
-
-    Attributes:
-        levels: texels across of the grids, coarse to fine, as shares of the exemplar's.
-        finest: most texels across.
-        rounds: most registration rounds on each grid.
-        settled: texels; a grid ends when no photograph is moved farther in a round.
-        steps: Gauss-Newton steps per texel on each grid, for the relief's parallax; on the finest
-            only the sampled texels move.
-        slow: standard deviation of the Gaussian high-pass of heights, as a share of the long side.
-        pixel: expected registration error by features, plane units.
-        doubtful: factor on the cameras' standard deviations by features, whose main error, shading,
-            rendering removes (docs/notes/several.md).
-        surer: texels: a photograph with a smaller registration error by features is not moved
-            on a grid.
-    """
-
-    levels: tuple[float, ...] = (0.25, 0.5, 1.0)
-    finest: int = 768
-    rounds: tuple[int, ...] = (3, 4, 4)
-    settled: float = 0.05
-    steps: tuple[int, ...] = (2, 1, 0)
-    slow: float = 0.06
-    pixel: float = 1e-3
-    doubtful: float = 0.5
-    surer: float = 0.25
+# Texels across of the grids, coarse to fine, as shares of the exemplar's.
+_LEVELS = (0.25, 0.5, 1.0)
+_FINEST = 768  # most texels across
+_ROUNDS = (3, 4, 4)  # most registration rounds on each grid
+_SETTLED = 0.05  # texels; a grid ends when no photograph is moved farther in a round
+# Gauss-Newton steps per texel on each grid, for the relief's parallax; on the finest only the
+# sampled texels move.
+_STEPS = (2, 1, 0)
+_SLOW = 0.06  # standard deviation of the Gaussian high-pass of heights, as a share of the long side
+_PIXEL = 1e-3  # expected registration error by features, plane units
+# Factor on the cameras' standard deviations by features, whose main error, shading, rendering
+# removes (docs/notes/several.md).
+_DOUBTFUL = 0.5
+# Texels: a photograph with a smaller registration error by features is not moved on a grid.
+_SURER = 0.25
 
 
 @dataclass(frozen=True)
@@ -115,8 +102,6 @@ class Aligned:
 def aligned(
     begun: Aligned,
     read: Estimate,
-    solving: SolveSettings,
-    settings: AlignSettings = AlignSettings(),
     on_progress: Callable[[float], None] = lambda _share: None,
 ) -> Aligned:
     """Register all photographs to the first by rendering, and refit their cameras.
@@ -124,8 +109,6 @@ def aligned(
     Args:
         begun: registration by features (Aligned.of).
         read: the network's prediction of the first photograph, on the plane of `begun`.
-        solving: settings of the per-texel steps.
-        settings: see AlignSettings.
         on_progress: called with the completed share, in [0, 1].
     """
     prior, tint = achromatic(read.maps)
@@ -133,44 +116,43 @@ def aligned(
     # The prediction is on the plane of a lens without distortion.
     start = PosedCamera.of(setup)
     places = [ViewPlace(np.eye(3), None, start.place, extent) for _ in views]
-    (width, height), finest = prior.size, min(extent.unit(prior.size[0]), settings.finest)
+    (width, height), finest = prior.size, min(extent.unit(prior.size[0]), _FINEST)
     parameters, relief, moved = None, None, set[int]()
-    done, effort = 0, len(settings.levels) * (1 + max(settings.rounds))
-    for level, rounds, steps in zip(settings.levels, settings.rounds, settings.steps, strict=True):
+    done, effort = 0, len(_LEVELS) * (1 + max(_ROUNDS))
+    for level, rounds, steps in zip(_LEVELS, _ROUNDS, _STEPS, strict=True):
         across = extent.across(max(64, round(level * finest)))
         down = max(8, round(height * across / width))
         small = replace(read, maps=prior).resized((down, across), extent)
         small = replace(small, maps=reframed(small.maps, start, views[0].camera, extent))
-        texel, begin = small.maps.texel_size, ParameterPrior.of(small, solving)
-        unsure = {n for n, v in enumerate(views) if v.astray >= settings.surer * texel}
+        texel, begin = small.maps.texel_size, ParameterPrior.of(small)
+        unsure = {n for n, v in enumerate(views) if v.astray >= _SURER * texel}
         moved |= unsure
         for turn in range(rounds if unsure or steps else 0):
             seen = [
                 PieceView.of(v, across, down, p, tint) for v, p in zip(views, places, strict=True)
             ]
             if turn == 0 or parameters is None:
-                parameters = _begun(seen, parameters, begin, light, solving, steps)
-                relief = _relief(parameters, texel, extent.unit(across), settings)
+                parameters = _begun(seen, parameters, begin, light, steps)
+                relief = _relief(parameters, texel, extent.unit(across))
             seen = under_fitted_ambient(seen, parameters, light)
-            light, moves = shared_step(seen, parameters, begin, light, solving, moved=unsure)
+            light, moves = shared_step(seen, parameters, begin, light, moved=unsure)
             first, both = views[0].camera.place, zip(places, moves, strict=True)
             places = [ViewPlace(p.nudge @ m, relief, first, extent) for p, m in both]
             if unsure:
-                setup, views, places = _posed(begun.setup, views, places, settings)
+                setup, views, places = _posed(begun.setup, views, places)
             done += 1
             on_progress(done / effort)
-            if _farthest(moves) < settings.settled * texel:
+            if _farthest(moves) < _SETTLED * texel:
                 break
-    return Aligned(setup, _less_doubted(views, moved, settings), tuple(places), light)
+    return Aligned(setup, _less_doubted(views, moved), tuple(places), light)
 
 
 def _less_doubted(
-    views: Sequence[RegisteredView], moved: Container[int], settings: AlignSettings
+    views: Sequence[RegisteredView], moved: Container[int]
 ) -> tuple[RegisteredView, ...]:
     """Scale the standard deviations of the cameras that were registered by rendering."""
     return tuple(
-        replace(v, doubt=settings.doubtful * v.doubt) if n in moved else v
-        for n, v in enumerate(views)
+        replace(v, doubt=_DOUBTFUL * v.doubt) if n in moved else v for n, v in enumerate(views)
     )
 
 
@@ -180,12 +162,10 @@ def _farthest(moves: Sequence[Doubles]) -> float:
     return max(float(np.abs(_moved(move, points) - points).max()) for move in moves)
 
 
-def _relief(
-    parameters: Tensor, texel_size: float, unit: float, settings: AlignSettings
-) -> NDArray[np.float32]:
+def _relief(parameters: Tensor, texel_size: float, unit: float) -> NDArray[np.float32]:
     """(H, W) height for parallax, high-passed: slopes do not determine low frequencies."""
     height = surface_of(parameters[SLOPES], texel_size)[0].numpy()
-    return height - smoothed(height, settings.slow * unit)
+    return height - smoothed(height, _SLOW * unit)
 
 
 def _begun(
@@ -193,7 +173,6 @@ def _begun(
     parameters: Tensor | None,
     prior: ParameterPrior,
     light: SetLight,
-    solving: SolveSettings,
     steps: int,
 ) -> Tensor:
     """(PARAMETERS, H, W) parameters of a grid: upsampled from the last one, then `steps` steps."""
@@ -202,11 +181,11 @@ def _begun(
     else:
         parameters = prior.mean
         light, _ = shared_step(
-            under_fitted_ambient(seen, parameters, light), parameters, prior, light, solving
+            under_fitted_ambient(seen, parameters, light), parameters, prior, light
         )
     seen, prior = under_fitted_ambient(seen, parameters, light), prior.with_gloss_of(light)
     for _ in range(steps):
-        parameters = stepped(seen, parameters, prior, light, solving).parameters
+        parameters = stepped(seen, parameters, prior, light).parameters
     return parameters
 
 
@@ -214,7 +193,6 @@ def _posed(
     setup: FlashSetup,
     views: Sequence[RegisteredView],
     places: Sequence[ViewPlace],
-    settings: AlignSettings,
 ) -> tuple[FlashSetup, list[RegisteredView], list[ViewPlace]]:
     """Refit the cameras to the homographies of the photographs by bundle adjustment."""
     points = grid_points(24, 18).reshape(3, -1)
@@ -225,7 +203,7 @@ def _posed(
         seen = view.camera.sees(_moved(place.nudge, points))
         both = inside & (np.abs(seen).max(0) < 1.0)
         ratio = view.camera.lens.focal / views[0].camera.lens.focal
-        pairs.append(Pair(first[:, both], seen[:, both], settings.pixel, ratio))
+        pairs.append(Pair(first[:, both], seen[:, both], _PIXEL, ratio))
     known = AdjustSettings(relief=0.0)
     adjusted = adjust(setup, pairs, known=True, settings=known)
     cameras = [replace(v, camera=c) for v, c in zip(views, adjusted.cameras, strict=True)]

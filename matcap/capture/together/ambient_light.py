@@ -24,28 +24,15 @@ Picture = NDArray[np.float32]
 Views = tuple[RegisteredView, ...]  # at most one without flash, the last
 
 
-@dataclass(frozen=True)
-class AmbientLightSettings:
-    """Model of ambient light; docs/notes/several.md."""
-
-    noise: float = 0.05
-    """Standard deviation of log radiance from the model of ambient light."""
-    slow: float = 0.08
-    """Standard deviation of the low-pass that separates illumination, as a share of the long side.
-    """
-    lean: tuple[float, float, float] = (0.0, 0.0, 0.5)
-    """Prior mean of AmbientLight.lean."""
-    leaning: float = 0.25
-    """Prior standard deviation of its x and y."""
-    darkest: float = 0.05
-    """Least irradiance of any normal, over that of a level surface."""
-    faintest: float = 0.05
-    """Least share of a pixel's radiance that remains after subtraction."""
-    bound: float = 0.005
-    """Share of pixels that may be darker than under ambient light alone."""
-
-
-AMBIENT = AmbientLightSettings()
+# Model of ambient light; docs/notes/several.md.
+AMBIENT_NOISE = 0.05  # standard deviation of log radiance from the model of ambient light
+# Standard deviation of the low-pass that separates illumination, as a share of the long side.
+_SLOW = 0.08
+LEAN = (0.0, 0.0, 0.5)  # prior mean of AmbientLight.lean
+LEANING = 0.25  # prior standard deviation of its x and y
+_DARKEST = 0.05  # least irradiance of any normal, over that of a level surface
+_FAINTEST = 0.05  # least share of a pixel's radiance that remains after subtraction
+_BOUND = 0.005  # share of pixels that may be darker than under ambient light alone
 
 
 @dataclass(frozen=True)
@@ -78,7 +65,7 @@ class AmbientLight:
     E(n) = strength (1 + x n_x + y n_y + z (n_z - 1)), relative to a level surface, n = (0, 0, 1).
     """
 
-    lean: Tensor = field(default_factory=lambda: torch.tensor(AMBIENT.lean))
+    lean: Tensor = field(default_factory=lambda: torch.tensor(LEAN))
     """(3,) x, y and z; (0, 0, 0.5) under a uniform sky."""
     strength: Tensor | None = None
     """(3, 1, 1) irradiance of a level surface; None for 1."""
@@ -87,7 +74,7 @@ class AmbientLight:
         """Irradiance of a relief with unit normals (3, h, w)."""
         off = torch.cat([normal[:2], normal[2:] - 1.0])
         lit = 1.0 + torch.tensordot(self.lean.to(off), off, 1)[None]
-        lit = lit.clamp_min(AMBIENT.darkest)
+        lit = lit.clamp_min(_DARKEST)
         return AmbientIncidence(lit if self.strength is None else lit * self.strength)
 
 
@@ -101,7 +88,7 @@ def evenly_lit(log: Tensor, seen: Tensor, rendered: Tensor) -> Tensor:
     """
     off = (log - rendered).numpy()
     mask = seen.float().numpy()
-    deviation = AMBIENT.slow * max(log.shape[1:])
+    deviation = _SLOW * max(log.shape[1:])
 
     def fast(plane: Picture, weight: Picture) -> Picture:
         whole = smoothed(weight, deviation)
@@ -157,10 +144,10 @@ def _without(
         for each in (photo.pixels, added)
     )
     ratio = light / np.maximum(theirs, np.float32(1e-6))
-    most = np.asarray(np.quantile(ratio.reshape(-1, 3), AMBIENT.bound, axis=0)).clip(max=1.0)
+    most = np.asarray(np.quantile(ratio.reshape(-1, 3), _BOUND, axis=0)).clip(max=1.0)
     added *= np.asarray(most, np.float32)
     share = float(np.median(added.mean(2) / np.maximum(photo.pixels.mean(2), 1e-6)))
-    left = np.maximum(photo.pixels - added, AMBIENT.faintest * photo.pixels)
+    left = np.maximum(photo.pixels - added, _FAINTEST * photo.pixels)
     # Clipped pixels remain lower bounds.
     full = photo.clipped[..., None] & (photo.pixels > FULL)
     left = np.where(full, photo.pixels, left)

@@ -47,8 +47,8 @@ from matcap.capture.together.pair import on_albedo
 from matcap.capture.together.predict import predictions
 from matcap.capture.together.readings import ReadView, read_views, with_others
 from matcap.capture.together.set_report import SetReport
-from matcap.capture.together.solve import Solved, solve
-from matcap.capture.together.texels import Estimate, SolveSettings
+from matcap.capture.together.solve import ROUNDS, SLOW, Solved, solve
+from matcap.capture.together.texels import Estimate
 from matcap.capture.together.tint import achromatic, coloured, on_grid
 from matcap.capture.together.union import (
     Reach,
@@ -72,6 +72,10 @@ from matcap.flash.registration.register import Registration, register_in_any_ord
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 
+# Steps per texel in each round, on a grid that starts from one half as fine.
+_FINER: tuple[int, ...] = (1, 1)
+_COARSE = 320  # texels across the grid that starts from the network's prediction
+
 
 @dataclass(frozen=True)
 class SinglePrediction:
@@ -93,7 +97,6 @@ def estimate_together(
     photos: Sequence[Photo],
     network: Inverse,
     detail: int,
-    settings: SolveSettings,
     clock: CaptureClock,
     *,
     union: bool = False,
@@ -104,7 +107,6 @@ def estimate_together(
         photos: two or more; the first one with flash defines the frame.
         network: the inverse network (piece/network/store.py).
         detail: texels along the long side.
-        settings: of the multi-view solve.
         clock: of the stages.
         union: estimate all that the photographs show (union.py), not the first one's rectangle.
 
@@ -116,7 +118,7 @@ def estimate_together(
     reach = reach_of(registration.views, plane.size) if union else Reach.own(plane.size)
     read = spread_over(single.estimate, reach.margins)
     begun = by_features(registration, coarse, reach.extent)
-    poses, interrupted = _aligned(begun, single.estimate.maps, read, settings, clock)
+    poses, interrupted = _aligned(begun, single.estimate.maps, read, clock)
     first = poses.views[0].photo
     rectified = Rectified.of_photo(first, replace(coarse, setup=poses.setup), detail)
     posed = PosedCamera.of(registration.setup), poses.views[0].camera
@@ -132,14 +134,14 @@ def estimate_together(
         most = scatter(single.estimate)[:, None, None]
         read = replace(read, log_error=torch.minimum(read.log_error, most))
     with clock.stage("solve"):
-        poses, views, solved = _solved(poses, read, tint, settings, clock)
+        poses, views, solved = _solved(poses, read, tint, clock)
     interrupted |= solved.interrupted
     coarse = replace(coarse, setup=solved.light.onto(poses.setup))
     with clock.stage("predict"):
         known = None if interrupted else readings
-        ahead = None if known is None else predictions(poses, known, solved, settings, tint)
+        ahead = None if known is None else predictions(poses, known, solved, tint)
     with clock.stage("inpaint"):
-        reach, whole, solved = _whole(rectified.whole, poses, reach, solved, settings)
+        reach, whole, solved = _whole(rectified.whole, poses, reach, solved)
         exemplar = _inpainted(Observation.of(whole, coarse), solved, tint, views)
     with clock.stage("index"):
         example, scale = _indexed(first, exemplar, single.metal, rectified.waves, reach)
@@ -219,7 +221,7 @@ def by_features(registration: Registration, coarse: CoarseFit, extent: Extent = 
 
 
 def _aligned(
-    begun: Aligned, own: MapSet, read: Estimate, settings: SolveSettings, clock: CaptureClock
+    begun: Aligned, own: MapSet, read: Estimate, clock: CaptureClock
 ) -> tuple[Aligned, bool]:
     """Register photographs by rendering; (`begun` or its refinement, whether interrupted).
 
@@ -227,14 +229,13 @@ def _aligned(
         begun: registration by features.
         own: predicted maps of the first photograph's rectangle.
         read: prediction over the exemplar's extent.
-        settings: of the multi-view solve.
         clock: of the stages.
     """
     try:
         with clock.stage("align"):
             views, _ = without_ambient(on_albedo(begun.views, begun.setup, own))
             begun, on_progress = replace(begun, views=views), clock.callback("align")
-            return aligned(begun, read, settings, on_progress=on_progress), False
+            return aligned(begun, read, on_progress=on_progress), False
     except KeyboardInterrupt:
         return begun, True
 
@@ -258,7 +259,6 @@ def _solved(
     poses: Aligned,
     read: Estimate,
     tint: Tensor | None,
-    settings: SolveSettings,
     clock: CaptureClock,
 ) -> tuple[Aligned, list[PieceView], Solved]:
     """Joint estimation on a grid of half the texels across, then on all.
@@ -267,29 +267,29 @@ def _solved(
     fine grid they are resampled with that of the relief estimated on the coarse one.
     """
     begun: Solved | None = None
-    light, done = poses.light, 0.0
+    light, done, rounds = poses.light, 0.0, ROUNDS
     across, down = read.maps.size
-    if poses.extent.unit(across) >= 2 * settings.coarse:
+    if poses.extent.unit(across) >= 2 * _COARSE:
         done = 0.4
         half = (round(down / 2), round(across / 2))
         views = poses.on_grid(half[1], half[0], tint)
         small = read.resized(half, poses.extent)
-        begun = solve(views, small, light, settings, on_progress=clock.callback("solve", 0.0, done))
-        light, settings = begun.light, replace(settings, rounds=settings.finer)
+        begun = solve(views, small, light, on_progress=clock.callback("solve", 0.0, done))
+        light, rounds = begun.light, _FINER
         poses = poses.with_relief(begun.maps.height)
     views = poses.on_grid(across, down, tint)
     on_progress = clock.callback("solve", done, 1.0)
-    return poses, views, solve(views, read, light, settings, begun, on_progress)
+    return poses, views, solve(views, read, light, begun, on_progress, rounds=rounds)
 
 
 def _whole(
-    plane: Plane, poses: Aligned, reach: Reach, solved: Solved, settings: SolveSettings
+    plane: Plane, poses: Aligned, reach: Reach, solved: Solved
 ) -> tuple[Reach, Plane, Solved]:
     """The first photograph on the mosaic's grid, unseen texels masked, and maps there."""
     if not reach.margins.any:
         return reach, plane, solved
     known = seen_by_any(poses.views, reach)
-    maps = rounded_off(solved.maps, known, settings.slow * plane.size[0])
+    maps = rounded_off(solved.maps, known, SLOW * plane.size[0])
     return (
         replace(reach, known=float(known.float().mean())),
         plane.over(reach.margins, known),

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,26 +25,17 @@ from matcap.photo.load import load_photo
 _SIDES = ("left", "right", "top", "bottom")
 
 
-@dataclass(frozen=True)
-class LookSettings:
-    """Limits of the coverage checks."""
+# Limits of the coverage checks.
 
-    aside: float = 0.15
-    """Least lateral offset of a camera, over its height, for the sample to be lit from that side;
-    the remedy asks for a third."""
-    same_place: float = 0.08
-    """Baseline of two cameras, over their distance to the sample, below which they coincide."""
-    steep: float = 50.0
-    """Largest tilt, degrees; beyond it few pixels cover the far side."""
-    alone: float = 0.25
-    """Largest share of the sample that only one photograph shows."""
-    grid: int = 64
-    """Points across the grid on which coverage is determined."""
-    detail: int = 1600
-    """Pixels along the long side for keypoints."""
-
-
-LOOK = LookSettings()
+# Least lateral offset of a camera, over its height, for the sample to be lit from that side; the
+# remedy asks for a third.
+_ASIDE = 0.15
+# Baseline of two cameras, over their distance to the sample, below which they coincide.
+SAME_PLACE = 0.08
+_STEEP = 50.0  # largest tilt, degrees; beyond it few pixels cover the far side
+_ALONE = 0.25  # largest share of the sample that only one photograph shows
+_GRID = 64  # points across the grid on which coverage is determined
+_DETAIL = 1600  # pixels along the long side for keypoints
 
 
 def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection:
@@ -64,7 +54,7 @@ def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection
             where=str(paths[0]),
             remedy="give two or more of one sample",
         )
-    photos = [load_photo(path, long_side=LOOK.detail, fov=fov, noise=False) for path in paths]
+    photos = [load_photo(path, long_side=_DETAIL, fov=fov, noise=False) for path in paths]
     return set_quality(register_in_any_order(photos))
 
 
@@ -128,7 +118,7 @@ def _sides(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
         leaning = np.stack([leaning[:, 1], -leaning[:, 0]], 1)
     reach = (-leaning[:, 0].min(), leaning[:, 0].max(), leaning[:, 1].max(), -leaning[:, 1].min())
     value = {side: round(float(far), 3) for side, far in zip(_SIDES, reach, strict=True)}
-    dark = [side for side, far in zip(_SIDES, reach, strict=True) if far < LOOK.aside]
+    dark = [side for side, far in zip(_SIDES, reach, strict=True) if far < _ASIDE]
     if not dark:
         says = "The sample is lit from all four sides."
         return (Finding("lit_from", value, Rating.GOOD, says),)
@@ -153,9 +143,9 @@ def _places(views: Sequence[RegisteredView]) -> Finding:
             baseline = np.linalg.norm(one.camera.place - other.camera.place)
             share = float(baseline / np.linalg.norm(one.camera.place))
             nearest = min(nearest, share)
-            if share < LOOK.same_place:
+            if share < SAME_PLACE:
                 same.append(f"{one.photo.name} and {other.photo.name}")
-    steep = [v for v in views if math.degrees(v.camera.tilt) > LOOK.steep]
+    steep = [v for v in views if math.degrees(v.camera.tilt) > _STEEP]
     value = None if math.isinf(nearest) else round(nearest, 3)
     said = [f"{pair} were taken from nearly the same place." for pair in same]
     said += [
@@ -192,7 +182,7 @@ def _common(views: Sequence[RegisteredView]) -> Finding:
     seen = np.stack([_seen(view, views[0]) for view in views]).sum(0)
     alone = float((seen < 2).mean())
     says = f"{1.0 - alone:.0%} of the sample is in two photographs or more."
-    if alone <= LOOK.alone:
+    if alone <= _ALONE:
         return Finding("common", round(alone, 3), Rating.GOOD, says)
     return Finding(
         "common",
@@ -208,7 +198,7 @@ def _union(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
     if len(views) < 2:
         return ()
     rows, columns = views[0].photo.pixels.shape[:2]
-    reach = reach_of(views, (LOOK.detail, round(LOOK.detail * rows / columns)))
+    reach = reach_of(views, (_DETAIL, round(_DETAIL * rows / columns)))
     value = round(reach.times, 2)
     if not reach.margins.any:
         says = "They show hardly more than the first one: --union makes the maps no larger."
@@ -220,7 +210,7 @@ def _union(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
 def _seen(view: RegisteredView, first: RegisteredView) -> NDArray[np.bool_]:
     """(h, w) bool, whether a photograph shows points of the first one's rectangle."""
     rows, columns = first.photo.pixels.shape[:2]
-    image = view.camera.sees(grid_points(LOOK.grid, round(LOOK.grid * rows / columns)))
+    image = view.camera.sees(grid_points(_GRID, round(_GRID * rows / columns)))
     rows, columns = view.photo.pixels.shape[:2]
     inside = (np.abs(image[0]) < 1.0) & (np.abs(image[1]) < rows / columns)
     return np.asarray(inside)

@@ -28,7 +28,7 @@ from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.smooth import smoothed, split
 from matcap.capture.piece.strengths import BANDS, measure_strengths
 from matcap.capture.piece.tuned import STRENGTH
-from matcap.capture.together.ambient_light import AMBIENT, Views
+from matcap.capture.together.ambient_light import LEAN, LEANING, Views
 from matcap.capture.together.texels import ALBEDO, SLOPES, points_of, rendered
 from matcap.capture.together.views import PieceView, SetLight, light_at
 from matcap.flash.geometry import FlashSetup
@@ -40,43 +40,22 @@ Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class PairSettings:
-    """Registration of an ambient photograph, and relief by it; docs/notes/several.md."""
+# Registration of an ambient photograph, and relief by it; docs/notes/several.md.
 
-    bands: tuple[tuple[float, float], ...] = (
-        (128.0, 64.0),
-        (64.0, 32.0),
-        (32.0, 16.0),
-        (16.0, 8.0),
-    )
-    """Longest and shortest wavelength of each compared octave, texels."""
-    around: float = 24.0
-    """Standard deviation of the local contrast normalisation, texels."""
-    shrunk: tuple[float, ...] = (4.0, 2.0, 1.0)
-    """Subsampling of the grids of ECC, coarse to fine, texels."""
-    steps: int = 60
-    """Most iterations of ECC on each grid."""
-    least: float = 0.2
-    """Least correlation; below it the registration by features is kept."""
-    thinned: int = 16
-    """Subsampling of points for the camera and of texels for the regression, texels."""
-    pixel: float = 2e-4
-    """Standard deviation of the resulting registration, plane units."""
-    step: float = 0.1
-    """Step of finite differences in log albedo and slope."""
-    windows: float = 40.0
-    """The long side over the standard deviation of local energies."""
-    surer: float = 1.0
-    """Texels: a smaller registration error by features is kept."""
-    finest: float = 4.0
-    """Wavelength, texels, below which bands keep their predicted energy."""
-    slow: float = 16.0
-    """The long side over the standard deviation of the low-pass that is subtracted from the ratio.
-    """
-
-
-SETTINGS = PairSettings()
+# Longest and shortest wavelength of each compared octave, texels.
+_BANDS = ((128.0, 64.0), (64.0, 32.0), (32.0, 16.0), (16.0, 8.0))
+_AROUND = 24.0  # standard deviation of the local contrast normalisation, texels
+_SHRUNK = (4.0, 2.0, 1.0)  # subsampling of the grids of ECC, coarse to fine, texels
+_STEPS = 60  # most iterations of ECC on each grid
+_LEAST = 0.2  # least correlation; below it the registration by features is kept
+_THINNED = 16  # subsampling of points for the camera and of texels for the regression, texels
+_PIXEL = 2e-4  # standard deviation of the resulting registration, plane units
+_STEP = 0.1  # step of finite differences in log albedo and slope
+_WINDOWS = 40.0  # the long side over the standard deviation of local energies
+_SURER = 1.0  # texels: a smaller registration error by features is kept
+_FINEST = 4.0  # wavelength, texels, below which bands keep their predicted energy
+# The long side over the standard deviation of the low-pass that is subtracted from the ratio.
+_SLOW = 16.0
 
 
 def on_albedo(views: Views, setup: FlashSetup, read: MapSet) -> Views:
@@ -93,20 +72,20 @@ def on_albedo(views: Views, setup: FlashSetup, read: MapSet) -> Views:
     first, room = views[0], views[-1]
     if room.flash:
         return views
-    if room.astray < SETTINGS.surer * read.texel_size:
-        return (*views[:-1], replace(room, astray=SETTINGS.pixel))
+    if room.astray < _SURER * read.texel_size:
+        return (*views[:-1], replace(room, astray=_PIXEL))
     grid = grid_points(*read.size)
     there = _seen(views, setup, grid)
     albedo = _evened(read.diffuse.clamp_min(1e-3).log().mean(0).numpy())
     moved = _correlated(albedo, _evened(_looked_up(room, there)))
     if moved is None:
         return views
-    thin = slice(None, None, SETTINGS.thinned)
+    thin = slice(None, None, _THINNED)
     points = grid[:, thin, thin].reshape(3, -1)
     second = _seen(views, setup, _moved(points, moved, read.size))
     plane = first.camera.on_plane(PosedCamera.of(setup).sees(points))
     camera = _camera(plane, second, room.camera.lens)
-    refitted = replace(room, camera=camera, astray=SETTINGS.pixel)
+    refitted = replace(room, camera=camera, astray=_PIXEL)
     return (*views[:-1], refitted)
 
 
@@ -148,23 +127,23 @@ def _looked_up(view: RegisteredView, image: Doubles) -> Floats:
 
 
 def _evened(log: Floats) -> Floats:
-    """(h, w) octaves of SETTINGS.bands of a picture over their local contrast."""
-    fine = np.sum(split(np.asarray(log, np.float32), SETTINGS.bands)[:-1], axis=0)
-    around = cv2.GaussianBlur(fine * fine, (0, 0), SETTINGS.around)
+    """(h, w) octaves of _BANDS of a picture over their local contrast."""
+    fine = np.sum(split(np.asarray(log, np.float32), _BANDS)[:-1], axis=0)
+    around = cv2.GaussianBlur(fine * fine, (0, 0), _AROUND)
     return np.asarray(fine / np.sqrt(around + 1e-6), np.float32)
 
 
 def _correlated(fixed: Floats, moving: Floats) -> Floats | None:
     """(3, 3) homography from texels of `fixed` to those of `moving` by ECC; None if it fails."""
     move, correlation = np.eye(3, dtype=np.float32), 0.0
-    for factor in SETTINGS.shrunk:
+    for factor in _SHRUNK:
         scale = np.diag([1.0 / factor, 1.0 / factor, 1.0]).astype(np.float32)
         small = [
             cv2.resize(each, None, fx=1.0 / factor, fy=1.0 / factor, interpolation=cv2.INTER_AREA)
             for each in (fixed, moving)
         ]
         start = np.asarray(scale @ move @ np.linalg.inv(scale), np.float32)
-        stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, SETTINGS.steps, 1e-6)
+        stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, _STEPS, 1e-6)
         try:
             correlation, fitted = cv2.findTransformECC(
                 small[0], small[1], start, cv2.MOTION_HOMOGRAPHY, stop
@@ -172,7 +151,7 @@ def _correlated(fixed: Floats, moving: Floats) -> Floats | None:
         except cv2.error:  # nothing in common
             return None
         move = np.asarray(np.linalg.inv(scale) @ fitted @ scale, np.float32)
-    return move if correlation > SETTINGS.least else None
+    return move if correlation > _LEAST else None
 
 
 @dataclass(frozen=True)
@@ -201,7 +180,7 @@ class Ratio:
             light: of all photographs.
         """
         some = ((0, views[0]), (len(views) - 1, views[-1]))
-        points, step = points_of(parameters.shape[1:], extent=views[0].extent), SETTINGS.step
+        points, step = points_of(parameters.shape[1:], extent=views[0].extent), _STEP
         lights = [light_at(number, view, light, points) for number, view in some]
         flat = parameters.clone()
         flat[ALBEDO] = flat[ALBEDO].mean((1, 2), keepdim=True)
@@ -227,7 +206,7 @@ class Ratio:
             along.append(smoothed(change, STRENGTH.response_around))
         use = (views[0].seen & views[-1].seen).all(0).numpy().astype(np.float32)
         left = ratio(*(view.log - e for (_, view), e in zip(some, even, strict=True)))
-        left = (left - _mean(left, use, max(use.shape) / SETTINGS.slow)) * use
+        left = (left - _mean(left, use, max(use.shape) / _SLOW)) * use
         return Ratio(left, np.stack(along), shares[0].mean(0).numpy(), use)
 
 
@@ -240,15 +219,15 @@ def with_lean(views: Sequence[PieceView], parameters: Tensor, light: SetLight) -
     """
     if views[-1].ambient is None:
         return light
-    light = replace(light, lean=torch.tensor(AMBIENT.lean))
+    light = replace(light, lean=torch.tensor(LEAN))
     ratio = Ratio.of(views, parameters, light)
-    around = max(ratio.use.shape) / SETTINGS.windows
+    around = max(ratio.use.shape) / _WINDOWS
     band = np.sum(split(ratio.log)[:4], axis=0)
     energy = _mean(np.square(band), ratio.use, around)
     x, y = (smoothed(each, around) for each in ratio.sensitivity)
     seen = smoothed(ratio.use, around) > 0.8
     seen_share = float(seen.mean())
-    seen[np.indices(seen.shape).sum(0) % SETTINGS.thinned > 0] = False
+    seen[np.indices(seen.shape).sum(0) % _THINNED > 0] = False
     if seen.sum() < 100:
         return light
     terms = np.stack([np.ones_like(x), x, y, x * x + y * y])[:, seen].astype(np.float64)
@@ -267,9 +246,9 @@ def with_lean(views: Sequence[PieceView], parameters: Tensor, light: SetLight) -
     variance = scatter * np.linalg.inv(normal).diagonal()
     lean = fitted[1:3] / (2.0 * relief)
     unsure = (variance[1:3] + np.square(2.0 * lean) * variance[3]) / (2.0 * relief) ** 2
-    lean = lean * AMBIENT.leaning**2 / (AMBIENT.leaning**2 + unsure)
-    lean = np.clip(lean, -2.0 * AMBIENT.leaning, 2.0 * AMBIENT.leaning)
-    return replace(light, lean=torch.tensor([*lean.tolist(), AMBIENT.lean[2]]))
+    lean = lean * LEANING**2 / (LEANING**2 + unsure)
+    lean = np.clip(lean, -2.0 * LEANING, 2.0 * LEANING)
+    return replace(light, lean=torch.tensor([*lean.tolist(), LEAN[2]]))
 
 
 def as_steep(
@@ -290,7 +269,7 @@ def as_steep(
     ratio = Ratio.of(views, parameters, light)
     strengths = measure_strengths(ratio.log, ratio.sensitivity, ratio.use, matte=ratio.matte)
     # A registration error below a texel looks like fine relief.
-    unsure = [shortest < SETTINGS.finest for _, shortest in BANDS]
+    unsure = [shortest < _FINEST for _, shortest in BANDS]
     strengths = strengths and replace(
         strengths, deviation=np.where(unsure, np.inf, strengths.deviation)
     )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -15,19 +15,13 @@ from torch import Tensor
 from matcap.capture.together.align import Aligned
 from matcap.capture.together.readings import ReadView, fewer, joined
 from matcap.capture.together.solve import Solved, predicted, solve
-from matcap.capture.together.texels import SolveSettings
 
-
-@dataclass(frozen=True)
-class PredictSettings:
-    """Settings of the leave-one-out solves; docs/notes/several.md."""
-
-    across: int = 224
-    """Texels across the grid, enough for errors of shading and gloss."""
-    rounds: tuple[int, ...] = (2, 1)
-    """Steps per texel in each round; a round begins with a fit of the shared parameters."""
-    sampled: int = 1500
-    """Texels to which shared parameters are fitted; few, as the initial light is nearly exact."""
+# Settings of the leave-one-out solves; docs/notes/several.md.
+_ACROSS = 224  # texels across the grid, enough for errors of shading and gloss
+# Steps per texel in each round; a round begins with a fit of the shared parameters.
+_ROUNDS = (2, 1)
+# Texels to which shared parameters are fitted; few, as the initial light is nearly exact.
+_SAMPLED = 1500
 
 
 @dataclass(frozen=True)
@@ -49,9 +43,7 @@ def predictions(
     alignment: Aligned,
     readings: Sequence[ReadView | None],
     solved: Solved,
-    solving: SolveSettings,
     tint: Tensor | None = None,
-    settings: PredictSettings = PredictSettings(),
 ) -> Predictions | None:
     """Predict every flash photograph from all others; None with fewer than two.
 
@@ -62,16 +54,13 @@ def predictions(
         alignment: registration of the photographs.
         readings: network prediction of each (readings.py).
         solved: solution by all, whose light is the initial value.
-        solving: settings of that solution.
         tint: (3, H, W) specular tint of metal (tint.py), or None.
-        settings: see PredictSettings.
     """
     first = next(read for read in readings if read is not None)
     height, width = first.parameters.shape[1:]
-    across = min(alignment.extent.across(settings.across), width)
+    across = min(alignment.extent.across(_ACROSS), width)
     down = max(8, round(height * across / width))
     few = fewer(readings, (down, across))
-    quicker = replace(solving, rounds=settings.rounds, sampled=settings.sampled)
     views = alignment.on_grid(across, down, tint)
     if sum(view.ambient is None for view in views) < 2:
         return None
@@ -80,7 +69,13 @@ def predictions(
         read = [few[k] for k in kept]
         # A single photograph without a prediction, for its tilt, gets those of all.
         prior = joined(read if any(read) else few)
-        return solve([views[k] for k in kept], prior, solved.light.of_some(kept), quicker)
+        return solve(
+            [views[k] for k in kept],
+            prior,
+            solved.light.of_some(kept),
+            rounds=_ROUNDS,
+            sampled=_SAMPLED,
+        )
 
     every = list(range(len(views)))
     whole = by(every)

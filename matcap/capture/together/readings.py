@@ -48,21 +48,12 @@ Floats = NDArray[np.float32]
 ReadAlone = Callable[[Plane, CoarseFit], Estimate]  # predicts a photograph on its own plane
 
 
-@dataclass(frozen=True)
-class ReadingSettings:
-    """How predictions are fused; docs/notes/several.md."""
-
-    across: int = 384
-    """Texels across the grid of fusion; finer detail is the first photograph's."""
-    steepest: float = 35.0
-    """Largest tilt in the network's training, degrees."""
-    shared: float = 0.5
-    """Share of the error variance that is common to all predictions."""
-    fades: float = 0.12
-    """Width of the border along which weights fall to 0, as a share of the prediction's width."""
-
-
-READINGS = ReadingSettings()
+# How predictions are fused; docs/notes/several.md.
+_ACROSS = 384  # texels across the grid of fusion; finer detail is the first photograph's
+_STEEPEST = 35.0  # largest tilt in the network's training, degrees
+_SHARED = 0.5  # share of the error variance that is common to all predictions
+# Width of the border along which weights fall to 0, as a share of the prediction's width.
+_FADES = 0.12
 
 
 @dataclass(frozen=True)
@@ -144,14 +135,14 @@ def read_views(
     """
     extent = alignment.extent
     width, height = first.maps.size
-    own_across = min(READINGS.across, round(extent.unit(width)))
+    own_across = min(_ACROSS, round(extent.unit(width)))
     across = extent.across(own_across)
     down = max(8, round(height * across / width))
     small = first.resized((down, across), extent)
     readings: list[ReadView | None] = [ReadView(parameters_of(small.maps), small.log_error, extent)]
     for number, view in enumerate(alignment.views[1:], 1):
         readings.append(None)
-        if view.flash and math.degrees(view.camera.tilt) < READINGS.steepest:
+        if view.flash and math.degrees(view.camera.tilt) < _STEEPEST:
             own = OwnPlane.of(view.camera, alignment.light, number)
             plane = read_plane(view.photo, own.setup, own_across)
             theirs = read(plane, replace(coarse, setup=own.setup))
@@ -206,7 +197,7 @@ def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
     """(H, W) added to log errors: weights then fall smoothly to 0 at a prediction's border."""
     width, height = size
     within = np.minimum(np.minimum(x, width - 1 - x), np.minimum(y, height - 1 - y))
-    share = (within / (READINGS.fades * width)).clip(0.0, 1.0)
+    share = (within / (_FADES * width)).clip(0.0, 1.0)
     weight = share**2 * (3.0 - 2.0 * share)
     return np.asarray(-0.5 * np.log(np.maximum(weight, _NOTHING)), np.float32)
 
@@ -226,7 +217,7 @@ def joined(readings: Sequence[ReadView | None]) -> Estimate:
             parameters[part] += weight[kind] / whole[kind] * read.parameters[part]
     # The common part of the error variance is that of the best prediction.
     alike = weights.amax(0).reciprocal()
-    log_error = 0.5 * (READINGS.shared * alike + (1.0 - READINGS.shared) / whole).log()
+    log_error = 0.5 * (_SHARED * alike + (1.0 - _SHARED) / whole).log()
     slope_precision = (-2.0 * log_error[3]).exp()
     texel_size = every[0].extent.texel(parameters.shape[-1])
     precision = torch.stack([slope_precision, slope_precision, torch.zeros_like(slope_precision)])

@@ -21,8 +21,8 @@ from matcap.capture.together.ambient_light import AmbientLight
 from matcap.capture.together.texels import (
     GLOSS,
     PARAMETERS,
+    STEP,
     ParameterPrior,
-    SolveSettings,
     derivatives,
     points_of,
     rendered,
@@ -40,31 +40,18 @@ _FOURTH = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], np.float32) / 12.0  # fourth-o
 _ROUNDING = 1e-5  # damping of the diagonal against rounding in single precision
 
 
-@dataclass(frozen=True)
-class SharedSettings:
-    """Estimation of the shared parameters; docs/notes/several.md.
-
-    Attributes:
-        steps: Gauss-Newton steps.
-        counted: weight of a texel, below 1 as errors of neighbouring texels are correlated.
-        offset: prior standard deviation of the flash position, plane units.
-        gloss: the same of the change of mean log F0 and mean logit roughness from the prediction.
-        known_gloss: `gloss` for a single flash photograph, which the prediction has already used.
-        gain: the same of the log gain of a photograph.
-        separate_gain: `gain` if no texel of a mosaic is in two photographs.
-        astray: the same of a photograph's registration, plane units.
-        farthest: largest displacement of a photograph in a step, texels.
-    """
-
-    steps: int = 3
-    counted: float = 0.03
-    offset: float = 0.06
-    gloss: tuple[float, float] = (0.1, 1.0)
-    known_gloss: tuple[float, float] = (0.01, 0.01)
-    gain: float = 1.5
-    separate_gain: float = 0.03
-    astray: float = 0.004
-    farthest: float = 2.0
+# Estimation of the shared parameters; docs/notes/several.md.
+SAMPLED = 4000  # texels to which they are fitted
+_STEPS = 3  # Gauss-Newton steps
+_COUNTED = 0.03  # weight of a texel, below 1 as errors of neighbouring texels are correlated
+_FARTHEST = 2.0  # largest displacement of a photograph in a step, texels
+# Prior standard deviations: of the flash position and of a photograph's registration, plane units;
+# of the change of mean log F0 and mean logit roughness from the prediction, and the same where one
+# photograph alone has flash, which the prediction has already used; of the log gain of a
+# photograph, and the same if no texel of a mosaic is in two photographs.
+_OFFSET_DEVIATION, _ASTRAY = 0.06, 0.004
+_GLOSS_DEVIATION, _KNOWN_GLOSS = (0.1, 1.0), (0.01, 0.01)
+_GAIN, _SEPARATE_GAIN = 1.5, 0.03
 
 
 @dataclass(frozen=True)
@@ -82,8 +69,7 @@ def shared_step(
     parameters: Tensor,
     prior: ParameterPrior,
     light: SetLight,
-    settings: SolveSettings,
-    shared: SharedSettings = SharedSettings(),
+    sampled: int = SAMPLED,
     moved: Collection[int] = (),
 ) -> tuple[SetLight, list[Doubles]]:
     """Gauss-Newton steps on all shared parameters, texels eliminated (Schur complement).
@@ -95,15 +81,15 @@ def shared_step(
         parameters: (PARAMETERS, H, W) current estimate.
         prior: of the parameters.
         light: current estimate.
-        settings: see SolveSettings.
-        shared: see SharedSettings.
+        sampled: texels to which the parameters are fitted.
         moved: indices of photographs to register; the others get the identity.
     """
-    if sum(view.ambient is None for view in views) == 1:
-        shared = replace(shared, gloss=shared.known_gloss)
-    chosen, joined = _chosen(views, settings.sampled)
-    if not joined:
-        shared = replace(shared, gain=shared.separate_gain)
+    alone = sum(view.ambient is None for view in views) == 1
+    chosen, joined = _chosen(views, sampled)
+    deviations = (
+        _KNOWN_GLOSS if alone else _GLOSS_DEVIATION,
+        _GAIN if joined else _SEPARATE_GAIN,
+    )
     layout = _Layout(len(views), moving=bool(moved))
     some, mean, deviation = (
         each.flatten(1)[:, chosen] for each in (parameters, prior.mean, prior.deviation)
@@ -114,17 +100,16 @@ def shared_step(
         ParameterPrior(mean, deviation),
         light,
         layout,
-        settings,
     )
-    expected, tight = layout.vector(light), layout.deviations(light, moved, shared)
+    expected, tight = layout.vector(light), layout.deviations(light, moved, *deviations)
     values = expected.clone()
     # The prior mean of gloss is always the prediction's.
     expected[_GLOSS] = 0.0
-    farthest = shared.farthest * views[0].extent.texel(parameters.shape[-1])
-    for _ in range(shared.steps):
+    farthest = _FARTHEST * views[0].extent.texel(parameters.shape[-1])
+    for _ in range(_STEPS):
         system = problem.eliminated(some, values)
-        normal = shared.counted * system.normal + torch.diag(tight**-2)
-        gradient = shared.counted * system.gradient + (expected - values) / tight**2
+        normal = _COUNTED * system.normal + torch.diag(tight**-2)
+        gradient = _COUNTED * system.gradient + (expected - values) / tight**2
         step = layout.limited(torch.linalg.solve(normal, gradient), farthest)
         values = values + step.clamp(-1.5, 1.5)
         some = some + system.texels(step)
@@ -176,12 +161,14 @@ class _Layout:
         )
         return replace(light, offset=offset, vignetting=vignetting, gloss=gloss, gain=gain)
 
-    def deviations(self, light: SetLight, moved: Collection[int], shared: SharedSettings) -> Tensor:
+    def deviations(
+        self, light: SetLight, moved: Collection[int], gloss: tuple[float, float], gain: float
+    ) -> Tensor:
         """Prior standard deviation of each shared parameter."""
-        whole = [shared.offset, shared.offset, *light.lost, *shared.gloss]
+        whole = [_OFFSET_DEVIATION, _OFFSET_DEVIATION, *light.lost, *gloss]
         for number in range(1, self.photographs):
-            moves = shared.astray if number in moved else 1e-9
-            whole += [shared.gain] * _GAINS + [moves] * (self.moving * _MOVES)
+            moves = _ASTRAY if number in moved else 1e-9
+            whole += [gain] * _GAINS + [moves] * (self.moving * _MOVES)
         return torch.tensor(whole, dtype=torch.float64)
 
     def limited(self, step: Tensor, most: float) -> Tensor:
@@ -272,7 +259,6 @@ class _SharedFit:
         prior: of the sampled texels' parameters.
         light: gives the properties that are not fitted.
         layout: of the shared parameters.
-        settings: see SolveSettings.
     """
 
     views: Sequence[PieceView]
@@ -280,7 +266,6 @@ class _SharedFit:
     prior: ParameterPrior
     light: SetLight
     layout: _Layout
-    settings: SolveSettings
 
     def eliminated(self, some: Tensor, values: Tensor) -> _Eliminated:
         """Reduced normal equations at texel parameters (PARAMETERS, 1, N) and shared `values`."""
@@ -297,13 +282,13 @@ class _SharedFit:
         normal[_GLOSS, _GLOSS] = torch.diag(precision[:, GLOSS].double().sum(0))
         gradient[_GLOSS] = -right[:, GLOSS].double().sum(0)
         for k, view in enumerate(self.views):
-            log, own = derivatives(some, self._lit(k, values), self.settings.step)
+            log, own = derivatives(some, self._lit(k, values), STEP)
             seen_log = self.samples.logs[k]
             if k and self.layout.moving:
                 move = values[self.layout.move(k)].float()
                 seen_log = seen_log + torch.einsum("i,icxn->cxn", move, self.samples.along[k])
             residual = seen_log - log
-            weight = weights(residual, self.samples.seen[k], view.noise, self.settings)[:, 0]
+            weight = weights(residual, self.samples.seen[k], view.noise)[:, 0]
             columns, places = self._by_shared(k, some, log, values)
             weighted = own * weight
             within += torch.einsum("icn,jcn->nij", weighted, own)

@@ -24,17 +24,17 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.together.octaves import denoised, read_error
 from matcap.capture.together.pair import as_steep, with_lean
-from matcap.capture.together.shared import shared_step
+from matcap.capture.together.shared import SAMPLED, shared_step
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
     ALBEDO,
     F0,
     GLOSS,
     ROUGH,
+    ROWS,
     SLOPES,
     Estimate,
     ParameterPrior,
-    SolveSettings,
     Stepped,
     by_map,
     maps_of,
@@ -47,6 +47,15 @@ from matcap.capture.together.texels import (
 )
 from matcap.capture.together.views import PieceView, SetLight, light_at
 from matcap.flash.light import strips
+
+# Per-texel steps in each round; each begins with a fit of the shared parameters.
+ROUNDS: tuple[int, ...] = (2, 2, 1)
+# Least standard deviation of the prior of slopes, until the photographs measure the prediction's
+# error, and from then on the factor on that: each octave's gain is estimated later (octaves.py).
+_SLOPE, _WIDER = 1.0, 3.0
+# Standard deviation of the blur that interpolates F0 and roughness, as a share of the first
+# photograph's long side, and of the high-pass of slopes.
+_AROUND, SLOW = 0.02, 0.08
 
 
 @dataclass(frozen=True)
@@ -81,9 +90,11 @@ def solve(
     views: Sequence[PieceView],
     read: Estimate,
     light: SetLight,
-    settings: SolveSettings,
     begun: Solved | None = None,
     on_progress: Callable[[float], None] = lambda _share: None,
+    *,
+    rounds: Sequence[int] = ROUNDS,
+    sampled: int = SAMPLED,
 ) -> Solved:
     """Estimate the maps; an interrupt ends with the best so far.
 
@@ -91,51 +102,49 @@ def solve(
         views: photographs on the maps' grid, the first photograph first.
         read: the network's prediction, fused over photographs: mean and deviation of the prior.
         light: initial value.
-        settings: see SolveSettings.
         begun: solution on a coarser grid, to start from; None to start from `read`.
         on_progress: called with the completed share, in [0, 1].
+        rounds, sampled: see ROUNDS and shared.SAMPLED.
     """
-    prior, fresh = ParameterPrior.of(read, settings), begun is None
+    prior, fresh, off = ParameterPrior.of(read), begun is None, begun.read_off if begun else 0.0
     parameters = prior.mean.clone() if begun is None else _continued(prior.mean, read.maps, begun)
-    off = 0.0 if begun is None else begun.read_off
     # Prior for shared parameters, which common slope errors would bias, and prior for texels.
     known = prior.with_least_slope(off)
-    prior = prior.with_least_slope(settings.slope if fresh else settings.wider * off)
-    total, done, interrupted = sum(settings.rounds) + 2, 0, False
+    prior = prior.with_least_slope(_SLOPE if fresh else _WIDER * off)
+    total, done, interrupted = sum(rounds) + 2, 0, False
     light, unit = with_lean(views, prior.mean, light), views[0].extent.unit(parameters.shape[-1])
     lit, expected, step = list(views), prior, Stepped.none(parameters)
     try:
-        for index, steps in enumerate(settings.rounds):
+        for index, steps in enumerate(rounds):
             lit, before = under_fitted_ambient(views, parameters, light), light.gloss
-            light, _ = shared_step(lit, parameters, known, light, settings)
+            light, _ = shared_step(lit, parameters, known, light, sampled)
             parameters[GLOSS] += (light.gloss - before)[:, None, None]
             expected = prior.with_gloss_of(light)
             for turn in range(1, steps + 1):
-                each = turn == steps and (not settings.rounds[index + 1 :] or (fresh and not index))
-                step = stepped(lit, parameters, expected, light, settings, without_each=each)
+                each = turn == steps and (not rounds[index + 1 :] or (fresh and not index))
+                step = stepped(lit, parameters, expected, light, without_each=each)
                 parameters, done = step.parameters, done + 1
                 on_progress(done / total)
-            parameters[SLOPES] = _without_slow(parameters[SLOPES], unit, settings)
+            parameters[SLOPES] = _without_slow(parameters[SLOPES], unit)
             if index == 0 and fresh:
                 off = _read_off(parameters, prior.mean, step.changes)
-                prior = known.with_least_slope(settings.wider * off)
+                prior = known.with_least_slope(_WIDER * off)
                 known = known.with_least_slope(off)
             if index == 0:
-                change = parameters - expected.mean
-                mean = _gloss_prior(prior.mean, change, step.precision, unit, settings)
+                mean = _gloss_prior(prior.mean, parameters - expected.mean, step.precision, unit)
                 prior, known = replace(prior, mean=mean), replace(known, mean=mean)
     except KeyboardInterrupt:
         interrupted = True
     height = surface_of(parameters[SLOPES], read.maps.texel_size, step.relief)
     if not interrupted:
-        height = _denoised(height, lit, step.changes, prior, settings)
+        height = _denoised(height, lit, step.changes, prior)
         height = as_steep(height, lit, parameters, light)
         parameters[SLOPES] = slopes_of(height, read.maps.texel_size)
-        parameters = _step_at_fixed_slopes(lit, parameters, expected, light, settings)
+        parameters = _step_at_fixed_slopes(lit, parameters, expected, light)
     parameters[SLOPES] = slopes_of(height, read.maps.texel_size)
     maps = maps_of(parameters, height, read.maps.texel_size)
     estimate = Estimate(maps, _log_errors(step.precision, prior))
-    left, shares = _residuals(lit, parameters, light, settings), _shares(step.precision, prior)
+    left, shares = _residuals(lit, parameters, light), _shares(step.precision, prior)
     return Solved(estimate, light, left, shares, off, interrupted)
 
 
@@ -144,7 +153,6 @@ def _denoised(
     views: Sequence[PieceView],
     changes: Tensor,
     prior: ParameterPrior,
-    settings: SolveSettings,
 ) -> Tensor:
     """(1, H, W) height denoised octave by octave (octaves.py), plane units.
 
@@ -153,11 +161,10 @@ def _denoised(
         views: the photographs.
         changes: (photographs, PARAMETERS, H, W) change when each is left out (jackknife).
         prior: whose mean slopes are the network's.
-        settings: see SolveSettings.
     """
     extent, across = views[0].extent, height.shape[-1]
     read, *others = (
-        surface_of(_without_slow(slopes, extent.unit(across), settings), extent.texel(across))
+        surface_of(_without_slow(slopes, extent.unit(across)), extent.texel(across))
         for slopes in (prior.mean[SLOPES], *changes[:, SLOPES])
     )
     jackknife = [other[0].numpy() for other in others]
@@ -195,12 +202,12 @@ def predicted(view: PieceView, solved: Solved) -> float:
     return float(residual.abs().median()) if residual.numel() else math.nan
 
 
-def _without_slow(slopes: Tensor, unit: float, settings: SolveSettings) -> Tensor:
+def _without_slow(slopes: Tensor, unit: float) -> Tensor:
     """High-pass filtered slopes.
 
     Low frequencies contain errors of cameras and lights, and bend and tilt of the sample.
     """
-    deviation = settings.slow * unit
+    deviation = SLOW * unit
     slow = [torch.from_numpy(smoothed(plane, deviation)) for plane in slopes.numpy()]
     return slopes - torch.stack(slow)
 
@@ -210,7 +217,6 @@ def _gloss_prior(
     off: Tensor,
     precision: Tensor,
     unit: float,
-    settings: SolveSettings,
 ) -> Tensor:
     """Prior mean with F0 and roughness moved by the precision-weighted local mean of `off`.
 
@@ -219,10 +225,9 @@ def _gloss_prior(
         off: (PARAMETERS, H, W) current parameters less the prior mean.
         precision: (PARAMETERS, H, W) contributed by the photographs.
         unit: texels along the first photograph's long side.
-        settings: see SolveSettings.
     """
     prior_mean = prior_mean.clone()
-    deviation = settings.around * unit
+    deviation = _AROUND * unit
     for number in (F0, ROUGH):
         measured = precision[number].numpy()
         weight = measured / (measured + float(np.median(measured)) + 1e-6)
@@ -241,13 +246,12 @@ def _step_at_fixed_slopes(
     parameters: Tensor,
     prior: ParameterPrior,
     light: SetLight,
-    settings: SolveSettings,
 ) -> Tensor:
     """Parameters after a step with slopes fixed, albedo denoised (octaves.py)."""
     mean, deviation = prior.mean.clone(), prior.deviation.clone()
     mean[SLOPES], deviation[SLOPES] = parameters[SLOPES], 1e-4
     tight = ParameterPrior(mean, deviation)
-    step = stepped(views, parameters, tight, light, settings, without_each=True)
+    step = stepped(views, parameters, tight, light, without_each=True)
     for channel in range(3):
         measured, read, changes = (
             each.numpy()
@@ -280,13 +284,13 @@ def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, float, flo
 
 
 def _residuals(
-    views: Sequence[PieceView], parameters: Tensor, light: SetLight, settings: SolveSettings
+    views: Sequence[PieceView], parameters: Tensor, light: SetLight
 ) -> tuple[float, ...]:
     """Median absolute residual of log radiance of each photograph."""
     left = []
     for k, view in enumerate(views):
         off = []
-        for rows in strips(parameters.shape[1], settings.rows):
+        for rows in strips(parameters.shape[1], ROWS):
             points = points_of(parameters.shape[-2:], rows, view.extent)
             lit = light_at(k, view, light, points)
             shown = rendered(parameters[:, rows], [lit])[0].log()

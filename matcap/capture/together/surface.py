@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -17,25 +16,17 @@ from matcap.capture.together.texels import slopes_of
 Floats = NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class SurfaceSettings:
-    """Settings of the integration of slopes to heights; docs/notes/several.md."""
-
-    model: float = 0.03
-    """Standard deviation of slopes due to model errors: shadows, parallax, bend."""
-    steps: int = 4
-    """Conjugate gradient steps; more restore shorter wavelengths, and their noise."""
-    even: float = 4.0
-    """Standard deviation of the smoothing of precision in the preconditioner, texels."""
-    least: float = 1e-3
-    """Least precision of a slope, as a share of the mean."""
+# Settings of the integration of slopes to heights; docs/notes/several.md.
+_MODEL = 0.03  # standard deviation of slopes due to model errors: shadows, parallax, bend
+_STEPS = 4  # conjugate gradient steps; more restore shorter wavelengths, and their noise
+_EVEN = 4.0  # standard deviation of the smoothing of precision in the preconditioner, texels
+_LEAST = 1e-3  # least precision of a slope, as a share of the mean
 
 
 def surface_of(
     slopes: Tensor,
     texel_size: float,
     precision: Tensor | None = None,
-    settings: SurfaceSettings = SurfaceSettings(),
 ) -> Tensor:
     """(1, H, W) height, plane units, whose central slopes are nearest to slopes (2, H, W).
 
@@ -47,16 +38,15 @@ def surface_of(
         slopes: along x and y.
         texel_size: in plane units.
         precision: (3, H, W) elements xx, yy and xy of P; None for the identity.
-        settings: see SurfaceSettings.
     """
     if precision is None:
         return _even_surface(slopes, texel_size, 4)
     height = _even_surface(slopes, texel_size, 2)
-    weight = _doubted(precision, settings.model)
+    weight = _doubted(precision, _MODEL)
     weight = weight / weight[:2].mean().clamp_min(1e-12)
-    weight[:2] += settings.least
+    weight[:2] += _LEAST
     left = (slopes - slopes_of(height, texel_size)).numpy()
-    return height + texel_size * torch.from_numpy(_nearest(left, weight.numpy(), settings))[None]
+    return height + texel_size * torch.from_numpy(_nearest(left, weight.numpy()))[None]
 
 
 def _doubted(precision: Tensor, more: float) -> Tensor:
@@ -85,14 +75,14 @@ def _even_surface(slopes: Tensor, texel_size: float, rounds: int) -> Tensor:
     return height
 
 
-def _nearest(slopes: Floats, weight: Floats, settings: SurfaceSettings) -> Floats:
+def _nearest(slopes: Floats, weight: Floats) -> Floats:
     """(H, W) heights in texels, weighted least squares of (2, H, W) by weights (3, H, W)."""
-    evened = _evening(weight, settings.even)
+    evened = _evening(weight, _EVEN)
     correction = np.zeros(slopes.shape[1:], np.float32)
     left = transposed(_weighted(slopes, weight))
     way = evened(left)
     size = float(np.vdot(left, way))
-    for _ in range(settings.steps):
+    for _ in range(_STEPS):
         if size <= 0.0:
             break
         back = transposed(_weighted(texel_slopes(way), weight))

@@ -26,49 +26,19 @@ GLOSS = slice(3, 5)  # F0 and ROUGH
 PARAMETERS = 7
 
 
-@dataclass(frozen=True)
-class SolveSettings:
-    """Settings of the multi-view solution; docs/notes/several.md.
-
-    Attributes:
-        rounds: per-texel steps in each round; each begins with a fit of the shared parameters.
-        finer: the same on a grid that starts from a solution on half as many texels across.
-        coarse: texels across the grid that starts from the network's prediction.
-        robust: s of the weights 1 / (1 + (r / s)^2)^2 of residuals r of log radiance.
-        noise: standard deviation of log radiance in one channel of one photograph, model error
-            included.
-        albedo, gloss: least standard deviation of the prior of log albedo, and of log F0 and logit
-            roughness. Smaller keeps closer to the network's prediction.
-        slope: the same of slopes, until the photographs measure the prediction's error.
-        wider: factor on that error for the prior of slopes from then on: each octave's gain is
-            estimated later (octaves.py).
-        steepest: limit of slopes.
-        step: of finite differences, parameter units.
-        damping: Levenberg-Marquardt: share of a parameter's precision added to the diagonal. Less
-            overshoots; more leaves the trade-off of albedo and slope at its initial value.
-        around: standard deviation of the blur that interpolates F0 and roughness, as a share of the
-            first photograph's long side.
-        slow: standard deviation of the high-pass of slopes, as a share of the long side.
-        sampled: texels to which the shared parameters are fitted.
-        rows: of texels solved at a time; memory is proportional.
-    """
-
-    rounds: tuple[int, ...] = (2, 2, 1)
-    finer: tuple[int, ...] = (1, 1)
-    coarse: int = 320
-    robust: float = 0.25
-    noise: float = 0.02
-    albedo: float = 0.25
-    gloss: float = 0.2
-    slope: float = 1.0
-    wider: float = 3.0
-    steepest: float = 3.0
-    step: float = 0.02
-    damping: float = 0.005
-    around: float = 0.02
-    slow: float = 0.08
-    sampled: int = 4000
-    rows: int = 48
+# Of the multi-view solution; docs/notes/several.md.
+_ROBUST = 0.25  # s of the weights 1 / (1 + (r / s)^2)^2 of residuals r of log radiance
+# Standard deviation of log radiance in one channel of one photograph, model error included.
+_NOISE = 0.02
+# Least standard deviation of the prior of log albedo, and of log F0 and logit roughness. Smaller
+# keeps closer to the network's prediction.
+_ALBEDO, _GLOSS = 0.25, 0.2
+_STEEPEST = 3.0  # limit of slopes
+STEP = 0.02  # of finite differences, parameter units
+# Levenberg-Marquardt: share of a parameter's precision added to the diagonal. Less overshoots;
+# more leaves the trade-off of albedo and slope at its initial value.
+_DAMPING = 0.005
+ROWS = 48  # of texels solved at a time; memory is proportional
 
 
 @dataclass(frozen=True)
@@ -131,11 +101,11 @@ class ParameterPrior:
     deviation: Tensor
 
     @staticmethod
-    def of(estimate: Estimate, settings: SolveSettings) -> ParameterPrior:
-        """Prior from the network's prediction, deviations at least those of the settings."""
+    def of(estimate: Estimate) -> ParameterPrior:
+        """Prior from the network's prediction, with least deviations."""
         off = estimate.log_error.clamp(-8.0, 2.0).exp()
-        albedo = off[:1].clamp_min(settings.albedo).expand(3, -1, -1)
-        gloss = off[1:3].clamp_min(settings.gloss)
+        albedo = off[:1].clamp_min(_ALBEDO).expand(3, -1, -1)
+        gloss = off[1:3].clamp_min(_GLOSS)
         deviation = torch.cat([albedo, gloss, off[3:4].expand(2, -1, -1)])
         return ParameterPrior(parameters_of(estimate.maps), deviation)
 
@@ -225,10 +195,10 @@ def under_fitted_ambient(
     return [view if view.ambient is None else even(view) for view in views]
 
 
-def weights(residual: Tensor, seen: Tensor, noise: float, settings: SolveSettings) -> Tensor:
+def weights(residual: Tensor, seen: Tensor, noise: float) -> Tensor:
     """Weights of residuals r of log radiance: 1 / (1 + (r / s)^2)^2 / variance [geman1985]."""
-    kept = 1.0 / (1.0 + (residual / settings.robust).square()).square()
-    return seen * kept / (settings.noise**2 + noise**2)
+    kept = 1.0 / (1.0 + (residual / _ROBUST).square()).square()
+    return seen * kept / (_NOISE**2 + noise**2)
 
 
 def stepped(
@@ -236,7 +206,6 @@ def stepped(
     parameters: Tensor,
     prior: ParameterPrior,
     light: SetLight,
-    settings: SolveSettings,
     *,
     without_each: bool = False,
 ) -> Stepped:
@@ -247,25 +216,24 @@ def stepped(
         parameters: (PARAMETERS, H, W) current estimate.
         prior: of the parameters.
         light: of all photographs.
-        settings: see SolveSettings.
         without_each: repeat the step without each photograph.
     """
     moved, precision = torch.empty_like(parameters), torch.empty_like(parameters)
     relief = torch.empty(3, *parameters.shape[1:])
     changes = torch.zeros(len(views) * without_each, *parameters.shape)
-    for rows in strips(parameters.shape[1], settings.rows):
+    for rows in strips(parameters.shape[1], ROWS):
         part = slice(None), rows
         points = points_of(parameters.shape[-2:], rows, views[0].extent)
         of_each = [
-            _system(index, view, rows, parameters[part], light, points, settings)
+            _system(index, view, rows, parameters[part], light, points)
             for index, view in enumerate(views)
         ]
         here = parameters[part], ParameterPrior(prior.mean[part], prior.deviation[part])
-        moved[part], precision[part], relief[part] = _solved(of_each, *here, settings.damping)
+        moved[part], precision[part], relief[part] = _solved(of_each, *here, _DAMPING)
         for k, change in enumerate(changes):
             others = of_each[:k] + of_each[k + 1 :]
-            change[part] = _solved(others, *here, settings.damping)[0] - moved[part]
-    steep = settings.steepest
+            change[part] = _solved(others, *here, _DAMPING)[0] - moved[part]
+    steep = _STEEPEST
     moved[SLOPES] = moved[SLOPES].clamp(-steep, steep)
     moved[ALBEDO] = moved[ALBEDO].clamp(math.log(1e-3), math.log(0.98))
     moved[F0] = moved[F0].clamp(math.log(5e-3), math.log(0.98))
@@ -280,16 +248,15 @@ def _system(
     parameters: Tensor,
     light: SetLight,
     points: Tensor,
-    settings: SolveSettings,
 ) -> tuple[Tensor, Tensor]:
     """Normal equations (N, 7, 7) and right-hand sides (N, 7) of some rows of a photograph."""
     count = parameters[0].numel()
     normal, gradient = torch.zeros(PARAMETERS, PARAMETERS, count), torch.zeros(PARAMETERS, count)
     seen = view.seen[:, rows]
     if seen.any():
-        log, shown = derivatives(parameters, light_at(index, view, light, points), settings.step)
+        log, shown = derivatives(parameters, light_at(index, view, light, points), STEP)
         residual = view.log[:, rows] - log
-        weight = weights(residual, seen, view.noise, settings).flatten(1)
+        weight = weights(residual, seen, view.noise).flatten(1)
         weighted = shown * weight
         # Albedo of a channel changes only that channel's radiance.
         for channel in range(3):

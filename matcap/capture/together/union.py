@@ -32,29 +32,17 @@ from matcap.flash.registration.register import RegisteredView
 Marks = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class UnionSettings:
-    """Limits of the mosaic; docs/notes/several.md."""
+# Limits of the mosaic; docs/notes/several.md.
 
-    steepest: float = 60.0
-    """Largest angle of a ray to the plane's normal, degrees; at 60, foreshortening is one half."""
-    least: float = 0.3
-    """Least visible share of a side; below it the side is cut off."""
-    most: float = UNION_TIMES
-    """Largest area over the first photograph's; time and memory are proportional."""
-    texels: int = 4_000_000
-    """Largest number of texels, but no fewer than the first photograph's own."""
-    cells: int = 64
-    """Cells across the first photograph, in which coverage is determined."""
-    farthest: int = 256
-    """Cells searched on each side."""
-    thinnest: int = 3
-    """Least width of a margin, cells."""
-    rows: int = 256
-    """Rows of texels processed at a time."""
-
-
-UNION = UnionSettings()
+# Largest angle of a ray to the plane's normal, degrees; at 60, foreshortening is one half.
+STEEPEST = 60.0
+LEAST = 0.3  # least visible share of a side; below it the side is cut off
+MOST = UNION_TIMES  # largest area over the first photograph's; time and memory are proportional
+_TEXELS = 4_000_000  # largest number of texels, but no fewer than the first photograph's own
+_CELLS = 64  # cells across the first photograph, in which coverage is determined
+_FARTHEST = 256  # cells searched on each side
+_THINNEST = 3  # least width of a margin, cells
+_ROWS = 256  # rows of texels processed at a time
 
 
 @dataclass(frozen=True)
@@ -70,7 +58,7 @@ class Reach:
     known: float = 1.0
     """Share of the mosaic that any photograph shows."""
     limited: bool = False
-    """Whether UnionSettings.most or .texels cut it."""
+    """Whether MOST or _TEXELS cut it."""
 
     @property
     def extent(self) -> Extent:
@@ -118,57 +106,52 @@ class Reach:
         }
 
 
-def reach_of(
-    views: Sequence[RegisteredView], size: tuple[int, int], settings: UnionSettings = UNION
-) -> Reach:
+def reach_of(views: Sequence[RegisteredView], size: tuple[int, int]) -> Reach:
     """Extent of what the flash photographs show, around the first one's grid.
 
     Args:
         views: photographs with their cameras, the first one first.
         size: (width, height) of the first one's grid, texels.
-        settings: see UnionSettings.
     """
-    cells = settings.cells
+    cells = _CELLS
     rows = max(1, round(cells * size[1] / size[0]))
-    points = _cells(cells, rows, size, settings.farthest)
-    seen = _any_sees(views, points, settings)
-    most = min(settings.most, max(1.0, settings.texels / (size[0] * size[1])))
-    at = seen, (rows, cells), settings.farthest, settings.least
+    points = _cells(cells, rows, size, _FARTHEST)
+    seen = _any_sees(views, points)
+    most = min(MOST, max(1.0, _TEXELS / (size[0] * size[1])))
+    at = seen, (rows, cells), _FARTHEST, LEAST
     box = _box(*at, most * rows * cells)
     limited = box != _box(*at, math.inf)
     beyond = (
-        settings.farthest - box[0].start,
-        box[0].stop - settings.farthest - rows,
-        settings.farthest - box[1].start,
-        box[1].stop - settings.farthest - cells,
+        _FARTHEST - box[0].start,
+        box[0].stop - _FARTHEST - rows,
+        _FARTHEST - box[1].start,
+        box[1].stop - _FARTHEST - cells,
     )
     top, bottom, left, right = (
-        round(count * size[0] / cells) if count >= settings.thinnest else 0 for count in beyond
+        round(count * size[0] / cells) if count >= _THINNEST else 0 for count in beyond
     )
     covered = float(seen[box].sum()) / max(float(seen.sum()), 1.0)
     margins = Margins(left, right, top, bottom)
     return Reach(margins, size, covered, float(seen[box].mean()), limited)
 
 
-def seen_by_any(
-    views: Sequence[RegisteredView], reach: Reach, settings: UnionSettings = UNION
-) -> Tensor:
+def seen_by_any(views: Sequence[RegisteredView], reach: Reach) -> Tensor:
     """(H, W) bool on the mosaic: whether any flash photograph shows the texel."""
     width, height = reach.margins.around(reach.size)
     seen = np.zeros((height, width), np.bool_)
-    for rows in strips(height, settings.rows):
+    for rows in strips(height, _ROWS):
         points = grid_points(width, height, reach.extent, rows)
-        seen[rows] = _any_sees(views, points, settings)
+        seen[rows] = _any_sees(views, points)
     return torch.from_numpy(seen)
 
 
-def _any_sees(views: Sequence[RegisteredView], points: Doubles, settings: UnionSettings) -> Marks:
+def _any_sees(views: Sequence[RegisteredView], points: Doubles) -> Marks:
     """(h, w) bool, whether any flash photograph shows plane points (3, h, w)."""
     seen = np.zeros(points.shape[1:], np.bool_)
     for view in views:
         if view.flash:
             up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
-            seen |= sees(view.camera, points, up, settings.steepest)
+            seen |= sees(view.camera, points, up, STEEPEST)
     return seen
 
 

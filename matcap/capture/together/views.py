@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.together.ambient_light import AMBIENT, AmbientLight
+from matcap.capture.together.ambient_light import AMBIENT_NOISE, LEAN, AmbientLight
 from matcap.capture.together.tint import on_grid
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
@@ -54,7 +54,7 @@ class SetLight:
     intensity: Tensor
     gloss: Tensor = field(default_factory=lambda: torch.zeros(2))
     lost: tuple[float, float] = (0.4, 0.6)
-    lean: Tensor = field(default_factory=lambda: torch.tensor(AMBIENT.lean))
+    lean: Tensor = field(default_factory=lambda: torch.tensor(LEAN))
 
     @staticmethod
     def of(
@@ -131,7 +131,7 @@ class PieceView:
         seen: (3, H, W) bool, by channel: in the picture and not clipped.
         camera: pose and lens.
         ambient: the light, if not its flash.
-        noise: standard deviation of log radiance in addition to SolveSettings.noise.
+        noise: standard deviation of log radiance in addition to texels._NOISE.
         extent: of the grid.
     """
 
@@ -186,7 +186,7 @@ class PieceView:
             torch.from_numpy(np.ascontiguousarray(seen.transpose(2, 0, 1))),
             view.camera,
             None if view.flash else AmbientLight(),
-            0.0 if view.flash else AMBIENT.noise,
+            0.0 if view.flash else AMBIENT_NOISE,
             OWN if place is None else place.extent,
         )
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from matcap.capture.verdict.causes import more_photographs
 from matcap.capture.verdict.highlight import UNSEEN
 from matcap.capture.verdict.measurements import Measurements
-from matcap.flash.highlight import HIGHLIGHT, Highlight
+from matcap.flash.highlight import FAINTEST_HIGHLIGHT, Highlight
 from matcap.photo.checks import CHECKS, Finding
 
 PHOTOGRAPHED = ("flash", "clipped", "tilt", "stationarity")
@@ -112,7 +112,7 @@ def _peak_ratio(before: Highlight | None, after: Highlight | None) -> float:
     if not plain(before) and not plain(after):
         return math.nan
     first, second = (
-        HIGHLIGHT.faintest if each is None else each.contrast for each in (before, after)
+        FAINTEST_HIGHLIGHT if each is None else each.contrast for each in (before, after)
     )
     return second / first
 

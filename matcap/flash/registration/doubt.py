@@ -23,24 +23,16 @@ from matcap.flash.registration.grid import grid_points
 DOUBTED = 0.002  # standard deviation of a position, over its distance, above which it is reported
 
 
-@dataclass(frozen=True)
-class DoubtSettings:
-    """Prior standard deviations and noise model; docs/notes/several.md."""
-
-    alike: float = 3.0
-    """Standard deviation of the features' common apparent depth over that of single ones."""
-    saturated: float = 0.5
-    """Tangent of the light's angle at which the displacement by shading is half the linear one."""
-    alone: float = 0.25
-    """Share of features that are independent (do not overlap others)."""
-    tilt: float = 0.15
-    """Prior standard deviation of the first camera's tilt, radians, as in bundle adjustment."""
-    focal: float = 0.005
-    """Prior standard deviation of the log focal length."""
-    bent: float = 0.03
-    """Prior standard deviation of the lens distortion k1."""
-    relief: float = 0.01
-    """Prior standard deviation of features' heights, plane units (adjust.less_relief)."""
+# Prior standard deviations and noise model; docs/notes/several.md.
+_ALIKE = 3.0  # standard deviation of the features' common apparent depth over that of single ones
+# Tangent of the light's angle at which the displacement by shading is half the linear one.
+_SATURATED = 0.5
+_ALONE = 0.25  # share of features that are independent (do not overlap others)
+# Prior standard deviation of the first camera's tilt, radians, as in bundle adjustment.
+_TILT = 0.15
+_FOCAL = 0.005  # prior standard deviation of the log focal length
+_BENT = 0.03  # prior standard deviation of the lens distortion k1
+_RELIEF = 0.01  # prior standard deviation of features' heights, plane units (adjust.less_relief)
 
 
 _COMMON = 4  # log focal, k1, the first camera's rotations about x and y
@@ -59,17 +51,14 @@ class Doubts:
     of position and rotation nearly cancel on the plane."""
 
 
-def doubts(
-    fit: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings = DoubtSettings()
-) -> Doubts:
+def doubts(fit: Adjusted, pairs: Sequence[Pair]) -> Doubts:
     """Standard deviations of camera positions and of the photographs' registration.
 
     Args:
         fit: cameras after bundle adjustment.
         pairs: the matches they were fitted to.
-        settings: see DoubtSettings.
     """
-    covariance = _covariance(fit, pairs, settings)
+    covariance = _covariance(fit, pairs)
     cameras, others = fit.cameras, range(1, len(fit.cameras))
     return Doubts(
         np.array([_off(cameras, number, covariance) for number in others]),
@@ -77,28 +66,28 @@ def doubts(
     )
 
 
-def _covariance(fit: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings) -> Doubles:
+def _covariance(fit: Adjusted, pairs: Sequence[Pair]) -> Doubles:
     """Covariance of the common and every other camera's parameters, error by shading included."""
     cameras = fit.cameras
     size = _COMMON + _OWN * len(pairs)
-    deviation = np.array([settings.focal, settings.bent, settings.tilt, settings.tilt])
+    deviation = np.array([_FOCAL, _BENT, _TILT, _TILT])
     normal = np.diag(np.r_[deviation**-2, np.zeros(size - _COMMON)])
     pulled, depths = np.zeros(size), []
     for number, pair in enumerate(pairs):
         first, camera = cameras[0], cameras[number + 1]
-        residual, parallax = reprojection(first, camera, pair, settings.relief)
-        noise, depth = _scatter(residual, parallax, settings)
+        residual, parallax = reprojection(first, camera, pair, _RELIEF)
+        noise, depth = _scatter(residual, parallax)
         depths.append(depth)
-        jacobian, shading = _linear(first, camera, pair, settings)
+        jacobian, shading = _linear(first, camera, pair)
         # Matches beyond four standard deviations are outliers, with weight 0.
         kept = np.tile(np.hypot(*less_relief(residual, parallax)) < 4.0 * noise, 2)
-        weight = settings.alone * kept / noise**2
+        weight = _ALONE * kept / noise**2
         places = _numbers(number + 1)
         normal[np.ix_(places, places)] += (jacobian.T * weight) @ jacobian
         pulled[places] += (jacobian.T * weight) @ shading
     covariance = np.asarray(np.linalg.inv(normal + 1e-9 * np.eye(size)), np.float64)
     depth = float(np.median(depths)) if depths else 0.0
-    moved = settings.alike * depth * (covariance @ pulled)
+    moved = _ALIKE * depth * (covariance @ pulled)
     return covariance + np.outer(moved, moved)
 
 
@@ -108,45 +97,41 @@ def _numbers(number: int) -> NDArray[np.int64]:
     return np.r_[0:_COMMON, own : own + _OWN]
 
 
-def _scatter(residual: Doubles, parallax: Doubles, settings: DoubtSettings) -> tuple[float, float]:
+def _scatter(residual: Doubles, parallax: Doubles) -> tuple[float, float]:
     """Standard deviation of matches, pixels, and of their apparent depth, plane units."""
     length = np.maximum(np.hypot(*parallax), 1e-9)
     along = (residual * parallax).sum(0) / length
     across = (residual[0] * parallax[1] - residual[1] * parallax[0]) / length
     noise = max(1.48 * float(np.nanmedian(np.abs(across))), 0.05)
-    pixels = float(np.nanmedian(length)) / settings.relief
+    pixels = float(np.nanmedian(length)) / _RELIEF
     return noise, 1.48 * float(np.nanmedian(np.abs(along))) / pixels
 
 
-def _linear(
-    first: PosedCamera, camera: PosedCamera, pair: Pair, settings: DoubtSettings
-) -> tuple[Doubles, Doubles]:
+def _linear(first: PosedCamera, camera: PosedCamera, pair: Pair) -> tuple[Doubles, Doubles]:
     """(2n, 10) d residual / d parameter of a photograph, and (2n,) d residual / d common depth."""
 
     def off(change: Doubles, depth: float = 0.0) -> Doubles:
         one = _changed(first, np.r_[change[:_COMMON], np.zeros(_OWN)])
         other = _changed(camera, np.r_[change[:2], 0.0, 0.0, change[_COMMON:]])
-        residual, parallax = reprojection(one, other, pair, settings.relief)
+        residual, parallax = reprojection(one, other, pair, _RELIEF)
         if depth:
             residual = residual + depth * shaded
         return less_relief(residual, parallax).ravel()
 
-    shaded = _shaded(first, camera, pair, settings)
+    shaded = _shaded(first, camera, pair)
     nothing = np.zeros(_COMMON + _OWN)
     here = off(nothing)
     columns = [(off(_STEP * unit) - here) / _STEP for unit in np.eye(len(nothing))]
     return np.stack(columns, 1), (off(nothing, _STEP) - here) / _STEP
 
 
-def _shaded(
-    first: PosedCamera, camera: PosedCamera, pair: Pair, settings: DoubtSettings
-) -> Doubles:
+def _shaded(first: PosedCamera, camera: PosedCamera, pair: Pair) -> Doubles:
     """(2, n) displacement by shading between two flashes, pixels per plane unit of depth."""
     points = first.on_plane(pair.first)
 
     def moved(place: Doubles) -> Doubles:
         towards = (place[:2, None] - points[:2]) / place[2]
-        return np.asarray(towards / (1.0 + np.square(towards).sum(0) / settings.saturated**2))
+        return np.asarray(towards / (1.0 + np.square(towards).sum(0) / _SATURATED**2))
 
     shift = np.concatenate([moved(camera.place) - moved(first.place), np.zeros_like(points[2:])])
     return (camera.sees(points + _STEP * shift) - camera.sees(points)) / (_STEP * pair.pixel)

@@ -23,32 +23,18 @@ Doubles = NDArray[np.float64]
 _AT_ONCE = 1024  # rows of the distance matrix computed at a time, 25 MB
 
 
-@dataclass(frozen=True)
-class KeypointSettings:
-    """Settings of detection and matching."""
-
-    long_side: int = 1600
-    """Pixels along the long side of the downsampled photograph."""
-    most: int = 6000
-    """Largest number of features of a photograph."""
-    contrast: float = 0.01
-    """Contrast threshold of SIFT; low, as materials have little contrast."""
-    ratio: float = 0.95
-    """Largest ratio of the distances of nearest and second nearest match [lowe2004]."""
-    off: float = 2.5
-    """Largest distance of an inlier from the homography, pixels."""
-    enough: int = 200
-    """Inliers below which votes and the other contrast normalisation are tried as well."""
-    voters: int = 600
-    """Largest number of matches that vote."""
-    fine: float = 0.8
-    """Standard deviation of the blur against noise, pixels."""
-    slow: float = 24.0
-    """Standard deviation of the high-pass, pixels."""
-    around: float = 40.0
-    """Standard deviation of the local contrast, pixels."""
-    faint: float = 0.01
-    """Log radiance added to the local contrast, so that noise is not amplified."""
+# Settings of detection and matching.
+_LONG_SIDE = 1600  # pixels along the long side of the downsampled photograph
+_MOST = 6000  # largest number of features of a photograph
+_CONTRAST = 0.01  # contrast threshold of SIFT; low, as materials have little contrast
+_RATIO = 0.95  # largest ratio of the distances of nearest and second nearest match [lowe2004]
+_OFF = 2.5  # largest distance of an inlier from the homography, pixels
+_ENOUGH = 200  # inliers below which votes and the other contrast normalisation are tried as well
+_VOTERS = 600  # largest number of matches that vote
+_FINE = 0.8  # standard deviation of the blur against noise, pixels
+_SLOW = 24.0  # standard deviation of the high-pass, pixels
+_AROUND = 40.0  # standard deviation of the local contrast, pixels
+_FAINT = 0.01  # log radiance added to the local contrast, so that noise is not amplified
 
 
 @dataclass(frozen=True)
@@ -68,9 +54,8 @@ class Keypoints:
 class KeypointFinder:
     """Matches of photographs, with a cache of their keypoints."""
 
-    def __init__(self, settings: KeypointSettings = KeypointSettings()) -> None:
+    def __init__(self) -> None:
         """Start with an empty cache."""
-        self._settings = settings
         self._cached: dict[tuple[int, int], Keypoints] = {}
 
     def matched(self, first: Photo, second: Photo) -> tuple[Doubles, Doubles, float]:
@@ -78,10 +63,10 @@ class KeypointFinder:
         best: tuple[Doubles, Doubles, float] | None = None
         for number in range(len(_EVEN)):
             one, other = (self._keypoints(photo, number) for photo in (first, second))
-            candidate = (*matched(one, other, self._settings), other.pixel)
+            candidate = (*matched(one, other), other.pixel)
             if best is None or candidate[0].shape[1] > best[0].shape[1]:
                 best = candidate
-            if best[0].shape[1] >= self._settings.enough:
+            if best[0].shape[1] >= _ENOUGH:
                 break
         assert best is not None
         return best
@@ -90,25 +75,22 @@ class KeypointFinder:
         """Keypoints of a photograph after the contrast normalisation _EVEN[number]."""
         key = (id(photo), number)
         if key not in self._cached:
-            self._cached[key] = find_keypoints(photo, _EVEN[number], self._settings)
+            self._cached[key] = find_keypoints(photo, _EVEN[number])
         return self._cached[key]
 
 
 def find_keypoints(
     photo: Photo,
-    even: Callable[[NDArray[np.float32], KeypointSettings], NDArray[np.uint8]],
-    settings: KeypointSettings,
+    even: Callable[[NDArray[np.float32]], NDArray[np.uint8]],
 ) -> Keypoints:
     """Keypoints of a photograph after the contrast normalisation `even`."""
     rows, columns = photo.pixels.shape[:2]
-    shrunk = min(1.0, settings.long_side / columns)
+    shrunk = min(1.0, _LONG_SIDE / columns)
     size = (round(columns * shrunk), round(rows * shrunk))
     grey = cv2.resize(photo.pixels.mean(2), size, interpolation=cv2.INTER_AREA)
     # Without precise upscaling, all coordinates are biased by a quarter of a pixel.
-    sift = cv2.SIFT.create(
-        settings.most, contrastThreshold=settings.contrast, enable_precise_upscale=True
-    )
-    points, described = sift.detectAndCompute(even(np.asarray(grey, np.float32), settings), None)
+    sift = cv2.SIFT.create(_MOST, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
+    points, described = sift.detectAndCompute(even(np.asarray(grey, np.float32)), None)
     if described is None:
         points, described = (), np.zeros((0, 128), np.float32)
     share = described / np.maximum(described.sum(1, keepdims=True), 1e-6)
@@ -120,17 +102,15 @@ def find_keypoints(
     return Keypoints(image, np.sqrt(share, dtype=np.float32), 1.0 / half, shape)
 
 
-def even_contrast(grey: NDArray[np.float32], settings: KeypointSettings) -> NDArray[np.uint8]:
+def even_contrast(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
     """8-bit high-passed log radiance over its local mean amplitude."""
     log = np.log(np.maximum(grey, 1e-5))
-    fine = cv2.GaussianBlur(log, (0, 0), settings.fine) - cv2.GaussianBlur(
-        log, (0, 0), settings.slow
-    )
-    size = np.sqrt(cv2.GaussianBlur(fine * fine, (0, 0), settings.around)) + settings.faint
+    fine = cv2.GaussianBlur(log, (0, 0), _FINE) - cv2.GaussianBlur(log, (0, 0), _SLOW)
+    size = np.sqrt(cv2.GaussianBlur(fine * fine, (0, 0), _AROUND)) + _FAINT
     return np.asarray((128.0 + 48.0 * fine / size).clip(0, 255).round().astype(np.uint8))
 
 
-def even_histogram(grey: NDArray[np.float32], settings: KeypointSettings) -> NDArray[np.uint8]:
+def even_histogram(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
     """8-bit sRGB code after contrast-limited adaptive equalisation (CLAHE [zuiderveld1994])."""
     # Normalise exposure by the median.
     level = 0.25 / max(float(np.median(grey)), 1e-6)
@@ -141,9 +121,7 @@ def even_histogram(grey: NDArray[np.float32], settings: KeypointSettings) -> NDA
 _EVEN = (even_contrast, even_histogram)
 
 
-def matched(
-    first: Keypoints, second: Keypoints, settings: KeypointSettings
-) -> tuple[Doubles, Doubles]:
+def matched(first: Keypoints, second: Keypoints) -> tuple[Doubles, Doubles]:
     """(2, n) image coordinates in both photographs of matches consistent with a homography.
 
     The homography is estimated by MAGSAC++ [barath2020].
@@ -151,16 +129,16 @@ def matched(
     nothing = np.zeros((2, 0))
     if min(len(first.described), len(second.described)) < 8:
         return nothing, nothing
-    i, j = best_both_ways(first.described, second.described, settings.ratio)
+    i, j = best_both_ways(first.described, second.described, _RATIO)
     if len(i) < 8:
         return nothing, nothing
     one, other = first.image[:, i], second.image[:, j]
     # Thresholds are in pixels.
     places = one / first.pixel, other / second.pixel
-    _, chosen = _homography(*places, settings)
-    if chosen.sum() < settings.enough:
-        voted = _voted(one, other, second.shape[j] / first.shape[i], settings)
-        among = _consistent(voted, *places, settings)
+    _, chosen = _homography(*places)
+    if chosen.sum() < _ENOUGH:
+        voted = _voted(one, other, second.shape[j] / first.shape[i])
+        among = _consistent(voted, *places)
         chosen = among if among.sum() > chosen.sum() else chosen
     return one[:, chosen], other[:, chosen]
 
@@ -195,38 +173,32 @@ def best_both_ways(
     return kept, nearest[kept]
 
 
-def _homography(
-    one: Doubles, other: Doubles, settings: KeypointSettings
-) -> tuple[Doubles | None, NDArray[np.bool_]]:
+def _homography(one: Doubles, other: Doubles) -> tuple[Doubles | None, NDArray[np.bool_]]:
     """Robust homography (3, 3) of matches (2, n), pixels, or None, and (n,) its inliers."""
     nothing = np.zeros(one.shape[1], bool)
     if one.shape[1] < 8:
         return None, nothing
     matrix, kept = cv2.findHomography(
-        one.T, other.T, cv2.USAC_MAGSAC, settings.off, maxIters=20000, confidence=0.9999
+        one.T, other.T, cv2.USAC_MAGSAC, _OFF, maxIters=20000, confidence=0.9999
     )
     if matrix is None or kept is None:
         return None, nothing
     return np.asarray(matrix), kept.ravel() > 0
 
 
-def _consistent(
-    some: NDArray[np.bool_], one: Doubles, other: Doubles, settings: KeypointSettings
-) -> NDArray[np.bool_]:
+def _consistent(some: NDArray[np.bool_], one: Doubles, other: Doubles) -> NDArray[np.bool_]:
     """(n,) bool, inliers of the homography that is fitted to `some` of the matches."""
-    matrix, _ = _homography(one[:, some], other[:, some], settings)
+    matrix, _ = _homography(one[:, some], other[:, some])
     among = np.zeros(one.shape[1], bool)
     if matrix is None:
         return among
     x, y, w = matrix @ np.concatenate([one, np.ones_like(one[:1])])
-    near = np.hypot(x / w - other[0], y / w - other[1]) < 4.0 * settings.off
-    _, among[near] = _homography(one[:, near], other[:, near], settings)
+    near = np.hypot(x / w - other[0], y / w - other[1]) < 4.0 * _OFF
+    _, among[near] = _homography(one[:, near], other[:, near])
     return among
 
 
-def _voted(
-    one: Doubles, other: Doubles, shapes: NDArray[np.complex128], settings: KeypointSettings
-) -> NDArray[np.bool_]:
+def _voted(one: Doubles, other: Doubles, shapes: NDArray[np.complex128]) -> NDArray[np.bool_]:
     """(n,) bool, matches consistent with the similarity of the match that has most support.
 
     The scale and rotation of a match predict the others around it [lowe2004, section 7.1]. This
@@ -235,10 +207,9 @@ def _voted(
     Args:
         one, other: (2, n) image coordinates.
         shapes: (n,) complex, scale and rotation of features in the second over the first.
-        settings: see KeypointSettings.
     """
     here, there = one[0] + 1j * one[1], other[0] + 1j * other[1]
-    step = -(-len(here) // settings.voters)
+    step = -(-len(here) // _VOTERS)
     between = here[None] - here[::step, None]
     off = np.abs(there[::step, None] + shapes[::step, None] * between - there[None])
     far, ratio = np.abs(between), np.abs(np.log(shapes[None] / shapes[::step, None]))

@@ -6,64 +6,48 @@ matches are inconsistent.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
 from matcap.photo.photo import Photo
 
-
-@dataclass(frozen=True)
-class PeriodSettings:
-    """Settings of the test whether a match is shifted by a period of a repeating pattern."""
-
-    across: int = 640
-    """Width of the downsampled photograph, pixels."""
-    fine: float = 0.8
-    """Smaller standard deviation of the band-pass (difference of Gaussians), pixels."""
-    slow: float = 12.0
-    """Larger standard deviation of the band-pass, pixels."""
-    nearest: int = 4
-    """Least lag, pixels; at smaller ones any smooth texture correlates."""
-    reach: float = 0.2
-    """Largest lag along each axis, as a share of the width."""
-    alike: float = 0.35
-    """Autocorrelation from which a pattern is periodic; leather, stone and plaster have below 0.07,
-    most weaves 0.46 to 0.94 (docs/notes/several.md)."""
-
-
-PERIOD = PeriodSettings()
+# Settings of the test whether a match is shifted by a period of a repeating pattern.
+_ACROSS = 640  # width of the downsampled photograph, pixels
+_FINE = 0.8  # smaller standard deviation of the band-pass (difference of Gaussians), pixels
+_SLOW = 12.0  # larger standard deviation of the band-pass, pixels
+_NEAREST = 4  # least lag, pixels; at smaller ones any smooth texture correlates
+_REACH = 0.2  # largest lag along each axis, as a share of the width
+# Autocorrelation from which a pattern is periodic; leather, stone and plaster have below 0.07,
+# most weaves 0.46 to 0.94 (docs/notes/several.md).
+_ALIKE = 0.35
 
 
 def repeats_itself(photo: Photo) -> bool:
     """Whether the photographed pattern is periodic: largest autocorrelation above `alike`."""
-    return likeness_further(photo) > PERIOD.alike
+    return likeness_further(photo) > _ALIKE
 
 
 def likeness_further(photo: Photo) -> float:
     """Largest local maximum of the texture's autocorrelation at lags of 4 pixels or more.
 
-    In [-1, 1]; lags are up to 0.2 of the width along each axis (PeriodSettings).
+    In [-1, 1]; lags are up to 0.2 of the width along each axis.
     """
     rows, columns = photo.pixels.shape[:2]
-    wide = min(columns, PERIOD.across)
+    wide = min(columns, _ACROSS)
     size = (wide, round(wide * rows / columns))
     grey = cv2.resize(photo.pixels.mean(2), size, interpolation=cv2.INTER_AREA)
     log = np.log(np.maximum(grey, 1e-5)).astype(np.float32)
-    texture = cv2.GaussianBlur(log, (0, 0), PERIOD.fine) - cv2.GaussianBlur(
-        log, (0, 0), PERIOD.slow
-    )
+    texture = cv2.GaussianBlur(log, (0, 0), _FINE) - cv2.GaussianBlur(log, (0, 0), _SLOW)
     texture -= texture.mean()
     fields = [texture, np.ones_like(texture)]
     whole = tuple(2 * side for side in texture.shape)
     alike, shared = (
         np.fft.irfft2(np.abs(np.fft.rfft2(each, whole)) ** 2, whole) for each in fields
     )
-    reach = round(PERIOD.reach * wide)
+    reach = round(_REACH * wide)
     around = np.ix_(np.arange(reach), np.arange(-reach, reach))
     likeness = (alike[around] / shared[around]).astype(np.float32)
     highest = likeness == cv2.dilate(likeness, np.ones((5, 5), np.uint8))
     far = np.hypot(*np.meshgrid(np.arange(reach), np.arange(-reach, reach), indexing="ij"))
-    further = likeness[highest & (far >= PERIOD.nearest)]
+    further = likeness[highest & (far >= _NEAREST)]
     return float(further.max(initial=-1.0)) / max(float(likeness[0, reach]), 1e-12)

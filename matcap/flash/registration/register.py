@@ -19,30 +19,21 @@ from matcap.flash.registration.doubt import doubts
 from matcap.flash.registration.grid import grid_points, to_pixels
 from matcap.flash.registration.keypoints import KeypointFinder
 from matcap.flash.registration.period import repeats_itself
-from matcap.flash.registration.sharp import SHARP, blurring
+from matcap.flash.registration.sharp import BLURRED, blurring
 from matcap.photo.photo import Photo
 
-
-@dataclass(frozen=True)
-class RegisterSettings:
-    """Limits beyond which a photograph is left out."""
-
-    matches: int = 18
-    """Least number of inliers; by chance there are 6 to 13 (docs/notes/several.md)."""
-    off: float = 2.0
-    """Largest median reprojection error, pixels."""
-    steepest: float = 65.0
-    """Largest tilt of a camera, degrees."""
-    alike: float = 0.12
-    """Least correlation of fine texture with the first photograph after registration; it is 0 by
-    chance, and 0.2 to 0.9 for the same sample."""
-    compared: int = 384
-    """Texels across the grid of the correlation."""
-    shifted: int = 5
-    """Shift in texels at which the correlation must be lower."""
-    straight: AdjustSettings = AdjustSettings(bent=(0.003, 0.001))
-    """Priors if only one photograph has flash, as the displacement of its shading looks like
-    distortion by a lens."""
+# Limits beyond which a photograph is left out.
+MATCHES = 18  # least number of inliers; by chance there are 6 to 13 (docs/notes/several.md)
+_OFF = 2.0  # largest median reprojection error, pixels
+_STEEPEST = 65.0  # largest tilt of a camera, degrees
+# Least correlation of fine texture with the first photograph after registration; it is 0 by
+# chance, and 0.2 to 0.9 for the same sample.
+_ALIKE = 0.12
+_COMPARED = 384  # texels across the grid of the correlation
+_SHIFTED = 5  # shift in texels at which the correlation must be lower
+# Priors if only one photograph has flash, as the displacement of its shading looks like
+# distortion by a lens.
+_STRAIGHT = AdjustSettings(bent=(0.003, 0.001))
 
 
 @dataclass(frozen=True)
@@ -109,15 +100,12 @@ def register_in_any_order(photos: Sequence[Photo]) -> Registration:
     return registration
 
 
-def register(
-    photos: Sequence[Photo], setup: FlashSetup, settings: RegisterSettings = RegisterSettings()
-) -> Registration:
+def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
     """Estimate the camera of every photograph in the first one's plane frame.
 
     Args:
         photos: two or more; any exposure, white balance and orientation.
         setup: of the first, by its coarse fit.
-        settings: see RegisterSettings.
 
     Raises:
         MatcapError: the first was taken without the flash that the others show.
@@ -133,10 +121,10 @@ def register(
         )
     for index in range(1, len(photos)):
         first, second, pixel = finder.matched(photos[0], photos[index])
-        if first.shape[1] < settings.matches:
+        if first.shape[1] < MATCHES:
             why = (
                 f"only {first.shape[1]} of its features match {photos[0].name}, "
-                f"at least {settings.matches} are needed"
+                f"at least {MATCHES} are needed"
             )
             if repeats_itself(photos[0]):
                 why += "; its pattern repeats: show a border or a mark in all photographs"
@@ -147,9 +135,9 @@ def register(
     known = photos[0].fov_source != "assumed"
     blurred = False
     while True:
-        priors = settings.straight if all(index in dark for index in pairs) else AdjustSettings()
+        priors = _STRAIGHT if all(index in dark for index in pairs) else AdjustSettings()
         adjusted = adjust(setup, list(pairs.values()), known=known, settings=priors)
-        wrong = _wrong(photos, dict(zip(pairs, range(len(pairs)), strict=True)), adjusted, settings)
+        wrong = _wrong(photos, dict(zip(pairs, range(len(pairs)), strict=True)), adjusted)
         if not wrong:
             blurred, wrong = _blurred(photos, list(pairs), dark, adjusted)
         if not wrong:
@@ -158,7 +146,7 @@ def register(
         index, why = wrong[0]
         left_out[index] = why
         del pairs[index]
-    views, worse = _views(photos, pairs, dark, adjusted, settings)
+    views, worse = _views(photos, pairs, dark, adjusted)
     left_out |= worse
     names = tuple(
         LeftOut(photos[index].name, "; ".join([*([dark[index]] if index in dark else []), why]))
@@ -172,7 +160,6 @@ def _views(
     pairs: dict[int, Pair],
     dark: Container[int],
     adjusted: Adjusted,
-    settings: RegisterSettings,
 ) -> tuple[tuple[RegisteredView, ...], dict[int, str]]:
     """Views with flash, then the best one without; and reasons by index for the others without."""
     lit, unlit = [RegisteredView(photos[0], adjusted.cameras[0])], dict[int, RegisteredView]()
@@ -183,7 +170,7 @@ def _views(
             view,
             matches=pair.first.shape[1],
             off=adjusted.off[number],
-            alike=likeness(lit[0], view, settings),
+            alike=likeness(lit[0], view),
             flash=index not in dark,
             doubt=float(unsure.places[number]),
             astray=float(unsure.astray[number]),
@@ -205,15 +192,15 @@ def _blurred(
     lit = [(0, 0), *((index, n) for n, index in enumerate(others, 1) if index not in dark)]
     blur = blurring([photos[index] for index, _ in lit], [adjusted.cameras[n] for _, n in lit])
     ranked = sorted(zip(blur, lit, strict=True), reverse=True)
-    return blur[0] > SHARP.blurred, [
+    return blur[0] > BLURRED, [
         (index, f"it is blurred: its finest detail is {math.exp(-amount):.0%} of the others'")
         for amount, (index, _) in ranked
-        if index and amount > SHARP.blurred
+        if index and amount > BLURRED
     ]
 
 
 def _wrong(
-    photos: Sequence[Photo], numbers: dict[int, int], adjusted: Adjusted, settings: RegisterSettings
+    photos: Sequence[Photo], numbers: dict[int, int], adjusted: Adjusted
 ) -> list[tuple[int, str]]:
     """(index, reason) of photographs with an implausible camera, the worst first."""
     wrong = []
@@ -222,29 +209,29 @@ def _wrong(
         camera, off = adjusted.cameras[number + 1], adjusted.off[number]
         if not np.isfinite(camera.place).all() or camera.place[2] <= 0.05:
             wrong.append((math.inf, index, "its matches fit no camera above a flat sample"))
-        elif off > settings.off:
+        elif off > _OFF:
             why = f"its matches are {off:.1f} pixels off: the sample moved or is not flat"
-            wrong.append((off / settings.off, index, why))
-        elif math.degrees(camera.tilt) > settings.steepest:
+            wrong.append((off / _OFF, index, why))
+        elif math.degrees(camera.tilt) > _STEEPEST:
             why = (
                 f"its camera is {math.degrees(camera.tilt):.0f} degrees off vertical, at most "
-                f"{settings.steepest:.0f} are allowed"
+                f"{_STEEPEST:.0f} are allowed"
             )
             wrong.append((1.0, index, why))
         else:
-            alike = likeness(first, RegisteredView(photos[index], camera), settings)
-            if alike < settings.alike:
+            alike = likeness(first, RegisteredView(photos[index], camera))
+            if alike < _ALIKE:
                 why = f"it differs from {photos[0].name} at the same place, or is blurred"
-                wrong.append((1.0 + settings.alike - alike, index, why))
+                wrong.append((1.0 + _ALIKE - alike, index, why))
     return [(index, why) for _, index, why in sorted(wrong, reverse=True)]
 
 
-def likeness(first: RegisteredView, second: RegisteredView, settings: RegisterSettings) -> float:
+def likeness(first: RegisteredView, second: RegisteredView) -> float:
     """Correlation of the fine texture of two registered photographs over their overlap.
 
     In [-1, 1]; -1 without overlap, or if a shift by a few texels correlates better.
     """
-    across = settings.compared
+    across = _COMPARED
     down = round(across * first.photo.pixels.shape[0] / first.photo.pixels.shape[1])
     seen = [_texture(view, across, down) for view in (first, second)]
     both = seen[0][1] & seen[1][1]
@@ -257,7 +244,7 @@ def likeness(first: RegisteredView, second: RegisteredView, settings: RegisterSe
         return float((a * b).mean() / max(float(np.sqrt((a * a).mean() * (b * b).mean())), 1e-9))
 
     here = correlation(0, 0)
-    far = settings.shifted
+    far = _SHIFTED
     shifted = max(correlation(x, y) for x, y in ((far, 0), (-far, 0), (0, far), (0, -far)))
     return here if here > shifted else -1.0
 

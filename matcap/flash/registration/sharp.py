@@ -7,7 +7,6 @@ wavelength: defocus and motion lower it, light hardly affects it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -21,24 +20,15 @@ from matcap.photo.photo import Photo
 ChannelPlane = NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class SharpSettings:
-    """Settings of the detection of blurred photographs; docs/notes/several.md."""
+# Settings of the detection of blurred photographs; docs/notes/several.md.
 
-    blurred: float = 0.22
-    """Log loss of sharpness against the median from which a photograph is blurred; sharp ones vary
-    by 0.14, a motion blur of a hundredth of the width is 0.28 and more."""
-    across: int = 640
-    """Texels across the grid of the comparison."""
-    tiles: int = 12
-    """Tiles across."""
-    fine: tuple[float, float] = (0.7, 1.4)
-    """Standard deviations of the two Gaussians of the finest band, texels."""
-    long: tuple[float, float] = (2.8, 5.6)
-    """Standard deviations of the two Gaussians of the longer band, texels."""
-
-
-SHARP = SharpSettings()
+# Log loss of sharpness against the median from which a photograph is blurred; sharp ones vary by
+# 0.14, a motion blur of a hundredth of the width is 0.28 and more.
+BLURRED = 0.22
+_ACROSS = 640  # texels across the grid of the comparison
+_TILES = 12  # tiles across
+_FINE = (0.7, 1.4)  # standard deviations of the two Gaussians of the finest band, texels
+_LONG = (2.8, 5.6)  # standard deviations of the two Gaussians of the longer band, texels
 
 
 def blurring(photos: Sequence[Photo], cameras: Sequence[PosedCamera]) -> list[float]:
@@ -59,7 +49,7 @@ def blurring(photos: Sequence[Photo], cameras: Sequence[PosedCamera]) -> list[fl
 
 def _fineness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.float64]:
     """(tiles,) log sharpness on the first photograph's plane; NaN for a tile partly outside."""
-    across = SHARP.across
+    across = _ACROSS
     down = round(across * first.pixels.shape[0] / first.pixels.shape[1])
     rows, columns = photo.pixels.shape[:2]
     wide = min(columns, across)
@@ -69,10 +59,10 @@ def _fineness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.flo
     x, y = to_pixels(camera.sees(grid_points(across, down)), *size)
     inside = (x > 1) & (x < size[0] - 2) & (y > 1) & (y < size[1] - 2)
     there = cv2.remap(log, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
-    tiles = (SHARP.tiles, max(2, round(SHARP.tiles * down / across)))
+    tiles = (_TILES, max(2, round(_TILES * down / across)))
     fine, long, seen = (
         cv2.resize(each, tiles, interpolation=cv2.INTER_AREA).ravel()
-        for each in (_band(there, SHARP.fine), _band(there, SHARP.long), inside.astype(np.float32))
+        for each in (_band(there, _FINE), _band(there, _LONG), inside.astype(np.float32))
     )
     ratio = 0.5 * np.log((fine + 1e-9) / (long + 1e-9))
     return np.where(seen > 0.99, ratio, np.nan).astype(np.float64)

@@ -14,7 +14,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.piece.find import piece_maps
 from matcap.capture.pipeline import capture_file
 from matcap.capture.result import CaptureResult
-from matcap.capture.together.union import UNION, sees
+from matcap.capture.together.union import STEEPEST, sees
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.grid import grid_points
 from matcap.lab.bench.nsd import PhotographSettings
@@ -192,7 +192,7 @@ def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     phone = taken.evaluator.settings.camera
     for view in views[1:]:
         up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
-        here = left & torch.from_numpy(sees(view.camera, points, up, UNION.steepest))
+        here = left & torch.from_numpy(sees(view.camera, points, up, STEEPEST))
         number = names.index(view.photo.name)
         true = true_maps_along(realise, phone, taken.cameras, number, view.camera, reach.extent)(
             *exemplar.size

@@ -8,13 +8,13 @@ import torch
 from seen_views import DOUBT, PHONE, SIZE, seen
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.together.align import Aligned, AlignSettings, aligned
+from matcap.capture.together import align
+from matcap.capture.together.align import Aligned, aligned
 from matcap.capture.together.shared import shared_step
 from matcap.capture.together.solve import solve
 from matcap.capture.together.texels import (
     Estimate,
     ParameterPrior,
-    SolveSettings,
     parameters_of,
 )
 from matcap.capture.together.views import RAW_FALLOFF, SetLight
@@ -47,17 +47,17 @@ def _flat(maps):
 def moved():
     """(texels, held) to the right by which one of five is moved that lies 0.4 texels further."""
     views, light = seen([_woven(), _woven(), _woven(), _woven(0.4), _woven()])
-    flat, settings = _flat(_woven()), SolveSettings()
+    flat = _flat(_woven())
     doubt = DOUBT.expand(4, *SIZE)
     light = replace(light, lost=RAW_FALLOFF)
     read = Estimate(flat, doubt)
-    found = solve(views, read, light, settings)
+    found = solve(views, read, light)
 
     def by(held):
-        prior = ParameterPrior.of(read, settings)
+        prior = ParameterPrior.of(read)
         free = set(range(5)).difference(held)
         numbers = parameters_of(found.maps)
-        _, moves = shared_step(views, numbers, prior, found.light, settings, moved=free)
+        _, moves = shared_step(views, numbers, prior, found.light, moved=free)
         return [float(move[0, 2]) / flat.texel_size for move in moves]
 
     return by
@@ -94,19 +94,19 @@ def laid(held):
     )
     doubt = DOUBT.expand(4, rows, columns)
 
-    def over(astray, settings):
+    def over(astray):
         views = tuple(replace(view, astray=astray) for view in found.views)
         lines = []
         begun = Aligned.of((found.views[0], *views[1:]), found.setup, light)
         read = Estimate(maps, doubt)
-        by = aligned(begun, read, SolveSettings(), settings, on_progress=lines.append)
+        by = aligned(begun, read, on_progress=lines.append)
         return found, by, len(lines)
 
     return over
 
 
 def test_photographs_whose_features_are_sure_stay_and_relief_is_known(laid):
-    found, by, grids = laid(1e-4, AlignSettings())
+    found, by, grids = laid(1e-4)
     assert grids == 2  # the finest tells nothing more of relief
     for before, after, place in zip(found.views, by.views, by.places, strict=True):
         assert (before.camera.place == after.camera.place).all()
@@ -114,12 +114,17 @@ def test_photographs_whose_features_are_sure_stay_and_relief_is_known(laid):
         assert np.ptp(place.relief) > 0.0
 
 
-def test_photographs_whose_features_are_not_sure_are_moved_until_they_hardly_move(laid):
-    settings = AlignSettings(levels=(0.5, 1.0), rounds=(3, 3), steps=(1, 0))
-    found, by, every = laid(1.0, replace(settings, settled=0.0))
+def test_photographs_whose_features_are_not_sure_are_moved_until_they_hardly_move(
+    laid, monkeypatch
+):
+    for name, value in (("LEVELS", (0.5, 1.0)), ("ROUNDS", (3, 3)), ("STEPS", (1, 0))):
+        monkeypatch.setattr(align, f"_{name}", value)
+    monkeypatch.setattr(align, "_SETTLED", 0.0)
+    found, by, every = laid(1.0)
     assert every == 6
     for before, after in zip(found.views[1:], by.views[1:], strict=True):
         assert (before.camera.place != after.camera.place).any()
-        assert after.doubt == settings.doubtful * before.doubt
-    _, _, settled = laid(1.0, replace(settings, settled=100.0))
+        assert after.doubt == align._DOUBTFUL * before.doubt
+    monkeypatch.setattr(align, "_SETTLED", 100.0)
+    _, _, settled = laid(1.0)
     assert settled == 2

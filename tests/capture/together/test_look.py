@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from matcap.capture.together.look import LOOK, look_at_files, set_quality
+from matcap.capture.together.look import SAME_PLACE, look_at_files, set_quality
 from matcap.capture.together.set_report import SetReport
 from matcap.cli.main import main
 from matcap.errors import MatcapError
@@ -69,7 +69,7 @@ def test_two_from_the_same_place_are_named(looked):
     again = replace(looked.views[1], photo=replace(looked.views[1].photo, name="again"))
     values = set_quality(replace(looked, views=(*looked.views, again)))
     assert values["places"].says == "plaster_1 and again were taken from nearly the same place."
-    assert values["places"].value < LOOK.same_place
+    assert values["places"].value < SAME_PLACE
 
 
 def test_one_alone_is_poor(looked):

@@ -19,7 +19,6 @@ from matcap.capture.together.solve import solve
 from matcap.capture.together.texels import (
     SLOPES,
     Estimate,
-    SolveSettings,
     parameters_of,
     points_of,
     rendered,
@@ -235,7 +234,7 @@ def test_the_rooms_light_tells_albedo_and_slopes_that_one_flash_does_not():
     for views in ([flash], [flash, room]):
         some = light.of_some(range(len(views)))
         some = replace(some, lost=RAW_FALLOFF)
-        found = solve(views, Estimate(flat, doubt), some, SolveSettings())
+        found = solve(views, Estimate(flat, doubt), some)
         log = (found.maps.diffuse / maps.diffuse).log()
         off.append(float((log - log.median()).abs().mean()))
         slopes = parameters_of(found.maps)[SLOPES] - parameters_of(maps)[SLOPES]

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import torch
 
+from matcap.capture.together import surface
 from matcap.capture.together.surface import (
-    SurfaceSettings,
     surface_of,
     texel_slopes,
     transposed,
@@ -38,13 +38,14 @@ def test_slopes_of_a_surface_come_back(slopes):
     assert _off(surface_of(slopes, TEXEL, _precision(100.0, 100.0)), slopes) < 0.01
 
 
-def test_what_is_told_along_one_way_tells_the_other(slopes):
+def test_what_is_told_along_one_way_tells_the_other(slopes, monkeypatch):
     """As two photographs do: slopes to a side are measured, those across it are noise."""
     generator = torch.Generator().manual_seed(1)
     noise = torch.tensor([0.01, 1.0])[:, None, None] * slopes.std()
     seen = slopes + noise * torch.randn(slopes.shape, generator=generator)
     known = _precision(*(noise[:, 0, 0] ** -2).tolist())
-    found = surface_of(seen, TEXEL, known, SurfaceSettings(model=0.0))
+    monkeypatch.setattr(surface, "_MODEL", 0.0)
+    found = surface_of(seen, TEXEL, known)
     assert _off(found, slopes) < 0.3 * _off(surface_of(seen, TEXEL), slopes)
 
 

@@ -21,7 +21,6 @@ from matcap.capture.together.texels import (
     SLOPES,
     Estimate,
     ParameterPrior,
-    SolveSettings,
     parameters_of,
 )
 from matcap.capture.together.views import RAW_FALLOFF, SetLight
@@ -60,12 +59,11 @@ def _flat(maps):
 
 
 NOTHING_KNOWN = DOUBT.expand(4, *SIZE)
-SOLVING = SolveSettings()
 
 
 def _solved(views, read, light, log_error=NOTHING_KNOWN):
     """Of RAW photographs."""
-    return solve(views, Estimate(read, log_error), replace(light, lost=RAW_FALLOFF), SOLVING)
+    return solve(views, Estimate(read, log_error), replace(light, lost=RAW_FALLOFF))
 
 
 def _degrees(one, other):
@@ -107,23 +105,23 @@ def test_a_photograph_is_predicted_from_the_others():
 def test_the_flash_is_found_beside_the_lens():
     maps = _true(3)
     views, light = seen([maps] * 5)
-    prior = ParameterPrior.of(Estimate(maps, NOTHING_KNOWN), SOLVING)
+    prior = ParameterPrior.of(Estimate(maps, NOTHING_KNOWN))
     begun = replace(light, offset=torch.zeros(2), lost=RAW_FALLOFF)
-    found, _ = shared_step(views, prior.mean, prior, begun, SOLVING)
+    found, _ = shared_step(views, prior.mean, prior, begun)
     assert np.abs(found.offset.numpy() - OFFSET).max() < 0.01
 
 
 def test_the_falloff_of_all_photographs_stays_as_near_as_the_camera_s_profile_says():
     maps = _true(3)
     views, light = seen([maps] * 5)
-    prior = ParameterPrior.of(Estimate(maps, NOTHING_KNOWN), SOLVING)
+    prior = ParameterPrior.of(Estimate(maps, NOTHING_KNOWN))
 
     def off(profile):
         lost = {"vignetting": 0.3, "vignetting_quartic": 0.0}  # the photographs lose nothing
         setup = FlashSetup(offset=(*light.offset.tolist(), 0.0), **lost)
         begun = SetLight.of(setup, 5, profile)
         begun = replace(begun, intensity=light.intensity)
-        found, _ = shared_step(views, prior.mean, prior, begun, SOLVING)
+        found, _ = shared_step(views, prior.mean, prior, begun)
         return float(found.vignetting.sum())
 
     narrow = CameraProfile("phone", Falloff((0.3, 0.0), (1e-3, 1e-3)), 9)
@@ -152,9 +150,9 @@ def test_a_photograph_beside_its_place_is_brought_back_though_texels_explain_it(
     shifted = [*views[:3], replace(views[3], log=views[3].log.roll(2, dims=2)), *views[4:]]
     flat = _flat(maps)
     found = _solved(shifted, flat, light)
-    prior = ParameterPrior.of(Estimate(flat, NOTHING_KNOWN), SOLVING)
+    prior = ParameterPrior.of(Estimate(flat, NOTHING_KNOWN))
     numbers = parameters_of(found.maps)
-    _, moves = shared_step(shifted, numbers, prior, found.light, SOLVING, moved=range(1, 5))
+    _, moves = shared_step(shifted, numbers, prior, found.light, moved=range(1, 5))
     texel = maps.texel_size
     assert moves[3][0, 2] > 0.6 * texel
     for number in (1, 2, 4):
@@ -166,7 +164,7 @@ def test_slopes_stay_finite_where_nothing_is_seen():
     maps = _true(5)
     views, light = seen([maps] * 3)
     blind = [replace(view, seen=torch.zeros_like(view.seen)) for view in views]
-    found = solve(blind, Estimate(maps, NOTHING_KNOWN), light, SOLVING)
+    found = solve(blind, Estimate(maps, NOTHING_KNOWN), light)
     for channel in found.maps.stacked():
         assert torch.isfinite(channel).all()
     # As it was read, but for what is slow.

@@ -14,10 +14,13 @@ from matcap.capture.outputs import write_outputs
 from matcap.capture.piece.find import piece_maps
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings, OutputSettings
+from matcap.capture.together import union
 from matcap.capture.together.readings import ReadView, with_others
 from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
 from matcap.capture.together.union import (
-    UNION,
+    LEAST,
+    MOST,
+    STEEPEST,
     Reach,
     reach_of,
     scatter,
@@ -100,22 +103,23 @@ def test_a_leaning_camera_reaches_as_far_as_it_sees_well():
     reach = reach_of([_view(_camera()), _view(camera)], SIZE)
     points = grid_points(*reach.margins.around(SIZE), reach.extent)
     away = camera.place[:, None, None] - points
-    seen = sees(camera, points, 0.75, UNION.steepest)
+    seen = sees(camera, points, 0.75, STEEPEST)
     steep = np.degrees(np.arccos(away[2] / np.linalg.norm(away, axis=0)))
-    assert steep[seen].max() <= UNION.steepest
+    assert steep[seen].max() <= STEEPEST
     assert sees(camera, points, 0.75, 89.0).sum() > seen.sum()
     # And no side of the box is hardly seen at all.
     known = seen_by_any([_view(_camera()), _view(camera)], reach).numpy()
     for side in (known[0], known[-1], known[:, 0], known[:, -1]):
-        assert side.mean() > 0.9 * UNION.least
+        assert side.mean() > 0.9 * LEAST
 
 
-def test_a_piece_grows_no_larger_than_memory_allows_and_says_so():
+def test_a_piece_grows_no_larger_than_memory_allows_and_says_so(monkeypatch):
     far = [_view(_camera())] + [_view(_camera(x=1.5 * n, y=1.1 * n)) for n in range(1, 5)]
     reach = reach_of(far, SIZE)
-    assert reach.limited and reach.times <= UNION.most
+    assert reach.limited and reach.times <= MOST
     assert "is left out of the maps" in reach.warns()
-    few = reach_of(far, SIZE, replace(UNION, texels=1.2 * SIZE[0] * SIZE[1]))
+    monkeypatch.setattr(union, "_TEXELS", 1.2 * SIZE[0] * SIZE[1])
+    few = reach_of(far, SIZE)
     assert few.times <= 1.2 and few.covered < reach.covered
 
 
@@ -213,7 +217,7 @@ def test_two_photographs_that_share_a_half_are_one_larger_piece(captured):
 
     other = result.estimate.several.views[1].camera
     points = grid_points(*piece.size, reach.extent)
-    beyond = torch.from_numpy(sees(other, points, 0.75, UNION.steepest))
+    beyond = torch.from_numpy(sees(other, points, 0.75, STEEPEST))
     beyond &= ~reach.margins.own(reach.size)
     args = leather.pieces(leather.seed), PHONE, cameras, 1, other, reach.extent
     true = true_maps_along(*args)(*piece.size)

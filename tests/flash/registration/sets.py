@@ -17,7 +17,6 @@ from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import TOGETHER_STAGES, CaptureClock
 from matcap.capture.together.align import aligned
 from matcap.capture.together.find import by_features, read_alone, registered
-from matcap.capture.together.texels import SolveSettings
 from matcap.errors import MatcapError
 from matcap.flash.coarse import fit_coarse
 from matcap.flash.registration.camera import PosedCamera
@@ -132,7 +131,7 @@ def outcome_of_capture(made: MadeSet, detail: int) -> SetOutcome:
     network, clock = load_inverse(), CaptureClock(None, TOGETHER_STAGES)
     found, coarse, plane = registered(made.photos, detail, clock)
     read = read_alone(plane, coarse, network, clock).estimate
-    placed = aligned(by_features(found, coarse), read, SolveSettings())
+    placed = aligned(by_features(found, coarse), read)
     return compared(made, replace(found, views=placed.views))
 
 

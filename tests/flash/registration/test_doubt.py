@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from matcap.flash.geometry import FlashSetup
+from matcap.flash.registration import doubt
 from matcap.flash.registration.adjust import Adjusted, Pair, adjust
-from matcap.flash.registration.doubt import DOUBTED, DoubtSettings, doubts
+from matcap.flash.registration.doubt import DOUBTED, doubts
 from matcap.lab.simulate.hand_held import Hand, hold
 from matcap.lab.simulate.photograph import PhoneCamera
 
@@ -98,19 +99,20 @@ def test_how_far_photographs_lie_beside_each_other_is_said():
 
 
 @pytest.mark.parametrize("more", [1.0, 2.0])
-def test_more_scatter_is_more_doubt(more):
+def test_more_scatter_is_more_doubt(more, monkeypatch):
     _, pairs = _matched(2, 0.4, lambda rng, count: more * _bumps(rng, count))
     found = adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
-    alone = doubts(found, pairs, DoubtSettings(alike=0.0)).places
-    assert (doubts(found, pairs).places > 1.5 * alone).all()
+    both = doubts(found, pairs).places
+    monkeypatch.setattr(doubt, "_ALIKE", 0.0)
+    assert (both > 1.5 * doubts(found, pairs).places).all()
 
 
-def test_fewer_matches_are_more_doubt():
+def test_fewer_matches_are_more_doubt(monkeypatch):
     _, pairs = _matched(3, 0.5, _flat)
     found = adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
     few = [Pair(p.first[:, ::8], p.second[:, ::8], p.pixel) for p in pairs]
-    settings = DoubtSettings(alike=0.0)
-    assert (doubts(found, few, settings).places > 1.5 * doubts(found, pairs, settings).places).all()
+    monkeypatch.setattr(doubt, "_ALIKE", 0.0)
+    assert (doubts(found, few).places > 1.5 * doubts(found, pairs).places).all()
 
 
 def test_nothing_is_said_where_nothing_is_matched():

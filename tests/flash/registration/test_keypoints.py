@@ -8,13 +8,12 @@ import pytest
 
 from matcap.flash.registration.keypoints import (
     Keypoints,
-    KeypointSettings,
     best_both_ways,
     even_contrast,
     find_keypoints,
     matched,
 )
-from matcap.flash.registration.register import RegisterSettings
+from matcap.flash.registration.register import MATCHES
 from matcap.photo.photo import Photo
 
 
@@ -28,8 +27,7 @@ def _grain():
 def test_features_lie_where_they_are_whichever_way_the_picture_is_held():
     photo = _grain()
     turned = replace(photo, pixels=np.ascontiguousarray(photo.pixels[::-1, ::-1]))
-    settings = KeypointSettings()
-    one, other = (find_keypoints(each, even_contrast, settings) for each in (photo, turned))
+    one, other = (find_keypoints(each, even_contrast) for each in (photo, turned))
     pairs = cv2.BFMatcher(crossCheck=True).match(one.described, other.described)
     first = one.image[:, [pair.queryIdx for pair in pairs]]
     second = -other.image[:, [pair.trainIdx for pair in pairs]]
@@ -58,7 +56,7 @@ def _mistaken(right, wrong, seed):
 def test_one_match_in_thirty_that_is_right_is_found():
     for seed in range(3):
         first, second = _mistaken(30, 870, seed)
-        found, _ = matched(first, second, KeypointSettings())
+        found, _ = matched(first, second)
         right = {tuple(place) for place in first.image[:, :30].T}
         kept = {tuple(place) for place in found.T}
         assert len(kept & right) >= 28 and len(kept - right) <= 2
@@ -66,8 +64,8 @@ def test_one_match_in_thirty_that_is_right_is_found():
 
 def test_what_agrees_by_chance_is_too_little():
     for seed in range(3):
-        found, _ = matched(*_mistaken(0, 900, seed), KeypointSettings())
-        assert found.shape[1] < RegisterSettings().matches - 4
+        found, _ = matched(*_mistaken(0, 900, seed))
+        assert found.shape[1] < MATCHES - 4
 
 
 @pytest.mark.parametrize("ratio", [0.8, 0.95])
