@@ -20,7 +20,7 @@ from matcap.capture.settings import resolve
 from matcap.errors import MatcapError
 from matcap.files.values import spoken_duration
 
-_TRIAL_STEPS = 12  # optimisation steps of a trial
+_TRIAL_STEPS = 12  # of fine-tuning, in a trial of a decoder
 _SETTLED = 4  # its first steps, which are slower and not timed
 _TRIED = 3  # most samples tried, if the first are unusable
 
@@ -94,7 +94,7 @@ def predict(prepared: Prepared) -> Prediction:
     """Predict time and disk space of the samples to do.
 
     From materials in the output that were made with the same steps and detail; else from a trial
-    capture of a few steps, which is discarded.
+    capture, which is discarded; of a decoder, with a few steps.
     """
     todo, settings = prepared.todo, prepared.settings
     seconds, size, how = None, settings.outputs.room, "nothing measured"
@@ -124,8 +124,7 @@ def predict(prepared: Prepared) -> Prediction:
 def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
     earlier = []
     capture = prepared.settings.capture
-    photographs = len(prepared.todo[0].sample.photos)
-    steps = resolve(capture, photographs=photographs).work(capture.generator)
+    steps = resolve(capture).steps
     for file in sorted(prepared.out.glob(f"*/{FILE}")):
         record = read_record(file.parent)
         if record and (record.get("steps"), record.get("detail")) == (
@@ -140,23 +139,22 @@ def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
 
 
 def _trial(photos: Sequence[Path], settings: BatchSettings) -> tuple[float, int]:
-    """Seconds and bytes of one full capture, extrapolated from a capture with fewer steps."""
+    """Seconds and bytes of one capture; a decoder's extrapolated from one with fewer steps."""
     from matcap.capture.outputs import write_outputs
     from matcap.capture.pipeline import capture_file
 
     settle_threads()
     began = time.perf_counter()
     wanted = settings.capture
-    work = resolve(wanted, photographs=len(photos)).work(wanted.generator)
+    work = resolve(wanted).steps
     steps = min(work, _TRIAL_STEPS)
     ticks: list[float] = []  # time after each optimisation step, in seconds
 
     def on_progress(now: CaptureProgress) -> None:
-        if now.stage in ("adapt", "fine-tuning"):
+        if now.stage == "fine-tuning":
             ticks.append(now.seconds)
 
-    short = replace(wanted, steps=steps, time_limit=None, target=None)
-    short = short.of_sample(len(photos))
+    short = replace(wanted, steps=steps, time_limit=None, target=None) if work else wanted
     result = capture_file(photos[0], short, on_progress, others=photos[1:])
     with tempfile.TemporaryDirectory(prefix="matcap-") as folder:
         write_outputs(result, Path(folder) / "trial", settings.outputs)

@@ -109,7 +109,6 @@ def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
     chosen = measured(settings.capture, job.card)
     if job.detail != chosen.most_detail:
         chosen = replace(chosen, detail=job.detail)
-    chosen = chosen.of_sample(len(job.photos))
     photos = []
     for path in job.photos:
         photo = read_photograph(path, chosen, several=len(job.photos) > 1)
@@ -169,7 +168,7 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         "card": job.card.document() if job.card else None,
         "camera": result.photo.profile and result.photo.profile.document(),
         "stage_seconds": {name: round(s, 3) for name, s in result.stage_seconds.items()},
-        "steps": result.effort.work(result.settings.generator),
+        "steps": result.effort.steps,
     }
 
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from matcap.capture.ending import judged, provenance
 from matcap.capture.method import Method
-from matcap.capture.piece.find import Adaptation, ExemplarEstimate, find_piece
+from matcap.capture.piece.find import ExemplarEstimate, find_piece
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning
@@ -50,7 +50,7 @@ def capture_by_decoder(
     """
     photo, coarse, plane = shot.photo, shot.coarse, shot.plane
     with clock.stage("statistics"):
-        most = None if effort.steps or (settings.aligned and effort.adapted) else 1
+        most = None if effort.steps else 1
         target, joined = photograph_target(shot, settings, method, most)
         own = self_difference(target.windows, target.weights)
         tune = _tune(settings, effort, method, own, photo.name)
@@ -65,7 +65,7 @@ def capture_by_decoder(
             material = match_photograph(material, plane, settings.seed)
         clock.interrupted |= stopped()
 
-    estimate = _piece(shot, target, settings, effort, clock) if settings.aligned else None
+    estimate = _piece(shot, clock) if settings.aligned else None
     went = Tuning(tuned.history, own)
     return judged(photo, material, shot.rectified, settings, clock, estimate, went)
 
@@ -121,21 +121,12 @@ def _on_step(clock: CaptureClock, own: float) -> OnStep:
     return lambda share, error, seconds: clock.tuning(share, *ahead.after(error, seconds))
 
 
-def _piece(
-    shot: CaptureStart,
-    target: PhotographTarget,
-    settings: CaptureSettings,
-    effort: Effort,
-    clock: CaptureClock,
-) -> ExemplarEstimate:
-    """Estimate the exemplar; without the texture-statistics fit after an interrupt."""
-    steps = 0 if clock.interrupted else effort.adapted
-    adaptation = Adaptation(lambda: target, steps, settings.seed) if steps else None
+def _piece(shot: CaptureStart, clock: CaptureClock) -> ExemplarEstimate:
+    """Estimate the exemplar, to the end even if interrupted."""
     with postponed() as stopped:
-        estimate = find_piece(
-            shot.rectified, shot.coarse, load_inverse(), CaptureClock(None), adaptation
-        )
-    return replace(estimate, interrupted=stopped())
+        estimate = find_piece(shot.rectified, shot.coarse, load_inverse(), CaptureClock(None))
+    clock.interrupted |= stopped()
+    return estimate
 
 
 def _target(settings: CaptureSettings, own: float, name: str) -> float | None:

@@ -91,7 +91,7 @@ def provenance(
         "photograph": photo.name,
         "settings": settings.named(),
         "millimetres_per_unit": settings.millimetres_per_unit,
-        "steps": effort.work(settings.generator),
+        "steps": effort.steps,
         "coarse": {
             "diffuse": list(coarse.diffuse),
             "specular": coarse.specular,

@@ -30,8 +30,6 @@ class Method:
     """Windows per step of fine-tuning; None: the preset's."""
     matched: bool | None = None
     """Whether to match mean and contrast after fine-tuning; None: the preset's."""
-    adapted: int | None = None
-    """Steps of the texture-statistics fit of an exemplar; None: the preset's."""
     weights: Weights = Weights()
     """Weights of the texture statistics in their sum."""
     measured_tilt: bool = True

@@ -1,6 +1,6 @@
 """Capture, from photographs to a folder with a material: the stages in order.
 
-read, coarse fit, piece, strengths, refine, adapt, inpaint, index, verdict, write.
+read, coarse fit, piece, strengths, refine, inpaint, index, verdict, write.
 The stages from piece to index are in piece/find.py, those of several photographs in
 together/find.py, those of the paper's generator in by_decoder.py.
 """
@@ -15,7 +15,7 @@ from matcap.capture.detail import Rectified
 from matcap.capture.ending import judged, provenance
 from matcap.capture.method import Method
 from matcap.capture.outputs import write_outputs
-from matcap.capture.piece.find import Adaptation, PhotographEstimate, find_piece
+from matcap.capture.piece.find import PhotographEstimate, find_piece
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import (
     DECODER_STAGES,
@@ -33,7 +33,7 @@ from matcap.capture.settings import (
     check_photographs,
     resolve,
 )
-from matcap.capture.target import CaptureStart, photograph_target
+from matcap.capture.target import CaptureStart
 from matcap.capture.tilt import fitted
 from matcap.capture.upright import upright
 from matcap.errors import MatcapError, UsageError
@@ -73,8 +73,6 @@ def read_photograph(
         MatcapError: the file cannot be read as a photograph; the mask has another size; one of
             several photographs has transparent pixels.
     """
-    # Texture statistics of the photograph contain its noise, so that must be known.
-    noise = resolve(settings, method).work(settings.generator) > 0
     detail = max(settings.detail or 0, _MATCHED) if several else settings.most_detail
     if several and (settings.crop or settings.mask):
         raise UsageError(
@@ -82,7 +80,7 @@ def read_photograph(
             where="--crop" if settings.crop else "--mask",
             remedy="leave it out: what does not belong to the sample is detected",
         )
-    photo = load_photo(path, long_side=detail, fov=settings.fov, noise=noise)
+    photo = load_photo(path, long_side=detail, fov=settings.fov)
     if settings.camera is not None:
         photo = photo.known_by(read_camera_profile(settings.camera))
     if several and photo.left_out is not None:
@@ -196,7 +194,7 @@ def capture_under(
 ) -> CaptureResult:
     """Run all stages between `read` and `write`; arguments as of capture_photo."""
     check_photographs(settings, 1 + len(others))
-    effort = resolve(settings, method, 1 + len(others))
+    effort = resolve(settings, method)
     if settings.generator == "decoder":
         from matcap.capture.by_decoder import capture_by_decoder
 
@@ -206,7 +204,7 @@ def capture_under(
     if others:
         captured = _of_several([photo, *others], settings, effort, method, clock)
     else:
-        captured = _of_one(photo, settings, effort, method, clock)
+        captured = _of_one(photo, settings, method, clock)
     estimate, coarse, rectified = captured.estimate, captured.coarse, captured.rectified
     several = [] if estimate.several is None else estimate.several.document()["photographs"][1:]
     material = Material(
@@ -238,19 +236,12 @@ def _begun(
 
 
 def _of_one(
-    photo: Photo, settings: CaptureSettings, effort: Effort, method: Method, clock: CaptureClock
+    photo: Photo, settings: CaptureSettings, method: Method, clock: CaptureClock
 ) -> PhotographEstimate:
     """Estimate the exemplar of one photograph."""
     shot = _begun(photo, settings, method, clock)
-    adaptation = None
-    if effort.adapted:
-        adaptation = Adaptation(
-            lambda: photograph_target(shot, settings, method)[0], effort.adapted, settings.seed
-        )
     absolute = photo.flash_intensity is not None
-    estimate = find_piece(
-        shot.rectified, shot.coarse, load_inverse(), clock, adaptation, absolute=absolute
-    )
+    estimate = find_piece(shot.rectified, shot.coarse, load_inverse(), clock, absolute=absolute)
     return PhotographEstimate(estimate, shot.coarse, shot.rectified, shot.photo)
 
 

@@ -16,15 +16,14 @@ from matcap.files.progress import Progress, ignore_progress
 PIECE_STAGES: Mapping[str, float] = MappingProxyType(
     {
         "read": 0.02,
-        "coarse fit": 0.13,
-        "piece": 0.04,
-        "strengths": 0.02,
-        "refine": 0.05,
-        "adapt": 0.26,
-        "inpaint": 0.09,
-        "index": 0.09,
-        "verdict": 0.18,
-        "write": 0.12,
+        "coarse fit": 0.18,
+        "piece": 0.06,
+        "strengths": 0.03,
+        "refine": 0.07,
+        "inpaint": 0.10,
+        "index": 0.13,
+        "verdict": 0.24,
+        "write": 0.17,
     }
 )
 # The same of five photographs of one sample.

@@ -41,7 +41,7 @@ def refuse_to_replace_capture(
 def refuse_to_replace_longer_capture(
     folder: Path, settings: CaptureSettings, photographs: int
 ) -> None:
-    """Raise if a folder has a capture of more photographs or more steps.
+    """Raise if a folder has a capture of more photographs, texels or steps.
 
     Args:
         folder: output folder of the new capture.
@@ -65,18 +65,16 @@ def _refuse(folder: Path, differences: Sequence[str]) -> None:
 
 
 def _longer(old: dict[str, Any], settings: CaptureSettings, photographs: int) -> list[str]:
-    """One phrase if the earlier capture was not interrupted and had more photographs or steps."""
+    """One phrase if the earlier capture, not interrupted, had more photographs, texels or steps."""
     if old.get("interrupted"):
         return []
     before = len((old.get("several") or {}).get("photographs", ())) or 1
     if before > photographs:
         return [f"one of {before} photographs"]
-    work = "steps" if settings.generator == "decoder" else "adapted"
-    spent = old.get("effort", {})
-    # The multi-view solve has no steps, and ranks above a capture of one photograph.
-    if settings.solves(photographs) or spent.get(work, 0) <= getattr(resolve(settings), work):
-        return []
-    return [f"a longer one, of preset {spent.get('preset')}"]
+    spent, effort = old.get("effort", {}), resolve(settings)
+    if spent.get("detail", 0) > effort.detail or spent.get("steps", 0) > effort.steps:
+        return [f"a longer one, of preset {spent.get('preset')}"]
+    return []
 
 
 def _differences(

@@ -32,8 +32,8 @@ Keys:
         r^4), `deviation` and `correlation`.
     texel_size: plane units.
     settings: of the user.
-    effort: that follows from the settings: preset, steps of the texture-statistics fit (`adapted`)
-        and of a decoder (`steps`), windows per step, detail, matched or not.
+    effort: that follows from the settings: preset, `steps` of fine-tuning a decoder (0 without),
+        windows per step, detail, matched or not.
     seconds: of the whole capture.
     stage_seconds: of each stage.
     tuning: of a decoder, or null: `error` (the last texture distance), `self_difference` (that
@@ -44,12 +44,10 @@ Keys:
         (share that resembles no other part, and is not rearranged), `variety` (0 to 1: small
         patches at 1), `patches` (their size, in words), `strengths` (root-mean-square slope and
         log albedo by band, measured in the photograph; capture/piece/strengths.py; or null),
-        `sharpness` (power of the finest octave, re-rendering over photograph), `adaptation` (stages
-        of the texture-statistics fit: parameters, texture distance before and after on windows not
-        fitted, and whether it was kept), `confidence` (mean, by map), `specular_channels` (3 if F0
-        has a colour), `highlight_residue` (radial variation about the mirror point: of the
-        logarithms of `albedo`, `specular` and `grain`, the amplitude of relief, and of
-        `roughness`).
+        `sharpness` (power of the finest octave, re-rendering over photograph), `confidence` (mean,
+        by map), `specular_channels` (3 if F0 has a colour), `highlight_residue` (radial variation
+        about the mirror point: of the logarithms of `albedo`, `specular` and `grain`, the
+        amplitude of relief, and of `roughness`).
     several: of several photographs of one sample, or null: `photographs` (name, `flash`, false if
         lit by ambient light, `matches` with the first, `likeness`, `place` of the camera in plane
         units, tilt, `doubt`, standard deviation of `place` over its distance, `residual` of the
@@ -198,7 +196,6 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
         "patches": summary(estimate.example).patches_text(),
         "strengths": None if estimate.strengths is None else estimate.strengths.document(),
         "sharpness": estimate.sharpness,
-        "adaptation": [asdict(change) for change in estimate.adaptation],
         "confidence": estimate.mean_confidence(result.photo.kept_share),
         "specular_channels": len(estimate.exemplar.specular),
         "highlight_residue": result.measurements.residue,
@@ -251,18 +248,13 @@ def _grown(estimate: ExemplarEstimate | None) -> Iterable[str]:
 def _rules(result: CaptureResult) -> Iterable[str]:
     """Sentences on settings that act differently from what their names suggest."""
     settings, effort = result.settings, result.effort
-    if settings.solves(result.photographs):
-        if settings.time_limit is not None:
-            yield (
-                "Several photographs are solved in one pass, without steps that --time could "
-                "limit: it determines their detail instead."
-            )
-    elif settings.steps is None and (
-        settings.time_limit is not None or settings.target is not None
-    ):
+    limited = settings.time_limit is not None or settings.target is not None
+    if limited and settings.generator != "decoder":
+        yield "With a time limit, the preset has no effect: the limit determines the texels."
+    elif limited and settings.steps is None:
         yield (
             "With a time limit or a target, the preset has no effect: at most "
-            f"{effort.work(settings.generator)} steps. Give --steps for another number."
+            f"{effort.steps} steps. Give --steps for another number."
         )
     if settings.width_cm is None:
         yield (

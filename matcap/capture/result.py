@@ -80,7 +80,7 @@ class CaptureResult:
     @property
     def effort(self) -> Effort:
         """Effort that the settings resolve to."""
-        return resolve(self.settings, photographs=self.photographs)
+        return resolve(self.settings)
 
     @property
     def tilt_sources(self) -> Mapping[str, Any] | None:

@@ -41,10 +41,8 @@ class Effort:
 
     preset: str
     """Its key in PRESETS."""
-    adapted: int
-    """Steps of the texture-statistics fit of the exemplar (piece/adapt.py)."""
     steps: int
-    """Steps of fine-tuning a decoder."""
+    """Steps of fine-tuning a decoder; 0 without one."""
     places: int = 2
     """Windows per step of fine-tuning; each beyond the first adds a fifth of a step's time, as all
     are rendered from the same maps."""
@@ -53,25 +51,21 @@ class Effort:
     detail: int = FINE_DETAIL
     """Texels along the exemplar's long side, at most the photograph's pixels."""
 
-    def work(self, generator: Generator) -> int:
-        """Optimisation steps of a generator."""
-        return self.steps if generator == "decoder" else self.adapted
-
 
 # docs/notes/accuracy-and-time.md compares their accuracy and time.
 PRESETS: Mapping[str, Effort] = MappingProxyType(
     {
         effort.preset: effort
         for effort in (
-            Effort("instant", 0, 0, detail=QUICK_DETAIL),
-            Effort("draft", 16, 32, matched=False, detail=QUICK_DETAIL),
-            Effort("standard", 40, 160, places=3),
+            Effort("instant", 0, detail=QUICK_DETAIL),
+            Effort("draft", 32, matched=False, detail=DETAIL),
+            Effort("standard", 160, places=3),
         )
     }
 )
 # Under a time limit or a target, so that these end the work rather than its step count.
-UNLIMITED = Effort("standard", 120, 800)
-# (least time limit in seconds, detail): with less time, reading alone would use up the limit.
+UNLIMITED = Effort("standard", 800)
+# (least time limit in seconds, detail): a capture with more texels would exceed a shorter limit.
 TIME_FOR_DETAIL = ((60.0, FINE_DETAIL), (20.0, DETAIL), (0.0, QUICK_DETAIL))
 
 
@@ -118,16 +112,15 @@ class CaptureSettings:
     """
 
     preset: str = setting("standard", words=tuple(PRESETS))
-    """Amount of work: instant (preview at 512 texels), draft (512 texels, to check the photograph)
-    or standard (2048 texels)."""
+    """Texels along the photograph's long side: instant (512, a preview), draft (1024) or standard
+    (2048). A decoder has 1024, and 0, 32 or 160 steps of fine-tuning."""
     steps: int | None = setting(None, least=0, most=10_000_000)
-    """Optimisation steps instead of the preset's, of the exemplar or of a decoder. Several
-    photographs of one sample are solved without steps."""
+    """With the decoder: steps of fine-tuning, instead of the preset's."""
     time_limit: float | None = setting(
         None, least=0.001, most=1e7, option="time", metavar="TIME", parse=values.duration
     )
-    """Time limit of the whole capture, in seconds or as 90s, 2m; without --steps it sets the steps
-    and the texels instead of the preset."""
+    """Time limit of the whole capture, in seconds or as 90s, 2m: it determines the texels instead
+    of the preset and, without --steps, the steps of a decoder."""
     target: float | None = setting(None, least=0.01, most=1e6, metavar="TIMES")
     """With the decoder: stop at this texture distance, in multiples of that between neighbouring
     windows of the photograph, or after 800 steps without --steps."""
@@ -179,12 +172,8 @@ class CaptureSettings:
         return CaptureSettings(**typed_settings(CaptureSettings, named))
 
     def solves(self, photographs: int) -> bool:
-        """Whether this number of photographs is solved jointly, without optimisation steps."""
+        """Whether this number of photographs is solved jointly."""
         return photographs > 1 and self.generator == "example"
-
-    def of_sample(self, photographs: int) -> CaptureSettings:
-        """Settings of a batch for a sample with a number of photographs: no steps if solved."""
-        return replace(self, steps=None) if self.solves(photographs) else self
 
     def named(self) -> dict[str, Any]:
         """All settings by name as JSON values."""
@@ -300,7 +289,7 @@ def check_photographs(settings: CaptureSettings, photographs: int) -> None:
     """Check settings against the number of photographs of a sample.
 
     Raises:
-        UsageError: `union` is set for one photograph, or `steps` for several.
+        UsageError: `union` is set for one photograph.
     """
     if settings.union and photographs < 2:
         raise UsageError(
@@ -308,30 +297,28 @@ def check_photographs(settings: CaptureSettings, photographs: int) -> None:
             where="--union",
             remedy="give two or more of one sample, and --together",
         )
-    if settings.steps is not None and settings.solves(photographs):
-        raise UsageError(
-            "several photographs are solved in one pass, without steps",
-            where="--steps",
-            remedy="leave it out, or give --generator decoder",
-        )
 
 
-def resolve(
-    settings: CaptureSettings, method: Method | None = None, photographs: int = 1
-) -> Effort:
+def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:
     """Effort of a capture with these settings.
 
     Args:
         settings: of the user.
         method: its variant, whose numbers override the preset's.
-        photographs: number of photographs of the sample; several are solved without steps.
 
     Raises:
-        UsageError: the preset is unknown, or `target` or `union` contradicts the generator.
+        UsageError: the preset is unknown, or `steps`, `target` or `union` contradicts the
+            generator.
     """
     if settings.preset not in PRESETS:
         raise UsageError(
             f"there is no preset {settings.preset!r}", remedy=f"choose one of {', '.join(PRESETS)}"
+        )
+    if settings.steps is not None and settings.generator != "decoder":
+        raise UsageError(
+            "only a decoder is fine-tuned in steps",
+            where="--steps",
+            remedy="give --generator decoder with it, or --preset or --detail in its place",
         )
     if settings.target is not None and settings.generator != "decoder":
         raise UsageError(
@@ -347,7 +334,7 @@ def resolve(
         )
     effort = PRESETS[settings.preset]
     if settings.steps is not None:
-        effort = replace(effort, steps=settings.steps, adapted=settings.steps)
+        effort = replace(effort, steps=settings.steps)
     elif settings.time_limit is not None or settings.target is not None:
         limit = settings.time_limit or math.inf
         detail = next(texels for least, texels in TIME_FOR_DETAIL if limit >= least)
@@ -356,8 +343,4 @@ def resolve(
         effort = replace(effort, places=method.places)
     if method is not None and method.matched is not None:
         effort = replace(effort, matched=method.matched)
-    if method is not None and method.adapted is not None:
-        effort = replace(effort, adapted=method.adapted)
-    if settings.solves(photographs):
-        effort = replace(effort, adapted=0)
-    return effort
+    return effort if settings.generator == "decoder" else replace(effort, steps=0)

@@ -107,7 +107,7 @@ def floors(
     material: MaterialArgument = None,
     sets: SetsOption = None,
     out: OutOption = Path("bench/floors"),
-    given: Annotated[Given, Fields(CaptureSettings, only=("preset", "steps", "detail"))] = NOTHING,
+    given: Annotated[Given, Fields(CaptureSettings, only=("preset", "detail"))] = NOTHING,
     judged: Annotated[
         int,
         typer.Option(

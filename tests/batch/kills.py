@@ -34,7 +34,7 @@ from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 
 COMMAND = (sys.executable, "-c", "from matcap.cli.main import run; run()", "batch")
-SMALL = ("--steps", "2", "--detail", "128", "--size", "64")
+SMALL = ("--detail", "128", "--size", "64")
 # What differs from run to run: times, memory, and the sizes of files that tell of times.
 _TIMES = (
     "seconds", "stage_seconds", "error_over_time", "peak_bytes", "report.json", "error.png",

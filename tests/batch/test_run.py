@@ -271,8 +271,8 @@ def test_a_shorter_capture_replaces_a_longer_one_only_if_asked(shoot, tmp_path):
     out = tmp_path / "out"
     (out / "a").mkdir(parents=True)
     (out / "b").mkdir()
-    long = {"preset": "high", "steps": 10_000, "adapted": 10_000}
-    for name, effort in (("a", long), ("b", {**long, "steps": 0, "adapted": 0})):
+    long = {"preset": "standard", "steps": 0, "detail": 4096}
+    for name, effort in (("a", long), ("b", {**long, "detail": 64})):
         report = {"format": "matcap report", "interrupted": False, "effort": effort}
         (out / name / "report.json").write_text(json.dumps(report))
 
@@ -282,7 +282,9 @@ def test_a_shorter_capture_replaces_a_longer_one_only_if_asked(shoot, tmp_path):
 
     kept = plan()
     assert kept["a"].state == "failed" and kept["b"].state == "todo"
-    assert "a longer one, of preset high" in kept["a"].reason and "--overwrite" in kept["a"].reason
+    assert (
+        "a longer one, of preset standard" in kept["a"].reason and "--overwrite" in kept["a"].reason
+    )
     report |= {"several": {"photographs": [{"name": name} for name in "bcd"]}}
     (out / "b" / "report.json").write_text(json.dumps(report))
     assert "one of 3 photographs" in plan()["b"].reason

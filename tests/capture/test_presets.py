@@ -9,38 +9,23 @@ from matcap.capture.settings import (
     PRESETS,
     UNLIMITED,
     CaptureSettings,
-    check_photographs,
     resolve,
 )
 from matcap.errors import UsageError
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_several_photographs_are_not_adapted(preset):
-    settings = CaptureSettings(preset=preset)
-    several = resolve(settings, photographs=3)
-    assert several.adapted == 0 and several.detail == resolve(settings).detail
-    decoder = CaptureSettings(preset=preset, generator="decoder")
-    assert resolve(decoder, photographs=3) == resolve(decoder)
-
-
-def test_steps_of_several_photographs_are_refused_but_in_a_batch_of_single_ones():
-    settings = CaptureSettings(steps=7)
-    check_photographs(settings, 1)
-    check_photographs(replace(settings, generator="decoder"), 3)
-    with pytest.raises(UsageError, match="--steps: several photographs are solved"):
-        check_photographs(settings, 3)
-    assert settings.of_sample(1) is settings
-    check_photographs(settings.of_sample(3), 3)
-
-
-@pytest.mark.parametrize("generator", ["example", "decoder"])
-@pytest.mark.parametrize("preset", PRESETS)
-def test_a_preset_is_its_effort_unless_steps_are_given(preset, generator):
-    effort = resolve(CaptureSettings(preset=preset, generator=generator))
+def test_a_preset_is_its_effort_unless_steps_are_given(preset):
+    effort = resolve(CaptureSettings(preset=preset, generator="decoder"))
     assert effort is PRESETS[preset] and effort.preset == preset
-    fewer = resolve(CaptureSettings(preset=preset, steps=7, generator=generator))
-    assert (fewer.work(generator), fewer.places) == (7, effort.places)
+    assert resolve(CaptureSettings(preset=preset)) == replace(effort, steps=0)
+    fewer = resolve(CaptureSettings(preset=preset, steps=7, generator="decoder"))
+    assert fewer == replace(effort, steps=7)
+
+
+def test_steps_are_the_decoders():
+    with pytest.raises(UsageError, match="--steps: only a decoder"):
+        resolve(CaptureSettings(steps=7))
 
 
 @pytest.mark.parametrize("limit", [{"time_limit": 20.0}, {"target": 1.3}])
@@ -56,6 +41,7 @@ def test_a_limit_alone_may_take_all_the_steps_there_are(limit):
         ({}, 2048),
         ({"preset": "instant"}, 512),
         ({"preset": "instant", "generator": "decoder"}, 1024),
+        ({"preset": "draft"}, 1024),
         ({"preset": "draft", "generator": "decoder"}, 1024),
         ({"time_limit": 8.0}, 512),
         ({"time_limit": 20.0}, 1024),
@@ -77,14 +63,14 @@ def test_a_target_is_the_decoders():
 
 
 def test_a_method_has_the_last_word():
-    effort = resolve(CaptureSettings(preset="draft"), Method(places=5, matched=True, adapted=3))
-    assert (effort.adapted, effort.places, effort.matched) == (3, 5, True)
+    effort = resolve(CaptureSettings(preset="draft"), Method(places=5, matched=True))
+    assert (effort.places, effort.matched) == (5, True)
 
 
 def test_presets_cost_more_and_more():
     for costs in (
         [effort.steps * effort.places for effort in PRESETS.values()],
-        [(effort.detail, effort.adapted) for effort in PRESETS.values()],
+        [effort.detail for effort in PRESETS.values()],
     ):
         assert costs == sorted(set(costs))
 

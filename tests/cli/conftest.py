@@ -78,7 +78,7 @@ class FakePipeline:
             raise self.failure
         self.calls[-1].settings = settings
         self.calls[-1].others = [other.name for other in others]
-        by_example = "solve" if others else "adapt"
+        by_example = "solve" if others else "index"
         longest = "fine-tuning" if settings.generator == "decoder" else by_example
         with clock.stage(longest):
             clock.within(longest, 0.5)

@@ -23,8 +23,7 @@ COMMANDS = {
     "capture": ("capture", "photo.jpg", "--preset", "draft", "--detail", "256", "--size", "256"),
     "synth": ("synth", "--size", "1024", "-j", "2", "-o", "more", "--generator", "decoder"),
     "batch": (
-        "batch", "shoot", "-j", "2", "--preset", "draft", "--steps", "4", "--detail", "256",
-        "--size", "256",
+        "batch", "shoot", "-j", "2", "--detail", "256", "--size", "256",
     ),
     "relight": ("relight", "set", "--size", "1500", "--effects", "all", "-o", "relit/a.png"),
     "export": ("export", "set", "--to", "polyhaven", "-o", "exported"),

@@ -67,7 +67,7 @@ def test_dumb_terminals_get_plain_lines(matcap, pipeline, photo, tmp_path, monke
     monkeypatch.setenv("TERM", "dumb")
     said = matcap("capture", photo, "-o", tmp_path / "out", "--size", "16")
     assert said.code == 0
-    assert "adapt" in said.err
+    assert "index" in said.err
     assert "\x1b" not in said.err
 
 

@@ -45,7 +45,7 @@ def test_a_capture_does_without_pytorchs_compiler(tmp_path):
     """Many of PyTorch's functions import it, and its algebra with it: 0.3 to 2 s."""
     pixels = np.random.default_rng(0).integers(60, 160, (96, 128, 3), dtype=np.uint8)
     Image.fromarray(pixels).save(tmp_path / "photo.png")
-    arguments = ["capture", "photo.png", "-o", "out", "--steps", "2", "--size", "16", "-q"]
+    arguments = ["capture", "photo.png", "-o", "out", "--size", "16", "-q"]
     arguments += ["--detail", "128"]
     code = f"""import sys
 from matcap.cli.main import run

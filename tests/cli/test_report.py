@@ -77,8 +77,13 @@ def test_a_limit_that_chooses_the_preset_is_told(captured):
     assert not any("preset" in note for note in usual)
     limited = replace(captured, settings=CaptureSettings(preset="draft", time_limit=9.0))
     values = report(limited)
-    assert values["effort"]["preset"] == "standard" and values["effort"]["adapted"] == 120
+    assert values["effort"]["detail"] == 512
     (note,) = (note for note in values["notes"] if note not in usual)
-    assert "the preset has no effect: at most 120 steps" in note
-    counted = replace(captured, settings=CaptureSettings(steps=5, time_limit=9.0))
+    assert "the preset has no effect: the limit determines the texels" in note
+    decoder = CaptureSettings(generator="decoder", time_limit=9.0)
+    (note,) = (
+        note for note in report(replace(captured, settings=decoder))["notes"] if note not in usual
+    )
+    assert "at most 800 steps" in note
+    counted = replace(captured, settings=replace(decoder, steps=5))
     assert report(counted)["notes"] == usual

@@ -7,7 +7,7 @@ photograph.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,6 @@ from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.detail import Rectified
 from matcap.capture.piece.absolute import most_probable_scale, scaled
-from matcap.capture.piece.adapt import Adapted, Change, FitStage, adapt, even_contrast
 from matcap.capture.piece.classes import Classes, find_mixture
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.finest import finest, sharpness
@@ -38,13 +37,12 @@ from matcap.capture.piece.refine import Refined, flatten, refine, remaining
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.transport import transport
-from matcap.capture.piece.tuned import ADAPT, INPAINT, READ
+from matcap.capture.piece.tuned import READ
 from matcap.capture.progress import CaptureClock
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.variety import with_chosen_variety
 from matcap.flash.coarse import CoarseFit
-from matcap.flash.likeness import PhotographTarget
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 
@@ -62,8 +60,7 @@ class ExemplarEstimate:
         error: median |log radiance of photograph - re-rendering| of valid texels.
         slow: mean |low-frequency residual| of log radiance, which is not the material's.
         sharpness: amplitude of the finest octave of log radiance, re-rendering over photograph.
-        adaptation: results of the stages of the texture-statistics fit; empty without it.
-        interrupted: whether Ctrl-C ended the estimation.
+        interrupted: whether Ctrl-C ended the estimation from several photographs.
         several: report on several photographs; None for one.
         scale: factor on albedo and F0 by the exposure prior; the flash is divided by it
             (absolute.py).
@@ -75,7 +72,6 @@ class ExemplarEstimate:
     error: float
     slow: float
     sharpness: float = 1.0
-    adaptation: tuple[Change, ...] = ()
     interrupted: bool = False
     several: SetReport | None = None
     scale: float = 1.0
@@ -153,80 +149,34 @@ class NetworkPrediction:
         return dict(zip(CHANNELS, self.trusted, strict=True))
 
 
-@dataclass(frozen=True)
-class Adaptation:
-    """Settings of the texture-statistics fit (adapt.py).
-
-    Attributes:
-        target: callback, returns the photograph's windows and statistics.
-        steps: of all stages together, at least 1.
-        seed: of the order of windows.
-    """
-
-    target: Callable[[], PhotographTarget]
-    steps: int
-    seed: int = 0
-
-    def fit_stages(self, strengths: Strengths | None, clock: CaptureClock) -> Iterator[FitStage]:
-        """Yield the settings of each stage, with its share of the time left when it begins."""
-        count = len(ADAPT.fit_stages)
-        deviation = strengths.log_deviations() if strengths else ()
-        for number, reach in enumerate(ADAPT.fit_stages):
-            yield FitStage(
-                -(-self.steps // count),
-                reach,
-                deviation,
-                ADAPT.stepping * clock.left_for("adapt") / (count - number),
-                self.seed * count + number,
-                clock.callback("adapt", number / count, (number + 1) / count),
-            )
-
-
 @torch.no_grad()
 def find_piece(
     rectified: Rectified,
     coarse: CoarseFit,
     network: Inverse,
     clock: CaptureClock,
-    adaptation: Adaptation | None = None,
     *,
     absolute: bool = False,
 ) -> ExemplarEstimate:
     """Estimate the exemplar of a photograph, stage by stage.
-
-    An interrupt in refine or adapt ends these stages with the best result so far.
 
     Args:
         rectified: the photograph on its plane.
         coarse: its coarse fit.
         network: the inverse network (network/store.py).
         clock: of the stages.
-        adaptation: settings of the texture-statistics fit; None for none.
         absolute: whether the flash intensity is known, so that the exposure prior is not used.
     """
-    whole, changes, interrupted = rectified.whole, list[Change](), False
+    whole = rectified.whole
     with clock.stage("piece"):
         observed, prediction = read_piece(Observation.of(rectified.read, coarse), network)
     with clock.stage("strengths"):
         strengths = measured_relief(observed, prediction)
         observed, prediction = classified(observed, strengthened(observed, prediction, strengths))
-    try:
-        with clock.stage("refine"):
-            prediction = levelled(observed, prediction)
-        if adaptation is not None:
-            with clock.stage("adapt"):
-                target = adaptation.target()
-                for fit_stage in adaptation.fit_stages(strengths, clock):
-                    prediction, result = adapted(observed, prediction, target, fit_stage)
-                    changes += [result.change] if result.change else []
-                    if result.interrupted:
-                        raise KeyboardInterrupt
-    except KeyboardInterrupt:
-        interrupted = True
+    with clock.stage("refine"):
+        prediction = levelled(observed, prediction)
     with clock.stage("inpaint"):
-        patient = adaptation is not None and not interrupted
-        tried = INPAINT.tried if patient else INPAINT.tried_at_once
-        exemplar = inpainted(observed, prediction, tried)
+        exemplar = inpainted(observed, prediction)
         if whole.size != rectified.read.size:
             exemplar = finest(exemplar, whole, coarse)
         scale = 1.0 if absolute else most_probable_scale(exemplar, prediction.metal)
@@ -239,8 +189,6 @@ def find_piece(
         _median(left, observed),
         float(left.slow.abs().mean()),
         sharpness(piece_maps(example.exemplar), whole, coarse),
-        tuple(changes),
-        interrupted,
         scale=scale,
     )
 
@@ -260,11 +208,6 @@ def remaining_of(observed: Observation, prediction: NetworkPrediction) -> Refine
     """Residuals of the re-rendered prediction from the photograph."""
     plane = observed.plane
     return remaining(prediction.departures, plane.linear, plane.measured, observed.light)
-
-
-def unexplained(observed: Observation, prediction: NetworkPrediction) -> float:
-    """Median |log radiance of photograph - re-rendering| of valid texels."""
-    return _median(remaining_of(observed, prediction), observed)
 
 
 def _median(left: Refined, observed: Observation) -> float:
@@ -354,36 +297,6 @@ def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPre
     return _rerendered(observed, prediction, prediction.departures)
 
 
-def adapted(
-    observed: Observation,
-    prediction: NetworkPrediction,
-    target: PhotographTarget,
-    fit_stage: FitStage,
-) -> tuple[NetworkPrediction, Adapted]:
-    """Run a stage of the texture-statistics fit; reject it if the re-rendering residual grows.
-
-    Statistics can improve while the residual grows: for bare iron in rust, predicted as paint, the
-    fit adds rings.
-    """
-    plane = observed.plane
-    departures = prediction.departures
-    weight = np.square(prediction.confidence["diffuse"])
-    albedo = torch.from_numpy(even_contrast(departures.diffuse.numpy(), weight))
-    fitted = adapt(
-        observed.light.maps(replace(departures, diffuse=albedo), plane.texel_size),
-        plane.valid.numpy(),
-        target,
-        fit_stage,
-    )
-    if fitted.change is None or not fitted.change.kept:
-        return prediction, fitted
-    tried = _rerendered(observed, prediction, observed.light.departures(fitted.maps))
-    before = max(unexplained(observed, prediction), ADAPT.unexplained)
-    if unexplained(observed, tried) > ADAPT.more_unexplained * before:
-        return prediction, replace(fitted, change=replace(fitted.change, kept=False))
-    return tried, fitted
-
-
 def exemplar_of(observed: Observation, prediction: NetworkPrediction) -> Exemplar:
     """The maps and their confidence."""
     maps = observed.light.maps(prediction.departures, observed.plane.texel_size)
@@ -397,8 +310,8 @@ def exemplar_of(observed: Observation, prediction: NetworkPrediction) -> Exempla
     )
 
 
-def inpainted(observed: Observation, prediction: NetworkPrediction, tried: int) -> Exemplar:
-    """Inpaint the exemplar where specular light hides albedo; `tried` candidates per place."""
+def inpainted(observed: Observation, prediction: NetworkPrediction) -> Exemplar:
+    """Inpaint the exemplar where specular light hides albedo (transport.py)."""
     plane = observed.plane
     exemplar = exemplar_of(observed, prediction)
     left_out = None if plane.left_out is None else plane.left_out.numpy()
@@ -407,7 +320,6 @@ def inpainted(observed: Observation, prediction: NetworkPrediction, tried: int) 
         plane.linear,
         plane.valid,
         observed.light,
-        tried=tried,
         left_out=left_out,
     )
 

@@ -47,7 +47,6 @@ def transport(
     valid: Tensor,
     light: PieceLight,
     *,
-    tried: int,
     left_out: NDArray[np.bool_] | None = None,
 ) -> Exemplar:
     """Inpaint an exemplar's maps where specular light hides them.
@@ -57,7 +56,6 @@ def transport(
         linear: (3, H, W) the photograph on its plane.
         valid: (H, W) bool, visible and not clipped.
         light: the photograph's, at every texel.
-        tried: candidate blocks per place.
         left_out: (H, W) bool, masked texels, or None; inpainted if surrounded by the material.
 
     Returns:
@@ -79,7 +77,7 @@ def transport(
     # From visible surroundings inwards, so that patterns continue.
     places.sort(key=lambda p: -float(trusted[_block(p)].mean()))
     photograph = _Photograph(exemplar, linear, valid, light)
-    chosen = _choose(places, donors, drawn, ~hidden, photograph, tried)
+    chosen = _choose(places, donors, drawn, ~hidden, photograph)
     source, copied = _sources(chosen, hidden)
     # F0 and roughness are constant in a class and have steps between classes: no blending.
     maps = drawn.laid[:, source[0], source[1]]
@@ -170,7 +168,6 @@ def _choose(
     drawn: _Drawn,
     known: NDArray[np.bool_],
     photograph: _Photograph,
-    tried: int,
 ) -> dict[tuple[int, int], tuple[int, int]]:
     """Corner of the donor block of every place; distinct places keep their maps, without entry."""
     rng = np.random.default_rng(0)
@@ -178,7 +175,7 @@ def _choose(
     allowed = set(map(tuple, donors.tolist()))
     chosen: dict[tuple[int, int], tuple[int, int]] = {}
     for place in places:
-        blocks = donors[rng.integers(len(donors), size=tried)]
+        blocks = donors[rng.integers(len(donors), size=INPAINT.tried)]
         follow = [s for s in _continued(place, chosen) if s in allowed]
         if follow:
             blocks = np.concatenate([blocks, np.array(follow)])

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from matcap.flash.penalty import Penalties
-
 
 @dataclass(frozen=True)
 class ReadSettings:
@@ -218,72 +216,11 @@ class RefineSettings:
 
 
 @dataclass(frozen=True)
-class AdaptSettings:
-    """Texture-statistics fit of the scaling parameters (adapt.py).
-
-    Attributes:
-        fit_stages: factor on rate and prior standard deviations, by stage; albedo is refined after
-            each.
-            Long steps in the last stage leave relief off by a tenth.
-        stepping: share of a stage's time limit for its steps; the rest is for validation and
-            refinement.
-        rate: of Adam, in logits and logarithms of gains.
-        betas: of Adam: short averages, as there are few steps.
-        windows: windows per step, of exemplar and of photograph.
-        averaged_from: share of the steps after which the rate falls to 0 and iterates are averaged.
-        offset_albedo: prior standard deviation of the offset of albedo's logits.
-        gain_albedo: prior standard deviation of the log gain of albedo's contrast.
-        relief, band: prior standard deviations of the log factor on height and of each band's.
-        least_deviation: lower limit of the latter two, if the photograph measures them.
-        validation, least_validation: number of validation windows, and its least.
-        judging_seed: seed of the exemplar's validation windows.
-        belief: weight of the squared standardised parameters in the loss.
-        logit_epsilon: albedo is clamped to [this, 1 - this] before the logit.
-        seen: least visible share of a window; lower if less than a quarter of windows reach it.
-        unexplained: log radiance, least residual that the following limit refers to.
-        more_unexplained: ratio of the residuals after and before a stage at which it is rejected.
-            It is 1.7 on rust, with rings and blue specks; 1.2 at most on 21 real photographs.
-        penalties: of implausible maps, without that of outliers, which the photograph shows.
-        contrast_around: texels, standard deviation of the local contrast of albedo.
-        contrast_least, contrast_most: limits of the local gain.
-        contrast_faintest: log albedo, lower limit of the local contrast.
-        contrast_unseen: added to the visibility as weight of the local contrast.
-    """
-
-    fit_stages: tuple[float, ...] = (1.0, 0.35)
-    stepping: float = 0.8
-    rate: float = 0.06
-    betas: tuple[float, float] = (0.8, 0.95)
-    windows: int = 3
-    averaged_from: float = 0.5
-    offset_albedo: float = 0.3
-    gain_albedo: float = 0.3
-    relief: float = 0.5
-    band: float = 0.3
-    least_deviation: float = 0.03
-    validation: int = 12
-    least_validation: int = 3
-    judging_seed: int = 1
-    belief: float = 0.005
-    logit_epsilon: float = 1e-4
-    seen: float = 0.95
-    unexplained: float = 0.15
-    more_unexplained: float = 1.3
-    penalties: Penalties = Penalties(outlier=0.0)
-    contrast_around: float = 64.0
-    contrast_least: float = 0.5
-    contrast_most: float = 3.0
-    contrast_faintest: float = 1e-4
-    contrast_unseen: float = 0.05
-
-
-@dataclass(frozen=True)
 class InpaintSettings:
     """Inpainting of maps under the highlight (transport.py).
 
     Attributes:
-        tried, tried_at_once: candidate blocks per place, with and without the texture-statistics
-            fit. More candidates match better, and take proportionally longer.
+        tried: candidate blocks per place. More match better, and take proportionally longer.
         block: side of a block, texels: larger than the texture's features, small enough to match.
         overlap: overlap of neighbouring blocks, texels.
         trusted: least confidence of albedo in donors, over that of well seen texels. Larger values
@@ -303,8 +240,7 @@ class InpaintSettings:
         darkest: lower limit of linear radiance and albedo before logarithms.
     """
 
-    tried: int = 250
-    tried_at_once: int = 40
+    tried: int = 100
     block: int = 48
     overlap: int = 12
     trusted: float = 0.75
@@ -352,7 +288,6 @@ NOISE = NoiseSettings()
 STRENGTH = StrengthSettings()
 KINDS = KindSettings()
 REFINE = RefineSettings()
-ADAPT = AdaptSettings()
 INPAINT = InpaintSettings()
 FINEST = FinestSettings()
 

@@ -39,7 +39,6 @@ from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse
 from matcap.capture.piece.observation import Observation
 from matcap.capture.piece.strengths import Strengths
-from matcap.capture.piece.tuned import INPAINT
 from matcap.capture.progress import CaptureClock
 from matcap.capture.together.align import Aligned, aligned, reframed
 from matcap.capture.together.ambient_light import without_ambient
@@ -147,7 +146,7 @@ def estimate_together(
         example, scale = _indexed(first, exemplar, single.metal, rectified.waves, reach)
     report = SetReport.of(registration, poses, solved, ahead, reach)
     estimate = ExemplarEstimate(
-        example, single.strengths, solved.residual[0], 0.0, 1.0, (), interrupted, report, scale
+        example, single.strengths, solved.residual[0], 0.0, 1.0, interrupted, report, scale
     )
     sharp = sharpness(piece_maps(estimate.framed), rectified.whole, coarse)
     return PhotographEstimate(replace(estimate, sharpness=sharp), coarse, rectified, first)
@@ -316,7 +315,7 @@ def _inpainted(
     classes = Classes.whole(observed.specular_fraction.shape, metal=False)
     prediction = NetworkPrediction(observed.light.departures(maps), errors, trusted, None, classes)
     prediction = replace(prediction, departures=evened(observed, prediction, prediction.departures))
-    return inpainted(observed, prediction, INPAINT.tried_at_once)
+    return inpainted(observed, prediction)
 
 
 def _indexed(

@@ -44,7 +44,7 @@ from matcap.lab.simulate.photograph import PhoneCamera
 from matcap.lab.simulate.specimen import EXAMPLES, Specimen, subjects
 
 PAPER = "paper's form"  # no command line: bench/paper.py
-BASE = "1024 texels, 40 steps"  # that others are paired with
+BASE = "1024 texels"  # that others are paired with
 # Map sets excluded from training (inverse/packed.py), of six kinds.
 HELD_OUT = (
     "asphalt10",
@@ -86,10 +86,8 @@ class Way:
 def _ways() -> dict[str, Way]:
     ways: dict[str, Way] = {}
     options: tuple[str, ...]
-    for detail in (512, 1024):
-        for steps in (0, 16, 40, 120, 320):
-            options = ("--detail", f"{detail}", "--steps", f"{steps}")
-            ways[f"{detail} texels, {steps} steps"] = Way("one photograph", options)
+    for detail in (256, 512, 1024):
+        ways[f"{detail} texels"] = Way("one photograph", ("--detail", f"{detail}"))
     for detail in (512, 1024):
         for count in (2, 3, 5, 9):
             options = ("--detail", f"{detail}", "--together")
@@ -100,7 +98,7 @@ def _ways() -> dict[str, Way]:
         options = ("--generator", "decoder", "--steps", f"{steps}")
         ways[f"decoder, {steps} steps"] = Way("decoder", options)
     for detail in (512, 1024, 2048, 4096):
-        options = ("--detail", f"{detail}", "--steps", "40")
+        options = ("--detail", f"{detail}")
         ways[f"12 megapixels, {detail} texels"] = Way("detail", options, pixels=_LARGE)
     ways[PAPER] = Way("paper")
     return ways
@@ -115,9 +113,8 @@ USUAL = tuple(name for name, way in WAYS.items() if way.group not in ("paper", "
 def preset_ways(pixels: int = _CAMERA.width) -> Mapping[str, str]:
     """Names of the presets by equivalent configuration, for photographs `pixels` wide."""
     named: dict[str, str] = {}
-    for name, effort in PRESETS.items():
-        detail = CaptureSettings(preset=name).detail_of(pixels)
-        way = f"{detail} texels, {effort.adapted} steps"
+    for name in PRESETS:
+        way = f"{CaptureSettings(preset=name).detail_of(pixels)} texels"
         named[way] = f"{named[way]}, {name}" if way in named else name
     return named
 

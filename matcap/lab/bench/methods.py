@@ -13,11 +13,10 @@ import numpy as np
 import torch
 
 from matcap.brdf.maps import CHANNELS, MapSet
-from matcap.capture.method import Method
 from matcap.capture.piece.find import piece_maps
-from matcap.capture.pipeline import capture_photo, read_photograph
+from matcap.capture.pipeline import capture_file
 from matcap.capture.result import CaptureResult
-from matcap.capture.settings import PRESETS, CaptureSettings
+from matcap.capture.settings import CaptureSettings
 from matcap.example.exemplar import Exemplar
 from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
@@ -61,10 +60,7 @@ def photo_as_albedo(photo: Photo, setup: FlashSetup, detail: int) -> CapturedMap
 
 def capture_exemplar(path: Path, detail: int) -> CaptureResult:
     """Capture a photograph's file by example, without a decoder."""
-    settings = CaptureSettings(steps=0, detail=detail, aligned=True)  # no decoder is asked for
-    method = Method(adapted=PRESETS["standard"].adapted)
-    photo = read_photograph(path, settings, method)
-    return capture_photo(photo, settings, method=method)
+    return capture_file(path, CaptureSettings(detail=detail))
 
 
 def exemplar_maps(result: CaptureResult) -> CapturedMaps:

@@ -235,9 +235,7 @@ def test_a_union_is_written_and_told(captured, tmp_path):
     assert values["several"]["union"]["times"] == pytest.approx(result.estimate.several.reach.times)
     assert any("all that the photographs show" in note for note in values["notes"])
     assert values["settings"]["union"] is True
-    assert (
-        values["effort"]["preset"] == "draft" and values["effort"]["adapted"] == 0
-    )  # none was run
+    assert values["effort"]["preset"] == "draft" and values["effort"]["steps"] == 0  # none was run
     assert not any("its rectangle" in warning for warning in values["warnings"])
     # Maps of all of the piece, whose middle is not the photograph's.
     piece, _ = read_mapset(tmp_path / "leather/leather_photo.json")
