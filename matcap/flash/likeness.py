@@ -1,7 +1,6 @@
 """Texture distance of a material to a photograph: windows rendered under its light.
 
-The loss of both the decoder (space/tuning) and the exemplar's texture-statistics fit
-(capture/piece/adapt.py) [henzler2021, sec. 4.3 and 4.6].
+The loss of the decoder (space/tuning) [henzler2021, sec. 4.3 and 4.6].
 """
 
 from __future__ import annotations
