@@ -320,7 +320,7 @@ def test_mirrored_surroundings(relief, whole, tmp_path, hides, even, adaptive):
 
 def test_without_the_loops_one_sentence_says_what_to_do(monkeypatch):
     library.built.cache_clear()
-    monkeypatch.setattr(library, "EXTENSION_SUFFIXES", [])
+    monkeypatch.setattr("matcap.files.compiled.EXTENSION_SUFFIXES", [])
     try:
         with pytest.raises(MatcapError, match="were not built when matcap was installed; install"):
             relight(bumpy(8, 8), Scene(Film(4, 4), lights=(PointLight((0.0, 0.0, 2.0)),)))

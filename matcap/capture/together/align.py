@@ -34,7 +34,7 @@ from matcap.capture.together.tint import achromatic
 from matcap.capture.together.views import PieceView, SetLight, ViewPlace
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.registration.adjust import AdjustSettings, Pair, adjust
+from matcap.flash.registration.adjust import Pair, adjust
 from matcap.flash.registration.camera import Doubles, PosedCamera
 from matcap.flash.registration.grid import grid_points
 from matcap.flash.registration.register import RegisteredView
@@ -204,8 +204,7 @@ def _posed(
         both = inside & (np.abs(seen).max(0) < 1.0)
         ratio = view.camera.lens.focal / views[0].camera.lens.focal
         pairs.append(Pair(first[:, both], seen[:, both], _PIXEL, ratio))
-    known = AdjustSettings(relief=0.0)
-    adjusted = adjust(setup, pairs, known=True, settings=known)
+    adjusted = adjust(setup, pairs, known=True, relief=0.0)
     cameras = [replace(v, camera=c) for v, c in zip(views, adjusted.cameras, strict=True)]
     return (
         adjusted.first,

@@ -21,27 +21,15 @@ from matcap.flash.registration.camera import Lens, PosedCamera
 Doubles = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class AdjustSettings:
-    """Priors of the bundle adjustment, and its stopping rule."""
-
-    huber: float = 1.0
-    """Threshold of the Huber loss, pixels."""
-    counted: float = 40.0
-    """Largest effective number of a photograph's matches, as the parallax of relief is correlated
-    between neighbours."""
-    relief: float = 0.01
-    """Prior standard deviation of a feature's height, plane units."""
-    steps: int = 30
-    """Most iterations of Levenberg-Marquardt."""
-    known_focal: float = 0.01
-    """Prior standard deviation of log d if EXIF gives the field of view."""
-    assumed_focal: float = 0.1
-    """Prior standard deviation of log d if the field of view is unknown."""
-    bent: tuple[float, float] = (0.03, 0.01)
-    """Prior standard deviations of the lens distortion, k1 and k2."""
-    tilt: float = 0.15
-    """Prior standard deviation of the first camera's tilt, radians."""
+_HUBER = 1.0  # threshold of the Huber loss, pixels
+# Largest effective number of a photograph's matches, as the parallax of relief is correlated
+# between neighbours.
+_COUNTED = 40.0
+_STEPS = 30  # most iterations of Levenberg-Marquardt
+# Prior standard deviations: of log d, if EXIF gives the field of view and if not; of the first
+# camera's tilt, radians; of a feature's height, plane units; of the lens distortion, k1 and k2.
+_KNOWN_FOCAL, _ASSUMED_FOCAL, _TILT = 0.01, 0.1, 0.15
+_RELIEF, BENT = 0.01, (0.03, 0.01)
 
 
 @dataclass(frozen=True)
@@ -79,7 +67,8 @@ def adjust(
     pairs: Sequence[Pair],
     *,
     known: bool,
-    settings: AdjustSettings = AdjustSettings(),
+    relief: float = _RELIEF,
+    bent: tuple[float, float] = BENT,
 ) -> Adjusted:
     """Estimate the cameras of photographs from their matches with the first.
 
@@ -87,21 +76,22 @@ def adjust(
         setup: of the first, from its coarse fit.
         pairs: matches of every other photograph.
         known: whether the field of view is known from EXIF.
-        settings: see AdjustSettings.
+        relief: prior standard deviation of a feature's height, plane units.
+        bent: prior standard deviations of the lens distortion, k1 and k2.
     """
-    focal = settings.known_focal if known else settings.assumed_focal
-    deviation = np.array([focal, *settings.bent, settings.tilt, settings.tilt])
+    focal = _KNOWN_FOCAL if known else _ASSUMED_FOCAL
+    deviation = np.array([focal, *bent, _TILT, _TILT])
     common = np.array([0.0, 0.0, 0.0, *setup.tilt])
     prior = common.copy()
     own = [_first_guess(_first_camera(setup, common), pair) for pair in pairs]
     damping, cost = 1e-3, math.inf
-    for _ in range(settings.steps):
-        system = _System(setup, pairs, common, own, settings)
+    for _ in range(_STEPS):
+        system = _System(setup, pairs, common, own, relief)
         now = system.cost + float(np.square((common - prior) / deviation).sum()) / 2.0
         step = system.step((prior - common) / deviation**2, deviation**-2, damping)
         moved = common + step[:_COMMON]
         theirs = [each + part for each, part in zip(own, _parts(step), strict=True)]
-        after = _cost(setup, pairs, moved, theirs, settings)
+        after = _cost(setup, pairs, moved, theirs, relief)
         after += float(np.square((moved - prior) / deviation).sum()) / 2.0
         if after < now:
             common, own, damping = moved, theirs, max(damping / 8.0, 1e-9)
@@ -120,7 +110,7 @@ def adjust(
     cameras = [_first_camera(setup, common)]
     cameras += [_camera(setup, common, each, pair) for each, pair in zip(own, pairs, strict=True)]
     off = tuple(
-        float(np.median(np.hypot(*_residuals(setup, pair, common, each, settings))))
+        float(np.median(np.hypot(*_residuals(setup, pair, common, each, relief))))
         for pair, each in zip(pairs, own, strict=True)
     )
     return Adjusted(first, tuple(cameras), off)
@@ -142,11 +132,11 @@ def _camera(setup: FlashSetup, common: Doubles, own: Doubles, pair: Pair) -> Pos
 
 
 def _residuals(
-    setup: FlashSetup, pair: Pair, common: Doubles, own: Doubles, settings: AdjustSettings
+    setup: FlashSetup, pair: Pair, common: Doubles, own: Doubles, relief: float
 ) -> Doubles:
     """(2, n) reprojection errors of matches, pixels, less the part explained by relief."""
     first, camera = _first_camera(setup, common), _camera(setup, common, own, pair)
-    return less_relief(*reprojection(first, camera, pair, settings.relief))
+    return less_relief(*reprojection(first, camera, pair, relief))
 
 
 def reprojection(
@@ -172,10 +162,10 @@ def less_relief(residual: Doubles, parallax: Doubles) -> Doubles:
     return np.nan_to_num(left, nan=1e3)
 
 
-def _huber(residuals: Doubles, settings: AdjustSettings) -> tuple[float, Doubles]:
+def _huber(residuals: Doubles) -> tuple[float, Doubles]:
     """Huber cost of residuals (2, n), pixels, and the weight of each."""
-    size, threshold = np.hypot(*residuals), settings.huber
-    each = min(1.0, settings.counted / max(1, len(size)))
+    size, threshold = np.hypot(*residuals), _HUBER
+    each = min(1.0, _COUNTED / max(1, len(size)))
     cost = np.where(size < threshold, size**2 / 2.0, threshold * (size - threshold / 2.0))
     return each * float(cost.sum()), each * threshold / np.maximum(size, threshold)
 
@@ -185,11 +175,11 @@ def _cost(
     pairs: Sequence[Pair],
     common: Doubles,
     own: Sequence[Doubles],
-    settings: AdjustSettings,
+    relief: float,
 ) -> float:
     """Huber cost of all photographs' reprojection errors."""
     return sum(
-        _huber(_residuals(setup, pair, common, each, settings), settings)[0]
+        _huber(_residuals(setup, pair, common, each, relief))[0]
         for pair, each in zip(pairs, own, strict=True)
     )
 
@@ -203,19 +193,19 @@ class _System:
         pairs: Sequence[Pair],
         common: Doubles,
         own: Sequence[Doubles],
-        settings: AdjustSettings,
+        relief: float,
     ) -> None:
         size = _COMMON + _OWN * len(pairs)
         self.normal, self.gradient, self.cost = np.zeros((size, size)), np.zeros(size), 0.0
         for number, (pair, each) in enumerate(zip(pairs, own, strict=True)):
-            here = _residuals(setup, pair, common, each, settings)
-            cost, weight = _huber(here, settings)
+            here = _residuals(setup, pair, common, each, relief)
+            cost, weight = _huber(here)
             whole = np.concatenate([common, each])
             columns = []
             for index in range(len(whole)):
                 moved = whole.copy()
                 moved[index] += 1e-6
-                there = _residuals(setup, pair, moved[:_COMMON], moved[_COMMON:], settings)
+                there = _residuals(setup, pair, moved[:_COMMON], moved[_COMMON:], relief)
                 columns.append(((there - here) / 1e-6).ravel())
             jacobian = np.stack(columns, 1)
             weights = np.tile(weight, 2)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.registration.adjust import Adjusted, AdjustSettings, Pair, adjust
+from matcap.flash.registration.adjust import BENT, Adjusted, Pair, adjust
 from matcap.flash.registration.ambient import flash_first, without_flash
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.doubt import doubts
@@ -31,9 +31,9 @@ _STEEPEST = 65.0  # largest tilt of a camera, degrees
 _ALIKE = 0.12
 _COMPARED = 384  # texels across the grid of the correlation
 _SHIFTED = 5  # shift in texels at which the correlation must be lower
-# Priors if only one photograph has flash, as the displacement of its shading looks like
-# distortion by a lens.
-_STRAIGHT = AdjustSettings(bent=(0.003, 0.001))
+# Prior of distortion, k1 and k2, if only one photograph has flash, as the displacement of
+# its shading looks like it.
+_STRAIGHT = (0.003, 0.001)
 
 
 @dataclass(frozen=True)
@@ -135,8 +135,8 @@ def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
     known = photos[0].fov_source != "assumed"
     blurred = False
     while True:
-        priors = _STRAIGHT if all(index in dark for index in pairs) else AdjustSettings()
-        adjusted = adjust(setup, list(pairs.values()), known=known, settings=priors)
+        bent = _STRAIGHT if all(index in dark for index in pairs) else BENT
+        adjusted = adjust(setup, list(pairs.values()), known=known, bent=bent)
         wrong = _wrong(photos, dict(zip(pairs, range(len(pairs)), strict=True)), adjusted)
         if not wrong:
             blurred, wrong = _blurred(photos, list(pairs), dark, adjusted)

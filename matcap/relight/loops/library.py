@@ -5,13 +5,12 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from functools import cache
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from matcap.errors import MatcapError
+from matcap.files.compiled import find_library, not_built
 from matcap.relight.vectors import Array
 
 # As in loops.h.
@@ -24,16 +23,7 @@ Pointer, Whole, Real = ctypes.c_void_p, ctypes.c_int32, ctypes.c_float
 @cache
 def built() -> Any | None:  # noqa: ANN401
     """The library; None where it was not built, or from another version of its sources (_FORM)."""
-    for suffix in EXTENSION_SUFFIXES:
-        path = Path(__file__).with_name(f"kernel{suffix}")
-        if path.is_file():
-            try:
-                library = ctypes.CDLL(str(path))
-                if library.matcap_relight_form() == _FORM:
-                    return library
-            except (OSError, AttributeError):
-                continue
-    return None
+    return find_library(Path(__file__).parent, ("matcap_relight_form", _FORM))
 
 
 def loops() -> Any:  # noqa: ANN401
@@ -44,10 +34,7 @@ def loops() -> Any:  # noqa: ANN401
     """
     library = built()
     if library is None:
-        raise MatcapError(
-            "the compiled loops of relighting were not built when matcap was installed",
-            remedy="install a C compiler (gcc, clang or MSVC) and then matcap again",
-        )
+        raise not_built("relighting")
     return library
 
 
