@@ -11,9 +11,12 @@ from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave
 
 TINY = DecoderConfig(noise_channels=2, widths=(2, 3, 3, 3, 3), convolutions=(1, 1))
+SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
 
 
-def a_material(name="tiny", seed=3, config=TINY, waves=(), example=None, across=1024):
+def a_material(
+    name="tiny", seed=3, config=TINY, waves=(), example=None, across=1024, provenance=None
+):
     """Random weights; codes of different seeds look different. Perhaps an exemplar beside them."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -24,7 +27,7 @@ def a_material(name="tiny", seed=3, config=TINY, waves=(), example=None, across=
     moments = tuple(freeze(decoder, code, waves))
     tuned = TunedDecoder(decoder, code, moments, waves, 2 / across)
     made = {"decoder": tuned} if example is None else {"example": example, "decoder": tuned}
-    return Material(name, made, 2 / across, FlashSetup())
+    return Material(name, made, 2 / across, FlashSetup(), provenance or {})
 
 
 @pytest.fixture(scope="session")

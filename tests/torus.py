@@ -12,34 +12,25 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
+from materials import SMALL, a_material
 
 from matcap.field.blocks import BLOCK, BLOCK_HEIGHT
 from matcap.field.field import Field
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
-from matcap.flash.geometry import FlashSetup
-from matcap.space.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, maps_from_raw
-from matcap.space.freeze import freeze
+from matcap.space.decoder import DEPTH, maps_from_raw
 from matcap.space.patch import Patch
 from matcap.space.random_field import random_field
 from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave
 
-SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
 WAVES = (Wave(1 / 16.7, 0.003), Wave(0.002, 1 / 9.3))
 PERIOD = (BLOCK + 64, BLOCK_HEIGHT + 96)
 
 
-def a_material(waves: tuple[Wave, ...] = ()) -> Material:
-    """Random weights."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(3)
-        decoder = Decoder(replace(SMALL, cells=3 if waves else 0))
-        for layer in decoder.layers():
-            layer.adain.affine.bias.data += 0.2 * torch.randn_like(layer.adain.affine.bias)
-    code = torch.zeros(CODE_SIZE)
-    moments = tuple(freeze(decoder, code, waves))
-    return TunedDecoder(decoder, code, moments, waves, 2 / 1024).material("test", FlashSetup())
+def noisy(waves: tuple[Wave, ...] = ()) -> Material:
+    """A material of random weights."""
+    return a_material("test", config=replace(SMALL, cells=3 if waves else 0), waves=waves)
 
 
 def both(material: Material) -> tuple[torch.Tensor, torch.Tensor]:
@@ -62,7 +53,7 @@ def both(material: Material) -> tuple[torch.Tensor, torch.Tensor]:
 
 def main() -> None:
     named = {path: Material.load(Path(path)) for path in sys.argv[1:]}
-    for name, material in (named or {"noise": a_material(), "waves": a_material(WAVES)}).items():
+    for name, material in (named or {"noise": noisy(), "waves": noisy(WAVES)}).items():
         found, expected = both(material)
         print(f"{name}: {float((found - expected).abs().max()):.1e} on {PERIOD[0]} x {PERIOD[1]}")
 

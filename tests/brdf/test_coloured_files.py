@@ -8,6 +8,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
+from random_maps import random_maps
 
 from matcap.brdf.adjust import Adjustments, adjusted, adjusted_planes
 from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
@@ -19,11 +20,7 @@ LUMINANCE = torch.tensor([0.2126, 0.7152, 0.0722])
 
 
 def drawn(channels: int) -> MapSet:
-    values = 0.2 + 0.6 * torch.rand(
-        5 + channels, 9, 12, generator=torch.Generator().manual_seed(channels)
-    )
-    values[-1] *= 0.01
-    return MapSet.from_stacked(values, 2 / 512)
+    return random_maps(12, 9, channels, texel_size=2 / 512, channels=channels, low=0.2, high=0.8)
 
 
 @pytest.mark.parametrize("channels", [1, 3])

@@ -7,9 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
+from random_maps import random_maps
 
-from matcap.brdf.maps import MapSet
 from matcap.capture import pipeline as capturing
 from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.verdict.judge import judge
@@ -20,14 +19,6 @@ from matcap.flash.geometry import FlashSetup
 from matcap.photo.photo import Photo
 
 sys.path.insert(0, str(Path(__file__).parent))  # for signals.py
-
-
-def random_maps(width: int, height: int, seed: int) -> MapSet:
-    """Maps whose values tell the seed apart."""
-    generator = torch.Generator().manual_seed(seed)
-    stack = torch.rand(6, height, width, generator=generator)
-    stack[5] *= 0.01
-    return MapSet.from_stacked(stack, 2.0 / 512)
 
 
 @dataclass(frozen=True)
@@ -43,7 +34,8 @@ class FakeMaterial:
     generators: tuple = ("example",)
 
     def maps(self, width, height, *, seed=0, x=0, y=0, period=None):
-        return replace(random_maps(width, height, seed), periodic=period is not None)
+        made = random_maps(width, height, seed, texel_size=self.texel_size)
+        return replace(made, periodic=period is not None)
 
     def save(self, path):
         Path(path).write_text(self.name)

@@ -4,38 +4,27 @@ import json
 
 import numpy as np
 import pytest
-import torch
+from materials import a_material
+from random_maps import random_maps
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
-from matcap.brdf.maps import MapSet
-from matcap.flash.geometry import FlashSetup
-from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.space.freeze import freeze
-from matcap.space.tuned import TunedDecoder
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A map set called moss, in a folder of its own beside which commands run."""
-    generator = torch.Generator().manual_seed(1)
-    stack = torch.rand(6, 16, 24, generator=generator)
-    stack[5] *= 0.01
-    maps = MapSet.from_stacked(stack, 2.0 / 24)
-    write_mapset(maps, tmp_path / "set", MapSetInfo("moss", provenance={"made": "up"}))
+    write_mapset(
+        random_maps(24, 16), tmp_path / "set", MapSetInfo("moss", provenance={"made": "up"})
+    )
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 @pytest.fixture
 def material(tmp_path, monkeypatch):
-    """The smallest material that the format allows."""
-    torch.manual_seed(0)
-    decoder = Decoder(DecoderConfig(noise_channels=1, widths=(4,) * 5, convolutions=(1, 1)))
-    decoder = decoder.eval().requires_grad_(False)
-    code = torch.randn(CODE_SIZE)
-    moments = tuple(freeze(decoder, code, ()))
+    """A small material, beside which commands run."""
     path = tmp_path / "noise.matcap"
-    TunedDecoder(decoder, code, moments, (), 2 / 64).material("noise", FlashSetup()).save(path)
+    a_material("noise", across=64).save(path)
     monkeypatch.chdir(tmp_path)
     return path
 

@@ -6,11 +6,10 @@ import shutil
 import cv2
 import numpy as np
 import pytest
-import torch
 from materials import a_material
+from random_maps import random_maps
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
-from matcap.brdf.maps import MapSet
 from matcap.export.targets import TARGETS
 from matcap.files.mark import mark_of
 
@@ -20,9 +19,7 @@ MINE = b"what somebody made"
 @pytest.fixture
 def place(tmp_path, monkeypatch):
     """The current folder: a material, a map set called moss, a picture and a text of somebody's."""
-    stack = 0.2 + 0.5 * torch.rand(6, 32, 32, generator=torch.Generator().manual_seed(1))
-    stack[5] *= 0.01
-    write_mapset(MapSet.from_stacked(stack, 2.0 / 32), tmp_path / "set", MapSetInfo("moss"))
+    write_mapset(random_maps(32, 32, low=0.2, high=0.7), tmp_path / "set", MapSetInfo("moss"))
     for name in ("a", "b"):
         a_material(name, across=256).save(tmp_path / f"{name}.matcap")
     cv2.imwrite(str(tmp_path / "photo.png"), np.full((48, 64, 3), 128, np.uint8))

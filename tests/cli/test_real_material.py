@@ -6,13 +6,10 @@ import sys
 
 import pytest
 import torch
+from materials import a_material
 
 from matcap.brdf.folder import read_mapset
 from matcap.files.exr import read_exr
-from matcap.flash.geometry import FlashSetup
-from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.space.freeze import freeze
-from matcap.space.tuned import TunedDecoder
 
 
 def run(folder, *arguments):
@@ -22,16 +19,9 @@ def run(folder, *arguments):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with the smallest material that the format allows."""
+    """A folder with a small material."""
     folder = tmp_path_factory.mktemp("material")
-    torch.manual_seed(0)
-    decoder = Decoder(DecoderConfig(noise_channels=1, widths=(4,) * 5, convolutions=(1, 1)))
-    decoder = decoder.eval().requires_grad_(False)
-    code = torch.randn(CODE_SIZE)
-    moments = tuple(freeze(decoder, code, ()))
-    TunedDecoder(decoder, code, moments, (), 2 / 512).material("noise", FlashSetup()).save(
-        folder / "noise.matcap"
-    )
+    a_material("noise", across=512).save(folder / "noise.matcap")
     return folder
 
 

@@ -8,35 +8,19 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 import torch
+from materials import a_material
 
 from matcap.brdf.folder import read_mapset
 from matcap.field.blocks import BLOCK
 from matcap.field.field import Field
 from matcap.field.material import Material
-from matcap.flash.geometry import FlashSetup
-from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.space.freeze import freeze
-from matcap.space.tuned import TunedDecoder
-
-TINY = DecoderConfig(noise_channels=2, widths=(2, 3, 3, 3, 3), convolutions=(1, 1))
-
-
-def a_material(name, seed):
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        decoder = Decoder(TINY).eval().requires_grad_(False)
-    code = torch.zeros(CODE_SIZE)
-    moments = tuple(freeze(decoder, code, ()))
-    return TunedDecoder(decoder, code, moments, (), 2 / 512).material(
-        name, FlashSetup(), {"made": "up"}
-    )
 
 
 @pytest.fixture
 def material(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "leather.matcap"
-    a_material("leather", 1).save(path)
+    a_material("leather", 1, across=512, provenance={"made": "up"}).save(path)
     return path
 
 
@@ -106,7 +90,7 @@ def test_one_file_of_all_maps_is_read_back(matcap, material, tmp_path):
 
 
 def test_a_blend_has_both_materials_at_its_ends(matcap, material, tmp_path):
-    a_material("cloth", 2).save(tmp_path / "cloth.matcap")
+    a_material("cloth", 2, across=512).save(tmp_path / "cloth.matcap")
     mask = np.repeat(np.array([[0, 0, 255, 255]], np.uint8), 4, axis=0)
     cv2.imwrite(str(tmp_path / "mask.png"), mask)
     options = ["--blend", "cloth.matcap", "--mask", "mask.png", "--seed", 3]

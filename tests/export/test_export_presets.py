@@ -9,6 +9,7 @@ import pytest
 import torch
 from exported import linear, picture
 from metals import metals
+from random_maps import random_maps
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
@@ -58,10 +59,7 @@ def packed(job, preset, choice=None):
 
 def moss(**options) -> ExportJob:
     """1024 x 2 texels, so that {res} is a round one."""
-    generator = torch.Generator().manual_seed(1)
-    stack = torch.rand(6, 2, 1024, generator=generator)
-    stack[5] *= 0.01
-    return ExportJob(MapSet.from_stacked(stack, 2.0 / 1024), "moss", **options)
+    return ExportJob(random_maps(1024, 2), "moss", **options)
 
 
 @pytest.mark.parametrize("preset", NAMES)

@@ -8,7 +8,7 @@ import threading
 import pytest
 import torch
 from plain_decoder import decoded
-from torus import WAVES, a_material, both
+from torus import WAVES, both, noisy
 
 from matcap.errors import MatcapError, UsageError
 from matcap.field.field import Field
@@ -25,7 +25,7 @@ from matcap.statistics.lattice import Wave
 
 @pytest.fixture(scope="module", params=[(), WAVES], ids=["noise", "waves"])
 def material(request):
-    return a_material(request.param)
+    return noisy(request.param)
 
 
 @pytest.mark.parametrize("origin", [0, 2**31 - 300, 2**40 - 900])
@@ -123,7 +123,7 @@ def test_damaged_materials_are_refused_by_name(tmp_path):
     from matcap.files.tensors import write_tensors
 
     path = tmp_path / "m.matcap"
-    a_material().save(path)
+    noisy().save(path)
     good = path.read_bytes()
     bad = tmp_path / "bad.matcap"
     for data in (b"", good[:100], good[: len(good) // 2], b"not a material at all" * 50):
@@ -170,7 +170,7 @@ def test_damaged_materials_are_refused_by_name(tmp_path):
 )
 def test_what_is_out_of_range_is_refused(seed, period, rectangle):
     with pytest.raises(UsageError):
-        Field(a_material(), seed, period).read(*rectangle)
+        Field(noisy(), seed, period).read(*rectangle)
 
 
 def test_noise_is_uniform_and_independent():

@@ -21,12 +21,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from failing_disk import Failing, Recorded, contents, watched
 from materials import a_material
+from random_maps import random_maps
 from small import small_prior
 
 from matcap.batch.record import write_record
@@ -55,9 +55,7 @@ _MODES = ("once", "lasting", "interrupted")
 
 
 def _maps(version: int) -> MapSet:
-    generator = torch.Generator().manual_seed(version)
-    parts = (torch.rand(n, _SIDE, _SIDE, generator=generator) for n in (3, 1, 1, 1))
-    return MapSet(*parts, 2.0 / _SIDE)
+    return random_maps(_SIDE, _SIDE, version)
 
 
 def plain(folder: Path, version: int) -> None:

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 import torch
+from materials import a_material
 
 from matcap.field.field import Field
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
-from matcap.space.decoder import Decoder, DecoderConfig
-from matcap.space.freeze import freeze
+from matcap.space.decoder import DecoderConfig
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
 from matcap.space.random_field import noise_of
@@ -23,13 +23,7 @@ CONFIG = DecoderConfig(
 
 @pytest.fixture(scope="module")
 def material():
-    torch.manual_seed(2)
-    decoder = Decoder(CONFIG).eval().requires_grad_(False)
-    code = torch.randn(64)
-    from matcap.flash.geometry import FlashSetup
-
-    moments = tuple(freeze(decoder, code, ()))
-    return TunedDecoder(decoder, code, moments, (), 1 / 512).material("grained", FlashSetup())
+    return a_material("grained", 2, CONFIG, across=1024)
 
 
 @pytest.mark.parametrize("corner", [(0, 0), (-70, 2**31 - 40), (2**40 - 200, -(2**40) + 3)])

@@ -6,44 +6,27 @@ import time
 from contextlib import contextmanager
 
 import pytest
-import torch
+from materials import SMALL, a_material
 
 from matcap.field.material import Material
-from matcap.flash.geometry import FlashSetup
-from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.space.freeze import freeze
-from matcap.space.tuned import TunedDecoder
 from matcap.view.library import Library
 from matcap.view.pages import Pages
 from matcap.view.subject import Materials
 
-SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
 # A software renderer, so that every machine draws the same.
 # Small, because software draws it: a desktop's layout, few texels held.
 WINDOW = {"viewport": {"width": 800, "height": 500}, "screen": {"width": 800, "height": 500}}
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
-def small_material(seed: int = 3, name: str = "test") -> Material:
-    """An untrained material with some contrast in every map."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        decoder = Decoder(SMALL)
-        for layer in decoder.layers():
-            layer.adain.affine.bias.data += 0.2 * torch.randn_like(layer.adain.affine.bias)
-    code = torch.zeros(CODE_SIZE)
-    moments = tuple(freeze(decoder, code, ()))
-    return TunedDecoder(decoder, code, moments, (), 2 / 1024).material(name, FlashSetup())
-
-
 @pytest.fixture(scope="session")
 def material() -> Material:
-    return small_material()
+    return a_material("test", config=SMALL)
 
 
 @pytest.fixture(scope="session")
 def subject(material) -> Materials:
-    return Materials(material, small_material(4, "other"))
+    return Materials(material, a_material("other", 4, SMALL))
 
 
 @pytest.fixture(scope="session")

@@ -14,9 +14,9 @@ import torch
 from example.exemplars import an_example
 from materials import a_material
 from PIL import Image
+from random_maps import random_maps
 
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
-from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.field.field import Field
 from matcap.field.plane import Rectangle
@@ -285,7 +285,7 @@ def test_failures_are_not_kept(subject, monkeypatch):
 
 def test_memory_is_bounded(monkeypatch):
     monkeypatch.setattr("matcap.view.pages._KEPT", 3)
-    pages = Pages(Maps(flat(16, 16), "flat"), workers=1)
+    pages = Pages(Maps(random_maps(16, 16), "flat"), workers=1)
     futures = [pages.ask(Place(0, column, 0)) for column in range(9)]
     assert all(future.result() for future in futures)
     assert len(pages._kept) == 3
@@ -293,7 +293,7 @@ def test_memory_is_bounded(monkeypatch):
 
 
 def test_map_set_repeats_and_has_one_seed():
-    maps = flat(50, 30)
+    maps = random_maps(50, 30)
     subject = Maps(maps, "bricks")
     found, texel_size = subject.moments(0, Rectangle(-7, 20, 60, 40), seed=0, share=0.0)
     rows, columns = torch.arange(20, 60) % 30, torch.arange(-7, 53) % 50
@@ -306,7 +306,7 @@ def test_map_set_repeats_and_has_one_seed():
 @pytest.mark.parametrize("level", [1, 2, 3, 5, 8])
 def test_map_set_from_afar_is_the_mean_of_what_is_there(level):
     """Sides that are odd soon: 50 and 30 texels."""
-    maps = flat(50, 30)
+    maps = random_maps(50, 30)
     found, _ = Maps(maps, "bricks").moments(level, Rectangle(3, -2, 2, 3), seed=0, share=0.0)
     side = 2**level
     for row in range(3):
@@ -442,8 +442,3 @@ def test_wide_surroundings_are_averaged_down(client, tmp_path):
 def test_addresses_cannot_be_guessed():
     tokens = {server.new_address(1).token for _ in range(100)}
     assert len(tokens) == 100 and min(map(len, tokens)) >= 32
-
-
-def flat(width, height):
-    generator = torch.Generator().manual_seed(1)
-    return MapSet.from_stacked(torch.rand(6, height, width, generator=generator), 2 / 512)

@@ -16,11 +16,9 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 import tifffile
-import torch
 from PIL import Image, PngImagePlugin
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
-from matcap.brdf.maps import MapSet
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.field.material import Material
@@ -30,13 +28,14 @@ from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.lab.simulate.specimen import realisation
 from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
-from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.space.freeze import freeze
-from matcap.space.tuned import TunedDecoder
+from matcap.space.decoder import DecoderConfig
 from matcap.statistics.lattice import Wave
 
+sys.path.insert(0, str(Path(__file__).parents[2]))
 sys.path.insert(0, str(Path(__file__).parents[2] / "photo"))
 from icc_files import ink_profile, matrix_profile
+from materials import a_material
+from random_maps import random_maps
 
 SCENE = """
 [film]
@@ -98,7 +97,7 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
     (folder / "matcap.toml").write_text(SETTINGS)
     write_material(folder / "small.matcap")
     write_example(folder / "example.matcap")
-    maps = MapSet.from_stacked(torch.rand(6, 16, 16) * 0.5 + 0.1, 0.01)
+    maps = random_maps(16, 16, low=0.1, high=0.6)
     write_mapset(maps, folder / "set", MapSetInfo("set"))
     surroundings = _write_surroundings(folder)
     foreign = _write_foreign(folder, (code >> 8).astype(np.uint8)[:32, :32])
@@ -196,20 +195,15 @@ def _write_foreign(folder: Path, colour: np.ndarray) -> list[Path]:
     Image.fromarray(grey).save(place / "w_Roughness.jpg")
     Image.fromarray(layer).save(folder / "mask.png")
     Image.fromarray(grey).save(folder / "mask.tif")
-    maps = MapSet.from_stacked(torch.rand(6, 16, 16) * 0.5 + 0.1, 0.01)
+    maps = random_maps(16, 16, low=0.1, high=0.6)
     write_export(ExportJob(maps, "out"), "unity-urp", folder / "exported")
     return sorted(place.iterdir()) + sorted((folder / "exported").iterdir())
 
 
 def write_material(path: Path) -> None:
     """An untrained material of a few kilobytes."""
-    torch.manual_seed(0)
     shape = DecoderConfig(noise_channels=2, widths=(4, 4, 4, 4, 4), convolutions=(1, 1), cells=2)
-    decoder = Decoder(shape)
-    code, waves = torch.zeros(CODE_SIZE), (Wave(0.1, 0.02),)
-    moments = tuple(freeze(decoder, code, waves))
-    tuned = TunedDecoder(decoder.eval(), code, moments, waves, 0.002)
-    tuned.material("small", FlashSetup()).save(path)
+    a_material("small", 0, shape, (Wave(0.1, 0.02),), across=1000).save(path)
 
 
 def write_example(path: Path) -> None:

@@ -152,17 +152,15 @@ def write_place(place: Path) -> None:
     """A folder `work` with things to read, and beside it what must stay as it is."""
     import cv2
     import numpy as np
-    import torch
+    from random_maps import random_maps
 
     from matcap.brdf.folder import MapSetInfo, write_mapset
-    from matcap.brdf.maps import MapSet
 
     work = place / "work"
     work.mkdir(parents=True)
     write_material(work / "small.matcap")
     write_example(work / "example.matcap")
-    maps = MapSet.from_stacked(torch.rand(6, 16, 16) * 0.5 + 0.1, 0.01)
-    write_mapset(maps, work / "set", MapSetInfo("set"))
+    write_mapset(random_maps(16, 16, low=0.1, high=0.6), work / "set", MapSetInfo("set"))
     (work / "notes.txt").write_text("mine")
     cv2.imwrite(str(work / "photo.png"), np.full((96, 128, 3), 128, np.uint8))
     (place / "victim").write_text("mine")
