@@ -17,7 +17,6 @@ from matcap.files.tensors import write_tensors
 
 FORMAT = "matcap-inverse"
 VERSION = 2  # of the file
-_NO_METAL = 1  # files of networks without a metal output
 SHIPPED = Path(__file__).parent / "weights" / "inverse.safetensors"
 _WIDEST, _DEEPEST = 512, 8
 _REMEDY = "install matcap again, or give another file"
@@ -54,7 +53,7 @@ def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
     try:
         with safe_open(path, framework="pt") as file:
             about = json.loads((file.metadata() or {})["matcap"])
-            if about["format"] != FORMAT or about["version"] not in (_NO_METAL, VERSION):
+            if about["format"] != FORMAT or about["version"] != VERSION:
                 raise ValueError(f"it holds {about['format']} of version {about['version']}")
             widths = tuple(int(width) for width in about["widths"])
             sizes = (*widths, int(about["context"]))
@@ -64,10 +63,6 @@ def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
             state = {}
             for name, expected in network.state_dict().items():
                 value = file.get_tensor(name).float()
-                if name.startswith("out.") and about["version"] == _NO_METAL:
-                    # A network without that output predicts the initial logit of metal.
-                    last = expected[-1:]
-                    value = torch.cat([value, last if last.ndim == 1 else torch.zeros_like(last)])
                 if value.shape != expected.shape or not bool(torch.isfinite(value).all()):
                     raise ValueError(f"the tensor {name} is not as it should be")
                 state[name] = value
