@@ -15,7 +15,11 @@ from numpy.typing import NDArray
 
 from matcap.example.features import LIMIT, PLANES, FeatureMap
 from matcap.example.library import address, loops
-from matcap.example.tuned import APPEARANCE
+
+# Appearance vectors; docs/notes/field.md.
+_FALL_OFF = 8.0  # f of the neighbourhood's weights exp(-r^2 / f), in squared steps
+_SAMPLES = 20_000  # neighbourhoods that the PCA is computed from
+_CLIPPED = 0.002  # share of places whose first component exceeds appearance.LARGEST
 
 DIMENSIONS = 8
 # Limit of an appearance, chosen so that kernel.c's costs fit 32 bits: over four neighbours of eight
@@ -43,7 +47,7 @@ def choose_basis(features: FeatureMap, step: int) -> Basis:
     """Principal components of neighbourhoods of (PLANES, H, W) features, `step` texels apart."""
     taps = _taps(features, step)
     places = features.shape[1] * features.shape[2]
-    chosen = np.arange(0, places, max(1, places // APPEARANCE.samples))
+    chosen = np.arange(0, places, max(1, places // _SAMPLES))
     rows, columns = np.divmod(chosen, features.shape[2])
     samples = np.concatenate([tap[:, rows, columns] for tap in taps]).astype(np.float64)
     weight = np.repeat(_tap_weights(), PLANES)
@@ -52,7 +56,7 @@ def choose_basis(features: FeatureMap, step: int) -> Basis:
     components = components[:, : -DIMENSIONS - 1 : -1].T * weight
     weights = np.rint(components * (LIMIT / np.abs(components).max())).astype(np.int8)
     sums = np.abs(weights[0].astype(np.float64) @ samples)
-    large = max(float(np.quantile(sums, 1.0 - APPEARANCE.clipped)), 1.0)
+    large = max(float(np.quantile(sums, 1.0 - _CLIPPED)), 1.0)
     return Basis(weights, max(0, math.ceil(math.log2(large / LARGEST))), step)
 
 
@@ -102,4 +106,4 @@ def _padded(features: FeatureMap, reach: int) -> FeatureMap:
 def _tap_weights() -> NDArray[np.float64]:
     side = np.arange(-_RADIUS, _RADIUS + 1)
     squares = side[:, None] ** 2 + side[None, :] ** 2
-    return np.exp(-squares / APPEARANCE.fall_off).ravel()
+    return np.exp(-squares / _FALL_OFF).ravel()

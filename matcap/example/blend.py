@@ -36,8 +36,12 @@ from numpy.typing import NDArray
 from matcap.example.correction import Places
 from matcap.example.exemplar import ROUGHNESS, Exemplar, Floats
 from matcap.example.library import address, loops
-from matcap.example.tuned import BLEND
 from matcap.field.plane import Period, Rectangle
+
+# By band, finest first, level of the places that nodes read; docs/notes/field.md. Coarser levels
+# save time for coarse bands; more bands blend slower drifts of colour.
+BAND_LEVELS = (0, 0, 0, 0, 2, 3)
+BANDS = len(BAND_LEVELS)
 
 CHANNELS = 8  # of a band, as in kernel.c
 NODES = 3  # nodes along an axis that vote for a texel
@@ -73,7 +77,7 @@ def bands_of(exemplar: Exemplar) -> tuple[Band, ...]:
         shown = np.log2(np.maximum(plane, _DARKEST), dtype=np.float64) if logs else plane
         values[..., channel] = shown - shown.mean(dtype=np.float64)
     smooth = [values]
-    for band in range(1, BLEND.bands):
+    for band in range(1, BANDS):
         values = values[:: min(band, 2), :: min(band, 2)].copy()
         rows, columns = values.shape[:2]
         loops().matcap_smooth(address(values), address(np.empty_like(values)), columns, rows)
@@ -211,7 +215,7 @@ class Votes:
             bits: log2 of the step of the grid of places, texels.
             levels: number of levels of places.
         """
-        level = min(BLEND.levels[band], levels - 1)
+        level = min(BAND_LEVELS[band], levels - 1)
         spacing, unit = 1 << (band + bits), 1 << (level + bits)
         along_x, along_y = period or (None, None)
         return Votes(

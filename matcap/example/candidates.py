@@ -15,7 +15,11 @@ from numpy.typing import NDArray
 
 from matcap.example.appearance import Appearance
 from matcap.example.hashing import draw, hash_places
-from matcap.example.tuned import SIMILAR
+
+# The search for candidates; docs/notes/field.md.
+_ROUNDS = 4  # more find better candidates and take longer
+_LINES = 2  # random directions in a round
+_STEEPEST = 100  # largest component of a direction
 
 _NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 _SEED = 0x51417
@@ -76,8 +80,8 @@ def find_candidates(
     first_rows, first_columns = best_rows.copy(), best_columns.copy()
     attempt(first_rows, first_columns)
     line = hash_places(_SEED, 1, np.arange(flat.shape[1]), np.zeros(1, np.int64))
-    for index in range(SIMILAR.rounds * SIMILAR.lines):
-        directions = draw(line, index, 2 * SIMILAR.steepest + 1) - SIMILAR.steepest
+    for index in range(_ROUNDS * _LINES):
+        directions = draw(line, index, 2 * _STEEPEST + 1) - _STEEPEST
         order = _ordered(flat.astype(np.float32) @ directions.astype(np.float32))
         for before, after in ((order[:-1], order[1:]), (order[1:], order[:-1])):
             adjacent = np.empty_like(order)
@@ -85,7 +89,7 @@ def find_candidates(
             adjacent[order[-1] if before[0] == order[0] else order[0]] = after[0]
             rows, columns = np.divmod(adjacent.reshape(high, wide).astype(np.int32), wide)
             attempt(rows, columns)
-        if index % SIMILAR.lines == SIMILAR.lines - 1:
+        if index % _LINES == _LINES - 1:
             for y, x in _NEIGHBOURS:
                 rows, columns = (np.roll(one, (y, x), (0, 1)) for one in (best_rows, best_columns))
                 attempt(rows + np.int32(y), columns + np.int32(x))

@@ -23,9 +23,11 @@ from matcap.example.hashing import hash_places
 from matcap.example.lattice import Cells, PhasedLattice, Phases, cells_of
 from matcap.example.lookup import Level, Lookup, two_phases
 from matcap.example.patches import Axis, cheapest, inset, lay_patches
-from matcap.example.tuned import PLACEMENT
 from matcap.field.plane import Period, Rectangle
 from matcap.field.turns import Integers
+
+# Patches of the coarsest level, and corrections; docs/notes/field.md.
+_PASSES = (1, 2)  # of correction at the finest level, and at every coarser one
 
 
 def coordinates(
@@ -72,7 +74,7 @@ def coordinates(
 
 
 def _passes(depth: int) -> int:
-    return PLACEMENT.passes[min(depth, 1)]
+    return _PASSES[min(depth, 1)]
 
 
 def _wrapped(area: Rectangle, depth: int, period: Period | None) -> tuple[Integers, Integers]:

@@ -28,7 +28,6 @@ from matcap.example.lookup import Lookup, prepare
 from matcap.example.normals import with_normals
 from matcap.example.patch_sizes import PatchSizes
 from matcap.example.repeat.source import BLOCKS, RepeatedSource
-from matcap.example.tuned import BLEND
 from matcap.field.blocks import RING, Grid
 from matcap.field.plane import Period, Rectangle, check_period, check_seed, check_variety
 from matcap.files.values import bounded
@@ -38,6 +37,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from matcap.brdf.maps import MapSet
+
+_MEASURED = (1, 128)  # level, and places a side, of the square of seam_correlations
 PREFIX = "example."  # of the names of its tensors in a file
 _GRID = 1536  # texels of the grid's longer side, at most
 
@@ -330,7 +331,7 @@ def detail_bits(exemplar: Exemplar) -> int:
 
 def _seam_correlations(lookup: Lookup, bands: tuple[Band, ...]) -> tuple[float, ...]:
     """seam_correlations of a sample of the field."""
-    level, side = BLEND.measured
+    level, side = _MEASURED
     level = min(level, len(lookup.levels) - 1)
     places = coordinates(lookup, 0, {level: Rectangle(0, 0, side, side)}, None)[level]
     return seam_correlations(bands, places, 1 << level)

@@ -18,8 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.exemplar import Exemplar
-from matcap.example.tuned import FEATURE
 from matcap.files.rec709 import LUMINANCE
+
+# Features of an exemplar's planes; docs/notes/field.md.
+UNIT = 32.0  # steps per standard deviation; four deviations fit into LIMIT
+# Lower limit of a plane's standard deviation, in the plane's unit; below it the plane is not
+# visible, and must not be amplified.
+_UNSEEN = (0.01, 0.01, 0.01, 0.02, 0.02, 0.02, 0.02, 0.2)
+# Of planes. Height is visible through its slopes only; its weight makes patches join at equal
+# heights.
+_WEIGHTS = (1.0, 1.0, 1.0, 0.7, 1.0, 1.0, 1.0, 0.5)
 
 FeatureMap = NDArray[np.int16]
 
@@ -65,10 +73,10 @@ def planes_of_maps(maps: tuple[NDArray[np.float32], ...], texel_size: float) -> 
 def choose_scale(planes: NDArray[np.float32]) -> Scale:
     """Scale planes by their standard deviations; colours share one, and so do both slopes."""
     flat = planes.reshape(PLANES, -1)
-    deviation = np.maximum(flat.std(axis=1), FEATURE.unseen)
+    deviation = np.maximum(flat.std(axis=1), _UNSEEN)
     deviation[:3] = deviation[:3].max()
     deviation[5:7] = deviation[5:7].max()
-    factors = FEATURE.unit * np.array(FEATURE.weights) / deviation
+    factors = UNIT * np.array(_WEIGHTS) / deviation
     return Scale(flat.mean(axis=1).astype(np.float32), factors.astype(np.float32))
 
 

@@ -40,7 +40,20 @@ from matcap.example.grids import (
 )
 from matcap.example.lattice import GRID, Frequency, PhasedLattice, measure_lattice
 from matcap.example.packed import pack, unpack
-from matcap.example.tuned import INDEX
+
+# Candidates and penalties of an exemplar; docs/notes/field.md.
+_LEAST_STEPS = 4  # least distance between a place and its candidate, grid steps
+_LEAST_TEXELS = 8  # likewise, texels
+_FINENESS = 16  # least number of places along the shorter side of a lattice's patch
+_UNIQUE = 12.0  # ratio of a candidate's distance to the median above which a place is unique
+_UNIQUE_LEVEL = 2  # level at which that is measured; neighbourhoods of some twenty texels
+_LEAST_TRUST = 0.02  # added to a map's confidence before the logarithm
+_TRUSTED = 0.8  # quantile of the confidence that places are compared with
+_SLACK = 0.05  # confidence below that quantile without a penalty
+_DOUBTED = 0.35  # confidence below that quantile at which the penalty is largest
+# Least share of places without a penalty. More uses places of wrong maps, less has too few
+# places to choose from.
+_FREE = 0.5
 
 _MOST = 255
 
@@ -57,7 +70,7 @@ class Index:
     """(H, W, 2) x, y in texels of each place's k-coherence candidate, of each level."""
     penalty: NDArray[np.uint8]
     """(H, W) of squares of 4 x 4 texels, square root of the placement cost in units of
-    2^LOOKUP.cost_bits; 255 excludes a place."""
+    2^PENALTY_BITS (lookup.py); 255 excludes a place."""
     lattice: PhasedLattice | None
     """Lattice of a regular texture, or None."""
     left_out: float
@@ -141,7 +154,7 @@ def build_index(exemplar: Exemplar, waves: tuple[Frequency, ...]) -> Index:
         bases = list(pool.map(choose_basis, grids, steps))
         appearances = list(pool.map(project, grids, bases))
         candidates = list(pool.map(partial(_similar, width, height), range(count), appearances))
-    unique = _unique(candidates[min(INDEX.unique_level, count - 1)])
+    unique = _unique(candidates[min(_UNIQUE_LEVEL, count - 1)])
     penalty = np.maximum(_low_confidence(exemplar), _MOST * _resized(unique, width, height))
     places = [
         (np.stack([one.columns, one.rows], axis=-1) << similar_bits(level)).astype(np.int16)
@@ -158,8 +171,8 @@ def build_index(exemplar: Exemplar, waves: tuple[Frequency, ...]) -> Index:
 
 
 def _ordered_levels(lattice: PhasedLattice) -> int:
-    """Number of levels at which a lattice's patch is at least INDEX.fineness places wide."""
-    return max(1, math.floor(math.log2(lattice.patch_width() / INDEX.fineness)) + 1)
+    """Number of levels at which a lattice's patch is at least _FINENESS places wide."""
+    return max(1, math.floor(math.log2(lattice.patch_width() / _FINENESS)) + 1)
 
 
 def _similar(width: int, height: int, level: int, appearance: Appearance) -> Candidates:
@@ -172,13 +185,13 @@ def _similar(width: int, height: int, level: int, appearance: Appearance) -> Can
         slice(-(-frame.left >> bits), (frame.right >> bits) + 1),
     )
     some = np.ascontiguousarray(appearance[::skip, ::skip])
-    return find_candidates(some, max(INDEX.least_steps, INDEX.least_texels >> bits), allowed)
+    return find_candidates(some, max(_LEAST_STEPS, _LEAST_TEXELS >> bits), allowed)
 
 
 def _unique(similar: Candidates) -> NDArray[np.bool_]:
-    """Places whose candidate is INDEX.unique times as distant as the median one."""
+    """Places whose candidate is _UNIQUE times as distant as the median one."""
     distances = similar.distances.astype(np.float64)
-    return distances > INDEX.unique * max(float(np.median(distances)), 1.0)
+    return distances > _UNIQUE * max(float(np.median(distances)), 1.0)
 
 
 def _low_confidence(exemplar: Exemplar) -> NDArray[np.float64]:
@@ -189,14 +202,14 @@ def _low_confidence(exemplar: Exemplar) -> NDArray[np.float64]:
     quantiles `trusted` and `free` of c. So the better half of the exemplar has no penalty.
     """
     side = 1 << COST_BITS
-    trust = np.exp(np.log(exemplar.confidence + INDEX.least_trust).mean(axis=0, dtype=np.float64))
+    trust = np.exp(np.log(exemplar.confidence + _LEAST_TRUST).mean(axis=0, dtype=np.float64))
     rows, columns = trust.shape
     whole = np.pad(trust, ((0, -rows % side), (0, -columns % side)), mode="edge")
     means = whole.reshape(whole.shape[0] // side, side, -1, side).mean(axis=(1, 3))
     # Quantiles are over places that the photograph shows.
-    known = means[means > 1.5 * INDEX.least_trust]
-    most, half = np.quantile(known if known.size else means, (INDEX.trusted, INDEX.free))
-    short = (min(most - INDEX.slack, half) - means) / (INDEX.doubted - INDEX.slack)
+    known = means[means > 1.5 * _LEAST_TRUST]
+    most, half = np.quantile(known if known.size else means, (_TRUSTED, _FREE))
+    short = (min(most - _SLACK, half) - means) / (_DOUBTED - _SLACK)
     return np.rint(_MOST * short.clip(0.0, 1.0))
 
 

@@ -16,9 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.hashing import scramble
-from matcap.example.tuned import LATTICE
 from matcap.field.plane import Period
 from matcap.field.turns import Integers, same_cells, turns_per_texel, whole_turns
+
+# Measurement of a lattice and its patches; docs/notes/field.md.
+_BINS = 24  # of a turn, for the search for joints
+_SLOPES = (5, 6)  # planes that are left out there, as they vary most at joints
+LEAST_PATCH = 48  # least size of a patch of whole cells, texels
+_SMALLER = 0.8  # factor by which patches shrink until they fit the exemplar
+# Standard deviation of the Gaussian window of a phase, periods; less in small exemplars.
+_WINDOW = 1.5
+_FEWEST = 3.0  # least number of periods across an exemplar
+_FAINT = 1e-9  # added to a plane's power, squared features
+_LAG = 2.0  # distance at which coherence is measured, window deviations
+_STEADIEST = 0.98  # upper limit of a plane's coherence, so that no plane dominates
+_ROUNDS = 3  # iterations, as a window smooths phase offsets
 
 Phases = NDArray[np.int16]
 
@@ -54,7 +66,7 @@ class PhasedLattice:
             area, columns = ax * by - ay * bx, [[by, -ay], [-bx, ax]]
         return np.rint(256.0 * np.array(columns) / area).astype(np.int64)
 
-    def patch_width(self, cells: float = LATTICE.patch) -> float:
+    def patch_width(self, cells: float = LEAST_PATCH) -> float:
         """Least width in texels of a patch of whole lattice cells, of about `cells` texels."""
         return min(_together(wave, cells) / math.hypot(*wave) for wave in self.waves)
 
@@ -71,12 +83,12 @@ class PhasedLattice:
 
     def fitting_cells(self, cells: float, width: float, height: float) -> float:
         """Largest size, at most `cells` texels, whose patches fit into a rectangle."""
-        while cells > LATTICE.patch:
+        while cells > LEAST_PATCH:
             wide, high = self.patch_extent(cells)
             if wide <= width and high <= height:
                 return cells
-            cells *= LATTICE.smaller
-        return LATTICE.patch
+            cells *= _SMALLER
+        return LEAST_PATCH
 
     def phases(self, x: Integers, y: Integers) -> Phases:
         """(..., len(waves)) phases of the exemplar at (x, y), of shapes that broadcast."""
@@ -157,7 +169,7 @@ def cells_of(
     x: Integers,
     y: Integers,
     period: Period,
-    cells: float = LATTICE.patch,
+    cells: float = LEAST_PATCH,
 ) -> Cells:
     """The lattice patches that texels lie in.
 
@@ -231,22 +243,22 @@ def measure_lattice(
     lattice = PhasedLattice(
         tuple(wave for wave, _ in fitted), np.stack([bend for _, bend in fitted])
     )
-    joints = _joints(np.delete(planes, LATTICE.slopes, axis=0), lattice)
+    joints = _joints(np.delete(planes, _SLOPES, axis=0), lattice)
     return PhasedLattice(lattice.waves, lattice.phase_offsets - joints[:, None, None])
 
 
 def _joints(planes: NDArray[np.floating], lattice: PhasedLattice) -> NDArray[np.int32]:
     """(len(waves),) phases at which cells differ least from each other, such as joints of tiles.
 
-    Patches are cut there. The variance over cells is computed by phase, in LATTICE.bins bins.
+    Patches are cut there. The variance over cells is computed by phase, in _BINS bins.
     """
     high, wide = planes.shape[1:]
     x, y = np.arange(0, wide, 2), np.arange(0, high, 2)
     phases = lattice.phases(x[None, :], y[:, None]).astype(np.int64) % _TURN
-    bins = phases * LATTICE.bins // _TURN
-    place = bins[..., 0] if bins.shape[-1] == 1 else bins[..., 0] * LATTICE.bins + bins[..., 1]
+    bins = phases * _BINS // _TURN
+    place = bins[..., 0] if bins.shape[-1] == 1 else bins[..., 0] * _BINS + bins[..., 1]
     place = place.ravel()
-    size = LATTICE.bins ** bins.shape[-1]
+    size = _BINS ** bins.shape[-1]
     count = np.maximum(np.bincount(place, minlength=size), 1)
     spread = np.zeros(size)
     for plane in planes[:, ::2, ::2].reshape(len(planes), -1):
@@ -254,10 +266,10 @@ def _joints(planes: NDArray[np.floating], lattice: PhasedLattice) -> NDArray[np.
         spread += np.bincount(place, plane * plane, size) / count - mean * mean
     joints = []
     for axis in range(bins.shape[-1]):
-        grid = spread.reshape((LATTICE.bins,) * bins.shape[-1])
+        grid = spread.reshape((_BINS,) * bins.shape[-1])
         line = grid if grid.ndim == 1 else grid.mean(axis=1 - axis)
         smooth = np.roll(line, 1) + 2 * line + np.roll(line, -1)
-        joints.append((2 * int(np.argmin(smooth)) + 1) * _TURN // (2 * LATTICE.bins))
+        joints.append((2 * int(np.argmin(smooth)) + 1) * _TURN // (2 * _BINS))
     return np.array(joints, np.int32)
 
 
@@ -267,13 +279,13 @@ def _measured(
     """The mean frequency vector and phase offsets of a wave, by local demodulation.
 
     Planes times exp(-2 pi i phase) are averaged over Gaussian windows, whose angle is the phase
-    offset; repeated LATTICE.rounds times, as a window smooths the offset.
+    offset; repeated _ROUNDS times, as a window smooths the offset.
     """
     high, wide = planes.shape[1:]
     period = 1.0 / math.hypot(*wave)
-    if LATTICE.fewest * period > min(high, wide):
+    if _FEWEST * period > min(high, wide):
         return None
-    deviation = min(LATTICE.window * period, min(high, wide) / 4)
+    deviation = min(_WINDOW * period, min(high, wide) / 4)
     x, y = np.arange(wide)[None, :], np.arange(high)[:, None]
     side = 1 << GRID
     rows, columns = np.arange(0, high + side, side), np.arange(0, wide + side, side)
@@ -281,9 +293,9 @@ def _measured(
         _windows(n, at, deviation).astype(np.complex64) for n, at in ((high, rows), (wide, columns))
     )
     straight = wave[0] * x + wave[1] * y
-    lag = max(1, round(LATTICE.lag * deviation) >> GRID)
+    lag = max(1, round(_LAG * deviation) >> GRID)
     bend = np.zeros((len(rows), len(columns)))
-    for _ in range(LATTICE.rounds):
+    for _ in range(_ROUNDS):
         turns = straight + _bent(np.rint(bend * _TURN).astype(np.int64), x, y) / _TURN
         carrier = np.exp(-2j * np.pi * (turns - np.floor(turns))).astype(np.complex64)
         local = np.stack([(down @ (plane * carrier)) @ across.T for plane in planes])
@@ -301,12 +313,12 @@ def _joined(local: NDArray[np.complexfloating], lag: int) -> NDArray[np.complexf
     The weight rises with a plane's coherence, the autocorrelation at `lag` grid steps over the
     power. It is low for planes that vary randomly between cells, as colours of tiles do.
     """
-    power = (np.abs(local) ** 2).mean(axis=(1, 2)) + LATTICE.faint
+    power = (np.abs(local) ** 2).mean(axis=(1, 2)) + _FAINT
     on = (
         np.abs((local[:, lag:] * local[:, :-lag].conj()).mean(axis=(1, 2))),
         np.abs((local[:, :, lag:] * local[:, :, :-lag].conj()).mean(axis=(1, 2))),
     )
-    steady = np.minimum(0.5 * (on[0] + on[1]) / power, LATTICE.steadiest)
+    steady = np.minimum(0.5 * (on[0] + on[1]) / power, _STEADIEST)
     reference = local[np.argmax(steady)]
     relation = (local * reference.conj()).mean(axis=(1, 2))
     weights = relation.conj() / (power * (1.0 - steady))

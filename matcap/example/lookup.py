@@ -19,7 +19,12 @@ from matcap.example.grids import Frame, frame_of, grid_bits, grids_of, similar_b
 from matcap.example.index import Index
 from matcap.example.lattice import PhasedLattice, Phases
 from matcap.example.patch_sizes import PatchSizes
-from matcap.example.tuned import LOOKUP
+
+# Tables of the synthesis; docs/notes/field.md.
+_ORDERED = 1  # first level at which phase errors have a cost
+# Placement cost is penalty^2 * 2^cost_bits: 1.3e8 at the penalty 255, more than any seam; 4e5 at
+# 14, as much as a common seam.
+PENALTY_BITS = 11
 
 
 @dataclass(frozen=True)
@@ -68,7 +73,7 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
     grids = grids_of(features, len(index.bases))
     with ThreadPoolExecutor() as pool:
         appearances = list(pool.map(project, grids, index.bases))
-    placement_cost = np.square(index.penalty, dtype=np.int32) << LOOKUP.cost_bits
+    placement_cost = np.square(index.penalty, dtype=np.int32) << PENALTY_BITS
     levels = tuple(
         Level(
             spacing=1 << level,
@@ -87,7 +92,7 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
 
 
 def _phases(lattice: PhasedLattice | None, level: int, appearance: Appearance) -> Phases | None:
-    if lattice is None or level < LOOKUP.ordered:
+    if lattice is None or level < _ORDERED:
         return None
     rows, columns = (np.arange(n) << grid_bits(level) for n in appearance.shape[:2])
     return two_phases(lattice.phases(columns[None, :], rows[:, None]))

@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from matcap.example.grids import Frame
-from matcap.example.lattice import PhasedLattice
-from matcap.example.tuned import LATTICE, PLACEMENT
+from matcap.example.lattice import LEAST_PATCH, PhasedLattice
+
+# Patches of the coarsest level, and corrections; docs/notes/field.md.
+_PATCH = 128  # side of the smallest patches, texels
+_PART = 2  # least ratio of the exemplar's shorter side to that
+_OVERLAP = 3  # steps of the coarsest level by which the largest patch is smaller than the frame
 
 
 @dataclass(frozen=True)
@@ -31,14 +35,14 @@ class PatchSizes:
             variety: 0 for the whole exemplar, 1 for the smallest patches.
         """
         wide, high = frame.right - frame.left, frame.bottom - frame.top
-        small = 1 << (min(PLACEMENT.patch, min(wide, high) // PLACEMENT.part).bit_length() - 1)
+        small = 1 << (min(_PATCH, min(wide, high) // _PART).bit_length() - 1)
         if variety >= 1.0:
-            return PatchSizes(small, small, LATTICE.patch, loose=True)
-        largest = [max(small, side - PLACEMENT.overlap * spacing) for side in (wide, high)]
+            return PatchSizes(small, small, LEAST_PATCH, loose=True)
+        largest = [max(small, side - _OVERLAP * spacing) for side in (wide, high)]
         width, height = (
             max(1, round(_between(side, small, variety) / spacing)) * spacing for side in largest
         )
-        cells = _between(min(largest), LATTICE.patch, variety)
+        cells = _between(min(largest), LEAST_PATCH, variety)
         if lattice is not None:
             cells = lattice.fitting_cells(cells, largest[0], largest[1])
         return PatchSizes(width, height, cells, loose=False)

@@ -17,8 +17,12 @@ from numpy.typing import NDArray
 from matcap.example.grids import COST_BITS, Frame
 from matcap.example.hashing import Hashes, draw, hash_places
 from matcap.example.lookup import Level
-from matcap.example.tuned import PLACEMENT
 from matcap.field.turns import Integers
+
+# Patches of the coarsest level, and corrections; docs/notes/field.md.
+_DRAWS = 4  # random places of which the one of least placement cost is taken
+_FITTED = 24  # random places of which the one that fits its neighbours best is taken
+_ALONG = 32  # most places along a border at which patches are compared
 
 
 @dataclass(frozen=True)
@@ -90,10 +94,10 @@ def lay_patches(
 
 
 def cheapest(level: Level, hashes: Hashes, frame: Frame) -> tuple[Integers, Integers]:
-    """For every hash, the place of least placement cost among PLACEMENT.draws random ones."""
+    """For every hash, the place of least placement cost among _DRAWS random ones."""
     x, y = _drawn(hashes, 0, frame)
     best = _placement_cost(level, x, y)
-    for attempt in range(1, PLACEMENT.draws):
+    for attempt in range(1, _DRAWS):
         x_drawn, y_drawn = _drawn(hashes, attempt, frame)
         cost = _placement_cost(level, x_drawn, y_drawn)
         better = cost < best
@@ -133,7 +137,7 @@ def _fitting(
     """For every hash, the random place of least placement cost plus border mismatch."""
     best_x, best_y = _drawn(hashes, 0, frame)
     best = np.full(hashes.shape, np.iinfo(np.int64).max)
-    for attempt in range(PLACEMENT.fitted):
+    for attempt in range(_FITTED):
         x, y = _drawn(hashes, attempt, frame)
         cost = _placement_cost(level, x, y).astype(np.int64)
         for other in neighbours:
@@ -149,7 +153,7 @@ def _border_mismatch(
 ) -> Integers:
     """32 times the mean squared difference of both sides' appearance along the common border."""
     long, short = (height, width) if other.along_x else (width, height)
-    step = max(level.spacing, long // PLACEMENT.along)
+    step = max(level.spacing, long // _ALONG)
     along = np.arange(-(long // 2), long - long // 2, step)
     zero = np.zeros_like(along)
     edge = zero + other.step * (short // 2)

@@ -18,8 +18,19 @@ from matcap.example.features import features_of, planes_of
 from matcap.example.grids import grid_bits, grids_of
 from matcap.example.lookup import Lookup
 from matcap.example.patch_sizes import PatchSizes
-from matcap.example.tuned import VARIETY
 from matcap.field.plane import Rectangle
+
+# Choice of the variety; docs/notes/field.md.
+_TRIED = (1.0, 0.5, 0.25, 0.1)  # varieties, highest first; the last is taken if none passes
+_LEVEL = 2  # level of the synthesised samples. Finer takes longer, coarser shows fewer seams.
+_BLOCKS = 2  # samples of each variety; one where the exemplar has fewer levels
+_STEP = 4  # texels that are averaged before the correlation
+_NEAR = 64.0  # shortest shift of the correlation, texels; shorter structure fits any patch
+_LOST = 0.035  # largest RMS loss of correlation. Random differences give 0.02.
+_SHARE = 0.5  # largest loss as a share of the exemplar's RMS correlation, if that is more
+# Largest share of texels at seams. Textures without long structure have up to 0.0175, others
+# from 0.021 on.
+_SEAMS = 0.018
 
 Planes = NDArray[np.float32]
 
@@ -44,10 +55,10 @@ class VarietyTrial:
 def with_chosen_variety(example: Example) -> Example:
     """A copy of the example with the highest variety whose measures are within limits."""
     long, trials = variety_trials(example)
-    limit = max(VARIETY.lost, VARIETY.share * long)
+    limit = max(_LOST, _SHARE * long)
     variety = next(
-        (one.variety for one in trials if one.lost <= limit and one.seams <= VARIETY.seams),
-        VARIETY.tried[-1],
+        (one.variety for one in trials if one.lost <= limit and one.seams <= _SEAMS),
+        _TRIED[-1],
     )
     return example.varied(variety)
 
@@ -56,14 +67,14 @@ def variety_trials(example: Example) -> tuple[float, tuple[VarietyTrial, ...]]:
     """The exemplar's RMS correlation at long shifts, and measures of varieties, highest first."""
     exemplar, index = example.exemplar, example.index
     coarse = coarsened(exemplar, detail_bits(exemplar))
-    level = min(VARIETY.level, len(index.bases) - 1)
+    level = min(_LEVEL, len(index.bases) - 1)
     features = features_of(planes_of(coarse), index.scale)
     planes = _detrended(grids_of(features, level + 1)[level][:_COMPARED].astype(np.float32))
     lookup, spacing = example.lookup, 1 << level
     bits = grid_bits(level)
     own = _thinned(planes[:, :: spacing >> bits, :: spacing >> bits], spacing)
     true, shifts = _correlation(own)
-    far = shifts >= VARIETY.near
+    far = shifts >= _NEAR
     power = float((true[far] ** 2).mean()) if far.any() else 0.0
     if not power:
         return 0.0, ()
@@ -78,7 +89,7 @@ def variety_trials(example: Example) -> tuple[float, tuple[VarietyTrial, ...]]:
         )
         return VarietyTrial(variety, power**0.5 * (1.0 - kept), seams)
 
-    return power**0.5, tuple(one(variety) for variety in VARIETY.tried)
+    return power**0.5, tuple(one(variety) for variety in _TRIED)
 
 
 def _blocks(
@@ -103,7 +114,7 @@ def _blocks(
     spacing = 1 << level
     area = Rectangle(0, 0, -(-size[0] // spacing), -(-size[1] // spacing))
     kept, seams = [], []
-    for seed in range(VARIETY.blocks if level == VARIETY.level else 1):
+    for seed in range(_BLOCKS if level == _LEVEL else 1):
         places = coordinates(lookup, seed, {level: area}, None)[level].astype(np.int64)
         correlation, _ = _correlation(seen(places[..., 0], places[..., 1]))
         rows, columns = (min(a, b) for a, b in zip(correlation.shape, true.shape, strict=True))
@@ -132,8 +143,8 @@ def _detrended(planes: Planes) -> Planes:
 
 
 def _thinned(planes: Planes, spacing: int) -> Planes:
-    """Averages over squares of VARIETY.step texels; `spacing` is that of the planes."""
-    side = max(1, VARIETY.step // spacing)
+    """Averages over squares of _STEP texels; `spacing` is that of the planes."""
+    side = max(1, _STEP // spacing)
     rows, columns = (n // side for n in planes.shape[1:])
     cut = planes[:, : rows * side, : columns * side]
     means: Planes = cut.reshape(len(planes), rows, side, columns, side).mean(axis=(2, 4))
@@ -153,4 +164,4 @@ def _correlation(planes: Planes) -> tuple[NDArray[np.float64], NDArray[np.float6
     mean = np.fft.irfft2(power, whole) / np.maximum(np.fft.irfft2(overlap, whole), 1.0)
     down, across = np.arange(rows // 2), np.arange(-(columns // 2), columns // 2)
     half_plane = mean[np.ix_(down, across)] / max(float(mean[0, 0]), 1e-9)
-    return half_plane, VARIETY.step * np.hypot(down[:, None], across[None, :])
+    return half_plane, _STEP * np.hypot(down[:, None], across[None, :])

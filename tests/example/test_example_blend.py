@@ -7,15 +7,14 @@ import plain_loops as plain
 import pytest
 from exemplars import a_coloured_example, an_example, blobs, exemplar, ordered
 
-from matcap.example.blend import ExemplarBands, Nodes, Votes, bands_of, blended
+from matcap.example.blend import BAND_LEVELS, BANDS, ExemplarBands, Nodes, Votes, bands_of, blended
 from matcap.example.example import Example
-from matcap.example.tuned import BLEND
 from matcap.field.plane import Rectangle
 
 SIZE = (300, 120)  # texels of the halves
 
 
-UNLIKE = (*[0.0] * (BLEND.bands - 1), 1.0)
+UNLIKE = (*[0.0] * (BANDS - 1), 1.0)
 
 
 def halves(piece, left, right, alike=UNLIKE):
@@ -30,7 +29,7 @@ def halves(piece, left, right, alike=UNLIKE):
         return np.stack([x, y], axis=-1) + side
 
     votes = []
-    for band in range(BLEND.bands):
+    for band in range(BANDS):
         one = Votes.of(band, area, None, 0, 1)
         wanted = one.wanted
         y, x = np.mgrid[: wanted.height, : wanted.width]
@@ -82,7 +81,7 @@ def test_what_is_not_rearranged_is_the_exemplar_to_the_bit():
     assert np.array_equal(found, plainly)
     found, plainly = halves(blobs(500, 300), (90, 80), (150, 100))
     changed = (found != plainly).any(axis=(0, 1))
-    far = 3 << (BLEND.bands - 2)  # nodes reach one and a half steps of 2^(bands - 1) texels
+    far = 3 << (BANDS - 2)  # nodes reach one and a half steps of 2^(bands - 1) texels
     middle = SIZE[0] // 2
     assert changed[middle - 8 : middle + 8].all()
     assert not changed[: middle - far].any() and not changed[middle + far :].any()
@@ -107,7 +106,7 @@ def test_contrast_is_kept_where_pieces_meet():
         found, plainly = halves(piece, (100, 100), (431, 217), alike)
         return np.array([found[i][:, seam].std() / plainly[i][:, seam].std() for i in range(5)])
 
-    assert (kept(UNLIKE) > 0.92).all() and (kept((1.0,) * BLEND.bands) < 0.9).all()
+    assert (kept(UNLIKE) > 0.92).all() and (kept((1.0,) * BANDS) < 0.9).all()
     for example, low, high in ((an_example(), 0.1, 0.4), (ordered(), 0.7, 1.0)):
         found = example._ready.shown.correlations
         assert low < np.mean(found[:4]) < high and found[-1] == 1.0
@@ -123,9 +122,9 @@ def test_seams_cast_no_steeper_steps_than_the_exemplar_has():
 
 
 @pytest.mark.parametrize("period", [None, 16, 48, 80, 112, 2**40])
-@pytest.mark.parametrize("band", range(BLEND.bands))
+@pytest.mark.parametrize("band", range(BANDS))
 def test_nodes_repeat_with_the_field_and_weigh_one(band, period):
-    spacing, unit = 1 << band, 1 << BLEND.levels[band]
+    spacing, unit = 1 << band, 1 << BAND_LEVELS[band]
     far = 2**39 if period is None else 5 * period
     axis = Nodes.of(-far, 200, spacing, unit, period)
     assert np.abs(axis.weights.sum(axis=1) - 1.0).max() < 1e-6 and axis.weights.min() >= 0.0

@@ -12,12 +12,11 @@ from matcap.example.appearance import DIMENSIONS, LARGEST, TAPS, Basis, project
 from matcap.example.correction import correct
 from matcap.example.features import LIMIT, PLANES
 from matcap.example.grids import COST_BITS, Frame
-from matcap.example.lookup import Level
-from matcap.example.tuned import LOOKUP
+from matcap.example.lookup import PENALTY_BITS, Level
 
 INT16, INT32 = 2**15 - 1, 2**31 - 1
 SIDE = 1024  # places of a draw: a million of them
-MOST_PRICE = 255**2 << LOOKUP.cost_bits
+MOST_PRICE = 255**2 << PENALTY_BITS
 MOST_TURN = 2**15 >> PHASE_SHIFT
 
 

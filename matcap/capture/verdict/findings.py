@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 from matcap.capture.verdict.causes import more_photographs
 from matcap.capture.verdict.highlight import UNSEEN
@@ -16,21 +15,13 @@ PHOTOGRAPHED = ("flash", "clipped", "tilt", "stationarity")
 """Keys of the photograph's own checks that are part of the verdict."""
 
 
-@dataclass(frozen=True)
-class FindingSettings:
-    """Limits of visibility for the ratings; docs/notes/verdict.md."""
+# Limits of visibility for the ratings; docs/notes/verdict.md.
+_WIDEST = 0.34  # largest half width of a visible highlight, plane units (below that of the falloff)
+_FAINTEST = 2.0  # least peak of a visible highlight over its surroundings
+# Tolerance of a highlight's position: plane units, plus a share of its half width.
+_PLACE_TOLERANCE = (0.03, 0.1)
+_PLAIN_ORDER = 0.15  # least autocorrelation at one period of a photograph with a visible lattice
 
-    widest: float = 0.34
-    """Largest half width of a visible highlight, plane units (below that of the falloff)."""
-    faintest: float = 2.0
-    """Least peak of a visible highlight over its surroundings."""
-    place_tolerance: tuple[float, float] = (0.03, 0.1)
-    """Tolerance of a highlight's position: plane units, plus a share of its half width."""
-    plain_order: float = 0.15
-    """Least autocorrelation at one period of a photograph with a visible lattice."""
-
-
-FINDINGS = FindingSettings()
 
 # By map: the smallest visible highlight residue, and its phrase in the verdict.
 RESIDUES: Mapping[str, tuple[float, str]] = {
@@ -63,11 +54,7 @@ def findings(seen: Measurements) -> Iterator[Finding]:
 
 def plain(highlight: Highlight | None) -> bool:
     """Whether a highlight is clearly visible."""
-    return (
-        highlight is not None
-        and highlight.width < FINDINGS.widest
-        and highlight.contrast > FINDINGS.faintest
-    )
+    return highlight is not None and highlight.width < _WIDEST and highlight.contrast > _FAINTEST
 
 
 def _highlight(seen: Measurements) -> Iterator[Finding]:
@@ -83,7 +70,7 @@ def _highlight(seen: Measurements) -> Iterator[Finding]:
     if before is None or after is None or not (plain(before) or plain(after)):
         return
     distance = math.dist(before.centre, after.centre)
-    tolerance = FINDINGS.place_tolerance[0] + FINDINGS.place_tolerance[1] * before.width
+    tolerance = _PLACE_TOLERANCE[0] + _PLACE_TOLERANCE[1] * before.width
     yield CHECKS["highlight_place"].finding(distance / tolerance, off=50.0 * distance)
     yield CHECKS["highlight_width"].finding(after.width / before.width)
 
@@ -134,7 +121,7 @@ def _order(seen: Measurements) -> Iterator[Finding]:
     if seen.order is None:
         return
     before, after = seen.order
-    if before < FINDINGS.plain_order:
+    if before < _PLAIN_ORDER:
         yield CHECKS["order"].not_judged("the photograph shows no regular pattern to compare")
         return
     kept = max(after, 0.0) / before

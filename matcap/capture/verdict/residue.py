@@ -7,8 +7,6 @@ as stains.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,19 +17,10 @@ from matcap.flash.geometry import FlashSetup
 BlockMeans = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class ResidueSettings:
-    """Settings of the measurement of what the highlight left in the maps; docs/notes/verdict.md."""
-
-    blocks: int = 24
-    """Blocks along the long side; smaller structure is texture."""
-    rings: int = 6
-    """Rings of equally many blocks; more resolve finer, with more sampling variance."""
-    toe: float = 0.004
-    """Added to albedo and F0 before logarithms."""
-
-
-RESIDUE = ResidueSettings()
+# Settings of the measurement of what the highlight left in the maps; docs/notes/verdict.md.
+_BLOCKS = 24  # blocks along the long side; smaller structure is texture
+_RINGS = 6  # rings of equally many blocks; more resolve finer, with more sampling variance
+_TOE = 0.004  # added to albedo and F0 before logarithms
 
 
 def highlight_residue(piece: Exemplar, setup: FlashSetup) -> dict[str, float]:
@@ -46,8 +35,8 @@ def highlight_residue(piece: Exemplar, setup: FlashSetup) -> dict[str, float]:
     slopes = np.gradient(piece.height[0].astype(np.float64) / step)
     steep = _blocks(np.square(slopes[0]) + np.square(slopes[1]))
     planes = {
-        "albedo": _blocks(np.log(piece.diffuse.mean(0, dtype=np.float64) + RESIDUE.toe)),
-        "specular": _blocks(np.log(piece.specular.mean(0, dtype=np.float64) + RESIDUE.toe)),
+        "albedo": _blocks(np.log(piece.diffuse.mean(0, dtype=np.float64) + _TOE)),
+        "specular": _blocks(np.log(piece.specular.mean(0, dtype=np.float64) + _TOE)),
         "roughness": _blocks(piece.roughness[0].astype(np.float64)),
         # A flat exemplar has slopes of a thousandth, from rounding.
         "grain": 0.5 * np.log(steep + 1e-4),
@@ -66,17 +55,17 @@ def in_rings(values: BlockMeans, distances: BlockMeans) -> float:
         distances: of the blocks from the mirror point, same shape.
     """
     order = np.argsort(distances, axis=None, kind="stable")
-    rings = np.array_split(values.ravel()[order], RESIDUE.rings)
-    count = values.size / RESIDUE.rings
+    rings = np.array_split(values.ravel()[order], _RINGS)
+    count = values.size / _RINGS
     between = count * np.var([ring.mean() for ring in rings], ddof=1)
     within = sum(np.square(ring - ring.mean()).sum() for ring in rings)
-    within /= max(values.size - RESIDUE.rings, 1)
+    within /= max(values.size - _RINGS, 1)
     return float(np.sqrt(max(between - within, 0.0) / count))
 
 
 def _blocks(plane: BlockMeans) -> BlockMeans:
     """Means of square blocks; the last ones include the remaining rows and columns."""
-    side = max(1, max(plane.shape) // RESIDUE.blocks)
+    side = max(1, max(plane.shape) // _BLOCKS)
     rows, columns = (np.arange(0, max(n - side, 0) + 1, side) for n in plane.shape)
     counts = [np.diff([*starts, n]) for starts, n in zip((rows, columns), plane.shape, strict=True)]
     sums = np.add.reduceat(np.add.reduceat(plane, rows, 0), columns, 1)

@@ -6,23 +6,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.exemplar import COLOURED, SPECULAR, Floats
-from matcap.example.repeat.tuned import REPEAT
+
+# The seamless tile; docs/notes/field.md.
+
+# Parts a side whose medians low frequencies are fitted to. Fewer are less affected by stains,
+# and resolve low frequencies less.
+_CELLS = 16
+# Half periods a side up to which frequencies are removed. More make repeats less visible, and
+# remove more of a large pattern.
+_SLOW = 4
+# F0 of the brightest channel above which a texel is metal, where F0 has a colour. Gems have up
+# to 0.17, metals 0.4 and more.
+_METAL = 0.25
 
 _BLACK = 1e-3  # lower limit of albedo and F0 in logarithms
-_ORDERS = np.arange(REPEAT.slow + 1)
+_ORDERS = np.arange(_SLOW + 1)
 
 
 def flatten(maps: Floats) -> Floats:
     """Stacked maps (6 or 8, H, W) without their low frequencies.
 
-    Low frequencies are cosines of up to REPEAT.slow half periods a side, fitted to the medians of
-    REPEAT.cells^2 parts; medians, so that a stain has little effect. Albedo and F0 are divided by
+    Low frequencies are cosines of up to _SLOW half periods a side, fitted to the medians of
+    _CELLS^2 parts; medians, so that a stain has little effect. Albedo and F0 are divided by
     them, roughness is reduced by them; means are kept. Where F0 has a colour, the median of metal,
     or of dielectric, is subtracted first, so that a part with more rust than metal does not count
     as darker.
     """
     flattened = maps.copy()
-    metal = maps[SPECULAR].max(axis=0) > REPEAT.metal
+    metal = maps[SPECULAR].max(axis=0) > _METAL
     classes = (metal, ~metal) if len(maps[SPECULAR]) == COLOURED else ()
     # All maps but the height, whose mean slope join.py removes.
     roughness = len(maps) - 2
@@ -48,7 +59,7 @@ def _less_class_medians(plane: Floats, classes: tuple[NDArray[np.bool_], ...]) -
 def _slow(plane: Floats) -> Floats:
     """(H, W) low frequencies of a plane, of zero mean."""
     parts = [
-        [part for part in np.array_split(np.arange(side), REPEAT.cells) if part.size]
+        [part for part in np.array_split(np.arange(side), _CELLS) if part.size]
         for side in plane.shape
     ]
     rows, columns = parts
@@ -62,7 +73,7 @@ def _slow(plane: Floats) -> Floats:
     down, across = (_waves(np.array(some)) for some in middles)
     amounts = np.linalg.pinv(down) @ medians @ np.linalg.pinv(across).T
     ends = [_waves((np.arange(side) + 0.5) / side) for side in plane.shape]
-    amounts[_ORDERS[:, None] + _ORDERS[None, :] > REPEAT.slow] = 0.0
+    amounts[_ORDERS[:, None] + _ORDERS[None, :] > _SLOW] = 0.0
     slow = ends[0] @ amounts @ ends[1].T
     return (slow - slow.mean()).astype(np.float32)
 

@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.exemplar import Floats
-from matcap.example.repeat.tuned import REPEAT
+
+# The seamless tile; docs/notes/field.md.
+_BLUR = 6.0  # texels over which the step at a seam is spread. Less shows the seam, more a halo.
 
 TileTexels = NDArray[np.int64]
 
@@ -16,13 +18,13 @@ def joined(maps: Floats, x: TileTexels, y: TileTexels) -> Floats:
 
     Height minimises sum |grad h - g|^2 on the torus, g the exemplar's differences between texels;
     this removes its mean slope. The other maps minimise the same plus sum (m - shown)^2 / blur^2,
-    which spreads the step at a seam over about REPEAT.blur texels.
+    which spreads the step at a seam over about _BLUR texels.
 
     Args:
         maps: stacked, of the exemplar.
         x, y: (h, w) texels of the exemplar that the tile shows.
     """
-    planes = np.stack([_closed(plane, x, y, REPEAT.blur) for plane in maps[:-1]])
+    planes = np.stack([_closed(plane, x, y, _BLUR) for plane in maps[:-1]])
     np.clip(planes, 0.0, 1.0, out=planes)
     return np.concatenate([planes, _closed(maps[-1], x, y, None)[None]])
 

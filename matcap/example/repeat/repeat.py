@@ -16,15 +16,17 @@ from numpy.typing import NDArray
 
 from matcap.errors import UsageError
 from matcap.example.exemplar import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, Floats
-from matcap.example.features import choose_scale, planes_of_maps
+from matcap.example.features import UNIT, choose_scale, planes_of_maps
 from matcap.example.lattice import Frequency, PhasedLattice
 from matcap.example.repeat.cut import least_cut
 from matcap.example.repeat.flatten import flatten
 from matcap.example.repeat.join import TileTexels, is_cut, joined
-from matcap.example.repeat.shifts import Planes, Shift, best_shift, copies
+from matcap.example.repeat.shifts import LENGTH, STRETCH, Planes, Shift, best_shift, copies
 from matcap.example.repeat.straighten import straightened, unbent
-from matcap.example.repeat.tuned import REPEAT
-from matcap.example.tuned import FEATURE
+
+# The seamless tile; docs/notes/field.md.
+_DISORDERED = 1.15  # factor on the cost of shifts that do not keep the lattice
+_CALM = 1.0  # largest step across the tile's border over the mean step, in any map; see _usual_line
 
 _LEAST = 32  # least side of an exemplar, texels
 
@@ -67,7 +69,7 @@ def repeated(
         straight = unbent(level, lattice, bits)
         waves = tuple((fx / 2**bits, fy / 2**bits) for fx, fy in lattice.waves)
         *ordered, ordered_cost = _shifts(_seen(straight, texel_size), waves)
-        if ordered_cost <= REPEAT.disordered * cost:
+        if ordered_cost <= _DISORDERED * cost:
             level, (across, down) = straight, ordered
     straight, along, below = straightened(level, across, down)
     seen = _seen(straight, texel_size)
@@ -83,11 +85,11 @@ def _shifts(seen: Planes, waves: tuple[Frequency, ...]) -> tuple[Shift, Shift, f
     turned_waves = tuple((fy, fx) for fx, fy in waves)
     across, down = best_shift(seen, waves), best_shift(turned, turned_waves)
     # Equal and opposite slants are a rotation; any more would shear the exemplar too much.
-    if not waves and abs(across.slant + down.slant) > REPEAT.stretch:
+    if not waves and abs(across.slant + down.slant) > STRETCH:
         if abs(across.slant) > abs(down.slant):
-            down = best_shift(turned, (), -across.slant, REPEAT.stretch)
+            down = best_shift(turned, (), -across.slant, STRETCH)
         else:
-            across = best_shift(seen, (), -down.slant, REPEAT.stretch)
+            across = best_shift(seen, (), -down.slant, STRETCH)
     return across.shift, (down.shift[1], down.shift[0]), across.cost + down.cost
 
 
@@ -96,11 +98,11 @@ def _places(seen: Planes, along: int, below: int) -> tuple[TileTexels, TileTexel
     rows, columns = np.arange(below), np.arange(seen.shape[2])
     # First a horizontal seam over the whole width, then a vertical one that repeats with the tile.
     first, second = copies(_turned(seen), below)
-    upper, _ = least_cut(_rms_difference(first, second), REPEAT.length, closed=False)
+    upper, _ = least_cut(_rms_difference(first, second), LENGTH, closed=False)
     down = rows[:, None] + below * (rows[:, None] < upper[None, :])
     shown = seen[:, down, columns[None, :]]
     first, second = copies(shown, along)
-    left, _ = least_cut(_rms_difference(first, second), REPEAT.length, closed=True)
+    left, _ = least_cut(_rms_difference(first, second), LENGTH, closed=True)
     across = columns[None, :along] + along * (columns[None, :along] < left[:, None])
     return across, down[rows[:, None], across]
 
@@ -109,7 +111,7 @@ def _usual_line(maps: Floats, axis: int) -> int:
     """How far to roll the tile along an axis so that the steps across its border are usual ones.
 
     The border may lie at an edge of the texture, such as a joint of tiles. It is moved to the
-    nearest line at which all maps differ no more than REPEAT.calm times their mean difference.
+    nearest line at which all maps differ no more than _CALM times their mean difference.
     """
     steps = np.abs(np.roll(maps, -1, axis) - maps).mean(axis=3 - axis)
     usual = steps.mean(axis=1, keepdims=True)
@@ -121,7 +123,7 @@ def _usual_line(maps: Floats, axis: int) -> int:
     distance = np.abs(np.arange(-1 - reach, reach) + 1)
     near = np.arange(-1 - reach, reach)
     lattice = np.argsort(distance, kind="stable")
-    calm = [int(near[i]) for i in lattice if worst[near[i]] <= REPEAT.calm]
+    calm = [int(near[i]) for i in lattice if worst[near[i]] <= _CALM]
     chosen = calm[0] if calm else int(near[np.argmin(worst[near])])
     return -(chosen + 1)
 
@@ -132,7 +134,7 @@ def _seen(maps: Floats, texel_size: float) -> Planes:
         (maps[DIFFUSE], maps[SPECULAR], maps[ROUGHNESS], maps[HEIGHT]), texel_size
     )
     scale = choose_scale(planes)
-    factors = scale.factors / np.float32(FEATURE.unit)
+    factors = scale.factors / np.float32(UNIT)
     return ((planes - scale.offsets[:, None, None]) * factors[:, None, None])[:-1]
 
 

@@ -11,7 +11,18 @@ from numpy.typing import NDArray
 
 from matcap.example.lattice import Frequency
 from matcap.example.repeat.cut import least_cut
-from matcap.example.repeat.tuned import REPEAT
+
+# The seamless tile; docs/notes/field.md.
+_LEAST = 0.66  # least share of a side that the tile keeps. Less gives more shifts to choose from.
+_MOST = 0.92  # largest share; the rest is overlap for the seam
+STRETCH = 0.02  # largest change of a shift to whole turns of a lattice, as a share of the shift
+_SEARCH = 320  # texels of the exemplar's longer side in the search for shifts
+_TURN = 0.06  # largest dy / dx of a shift
+# Factor on the cost of a slanted shift, as resampling loses some of the finest detail.
+_SLANTED = 1.15
+_CANDIDATES = 8  # shifts whose seams are compared
+_LARGER = 0.6  # reduction of the relative cost for a shift as long as the side
+LENGTH = 0.1  # cost of a step of the seam, standard deviations of a feature; it keeps seams short
 
 Planes = NDArray[np.float32]
 Shift = tuple[float, float]  # texels along x (right) and y (down)
@@ -42,7 +53,7 @@ def best_shift(
     planes: Planes,
     waves: tuple[Frequency, ...],
     slant: float = 0.0,
-    slack: float = REPEAT.turn,
+    slack: float = _TURN,
 ) -> RatedShift:
     """The shift, about along x, whose best seam costs least.
 
@@ -55,7 +66,7 @@ def best_shift(
         slant: dy / dx of a shift that does not count as slanted.
         slack: largest difference from that slant, without a lattice.
     """
-    scale = 1 << max(0, math.ceil(math.log2(max(planes.shape[1:]) / REPEAT.search)))
+    scale = 1 << max(0, math.ceil(math.log2(max(planes.shape[1:]) / _SEARCH)))
     small = _shrunk(planes, scale)
     width = planes.shape[2]
     table = _differences(small, slant, slack)
@@ -73,21 +84,19 @@ def best_shift(
     is_straight = {one.shift for one in straight}
 
     def score(one: RatedShift) -> float:
-        dearer = 1.0 if one.shift in is_straight else REPEAT.slanted
-        return dearer * one.cost / middle - REPEAT.larger * one.shift[0] / width
+        dearer = 1.0 if one.shift in is_straight else _SLANTED
+        return dearer * one.cost / middle - _LARGER * one.shift[0] / width
 
     best = min(rated, key=score)
     return best if waves else RatedShift(_refined(planes, best.shift, scale), best.cost)
 
 
 def _likeliest(some: list[_Candidate], usual: float, width: int, scale: int) -> list[_Candidate]:
-    """The REPEAT.candidates shifts of least difference, no two of them adjacent."""
-    ranked = sorted(
-        some, key=lambda one: one.difference / usual - REPEAT.larger * one.shift[0] / width
-    )
+    """The _CANDIDATES shifts of least difference, no two of them adjacent."""
+    ranked = sorted(some, key=lambda one: one.difference / usual - _LARGER * one.shift[0] / width)
     separate: list[_Candidate] = []
     for one in ranked:
-        if len(separate) == REPEAT.candidates:
+        if len(separate) == _CANDIDATES:
             break
         if all(_largest_difference(one, other) > scale for other in separate):
             separate.append(one)
@@ -106,7 +115,7 @@ class _Table:
 def _differences(planes: Planes, slant: float, slack: float) -> _Table:
     """Differences for all allowed shifts, by FFT."""
     _, high, wide = planes.shape
-    first, last = math.ceil(REPEAT.least * wide), math.floor(REPEAT.most * wide)
+    first, last = math.ceil(_LEAST * wide), math.floor(_MOST * wide)
     sides = (2 * high, 2 * wide)
     waves = np.fft.rfft2(planes.astype(np.float64), s=sides)
     squares = np.fft.rfft2(np.square(planes, dtype=np.float64).sum(axis=0), s=sides)
@@ -144,13 +153,13 @@ def _ordered(
     """Shifts nearest to horizontal ones that are whole turns of every wave."""
     turns = np.array(waves)
     back = np.linalg.pinv(turns)
-    low, high = math.ceil(REPEAT.least * width), math.floor(REPEAT.most * width)
+    low, high = math.ceil(_LEAST * width), math.floor(_MOST * width)
     seen = set()
     for along in range(low, high + 1):
         straight = np.array([along, 0.0])
         wanted = np.rint(turns @ straight)
         shift = straight + back @ (wanted - turns @ straight)
-        if np.abs(shift - straight).max() > REPEAT.stretch * along:
+        if np.abs(shift - straight).max() > STRETCH * along:
             continue
         name = (round(shift[0]), round(shift[1]))
         if name in seen or not low <= shift[0] <= high:
@@ -173,7 +182,7 @@ def _cost(planes: Planes, shift: Shift, scale: int) -> float:
     along, down = round(shift[0] / scale), round(shift[1] / scale)
     first, second = copies(planes, along, down)
     difference = np.sqrt(np.square(first - second).mean(axis=0))
-    return least_cut(difference, REPEAT.length, closed=False)[1]
+    return least_cut(difference, LENGTH, closed=False)[1]
 
 
 def copies(planes: Planes, along: int, down: int = 0) -> tuple[Planes, Planes]:

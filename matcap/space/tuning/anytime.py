@@ -14,8 +14,14 @@ from dataclasses import replace
 import numpy as np
 
 from matcap.flash.windows import Windows, side_by_side
-from matcap.space.tuning.tuned import FORECAST
 from matcap.statistics.compare import Weights, distance
+
+# The forecast of the error; docs/notes/prior.md.
+_EVERY = 20  # steps between forecasts
+_LEAST_STEPS = 20  # steps that a forecast needs
+# Share of the time from which on steps are fitted. With 0.5, random low errors made forecasts
+# wrong by up to a third.
+_SINCE = 0.1
 
 History = Sequence[tuple[float, int, float]]  # seconds, step, running error
 
@@ -52,8 +58,8 @@ def forecast(history: History, seconds: float) -> float | None:
     """
     if not history:
         return None
-    later = [point for point in history if point[0] >= FORECAST.since * history[-1][0]]
-    if len(later) < FORECAST.least_steps:
+    later = [point for point in history if point[0] >= _SINCE * history[-1][0]]
+    if len(later) < _LEAST_STEPS:
         return None
     times = np.log([max(point[0], 1e-3) for point in later])
     errors = np.array([point[2] for point in later])
@@ -78,7 +84,7 @@ class Forecaster:
     def after(self, error: float, seconds: float) -> tuple[float | None, float | None]:
         """Add a step; return the error and its forecast for another minute."""
         self._history.append((seconds, len(self._history) + 1, error))
-        if len(self._history) % FORECAST.every == 0:
+        if len(self._history) % _EVERY == 0:
             self._ahead = forecast(self._history, 60.0)
         return self._scaled(error), self._scaled(self._ahead)
 

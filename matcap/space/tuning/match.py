@@ -3,7 +3,7 @@
 Fine-tuning ends with too little contrast where it does not reproduce the structure, and possibly
 with a wrong mean (docs/notes/prior.md). Mean and deviation of every map are parameters of the last
 AdaIN. They are corrected by rendering the material as the whole photograph, comparing, and
-updating, MATCH.rounds times. Diffuse albedo and height share one gain, because the photograph
+updating, _ROUNDS times. Diffuse albedo and height share one gain, because the photograph
 determines their contrast only jointly; F0 and roughness are not changed.
 
 The contrast ratio is measured by the mean over blocks and by their median; the gain is the ratio
@@ -28,8 +28,17 @@ from matcap.flash.render import render_flash
 from matcap.flash.windows import shot_deviation
 from matcap.space.decoder import OUTPUTS
 from matcap.space.tuned import TunedDecoder
-from matcap.space.tuning.tuned import MATCH
 from matcap.statistics.encoding import shading
+
+# Matching; docs/notes/prior.md.
+_ROUNDS = 3  # iterations
+_BLOCK = 32  # texels: side of the blocks over which radiance is averaged
+_CLIPPED = 0.97  # share of the clip level above which texels are not compared
+_LEAST_SEEN = 0.05  # least share of texels to compare
+_DAMPING = 0.1  # added to the squared diffuse share; it limits shifts where most light is specular
+_GAIN_STEP = (0.7, 1.4)  # limits of the gain in one iteration
+_GAIN = (0.6, 1.7)  # limits of the whole gain
+_SHIFT = 1.0  # limit of the whole shift, logits of diffuse albedo
 
 _LOGIT_EPSILON = 1e-5  # of albedo: bounds the logit at 0 and 1
 _DIFFUSE, _HEIGHT = slice(0, 3), slice(5, 6)  # of the raw outputs
@@ -73,7 +82,7 @@ def match_photograph(material: Material, plane: Plane, seed: int = 0) -> Materia
 def correction(material: Material, plane: Plane, seed: int) -> Correction:
     """The correction that match_photograph applies.
 
-    Identity where less than MATCH.least_seen of the photograph can be compared.
+    Identity where less than _LEAST_SEEN of the photograph can be compared.
     """
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
@@ -86,23 +95,21 @@ def correction(material: Material, plane: Plane, seed: int) -> Correction:
         maps = material.maps(width, height, seed=seed)
         logit = torch.logit(maps.diffuse, eps=_LOGIT_EPSILON)
         moved, share = Correction(1.0, torch.zeros(3)), None
-        for _ in range(MATCH.rounds):
+        for _ in range(_ROUNDS):
             now = _moved(maps, logit, middle[_DIFFUSE], moved)
             clean = render_flash(now, material.setup, points)
             if share is None:
                 share = _diffuse_share(now, clean, material, points)
             seen = clean if hiss is None else clean + hiss * shot_deviation(clean)
-            unclipped = (plane.linear.amax(0) < MATCH.clipped) & (seen.amax(0) < MATCH.clipped)
+            unclipped = (plane.linear.amax(0) < _CLIPPED) & (seen.amax(0) < _CLIPPED)
             compared = plane.valid & unclipped
-            if float(compared.float().mean()) < MATCH.least_seen:
+            if float(compared.float().mean()) < _LEAST_SEEN:
                 break
             log = plane.encoding.log(seen[None])
             blocks = _Blocks(compared)
             moved = Correction(
-                _bounded(moved.gain * _gain(contrast, _contrast(log), blocks), MATCH.gain),
-                _shift((true - log)[0], share, moved.shift, blocks).clamp(
-                    -MATCH.shift, MATCH.shift
-                ),
+                _bounded(moved.gain * _gain(contrast, _contrast(log), blocks), _GAIN),
+                _shift((true - log)[0], share, moved.shift, blocks).clamp(-_SHIFT, _SHIFT),
             )
     return moved
 
@@ -119,7 +126,7 @@ class _Blocks:
 
     def __init__(self, compared: Tensor) -> None:
         self._compared = compared
-        self._size = min(MATCH.block, *compared.shape)
+        self._size = min(_BLOCK, *compared.shape)
         self.weight = F.avg_pool2d(compared.float()[None], self._size)
 
     def __call__(self, values: Tensor) -> Tensor:
@@ -159,7 +166,7 @@ def _gain(wanted: Tensor, rendered: Tensor, blocks: _Blocks) -> float:
         for measure in (torch.mean, torch.median)
     ]
     least, most = min(ratios), max(ratios)
-    return _bounded(_bounded(1.0, (least, most)), MATCH.gain_step)
+    return _bounded(_bounded(1.0, (least, most)), _GAIN_STEP)
 
 
 def _bounded(value: float, limits: tuple[float, float]) -> float:
@@ -170,8 +177,8 @@ def _shift(difference: Tensor, share: Tensor, already: Tensor, blocks: _Blocks) 
     """(3,) damped least-squares shift of diffuse logits for differences of log radiance (3, H, W).
 
     With block means d of the differences, s of the derivative and weights w:
-    sum(w s (d + s already)) / sum(w (s^2 + MATCH.damping)). Blocks in the highlight have small s.
+    sum(w s (d + s already)) / sum(w (s^2 + _DAMPING)). Blocks in the highlight have small s.
     """
     difference, share, weight = blocks(difference), blocks(share), blocks.weight
     explained = weight * share * (difference + share * already[:, None, None])
-    return explained.sum((1, 2)) / (weight * (share.square() + MATCH.damping)).sum((1, 2))
+    return explained.sum((1, 2)) / (weight * (share.square() + _DAMPING)).sum((1, 2))

@@ -10,13 +10,19 @@ from torch import Tensor
 
 from matcap.flash.adam import Adam
 from matcap.space.decoder import Decoder
-from matcap.space.tuning.tuned import ROLLBACK
+
+# Rollback; docs/notes/prior.md.
+_SMOOTHING = 0.05  # weight of the newest step in the running error
+_EXPLODED = 4.0  # loss over running error beyond which a step diverges
+_LEAST_ERROR = 0.1  # lower limit of the running error in that ratio
+_SNAPSHOT_EVERY = 20  # steps between comparisons with the best decoder
+_LONGEST_GRADIENT = 1.0  # norm over all weights to which gradients are clipped
 
 
 class Rollback:
     """Optimiser with rollback.
 
-    A step diverges if its loss or gradient is not finite, or its loss exceeds ROLLBACK.exploded
+    A step diverges if its loss or gradient is not finite, or its loss exceeds _EXPLODED
     times the running error. Then the best decoder is restored and the learning rate halved.
 
     Attributes:
@@ -45,20 +51,20 @@ class Rollback:
         self._step += 1
         value = float(loss.detach())
         slope = math.nan
-        limit = ROLLBACK.exploded * max(self.error, ROLLBACK.least_error)
+        limit = _EXPLODED * max(self.error, _LEAST_ERROR)
         if math.isfinite(value) and not value > limit:
             self.decoder.zero_grad(set_to_none=True)
             (loss + penalty).backward()
             parameters = self.decoder.parameters()
-            slope = float(torch.nn.utils.clip_grad_norm_(parameters, ROLLBACK.longest_gradient))
+            slope = float(torch.nn.utils.clip_grad_norm_(parameters, _LONGEST_GRADIENT))
         if not math.isfinite(slope):
             self._back()
             return False
         self._optimiser.step(self._rate * pace)
-        smoothing = max(ROLLBACK.smoothing, 1.0 / self._step)
+        smoothing = max(_SMOOTHING, 1.0 / self._step)
         before = value if math.isnan(self.error) else self.error
         self.error = before + smoothing * (value - before)
-        if self._step % ROLLBACK.snapshot_every == 0 and self.error < self._best_error:
+        if self._step % _SNAPSHOT_EVERY == 0 and self.error < self._best_error:
             self._best = copy.deepcopy(self.decoder.state_dict())
             self._best_error = self.error
         return True

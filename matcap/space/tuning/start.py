@@ -16,8 +16,13 @@ from torch import Tensor
 from matcap.flash.coarse import CoarseFit
 from matcap.space.decoder import Decoder, DecoderConfig, with_cells
 from matcap.space.lattice_channels import CELL_CHANNELS
-from matcap.space.tuning.tuned import HEAD
 from matcap.statistics.encoding import shading
+
+# The head's first parameters; docs/notes/prior.md.
+_CONTRAST_GAIN = 1.2  # logits of diffuse albedo per log radiance: d log sigmoid(x) / dx is below 1
+_SPECULAR_CONTRAST = 0.1  # initial standard deviation of the logit of F0
+_ROUGHNESS_CONTRAST = 0.1  # initial standard deviation of the logit of roughness
+_RELIEF = 0.15  # initial standard deviation of height, texels
 
 
 def head_start(coarse: CoarseFit, contrast: Tensor) -> tuple[Tensor, Tensor]:
@@ -31,8 +36,8 @@ def head_start(coarse: CoarseFit, contrast: Tensor) -> tuple[Tensor, Tensor]:
         torch.cat([coarse.logits(), torch.zeros(1)]),
         torch.cat(
             [
-                contrast * HEAD.contrast_gain,
-                torch.tensor([HEAD.specular_contrast, HEAD.roughness_contrast, HEAD.relief]),
+                contrast * _CONTRAST_GAIN,
+                torch.tensor([_SPECULAR_CONTRAST, _ROUGHNESS_CONTRAST, _RELIEF]),
             ]
         ),
     )
