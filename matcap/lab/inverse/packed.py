@@ -24,7 +24,7 @@ from torch import Tensor
 from matcap.brdf.integrate import integrated
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
-from matcap.lab.simulate.map_sets import bare_metals, read_surface
+from matcap.lab.simulate.map_sets import read_surface
 from matcap.lab.train.trainer import read_tensors
 
 LEVELS = 3  # full, half, quarter
@@ -71,10 +71,9 @@ def pack(folder: Path, out: Path) -> int:
             where=str(folder),
             remedy="give a folder of folders with basecolor, normal and roughness",
         )
-    bare = bare_metals(folder / "manifest.json")
     tensors: dict[str, Tensor] = {}
     for name in names:
-        surface, height = read_set(folder / name, bare_metal=name in bare)
+        surface, height = read_set(folder / name)
         for level in range(LEVELS):
             if level:
                 surface, height = halved(surface, height)
@@ -85,14 +84,12 @@ def pack(folder: Path, out: Path) -> int:
     return len(names)
 
 
-def read_set(folder: Path, *, bare_metal: bool = False) -> tuple[Picture, Picture]:
+def read_set(folder: Path) -> tuple[Picture, Picture]:
     """(8, H, W) as PackedSet.surface, and (1, H, W) height in texels, of a folder.
 
-    Args:
-        folder: of one set; sides multiples of 2^(LEVELS - 1).
-        bare_metal: all of it is metal where nothing else is said.
+    Its sides are multiples of 2^(LEVELS - 1).
     """
-    maps = read_surface(folder, bare_metal=bare_metal)
+    maps = read_surface(folder)
     surface = np.concatenate([maps.diffuse, maps.specular, maps.roughness, maps.metallic])
     steepness = np.sqrt(np.square(maps.slopes).sum(0, keepdims=True))
     slopes = maps.slopes * np.minimum(1.0, _STEEPEST / np.maximum(steepness, 1e-6))

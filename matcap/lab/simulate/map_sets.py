@@ -23,7 +23,7 @@ from matcap.errors import MatcapError
 from matcap.relight.foreign.channels import read_channels
 from matcap.relight.foreign.read import metallic_of
 
-SPAN = 2.0  # plane units of a set's width, by default: as much as a photograph spans
+_SPAN = 2.0  # plane units of a set's width: as much as a photograph spans
 
 _PLASTIC = (0.7549, 0.5698)  # Roberts's R2 sequence: any few of its points lie far apart
 
@@ -76,24 +76,19 @@ class MapSetMaterial:
         return MapSet.from_stacked(torch.from_numpy(planes), texel_size)
 
 
-def read_map_set(folder: Path, span: float = SPAN) -> MapSetMaterial:
+def read_map_set(folder: Path) -> MapSetMaterial:
     """Read a folder.
 
     F0 has three channels if any of it is metal. Height is integrated from the normals: a height
     map's scale would be unknown.
 
-    Args:
-        folder: of one material.
-        span: width of the tile, in plane units.
-
     Raises:
         MatcapError: a map is missing, or cannot be read.
     """
-    bare = folder.name in bare_metals(folder.parent / "manifest.json")
-    maps = read_surface(folder, bare_metal=bare)
+    maps = read_surface(folder)
     specular = maps.specular if maps.metallic.any() else maps.specular[:1]
     stacked = np.concatenate([maps.diffuse, specular, maps.roughness, integrated(maps.slopes)])
-    return MapSetMaterial(folder.name, stacked.astype(np.float32), span / stacked.shape[2])
+    return MapSetMaterial(folder.name, stacked.astype(np.float32), _SPAN / stacked.shape[2])
 
 
 @dataclass(frozen=True)
@@ -115,12 +110,8 @@ class SurfaceMaps:
     slopes: Floats
 
 
-def read_surface(folder: Path, *, bare_metal: bool) -> SurfaceMaps:
-    """The maps of a folder.
-
-    Args:
-        folder: of one material.
-        bare_metal: without a metallic map, all of it is metal.
+def read_surface(folder: Path) -> SurfaceMaps:
+    """The maps of a folder; without a metallic map, all of a bare metal is metal.
 
     Raises:
         MatcapError: base colour, normal or roughness is missing, or cannot be read.
@@ -136,7 +127,8 @@ def read_surface(folder: Path, *, bare_metal: bool) -> SurfaceMaps:
     assert channels.roughness is not None and channels.slopes is not None
     metallic = channels.metallic
     if metallic is None:
-        metallic = np.full_like(channels.roughness, float(bare_metal))
+        bare = folder.name in bare_metals(folder.parent / "manifest.json")
+        metallic = np.full_like(channels.roughness, float(bare))
     both = metallic_of(channels.base, metallic)
     return SurfaceMaps(both[:3], both[3:], channels.roughness, metallic, channels.slopes)
 
