@@ -55,11 +55,11 @@ class Highlight:
         return self.peak / self.surroundings
 
 
-def light_of(pixels: NDArray[np.float32], cells: int = CELLS) -> Luminance:
-    """(h, w) mean of the channels (H, W, 3) on a grid `cells` across."""
+def light_of(pixels: NDArray[np.float32]) -> Luminance:
+    """(h, w) mean of the channels (H, W, 3) on a grid CELLS across."""
     height, width = pixels.shape[:2]
-    size = (cells, max(8, round(cells * height / width)))
-    how = cv2.INTER_AREA if width >= cells else cv2.INTER_LINEAR
+    size = (CELLS, max(8, round(CELLS * height / width)))
+    how = cv2.INTER_AREA if width >= CELLS else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(pixels, size, interpolation=how).mean(axis=2), np.float64)
 
 

@@ -44,20 +44,20 @@ _SAMPLED = 4  # stride in texels at which expected errors are sampled
 _LIGHTS = ((20.0, 40.0, 2.0), (40.0, 160.0, 2.0), (55.0, 280.0, 2.5), (68.0, 100.0, 2.5))
 
 
-def real_samples(sets: Sequence[PackedSet], each: int = 2) -> list[Sample]:
-    """Photographs of real materials, `each` of every set."""
+def real_samples(sets: Sequence[PackedSet]) -> list[Sample]:
+    """Photographs of real materials, two of every set."""
     return [
         draw_sample(_FIRST + 100 * index + visit, *_SIZE, sets=(packed,), real=1.0)
         for index, packed in enumerate(sets)
-        for visit in range(each)
+        for visit in range(2)
     ]
 
 
-def simulated_samples(count: int = 24) -> list[Sample]:
-    """Photographs of simulated materials of held-out kinds."""
+def simulated_samples() -> list[Sample]:
+    """24 photographs of simulated materials of held-out kinds."""
     stride = 1_000_000  # so that each is of a piece of its own
     return [
-        draw_sample(_FIRST + stride + 10_000 * i, *_SIZE, material=_left_out) for i in range(count)
+        draw_sample(_FIRST + stride + 10_000 * i, *_SIZE, material=_left_out) for i in range(24)
     ]
 
 

@@ -47,6 +47,7 @@ _KIND_SHARE = 0.6
 _PIECE = 1.3  # of a piece, over the picture's width; as tall as that is wide
 _JPEGS, _WITHOUT_EXIF = 0.65, 0.4  # shares: of photographs, and of those of developed ones
 _QUALITY = 92
+_RATE = 1.5e-3  # of training
 
 
 @dataclass(frozen=True)
@@ -279,25 +280,19 @@ def train_alignment(
     steps: int,
     *,
     batch: int = 24,
-    rate: float = 1.5e-3,
-    seed: int = 0,
     on_progress: Callable[[str], None] = lambda line: None,
-    network: Alignment | None = None,
 ) -> Alignment:
     """Train: AdamW on the negative log-likelihood, the rate falling from the first step on.
 
     Args:
         pool: photographs.
         steps: of `batch` photographs each.
-        batch, rate, seed: of the training.
         on_progress: called with a line every 50 steps.
-        network: to go on from; None begins anew.
     """
-    torch.manual_seed(seed)
-    network = (network or Alignment()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    assert network is not None
-    training = Training(network, {"": rate}, decay=0.0, weight_decay=0.02)
-    rng = np.random.default_rng(seed)
+    torch.manual_seed(0)
+    network = Alignment().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    training = Training(network, {"": _RATE}, decay=0.0, weight_decay=0.02)
+    rng = np.random.default_rng(0)
 
     def loss_of(_step: int) -> tuple[Tensor, Mapping[str, Tensor]]:
         taken = pool.at(torch.from_numpy(rng.integers(0, len(pool.fov), batch)))
@@ -348,13 +343,11 @@ class TiltErrors:
     score: Tensor
 
 
-def evaluate_alignment(
-    branch: Alignment, seeds: Sequence[int], *, radiometric: bool, width: int = 512
-) -> TiltErrors:
+def evaluate_alignment(branch: Alignment, seeds: Sequence[int], *, radiometric: bool) -> TiltErrors:
     """Errors on photographs of materials of seeds, from UNSEEN on never trained on."""
     errors, scores = [], []
     for seed in seeds:
-        photo, tilt = tilted_photo(seed, width, radiometric=radiometric)
+        photo, tilt = tilted_photo(seed, WIDTH, radiometric=radiometric)
         measurement = tilt_measurement(photo, branch)
         error = torch.tensor([measurement.x - tilt[0], measurement.y - tilt[1]])
         errors.append(torch.rad2deg(error))

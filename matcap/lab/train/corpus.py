@@ -104,9 +104,9 @@ def read(path: Path) -> Entry:
     return entry(path.name, path.stem.split("_")[0], code, phone_fov(*code.shape[:2]))
 
 
-def simulate(seed: int, *, deviation: float = _PACK_TILT) -> Entry:
+def simulate(seed: int) -> Entry:
     """Pack one simulated photograph; a seed is a material and a shot of it."""
-    code, camera, setup = simulated_code(seed, deviation=deviation)
+    code, camera, setup = simulated_code(seed)
     name = f"{_SIMULATED}{seed}"
     return entry(name, name, code, camera.fov, tilt=setup.tilt)
 
@@ -133,18 +133,14 @@ def true_piece(entry: Entry, side: int) -> MapSet | None:
     return scene[0].realise(side, side, int(seed), 2.0 / WAVE_DETAIL)
 
 
-def simulated_code(
-    seed: int, *, deviation: float = _PACK_TILT
-) -> tuple[NDArray[np.uint8], PhoneCamera, FlashSetup]:
+def simulated_code(seed: int) -> tuple[NDArray[np.uint8], PhoneCamera, FlashSetup]:
     """A simulated photograph (H, W, 3) uint8 BGR, the camera and the flash; see simulate."""
-    material, camera, setup = scene_of(seed, deviation)
+    material, camera, setup = scene_of(seed)
     shot = take(lambda w, h, texel: material.realise(w, h, seed, texel), camera, setup)
     return srgb_bytes(expose(shot, seed)), camera, setup
 
 
-def scene_of(
-    seed: int, deviation: float = _PACK_TILT
-) -> tuple[RandomMaterial | RandomKind, PhoneCamera, FlashSetup]:
+def scene_of(seed: int) -> tuple[RandomMaterial | RandomKind, PhoneCamera, FlashSetup]:
     """Material, camera and camera pose with flash, drawn from a seed."""
     rng = np.random.default_rng([20212, seed])
     material = material_of(seed, rng)
@@ -158,7 +154,7 @@ def scene_of(
         brightness=float(rng.uniform(0.15, 0.32)),
         clipped=float(rng.uniform(0.0, 0.04)),
     )
-    return material, camera, random_setup(rng, deviation)
+    return material, camera, random_setup(rng)
 
 
 def material_of(seed: int, rng: np.random.Generator) -> RandomMaterial | RandomKind:
@@ -167,18 +163,10 @@ def material_of(seed: int, rng: np.random.Generator) -> RandomMaterial | RandomK
     return random_kind(which) if which.random() < _KIND_SHARE else random_material(rng)
 
 
-def random_setup(rng: np.random.Generator, deviation: float | None) -> FlashSetup:
-    """Random phone above a material: flash 1 to 3 cm from the lens, distance 15 to 30 cm.
-
-    Args:
-        rng: random numbers.
-        deviation: of the two tilts, in radians; None draws them uniformly up to 15 degrees.
-    """
+def random_setup(rng: np.random.Generator) -> FlashSetup:
+    """Random phone above a material: flash 1 to 3 cm from the lens, distance 15 to 30 cm."""
     angle, reach = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.03, 0.14)
-    if deviation is None:
-        tilt = rng.uniform(-_MOST_TILT, _MOST_TILT, 2)
-    else:
-        tilt = rng.normal(0.0, deviation, 2).clip(-_MOST_TILT, _MOST_TILT)
+    tilt = rng.normal(0.0, _PACK_TILT, 2).clip(-_MOST_TILT, _MOST_TILT)
     return FlashSetup(
         offset=(reach * math.cos(angle), reach * math.sin(angle), 0.0),
         tilt=(float(tilt[0]), float(tilt[1])),
