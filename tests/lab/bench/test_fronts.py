@@ -61,7 +61,7 @@ def test_every_preset_is_a_way_and_the_default_is_what_others_are_paired_with():
     ways = preset_ways()
     assert set(", ".join(ways.values()).split(", ")) == set(PRESETS)
     assert set(ways) <= set(USUAL)
-    assert ways[BASE] == "draft, standard"  # which differ from 2048 pixels on
+    assert ways[BASE] == "draft, standard"
     assert PAPER in WAYS and PAPER not in USUAL
 
 
