@@ -87,6 +87,8 @@ class CoarseSettings:
         level_deviation: standard deviation, log radiance, of peak, half-way level and surroundings.
         evidence_developed, evidence_radiometric: weight of the highlight's seven measurements; in a
             RAW they only help convergence, a tone curve changes the surroundings.
+        evidence_between: the same weight where one of several minima is chosen: laminate, whose
+            sharp highlight covers few cells, would else be satin under a narrow flash.
         directions: points of a ring.
         colour_noise: log radiance, least standard deviation of differences of channels.
         texture_at_most: log radiance; residuals are clipped to +-this before whitening.
@@ -123,6 +125,7 @@ class CoarseSettings:
     level_deviation: float = 0.1
     evidence_developed: float = 0.005
     evidence_radiometric: float = 0.005
+    evidence_between: float = 0.05
     directions: int = 12
     colour_noise: float = 0.01
     texture_at_most: float = 0.5
@@ -446,7 +449,9 @@ def _fit_as(
     worth = _distinct([start for _, start in tried])[: COARSE.kept]
     if last.cells.hidden:
         worth.append(_matte(tried[0][1]))
-    single = _mattest([_levenberg_marquardt(last, each, COARSE.iterations[1]) for each in worth])
+    minima = [_levenberg_marquardt(last, each, COARSE.iterations[1])[1] for each in worth]
+    strict = replace(last, evidence=COARSE.evidence_between)
+    single = _mattest([(strict.cost(each), each) for each in minima])
     # Two lobes locate the highlight better; then one lobe is fitted there.
     two = last.with_two_lobes()
     both = Unknowns.of(_levenberg_marquardt(two, _parted(single), COARSE.iterations[1])[1])

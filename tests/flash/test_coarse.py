@@ -77,6 +77,17 @@ def test_polish_is_found_where_the_plane_is_clipped_too():
     assert fit_coarse(photo).roughness == pytest.approx(0.05, abs=0.05)
 
 
+def test_the_sharp_highlight_of_laminate_is_no_falloff():
+    """A coat over a satin base: one lobe cannot be both, and the highlight is what is seen."""
+    setup, coat = made(
+        diffuse=(0.25, 0.23, 0.2), roughness=0.07, offset=(0.0, 0.1, 0.0), intensity=6.0
+    )
+    base = photograph(setup, diffuse=(0.001,) * 3, specular=0.06, roughness=0.5)
+    pixels = np.minimum(coat.pixels + base.pixels, np.float32(1.0))
+    both = replace(coat, pixels=pixels, clipped=(pixels >= 1.0).any(2), radiometric=False)
+    assert fit_coarse(both).roughness < 0.15
+
+
 def test_a_channel_that_the_file_cannot_hold_changes_nothing_else():
     """A saturated blue has no green beside the highlight: cut off there, as in a JPEG."""
     _, photo = made(diffuse=(0.01, 0.005, 0.5), roughness=0.2, intensity=6.0)

@@ -25,6 +25,7 @@ from matcap.capture.piece.classes import Classes, find_mixture
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.glints import scaled_by_glints
+from matcap.capture.piece.highlight_remainder import remaining_highlight
 from matcap.capture.piece.levels import LevelPrior, fit_levels
 from matcap.capture.piece.metal import metal_share
 from matcap.capture.piece.network.network import (
@@ -311,14 +312,17 @@ def exemplar_of(observed: Observation, prediction: NetworkPrediction) -> Exempla
 
 
 def inpainted(observed: Observation, prediction: NetworkPrediction) -> Exemplar:
-    """Inpaint the exemplar where specular light hides albedo (transport.py)."""
+    """Inpaint the exemplar where specular light hides albedo, or is left in it (transport.py)."""
     plane = observed.plane
     exemplar = exemplar_of(observed, prediction)
+    valid = plane.valid.numpy()
+    spot = remaining_highlight(exemplar.diffuse, valid, observed.mirror_texel)
+    exemplar = replace(exemplar, confidence=exemplar.confidence * ~spot)
     left_out = None if plane.left_out is None else plane.left_out.numpy()
     return transport(
         exemplar,
         plane.linear,
-        plane.valid,
+        torch.from_numpy(valid & ~spot),
         observed.light,
         left_out=left_out,
     )

@@ -75,6 +75,13 @@ class Observation:
         """(H, W) specular fraction of the uniform material's radiance."""
         return np.asarray(self.inputs.gloss[0].clamp(0.0, 1.0).numpy(), np.float32)
 
+    @property
+    def mirror_texel(self) -> tuple[float, float]:
+        """Column and row of the flash's mirror point."""
+        x, y = flash_mirror_point(self.coarse.setup)
+        left, top = (float(at) for at in self.points[:2, 0, 0])
+        return (x - left) / self.plane.texel_size, (top - y) / self.plane.texel_size
+
     def strengths(self, read: Tensor | None = None) -> Strengths | None:
         """Relief spectrum measured in the photograph; None if too few texels are valid.
 

@@ -240,7 +240,7 @@ class InpaintSettings:
         darkest: lower limit of linear radiance and albedo before logarithms.
     """
 
-    tried: int = 100
+    tried: int = 40
     block: int = 48
     overlap: int = 12
     trusted: float = 0.75

@@ -1,0 +1,93 @@
+"""Rings of albedo around the mirror point."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from photographed import photographed
+
+from matcap.capture.piece.find import inpainted, levelled, read_piece
+from matcap.capture.piece.highlight_remainder import remaining_highlight
+from matcap.capture.piece.network.store import load_inverse
+from matcap.capture.piece.observation import Observation
+from matcap.flash.coarse import CoarseFit
+from matcap.flash.plane import plane_of
+
+HEIGHT, WIDTH = 384, 512
+MIRROR = (230.0, 180.0)
+KNOWN = np.ones((HEIGHT, WIDTH), np.bool_)
+
+
+def texture(seed: int, grain: float = 3.0, contrast: float = 0.3) -> np.ndarray:
+    noise = np.random.default_rng(seed).standard_normal((HEIGHT, WIDTH)).astype(np.float32)
+    blurred = cv2.GaussianBlur(noise, (0, 0), grain)
+    return np.exp(contrast * blurred / blurred.std() - 1.5)[None].repeat(3, 0).clip(0.0, 1.0)
+
+
+def away(mirror: tuple[float, float]) -> np.ndarray:
+    rows, columns = np.indices((HEIGHT, WIDTH))
+    return np.hypot(columns - mirror[0], rows - mirror[1])
+
+
+@pytest.mark.parametrize("radius", [16.0, 40.0])
+@pytest.mark.parametrize("gain", [0.5, 2.0])
+def test_a_disc_is_found_whole_and_little_more(radius, gain):
+    disc = away(MIRROR) < radius
+    found = remaining_highlight(texture(0) * np.where(disc, gain, 1.0), KNOWN, MIRROR)
+    assert found[disc].all()
+    assert away(MIRROR)[found].max() < radius + 24.0
+
+
+def test_a_ring_is_found_with_what_it_surrounds():
+    ring = np.abs(away(MIRROR) - 40.0) < 6.0
+    found = remaining_highlight(texture(1) * np.where(ring, 1.4, 1.0), KNOWN, MIRROR)
+    assert found[away(MIRROR) < 40.0].all() and not found[away(MIRROR) > 80.0].any()
+
+
+@pytest.mark.parametrize("grain", [1.0, 3.0, 12.0])
+def test_a_texture_has_none(grain):
+    rng = np.random.default_rng(5)
+    hits = 0
+    for seed in range(20):
+        mirror = (float(rng.uniform(150, 360)), float(rng.uniform(120, 260)))
+        hits += bool(remaining_highlight(texture(seed, grain), KNOWN, mirror).any())
+    assert hits <= 2
+
+
+def test_a_spot_elsewhere_is_the_materials():
+    spot = away((400.0, 100.0)) < 20.0
+    found = remaining_highlight(texture(2) * np.where(spot, 2.0, 1.0), KNOWN, MIRROR)
+    assert not found.any()
+
+
+def test_what_is_not_known_is_no_evidence():
+    disc = away(MIRROR) < 16.0
+    found = remaining_highlight(texture(3) * np.where(disc, 9.0, 1.0), ~disc, MIRROR)
+    assert not found.any()
+
+
+def test_a_mirror_point_outside_of_the_picture_is_none():
+    assert not remaining_highlight(texture(4), KNOWN, (-300.0, 900.0)).any()
+
+
+def test_a_spot_in_albedo_is_inpainted():
+    shot = photographed(0.15, 0.15, width=512, height=384)
+    uniform = shot.uniform
+    coarse = CoarseFit(
+        uniform.diffuse, uniform.specular, uniform.roughness, uniform.setup, residual=0.0
+    )
+    plane = plane_of(shot.linear, torch.ones(shot.linear.shape[1:], dtype=torch.bool))
+    observed, prediction = read_piece(Observation.of(plane, coarse), load_inverse())
+    prediction = levelled(observed, prediction)
+    departures = prediction.departures
+    disc = away(observed.mirror_texel) < 20.0
+    white = departures.diffuse + 0.8 * torch.from_numpy(disc)
+    spotted = replace(prediction, departures=replace(departures, diffuse=white))
+    plain, found = (inpainted(observed, each).diffuse for each in (prediction, spotted))
+    inside = np.log(found[:, disc]).mean() - np.log(found[:, ~disc]).mean()
+    before = np.log(plain[:, disc]).mean() - np.log(plain[:, ~disc]).mean()
+    assert abs(inside - before) < 0.3
