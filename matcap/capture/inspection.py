@@ -86,7 +86,7 @@ def _gloss(coarse: CoarseFit, plane: Plane) -> tuple[Finding, ...]:
     A capture's re-rendering is compared with these two.
     """
     picture, valid = np.minimum(plane.linear.movedim(0, -1).numpy(), 1.0), plane.valid.numpy()
-    inside = valid | (picture.max(axis=2) > CLIPPING)
+    inside = valid | (picture > CLIPPING).any(axis=2)
     profile = highlight_profile((picture, picture), inside, valid, coarse.setup)
     if profile is None or not profile.glossy:
         return (Finding("highlight", None, Rating.NOT_JUDGED, "the photograph shows no gloss"),)

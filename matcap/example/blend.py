@@ -142,7 +142,8 @@ def _doubled(coarse: Floats, fine: Floats) -> Floats:
 
 
 def _quantised(values: Floats, bits: int) -> Band:
-    most = np.maximum(values.max(axis=(0, 1)), -values.min(axis=(0, 1)))
+    # By rows first: long vectors.
+    most = np.maximum(values.max(axis=0).max(axis=0), -values.min(axis=0).min(axis=0))
     scale = np.maximum(most, np.float32(1e-9)) / np.float32(32767)
     return Band(np.rint(values / scale).astype(np.int16), scale, bits)
 

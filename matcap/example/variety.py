@@ -6,7 +6,7 @@ the loss of the exemplar's autocorrelation at long shifts, and the share of texe
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,7 +63,7 @@ def with_chosen_variety(example: Example) -> Example:
     return example.varied(variety)
 
 
-def variety_trials(example: Example) -> tuple[float, tuple[VarietyTrial, ...]]:
+def variety_trials(example: Example) -> tuple[float, Iterator[VarietyTrial]]:
     """The exemplar's RMS correlation at long shifts, and measures of varieties, highest first."""
     exemplar, index = example.exemplar, example.index
     coarse = coarsened(exemplar, detail_bits(exemplar))
@@ -77,7 +77,7 @@ def variety_trials(example: Example) -> tuple[float, tuple[VarietyTrial, ...]]:
     far = shifts >= _NEAR
     power = float((true[far] ** 2).mean()) if far.any() else 0.0
     if not power:
-        return 0.0, ()
+        return 0.0, iter(())
 
     def one(variety: float) -> VarietyTrial:
         kept, seams = _blocks(
@@ -89,7 +89,7 @@ def variety_trials(example: Example) -> tuple[float, tuple[VarietyTrial, ...]]:
         )
         return VarietyTrial(variety, power**0.5 * (1.0 - kept), seams)
 
-    return power**0.5, tuple(one(variety) for variety in _TRIED)
+    return power**0.5, map(one, _TRIED)
 
 
 def _blocks(

@@ -120,7 +120,7 @@ class CauseMeasurements:
             room=_laid_over(light, model),
             curve=_bent(light, model),
             streak=_streak(pictures, highlights),
-            channels=float((clipped.any(axis=2) & ~clipped.all(axis=2)).mean()),
+            channels=float((clipped[..., 1:] != clipped[..., :1]).any(axis=2).mean()),
         )
 
 

@@ -20,13 +20,14 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from matcap.brdf.maps import MapSet
 from matcap.capture.piece.glints import GlintSettings
 from matcap.capture.piece.levels import LevelSettings
 from matcap.capture.piece.smooth import filled
-from matcap.flash.geometry import FlashSetup, flash_mirror_point
-from matcap.flash.render import render_rectified
+from matcap.flash.geometry import FlashSetup, flash_mirror_point, plane_points
+from matcap.flash.light import FlashLight, cached_rows, strips
+from matcap.photo.inspect import channel_mean
 
 Picture = NDArray[np.float32]
 TexelMask = NDArray[np.bool_]
@@ -121,7 +122,7 @@ def highlight_profile(
         measured: (H, W) bool, `seen` and not clipped.
         setup: camera and flash.
     """
-    lights = [picture.mean(axis=2) for picture in pictures]
+    lights = [channel_mean(picture) for picture in pictures]
     distance, matte = from_mirror_point(setup, seen.shape), _matte(setup, seen.shape)
     rings = [
         seen & (distance >= inner) & (distance < outer)
@@ -163,7 +164,12 @@ def from_mirror_point(setup: FlashSetup, shape: tuple[int, ...]) -> NDArray[np.f
 
 
 def _matte(setup: FlashSetup, shape: tuple[int, ...]) -> Picture:
-    """(H, W) radiance of a uniform matte surface."""
-    one = torch.ones(1, *shape)
-    maps = MapSet(one.expand(3, -1, -1), 1e-6 * one, one, 0.0 * one, 2.0 / shape[1])
-    return np.asarray(render_rectified(maps, setup).mean(0).numpy(), np.float32)
+    """(H, W) radiance of a white matte plane: power (n.l) / pi."""
+    height, width = shape
+    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+
+    def some(rows: slice) -> Tensor:
+        light = FlashLight.of(setup, points[:, rows])
+        return light.power.mean(0) * light.to_light[2] / math.pi
+
+    return torch.cat([some(rows) for rows in strips(height, cached_rows(width))]).numpy()

@@ -22,7 +22,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.rectify import CLIPPING
-from matcap.photo.inspect import Inspection, blurred, inspect_photo
+from matcap.photo.inspect import Inspection, blurred, channel_mean, inspect_photo
 from matcap.photo.photo import Photo
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank
@@ -135,7 +135,7 @@ def measured(
     smooth = _smooth(pictures[0]), _smooth(pictures[1])
     colour, light = smooth_difference(*smooth)
     highlights = find_highlight(light_of(pictures[0])), find_highlight(light_of(pictures[1]))
-    inside = valid | (rectified.max(axis=2) > CLIPPING)
+    inside = valid | (rectified > CLIPPING).any(axis=2)
     plane = plane_of(_planes(pictures[0]), torch.from_numpy(valid))
     rendering = _planes(pictures[1])
     causes = CauseMeasurements(
@@ -188,7 +188,7 @@ def texture_contrasts(seen: Picture, again: Picture) -> dict[str, tuple[float, f
     By band, and by region: the photograph's brightest tiles ("in the light", where gloss reveals
     relief) and the others. Medians over tiles, robust to the gradient of a highlight.
     """
-    light = _tiles(seen.mean(axis=2))
+    light = _tiles(channel_mean(seen))
     bright = np.zeros(light.shape, bool)
     bright.flat[light.argsort(axis=None)[-math.ceil(MEASURED.bright * light.size) :]] = True
     before, after = (_tile_contrasts(picture) for picture in (seen, again))
@@ -205,13 +205,14 @@ def texture_contrasts(seen: Picture, again: Picture) -> dict[str, tuple[float, f
 
 def _tile_contrasts(picture: Picture) -> dict[str, Picture]:
     """By band, variance of log luminance in each tile."""
-    luminance = picture.mean(axis=2)
-    log = np.log(luminance + MEASURED.toe * float(np.median(luminance)) + 1e-6)
+    luminance = channel_mean(picture)
+    floor = MEASURED.toe * float(np.median(luminance)) + 1e-6
+    log = np.log(luminance + floor)
     bands = {"fine": MEASURED.fine, "coarse": MEASURED.coarse}
     tiles = {band: _tiles(np.square(_band(log, *reach))) for band, reach in bands.items()}
-    whole = np.log(picture + MEASURED.toe * float(np.median(luminance)) + 1e-6)
+    whole = np.log(picture + floor)
     chroma = _band(whole[..., ::2] - whole[..., 1:2], *MEASURED.chroma)
-    return {**tiles, "coloured": _tiles(np.square(chroma).mean(axis=2))}
+    return {**tiles, "coloured": _tiles(np.square(chroma)).mean(axis=2)}
 
 
 def _band(log: Picture, least: float, most: float) -> Picture:
