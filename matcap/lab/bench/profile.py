@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 
-from matcap.capture.pipeline import capture_into
 from matcap.capture.progress import PIECE_STAGES, CaptureProgress
 from matcap.capture.settings import PRESETS, CaptureSettings, OutputSettings
 from matcap.errors import MatcapError
@@ -123,7 +122,9 @@ def _forget_peak() -> None:
 def main(arguments: Sequence[str]) -> None:
     """Capture a photograph and print the cost of its stages as JSON."""
     photograph, preset = arguments
-    keep_memory()  # as `matcap capture` does
+    keep_memory()  # as `matcap capture` does, before large libraries are imported
+    from matcap.capture.pipeline import capture_into
+
     costs, began = StageCosts({}, {}, {}), time.perf_counter()
     start, before = time.process_time(), _peak()
     with tempfile.TemporaryDirectory() as folder:
