@@ -249,7 +249,7 @@ def _system(
     light: SetLight,
     points: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Normal equations (N, 7, 7) and right-hand sides (N, 7) of some rows of a photograph."""
+    """Normal equations (7, 7, N) and right-hand sides (7, N) of some rows of a photograph."""
     count = parameters[0].numel()
     normal, gradient = torch.zeros(PARAMETERS, PARAMETERS, count), torch.zeros(PARAMETERS, count)
     seen = view.seen[:, rows]
@@ -268,7 +268,7 @@ def _system(
         gradient = (weighted * residual.flatten(1)).sum(1)
     for number in range(PARAMETERS):
         normal[number, number + 1 :] = normal[number + 1 :, number]
-    return normal.permute(2, 0, 1), gradient.T
+    return normal, gradient
 
 
 def derivatives(
@@ -313,21 +313,21 @@ def _solved(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Parameters, precision and relief as in Stepped, of some rows, from summed `systems`."""
     shape, count = parameters.shape, parameters[0].numel()
-    normal = sum((each for each, _ in systems), torch.zeros(count, PARAMETERS, PARAMETERS))
-    gradient = sum((each for _, each in systems), torch.zeros(count, PARAMETERS))
-    here, expected = parameters.flatten(1).T, prior.mean.flatten(1).T
-    prior_precision = prior.deviation.flatten(1).T.square().reciprocal()
-    measured_precision = normal.diagonal(dim1=1, dim2=2).clone()
-    whole = normal + torch.diag_embed(prior_precision + damping * measured_precision)
-    factor, _ = torch.linalg.cholesky_ex(whole)
+    normal = sum((each for each, _ in systems), torch.zeros(PARAMETERS, PARAMETERS, count))
+    gradient = sum((each for _, each in systems), torch.zeros(PARAMETERS, count))
+    here, expected = parameters.flatten(1), prior.mean.flatten(1)
+    prior_precision = prior.deviation.flatten(1).square().reciprocal()
+    measured_precision = normal.diagonal().T.clone()
+    normal.diagonal().T.add_(prior_precision + damping * measured_precision)
+    factor, _ = torch.linalg.cholesky_ex(normal.permute(2, 0, 1))
     right = gradient + prior_precision * (expected - here)
-    step = torch.cholesky_solve(right[..., None], factor)[..., 0]
+    step = torch.cholesky_solve(right.T[..., None], factor)[..., 0]
     step = step.nan_to_num(0.0).clamp(-0.7, 0.7)
     # The factor's last block is that of the slopes' precision with other parameters eliminated.
     first, across, second = factor[:, 5, 5], factor[:, 6, 5], factor[:, 6, 6]
     relief = torch.stack([first.square(), across.square() + second.square(), first * across])
     return (
-        (here + step).T.reshape(shape),
-        measured_precision.T.reshape(shape),
+        (here + step.T).reshape(shape),
+        measured_precision.reshape(shape),
         relief.nan_to_num(0.0).reshape(3, *shape[1:]),
     )
