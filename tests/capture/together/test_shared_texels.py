@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from matcap.capture.together.shared import texels_solved
-from matcap.capture.together.texels import PARAMETERS
+from matcap.capture.together.texels import PARAMETERS, _cholesky
 
 
 def test_sound_texels_are_solved() -> None:
@@ -26,3 +26,16 @@ def test_texels_told_many_times_over_answer_finitely_or_nothing() -> None:
     assert bool(torch.isfinite(found).all())
     assert float(found.abs().max()) < 1e6
     assert not found[2].any()
+
+
+def test_systems_side_by_side_are_solved_as_one_after_the_other() -> None:
+    draw = torch.randn(9, PARAMETERS, 12, generator=torch.Generator().manual_seed(1))
+    within, right = draw @ draw.mT, draw[..., 0]
+    within[4] *= -1.0
+    found, factor = _cholesky(within.movedim(0, -1), right.T)
+    sound = torch.arange(9) != 4
+    wanted = torch.linalg.solve(within[sound].double(), right[sound].double()).float()
+    assert torch.allclose(found.T[sound], wanted, rtol=1e-2, atol=1e-3)
+    lower = factor[:PARAMETERS].movedim(-1, 0).tril()[sound]
+    assert torch.allclose(lower, torch.linalg.cholesky(within[sound]), rtol=1e-3, atol=1e-4)
+    assert bool(found[:, 4].isnan().all())
