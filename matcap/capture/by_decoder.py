@@ -17,15 +17,16 @@ from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import CaptureSettings, Effort
-from matcap.capture.target import CaptureStart, photograph_target
+from matcap.capture.start import CaptureStart
+from matcap.capture.target import photograph_target
 from matcap.errors import MatcapError
 from matcap.files.interrupts import postponed
-from matcap.flash.likeness import PhotographTarget
 from matcap.space.decoder import DecoderConfig
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.anytime import Forecaster, self_difference
 from matcap.space.tuning.finetune import OnStep, Tuned, TuneSettings, finetune
 from matcap.space.tuning.initialisation import initial_decoder
+from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.match import match_photograph
 
 

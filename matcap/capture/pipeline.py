@@ -33,7 +33,7 @@ from matcap.capture.settings import (
     check_photographs,
     resolve,
 )
-from matcap.capture.target import CaptureStart
+from matcap.capture.start import CaptureStart
 from matcap.capture.tilt import fitted
 from matcap.capture.upright import upright
 from matcap.errors import MatcapError, UsageError

@@ -2,54 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from matcap.capture.detail import Rectified
 from matcap.capture.method import Method
 from matcap.capture.settings import CaptureSettings
+from matcap.capture.start import CaptureStart
 from matcap.capture.tilt import fitted
 from matcap.capture.vgg_weights import load_vgg19
-from matcap.flash.coarse import CoarseFit
-from matcap.flash.joint import join
-from matcap.flash.likeness import PhotographTarget
-from matcap.flash.plane import Plane
-from matcap.flash.windows import cut_windows
-from matcap.photo.photo import Photo
+from matcap.space.tuning.joint import join
+from matcap.space.tuning.likeness import PhotographTarget
+from matcap.space.tuning.windows import cut_windows
 from matcap.statistics.compare import Features
 from matcap.statistics.filterbank import FilterBank
-from matcap.statistics.lattice import Wave
-
-
-@dataclass(frozen=True)
-class CaptureStart:
-    """A photograph after the coarse fit.
-
-    Attributes:
-        photo: the photograph, linear.
-        coarse: its coarse fit.
-        rectified: the photograph on its plane.
-        window: side of the comparison windows, texels.
-        others: more photographs of the same sample.
-    """
-
-    photo: Photo
-    coarse: CoarseFit
-    rectified: Rectified
-    window: int
-    others: Sequence[Photo] = ()
-
-    @property
-    def plane(self) -> Plane:
-        """The photograph at the network's resolution."""
-        return self.rectified.read
-
-    @property
-    def waves(self) -> tuple[Wave, ...]:
-        """Frequency vectors of its lattice, cycles per texel of `plane`."""
-        return self.rectified.read_waves
 
 
 def photograph_target(

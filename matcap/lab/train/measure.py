@@ -17,10 +17,8 @@ from matcap.brdf.maps import MapSet
 from matcap.field.material import Material
 from matcap.files.srgb import srgb_encode_tensor
 from matcap.flash.geometry import FlashSetup, plane_points
-from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.render import render_flash
-from matcap.flash.windows import cut_windows
 from matcap.lab.experiment.results import Value
 from matcap.lab.measures.diversity import diversity
 from matcap.lab.measures.nsd import style_distance
@@ -33,6 +31,8 @@ from matcap.space.decoder import Decoder
 from matcap.space.prior.encoder_input import FEATURES
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.finetune import RATE_FROM_NOTHING, TuneSettings, finetune
+from matcap.space.tuning.likeness import PhotographTarget
+from matcap.space.tuning.windows import cut_windows
 from matcap.statistics.filterbank import FilterBank
 
 SIZE = 384  # texels a side of the pictures compared

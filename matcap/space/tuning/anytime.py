@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from matcap.flash.windows import Windows, side_by_side
+from matcap.space.tuning.windows import Windows, side_by_side
 from matcap.statistics.compare import Weights, distance
 
 # The forecast of the error; docs/notes/prior.md.

@@ -19,15 +19,15 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.field.plane import Rectangle
-from matcap.flash.likeness import PhotographTarget, compare_windows, render_windows, shuffled
-from matcap.flash.penalty import Penalties, price
-from matcap.flash.schedule import Schedule
 from matcap.space.decoder import ALIGNMENT, DEPTH, Decoder, Moments, maps_from_raw
 from matcap.space.freeze import freeze
 from matcap.space.noise import wrap64
 from matcap.space.patch import Patch
 from matcap.space.random_field import RandomField, random_field
+from matcap.space.tuning.likeness import PhotographTarget, compare_windows, render_windows, shuffled
+from matcap.space.tuning.penalty import Penalties, price
 from matcap.space.tuning.rollback import Rollback
+from matcap.space.tuning.schedule import Schedule
 from matcap.statistics.precision import computes_bfloat16
 
 # Learning rates. At a higher rate 100 steps lose colours that the prior has (docs/notes/prior.md).

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.flash.coarse import CoarseFit
-from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import Plane
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.lattice_channels import CELL_CHANNELS
 from matcap.space.prior.store import load_prior
 from matcap.space.tuning.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR, TuneSettings, finetune
+from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.start import log_contrast, reading_cells, untrained
 
 # Without a prior, the result depends on the random start: the best of a few short runs is taken.

@@ -25,9 +25,9 @@ from matcap.field.material import Material, lacking
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
 from matcap.flash.render import render_flash
-from matcap.flash.windows import shot_deviation
 from matcap.space.decoder import OUTPUTS
 from matcap.space.tuned import TunedDecoder
+from matcap.space.tuning.windows import shot_deviation
 from matcap.statistics.encoding import shading
 
 # Matching; docs/notes/prior.md.

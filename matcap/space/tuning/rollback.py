@@ -8,8 +8,8 @@ import math
 import torch
 from torch import Tensor
 
-from matcap.flash.adam import Adam
 from matcap.space.decoder import Decoder
+from matcap.space.tuning.adam import Adam
 
 # Rollback; docs/notes/prior.md.
 _SMOOTHING = 0.05  # weight of the newest step in the running error

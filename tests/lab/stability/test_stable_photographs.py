@@ -13,7 +13,7 @@ from matcap.flash.coarse import fit_coarse
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import read_plane
 from matcap.flash.rectify import rectify
-from matcap.flash.windows import cut_windows
+from matcap.space.tuning.windows import cut_windows
 from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 from matcap.statistics.lattice import find_lattice

@@ -7,9 +7,7 @@ import torch
 from small import SMALL, coarse, entry
 
 from matcap.field.plane import Rectangle
-from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import read_plane
-from matcap.flash.windows import cut_windows
 from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
 from matcap.space.decoder import CODE_SIZE, DEPTH, OUTPUTS, Decoder
 from matcap.space.freeze import freeze
@@ -17,7 +15,9 @@ from matcap.space.patch import Patch
 from matcap.space.random_field import random_field
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.finetune import TuneSettings, finetune
+from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.start import untrained
+from matcap.space.tuning.windows import cut_windows
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 from matcap.statistics.lattice import Wave
 

@@ -10,12 +10,12 @@ from tuning import CODE, CONFIG, WINDOW, scene, start, tune
 
 from matcap.brdf.maps import MapSet
 from matcap.field.plane import Rectangle
-from matcap.flash.penalty import Penalties, price
 from matcap.flash.render import render_flash
 from matcap.space.decoder import DEPTH, maps_from_raw
 from matcap.space.freeze import fold
 from matcap.space.patch import Patch
 from matcap.space.random_field import random_field
+from matcap.space.tuning.penalty import Penalties, price
 from matcap.space.tuning.rollback import Rollback
 from matcap.statistics.compare import Weights, describe, distance
 

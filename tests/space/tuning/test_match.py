@@ -11,12 +11,12 @@ from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.render import render_rectified
-from matcap.flash.windows import shot_deviation
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
 from matcap.lab.simulate.specimen import realisation
 from matcap.space.freeze import freeze
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.match import _Blocks, _gain, _shift, correction, match_photograph
+from matcap.space.tuning.windows import shot_deviation
 from matcap.statistics.encoding import fit_encoding, shading
 
 WIDTH, HEIGHT = 256, 192

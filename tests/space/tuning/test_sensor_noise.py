@@ -7,10 +7,10 @@ from tuning import HEIGHT, WIDTH, WINDOW, photograph, scene, tune
 from uniform import a_setup
 from uniform import photograph as uniform
 
-from matcap.flash.likeness import with_noise
 from matcap.flash.plane import Plane
 from matcap.flash.rectify import rectify, rectify_noise
-from matcap.flash.windows import cut_windows, shot_deviation
+from matcap.space.tuning.likeness import with_noise
+from matcap.space.tuning.windows import cut_windows, shot_deviation
 from matcap.statistics.compare import Weights, describe, distance
 from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig

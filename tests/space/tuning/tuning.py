@@ -4,13 +4,13 @@ import torch
 
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import plane_of
 from matcap.flash.render import render_rectified
-from matcap.flash.windows import cut_windows
 from matcap.space.decoder import CODE_SIZE, DecoderConfig, maps_from_raw
 from matcap.space.tuning.finetune import TuneSettings, finetune
+from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.start import log_contrast, untrained
+from matcap.space.tuning.windows import cut_windows
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 
 WIDTH, HEIGHT, WINDOW = 96, 64, 48

@@ -5,7 +5,7 @@ import torch
 
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import plane_of
-from matcap.flash.windows import _best_scale, cut_windows
+from matcap.space.tuning.windows import _best_scale, cut_windows
 from matcap.statistics.compare import Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 

@@ -20,10 +20,10 @@ from torch import Tensor
 
 from matcap.errors import MatcapError
 from matcap.flash.coarse import CoarseFit
-from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import read_plane
-from matcap.flash.windows import Windows, cut_windows
 from matcap.photo.photo import Photo
+from matcap.space.tuning.likeness import PhotographTarget
+from matcap.space.tuning.windows import Windows, cut_windows
 from matcap.statistics.compare import Descriptor
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.flash.penalty import Penalties, price
+from matcap.space.tuning.penalty import Penalties, price
 
 COPPER = torch.tensor([0.955, 0.638, 0.538])[:, None, None]
 

@@ -1,6 +1,6 @@
 """Texture distance of a material to a photograph: windows rendered under its light.
 
-The loss of the decoder (space/tuning) [henzler2021, sec. 4.3 and 4.6].
+The loss of a decoder [henzler2021, sec. 4.3 and 4.6].
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_flash
-from matcap.flash.windows import Windows, shot_deviation
+from matcap.space.tuning.windows import Windows, shot_deviation
 from matcap.statistics.compare import Features, Weights, describe, distance
 from matcap.statistics.encoding import Encoding
 from matcap.statistics.lattice import Wave

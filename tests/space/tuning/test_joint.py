@@ -12,11 +12,11 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
 from matcap.flash.geometry import FlashSetup, plane_points
-from matcap.flash.likeness import PhotographTarget, render_windows
 from matcap.flash.render import render_flash
-from matcap.flash.windows import Windows
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
 from matcap.lab.simulate.specimen import realisation
+from matcap.space.tuning.likeness import PhotographTarget, render_windows
+from matcap.space.tuning.windows import Windows
 
 SETUPS = (
     FlashSetup(offset=(0.1, 0.0, 0.0), tilt=(0.1, 0.0), intensity=(5.0, 5.0, 5.0)),
