@@ -56,22 +56,22 @@ def remaining_highlight(
         cv2.resize(log.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32
     )
     column, row = (at / step - 0.5 for at in mirror)
-    cells_apart = np.hypot(np.arange(size[0]) - column, np.arange(size[1])[:, None] - row)
+    distances = np.hypot(np.arange(size[0]) - column, np.arange(size[1])[:, None] - row)
     radius = 0
     for inner in range(0, REMAINDER.widest, REMAINDER.width):
-        if _stands_out(total, share, cells_apart, inner):
+        if _stands_out(total, share, distances, inner):
             radius = inner + REMAINDER.width
     distance = np.hypot(np.arange(width) - mirror[0], np.arange(height)[:, None] - mirror[1])
     return np.asarray(distance < (radius + 1) * step if radius else distance < 0.0)
 
 
-def _stands_out(total: Floats, share: Floats, cells_apart: NDArray[np.float64], inner: int) -> bool:
+def _stands_out(total: Floats, share: Floats, distances: NDArray[np.float64], inner: int) -> bool:
     """Whether the ring from `inner` on has an unusual mean around the mirror point.
 
     Args:
         total: (h, w) sums of log albedo over cells.
         share: (h, w) known share of the cells.
-        cells_apart: (h, w) distance of the cells from the mirror point, cells.
+        distances: (h, w) distance of the cells from the mirror point, cells.
         inner: inner radius of the ring, cells.
     """
     outer = inner + REMAINDER.width
@@ -80,8 +80,8 @@ def _stands_out(total: Floats, share: Floats, cells_apart: NDArray[np.float64], 
     ring = ((radius >= inner) & (radius < outer)).astype(np.float32)
     counts = cv2.filter2D(share, -1, ring, borderType=cv2.BORDER_CONSTANT)
     means = cv2.filter2D(total, -1, ring, borderType=cv2.BORDER_CONSTANT) / np.maximum(counts, 1e-6)
-    at = np.unravel_index(int(cells_apart.argmin()), cells_apart.shape)
-    others = means[(counts > REMAINDER.inside * ring.sum()) & (cells_apart > 2.0 * outer)]
+    at = np.unravel_index(int(distances.argmin()), distances.shape)
+    others = means[(counts > REMAINDER.inside * ring.sum()) & (distances > 2.0 * outer)]
     if len(others) < 16 or counts[at] < 0.5 * ring.sum():
         return False
     return bool(abs(means[at] - others.mean()) > REMAINDER.unusual * (others.std() + 1e-3))
