@@ -126,9 +126,9 @@ def test_a_mark_that_occurs_once_is_left_out_and_told():
     marked.roughness[:, 60:84, 60:84] = 1.0
     example = Example.of(marked)
     assert 0.005 < example.index.left_out < 0.1 and an_example().index.left_out < 0.005
-    maps = example.maps(2, Rectangle(0, 0, 400, 400), None)
+    maps = example.maps(4, Rectangle(0, 0, 400, 400), None)
     usual = 24 * 24 / (176 * 144)
-    assert (maps[4] == 1.0).mean() < 0.3 * usual
+    assert (maps[4] == 1.0).mean() < 0.05 * usual  # 0.4 if it were drawn like any other place
 
 
 def test_order_neither_drifts_nor_breaks():
