@@ -65,11 +65,11 @@ def test_slow_drift_is_not_the_materials() -> None:
 def test_clipped_texels_are_lower_bounds() -> None:
     """Brighter than the clip level is as good as at it; darker is not."""
     shot, valid, truth, errors = _setting()
-    clip = float(shot.linear.quantile(0.7))
+    clip = float(shot.linear.quantile(0.3))
     clipped = shot.linear.clamp_max(clip)
     unclipped = (shot.linear < clip).all(0)
     refined = refine(truth, errors, clipped, unclipped, PieceLight.of(shot.uniform, shot.points))
-    assert _largest(refined.departures - truth) < 0.05
+    assert _largest(refined.departures - truth) < 1e-3
 
 
 def test_a_texel_whose_red_clips_is_told_by_the_others() -> None:
