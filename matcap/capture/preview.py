@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,6 +32,7 @@ from matcap.photo.checks import Rating
 _COLUMNS = 4  # panels side by side
 _CROP, _GAP, _LABEL = 256, 12, 26  # pixels
 _PANEL = (2 * _COLUMNS * _CROP + (2 * _COLUMNS - 1) * _GAP - (_COLUMNS - 1) * _GAP) // _COLUMNS
+_LIT = 1024  # texels along the width that are rendered for a panel under another light, at least
 _TITLE = 46  # pixels
 _VERDICT_WIDTH = 150  # characters of the verdict in a line
 # sRGB code values.
@@ -57,6 +58,8 @@ class Panel:
     """(H, W, 3) or (H, W), linear: averaged where the panel has fewer pixels."""
     code: Callable[[NDArray[np.float32]], NDArray[np.float32]] = srgb_picture
     """Function from values to code values in [0, 1], applied after averaging."""
+    close: NDArray[np.float32] | None = None
+    """The crop at one pixel per texel, where `values` have fewer."""
 
     @property
     def aspect(self) -> float:
@@ -72,14 +75,21 @@ class Panel:
 
     def crop(self) -> Image.Image:
         """Crop at one pixel per texel, at a quarter of the width, next to the highlight."""
+        if self.close is not None:
+            return self._image(self.close)
         height, width = self.values.shape[:2]
-        x = max(0, min(width // 4 - _CROP // 2, width - _CROP))
-        y = max(0, (height - _CROP) // 2)
-        return self._image(self.values[y : y + _CROP, x : x + _CROP])
+        return self._image(self.values[_crop(width, height)])
 
     def _image(self, values: NDArray[np.float32]) -> Image.Image:
         code = np.rint(np.clip(self.code(values), 0.0, 1.0) * 255.0)
         return Image.fromarray(code.astype(np.uint8)).convert("RGB")
+
+
+def _crop(width: int, height: int) -> tuple[slice, slice]:
+    """Rows and columns of the crop of a picture."""
+    x = max(0, min(width // 4 - _CROP // 2, width - _CROP))
+    y = max(0, (height - _CROP) // 2)
+    return slice(y, y + _CROP), slice(x, x + _CROP)
 
 
 def _developed(label: str, result: CaptureResult, linear: NDArray[np.float32]) -> Panel:
@@ -193,7 +203,7 @@ def whole_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[
 
 def block(shown: Sequence[Panel]) -> Image.Image:
     """Lay out panels in rows of four, and their crops at one pixel per texel below."""
-    height = shown[0].values.shape[0]
+    height = max(panel.values.shape[0] for panel in shown)
     panel_height = max(1, round(_PANEL * shown[0].aspect))
     rows = -(-len(shown) // _COLUMNS)
     size = (
@@ -242,7 +252,7 @@ def each_map(maps: MapSet) -> Iterable[Panel]:
 
 
 def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Panel:
-    """Render maps from the photograph's camera under a light of _LIGHTS.
+    """Render maps from the photograph's camera under a light of _LIGHTS: some texels, and the crop.
 
     Scaled to the mean radiance of the re-rendering, as this light has no exposure of its own.
     """
@@ -256,10 +266,18 @@ def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: Flash
     if setup.turned:
         points *= width / height  # the long side is two plane units, here upwards
     camera, light = torch.tensor([0.0, 0.0, setup.distance]), torch.tensor(_LIGHTS[side])
-    with torch.no_grad():
-        radiance = shade(maps, points, camera, light, torch.ones(3))
-    gain = float(rerendered.mean()) / max(float(radiance.mean()), 1e-9)
-    return Panel(f"light from the {side}", (radiance * gain).movedim(0, -1).contiguous().numpy())
+    surface, every = replace(maps, painted=maps.normal), slice(None, None, max(1, width // _LIT))
+
+    @torch.no_grad()
+    def lit(rows: slice, columns: slice) -> NDArray[np.float32]:
+        some = surface.map(lambda planes: planes[..., rows, columns])
+        radiance = shade(some, points[:, rows, columns], camera, light, torch.ones(3))
+        return np.ascontiguousarray(radiance.movedim(0, -1).numpy())
+
+    whole = lit(every, every)
+    gain = np.float32(rerendered.mean() / max(float(whole.mean()), 1e-9))
+    close = gain * lit(*_crop(width, height))
+    return Panel(f"light from the {side}", gain * whole, close=close)
 
 
 def _picture(maps: MapSet, kind: str) -> NDArray[np.float32]:
