@@ -236,6 +236,13 @@ _TABLE = (
         (1.25, 1.6, 2.5), "{band} is {more_or_less} than in the photograph", factor=True,
     ),
     QualityCheck(
+        "connectivity", "mean cluster size of dark texels over that of bright ones, re-rendered "
+        "over photographed", "times", (3.0, 8.0, 50.0),
+        "{which} lines hang together {value:.2g} times {more_or_less} than in the photograph",
+        "cells or lines are broken, which decoders cannot draw and small patches cut",
+        "capture with --generator example, or synthesise with a lower --variety", factor=True,
+    ),
+    QualityCheck(
         "order", "loss of autocorrelation at one period", "share", (0.3, 0.5, 0.75),
         "the pattern is {kept:.0f} % as regular as in the photograph",
         "the pattern's period was not measured exactly, or it bends",

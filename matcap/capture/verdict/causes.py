@@ -27,7 +27,7 @@ _HIGHLIGHT = frozenset({"highlight_contrast", "highlight_place", "highlight_widt
 _LIGHT = _HIGHLIGHT | {"light", "colour", "piece", "flash", "tilt", "flash_offset"}
 # A highlight of the wrong contrast looks like a tone curve or ambient light.
 _LEVELS = _LIGHT - {"highlight_contrast"}
-_DRAWING = frozenset({"texture", "contrast", "order", "light"})
+_DRAWING = frozenset({"texture", "contrast", "connectivity", "order", "light"})
 _RELIEF = frozenset({"texture", "contrast", "piece", "confidence", "glint_contrast"})
 _CLIPPED = _HIGHLIGHT | {"clipped", "colour", "confidence", "piece", "contrast", "light"}
 

@@ -45,6 +45,7 @@ def findings(seen: Measurements) -> Iterator[Finding]:
         else CHECKS["texture"].not_judged("the picture is too small to compare textures")
     )
     yield _contrast(seen, more)
+    yield _connectivity(seen)
     yield from _order(seen)
     yield from _piece(seen, more)
     if seen.residue is not None:
@@ -114,6 +115,17 @@ def _contrast(seen: Measurements, more: str) -> Finding:
     factor = factors[band]
     says = f"{max(factor, 1.0 / factor):.1f} times {'stronger' if factor > 1.0 else 'weaker'}"
     return CHECKS["contrast"].finding(factor, more=more, band=band, more_or_less=says)
+
+
+def _connectivity(seen: Measurements) -> Finding:
+    """Finding on how the pattern's dark or bright lines hang together."""
+    check = CHECKS["connectivity"]
+    if seen.connectivity is None:
+        return check.not_judged("the picture is too small to compare how its lines hang together")
+    before, after = seen.connectivity
+    which, change = ("dark", after - before) if before > 0.0 else ("bright", before - after)
+    more_or_less = "more" if change > 0.0 else "less"
+    return check.finding(math.exp(abs(change)), which=which, more_or_less=more_or_less)
 
 
 def _order(seen: Measurements) -> Iterator[Finding]:

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from matcap.capture.method import FEATURES
 from matcap.capture.verdict.causes import CauseMeasurements, by_place
+from matcap.capture.verdict.connectivity import connectivity
 from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
@@ -101,6 +102,9 @@ class Measurements:
     """Autocorrelation at a lag of one period, at most 1; None without a lattice."""
     offset: float
     """Distance of the flash from the lens, plane units."""
+    connectivity: tuple[float, float] | None = None
+    """log(mean cluster size of dark texels over bright ones) (connectivity.py); None if the picture
+    is too small."""
     piece: Mapping[str, float] | None = None
     """`error`, `slow` (log radiance) and confidence by map of the exemplar; None without one."""
     residue: Mapping[str, float] | None = None
@@ -155,6 +159,9 @@ def measured(
         contrast=texture_contrasts(*pictures),
         order=_order(plane, rendering, waves) if waves else None,
         offset=math.hypot(*setup.offset[:2]),
+        connectivity=connectivity(
+            (_log_luminance(pictures[0])[0], _log_luminance(pictures[1])[0]), valid
+        ),
         piece=piece.maps,
         residue=piece.residue,
         causes=causes.with_photograph(photo.pixels, smooth, pictures, highlights),
@@ -205,14 +212,19 @@ def texture_contrasts(seen: Picture, again: Picture) -> dict[str, tuple[float, f
 
 def _tile_contrasts(picture: Picture) -> dict[str, Picture]:
     """By band, variance of log luminance in each tile."""
-    luminance = channel_mean(picture)
-    floor = MEASURED.toe * float(np.median(luminance)) + 1e-6
-    log = np.log(luminance + floor)
+    log, floor = _log_luminance(picture)
     bands = {"fine": MEASURED.fine, "coarse": MEASURED.coarse}
     tiles = {band: _tiles(np.square(_band(log, *reach))) for band, reach in bands.items()}
     whole = np.log(picture + floor)
     chroma = _band(whole[..., ::2] - whole[..., 1:2], *MEASURED.chroma)
     return {**tiles, "coloured": _tiles(np.square(chroma)).mean(axis=2)}
+
+
+def _log_luminance(picture: Picture) -> tuple[Picture, float]:
+    """Log luminance, and the radiance added before the logarithm."""
+    luminance = channel_mean(picture)
+    floor = MEASURED.toe * float(np.median(luminance)) + 1e-6
+    return np.log(luminance + floor), floor
 
 
 def _band(log: Picture, least: float, most: float) -> Picture:

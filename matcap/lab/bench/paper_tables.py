@@ -203,7 +203,7 @@ def paper_page(rows: Sequence[Trial], command: str) -> str:
         [
             "# The paper's tables",
             "",
-            f"Measured by `{command}` on {subjects} map sets, means over them.",
+            f"Measured by `{command}` on {subjects} materials, means over them.",
             "",
             "*style* is the relative L1 difference of statistics of random filters that no",
             "capture optimises, *VGG-16* that of Gram matrices of VGG-16 (0: the same, at most 2;",

@@ -56,6 +56,7 @@ FINE = Measurements(
     contrast={"fine": (0.1, 0.1), "coarse": (0.05, 0.05)},
     order=(0.5, 0.5),
     offset=0.1,
+    connectivity=(3.0, 2.5),
     piece={
         "error": 0.05, "slow": 0.04, "diffuse": 0.9, "specular": 0.8, "roughness": 0.7,
         "height": 0.7,
@@ -93,9 +94,10 @@ def test_every_row_of_the_table_is_said_of_something(leather):
 
 
 def test_what_is_not_known_is_not_held_against_a_capture():
-    seen = replace(FINE, texture=math.nan, profile=None, highlights=(None, None), order=None)
+    unknown = {"texture": math.nan, "connectivity": None}
+    seen = replace(FINE, **unknown, profile=None, highlights=(None, None), order=None)
     assert judge(seen).rating is Rating.GOOD
-    assert named(seen)["texture"].rating is Rating.NOT_JUDGED
+    assert {named(seen)[name].rating for name in unknown} == {Rating.NOT_JUDGED}
 
 
 @pytest.mark.parametrize(
@@ -130,6 +132,8 @@ BAD = [
     ({"colour": (0.2, 0.0, -0.25)}, "colour", "doubtful"),
     ({"texture": 2.0}, "texture", "doubtful"),
     ({"contrast": {"fine": (0.1, 0.1), "coarse": (0.0, 0.05)}}, "contrast", "failed"),
+    ({"connectivity": (3.5, 0.2)}, "connectivity", "doubtful"),
+    ({"connectivity": (-2.0, 3.0)}, "connectivity", "failed"),
     ({"order": (0.5, 0.05)}, "order", "failed"),
     (shot_with("stationarity", 4.0), "stationarity", "doubtful"),
     (shot_with("tilt", 20.0), "tilt", "doubtful"),
@@ -183,6 +187,15 @@ def test_a_flash_that_fired_is_not_said_to_be_missing():
 def test_where_the_photograph_shows_no_cause_none_is_named():
     sentence = judge(replace(FINE, light=0.5)).sentence()
     assert "Cause unknown" in sentence and "room" not in sentence and "curve" not in sentence
+
+
+def test_lines_that_break_or_appear_are_told_by_what_they_are():
+    broken, grown = (
+        named(replace(FINE, connectivity=pair))["connectivity"].says
+        for pair in ((3.5, 0.2), (-0.5, -3.0))
+    )
+    assert broken == "dark lines hang together 27 times less than in the photograph"
+    assert grown == "bright lines hang together 12 times more than in the photograph"
 
 
 def test_a_cause_that_explains_another_fault_is_not_told_of_this_one():
