@@ -71,7 +71,7 @@ def capture(path: str | Path, *others: str | Path, **settings: Any) -> Material:
         TypeError: an unknown setting.
 
     Example:
-        m = matcap.capture("leather.dng", preset="draft")
+        m = matcap.capture("leather.dng", preset="instant")
         maps = m.maps(1024, 1024, seed=7)
     """
     from matcap.capture.pipeline import capture_file
