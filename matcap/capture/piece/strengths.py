@@ -50,11 +50,6 @@ class Strengths:
         """Root-mean-square slope over all bands and directions."""
         return float(np.sqrt(np.square(self.slope).sum()))
 
-    def log_deviations(self) -> list[float]:
-        """Standard deviation of the log root-mean-square slope of each band."""
-        energy = np.square(self.slope).sum(1)
-        return (0.5 * self.deviation / np.maximum(energy, 1e-8)).tolist()
-
     def document(self) -> dict[str, Any]:
         """JSON: `relief`, and for each of `bands` its wavelengths in texels (`waves`), `albedo`,
         `slope` and `trust` over all directions, and `slopes` along 0, 30 ... 150 degrees from x.
