@@ -2,7 +2,8 @@
 
 What the fitted lobe misses of a highlight is put into albedo: a white spot, or a ring. A material
 does not know where the flash was, so the mean of log albedo over a ring around the mirror point is
-compared with the means over equal rings around other centres.
+compared with the means over equal rings around other centres. Rings that stand out only far from
+the mirror point are shading.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ class RemainderSettings:
     """Width of a ring, cells."""
     widest: int = 20
     """Radius of the largest ring, cells; wider discs are shading, which `flatten` removes."""
+    missed: int = 2
+    """Rings in a row that do not stand out, at which the disc ends."""
     inside: float = 0.9
     """Least share of a ring inside the picture, at other centres."""
     unusual: float = 4.0
@@ -39,6 +42,8 @@ def remaining_highlight(
     albedo: Floats, known: NDArray[np.bool_], mirror: tuple[float, float]
 ) -> NDArray[np.bool_]:
     """(H, W) bool: the disc around the mirror point up to the last ring that stands out.
+
+    Rings are followed outwards until two in a row do not stand out.
 
     Args:
         albedo: (C, H, W) diffuse albedo, in (0, 1].
@@ -57,16 +62,23 @@ def remaining_highlight(
     )
     column, row = (at / step - 0.5 for at in mirror)
     distances = np.hypot(np.arange(size[0]) - column, np.arange(size[1])[:, None] - row)
-    radius = 0
+    radius = missed = 0
     for inner in range(0, REMAINDER.widest, REMAINDER.width):
-        if _stands_out(total, share, distances, inner):
-            radius = inner + REMAINDER.width
+        stands_out = _stands_out(total, share, distances, inner)
+        if stands_out:
+            radius, missed = inner + REMAINDER.width, 0
+        elif stands_out is not None:
+            missed += 1
+            if missed == REMAINDER.missed:
+                break
     distance = np.hypot(np.arange(width) - mirror[0], np.arange(height)[:, None] - mirror[1])
     return np.asarray(distance < (radius + 1) * step if radius else distance < 0.0)
 
 
-def _stands_out(total: Floats, share: Floats, distances: NDArray[np.float64], inner: int) -> bool:
-    """Whether the ring from `inner` on has an unusual mean around the mirror point.
+def _stands_out(
+    total: Floats, share: Floats, distances: NDArray[np.float64], inner: int
+) -> bool | None:
+    """Whether the ring from `inner` on has an unusual mean around the mirror point; None if unknown.
 
     Args:
         total: (h, w) sums of log albedo over cells.
@@ -83,5 +95,5 @@ def _stands_out(total: Floats, share: Floats, distances: NDArray[np.float64], in
     at = np.unravel_index(int(distances.argmin()), distances.shape)
     others = means[(counts > REMAINDER.inside * ring.sum()) & (distances > 2.0 * outer)]
     if len(others) < 16 or counts[at] < 0.5 * ring.sum():
-        return False
+        return None
     return bool(abs(means[at] - others.mean()) > REMAINDER.unusual * (others.std() + 1e-3))

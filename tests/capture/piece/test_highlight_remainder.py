@@ -42,10 +42,11 @@ def test_a_disc_is_found_whole_and_little_more(radius, gain):
     assert away(MIRROR)[found].max() < radius + 24.0
 
 
-def test_a_ring_is_found_with_what_it_surrounds():
-    ring = np.abs(away(MIRROR) - 40.0) < 6.0
-    found = remaining_highlight(texture(1) * np.where(ring, 1.4, 1.0), KNOWN, MIRROR)
-    assert found[away(MIRROR) < 40.0].all() and not found[away(MIRROR) > 80.0].any()
+def test_a_ring_is_found_with_what_it_surrounds_if_it_is_near():
+    for radius, near in ((12.0, True), (60.0, False)):
+        ring = np.abs(away(MIRROR) - radius) < 6.0
+        found = remaining_highlight(texture(1) * np.where(ring, 2.0, 1.0), KNOWN, MIRROR)
+        assert found[away(MIRROR) < radius].all() if near else not found.any()
 
 
 @pytest.mark.parametrize("grain", [1.0, 3.0, 12.0])
@@ -68,6 +69,13 @@ def test_what_is_not_known_is_no_evidence():
     disc = away(MIRROR) < 16.0
     found = remaining_highlight(texture(3) * np.where(disc, 9.0, 1.0), ~disc, MIRROR)
     assert not found.any()
+
+
+def test_a_halo_is_found_around_a_clipped_core():
+    halo = (away(MIRROR) > 24.0) & (away(MIRROR) < 48.0)
+    known = away(MIRROR) > 28.0
+    found = remaining_highlight(texture(6) * np.where(halo, 1.6, 1.0), known, MIRROR)
+    assert found[away(MIRROR) < 44.0].all()
 
 
 def test_a_mirror_point_outside_of_the_picture_is_none():
