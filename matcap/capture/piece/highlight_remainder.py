@@ -78,7 +78,7 @@ def remaining_highlight(
 def _stands_out(
     total: Floats, share: Floats, distances: NDArray[np.float64], inner: int
 ) -> bool | None:
-    """Whether the ring from `inner` on has an unusual mean around the mirror point; None if unknown.
+    """Whether the ring from `inner` on has an unusual mean around the mirror point; None: unknown.
 
     Args:
         total: (h, w) sums of log albedo over cells.
