@@ -135,7 +135,7 @@ PRESENTATION = Presentation(
     BASE,
     ("1024 texels, 5 photographs",),
     preset_ways(),
-    frozenset({"detail", "removed"}),
+    frozenset({"detail"}),
 )
 
 

@@ -64,11 +64,14 @@ def agreement(table: Path) -> list[str]:
     """Share of judged pairs in which each measure agrees, as Markdown; empty without judgements.
 
     Over all pairs judged left or right, and over those whose measures differ by 10 % or more.
+    Rows of configurations that `matcap` has no more are in compared.csv next to the table.
     """
     path = table.with_name("pairs.csv")
     if not path.exists():
         return []
-    known = {(row.subject, row.configuration): row for row in read(table) if row.seed == 0}
+    earlier = table.with_name("compared.csv")
+    measured = [*read(table), *(read(earlier) if earlier.exists() else ())]
+    known = {(row.subject, row.configuration): row for row in measured if row.seed == 0}
     with path.open(encoding="utf-8") as file:
         decided = [row for row in csv.DictReader(file) if row["nearer"] in ("left", "right")]
     looked = [
