@@ -121,7 +121,7 @@ def _whole(capture: Callable[[int, int, CaptureSettings], CaptureResult]) -> Dom
     def captured(g: np.random.Generator) -> Swept:
         width, height = _LARGE
         seed = int(g.integers(1000))
-        asked = CaptureSettings("draft", _STEPS, detail=width, seed=seed)
+        asked = CaptureSettings(detail=width, seed=seed)
         return _swept(capture(width, height, asked), f"seed {seed}")
 
     return captured
