@@ -316,7 +316,8 @@ def inpainted(observed: Observation, prediction: NetworkPrediction) -> Exemplar:
     plane = observed.plane
     exemplar = exemplar_of(observed, prediction)
     valid = plane.valid.numpy()
-    spot = remaining_highlight(exemplar.diffuse, valid, observed.mirror_texel)
+    distance = (observed.from_mirror_point / plane.texel_size).numpy()
+    spot = remaining_highlight(exemplar.diffuse, valid, distance)
     exemplar = replace(exemplar, confidence=exemplar.confidence * ~spot)
     left_out = None if plane.left_out is None else plane.left_out.numpy()
     return transport(

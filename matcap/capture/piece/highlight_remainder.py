@@ -8,8 +8,6 @@ the mirror point are shading.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -17,29 +15,16 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class RemainderSettings:
-    """Settings of the test of rings."""
-
-    cells: int = 128
-    """Cells along the long side, over which log albedo is averaged; finer detail is texture."""
-    width: int = 2
-    """Width of a ring, cells."""
-    widest: int = 20
-    """Radius of the largest ring, cells; wider discs are shading, which `flatten` removes."""
-    missed: int = 2
-    """Rings in a row that do not stand out, at which the disc ends."""
-    inside: float = 0.9
-    """Least share of a ring inside the picture, at other centres."""
-    unusual: float = 4.0
-    """Deviations from the mean over other centres at which a ring stands out."""
-
-
-REMAINDER = RemainderSettings()
+_CELLS = 128  # along the long side, over which log albedo is averaged; finer detail is texture
+_WIDTH = 2  # of a ring, cells
+_WIDEST = 20  # radius of the largest ring, cells; wider discs are shading, which `flatten` removes
+_MISSED = 2  # rings in a row that do not stand out, at which the disc ends
+_INSIDE = 0.9  # least share of a ring inside the picture, at other centres
+_UNUSUAL = 4.0  # deviations from the mean over other centres at which a ring stands out
 
 
 def remaining_highlight(
-    albedo: Floats, known: NDArray[np.bool_], mirror: tuple[float, float]
+    albedo: Floats, known: NDArray[np.bool_], distance: Floats
 ) -> NDArray[np.bool_]:
     """(H, W) bool: the disc around the mirror point up to the last ring that stands out.
 
@@ -48,36 +33,32 @@ def remaining_highlight(
     Args:
         albedo: (C, H, W) diffuse albedo, in (0, 1].
         known: (H, W) bool, texels of the photograph.
-        mirror: column and row of the mirror point, texels.
+        distance: (H, W) distance from the mirror point, texels.
     """
-    height, width = known.shape
-    step = max(1, max(height, width) // REMAINDER.cells)
-    size = (width // step, height // step)
-    share = np.asarray(
-        cv2.resize(known.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32
-    )
+    step = max(1, max(known.shape) // _CELLS)
     log = np.log(np.maximum(albedo, 1e-3)).mean(0) * known
-    total = np.asarray(
-        cv2.resize(log.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32
+    total, share, distances = (
+        _averaged(plane, step) for plane in (log, known.astype(np.float32), distance / step)
     )
-    column, row = (at / step - 0.5 for at in mirror)
-    distances = np.hypot(np.arange(size[0]) - column, np.arange(size[1])[:, None] - row)
     radius = missed = 0
-    for inner in range(0, REMAINDER.widest, REMAINDER.width):
+    for inner in range(0, _WIDEST, _WIDTH):
         stands_out = _stands_out(total, share, distances, inner)
         if stands_out:
-            radius, missed = inner + REMAINDER.width, 0
+            radius, missed = inner + _WIDTH, 0
         elif stands_out is not None:
             missed += 1
-            if missed == REMAINDER.missed:
+            if missed == _MISSED:
                 break
-    distance = np.hypot(np.arange(width) - mirror[0], np.arange(height)[:, None] - mirror[1])
-    return np.asarray(distance < (radius + 1) * step if radius else distance < 0.0)
+    return np.asarray((distance < (radius + 1) * step) & (radius > 0))
 
 
-def _stands_out(
-    total: Floats, share: Floats, distances: NDArray[np.float64], inner: int
-) -> bool | None:
+def _averaged(plane: Floats, step: int) -> Floats:
+    """(h, w) means over squares of `step` texels."""
+    size = (plane.shape[1] // step, plane.shape[0] // step)
+    return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _stands_out(total: Floats, share: Floats, distances: Floats, inner: int) -> bool | None:
     """Whether the ring from `inner` on has an unusual mean around the mirror point; None: unknown.
 
     Args:
@@ -86,14 +67,14 @@ def _stands_out(
         distances: (h, w) distance of the cells from the mirror point, cells.
         inner: inner radius of the ring, cells.
     """
-    outer = inner + REMAINDER.width
+    outer = inner + _WIDTH
     offsets = np.arange(-outer, outer + 1)
     radius = np.hypot(offsets, offsets[:, None])
     ring = ((radius >= inner) & (radius < outer)).astype(np.float32)
     counts = cv2.filter2D(share, -1, ring, borderType=cv2.BORDER_CONSTANT)
     means = cv2.filter2D(total, -1, ring, borderType=cv2.BORDER_CONSTANT) / np.maximum(counts, 1e-6)
     at = np.unravel_index(int(distances.argmin()), distances.shape)
-    others = means[(counts > REMAINDER.inside * ring.sum()) & (distances > 2.0 * outer)]
+    others = means[(counts > _INSIDE * ring.sum()) & (distances > 2.0 * outer)]
     if len(others) < 16 or counts[at] < 0.5 * ring.sum():
         return None
-    return bool(abs(means[at] - others.mean()) > REMAINDER.unusual * (others.std() + 1e-3))
+    return bool(abs(means[at] - others.mean()) > _UNUSUAL * (others.std() + 1e-3))

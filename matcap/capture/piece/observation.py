@@ -76,11 +76,10 @@ class Observation:
         return np.asarray(self.inputs.gloss[0].clamp(0.0, 1.0).numpy(), np.float32)
 
     @property
-    def mirror_texel(self) -> tuple[float, float]:
-        """Column and row of the flash's mirror point."""
+    def from_mirror_point(self) -> Tensor:
+        """(H, W) distance from the flash's mirror point, plane units."""
         x, y = flash_mirror_point(self.coarse.setup)
-        left, top = (float(at) for at in self.points[:2, 0, 0])
-        return (x - left) / self.plane.texel_size, (top - y) / self.plane.texel_size
+        return torch.hypot(self.points[0] - x, self.points[1] - y)
 
     def strengths(self, read: Tensor | None = None) -> Strengths | None:
         """Relief spectrum measured in the photograph; None if too few texels are valid.
@@ -118,13 +117,12 @@ class Observation:
             departures: log parameters of the surface less those of the coarse fit.
             metal: whether each of its classes is metal.
         """
-        x, y = flash_mirror_point(self.coarse.setup)
         hue = 1.0 if self.light.hue is None else self.light.hue
         return RingTarget(
             linear=self.plane.linear,
             measured=self.shown,
             counts=self.within,
-            distance=torch.hypot(self.points[0] - x, self.points[1] - y),
+            distance=self.from_mirror_point,
             flash=self.light.flash,
             normal=self.light.maps(departures).normal,
             surface=self.light.uniform + departures,

@@ -12,17 +12,9 @@ from torch.optim.adam import adam
 class Adam:
     """Adam by torch.optim's function, as its class imports PyTorch's compiler, which takes 1 s."""
 
-    def __init__(
-        self, parameters: Sequence[Tensor], betas: tuple[float, float] = (0.9, 0.99)
-    ) -> None:
-        """Start with zero moments.
-
-        Args:
-            parameters: float tensors, which steps change in place.
-            betas: decay of the first and second moments.
-        """
+    def __init__(self, parameters: Sequence[Tensor]) -> None:
+        """Start with zero moments; steps change the parameters, float tensors, in place."""
         self._parameters = list(parameters)
-        self._betas = betas
         self._means = [torch.zeros_like(p) for p in self._parameters]
         self._squares = [torch.zeros_like(p) for p in self._parameters]
         self._steps = [torch.zeros(()) for _ in self._parameters]
@@ -40,8 +32,8 @@ class Adam:
             [self._steps[i] for i in had],
             fused=True,
             amsgrad=False,
-            beta1=self._betas[0],
-            beta2=self._betas[1],
+            beta1=0.9,
+            beta2=0.99,
             lr=rate,
             weight_decay=0.0,
             eps=1e-8,

@@ -30,14 +30,14 @@ def texture(seed: int, grain: float = 3.0, contrast: float = 0.3) -> np.ndarray:
 
 def away(mirror: tuple[float, float]) -> np.ndarray:
     rows, columns = np.indices((HEIGHT, WIDTH))
-    return np.hypot(columns - mirror[0], rows - mirror[1])
+    return np.hypot(columns - mirror[0], rows - mirror[1]).astype(np.float32)
 
 
 @pytest.mark.parametrize("radius", [16.0, 40.0])
 @pytest.mark.parametrize("gain", [0.5, 2.0])
 def test_a_disc_is_found_whole_and_little_more(radius, gain):
     disc = away(MIRROR) < radius
-    found = remaining_highlight(texture(0) * np.where(disc, gain, 1.0), KNOWN, MIRROR)
+    found = remaining_highlight(texture(0) * np.where(disc, gain, 1.0), KNOWN, away(MIRROR))
     assert found[disc].all()
     assert away(MIRROR)[found].max() < radius + 24.0
 
@@ -45,7 +45,7 @@ def test_a_disc_is_found_whole_and_little_more(radius, gain):
 def test_a_ring_is_found_with_what_it_surrounds_if_it_is_near():
     for radius, near in ((12.0, True), (60.0, False)):
         ring = np.abs(away(MIRROR) - radius) < 6.0
-        found = remaining_highlight(texture(1) * np.where(ring, 2.0, 1.0), KNOWN, MIRROR)
+        found = remaining_highlight(texture(1) * np.where(ring, 2.0, 1.0), KNOWN, away(MIRROR))
         assert found[away(MIRROR) < radius].all() if near else not found.any()
 
 
@@ -55,31 +55,31 @@ def test_a_texture_has_none(grain):
     hits = 0
     for seed in range(20):
         mirror = (float(rng.uniform(150, 360)), float(rng.uniform(120, 260)))
-        hits += bool(remaining_highlight(texture(seed, grain), KNOWN, mirror).any())
+        hits += bool(remaining_highlight(texture(seed, grain), KNOWN, away(mirror)).any())
     assert hits <= 2
 
 
 def test_a_spot_elsewhere_is_the_materials():
     spot = away((400.0, 100.0)) < 20.0
-    found = remaining_highlight(texture(2) * np.where(spot, 2.0, 1.0), KNOWN, MIRROR)
+    found = remaining_highlight(texture(2) * np.where(spot, 2.0, 1.0), KNOWN, away(MIRROR))
     assert not found.any()
 
 
 def test_what_is_not_known_is_no_evidence():
     disc = away(MIRROR) < 16.0
-    found = remaining_highlight(texture(3) * np.where(disc, 9.0, 1.0), ~disc, MIRROR)
+    found = remaining_highlight(texture(3) * np.where(disc, 9.0, 1.0), ~disc, away(MIRROR))
     assert not found.any()
 
 
 def test_a_halo_is_found_around_a_clipped_core():
     halo = (away(MIRROR) > 24.0) & (away(MIRROR) < 48.0)
     known = away(MIRROR) > 28.0
-    found = remaining_highlight(texture(6) * np.where(halo, 1.6, 1.0), known, MIRROR)
+    found = remaining_highlight(texture(6) * np.where(halo, 1.6, 1.0), known, away(MIRROR))
     assert found[away(MIRROR) < 44.0].all()
 
 
 def test_a_mirror_point_outside_of_the_picture_is_none():
-    assert not remaining_highlight(texture(4), KNOWN, (-300.0, 900.0)).any()
+    assert not remaining_highlight(texture(4), KNOWN, away((-300.0, 900.0))).any()
 
 
 def test_a_spot_in_albedo_is_inpainted():
@@ -92,7 +92,7 @@ def test_a_spot_in_albedo_is_inpainted():
     observed, prediction = read_piece(Observation.of(plane, coarse), load_inverse())
     prediction = levelled(observed, prediction)
     departures = prediction.departures
-    disc = away(observed.mirror_texel) < 20.0
+    disc = (observed.from_mirror_point / plane.texel_size).numpy() < 20.0
     white = departures.diffuse + 0.8 * torch.from_numpy(disc)
     spotted = replace(prediction, departures=replace(departures, diffuse=white))
     plain, found = (inpainted(observed, each).diffuse for each in (prediction, spotted))
