@@ -54,36 +54,19 @@ class MaterialKind:
         return factor, math.log(self.share / spread) - 0.5 * ((off[0] - off[1]) / spread) ** 2
 
 
-@dataclass(frozen=True)
-class ScaleSettings:
-    """Priors of albedo and F0 of materials; 78 map sets of artists and scanners agree with them.
+# Priors of albedo and F0 of materials; 78 map sets of artists and scanners agree with them.
 
-    Attributes:
-        kinds: dielectric and metal. A wider F0 prior of dielectrics follows the fitted flash
-            intensity more, and makes black materials grey.
-        brightest: limit of albedo and F0 of the brightest texels.
-        most_of: quantile that defines the brightest texels.
-        most_of_metal: the same of F0 with metal, as F0 of glints is overestimated.
-        hue: standard deviation of the log colour of metal around a pure metal's.
-        clean: standard deviation of the log F0 of metal around the pure metal's of its hue.
-        unknown: weight of a metal of unknown hue; a pure metal of exactly the hue has weight 1.
-        least_part: least share of the exemplar for a part to count.
-    """
-
-    kinds: tuple[MaterialKind, ...] = (
-        MaterialKind(0.93, (math.log(0.15), 1.0), (math.log(0.04), 0.25)),
-        MaterialKind(0.07, (math.log(0.01), 1.5), (math.log(0.5), 0.5)),
-    )
-    brightest: float = 0.95
-    most_of: float = 0.999
-    most_of_metal: float = 0.9
-    hue: float = 0.12
-    clean: float = 0.1
-    unknown: float = 0.3
-    least_part: float = 0.03
-
-
-SCALE = ScaleSettings()
+# A wider F0 prior of dielectrics follows the fitted flash intensity more, and makes black materials
+# grey.
+DIELECTRIC = MaterialKind(0.93, (math.log(0.15), 1.0), (math.log(0.04), 0.25))
+METAL = MaterialKind(0.07, (math.log(0.01), 1.5), (math.log(0.5), 0.5))
+_BRIGHTEST = 0.95  # limit of albedo and F0 of the brightest texels
+_MOST_OF = 0.999  # quantile that defines the brightest texels
+_MOST_OF_METAL = 0.9  # the same of F0 with metal, as F0 of glints is overestimated
+_HUE = 0.12  # standard deviation of the log colour of metal around a pure metal's
+_CLEAN = 0.1  # standard deviation of the log F0 of metal around the pure metal's of its hue
+_UNKNOWN = 0.3  # weight of a metal of unknown hue; a pure metal of exactly the hue has weight 1
+_LEAST_PART = 0.03  # least share of the exemplar for a part to count
 
 
 def how_metallic(levels: Tensor) -> float:
@@ -94,7 +77,7 @@ def how_metallic(levels: Tensor) -> float:
     """
     luminance = float((torch.from_numpy(_LUMINANCE) * levels[:3].exp()).sum())
     logs = math.log(max(luminance, _LEAST)), float(levels[3])
-    plain, metal = (kind.scale(*logs)[1] - math.log(kind.share) for kind in SCALE.kinds)
+    plain, metal = (kind.scale(*logs)[1] - math.log(kind.share) for kind in (DIELECTRIC, METAL))
     return metal - plain
 
 
@@ -105,29 +88,27 @@ def most_probable_scale(exemplar: Exemplar, metal: NDArray[np.float32] | None = 
         exemplar: fitted maps.
         metal: (h, w) share of metal in each texel, on any grid; None without metal.
     """
-    brightest = SCALE.most_of
+    brightest = _MOST_OF
     if metal is None:
-        plain, _ = SCALE.kinds
-        factor = plain.scale(*_logs(exemplar, np.ones_like(exemplar.height[0])))[0]
+        factor = DIELECTRIC.scale(*_logs(exemplar, np.ones_like(exemplar.height[0])))[0]
     else:
         factor = _factor_of_parts(exemplar, metal)
-        brightest = SCALE.most_of_metal
-    most = max(_most(exemplar.diffuse, SCALE.most_of), _most(exemplar.specular, brightest))
-    return min(math.exp(factor), max(SCALE.brightest / most, 1.0))
+        brightest = _MOST_OF_METAL
+    most = max(_most(exemplar.diffuse, _MOST_OF), _most(exemplar.specular, brightest))
+    return min(math.exp(factor), max(_BRIGHTEST / most, 1.0))
 
 
 def _factor_of_parts(exemplar: Exemplar, metal: NDArray[np.float32]) -> float:
     """Log of the factor that maximises the joint probability of metal and dielectric parts."""
     across, down = exemplar.size
     share = cv2.resize(metal, (across, down), interpolation=cv2.INTER_LINEAR)
-    plain, _ = SCALE.kinds
     # Weights are zero for texels that are half metal, at the borders of parts.
     bare, rest = np.maximum(2.0 * share - 1.0, 0.0), np.maximum(1.0 - 2.0 * share, 0.0)
-    parts = ((rest, plain), (bare, _metal_kind(exemplar, bare)))
+    parts = ((rest, DIELECTRIC), (bare, _metal_kind(exemplar, bare)))
     total = weights = 0.0
     for part, kind in parts:
         size = float(part.mean())
-        if size < SCALE.least_part:
+        if size < _LEAST_PART:
             continue
         for measured, (mean, deviation) in zip(
             _logs(exemplar, part), (kind.albedo, kind.specular), strict=True
@@ -139,19 +120,18 @@ def _factor_of_parts(exemplar: Exemplar, metal: NDArray[np.float32]) -> float:
 
 def _metal_kind(exemplar: Exemplar, share: NDArray[np.float32]) -> MaterialKind:
     """Prior of metal: F0 of pure metals, weighted by similarity of hue, and that of any metal."""
-    _, anything = SCALE.kinds
     planes = np.broadcast_to(exemplar.specular, (3, *share.shape))
     colour = np.log((planes * share).sum((1, 2)) / max(float(share.sum()), 1e-6) + _LEAST)
-    levels = [(anything.specular[0], anything.specular[1], SCALE.unknown)]
+    levels = [(METAL.specular[0], METAL.specular[1], _UNKNOWN)]
     for f0 in METAL_F0.values():
         log = np.log(np.array(f0))
         difference = (colour - colour.mean()) - (log - log.mean())
-        likely = math.exp(-0.5 * float(np.square(difference / SCALE.hue).sum()))
-        levels.append((math.log(sum(f0) / 3.0), SCALE.clean, likely))
+        likely = math.exp(-0.5 * float(np.square(difference / _HUE).sum()))
+        levels.append((math.log(sum(f0) / 3.0), _CLEAN, likely))
     total = sum(weight for _, _, weight in levels)
     mean = sum(level * weight for level, _, weight in levels) / total
     variance = sum(w * (d**2 + (level - mean) ** 2) for level, d, w in levels) / total
-    return MaterialKind(anything.share, anything.albedo, (mean, math.sqrt(variance)))
+    return MaterialKind(METAL.share, METAL.albedo, (mean, math.sqrt(variance)))
 
 
 def _logs(exemplar: Exemplar, part: NDArray[np.float32]) -> tuple[float, float]:

@@ -21,11 +21,36 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.parameters import REFLECTANCE, SurfaceParameters
-from matcap.capture.piece.absolute import SCALE, how_metallic
-from matcap.capture.piece.levels import DARKEST, LevelPrior, RingTarget, fit_levels
+from matcap.capture.piece.absolute import DIELECTRIC, METAL, how_metallic
+from matcap.capture.piece.levels import LevelPrior, RingTarget, fit_levels
 from matcap.capture.piece.metal import whole_colour
+from matcap.capture.piece.noise import DARKEST
 from matcap.capture.piece.smooth import smoothed
-from matcap.capture.piece.tuned import KINDS
+
+# Classification; docs/notes/gloss.md.
+_AROUND = 10.0  # the long side over the standard deviation of the blur that the high-pass subtracts
+# Logit of metal per standard deviation of goes_with_metal. Larger values follow the network's
+# borders more, and the photograph less.
+_BY_NETWORK = 2.0
+_TEXELS = 128  # short side of the grid of the fit
+_ROUNDS = 3  # iterations of fitting mean parameters and classifying texels
+# Prior standard deviations of the mean parameters (log, log, logit).
+_ALBEDO_DEVIATION, _F0_DEVIATION, _ROUGHNESS_DEVIATION = 1.5, 2.0, 0.35
+# Scale of a texel's residual of log radiance from relief and grain, of the channels' mean and
+# chroma. Smaller values classify by relief.
+_GREY_SCALE, _CHROMA_SCALE = 1.0, 0.2
+# Standard deviation of the blur of log odds, in the picture's long side. Larger values round
+# borders, smaller ones classify by relief.
+_BLUR = 0.002
+_COUNTS = 3.0  # factor on the blurred log odds, as the residuals of neighbours are correlated
+_LEAST_SHARE = 0.03  # least share of either class
+# Diffuse albedo of metal, and standard deviation of its logarithm.
+_METAL_ALBEDO, _METAL_ALBEDO_DEVIATION = 0.004, 0.3
+_LEAST_CONTRAST = 1.5  # least log ratio of F0 of metal to that of the dielectric; 2.5 is typical
+_LEAST_ODDS = 1.0  # least log odds that the dielectric is none but a dielectric
+# Least correlation of the photograph's and the network's classification for two classes.
+_LEAST_AGREED = 0.4
+_MOST_OFF = 0.2  # largest residual of ring means (log radiance) over the correlation
 
 
 @dataclass(frozen=True)
@@ -105,11 +130,11 @@ class Mixture:
         bare, rest = self.classes.levels
         share = float(self.classes.metal_share.mean())
         return (
-            min(share, 1.0 - share) > KINDS.least_share
-            and float(bare[3] - rest[3]) > KINDS.contrast
-            and how_metallic(uniform.levels() + rest) < -KINDS.sure
-            and self.off < KINDS.most_off * self.agreed
-            and self.agreed > KINDS.agreed
+            min(share, 1.0 - share) > _LEAST_SHARE
+            and float(bare[3] - rest[3]) > _LEAST_CONTRAST
+            and how_metallic(uniform.levels() + rest) < -_LEAST_ODDS
+            and self.off < _MOST_OFF * self.agreed
+            and self.agreed > _LEAST_AGREED
         )
 
 
@@ -121,23 +146,27 @@ def find_mixture(departures: SurfaceParameters, logit: Tensor, target: RingTarge
         logit: (1, H, W) predicted logit of metal.
         target: the photograph, with the uniform material as its surface.
     """
-    drawn = KINDS.drawn * goes_with_metal(departures, logit)
-    step = max(1, min(logit.shape[-2:]) // KINDS.texels)
-    few, thin = target.thinned(KINDS.texels), drawn[:, ::step, ::step]
+    drawn = _BY_NETWORK * goes_with_metal(departures, logit)
+    step = max(1, min(logit.shape[-2:]) // _TEXELS)
+    few, thin = target.thinned(_TEXELS), drawn[:, ::step, ::step]
     metal = torch.sigmoid(thin)
     predicted = _pair(torch.sigmoid(drawn)).means(departures)
-    predicted[0, :3] = math.log(KINDS.black) - target.surface.levels()[:3]
+    predicted[0, :3] = math.log(_METAL_ALBEDO) - target.surface.levels()[:3]
     levels = predicted
-    plain, bare = SCALE.kinds
-    deviation = torch.tensor([*[KINDS.albedo] * 3, KINDS.specular, KINDS.roughness]).repeat(2, 1)
-    deviation[0, :3] = KINDS.black_deviation
+    deviation = torch.tensor(
+        [*[_ALBEDO_DEVIATION] * 3, _F0_DEVIATION, _ROUGHNESS_DEVIATION]
+    ).repeat(2, 1)
+    deviation[0, :3] = _METAL_ALBEDO_DEVIATION
     prior = LevelPrior(
         predicted,
         deviation,
-        (bare.specular[0] - plain.specular[0], math.hypot(plain.specular[1], bare.specular[1])),
+        (
+            METAL.specular[0] - DIELECTRIC.specular[0],
+            math.hypot(DIELECTRIC.specular[1], METAL.specular[1]),
+        ),
     )
     off = 0.0
-    for number in range(KINDS.rounds):
+    for number in range(_ROUNDS):
         few = _coloured(few, metal)
         if number:
             metal = _share(_nearer(few, levels), thin, float(metal.mean()))
@@ -171,7 +200,7 @@ def goes_with_metal(departures: SurfaceParameters, logit: Tensor) -> Tensor:
     lightness = albedo.mean(0, keepdim=True)
     colour = (albedo - lightness)[::2]
     maps = [logit, lightness, colour, departures.roughness, departures.specular]
-    around = max(logit.shape) / KINDS.around
+    around = max(logit.shape) / _AROUND
     local = np.stack([plane - smoothed(plane, around) for plane in torch.cat(maps).numpy()])
     local /= local.std((1, 2), keepdims=True) + np.float32(1e-6)
     together = (local * local[0]).mean((1, 2))
@@ -195,13 +224,13 @@ def _nearer(target: RingTarget, levels: Tensor) -> Tensor:
         grey = residual.mean(0, keepdim=True)
         colour = (residual - grey).square().sum(0, keepdim=True)
         # Cauchy distribution: misplaced relief gives occasional large residuals.
-        tones = torch.log1p(grey.square() / KINDS.grey**2)
-        off.append(tones + torch.log1p(colour / KINDS.colour**2))
+        tones = torch.log1p(grey.square() / _GREY_SCALE**2)
+        off.append(tones + torch.log1p(colour / _CHROMA_SCALE**2))
     bare, rest = off
     # Blurred: classes form patches, and slopes towards and away from the light cancel.
-    around = KINDS.patch * target.linear.shape[-1]
+    around = _BLUR * target.linear.shape[-1]
     plane = cv2.GaussianBlur((rest - bare)[0].numpy(), (0, 0), around)
-    return torch.from_numpy(KINDS.counts * plane)[None]
+    return torch.from_numpy(_COUNTS * plane)[None]
 
 
 def _share(nearer: Tensor, drawn: Tensor, before: float) -> Tensor:
@@ -211,5 +240,5 @@ def _share(nearer: Tensor, drawn: Tensor, before: float) -> Tensor:
         nearer, drawn: (1, H, W) log odds by radiance and by the network.
         before: prior share of metal.
     """
-    common = min(max(before, KINDS.least_share), 1.0 - KINDS.least_share)
+    common = min(max(before, _LEAST_SHARE), 1.0 - _LEAST_SHARE)
     return torch.sigmoid(math.log(common / (1.0 - common)) + nearer + drawn)

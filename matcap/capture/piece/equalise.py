@@ -15,9 +15,32 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.piece.smooth import coarse_smoothed, enlarged, split
+from matcap.capture.piece.smooth import COARSER, coarse_smoothed, enlarged, split
 from matcap.capture.piece.strengths import Strengths, slope_strengths
-from matcap.capture.piece.tuned import BAND, STRENGTH
+
+# Measurement and use of the relief spectrum; docs/notes/capture.md. NSD is the normalised style
+# distance.
+
+# Standard deviation of the log ratio of true to predicted energy: common to all bands, and of
+# each band. Half or twice as much hardly matters.
+_COMMON_LOG, _BAND_LOG = 1.5, 1.0
+# Range and step of the log factors searched.
+_POSTERIOR_REACH, _POSTERIOR_STEP = 5.0, 0.05
+_LEAST_ENERGY = 1e-8  # squared slope, lower limit of standard deviations of energies
+# Texels, standard deviation of local energies. Smaller values equalise a cell and its groove (at
+# 20 a leather loses 0.1 NSD and a cloth gains as much), larger ones leave arcs around the mirror
+# point.
+_AROUND = 32.0
+_DIRECTIONS = 8  # number of directional bands
+_MARGIN = 64  # texels by which a picture is mirrored at its borders
+_LEAST_GAIN, _MOST_GAIN = 0.25, 10.0  # limits of the local gain
+# Power of the sensitivity as a weight. Larger values use only places where the light is parallel
+# to the direction.
+_SHARPNESS = 3.0
+_ROUNDS = 3  # iterations of scaling bands to their energies, as neighbours overlap
+# Largest factor on a band. At 5, leather's finest octave, which needs 11, stays too flat.
+_MOST_FACTOR = 30.0
+_LEAST_SLOPE = 1e-4  # root-mean-square slope, lower limit of a band's
 
 Height = NDArray[np.float32]
 Doubles = NDArray[np.float64]
@@ -40,8 +63,8 @@ def equalise(
         even = np.stack(list(pool.map(partial(_evened, seen=seen), bands)))
     wanted = _wanted(height, strengths)
     factors: Doubles = np.ones(len(even))
-    most = STRENGTH.strongest
-    for _ in range(STRENGTH.even_rounds):
+    most = _MOST_FACTOR
+    for _ in range(_ROUNDS):
         drawn = _energies(_sum(factors, even))
         factors = (factors * np.sqrt(wanted / drawn)).clip(1.0 / most, most)
     return _sum(factors, even)
@@ -55,7 +78,7 @@ def _sum(factors: Doubles, bands: Height) -> Height:
 def _squares(sensitivity: Height) -> Height:
     """(3, h, w) products xx, xy and yy of the sensitivity, on the grid of coarse_smoothed."""
     x, y = sensitivity
-    return np.stack([coarse_smoothed(product, BAND.coarser) for product in (x * x, x * y, y * y)])
+    return np.stack([coarse_smoothed(product, COARSER) for product in (x * x, x * y, y * y)])
 
 
 def _evened(band: Height, seen: Height) -> Height:
@@ -64,17 +87,17 @@ def _evened(band: Height, seen: Height) -> Height:
     `seen` is the result of _squares.
     """
     height, width = band.shape
-    margin = min(STRENGTH.even_margin, *(side - 1 for side in band.shape))
+    margin = min(_MARGIN, *(side - 1 for side in band.shape))
     padded = np.pad(band, margin, mode="reflect")
     spectrum = np.fft.rfft2(padded)
     inside = slice(margin, margin + height), slice(margin, margin + width)
     even = np.zeros_like(band)
     for angle, share in _directions(padded.shape):
         waves = np.fft.irfft2(spectrum * share, s=padded.shape)[inside].astype(np.float32)
-        energy = coarse_smoothed(np.square(waves), STRENGTH.even_around)
+        energy = coarse_smoothed(np.square(waves), _AROUND)
         wanted = _where_seen(energy, angle, seen)
         gain = np.sqrt(wanted / np.maximum(energy, 1e-20))
-        gain = gain.clip(STRENGTH.even_least, STRENGTH.even_most).astype(np.float32)
+        gain = gain.clip(_LEAST_GAIN, _MOST_GAIN).astype(np.float32)
         even += enlarged(gain, band.shape) * waves
     return even
 
@@ -84,7 +107,7 @@ def _where_seen(energy: Height, angle: float, seen: Height) -> float:
     c, s = np.cos(angle), np.sin(angle)
     xx, xy, yy = seen.astype(np.float64)
     weight = np.maximum(c * c * xx + 2.0 * c * s * xy + s * s * yy, 0.0)
-    weight = (weight / max(float(weight.max()), 1e-12)) ** STRENGTH.even_sharpness + 1e-9
+    weight = (weight / max(float(weight.max()), 1e-12)) ** _SHARPNESS + 1e-9
     return float((weight * energy).sum() / weight.sum())
 
 
@@ -93,7 +116,7 @@ def _directions(shape: tuple[int, ...]) -> list[tuple[float, Height]]:
 
     The filters overlap smoothly and sum to 1.
     """
-    count = STRENGTH.even_directions
+    count = _DIRECTIONS
     fx, fy = np.fft.rfftfreq(shape[1]), -np.fft.fftfreq(shape[0])[:, None]
     along = np.arctan2(fy, fx + np.zeros_like(fy))
     directions = []
@@ -106,7 +129,7 @@ def _directions(shape: tuple[int, ...]) -> list[tuple[float, Height]]:
 
 def _energies(height: Height) -> Doubles:
     """(len(BANDS),) mean squared slopes of a height (H, W) in texels."""
-    return np.square(slope_strengths(height)).sum(1).clip(STRENGTH.least_slope**2)
+    return np.square(slope_strengths(height)).sum(1).clip(_LEAST_SLOPE**2)
 
 
 def _wanted(height: Height, strengths: Strengths | None) -> Doubles:
@@ -124,7 +147,7 @@ def posterior_energies(drawn: Doubles, measured: Doubles, deviation: Doubles) ->
 
         minimise  sum_b ((p_b e^{x_b} - m_b) / d_b)^2 + sum_b ((x_b - c) / s)^2 + (c / t)^2
 
-    over the log factors x_b of each band and c common to all (s: STRENGTH.each_band, t: .together).
+    over the log factors x_b of each band and c common to all (s: _BAND_LOG, t: _COMMON_LOG).
     The network shrinks uncertain relief by a factor common to all bands and a smaller one per band.
     Well-measured bands take the measurement; bands measured as zero shrink by the inverse of its
     variance; bands without a measurement follow c.
@@ -134,13 +157,13 @@ def posterior_energies(drawn: Doubles, measured: Doubles, deviation: Doubles) ->
         measured: (bands,) by the photograph, not negative.
         deviation: (bands,) standard deviations of `measured`.
     """
-    reach, step = STRENGTH.posterior_reach, STRENGTH.posterior_step
+    reach, step = _POSTERIOR_REACH, _POSTERIOR_STEP
     logs = np.arange(-reach, reach + step / 2.0, step)
-    scatter = deviation[:, None] + STRENGTH.least_energy
+    scatter = deviation[:, None] + _LEAST_ENERGY
     off = np.square((drawn[:, None] * np.exp(logs) - measured[:, None]) / scatter)
     # (common, band, own): c, b and x_b of the docstring.
-    own_cost = np.square((logs - logs[:, None]) / STRENGTH.each_band)[:, None, :]
+    own_cost = np.square((logs - logs[:, None]) / _BAND_LOG)[:, None, :]
     price = own_cost + off
     best = price.argmin(-1)
-    total = price.min(-1).sum(1) + np.square(logs / STRENGTH.together)
+    total = price.min(-1).sum(1) + np.square(logs / _COMMON_LOG)
     return np.asarray(drawn * np.exp(logs[best[total.argmin()]]))

@@ -28,17 +28,12 @@ from matcap.capture.piece.glints import scaled_by_glints
 from matcap.capture.piece.highlight_remainder import remaining_highlight
 from matcap.capture.piece.levels import LevelPrior, fit_levels
 from matcap.capture.piece.metal import metal_share
-from matcap.capture.piece.network.network import (
-    ExpectedErrors,
-    Inverse,
-    NetworkAnswer,
-)
+from matcap.capture.piece.network.network import ExpectedErrors, Inverse, NetworkAnswer
 from matcap.capture.piece.observation import Observation, seen_share
 from matcap.capture.piece.refine import Refined, flatten, refine, remaining
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.transport import transport
-from matcap.capture.piece.tuned import READ
 from matcap.capture.progress import CaptureClock
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
@@ -49,6 +44,13 @@ from matcap.statistics.lattice import Wave
 
 if TYPE_CHECKING:
     from matcap.capture.together.set_report import SetReport
+
+# Expected errors (log, log, logit, slope) at which confidence is 1/e. Larger values trust
+# uncertain maps.
+_DOUBTED_ALBEDO, _DOUBTED_SPECULAR, _DOUBTED_ROUGHNESS, _DOUBTED_SLOPE = 0.3, 0.6, 0.6, 0.15
+# The picture's long side over the standard deviation of the blur of confidence. Larger values
+# trust only texels without features.
+_CONFIDENCE_AROUND = 12.0
 
 
 @dataclass(frozen=True)
@@ -370,16 +372,16 @@ def confidence(
     The blur keeps where the light shows a map, and removes which features are predicted easily.
 
     Args:
-        errors: expected errors by map; units are READ.doubted_*.
+        errors: expected errors by map; units are _DOUBTED_*.
         seen: (H, W) visibility, in [0, 1].
         unit: texels of the photograph's long side, if the exemplar extends beyond it.
     """
     error = errors.stacked().clamp(-8.0, 4.0).exp().numpy()
     units = (
-        READ.doubted_albedo, READ.doubted_specular, READ.doubted_roughness, READ.doubted_slope,
+        _DOUBTED_ALBEDO, _DOUBTED_SPECULAR, _DOUBTED_ROUGHNESS, _DOUBTED_SLOPE,
     )  # fmt: skip
     error = error / np.array(units, np.float32)[:, None, None]
-    around = (unit or max(seen.shape)) / READ.confidence_around
+    around = (unit or max(seen.shape)) / _CONFIDENCE_AROUND
     certain = np.stack([np.exp(-smoothed(plane, around)) for plane in error])
     return np.ascontiguousarray(certain * seen, dtype=np.float32)
 

@@ -13,7 +13,7 @@ limestone, part of the contrast is albedo.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -24,25 +24,13 @@ from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.piece.refine import PieceLight
 from matcap.capture.piece.smooth import filled, smoothed, split
 
-
-@dataclass(frozen=True)
-class GlintSettings:
-    """Settings of the measurement of relief from glints.
-
-    Attributes:
-        mirrored: specular fraction of the radiance that bounds the glossiest region.
-        least_share: least share of the photograph for that region.
-        matte: share of the photograph, with the least specular fraction, in the mattest region.
-        around: the long side over the standard deviation of the blur that is subtracted first.
-        least, most: limits of the factors.
-    """
-
-    mirrored: float = 0.4
-    least_share: float = 0.01
-    matte: float = 0.33
-    around: float = 12.0
-    least: float = 0.5
-    most: float = 6.0
+# Specular fraction of the radiance that bounds the glossiest region, where slopes dominate.
+MIRRORED = 0.4
+LEAST_SHARE = 0.01  # least share of the photograph for that region
+# Share of the photograph, with the least specular fraction, in the mattest region.
+_MATTE_SHARE = 0.33
+_AROUND = 12.0  # the long side over the standard deviation of the blur that is subtracted first
+_LEAST_FACTOR, _MOST_FACTOR = 0.5, 6.0  # limits of the factors
 
 
 def scaled_by_glints(
@@ -51,7 +39,6 @@ def scaled_by_glints(
     measured: Tensor,
     light: PieceLight,
     noise: Tensor,
-    settings: GlintSettings | None = None,
 ) -> SurfaceParameters:
     """Scale each octave of relief by its factor g_b, measured in the glints (module equation).
 
@@ -61,16 +48,14 @@ def scaled_by_glints(
         measured: (3, H, W) bool: not clipped.
         light: the photograph's own.
         noise: (3, H, W) standard deviation of log radiance.
-        settings: of the measurement.
     """
-    settings = settings or GlintSettings()
     maps = light.maps(departures)
     _, diffuse_share = light.rendered(maps)
-    around = max(linear.shape) / settings.around
+    around = max(linear.shape) / _AROUND
     glare = 1.0 - smoothed(diffuse_share.mean(0).numpy(), around / 4.0)
     seen = measured.all(0).numpy()
-    region = (glare > settings.mirrored) & seen
-    if float(region.mean()) < settings.least_share:
+    region = (glare > MIRRORED) & seen
+    if float(region.mean()) < LEAST_SHARE:
         return departures
     mean = departures.diffuse.mean((1, 2), keepdim=True)
     maps = light.maps(replace(departures, diffuse=mean.expand_as(linear)))
@@ -85,7 +70,7 @@ def scaled_by_glints(
             energy[len(energy) - 2 - octave] -= variance[where].mean() * 0.75 * 0.25**octave
         return energy.clip(0.0)
 
-    matte = (glare <= np.quantile(glare[seen], settings.matte)) & seen
+    matte = (glare <= np.quantile(glare[seen], _MATTE_SHARE)) & seen
     diluted = np.square(1.0 - glare).clip(1e-8)
     share = diluted[region].mean() / diluted[matte].mean()
     whole = _energies(rendered, region, around)
@@ -93,7 +78,7 @@ def scaled_by_glints(
     relief = (whole - share * _energies(rendered, matte, around)).clip(0.5 * whole)
     excess = (energies(region) - share * energies(matte)).clip(0.0)
     gains = np.sqrt(excess / relief.clip(1e-12))
-    gains = gains.clip(settings.least, settings.most)
+    gains = gains.clip(_LEAST_FACTOR, _MOST_FACTOR)
     gains[-1] = 1.0
     bands = split(departures.height[0].numpy())
     height = sum(float(g) * band for g, band in zip(gains, bands, strict=True))

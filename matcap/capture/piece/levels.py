@@ -20,36 +20,20 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.parameters import SurfaceParameters
+from matcap.capture.piece.noise import DARKEST
 from matcap.flash.light import FlashLight, Incidence
 
-DARKEST = 1e-5  # radiance
 _STEP = 0.03  # of logit roughness, for differences
 
 
-@dataclass(frozen=True)
-class LevelSettings:
-    """Settings of the fit of mean F0 and roughness to rings around the mirror point.
-
-    Attributes:
-        innermost: r0, plane units; the ring of radius r is per_octave log2(1 + r / r0), truncated.
-        per_octave: rings per octave of radius.
-        ring_texels: n0 of the weight n / (n + n0) of a ring with n texels of a class.
-        clipped: clipped share of a ring above which its mean is only a lower bound.
-        noise, huber: standard deviation of a ring's log radiance, and threshold of its Huber loss.
-        most: largest change of a parameter in a step.
-        steps: Gauss-Newton steps.
-        texels: short side of the grid of the fit.
-    """
-
-    innermost: float = 0.02
-    per_octave: float = 4.0
-    ring_texels: float = 50.0
-    clipped: float = 0.05
-    noise: float = 0.1
-    huber: float = 0.3
-    most: float = 0.4
-    steps: int = 16
-    texels: int = 384
+_INNERMOST = 0.02  # r0, plane units; the ring of radius r is _PER_OCTAVE log2(1 + r / r0)
+_PER_OCTAVE = 4.0  # rings per octave of radius
+_RING_TEXELS = 50.0  # n0 of the weight n / (n + n0) of a ring with n texels of a class
+BOUND = 0.05  # clipped share of a ring above which its mean is only a lower bound
+# Standard deviation of a ring's log radiance, and threshold of its Huber loss.
+_NOISE, _HUBER = 0.1, 0.3
+_MOST_STEP = 0.4  # largest change of a parameter in a step
+_STEPS = 16  # Gauss-Newton steps
 
 
 @dataclass(frozen=True)
@@ -135,14 +119,14 @@ class RingTarget:
 class _Rings:
     """Class-weighted means over rings around the mirror point."""
 
-    def __init__(self, target: RingTarget, shares: Tensor, settings: LevelSettings) -> None:
-        octaves = torch.log2(1.0 + target.distance / settings.innermost)
-        self._ring = (settings.per_octave * octaves).long().flatten()
+    def __init__(self, target: RingTarget, shares: Tensor) -> None:
+        octaves = torch.log2(1.0 + target.distance / _INNERMOST)
+        self._ring = (_PER_OCTAVE * octaves).long().flatten()
         self._many = int(self._ring.max()) + 1
         self._weights = [(share * target.counts).flatten() for share in shares]
         sums = torch.stack([self._sums(weight) for weight in self._weights])
         self._sizes = sums.clamp_min(1e-6)
-        self.counts = (sums / (sums + settings.ring_texels))[:, None].expand(-1, 3, -1)
+        self.counts = (sums / (sums + _RING_TEXELS))[:, None].expand(-1, 3, -1)
 
     def _sums(self, weight: Tensor) -> Tensor:
         return torch.bincount(self._ring, weight, self._many)
@@ -163,7 +147,6 @@ def fit_levels(
     shares: Tensor,
     start: Tensor,
     prior: LevelPrior,
-    settings: LevelSettings | None = None,
 ) -> tuple[Tensor, float]:
     """(K, 5) mean parameters fitted to the ring means, and their mean absolute log residual.
 
@@ -172,10 +155,8 @@ def fit_levels(
         shares: (K, H, W) share of each class in each texel; they sum to 1.
         start: (K, 5) initial values.
         prior: of the result.
-        settings: of the fit.
     """
-    settings = settings or LevelSettings()
-    rings = _Rings(target, shares, settings)
+    rings = _Rings(target, shares)
     observed = rings.means(target.linear.clamp_max(1.0)).clamp_min(DARKEST).log()
     incidence = target.flash.onto(target.normal)
     precision = prior.deviation.flatten().square().reciprocal()
@@ -185,19 +166,19 @@ def fit_levels(
         contrast[0, 3], contrast[1, 3] = 1.0, -1.0
         wanted, belief = prior.contrast[0], prior.contrast[1] ** -2
     across = contrast.flatten()
-    counts = rings.counts.flatten() / settings.noise**2
-    open_share = 1.0 - rings.means((~target.measured).float()).flatten() / settings.clipped
+    counts = rings.counts.flatten() / _NOISE**2
+    open_share = 1.0 - rings.means((~target.measured).float()).flatten() / BOUND
     bound = open_share.clamp(0.0, 1.0)
     levels = start
-    for _ in range(settings.steps):
+    for _ in range(_STEPS):
         residual, columns = _linear(target, incidence, rings, shares, levels, observed)
-        robust = settings.huber / residual.abs().clamp_min(settings.huber)
+        robust = _HUBER / residual.abs().clamp_min(_HUBER)
         robust = torch.where(residual < 0.0, bound * robust, robust)
         weighted = columns * (counts * robust)
         normal = weighted @ columns.T + torch.diag(precision) + belief * across[:, None] * across
         gradient = weighted @ residual - precision * (levels - prior.mean).flatten()
         gradient += belief * (wanted - across @ levels.flatten()) * across
-        step = torch.linalg.solve(normal, gradient).clamp(-settings.most, settings.most)
+        step = torch.linalg.solve(normal, gradient).clamp(-_MOST_STEP, _MOST_STEP)
         levels = levels + step.reshape(levels.shape)
     residual, _ = _linear(target, incidence, rings, shares, levels, observed)
     counts = counts * torch.where(residual < 0.0, bound, 1.0)

@@ -13,9 +13,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.piece.smooth import smoothed
-from matcap.capture.piece.tuned import NOISE
 from matcap.files.srgb import srgb_slope
 from matcap.flash.plane import Plane
+
+# Standard deviation of a developed channel's noise, in codes of 255. Larger values take dark
+# texture for noise.
+_CODE_NOISE = 1.0
+AROUND = 8.0  # texels, standard deviation of local averages
+_ALIKE = 0.1  # log radiance added in quadrature to the noise before channels are weighted by it
+DARKEST = 1e-5  # linear radiance below which logarithms are clamped
+# Side of blocks in texels, and the share of blocks assumed to have no texture.
+_BLOCK, _PLAIN_SHARE = 8, 0.1
 
 Floats = NDArray[np.float32]
 
@@ -25,12 +33,12 @@ def channel_noise(plane: Plane) -> Tensor:
 
     Local averages, so that it does not depend on a texel's own darkness.
     """
-    linear = np.stack([smoothed(c, NOISE.around) for c in plane.linear.numpy()])
+    linear = np.stack([smoothed(c, AROUND) for c in plane.linear.numpy()])
     if plane.noise is not None:
         drawn = plane.noise.square().numpy()
-        deviation = np.sqrt(np.stack([smoothed(c, NOISE.around) for c in drawn]))
+        deviation = np.sqrt(np.stack([smoothed(c, AROUND) for c in drawn]))
     elif plane.developed:
-        deviation = code_step(linear) * np.float32(NOISE.codes)
+        deviation = code_step(linear) * np.float32(_CODE_NOISE)
     else:
         return torch.zeros_like(plane.linear)
     share = deviation / np.maximum(linear, np.maximum(deviation, np.float32(1e-9)))
@@ -39,7 +47,7 @@ def channel_noise(plane: Plane) -> Tensor:
 
 def channel_weights(noise: Tensor) -> Tensor:
     """(3, H, W) weights of the channels for a mean over them; they sum to 1."""
-    weight = 1.0 / (noise.square() + NOISE.alike**2)
+    weight = 1.0 / (noise.square() + _ALIKE**2)
     return weight / weight.sum(0, keepdim=True)
 
 
@@ -66,11 +74,11 @@ def plainest(plane: Plane, weights: Tensor) -> float:
 
     By mixed second differences, which vanish on f(x) + g(y) [immerkaer1996].
     """
-    log = (weights * plane.linear.clamp_min(NOISE.darkest).log()).sum(0)
+    log = (weights * plane.linear.clamp_min(DARKEST).log()).sum(0)
     mixed = log[2:] - 2.0 * log[1:-1] + log[:-2]
     mixed = (mixed[:, 2:] - 2.0 * mixed[:, 1:-1] + mixed[:, :-2]) / 6.0
-    side = min(NOISE.block, *mixed.shape)
+    side = min(_BLOCK, *mixed.shape)
     whole = plane.valid[1:-1, 1:-1].float()[None, None]
     squares = torch.nn.functional.avg_pool2d(mixed.square()[None, None], side)
     seen = torch.nn.functional.avg_pool2d(whole, side) == 1.0
-    return float(squares[seen].quantile(NOISE.plain).sqrt()) if seen.any() else 0.0
+    return float(squares[seen].quantile(_PLAIN_SHARE).sqrt()) if seen.any() else 0.0

@@ -18,12 +18,16 @@ from matcap.capture.piece.network.network import NetworkInputs
 from matcap.capture.piece.noise import channel_noise, channel_weights, noise_level
 from matcap.capture.piece.refine import PieceLight
 from matcap.capture.piece.smooth import filled, smoothed
-from matcap.capture.piece.strengths import Strengths, measure_strengths
-from matcap.capture.piece.tuned import READ, STRENGTH
+from matcap.capture.piece.strengths import RESPONSE_AROUND, Strengths, measure_strengths
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.geometry import flash_mirror_point, plane_points
 from matcap.flash.plane import Plane
 from matcap.flash.rectify import inside
+
+_SPREAD_OF_LIGHT = 1.5  # texels, standard deviation of the blur of clipping
+# Radiance (1 at clipping) below which a Gaussian neighbourhood (standard deviation in texels) is
+# unlit: it has the lowest 8-bit codes, or a RAW's noise.
+_UNLIT, _UNLIT_AROUND = 1e-3, 8.0
 
 
 @dataclass(frozen=True)
@@ -137,15 +141,15 @@ def seen_share(measured: Tensor) -> NDArray[np.float32]:
     lower, next to a large clipped area it is 0.
     """
     share = measured.float().mean(0).numpy()
-    around = cv2.GaussianBlur(share, (0, 0), READ.spread_of_light, borderType=cv2.BORDER_REFLECT)
+    around = cv2.GaussianBlur(share, (0, 0), _SPREAD_OF_LIGHT, borderType=cv2.BORDER_REFLECT)
     return np.asarray(np.minimum(share, np.clip(2.0 * around - 1.0, 0.0, 1.0)), np.float32)
 
 
 def lit(linear: Tensor) -> Tensor:
-    """(H, W) bool: where the local mean of radiance (3, H, W) is above READ.unlit."""
-    return torch.from_numpy(smoothed(linear.mean(0).numpy(), READ.unlit_around) > READ.unlit)
+    """(H, W) bool: where the local mean of radiance (3, H, W) is above _UNLIT."""
+    return torch.from_numpy(smoothed(linear.mean(0).numpy(), _UNLIT_AROUND) > _UNLIT)
 
 
 def _even(sensitivity: Tensor) -> NDArray[np.float32]:
     """Smoothed sensitivity (2, H, W)."""
-    return np.stack([smoothed(s, STRENGTH.response_around) for s in sensitivity.numpy()])
+    return np.stack([smoothed(s, RESPONSE_AROUND) for s in sensitivity.numpy()])

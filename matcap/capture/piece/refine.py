@@ -18,17 +18,37 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_slopes
-from matcap.brdf.parameters import (
-    F0_LIMITS,
-    Reflectance,
-    SurfaceParameters,
-)
+from matcap.brdf.parameters import F0_LIMITS, Reflectance, SurfaceParameters
 from matcap.capture.piece.network.network import ExpectedErrors
-from matcap.capture.piece.noise import channel_weights
+from matcap.capture.piece.noise import DARKEST, channel_weights
 from matcap.capture.piece.smooth import smoothed
-from matcap.capture.piece.tuned import REFINE
 from matcap.flash.light import FlashLight, Incidence, cached_rows, strips
 from matcap.flash.uniform import Uniform
+
+# Refinement; docs/notes/capture.md. NSD is the normalised style distance.
+
+# Gauss-Newton steps. The power of granite's finest octave is 0.66, 0.74 and 0.74 of the
+# photograph's after 3, 4 and 6.
+_STEPS = 5
+_SLOPE_STEP = 0.03  # step of slope in finite differences of log radiance
+_LEAST_ERROR, _MOST_ERROR = 0.02, 1.0  # limits of expected errors
+# Log radiance, lower limit of the noise. Smaller values copy sensor noise into the maps.
+_LEAST_NOISE = 0.01
+_SLOW = 12.0  # the long side over the standard deviation of the blur whose result is left out
+# Largest change of log radiance in a step. Gaps between threads are predicted too bright by more
+# than 0.5.
+_MOST_CHANGE = 1.5
+# Standard deviation of the highlight's log radiance at a specular fraction of 1, of dielectric
+# and metal, whose texture is its F0: a brushed steel has an NSD of 2.5 with 0.5, and of 1.8 with
+# 0.15.
+_GLARE, _GLARE_METAL = 0.5, 0.15
+# Ratio of the standard deviations of albedo's chroma and lightness. Larger values take sensor
+# noise for colour.
+_CHROMA = 0.3
+# The long side over the standard deviation of the blur that is subtracted from albedo, as the
+# sample is stationary.
+_STATIONARY = 8.0
+_THINNED = 3  # subsampling, texels, of least-squares sums over smooth planes
 
 
 @dataclass(frozen=True)
@@ -89,7 +109,7 @@ class PieceLight:
         """(3, H, W) each: log radiance of maps, and the diffuse share of the radiance."""
         diffuse = incidence.diffuse(maps.diffuse)
         mirrored = incidence.specular(maps.specular, maps.roughness)
-        radiance = (diffuse + mirrored).clamp_min(REFINE.darkest)
+        radiance = (diffuse + mirrored).clamp_min(DARKEST)
         return radiance.log(), diffuse / radiance
 
     def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
@@ -114,9 +134,9 @@ class PieceLight:
             incidence = self.flash.onto(normals_from_slopes(x * one, y * one))
             return self.logs(maps, incidence)[0].mean(0)
 
-        across = tilted(REFINE.slope_step, 0.0) - tilted(-REFINE.slope_step, 0.0)
-        up = tilted(0.0, REFINE.slope_step) - tilted(0.0, -REFINE.slope_step)
-        return torch.stack([across, up]) / (2.0 * REFINE.slope_step)
+        across = tilted(_SLOPE_STEP, 0.0) - tilted(-_SLOPE_STEP, 0.0)
+        up = tilted(0.0, _SLOPE_STEP) - tilted(0.0, -_SLOPE_STEP)
+        return torch.stack([across, up]) / (2.0 * _SLOPE_STEP)
 
 
 def flatten(
@@ -146,7 +166,7 @@ def flatten(
             return channel
         mean = (channel * weight).sum() / weight.sum()
         channel = channel - torch.from_numpy(_following(channel.numpy(), shape))
-        slow = smoothed(channel.numpy(), (across or max(channel.shape)) / REFINE.stationary)
+        slow = smoothed(channel.numpy(), (across or max(channel.shape)) / _STATIONARY)
         return channel + (mean - torch.from_numpy(slow))
 
     return replace(
@@ -161,7 +181,7 @@ def _following(plane: NDArray[np.float32], shape: NDArray[np.float32]) -> NDArra
 
     Sums run in NumPy on one thread, so that the result is the same bits on every run.
     """
-    every = slice(None, None, REFINE.thinned)
+    every = slice(None, None, _THINNED)
     thin = shape[:, every, every].astype(np.float64)
     products = np.einsum("nhw,mhw->nm", thin, thin, optimize=False)
     projected = np.einsum("nhw,hw->n", thin, plane[every, every], optimize=False)
@@ -191,21 +211,21 @@ def refine(
         metal: (1, H, W) share of metal in each texel; None without metal.
         noise: standard deviation of the photograph's log radiance; (3, H, W) or one number.
     """
-    observed = linear.clamp_min(REFINE.darkest).log()
+    observed = linear.clamp_min(DARKEST).log()
     valid = valid.expand_as(linear)
-    albedo = errors.albedo.exp().clamp(REFINE.least_error, REFINE.most_error).square()
-    colour = albedo * REFINE.chroma**2
+    albedo = errors.albedo.exp().clamp(_LEAST_ERROR, _MOST_ERROR).square()
+    colour = albedo * _CHROMA**2
     maps = light.maps(departures)
     incidence = light.flash.onto(maps.normal)
     log, shares = light.logs(maps, incidence)
-    white = torch.as_tensor(noise).to(linear).expand_as(linear).clamp_min(REFINE.least_noise)
+    white = torch.as_tensor(noise).to(linear).expand_as(linear).clamp_min(_LEAST_NOISE)
     weights = channel_weights(white)
     bare = torch.zeros_like(maps.roughness) if metal is None else metal
-    for step in range(REFINE.steps):
+    for step in range(_STEPS):
         if step:
             log, shares = light.logs(light.maps(departures), incidence)
         residual = _unexplained(observed, log, valid)
-        residual = (residual - _slow(residual, valid)).clamp(-REFINE.most, REFINE.most)
+        residual = (residual - _slow(residual, valid)).clamp(-_MOST_CHANGE, _MOST_CHANGE)
         informative = valid | (residual > 0.0)
         share = (weights * shares).sum(0, keepdim=True)
         # d log L / d log albedo, and of metal / d log F0.
@@ -213,7 +233,7 @@ def refine(
         counts = weights * informative
         counts = counts / counts.sum(0, keepdim=True).clamp_min(1e-6)
         grey = (counts * residual).sum(0, keepdim=True)
-        uncertain = REFINE.glare + (REFINE.glare_metal - REFINE.glare) * bare
+        uncertain = _GLARE + (_GLARE_METAL - _GLARE) * bare
         glare = (uncertain * (1.0 - share)).square()
         # The channels' noise is taken as fully correlated, as development blurs it to blotches.
         unknown = (counts * white).sum(0, keepdim=True).square() + glare
@@ -235,7 +255,7 @@ def remaining(
     """Departures with the residuals of their re-rendering; arguments as of refine."""
     maps = light.maps(departures)
     log, _ = light.rendered(maps)
-    residual = _unexplained(linear.clamp_min(REFINE.darkest).log(), log, valid)
+    residual = _unexplained(linear.clamp_min(DARKEST).log(), log, valid)
     return Refined(departures, residual, _slow(residual, valid))
 
 
@@ -247,7 +267,7 @@ def _unexplained(observed: Tensor, log: Tensor, valid: Tensor) -> Tensor:
 
 def _slow(residual: Tensor, valid: Tensor) -> Tensor:
     """Low-frequency part (3, H, W) of a residual, over valid texels."""
-    deviation = max(valid.shape) / REFINE.slow
+    deviation = max(valid.shape) / _SLOW
     weights = valid.expand_as(residual).numpy().astype(np.float32) + np.float32(1e-4)
     planes = [
         smoothed(plane * weight, deviation) / smoothed(weight, deviation)

@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.capture.piece.strengths import BANDS
-from matcap.capture.piece.tuned import BAND
+
+# Octave bands of a plane; docs/notes/capture.md.
+COARSER = 8  # subsampling, texels, of wide blurs. Larger values are faster and leave cells.
+_SOFT = 0.25  # octaves, half width of the transition between bands. Smaller values ring.
 
 ChannelPlane = NDArray[np.float32]
 
@@ -20,11 +23,11 @@ def smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
 
 
 def coarse_smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
-    """Gaussian blur of a plane (H, W), on a grid coarser by BAND.coarser."""
+    """Gaussian blur of a plane (H, W), on a grid coarser by COARSER."""
     rows, columns = plane.shape
-    size = (max(1, columns // BAND.coarser), max(1, rows // BAND.coarser))
+    size = (max(1, columns // COARSER), max(1, rows // COARSER))
     thin = cv2.resize(plane, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.GaussianBlur(thin, (0, 0), deviation / BAND.coarser), np.float32)
+    return np.asarray(cv2.GaussianBlur(thin, (0, 0), deviation / COARSER), np.float32)
 
 
 def enlarged(plane: ChannelPlane, shape: tuple[int, ...]) -> ChannelPlane:
@@ -71,6 +74,4 @@ def split(plane: ChannelPlane, bands: Sequence[tuple[float, float]] = BANDS) -> 
 
 def _ramp(octave: ChannelPlane) -> ChannelPlane:
     """Smooth step from 0 to 1 at a border between bands; `octave` is log2 frequency over it."""
-    return np.asarray(
-        0.5 + 0.5 * np.sin(np.pi / 2 * (octave / BAND.soft).clip(-1.0, 1.0)), np.float32
-    )
+    return np.asarray(0.5 + 0.5 * np.sin(np.pi / 2 * (octave / _SOFT).clip(-1.0, 1.0)), np.float32)

@@ -23,7 +23,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.piece.tuned import STRENGTH
+# Measurement and use of the relief spectrum; docs/notes/capture.md. NSD is the normalised style
+# distance.
+
+# Side and spacing of windows, texels. Larger windows resolve longer waves, but fewer fit.
+_WINDOW, _STRIDE = 128, 64
+# Least visible share of a window; its energy is divided by that share. At 0.98 a photograph with
+# sparkles has no window left.
+_LEAST_SEEN = 0.75
+# |d log L/d slope| at which a window's weight drops to one half; beyond it the first-order
+# shading model fails, and near a highlight its direction changes within a window. A cut-off at
+# 0.8 or 2 instead gives the same within 1 %.
+_LINEAR = 1.2
+_ROUNDS = 4  # of reweighting, as an energy's standard error is proportional to the energy
+_FEWEST_WINDOWS = 8  # least number of windows for the three unknowns
+_SCATTER = 2.0  # factor on standard errors, for windows that overlap and are shared by directions
+# Prior standard deviation of a window's factor m - 1 on albedo's energy. At 0, diluted albedo is
+# taken for relief (a weave's slopes come out three times too large).
+_COMMON_FACTOR = 1.0
+# The same of the coefficient of m on the squared diffuse share. Dark gaps are diluted far more
+# than by the share itself.
+_DILUTION = 5.0
+_DISAGREED = 0.5  # share of the difference of two estimates that is added to the standard deviation
+RESPONSE_AROUND = 24.0  # texels, standard deviation of the blur of the sensitivity
 
 Doubles = NDArray[np.float64]
 
@@ -93,12 +115,12 @@ def measure_strengths(
     """
     whole = _windows(log.shape)
     seen = _seen(use, whole)
-    cuts = [cut for cut, share in zip(whole, seen, strict=True) if share >= STRENGTH.seen]
-    if len(cuts) < STRENGTH.fewest:
+    cuts = [cut for cut, share in zip(whole, seen, strict=True) if share >= _LEAST_SEEN]
+    if len(cuts) < _FEWEST_WINDOWS:
         return None
     # Interpolated texels are smooth and lack energy.
-    energy = _window_energies(log, cuts) / seen[seen >= STRENGTH.seen, None, None]
-    window = STRENGTH.window
+    energy = _window_energies(log, cuts) / seen[seen >= _LEAST_SEEN, None, None]
+    window = _WINDOW
     white = noise**2 * _sums(np.ones((window, window)), _kinds()) / window**2
     energy = np.maximum(energy - white, 0.0)
     matte = np.ones_like(log) if matte is None else matte
@@ -109,7 +131,7 @@ def measure_strengths(
             slope - _regressed(energy, _responses(matte, also, use, cuts))[1]
         ).sum(1)
     # Standard errors of directions are independent; model errors have one sign in all of them.
-    deviation = np.hypot(np.sqrt(np.square(error).sum(1)), STRENGTH.disagreed * disagreement)
+    deviation = np.hypot(np.sqrt(np.square(error).sum(1)), _DISAGREED * disagreement)
     return Strengths(
         albedo=np.sqrt(albedo),
         slope=np.sqrt(slope),
@@ -165,7 +187,7 @@ def _regressed(energy: Doubles, responses: Doubles) -> Doubles:
         responses: (windows, 6) from _responses.
     """
     matte, x, y, xx, xy, yy = responses.T
-    counts = 1.0 / (1.0 + (xx + yy) / STRENGTH.linear**2)
+    counts = 1.0 / (1.0 + (xx + yy) / _LINEAR**2)
     angle = np.arange(DIRECTIONS)[:, None] * np.pi / DIRECTIONS
     c, s = np.cos(angle), np.sin(angle)
     slant, squared = c * x + s * y, c * c * xx + 2.0 * c * s * xy + s * s * yy
@@ -190,13 +212,13 @@ def slope_strengths(height: NDArray[np.float32]) -> Doubles:
 
 def _hann() -> Doubles:
     """(window, window) Hann window."""
-    hann = np.hanning(STRENGTH.window)
+    hann = np.hanning(_WINDOW)
     return np.asarray(hann[:, None] * hann, np.float64)
 
 
 def _windows(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
     """Rows and columns of all windows of a plane (H, W)."""
-    side, stride = STRENGTH.window, STRENGTH.stride
+    side, stride = _WINDOW, _STRIDE
     rows = range(0, shape[0] - side + 1, stride)
     columns = range(0, shape[1] - side + 1, stride)
     return [(slice(y, y + side), slice(x, x + side)) for y in rows for x in columns]
@@ -213,7 +235,7 @@ def _kinds() -> NDArray[np.int64]:
 
     Frequencies outside of all bands have the bin len(BANDS) * DIRECTIONS.
     """
-    frequency = np.fft.fftfreq(STRENGTH.window)
+    frequency = np.fft.fftfreq(_WINDOW)
     fx, fy = np.meshgrid(frequency, -frequency)
     radius, angle = np.hypot(fx, fy), np.arctan2(fy, fx)
     direction = np.rint(angle / (np.pi / DIRECTIONS)).astype(np.int64) % DIRECTIONS
@@ -243,13 +265,13 @@ def _regress(
     each = np.eye(kinds)[:, None, :]
     terms = (np.ones_like(slant), 2.0 * slant, squared)
     own = np.concatenate([each * term[..., None] for term in terms], axis=2).reshape(-1, 3 * kinds)
-    drift = STRENGTH.diluted * (matte - matte.mean())[:, None]
-    common = np.tile(np.concatenate([STRENGTH.common * np.eye(windows), drift], axis=1), (kinds, 1))
+    drift = _DILUTION * (matte - matte.mean())[:, None]
+    common = np.tile(np.concatenate([_COMMON_FACTOR * np.eye(windows), drift], axis=1), (kinds, 1))
     prior = np.eye(own.shape[1] + common.shape[1])[own.shape[1] :]
     spread = np.tile(np.sqrt(counts), kinds)
     least = np.repeat(0.2 * energy.mean(1) + 1e-12, windows)
     albedo, expected = energy.mean(1), np.full(energy.size, energy.mean() + 1e-12)
-    for _ in range(STRENGTH.rounds):
+    for _ in range(_ROUNDS):
         weight = spread / expected
         columns = np.concatenate([own, common * np.repeat(albedo, windows)[:, None]], axis=1)
         matrix = np.concatenate([columns * weight[:, None], prior])
@@ -260,5 +282,5 @@ def _regress(
     scatter = np.square(aim - matrix @ solution).sum() / max(kinds * (counts.sum() - 3.0), 1.0)
     slopes = slice(2 * kinds, 3 * kinds)
     variance = np.linalg.pinv(matrix.T @ matrix).diagonal()[slopes].clip(0.0)
-    error = STRENGTH.scatter * np.sqrt(scatter * variance)
+    error = _SCATTER * np.sqrt(scatter * variance)
     return np.stack([albedo, solution[slopes].clip(0.0), error])

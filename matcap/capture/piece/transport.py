@@ -21,8 +21,29 @@ from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
 from matcap.brdf.parameters import Reflectance
 from matcap.capture.piece.gradient_blend import composed
 from matcap.capture.piece.refine import PieceLight
-from matcap.capture.piece.tuned import INPAINT
 from matcap.example.exemplar import Exemplar
+
+# Inpainting under the highlight; docs/notes/capture.md. NSD is the normalised style distance.
+_TRIED = 40  # candidate blocks per place. More match better, and take proportionally longer.
+_BLOCK = 48  # side of a block, texels: larger than the texture's features, small enough to match
+_OVERLAP = 12  # overlap of neighbouring blocks, texels
+# Least confidence of albedo in donors, over that of well seen texels. Larger values inpaint
+# visible texels: at 0.93 wood loses 0.4 NSD.
+_TRUSTED = 0.75
+_WELL_SEEN = 0.75  # quantile of confidence that defines well seen
+_MOST_HIDDEN = 0.2  # largest share of the picture to inpaint, more than any flash hides
+_WHOLE_DONOR = 0.95  # least confident share of a donor block
+_WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
+_LEAST_HIDDEN = 2e-4  # hidden share of all texels below which nothing is inpainted
+_UNLIKENESS = 0.7  # weight of the decorrelation from the photograph against the overlap's mismatch
+# A place keeps its maps if its energy of log radiance is above _STRONGER times the candidates'
+# median and a share above _VISIBLE_SHARE is visible: a scratch, or bare metal that only the
+# highlight shows.
+_STRONGER, _VISIBLE_SHARE = 2.0, 0.5
+_THINNED = 4  # subsampling, texels, of rendered candidates
+_FARTHEST = 4.0  # upper limit of a squared standardised difference in the overlap
+_SEAM_REACH = 24.0  # texels over which the two sides of a seam converge
+_DARKEST = 1e-4  # lower limit of linear radiance and albedo before logarithms
 
 Floats = NDArray[np.float32]
 BlockPlaces = NDArray[np.int64]
@@ -63,17 +84,17 @@ def transport(
     """
     confidence = exemplar.confidence[0]
     known = np.ones(confidence.shape, np.bool_) if left_out is None else ~left_out
-    trusted = confidence / max(float(np.quantile(confidence[known], INPAINT.well_seen)), 1e-6)
-    most = float(np.quantile(trusted[known], INPAINT.most_hidden)) + 1e-6
-    hidden = trusted < min(INPAINT.trusted, most)
+    trusted = confidence / max(float(np.quantile(confidence[known], _WELL_SEEN)), 1e-6)
+    most = float(np.quantile(trusted[known], _MOST_HIDDEN)) + 1e-6
+    hidden = trusted < min(_TRUSTED, most)
     donors = _donors(~hidden & known)
     if left_out is not None:
         # Texels outside of a crop are not inpainted.
         hidden = (hidden & known) | (_between(known) & ~known)
-    if hidden.mean() < INPAINT.least or not len(donors):
+    if hidden.mean() < _LEAST_HIDDEN or not len(donors):
         return exemplar
     drawn = _drawn(exemplar, ~hidden)
-    places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > INPAINT.wanted]
+    places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > _WANTED_SHARE]
     # From visible surroundings inwards, so that patterns continue.
     places.sort(key=lambda p: -float(trusted[_block(p)].mean()))
     photograph = _Photograph(exemplar, linear, valid, light)
@@ -82,9 +103,9 @@ def transport(
     # F0 and roughness are constant in a class and have steps between classes: no blending.
     maps = drawn.laid[:, source[0], source[1]]
     texel = exemplar.texel_size
-    log_albedo = np.log(drawn.laid[DIFFUSE].clip(INPAINT.darkest))
+    log_albedo = np.log(drawn.laid[DIFFUSE].clip(_DARKEST))
     drawing = np.concatenate([log_albedo, drawn.laid[HEIGHT] / texel])
-    *albedo, fine = composed(drawing, source, copied, INPAINT.reach)
+    *albedo, fine = composed(drawing, source, copied, _SEAM_REACH)
     slow = drawn.stacked[HEIGHT] - drawn.laid[HEIGHT]
     return replace(
         exemplar,
@@ -109,7 +130,7 @@ class _Likeness:
     @property
     def is_distinct(self) -> bool:
         """Whether the photograph has far more contrast than the candidates: scratch, bare metal."""
-        return self.share > INPAINT.shown and self.stronger > INPAINT.stronger
+        return self.share > _VISIBLE_SHARE and self.stronger > _STRONGER
 
 
 class _Photograph:
@@ -118,7 +139,7 @@ class _Photograph:
     def __init__(
         self, exemplar: Exemplar, linear: Tensor, valid: Tensor, light: PieceLight
     ) -> None:
-        self._log = linear.clamp_min(INPAINT.darkest).log()
+        self._log = linear.clamp_min(_DARKEST).log()
         self._valid = valid
         self._light = light
         maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
@@ -132,10 +153,10 @@ class _Photograph:
 
     def likeness(self, place: tuple[int, int], blocks: BlockPlaces) -> _Likeness:
         """Render blocks at a place and compare them with the photograph there."""
-        inner = np.arange(0, INPAINT.block, INPAINT.thinned)
+        inner = np.arange(0, _BLOCK, _THINNED)
         rows, columns = blocks[:, 0, None, None] + inner[:, None], blocks[:, 1, None, None] + inner
         reflectance, normal = _parts(torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1))
-        here = tuple(slice(start, start + INPAINT.block, INPAINT.thinned) for start in place)
+        here = tuple(slice(start, start + _BLOCK, _THINNED) for start in place)
         light = self._light.cut(*here)
         log = light.logs(reflectance, light.flash.onto(normal))[0]
         seen = self._valid[here].to(log)
@@ -175,13 +196,13 @@ def _choose(
     allowed = set(map(tuple, donors.tolist()))
     chosen: dict[tuple[int, int], tuple[int, int]] = {}
     for place in places:
-        blocks = donors[rng.integers(len(donors), size=INPAINT.tried)]
+        blocks = donors[rng.integers(len(donors), size=_TRIED)]
         follow = [s for s in _continued(place, chosen) if s in allowed]
         if follow:
             blocks = np.concatenate([blocks, np.array(follow)])
         shown = photograph.likeness(place, blocks)
         torn = _discontinuity(place, blocks, drawn.seen, seen, known)
-        best = int((torn + INPAINT.likeness * shown.share * shown.unlike).argmin())
+        best = int((torn + _UNLIKENESS * shown.share * shown.unlike).argmin())
         source = (int(blocks[best][0]), int(blocks[best][1]))
         if shown.is_distinct:
             source = place
@@ -197,7 +218,7 @@ def _continued(
     place: tuple[int, int], chosen: dict[tuple[int, int], tuple[int, int]]
 ) -> list[tuple[int, int]]:
     """Corners of the blocks that continue the donors of the neighbouring places."""
-    step = INPAINT.block - INPAINT.overlap
+    step = _BLOCK - _OVERLAP
     around = [(dy, dx) for dy in (-step, 0, step) for dx in (-step, 0, step) if dy or dx]
     continued = []
     for dy, dx in around:
@@ -215,13 +236,13 @@ def _discontinuity(
     known: NDArray[np.bool_],
 ) -> Floats:
     """(N,) mean squared difference of blocks to known texels of a place, standardised."""
-    here = tuple(slice(start, start + INPAINT.block, 2) for start in place)
+    here = tuple(slice(start, start + _BLOCK, 2) for start in place)
     rows, columns = 2 * np.array(np.nonzero(known[here]))
     if not rows.size:
         return np.zeros(len(blocks), np.float32)
     there = donor[blocks[:, :1] + rows, blocks[:, 1:] + columns]
     difference = np.square(there - seen[place[0] + rows, place[1] + columns])
-    return np.asarray(difference.clip(0.0, INPAINT.farthest).mean((1, 2)), np.float32)
+    return np.asarray(difference.clip(0.0, _FARTHEST).mean((1, 2)), np.float32)
 
 
 def _sources(
@@ -231,8 +252,8 @@ def _sources(
 
     In an overlap, a texel takes the block whose border is farther from it.
     """
-    texels = np.arange(INPAINT.block)
-    inside = np.minimum(texels + 1, INPAINT.block - texels)
+    texels = np.arange(_BLOCK)
+    inside = np.minimum(texels + 1, _BLOCK - texels)
     deep = np.minimum.outer(inside, inside)
     source, deepest = np.indices(hidden.shape), np.zeros(hidden.shape, np.int64)
     for place, donor in chosen.items():
@@ -249,7 +270,7 @@ def _drawn(exemplar: Exemplar, known: NDArray[np.bool_]) -> _Drawn:
     """Prepare an exemplar's planes; albedo is standardised over known texels."""
     stacked = exemplar.stacked().astype(np.float32)
     height = exemplar.height[0] / exemplar.texel_size
-    fine = height - cv2.GaussianBlur(height, (0, 0), INPAINT.block / 1.5)
+    fine = height - cv2.GaussianBlur(height, (0, 0), _BLOCK / 1.5)
     laid = stacked.copy()
     laid[HEIGHT] = fine * exemplar.texel_size
     down, across = np.gradient(fine)
@@ -269,23 +290,21 @@ def _between(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _donors(trusted: NDArray[np.bool_]) -> BlockPlaces:
     """(N, 2) corners of blocks with high confidence nearly everywhere."""
     rows, columns = trusted.shape
-    if min(rows, columns) <= INPAINT.block:
+    if min(rows, columns) <= _BLOCK:
         return np.zeros((0, 2), np.int64)
     sums = cv2.integral(trusted.astype(np.uint8)).astype(np.int64)
-    n = INPAINT.block
+    n = _BLOCK
     count = sums[n:, n:] - sums[:-n, n:] - sums[n:, :-n] + sums[:-n, :-n]
-    return np.argwhere(count >= INPAINT.whole * n * n)
+    return np.argwhere(count >= _WHOLE_DONOR * n * n)
 
 
 def _grid(shape: tuple[int, ...]) -> list[tuple[int, int]]:
     """Corners of overlapping blocks that cover a plane (H, W)."""
-    step = INPAINT.block - INPAINT.overlap
-    rows, columns = (
-        [*range(0, side - INPAINT.block, step), side - INPAINT.block] for side in shape
-    )
+    step = _BLOCK - _OVERLAP
+    rows, columns = ([*range(0, side - _BLOCK, step), side - _BLOCK] for side in shape)
     return [(row, column) for row in rows for column in columns]
 
 
 def _block(corner: tuple[int, int]) -> tuple[slice, slice]:
     """Rows and columns of the block at a corner."""
-    return slice(corner[0], corner[0] + INPAINT.block), slice(corner[1], corner[1] + INPAINT.block)
+    return slice(corner[0], corner[0] + _BLOCK), slice(corner[1], corner[1] + _BLOCK)

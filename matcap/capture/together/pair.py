@@ -26,8 +26,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.smooth import smoothed, split
-from matcap.capture.piece.strengths import BANDS, measure_strengths
-from matcap.capture.piece.tuned import STRENGTH
+from matcap.capture.piece.strengths import BANDS, RESPONSE_AROUND, measure_strengths
 from matcap.capture.together.ambient_light import LEAN, LEANING, Views
 from matcap.capture.together.texels import ALBEDO, SLOPES, points_of, rendered
 from matcap.capture.together.views import PieceView, SetLight, light_at
@@ -203,7 +202,7 @@ class Ratio:
             which = slice(number, number + 1)
             both = zip(logs(which, step), logs(which, -step), strict=True)
             change = ratio(*((up - down) / (2.0 * step) for up, down in both))
-            along.append(smoothed(change, STRENGTH.response_around))
+            along.append(smoothed(change, RESPONSE_AROUND))
         use = (views[0].seen & views[-1].seen).all(0).numpy().astype(np.float32)
         left = ratio(*(view.log - e for (_, view), e in zip(some, even, strict=True)))
         left = (left - _mean(left, use, max(use.shape) / _SLOW)) * use

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.capture.piece.noise import DARKEST
 from matcap.capture.together.ambient_light import AMBIENT_NOISE, LEAN, AmbientLight
 from matcap.capture.together.tint import on_grid
 from matcap.flash.extent import OWN, Extent
@@ -24,7 +25,6 @@ from matcap.photo.photo import FULL
 
 _FINER = 2  # samples along the side of a texel
 _MOST_CLIPPED = 0.25  # largest clipped share of a valid texel
-_DARKEST = 1e-5  # linear radiance, lower limit
 _ROWS = 256  # rows of a mosaic's texels that are projected at a time
 RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs
 _BORDER = 2.0  # width of a photograph's unused border, pixels
@@ -174,7 +174,7 @@ class PieceView:
             there = cv2.remap(picture, x, y, how, borderMode=cv2.BORDER_REFLECT_101)
             return np.asarray(cv2.resize(there, (across, down), interpolation=cv2.INTER_AREA))
 
-        linear = gridded(pixels, cv2.INTER_CUBIC).clip(_DARKEST)
+        linear = gridded(pixels, cv2.INTER_CUBIC).clip(DARKEST)
         hidden = gridded(clipped, cv2.INTER_LINEAR) > _MOST_CLIPPED
         whole = cv2.resize(inside.astype(np.float32), (across, down), interpolation=cv2.INTER_AREA)
         seen = ~hidden & (whole[..., None] > 0.99)
@@ -229,9 +229,9 @@ def radiance(
     light: FlashLight | AmbientLight, matte: Tensor, specular: Tensor, rough: Tensor, normal: Tensor
 ) -> Tensor:
     """(3, h, w) radiance of albedo, F0 and roughness with unit normals (3, h, w)."""
-    return light.onto(normal).radiance(matte, specular, rough).clamp_min(_DARKEST)
+    return light.onto(normal).radiance(matte, specular, rough).clamp_min(DARKEST)
 
 
 def logarithm(radiance: Tensor) -> Tensor:
     """Log radiance, with radiance bounded below."""
-    return radiance.clamp_min(_DARKEST).log()
+    return radiance.clamp_min(DARKEST).log()

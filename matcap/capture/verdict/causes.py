@@ -32,42 +32,28 @@ _RELIEF = frozenset({"texture", "contrast", "piece", "confidence", "glint_contra
 _CLIPPED = _HIGHLIGHT | {"clipped", "colour", "confidence", "piece", "contrast", "light"}
 
 
-@dataclass(frozen=True)
-class CauseLimits:
-    """Limits of CauseMeasurements at which a cause is reported; docs/notes/verdict.md."""
+# Limits of CauseMeasurements at which a cause is reported; docs/notes/verdict.md.
 
-    side: float = 0.3
-    """Log ratio of `side` that adds 1 to the strength; any positive ratio excludes a flash."""
-    even: float = 0.1
-    """Largest log ratio of `side` that counts as uniform light."""
-    room: float = 0.25
-    """Limit of the share of ambient light, CauseMeasurements.room."""
-    curve: float = 0.12
-    """Limit of the tone curve's difference of log radiance, CauseMeasurements.curve."""
-    streak: float = 1.35
-    """Limit of the highlight's elongation, CauseMeasurements.streak."""
-    channels: float = 0.04
-    """Limit of the share clipped in some channels only, CauseMeasurements.channels."""
-    tilt: float = 25.0
-    """Limit of the mean angle of normals, degrees, CauseMeasurements.tilt."""
-    variety: float = 0.2
-    """Limit of `variety`, below which features are as large as the photograph."""
-    rings: int = 6
-    """Piecewise linear terms in the distance from the centre."""
-    brightest: float = 0.7
-    """Quantile of the light above which texels are not fitted, as the highlight's error would look
-    like a tone curve."""
-    strip: float = 0.06
-    """Width of the border that represents a side, as a share of the picture's."""
-    around: tuple[float, float] = (0.25, 0.5)
-    """Inner and outer radius, plane units, of the ring that represents the centre."""
-    streak_blur: float = 0.03
-    """Standard deviation, plane units, of the blur that removes texture from a highlight."""
-    clip: float = 0.995
-    """Pixel value from which a channel counts as clipped."""
-
-
-CAUSES = CauseLimits()
+# Log ratio of `side` that adds 1 to the strength; any positive ratio excludes a flash.
+_SIDE_UNIT = 0.3
+_EVEN = 0.1  # largest log ratio of `side` that counts as uniform light
+_MOST_ROOM = 0.25  # limit of the share of ambient light, CauseMeasurements.room
+_MOST_CURVE = 0.12  # limit of the tone curve's difference of log radiance, CauseMeasurements.curve
+_MOST_STREAK = 1.35  # limit of the highlight's elongation, CauseMeasurements.streak
+# Limit of the share clipped in some channels only, CauseMeasurements.channels.
+_MOST_CHANNELS = 0.04
+_MOST_TILT = 25.0  # limit of the mean angle of normals, degrees, CauseMeasurements.tilt
+_LEAST_VARIETY = 0.2  # limit of `variety`, below which features are as large as the photograph
+_RING_TERMS = 6  # piecewise linear terms in the distance from the centre
+# Quantile of the light above which texels are not fitted, as the highlight's error would look
+# like a tone curve.
+_BRIGHTEST = 0.7
+_STRIP = 0.06  # width of the border that represents a side, as a share of the picture's
+# Inner and outer radius, plane units, of the ring that represents the centre.
+_CENTRE_RING = (0.25, 0.5)
+# Standard deviation, plane units, of the blur that removes texture from a highlight.
+_STREAK_BLUR = 0.03
+_CLIP = 0.995  # pixel value from which a channel counts as clipped
 
 
 @dataclass(frozen=True)
@@ -113,7 +99,7 @@ class CauseMeasurements:
             highlights: of both.
         """
         light, model = (each.mean(axis=2) for each in smooth)
-        clipped = pixels >= CAUSES.clip
+        clipped = pixels >= _CLIP
         return replace(
             self,
             side=_brightest_side(light),
@@ -159,7 +145,7 @@ def _all(measured: CauseMeasurements) -> Iterator[Cause]:
     """Every cause, at any strength."""
     yield Cause(
         "anisotropic highlight",
-        (measured.streak - 1.0) / (CAUSES.streak - 1.0),
+        (measured.streak - 1.0) / (_MOST_STREAK - 1.0),
         f"the highlight is a streak {measured.streak:.1f} times as long as wide: the reflection is "
         "anisotropic, as of brushed metal, which the maps cannot represent",
         "use an anisotropic shader in the renderer",
@@ -168,7 +154,7 @@ def _all(measured: CauseMeasurements) -> Iterator[Cause]:
     yield from _of_light(measured)
     yield Cause(
         "steep relief",
-        measured.tilt / CAUSES.tilt,
+        measured.tilt / _MOST_TILT,
         f"the relief's mean slope is {measured.tilt:.0f} degrees, too steep to measure from one "
         "flash position",
         more_photographs(measured.photographs),
@@ -176,7 +162,7 @@ def _all(measured: CauseMeasurements) -> Iterator[Cause]:
     )
     yield Cause(
         "large features",
-        (1.0 - measured.variety) / (1.0 - CAUSES.variety),
+        (1.0 - measured.variety) / (1.0 - _LEAST_VARIETY),
         "the pattern's features are almost as large as the photograph, too large to rearrange",
         "use it with --variety 0, or photograph more of the sample from further away",
         _DRAWING,
@@ -185,7 +171,7 @@ def _all(measured: CauseMeasurements) -> Iterator[Cause]:
 
 def _of_light(measured: CauseMeasurements) -> Iterator[Cause]:
     """Causes in the light or in how the camera recorded it."""
-    even = 0.0 <= measured.side <= CAUSES.even
+    even = 0.0 <= measured.side <= _EVEN
     yield Cause(
         "no flash",
         1.0 if even and not measured.fired else 0.0,
@@ -195,16 +181,16 @@ def _of_light(measured: CauseMeasurements) -> Iterator[Cause]:
     )
     yield Cause(
         "light from a side",
-        0.0 if even else 1.0 + measured.side / CAUSES.side,
+        0.0 if even else 1.0 + measured.side / _SIDE_UNIT,
         f"other light from one side, which is {math.exp(measured.side):.1f} times as bright as the "
         "middle",
         DARK,
         _LIGHT,
     )
-    bent = measured.developed and measured.curve / CAUSES.curve >= measured.room / CAUSES.room
+    bent = measured.developed and measured.curve / _MOST_CURVE >= measured.room / _MOST_ROOM
     yield Cause(
         "room light",
-        0.0 if bent else measured.room / CAUSES.room,
+        0.0 if bent else measured.room / _MOST_ROOM,
         f"{min(measured.room, 1.0):.0%} of the light in the dark parts is room light, not the "
         "flash's",
         DARK,
@@ -212,14 +198,14 @@ def _of_light(measured: CauseMeasurements) -> Iterator[Cause]:
     )
     yield Cause(
         "tone curve",
-        measured.curve / CAUSES.curve if bent else 0.0,
+        measured.curve / _MOST_CURVE if bent else 0.0,
         "the camera applied a tone curve, so that pixel values are not proportional to light",
         "take RAW (DNG)",
         _LEVELS,
     )
     yield Cause(
         "clipping by channel",
-        measured.channels / CAUSES.channels,
+        measured.channels / _MOST_CHANNELS,
         f"one or two of red, green and blue are clipped on {100.0 * measured.channels:.0f} % of "
         "the photograph, which changes its colour there",
         "photograph again a stop darker",
@@ -238,10 +224,10 @@ def by_place(difference: SmoothLight) -> SmoothLight:
 def _brightest_side(light: SmoothLight) -> float:
     """Log ratio of the brightest side to the surroundings of the centre, of smooth light (h, w)."""
     height, width = light.shape
-    rows, columns = (max(1, round(CAUSES.strip * side)) for side in (height, width))
+    rows, columns = (max(1, round(_STRIP * side)) for side in (height, width))
     sides = (light[:rows], light[-rows:], light[:, :columns], light[:, -columns:])
     distance = np.hypot(*_from_middle(light.shape)) * 2.0
-    around = light[(distance > CAUSES.around[0]) & (distance < CAUSES.around[1])]
+    around = light[(distance > _CENTRE_RING[0]) & (distance < _CENTRE_RING[1])]
     brightest = max(float(np.median(side)) for side in sides)
     return float(np.log((brightest + 1e-6) / (np.median(around) + 1e-6)))
 
@@ -265,7 +251,7 @@ def _bent(light: SmoothLight, model: SmoothLight) -> float:
 
 def _laid_over(light: SmoothLight, model: SmoothLight) -> float:
     """Offset b of the fit light = a model + b, over the 10 % quantile of light."""
-    fit = model < np.quantile(model, CAUSES.brightest)
+    fit = model < np.quantile(model, _BRIGHTEST)
     weight = 1.0 / (model[fit] + 1e-6)  # relative residuals
     columns = np.stack([model[fit] * weight, weight], axis=1)
     added = float(np.linalg.lstsq(columns, light[fit] * weight, rcond=None)[0][1])
@@ -288,7 +274,7 @@ def _streak(
 def _elongation(light: SmoothLight, highlight: Highlight) -> float | None:
     """A highlight's length over its width, above half of its peak; None if that is empty."""
     height, width = light.shape
-    blurred = cv2.GaussianBlur(light, (0, 0), CAUSES.streak_blur * width / 2.0)
+    blurred = cv2.GaussianBlur(light, (0, 0), _STREAK_BLUR * width / 2.0)
     v, u = np.mgrid[:height, :width].astype(np.float64)
     u, v = (u + 0.5) * 2.0 / width - 1.0, (height - 2.0 * (v + 0.5)) / width
     u, v = u - highlight.centre[0], v - highlight.centre[1]
@@ -312,8 +298,8 @@ def _plane(shape: Sequence[int]) -> SmoothLight:
 def _rings(shape: Sequence[int]) -> SmoothLight:
     """(rings, h, w) linear interpolation weights in the distance from the centre; they sum to 1."""
     distance = np.hypot(*_from_middle(shape))
-    at = distance / distance.max() * (CAUSES.rings - 1)
-    return np.stack([np.clip(1.0 - np.abs(at - ring), 0.0, 1.0) for ring in range(CAUSES.rings)])
+    at = distance / distance.max() * (_RING_TERMS - 1)
+    return np.stack([np.clip(1.0 - np.abs(at - ring), 0.0, 1.0) for ring in range(_RING_TERMS)])
 
 
 def _from_middle(shape: Sequence[int]) -> tuple[SmoothLight, SmoothLight]:

@@ -22,8 +22,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.piece.glints import GlintSettings
-from matcap.capture.piece.levels import LevelSettings
+from matcap.capture.piece.glints import LEAST_SHARE, MIRRORED
+from matcap.capture.piece.levels import BOUND
 from matcap.capture.piece.smooth import filled
 from matcap.flash.geometry import FlashSetup, flash_mirror_point, plane_points
 from matcap.flash.light import FlashLight, cached_rows, strips
@@ -35,10 +35,7 @@ TexelMask = NDArray[np.bool_]
 NEAR, FAR = 0.06, 0.3  # plane units from the mirror point
 _EDGES = (0.0, NEAR, 0.085, 0.12, 0.17, 0.24, FAR, 9.0)  # radii, plane units; two rings per octave
 GLOSSY = 1.3  # least contrast of a highlight, as in flash/highlight.py
-MIRRORED = GlintSettings.mirrored  # specular fraction above which slopes dominate the contrast
-BOUND = LevelSettings.clipped  # clipped share above which a ring's mean is a lower bound
 UNSEEN = 0.01  # standard deviation of log radiance that is invisible
-_LEAST = GlintSettings.least_share  # least share of the picture for measuring glints
 _OCTAVES = 3  # number, from 1 texel on
 _DARKEST = 1e-4  # radiance below which logarithms are clamped
 
@@ -135,7 +132,9 @@ def highlight_profile(
     levels /= levels[-1]
     reach = _reach(levels[:, 0])
     region = seen & measured & (lights[1] < 1.0) & (distance < reach)
-    glints = [_octaves(each, region) for each in lights] if region.mean() >= _LEAST else [[], []]
+    glints = (
+        [_octaves(each, region) for each in lights] if region.mean() >= LEAST_SHARE else [[], []]
+    )
     return HighlightProfile(
         tuple((float(before), float(after)) for before, after in levels),
         tuple(float((~measured[ring]).mean()) for ring in rings),

@@ -33,33 +33,19 @@ Picture = NDArray[np.float32]
 TexelMask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class MeasurementSettings:
-    """Filters and windows of the comparison; docs/notes/verdict.md."""
-
-    cells: int = 64
-    """Cells across the low-pass filtered pictures."""
-    smooth: float = 2.0
-    """Standard deviation of the low-pass, cells: shorter wavelengths are texture, not light."""
-    toe: float = 0.02
-    """Share of the median that is added before logarithms."""
-    fine: tuple[float, float] = (1.0, 3.0)
-    """Standard deviations, texels, of the two Gaussians of the band-pass for fine texture."""
-    coarse: tuple[float, float] = (4.0, 16.0)
-    """Standard deviations of the band-pass for coarse texture, texels."""
-    chroma: tuple[float, float] = (2.0, 16.0)
-    """Those for coloured texture, log red / green and blue / green."""
-    bright: float = 0.2
-    """Share of tiles, the brightest, that form the region in the light."""
-    window: int = 160
-    """Side of the windows whose texture statistics are compared, texels."""
-    places: tuple[int, int] = (4, 3)
-    """Number of windows across and down."""
-    least_seen: float = 0.5
-    """Least valid share of a window."""
-
-
-MEASURED = MeasurementSettings()
+# Filters and windows of the comparison; docs/notes/verdict.md.
+_CELLS = 64  # cells across the low-pass filtered pictures
+# Standard deviation of the low-pass, cells: shorter wavelengths are texture, not light.
+_SMOOTH = 2.0
+_TOE = 0.02  # share of the median that is added before logarithms
+# Standard deviations, texels, of the two Gaussians of the band-pass for fine texture.
+_FINE = (1.0, 3.0)
+_COARSE_BAND = (4.0, 16.0)  # standard deviations of the band-pass for coarse texture, texels
+_CHROMA_BAND = (2.0, 16.0)  # those for coloured texture, log red / green and blue / green
+_BRIGHT = 0.2  # share of tiles, the brightest, that form the region in the light
+_WINDOW = 160  # side of the windows whose texture statistics are compared, texels
+_PLACES = (4, 3)  # number of windows across and down
+_LEAST_SEEN = 0.5  # least valid share of a window
 
 
 @dataclass(frozen=True)
@@ -180,10 +166,10 @@ def smooth_difference(
         median log ratio of each channel, and root-mean-square of the remaining difference of log
         luminance by light.
     """
-    toe = MEASURED.toe * np.median(before, axis=(0, 1)) + 1e-6
+    toe = _TOE * np.median(before, axis=(0, 1)) + 1e-6
     ratio = np.median(np.log((after + toe) / (before + toe)), axis=(0, 1))
     light, lit = before.mean(axis=2), after.mean(axis=2)
-    floor = MEASURED.toe * float(np.median(light)) + 1e-6
+    floor = _TOE * float(np.median(light)) + 1e-6
     difference = np.log((lit + floor) / (light + floor))
     rest = by_place(difference)
     return (float(ratio[0]), float(ratio[1]), float(ratio[2])), float(rest.std())
@@ -197,7 +183,7 @@ def texture_contrasts(seen: Picture, again: Picture) -> dict[str, tuple[float, f
     """
     light = _tiles(channel_mean(seen))
     bright = np.zeros(light.shape, bool)
-    bright.flat[light.argsort(axis=None)[-math.ceil(MEASURED.bright * light.size) :]] = True
+    bright.flat[light.argsort(axis=None)[-math.ceil(_BRIGHT * light.size) :]] = True
     before, after = (_tile_contrasts(picture) for picture in (seen, again))
 
     def of(tiles: Picture, region: NDArray[np.bool_]) -> float:
@@ -213,17 +199,17 @@ def texture_contrasts(seen: Picture, again: Picture) -> dict[str, tuple[float, f
 def _tile_contrasts(picture: Picture) -> dict[str, Picture]:
     """By band, variance of log luminance in each tile."""
     log, floor = _log_luminance(picture)
-    bands = {"fine": MEASURED.fine, "coarse": MEASURED.coarse}
+    bands = {"fine": _FINE, "coarse": _COARSE_BAND}
     tiles = {band: _tiles(np.square(_band(log, *reach))) for band, reach in bands.items()}
     whole = np.log(picture + floor)
-    chroma = _band(whole[..., ::2] - whole[..., 1:2], *MEASURED.chroma)
+    chroma = _band(whole[..., ::2] - whole[..., 1:2], *_CHROMA_BAND)
     return {**tiles, "coloured": _tiles(np.square(chroma)).mean(axis=2)}
 
 
 def _log_luminance(picture: Picture) -> tuple[Picture, float]:
     """Log luminance, and the radiance added before the logarithm."""
     luminance = channel_mean(picture)
-    floor = MEASURED.toe * float(np.median(luminance)) + 1e-6
+    floor = _TOE * float(np.median(luminance)) + 1e-6
     return np.log(luminance + floor), floor
 
 
@@ -239,10 +225,10 @@ def _tiles(picture: Picture) -> Picture:
 
 
 def _smooth(picture: Picture) -> NDArray[np.float64]:
-    """Low-pass filtered picture (H, W, 3), MEASURED.cells across."""
-    rows = max(4, round(MEASURED.cells * picture.shape[0] / picture.shape[1]))
-    small = cv2.resize(picture, (MEASURED.cells, rows), interpolation=cv2.INTER_AREA)
-    blurred = cv2.GaussianBlur(small, (0, 0), MEASURED.smooth, borderType=cv2.BORDER_REFLECT)
+    """Low-pass filtered picture (H, W, 3), _CELLS across."""
+    rows = max(4, round(_CELLS * picture.shape[0] / picture.shape[1]))
+    small = cv2.resize(picture, (_CELLS, rows), interpolation=cv2.INTER_AREA)
+    blurred = cv2.GaussianBlur(small, (0, 0), _SMOOTH, borderType=cv2.BORDER_REFLECT)
     return np.asarray(blurred, np.float64)
 
 
@@ -261,24 +247,20 @@ def texture_difference(plane: Plane, rendering: Tensor) -> float:
     width, height = plane.size
     places = [
         (x, y)
-        for y in _spread(height - MEASURED.window, MEASURED.places[1])
-        for x in _spread(width - 2 * MEASURED.window, MEASURED.places[0])
-        if plane.valid[y : y + MEASURED.window, x : x + 2 * MEASURED.window].float().mean()
-        > MEASURED.least_seen
+        for y in _spread(height - _WINDOW, _PLACES[1])
+        for x in _spread(width - 2 * _WINDOW, _PLACES[0])
+        if plane.valid[y : y + _WINDOW, x : x + 2 * _WINDOW].float().mean() > _LEAST_SEEN
     ]
     if not places:
         return math.nan
     bank, weights = FilterBank(FEATURES), Weights(mean=0.0)
 
     def described(picture: Tensor, shift: int) -> Descriptor:
-        cut = [
-            picture[:, y : y + MEASURED.window, x + shift :][..., : MEASURED.window]
-            for x, y in places
-        ]
+        cut = [picture[:, y : y + _WINDOW, x + shift :][..., :_WINDOW] for x, y in places]
         return describe(torch.stack(cut), plane.encoding, bank)
 
     with torch.inference_mode():
-        here, neighbour = described(plane.linear, 0), described(plane.linear, MEASURED.window)
+        here, neighbour = described(plane.linear, 0), described(plane.linear, _WINDOW)
         there = described(rendering, 0)
         own = float(distance(neighbour, here, weights).median())
         return float(distance(there, here, weights).median()) / max(own, 1e-6)

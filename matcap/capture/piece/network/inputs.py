@@ -15,10 +15,14 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.capture.piece.network.network import NetworkInputs
-from matcap.capture.piece.tuned import READ
 from matcap.flash.geometry import camera_in_plane
 from matcap.flash.light import FlashLight
 from matcap.flash.uniform import Uniform, uniform_radiance
+
+_FARTHEST = 3.0  # log radiance; residuals from the uniform material are clipped to +-this
+_STEP = 0.03  # step of slope and of logit roughness in finite differences of radiance
+_COARSER = 4  # subsampling, texels, of renderings of the uniform material, which are smooth
+_DAMPING = 0.1  # regularises the first-order slope estimate where the sensitivity vanishes
 
 
 def network_inputs(
@@ -33,7 +37,7 @@ def network_inputs(
         points: (3, H, W) plane points of the texels (flash.geometry.plane_points).
     """
     height, width = linear.shape[-2:]
-    size = tuple(max(2, -(-side // READ.coarser)) for side in (height, width))
+    size = tuple(max(2, -(-side // _COARSER)) for side in (height, width))
     # A coarse grid from the first to the last texel, whose points are linear in the index.
     thin = _resized(points, size)
     light = FlashLight.of(uniform.setup, thin)
@@ -49,10 +53,10 @@ def network_inputs(
     channels = [len(plane) for plane in smooth.values()]
     planes = _resized(torch.cat(list(smooth.values())), (height, width)).split(channels)
     everywhere = dict(zip(smooth, planes, strict=True))
-    log = (linear.clamp_min(1e-6).log() - everywhere["flat"]).clamp(-READ.farthest, READ.farthest)
+    log = (linear.clamp_min(1e-6).log() - everywhere["flat"]).clamp(-_FARTHEST, _FARTHEST)
     sensitivity = everywhere["slope"]
     # To first order: the slope along the gradient that this residual of log radiance implies.
-    steep = sensitivity.square().sum(0, keepdim=True) + READ.damping**2
+    steep = sensitivity.square().sum(0, keepdim=True) + _DAMPING**2
     relief = log.mean(0, keepdim=True) * sensitivity / steep
     constants = torch.tensor(
         [
@@ -76,18 +80,18 @@ def network_inputs(
 def _shown_of_slope(uniform: Uniform, light: FlashLight) -> Tensor:
     """(2, h, w) d log L / d slope along x and y, by central differences."""
     # One call for all four, as calls dominate the time of small tensors.
-    moves = torch.tensor([[READ.step, 0.0], [-READ.step, 0.0], [0.0, READ.step], [0.0, -READ.step]])
+    moves = torch.tensor([[_STEP, 0.0], [-_STEP, 0.0], [0.0, _STEP], [0.0, -_STEP]])
     flat = torch.zeros_like(light.to_light[:1])
     across, up = (move.to(flat)[:, None, None, None] + flat for move in moves.T)
     moved = uniform_radiance(uniform, light, (across, up))[0]
     right, left, above, below = moved.mean(1, keepdim=True).log()
-    return torch.cat([right - left, above - below]) / (2.0 * READ.step)
+    return torch.cat([right - left, above - below]) / (2.0 * _STEP)
 
 
 def _shown_of_roughness(uniform: Uniform, light: FlashLight, flat: Tensor) -> Tensor:
     """(1, h, w) d log L / d logit(roughness), by a forward difference from `flat` (3, h, w)."""
-    duller = uniform_radiance(uniform, light, duller=READ.step)[0]
-    return (duller.mean(0, keepdim=True).log() - flat.mean(0, keepdim=True).log()) / READ.step
+    duller = uniform_radiance(uniform, light, duller=_STEP)[0]
+    return (duller.mean(0, keepdim=True).log() - flat.mean(0, keepdim=True).log()) / _STEP
 
 
 def _resized(picture: Tensor, size: tuple[int, ...]) -> Tensor:
