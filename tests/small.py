@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.train.corpus import srgb_bytes
 from matcap.lab.train.pack import Entry, Pack

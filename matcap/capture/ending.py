@@ -20,7 +20,7 @@ from matcap.capture.verdict.measurements import PieceMeasurements, measured
 from matcap.capture.verdict.residue import highlight_residue
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.render import render_rectified
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave

@@ -14,7 +14,7 @@ from matcap.capture.piece.observation import Observation
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.tilt import fitted, tilt_document
 from matcap.capture.verdict.highlight import highlight_profile
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.rectify import CLIPPING
 from matcap.photo.camera import CameraProfile

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from matcap.capture.detail import Rectified
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave

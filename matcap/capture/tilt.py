@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from matcap.flash.coarse import CoarseFit, TiltPrior, fit_coarse, under_flash
+from matcap.flash.coarse.fit import CoarseFit, fit_coarse, under_flash
+from matcap.flash.coarse.hypotheses import TiltPrior
 from matcap.photo.photo import Photo
 from matcap.space.alignment import tilt_measurement
 

@@ -20,7 +20,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.flash.coarse import CoarseFit, FalloffEvidence
+from matcap.flash.coarse.fit import CoarseFit
+from matcap.flash.coarse.problem import FalloffEvidence
 from matcap.photo.camera import LEAST, CameraProfile, Falloff
 
 Doubles = NDArray[np.float64]

@@ -3,7 +3,7 @@
     g(x) = x^c / (1 - w + w x^c),    g(0) = 0,  g(1) = 1,
 
 with x light over the clip level: contrast by the exponent c, a shoulder by w. It is one curve for
-all channels. c is fitted with the photograph's light (flash/coarse.py); w hardly shows in one and
+all channels. c is fitted with the photograph's light (flash/coarse); w hardly shows in one and
 is held at a phone's.
 """
 

@@ -16,7 +16,7 @@ from torch import Tensor
 from matcap.errors import MatcapError
 from matcap.field.header import DAMAGED
 from matcap.field.material import Material
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.render import render_rectified
 from matcap.space.freeze import freeze

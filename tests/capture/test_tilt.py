@@ -12,7 +12,7 @@ from matcap.capture.outputs import OutputSettings
 from matcap.capture.pipeline import capture_into
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.tilt import fitted, tilt_document
-from matcap.flash.coarse import fit_coarse
+from matcap.flash.coarse.fit import fit_coarse
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import PhoneCamera
 from matcap.lab.simulate.specimen import EXAMPLES

@@ -201,5 +201,5 @@ def test_dead_references_are_found(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("docs/gone.md matcap/gone.py matcap.gone.x [nobody1999] Nobody (1998)")
     assert list(dead_paths(page)) == ["docs/gone.md", "matcap/gone.py"]
-    assert not exists("matcap.gone.x") and exists("matcap.flash.coarse.fit_coarse")
+    assert not exists("matcap.gone.x") and exists("matcap.flash.coarse.fit.fit_coarse")
     assert cited(page) == {"nobody1999"} and mentioned(page) == {"nobody1998"}

@@ -8,7 +8,8 @@ import pytest
 from uniform import a_setup, photograph
 
 from matcap.flash.camera_profile import camera_profile, shared_falloff
-from matcap.flash.coarse import FalloffEvidence, fit_coarse
+from matcap.flash.coarse.fit import fit_coarse
+from matcap.flash.coarse.problem import FalloffEvidence
 from matcap.photo.camera import CameraProfile, Falloff
 from matcap.photo.tone import SHOULDER, ToneCurve
 

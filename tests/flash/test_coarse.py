@@ -13,7 +13,8 @@ import pytest
 import torch
 from uniform import a_setup, photograph
 
-from matcap.flash.coarse import TiltPrior, fit_coarse
+from matcap.flash.coarse.fit import fit_coarse
+from matcap.flash.coarse.hypotheses import TiltPrior
 from matcap.photo.camera import CameraProfile, Falloff
 from matcap.photo.tone import SHOULDER, ToneCurve
 

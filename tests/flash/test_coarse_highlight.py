@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from uniform import a_setup, photograph
 
-from matcap.flash.coarse import fit_coarse, render_coarse
+from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.highlight import find_highlight, light_of
+from matcap.lab.bench.highlight import rerendered
 
 # torch's forward-mode derivatives warn once, when first used.
 pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
@@ -22,8 +23,8 @@ def polished(*, roughness, intensity=10.0, offset=(0.1, 0.05, 0.0), tilt=(0.0, 0
 
 def both(photo, fit):
     """Highlights of the photograph and of the fit's re-rendering, clipped as the camera clips."""
-    again = np.minimum(render_coarse(fit, 256, 192), 1.0).mean(axis=2)
-    return find_highlight(light_of(photo.pixels)), find_highlight(again)
+    again = find_highlight(rerendered(fit, photo).mean(axis=2))
+    return find_highlight(light_of(photo.pixels)), again
 
 
 def assert_kept(photo, fit):

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.flash.coarse import CoarseFit, render_coarse
+from matcap.flash.coarse.model import Unknowns, log_radiance
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points, unproject
 from matcap.flash.light import FlashLight, log_vignette
 from matcap.flash.render import render_flash
@@ -135,10 +135,8 @@ def test_a_surface_that_turns_away_is_dark_or_all_but() -> None:
 def test_a_coarse_fit_and_a_uniform_material_look_as_their_flat_maps_do() -> None:
     """Three ways to the same picture: maps, the uniform material, the fit in the camera's frame."""
     grey = SETUP.with_intensity((6.0,) * 3)
-    fit = CoarseFit((0.3, 0.25, 0.2), 0.04, 0.37, grey, residual=0.0)
-    u = (torch.arange(WIDTH, dtype=torch.float64) + 0.5) / WIDTH * 2.0 - 1.0
-    v = (1.0 - (torch.arange(HEIGHT, dtype=torch.float64) + 0.5) / HEIGHT * 2.0) * HEIGHT / WIDTH
-    image = torch.stack([u.expand(HEIGHT, WIDTH), v[:, None].expand(HEIGHT, WIDTH)])
+    fit = Uniform((0.3, 0.25, 0.2), 0.04, 0.37, grey)
+    image = _points()[:2]
     points = unproject(image, grey)
     one = torch.ones(1, HEIGHT, WIDTH, dtype=torch.float64)
     flat = MapSet(
@@ -146,14 +144,16 @@ def test_a_coarse_fit_and_a_uniform_material_look_as_their_flat_maps_do() -> Non
         2.0 / WIDTH,
     )  # fmt: skip
     picture = render_flash(flat, grey, points)
-    coarse = torch.from_numpy(render_coarse(fit, WIDTH, HEIGHT)).permute(2, 0, 1)
-    uniform, _ = uniform_radiance(Uniform(*_of(fit)), FlashLight.of(grey, points))
-    assert torch.allclose(coarse, picture, rtol=1e-6)
+    parameters = (
+        *(math.log(value) for value in (*fit.diffuse, 0.04)), math.log(0.37 / 0.63),
+        math.log(6.0), 0.0, 0.0,
+        *grey.offset[:2], *grey.tilt, grey.vignetting, grey.vignetting_quartic, 0.0,
+    )  # fmt: skip
+    unknowns = Unknowns.of(torch.tensor(parameters).double())
+    coarse = log_radiance(unknowns, image.flatten(1), grey.distance).exp()
+    uniform, _ = uniform_radiance(fit, FlashLight.of(grey, points))
+    assert torch.allclose(coarse.reshape(picture.shape), picture, rtol=1e-6)
     assert torch.allclose(uniform, picture, rtol=1e-6)
-
-
-def _of(fit: CoarseFit):
-    return fit.diffuse, fit.specular, fit.roughness, fit.setup
 
 
 def test_vignetting_in_logarithms() -> None:

@@ -14,7 +14,7 @@ from matcap.brdf.maps import MapSet
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_decode
-from matcap.flash.coarse import fit_coarse, under_flash
+from matcap.flash.coarse.fit import fit_coarse, under_flash
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.photograph import PhoneCamera, take
 from matcap.lab.simulate.write_dng import Sensor, write_dng

@@ -38,7 +38,7 @@ from matcap.capture.progress import CaptureClock
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.variety import with_chosen_variety
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 

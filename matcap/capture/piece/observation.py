@@ -19,7 +19,7 @@ from matcap.capture.piece.noise import channel_noise, channel_weights, noise_lev
 from matcap.capture.piece.refine import PieceLight
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.piece.strengths import RESPONSE_AROUND, Strengths, measure_strengths
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import flash_mirror_point, plane_points
 from matcap.flash.plane import Plane
 from matcap.flash.rectify import inside

@@ -63,7 +63,7 @@ from matcap.capture.together.views import PieceView, SetLight
 from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
-from matcap.flash.coarse import CoarseFit, fit_coarse, under_flash
+from matcap.flash.coarse.fit import CoarseFit, fit_coarse, under_flash
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.registration.camera import PosedCamera

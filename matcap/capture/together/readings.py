@@ -35,7 +35,7 @@ from matcap.capture.together.texels import (
 )
 from matcap.capture.together.tint import achromatic
 from matcap.capture.together.views import SetLight, ViewPlace
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import Plane, read_plane

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.files.srgb import srgb_decode_tensor
-from matcap.flash.coarse import CoarseFit, fit_coarse
+from matcap.flash.coarse.fit import CoarseFit, fit_coarse
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points
 from matcap.lab.bench.methods import CapturedMaps, capture_exemplar, exemplar_maps, photo_as_albedo
 from matcap.lab.experiment.runner import Configuration, Experiment, choose

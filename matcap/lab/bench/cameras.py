@@ -16,7 +16,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.tilt import fitted
 from matcap.errors import MatcapError
 from matcap.flash.camera_profile import camera_profile
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take, true_maps

@@ -18,7 +18,7 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
-from matcap.flash.coarse import fit_coarse
+from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment

@@ -14,15 +14,18 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.verdict.findings import plain
 from matcap.errors import MatcapError
 from matcap.files.picture import write_picture
-from matcap.flash.coarse import CoarseFit, fit_coarse, render_coarse
-from matcap.flash.geometry import FlashSetup
+from matcap.flash.coarse.fit import CoarseFit, fit_coarse
+from matcap.flash.geometry import FlashSetup, plane_points, unproject
 from matcap.flash.highlight import CELLS, find_highlight, light_of
+from matcap.flash.light import FlashLight
+from matcap.flash.uniform import uniform_radiance
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.simulate.materials import random_material
@@ -89,7 +92,7 @@ def kept(seen: Seen, fit: CoarseFit) -> Mapping[str, Value]:
     if truth is not None:
         return dict.fromkeys(names, math.nan)
     highlight = find_highlight(light_of(photo.pixels))
-    again = find_highlight(_rerendered(fit, photo).mean(axis=2))
+    again = find_highlight(rerendered(fit, photo).mean(axis=2))
     assert highlight is not None
     if again is None:
         return dict(zip(names, (math.inf, 0.0, 0.0, 0.0), strict=True))
@@ -111,15 +114,19 @@ def placed(seen: Seen, fit: CoarseFit) -> Mapping[str, Value]:
     }
 
 
-def _rerendered(fit: CoarseFit, photo: Photo) -> NDArray[np.float64]:
+def rerendered(fit: CoarseFit, photo: Photo) -> NDArray[np.float64]:
     """(h, CELLS, 3) the fit re-rendered by the photograph's camera, clipped at its clip level."""
     rows, columns = photo.pixels.shape[:2]
-    return np.minimum(render_coarse(fit, CELLS, max(8, round(CELLS * rows / columns))), 1.0)
+    height = max(8, round(CELLS * rows / columns))
+    image = plane_points(0, 0, CELLS, height, (CELLS, height), dtype=torch.float64)[:2]
+    light = FlashLight.of(fit.setup, unproject(image, fit.setup))
+    picture = uniform_radiance(fit, light)[0].permute(1, 2, 0).numpy()
+    return np.minimum(fit.tone.developed(picture), 1.0)
 
 
 def _write_pair(fit: CoarseFit, photo: Photo, path: Path) -> None:
     """Photograph and re-rendering side by side, sRGB."""
-    again = _rerendered(fit, photo).astype(np.float32)
+    again = rerendered(fit, photo).astype(np.float32)
     height, width = again.shape[:2]
     small = cv2.resize(photo.pixels, (width, height), interpolation=cv2.INTER_AREA)
     write_picture(np.concatenate([np.minimum(small, 1.0), again], axis=1), path)

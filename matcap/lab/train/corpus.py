@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_encode
-from matcap.flash.coarse import fit_coarse
+from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import read_plane
 from matcap.lab.simulate.materials.kinds import RandomKind, random_kind

@@ -22,7 +22,7 @@ from torch import Tensor
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_decode
 from matcap.files.tensors import write_tensors
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.train.trainer import read_tensors
 from matcap.photo.photo import Photo

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import OUTPUTS, Decoder
 from matcap.space.tuning.start import head_start

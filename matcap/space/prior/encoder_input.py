@@ -12,7 +12,7 @@ import math
 import torch
 from torch import Tensor
 
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.space.encoder import NUMBERS
 from matcap.statistics.compare import Descriptor, describe
 from matcap.statistics.encoding import fit_encoding

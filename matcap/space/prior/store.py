@@ -26,7 +26,7 @@ from matcap.field.draw_options import SPREAD
 from matcap.field.header import DAMAGED
 from matcap.field.material import Material
 from matcap.files.tensors import StoredTensors, write_tensors
-from matcap.flash.coarse import CoarseFit, fit_coarse
+from matcap.flash.coarse.fit import CoarseFit, fit_coarse
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import Plane, read_plane
 from matcap.photo.photo import Photo

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.lattice_channels import CELL_CHANNELS

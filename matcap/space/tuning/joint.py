@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from matcap.errors import MatcapError
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import read_plane
 from matcap.photo.photo import Photo
 from matcap.space.tuning.likeness import PhotographTarget

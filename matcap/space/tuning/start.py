@@ -13,7 +13,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.space.decoder import Decoder, DecoderConfig, with_cells
 from matcap.space.lattice_channels import CELL_CHANNELS
 from matcap.statistics.encoding import shading

@@ -29,7 +29,7 @@ from matcap.capture.piece.network.store import load_inverse, read_inverse, save_
 from matcap.capture.piece.observation import lit, seen_share
 from matcap.capture.progress import CaptureClock
 from matcap.errors import MatcapError
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.rectify import inside
 

@@ -14,7 +14,7 @@ from matcap.capture.piece.find import inpainted, levelled, read_piece
 from matcap.capture.piece.highlight_remainder import remaining_highlight
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.piece.observation import Observation
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import plane_of
 
 HEIGHT, WIDTH = 384, 512

@@ -11,7 +11,7 @@ from matcap.capture.detail import Rectified
 from matcap.capture.piece.find import find_piece, piece_maps
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import CaptureClock
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import plane_of
 
 

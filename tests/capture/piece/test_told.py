@@ -16,7 +16,7 @@ from matcap.capture.piece.observation import Observation
 from matcap.capture.piece.strengths import slope_strengths
 from matcap.cli.main import app
 from matcap.files.srgb import srgb_encode
-from matcap.flash.coarse import fit_coarse
+from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.plane import read_plane
 
 

@@ -18,7 +18,7 @@ from matcap.capture.progress import TOGETHER_STAGES, CaptureClock
 from matcap.capture.together.align import aligned
 from matcap.capture.together.find import by_features, read_alone, registered
 from matcap.errors import MatcapError
-from matcap.flash.coarse import fit_coarse
+from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.doubt import DOUBTED
 from matcap.flash.registration.register import Registration, register

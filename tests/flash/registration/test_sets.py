@@ -15,7 +15,7 @@ from sets import (
     verdict,
 )
 
-from matcap.flash.coarse import fit_coarse
+from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.registration.register import register
 
 WIDTH = 400

@@ -9,7 +9,7 @@ from uniform import a_setup, photograph
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.lab.bench import cameras
 from matcap.lab.bench.cameras import CameraSubject, camera_experiment, fit_errors
 from matcap.lab.simulate.specimen import subjects

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from matcap.flash.coarse import fit_coarse
+from matcap.flash.coarse.fit import fit_coarse
 from matcap.lab.bench import highlight
 from matcap.lab.bench.highlight import highlight_experiment, kept, placed, simulated
 

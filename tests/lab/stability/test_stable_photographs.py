@@ -9,7 +9,7 @@ from stable.photographs import HARD_PHOTOGRAPHS, textured
 
 from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError
-from matcap.flash.coarse import fit_coarse
+from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import read_plane
 from matcap.flash.rectify import rectify

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
-from matcap.flash.coarse import fit_coarse
+from matcap.flash.coarse.fit import fit_coarse
 from matcap.lab.train.corpus import simulate, true_piece
 from matcap.lab.train.second_teacher import comb, relief_distance, relit_distance, side_light
 from matcap.lab.train.state import TrainConfig

@@ -2,7 +2,7 @@
 
 import torch
 
-from matcap.flash.coarse import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import plane_of
 from matcap.flash.render import render_rectified

@@ -1,0 +1,144 @@
+"""The coarse fit's observations: a photograph averaged over cells, clipped ones as lower bounds.
+
+The highlight, which may be smaller than a cell of the whole picture, is seen by a patch of cells of
+its own scale.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.flash.highlight import Highlight
+from matcap.flash.rectify import CLIPPING
+from matcap.photo.photo import Photo
+
+_PATCH_REACH = 2.0  # half side of the patch, in half widths of the highlight
+_PATCH_WEIGHT = 0.5  # least weight of the patch; that of the whole picture is 1
+_LEFT_OUT = 0.02  # largest masked share of a cell
+_CLIPPED = 0.02  # largest clipped share of a cell that is measured
+# Radiance (1 at clipping) above which cells are lower bounds: development compresses bright tones
+# below clipping, RAW is linear up to it.
+_KNEE_DEVELOPED, _KNEE_RADIOMETRIC = 0.8, 0.95
+_ABOVE_KNEE = 0.25  # factor on the residual of a model brighter than such a cell
+_HIDDEN = 0.02  # share of cells clipped in all channels above which a highlight may be hidden
+# Share of a developed cell's brightest channel added to all of them before the logarithm, as dark
+# channels of saturated colours are clipped by the colour space.
+_CRUSHED = 0.02
+
+
+@dataclass(frozen=True)
+class CoarseCells:
+    """Averages of the photograph over n cells.
+
+    Attributes:
+        image: (2, n) image coordinates of the cells.
+        observed: (3, n) log radiance.
+        toe: (3, n) radiance added to cell and model before the logarithm, as darker values are
+            uncertain.
+        above: (3, n) factor on the residual of a model brighter than the cell: 1, or less for
+            lower bounds.
+        weight: (n,) weight of each cell; they sum to 1/3.
+    """
+
+    image: Tensor
+    observed: Tensor
+    toe: Tensor
+    above: Tensor
+    weight: Tensor
+
+    @property
+    def hidden(self) -> bool:
+        """Whether clipped cells may hide a highlight."""
+        return float(self.weight[(self.above == 0.0).all(0)].sum()) > _HIDDEN / 3.0
+
+    def differences(self, log_radiance: Tensor) -> Tensor:
+        """(3, n) log radiance of a model less that of the cells, with toe."""
+        return (log_radiance.exp() + self.toe).log() - self.observed
+
+
+def cells_of(
+    photo: Photo, highlight: Highlight | None, across: int, patch_across: int
+) -> CoarseCells:
+    """Cells of the whole photograph; over the highlight's patch, fine ones replace the coarse.
+
+    Args:
+        photo: of any size.
+        highlight: None without a patch.
+        across: cells across the long side.
+        patch_across: cells across the patch.
+    """
+    rows, columns = photo.pixels.shape[:2]
+    pixel = 2.0 / columns
+    across = min(across, columns)
+    size = (across, max(4, round(across * rows / columns)))
+    whole = _averaged(photo, (0, 0, columns, rows), size)
+    if not whole.weight.any():
+        # Every cell has masked pixels: the mask is so fine that its fill is from nearby.
+        photo = replace(photo, left_out=None)
+        whole = _averaged(photo, (0, 0, columns, rows), size)
+    if highlight is None:
+        return whole
+    reach = _PATCH_REACH * highlight.width
+    u, v = highlight.centre
+    left, right = (round((u + side + 1.0) / pixel) for side in (-reach, reach))
+    top, bottom = (round((rows / columns - v + side) / pixel) for side in (-reach, reach))
+    left, top, right, bottom = max(0, left), max(0, top), min(columns, right), min(rows, bottom)
+    if right - left < 4 or bottom - top < 4:
+        return whole
+    fine = patch_across / (2.0 * reach / pixel)
+    size = (
+        min(right - left, max(4, round(fine * (right - left)))),
+        min(bottom - top, max(4, round(fine * (bottom - top)))),
+    )
+    patch = _averaged(photo, (left, top, right, bottom), size)
+    outside = (whole.image[0] < left * pixel - 1.0) | (whole.image[0] > right * pixel - 1.0)
+    outside |= (whole.image[1] > rows / columns - top * pixel) | (
+        whole.image[1] < rows / columns - bottom * pixel
+    )
+    if not outside.any():
+        return patch
+    share = float(outside.double().mean())
+    patch = replace(patch, weight=patch.weight * max(1.0 - share, _PATCH_WEIGHT))
+    pairs = ((getattr(whole, one.name), getattr(patch, one.name)) for one in fields(CoarseCells))
+    return CoarseCells(*(torch.cat([all_[..., outside], fine_], dim=-1) for all_, fine_ in pairs))
+
+
+def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int]) -> CoarseCells:
+    """A rectangle (left, top, right, bottom) of a photograph, blurred to (width, height) cells."""
+    left, top, right, bottom = box
+    rows, columns = photo.pixels.shape[:2]
+    pixels = photo.pixels[top:bottom, left:right]
+    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float64)
+    full = photo.clipped[top:bottom, left:right, None] & (pixels > CLIPPING)
+    clipped = cv2.resize(full.astype(np.float32), size, interpolation=cv2.INTER_AREA) > _CLIPPED
+    knee = _KNEE_RADIOMETRIC if photo.radiometric else _KNEE_DEVELOPED
+    above = np.where(clipped, 0.0, np.where(small > knee, _ABOVE_KNEE, 1.0))
+    if photo.radiometric:
+        above = np.where(above < 1.0, 0.0, 1.0)
+    toe = np.full_like(small, 1e-3 * float(np.median(photo.pixels[::8, ::8])) + 1e-9)
+    if not photo.radiometric:
+        toe += _CRUSHED * small.max(axis=2, keepdims=True)
+    u = (left + (np.arange(size[0]) + 0.5) * (right - left) / size[0]) * 2.0 / columns - 1.0
+    v = (rows - 2.0 * (top + (np.arange(size[1]) + 0.5) * (bottom - top) / size[1])) / columns
+    image = np.stack(np.broadcast_arrays(u[None, :], v[:, None])).reshape(2, -1)
+    count = size[0] * size[1]
+
+    def flat(field: NDArray[np.float64]) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(field.reshape(count, 3).T))
+
+    weight = torch.full((count,), 1.0 / (3.0 * count), dtype=torch.float64)
+    if photo.left_out is not None:
+        part = photo.left_out[top:bottom, left:right].astype(np.float32)
+        share = cv2.resize(part, size, interpolation=cv2.INTER_AREA).ravel()
+        kept = torch.from_numpy(share < _LEFT_OUT).double()
+        # The sum of weights is that without a mask, or 0 if no cell is left.
+        weight = weight * kept * (count / max(float(kept.sum()), 1.0))
+    return CoarseCells(
+        torch.from_numpy(image), flat(np.log(small + toe)), flat(toe), flat(above), weight
+    )

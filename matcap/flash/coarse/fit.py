@@ -1,0 +1,217 @@
+"""The coarse fit: uniform reflectance, camera and flash from a photograph's low frequencies.
+
+Its accuracy is measured in docs/notes/capture.md.
+
+A flat, uniform material under a flash (model.py) is fitted to the blurred photograph (cells.py) by
+robust least squares on the logarithm of radiance (problem.py): albedo or F0, roughness, flash
+intensity and offset, tilt, falloff of lens and flash. It is fitted twice, as a dielectric and as a
+conductor (hypotheses.py); the lower cost, prior shares included, decides. Weak priors resolve
+ambiguities of one photograph: flash intensity against albedo, tilt against flash offset, contrast
+of a tone curve (photo/tone.py) against falloff. The highlight's centre measures tilt and offset
+(evidence.py). Several starting points, because of local minima (starts.py).
+
+Texture is not modelled. Relief widens the highlight, so the roughness is an upper estimate, which
+later stages lower.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from torch import Tensor
+
+from matcap.flash.coarse.cells import CoarseCells, cells_of
+from matcap.flash.coarse.evidence import WEIGHT_BETWEEN, Evidence
+from matcap.flash.coarse.hypotheses import Hypothesis, TiltPrior, hypothesis
+from matcap.flash.coarse.model import BLACK, Unknowns
+from matcap.flash.coarse.problem import HUBER, FalloffEvidence, Problem
+from matcap.flash.coarse.starts import distinct, matte, mattest, starts, two_lobes
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.highlight import Highlight, find_highlight, light_of
+from matcap.flash.uniform import Uniform
+from matcap.photo.photo import Photo
+from matcap.photo.tone import SHOULDER, ToneCurve
+
+# Cells across the long side and across the highlight's patch: of the coarse grid for all starting
+# points, and of the fine one for the best.
+_GRIDS = ((24, 10), (32, 16))
+_FEW, _MANY = 6, 30  # most Levenberg-Marquardt iterations, of every start and of the best
+_KEPT = 2  # number of best starts that are fitted on the fine grid
+# Weight of one nat of the prior, in shares of the picture with residuals of HUBER, of developed
+# pictures, whose model errors (tone mapping) are smooth.
+_PRIOR_SHARE = 0.15
+# Least log odds (nats) of a conductor. Most photographs show none, and errors of falloff or tone
+# curve imitate one: black lacquer and black and brown leather have 10 to 12, bare steel 14
+# (docs/notes/gloss.md).
+_CONDUCTOR_ODDS = 12.0
+_BLUEST = 0.1  # largest log ratio of a metal's F0 in blue to red
+_DULLEST = 0.8  # largest roughness of a metal, as a photograph without highlight shows none
+_BRIGHTEST = 0.8  # upper limit of mean albedo or F0
+_MOST_ALBEDO = 0.98  # upper limit of albedo and F0 under a known flash intensity
+
+
+@dataclass(frozen=True)
+class CoarseFit(Uniform):
+    """The uniform material and setup fitted to a photograph.
+
+    Attributes:
+        residual: root-mean-square of the log residual over unclipped cells.
+        conductor: whether fitted as bare metal; `specular` is then the mean of its coloured F0.
+        lobes: (share, roughness) of the best two-lobe fit of the highlight, the narrow lobe
+            first; `roughness` is of the best single lobe.
+        tilt_prior: measurement of the tilt given as a prior, if any.
+        picture_tilt: (tilt_x, tilt_y) fitted without that prior, radians; None without one.
+        tone: the picture's tone curve; the identity where it has none.
+        falloff: likelihood of the falloff; None of fits not made from a photograph.
+    """
+
+    residual: float
+    lobes: tuple[tuple[float, float], ...] = ()
+    conductor: bool = False
+    tilt_prior: TiltPrior | None = None
+    picture_tilt: tuple[float, float] | None = None
+    tone: ToneCurve = ToneCurve()
+    falloff: FalloffEvidence | None = None
+
+
+def fit_coarse(
+    photo: Photo,
+    *,
+    tilt: tuple[float, float] | None = None,
+    tilt_prior: TiltPrior | None = None,
+) -> CoarseFit:
+    """Fit a uniform material and its setup to a photograph, in about a second.
+
+    The prior of the falloff is the profile of the photograph's camera, or any phone's.
+
+    Args:
+        photo: of any size; only its low frequencies are used.
+        tilt: (tilt_x, tilt_y) in radians, held fixed; None to fit them.
+        tilt_prior: Gaussian measurement of the tilt, used as its prior.
+    """
+    highlight = find_highlight(light_of(photo.pixels))
+    cells = tuple(cells_of(photo, highlight, *grid) for grid in _GRIDS)
+    (dielectric, dielectric_cost, _), (conductor, cost, nat) = (
+        _fit_as(photo, cells, highlight, hypothesis(photo, tilt, tilt_prior, conductor=metal))
+        for metal in (False, True)
+    )
+    red, _, blue = conductor.diffuse
+    is_metal = (
+        dielectric_cost - cost > _CONDUCTOR_ODDS * nat
+        # No metal reflects blue better than red, unlike a black surface with a blue sheen.
+        and math.log(blue / red) < _BLUEST
+        and conductor.roughness < _DULLEST
+    )
+    return replace(conductor if is_metal else dielectric, tilt_prior=tilt_prior)
+
+
+def _fit_as(
+    photo: Photo, cells: Sequence[CoarseCells], highlight: Highlight | None, prior: Hypothesis
+) -> tuple[CoarseFit, float, float]:
+    """The most probable fit under one hypothesis, its cost, and the cost of a nat of the prior."""
+    unit = _PRIOR_SHARE * HUBER**2
+    first, last = (
+        Problem(
+            cells=each,
+            distance=FlashSetup(fov=photo.fov).distance,
+            evidence=None if highlight is None else Evidence(highlight),
+            prior=prior.mean.vector(),
+            precision=unit * prior.precision,
+            unit=unit,
+            shoulder=SHOULDER if photo.tone_mapped else 0.0,
+            conductor=prior.conductor,
+        )
+        for each in cells
+    )
+    begun = starts(first.cells.observed, prior, highlight, first.distance)
+    tried = [first.minimised(start, _FEW) for start in begun]
+    tried.sort(key=lambda candidate: candidate[0])
+    if photo.radiometric:
+        last = last.whitened(tried[0][1])
+        last = last.trusting(tried[0][1])
+    single = _single(last, [start for _, start in tried])
+    # Two lobes locate the highlight better; then one lobe is fitted there.
+    both = Unknowns.of(last.with_two_lobes().minimised(two_lobes(single), _MANY)[1])
+    start = replace(
+        Unknowns.of(single), offset=both.offset, tilt=both.tilt, vignetting=both.vignetting
+    )
+    placed = last.at(both)
+    cost, best = placed.minimised(start.vector(), _MANY)
+    rest = placed.differences(best)[placed.cells.above == 1.0]
+    own = None
+    if prior.tilt_alone is not None:
+        without = last.with_tilt(*prior.tilt_alone)
+        tilt_x, tilt_y = Unknowns.of(without.minimised(best, _FEW)[1]).tilt.tolist()
+        own = (tilt_x, tilt_y)
+    exponent = math.exp(float(Unknowns.of(best).tone))
+    fit = CoarseFit(
+        *_uniform(Unknowns.of(best), photo.fov, conductor=prior.conductor),
+        lobes=tuple((float(share), float(wide)) for share, wide in both.lobes),
+        residual=float(rest.square().mean().sqrt()) if rest.numel() else 0.0,
+        conductor=prior.conductor,
+        picture_tilt=own,
+        tone=ToneCurve(exponent, placed.shoulder) if placed.shoulder > 0.0 else ToneCurve(),
+        falloff=placed.falloff_evidence(best),
+    )
+    return fit, cost, placed.unit
+
+
+def _single(problem: Problem, tried: Sequence[Tensor]) -> Tensor:
+    """The best parameters of one lobe from several starts, the best start first."""
+    worth = distinct(tried)[:_KEPT]
+    if problem.cells.hidden:
+        worth.append(matte(tried[0]))
+    minima = [problem.minimised(each, _MANY)[1] for each in worth]
+    strict = problem
+    if problem.evidence is not None:
+        strict = replace(problem, evidence=replace(problem.evidence, weight=WEIGHT_BETWEEN))
+    return mattest([(strict.cost(each), each) for each in minima])
+
+
+def _uniform(
+    best: Unknowns, fov: float, *, conductor: bool
+) -> tuple[tuple[float, float, float], float, float, FlashSetup]:
+    """Diffuse albedo, F0, roughness and setup of fitted parameters."""
+    albedo, specular = best.albedo.tolist(), float(best.specular)
+    if conductor:
+        specular = float(best.albedo.exp().mean().log())
+        albedo = [value + math.log(BLACK) for value in albedo]
+    # Only the product with the flash's intensity is measured: limit albedo, raise the intensity.
+    excess = max(0.0, max(*albedo, specular) - math.log(_BRIGHTEST))
+    red, green, blue = (math.exp(value - excess) for value in albedo)
+    flash_red, flash_green, flash_blue = (best.flash + excess).exp().tolist()
+    across, up = best.offset.tolist()
+    tilt_x, tilt_y = best.tilt.tolist()
+    squared, quartic = best.vignetting.tolist()
+    setup = FlashSetup(
+        fov=fov,
+        offset=(across, up, 0.0),
+        tilt=(tilt_x, tilt_y),
+        intensity=(flash_red, flash_green, flash_blue),
+        vignetting=squared,
+        vignetting_quartic=quartic,
+    )
+    roughness = 1.0 / (1.0 + math.exp(-float(best.roughness)))
+    return (red, green, blue), math.exp(specular - excess), roughness, setup
+
+
+def under_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
+    """The fit rescaled to a known flash intensity, which makes albedo and F0 absolute.
+
+    Args:
+        coarse: the fit, with its estimate of the intensity.
+        intensity: measured by a calibration card, in units of linear pixel values; None returns the
+            fit unchanged.
+    """
+    if intensity is None:
+        return coarse
+    dimmer = coarse.setup.intensity[1] / intensity
+    red, green, blue = (min(value * dimmer, _MOST_ALBEDO) for value in coarse.diffuse)
+    return replace(
+        coarse,
+        diffuse=(red, green, blue),
+        specular=min(coarse.specular * dimmer, _MOST_ALBEDO),
+        setup=coarse.setup.with_intensity((intensity,) * 3),
+    )

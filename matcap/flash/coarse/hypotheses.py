@@ -1,0 +1,116 @@
+"""The two hypotheses of the coarse fit, a dielectric and a conductor: Gaussian priors.
+
+One wide prior of F0 cannot replace them: it makes black lacquer metal, and metal a matte surface
+under a narrow flash. Values: docs/notes/gloss.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from matcap.flash.coarse.model import INDEX, Unknowns, numbers
+from matcap.photo.camera import Falloff
+from matcap.photo.photo import Photo
+
+# Prior standard deviation of the tilt of a RAW, radians; larger than that of developed pictures,
+# whose tone curve looks like tilt.
+_TILT_RADIOMETRIC = 0.1
+_FIXED = 1e-4  # standard deviation of a parameter that is known
+_MEAN = Unknowns(
+    albedo=numbers(*[math.log(0.2)] * 3),
+    specular=numbers(math.log(0.04)),
+    roughness=numbers(0.0),
+    intensity=numbers(3.0),
+    hue=numbers(0.0, 0.0),
+    offset=numbers(0.0, 0.0),
+    tilt=numbers(0.0, 0.0),
+    vignetting=numbers(0.0, 0.0),
+    tone=numbers(0.12),
+)
+_DEVIATION = Unknowns(
+    albedo=numbers(1.5, 1.5, 1.5),
+    specular=numbers(0.15),
+    roughness=numbers(1.5),
+    intensity=numbers(5.0),
+    hue=numbers(0.3, 0.3),  # white balance is the whole picture's, not the flash's
+    offset=numbers(0.12, 0.12),
+    tilt=numbers(0.05, 0.05),
+    vignetting=numbers(1.0, 1.0),
+    tone=numbers(0.08),
+)
+_CONDUCTOR_F0 = (math.log(0.5), 0.5)  # mean and standard deviation of log F0
+
+
+@dataclass(frozen=True)
+class TiltPrior:
+    """A Gaussian measurement of both tilt angles from elsewhere (space/alignment.py).
+
+    Attributes:
+        mean: (tilt_x, tilt_y) in radians.
+        std: their standard deviations, radians.
+    """
+
+    mean: tuple[float, float]
+    std: tuple[float, float]
+
+    def times(self, mean: Tensor, std: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation of its product with another Gaussian, (2,) each."""
+        own, other = numbers(*self.std).pow(-2), std.pow(-2)
+        precision = own + other
+        return (own * numbers(*self.mean) + other * mean) / precision, precision.rsqrt()
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Gaussian prior of the unknowns, and whether they are a conductor's.
+
+    Attributes:
+        mean: of the prior.
+        precision: (15, 15) inverse covariance.
+        conductor: whether `albedo` is F0 and nothing is diffuse.
+        tilt_known: whether the tilt is held.
+        tilt_alone: mean and deviation of the tilt without a measurement of it; None without one.
+    """
+
+    mean: Unknowns
+    precision: Tensor
+    conductor: bool
+    tilt_known: bool
+    tilt_alone: tuple[Tensor, Tensor] | None
+
+
+def hypothesis(
+    photo: Photo,
+    tilt: tuple[float, float] | None,
+    tilt_prior: TiltPrior | None,
+    *,
+    conductor: bool,
+) -> Hypothesis:
+    """The prior of a photograph's parameters; arguments as of fit_coarse."""
+    falloff = Falloff() if photo.profile is None else photo.profile.falloff
+    mean = replace(_MEAN, vignetting=numbers(*falloff.mean))
+    deviation = _DEVIATION
+    if conductor:
+        level, scatter = _CONDUCTOR_F0
+        mean = replace(mean, albedo=numbers(*[level] * 3))
+        deviation = replace(deviation, albedo=numbers(*[scatter] * 3))
+    # A conductor colours all that it reflects; RAW and cards are white under the flash.
+    if conductor or photo.radiometric or photo.flash_intensity is not None:
+        deviation = replace(deviation, hue=numbers(_FIXED, _FIXED))
+    if photo.radiometric:
+        deviation = replace(deviation, tilt=numbers(_TILT_RADIOMETRIC, _TILT_RADIOMETRIC))
+    alone = None
+    if tilt is not None:
+        mean = replace(mean, tilt=numbers(*tilt))
+        deviation = replace(deviation, tilt=numbers(_FIXED, _FIXED))
+    elif tilt_prior is not None:
+        alone = (mean.tilt, deviation.tilt)
+        place, std = tilt_prior.times(*alone)
+        mean, deviation = replace(mean, tilt=place), replace(deviation, tilt=std)
+    precision = torch.diag(deviation.vector().pow(-2))
+    precision[INDEX.vignetting[:, None], INDEX.vignetting] = torch.from_numpy(falloff.precision)
+    return Hypothesis(mean, precision, conductor, tilt is not None, alone)

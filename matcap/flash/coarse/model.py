@@ -1,0 +1,133 @@
+"""The coarse fit's model: parameters, and log radiance of a uniform material in the camera frame.
+
+With the diffuse albedo a (0.005 F0 of a conductor), the specular lobes j of share w_j and roughness
+r_j, and E the irradiance of flash/light.py,
+
+    log L = log(a E / pi + sum_j w_j specular(F0, r_j) E) - vignetting.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from matcap.flash.geometry import rotation
+from matcap.flash.light import FlashLight, log_vignette
+
+_DARKEST = 1e-12  # radiance added before logarithms
+BLACK = 0.005  # diffuse albedo of a conductor over its F0
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """The fitted parameters, scaled to order 1; of one specular lobe or, with `share`, of two.
+
+    Attributes:
+        albedo: (3,) log of diffuse albedo; of a conductor, log of F0.
+        specular: (1,) log of a dielectric's F0.
+        roughness: (1,) logit; of the narrow lobe, if there are two.
+        intensity: (1,) log of the flash's, in green.
+        hue: (2,) log of the flash's intensity in red and in blue over that.
+        offset: (2,) of the flash from the camera, plane units.
+        tilt: (2,) radians.
+        vignetting: (2,) with r^2 and with r^4, as FlashSetup has them.
+        tone: (1,) log of the tone curve's exponent.
+        share: (1,) logit of the narrow lobe's, or None.
+        wider: (1,) log of how much further the other's logit of roughness is, or None.
+    """
+
+    albedo: Tensor
+    specular: Tensor
+    roughness: Tensor
+    intensity: Tensor
+    hue: Tensor
+    offset: Tensor
+    tilt: Tensor
+    vignetting: Tensor
+    tone: Tensor
+    share: Tensor | None = None
+    wider: Tensor | None = None
+
+    def vector(self) -> Tensor:
+        """(15,), or (17,) of two lobes."""
+        parts = (getattr(self, f.name) for f in fields(self))
+        return torch.cat([part for part in parts if part is not None])
+
+    @staticmethod
+    def of(vector: Tensor) -> Unknowns:
+        """The inverse of vector()."""
+        one_lobe = (3, 1, 1, 1, 2, 2, 2, 2, 1)
+        return Unknowns(
+            *vector.split(one_lobe if len(vector) == sum(one_lobe) else (*one_lobe, 1, 1))
+        )
+
+    @property
+    def flash(self) -> Tensor:
+        """(3,) log of the flash's intensity by channel."""
+        red, blue = (self.intensity + self.hue).split(1)
+        return torch.cat([red, self.intensity, blue])
+
+    @property
+    def lobes(self) -> list[tuple[Tensor | float, Tensor]]:
+        """Share and roughness of each lobe, the narrow one first."""
+        narrow = torch.sigmoid(self.roughness)
+        if self.share is None or self.wider is None:
+            return [(1.0, narrow)]
+        share = torch.sigmoid(self.share)
+        return [(share, narrow), (1.0 - share, torch.sigmoid(self.roughness + self.wider.exp()))]
+
+
+INDEX = Unknowns.of(torch.arange(15))  # of each unknown in vector(), of two lobes as well
+
+
+def numbers(*values: float) -> Tensor:
+    """A float64 vector."""
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def log_radiance(
+    unknowns: Unknowns, image: Tensor, distance: float, *, conductor: bool = False
+) -> Tensor:
+    """(3, n) log radiance of the uniform material.
+
+    Args:
+        unknowns: the parameters.
+        image: (2, n) image coordinates.
+        distance: of the camera, plane units.
+        conductor: `albedo` is F0, and hardly anything is diffuse.
+    """
+    normal, camera, flash = _places(unknowns, distance)
+    image = image[:, None]
+    # Points where the rays meet the tilted plane.
+    ray = torch.cat([image, torch.full_like(image[:1], -distance)])
+    along = -(normal[2] * distance) / torch.tensordot(normal, ray, dims=1)
+    points = camera[:, None, None] + along * ray
+    light = FlashLight.between(points, camera, flash, unknowns.flash.exp()[:, None, None])
+    incidence = light.onto(normal[:, None, None].expand_as(points), exact=True)
+    colour = unknowns.albedo.exp()[:, None, None]
+    radiance = incidence.diffuse(colour * (BLACK if conductor else 1.0))
+    specular = colour if conductor else unknowns.specular.exp()[:, None, None]
+    for share, roughness in unknowns.lobes:
+        radiance = radiance + share * incidence.specular(specular, roughness[:, None, None])
+    return ((radiance + _DARKEST).log() + log_vignette(image, *unknowns.vignetting)).flatten(1)
+
+
+def mirror_point(unknowns: Unknowns, distance: float) -> Tensor:
+    """(2,) image coordinates of the mirror point."""
+    normal, camera, light = _places(unknowns, distance)
+    height_camera, height_light = (normal * camera).sum(), (normal * light).sum()
+    foot_camera, foot_light = camera - height_camera * normal, light - height_light * normal
+    point = (foot_camera * height_light + foot_light * height_camera) / (
+        height_camera + height_light
+    )
+    return point[:2] * (distance / (distance - point[2]))
+
+
+def _places(unknowns: Unknowns, distance: float) -> tuple[Tensor, Tensor, Tensor]:
+    """(3,) each, in the camera frame: the plane's normal, places of camera and flash."""
+    normal = rotation(*unknowns.tilt.unbind())[:, 2]
+    camera = numbers(0.0, 0.0, distance)
+    return normal, camera, camera + F.pad(unknowns.offset, (0, 1))

@@ -1,0 +1,240 @@
+"""The coarse fit's cost, its normal equations, and its minimisation.
+
+With the residuals r_i in log radiance of cells and of the highlight's measurements (evidence.py),
+their weights w_i, the parameters x and the prior's mean m and precision P (hypotheses.py),
+
+    cost = sum_i w_i huber(r_i) + (x - m)^T P (x - m) / 2.
+
+Minimised by Levenberg-Marquardt steps, with weights of the Huber loss renewed at each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from matcap.flash.coarse.cells import CoarseCells
+from matcap.flash.coarse.evidence import Evidence
+from matcap.flash.coarse.model import INDEX, Unknowns, log_radiance, mirror_point, numbers
+
+HUBER = 0.1  # threshold of the Huber loss, log radiance
+# Number of residuals per nat of the prior in a RAW, chosen empirically; about the number of cells,
+# whose whitened channels are independent.
+_CELLS_THAT_COUNT = 600.0
+_BRIGHTENING = 0.02  # prior deviation of negative falloff, which ambient light imitates
+_COLOUR_NOISE = 0.01  # log radiance, least standard deviation of differences of channels
+_MOST_TEXTURE = 0.5  # log radiance; residuals are clipped to +-this before whitening
+_LEAST_WHOLE_CELLS = 30  # least number of unclipped cells for whitening
+_STEP = 1e-5  # of finite differences in parameters, all of which are of order 1
+# Prior of two lobes: logit of the narrow one's share, log of how much rougher the other is.
+TWO_LOBES = {"share": numbers(0.0), "wider": numbers(0.0)}
+_TWO_LOBES_DEVIATION = {"share": numbers(1.5), "wider": numbers(0.7)}
+
+
+@dataclass(frozen=True)
+class FalloffEvidence:
+    """Gaussian likelihood of the falloff x = (a, b): exp(h x - x L x / 2).
+
+    Attributes:
+        shift: (2,) h = L times the most likely x.
+        precision: elements aa, ab and bb of L.
+    """
+
+    shift: tuple[float, float]
+    precision: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The function to minimise.
+
+    Attributes:
+        cells: observations.
+        distance: of the camera.
+        evidence: measurements of the highlight, or None.
+        prior: (n,) the prior's mean, of 15 or 17 parameters.
+        precision: (n, n) Hessian of the prior's cost.
+        unit: cost of a nat of the prior.
+        shoulder: of the tone curve; 0 without one.
+        whitening: (3, 3) of the channels of cells that no bound concerns; None for as they are.
+        conductor: `albedo` of the parameters is F0, and nothing is diffuse.
+    """
+
+    cells: CoarseCells
+    distance: float
+    evidence: Evidence | None
+    prior: Tensor
+    precision: Tensor
+    unit: float
+    shoulder: float = 0.0
+    whitening: Tensor | None = None
+    conductor: bool = False
+
+    def log_radiance(self, parameters: Tensor, image: Tensor) -> Tensor:
+        """(3, n) log radiance at image coordinates (2, n), tone curve included."""
+        unknowns = Unknowns.of(parameters)
+        linear = log_radiance(unknowns, image, self.distance, conductor=self.conductor)
+        if self.shoulder == 0.0:  # no tone curve, whatever the exponent
+            return linear
+        # The logarithm of ToneCurve.developed().
+        power = unknowns.tone.exp() * linear
+        return power - (1.0 + self.shoulder * power.expm1()).log()
+
+    def differences(self, parameters: Tensor) -> Tensor:
+        """(3, n) log radiance of the model less that of the cells."""
+        return self.cells.differences(self.log_radiance(parameters, self.cells.image))
+
+    def whitened(self, parameters: Tensor) -> Problem:
+        """The problem with channels whitened by the residuals at `parameters`.
+
+        Light is common to all channels, texture is not: channel differences separate the two.
+        """
+        whole = (self.cells.above == 1.0).all(0)
+        if int(whole.sum()) < _LEAST_WHOLE_CELLS:
+            return self
+        rest = self.differences(parameters)
+        return replace(self, whitening=_whitening(rest[:, whole], self.cells.weight[whole]))
+
+    def trusting(self, parameters: Tensor) -> Problem:
+        """The problem with the prior's weight set from the residuals of a first fit."""
+        count = self.cells.observed.numel()
+        rest = self.residuals(parameters)[:count].clamp(-0.5, 0.5)
+        variance = (self.weight[:count] * rest.square()).sum() / self.weight[:count].sum()
+        nat = float(variance) / _CELLS_THAT_COUNT
+        return replace(self, precision=self.precision * (nat / self.unit), unit=nat)
+
+    def with_two_lobes(self) -> Problem:
+        """The problem with two specular lobes: a share of the narrow one, and a wider one."""
+        mean = replace(Unknowns.of(self.prior), **TWO_LOBES).vector()
+        added = torch.cat([each.pow(-2) for each in _TWO_LOBES_DEVIATION.values()])
+        precision = torch.block_diag(self.precision, self.unit * torch.diag(added))
+        return replace(self, prior=mean, precision=precision)
+
+    def with_tilt(self, mean: Tensor, std: Tensor) -> Problem:
+        """The problem with another Gaussian prior of the tilt, (2,) each."""
+        precision = self.precision.clone()
+        precision[INDEX.tilt, INDEX.tilt] = self.unit * std.pow(-2)
+        return replace(
+            self, prior=replace(Unknowns.of(self.prior), tilt=mean).vector(), precision=precision
+        )
+
+    def at(self, place: Unknowns) -> Problem:
+        """The same with offset and tilt held."""
+        fixed, precision = torch.cat([INDEX.offset, INDEX.tilt]), self.precision.clone()
+        precision[fixed, fixed] = 1e6
+        prior = replace(Unknowns.of(self.prior), offset=place.offset, tilt=place.tilt)
+        return replace(self, prior=prior.vector(), precision=precision)
+
+    @property
+    def weight(self) -> Tensor:
+        """(residuals,) weight of each residual."""
+        each = self.cells.weight.repeat(3)
+        return each if self.evidence is None else torch.cat([each, self.evidence.weights])
+
+    def residuals(self, parameters: Tensor) -> Tensor:
+        """(residuals,) residuals at the parameters, in log radiance."""
+        cells = self.cells
+        difference = self.differences(parameters)
+        # Of a lower bound, only a darker model has a residual.
+        bounded = torch.where(difference > 0.0, difference * cells.above, difference)
+        if self.whitening is not None:
+            whole = (cells.above == 1.0).all(0)
+            bounded = torch.where(whole, self.whitening @ difference, bounded)
+        difference = bounded.flatten()
+        if self.evidence is None:
+            return difference
+        mirror = mirror_point(Unknowns.of(parameters), self.distance)
+        seen = self.log_radiance(parameters, self.evidence.image)
+        return torch.cat([difference, HUBER * self.evidence.residuals(mirror, seen)])
+
+    def quadratic(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
+        """(n, n) Gauss-Newton Hessian of the cost and (n,) its gradient, without brightening."""
+        r = self.residuals(parameters)
+        jacobian = _jacobian(self.residuals, parameters, r)
+        weight = self.weight * HUBER / r.abs().clamp_min(HUBER)
+        hessian = (jacobian * weight[:, None]).T @ jacobian + self.precision
+        return hessian, jacobian.T @ (weight * r) + self.precision @ (parameters - self.prior)
+
+    def falloff_evidence(self, parameters: Tensor) -> FalloffEvidence:
+        """Likelihood of the falloff by Laplace's method at the parameters.
+
+        The Hessian over a nat's cost is the posterior's precision; its Schur complement over all
+        other unknowns is the falloff's. Less its prior's, that is the likelihood's.
+        """
+        falloff = INDEX.vignetting
+        block = falloff[:, None], falloff
+        hessian, gradient = self.quadratic(parameters)
+        best = (parameters - torch.linalg.solve(hessian, gradient))[falloff]
+        posterior = torch.linalg.inv(torch.linalg.inv(hessian / self.unit)[block])
+        prior = self.precision[block] / self.unit
+        first, second = (posterior @ best - prior @ self.prior[falloff]).tolist()
+        (own, both), (_, other) = (posterior - prior).tolist()
+        return FalloffEvidence((first, second), (own, both, other))
+
+    def brightening(self, parameters: Tensor) -> Tensor:
+        """(n,) precision of the prior at 0 of negative falloff coefficients."""
+        vignetting = Unknowns.of(parameters).vignetting
+        precision_there = torch.where(vignetting < 0.0, self.unit / _BRIGHTENING**2, 0.0)
+        return replace(
+            Unknowns.of(torch.zeros_like(parameters)), vignetting=precision_there
+        ).vector()
+
+    def cost(self, parameters: Tensor) -> float:
+        """Cost at the parameters."""
+        r = self.residuals(parameters).abs()
+        huber = torch.where(r < HUBER, 0.5 * r.square(), HUBER * (r - 0.5 * HUBER))
+        deviation = parameters - self.prior
+        prior = 0.5 * deviation @ self.precision @ deviation
+        prior = prior + 0.5 * (parameters.square() * self.brightening(parameters)).sum()
+        return float((self.weight * huber).sum() + prior)
+
+    def minimised(self, start: Tensor, iterations: int) -> tuple[float, Tensor]:
+        """(cost, parameters) after at most `iterations` Levenberg-Marquardt steps."""
+        parameters, damping = start.clone(), 1e-2
+        cost = self.cost(parameters)
+        for _ in range(iterations):
+            normal, gradient = self.quadratic(parameters)
+            extra = self.brightening(parameters)
+            normal, gradient = normal + torch.diag(extra), gradient + extra * parameters
+            candidate, new = parameters, math.inf
+            while not new < cost and damping < 1e6:
+                damped = normal + damping * torch.diag(normal.diagonal())
+                candidate = parameters - torch.linalg.solve(damped, gradient).clamp(-1.0, 1.0)
+                new = self.cost(candidate)
+                damping *= 4.0
+            if not new < cost:
+                break
+            converged = cost - new < 1e-5 * cost
+            parameters, cost, damping = candidate, new, max(damping / 16.0, 1e-6)
+            if converged:
+                break
+        return cost, parameters
+
+
+def _whitening(residuals: Tensor, weight: Tensor) -> Tensor:
+    """(3, 3) whitening of the channels of residuals (3, n), which keeps their mean variance.
+
+    The direction common to all channels is only scaled, so that an unfitted light does no harm.
+    """
+    share = weight / weight.sum()
+    kept = residuals.clamp(-_MOST_TEXTURE, _MOST_TEXTURE)
+    kept = kept - (kept * share).sum(1, keepdim=True)
+    covariance = (kept * share) @ kept.T
+    covariance = covariance + _COLOUR_NOISE**2 * torch.eye(3, dtype=covariance.dtype)
+    values, vectors = torch.linalg.eigh(covariance)
+    scale = (covariance.trace() / 3.0).sqrt()
+    return scale * (vectors * values.rsqrt()) @ vectors.T
+
+
+def _jacobian(residuals: Callable[[Tensor], Tensor], parameters: Tensor, here: Tensor) -> Tensor:
+    """(residuals, parameters) Jacobian by forward differences from the residuals `here`.
+
+    Accurate to 1e-5 in float64, enough for the accepted steps. Faster than `torch.func.jacfwd` for
+    few parameters, which also takes two seconds to import PyTorch's compiler.
+    """
+    steps = _STEP * torch.eye(len(parameters), dtype=parameters.dtype)
+    return (torch.vmap(residuals)(parameters + steps) - here).T / _STEP
