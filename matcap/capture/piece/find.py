@@ -322,13 +322,7 @@ def inpainted(observed: Observation, prediction: NetworkPrediction) -> Exemplar:
     spot = remaining_highlight(exemplar.diffuse, valid, distance)
     exemplar = replace(exemplar, confidence=exemplar.confidence * ~spot)
     left_out = None if plane.left_out is None else plane.left_out.numpy()
-    return transport(
-        exemplar,
-        plane.linear,
-        torch.from_numpy(valid & ~spot),
-        observed.light,
-        left_out=left_out,
-    )
+    return transport(exemplar, plane.linear, plane.valid, observed.light, left_out=left_out)
 
 
 def evened(

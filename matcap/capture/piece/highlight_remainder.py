@@ -19,6 +19,7 @@ _CELLS = 128  # along the long side, over which log albedo is averaged; finer de
 _WIDTH = 2  # of a ring, cells
 _WIDEST = 20  # radius of the largest ring, cells; wider discs are shading, which `flatten` removes
 _MISSED = 2  # rings in a row that do not stand out, at which the disc ends
+_AROUND = 6  # width of the ring around the largest, cells
 _INSIDE = 0.9  # least share of a ring inside the picture, at other centres
 _UNUSUAL = 4.0  # deviations from the mean over other centres at which a ring stands out
 
@@ -68,13 +69,22 @@ def _stands_out(total: Floats, share: Floats, distances: Floats, inner: int) -> 
         inner: inner radius of the ring, cells.
     """
     outer = inner + _WIDTH
+    ring = _ring_means(total, share, inner, outer)
+    around = _ring_means(total, share, _WIDEST, _WIDEST + _AROUND)
+    contrast = np.where(np.isnan(around), np.nan, ring - around)
+    at = np.unravel_index(int(distances.argmin()), distances.shape)
+    others = contrast[np.isfinite(contrast) & (distances > _WIDEST + outer)]
+    if len(others) < 16 or not np.isfinite(contrast[at]):
+        return None
+    return bool(abs(contrast[at] - others.mean()) > _UNUSUAL * (others.std() + 1e-3))
+
+
+def _ring_means(total: Floats, share: Floats, inner: int, outer: int) -> Floats:
+    """(h, w) means over the ring around each cell; NaN where much of it is outside the picture."""
     offsets = np.arange(-outer, outer + 1)
     radius = np.hypot(offsets, offsets[:, None])
     ring = ((radius >= inner) & (radius < outer)).astype(np.float32)
-    counts = cv2.filter2D(share, -1, ring, borderType=cv2.BORDER_CONSTANT)
-    means = cv2.filter2D(total, -1, ring, borderType=cv2.BORDER_CONSTANT) / np.maximum(counts, 1e-6)
-    at = np.unravel_index(int(distances.argmin()), distances.shape)
-    others = means[(counts > _INSIDE * ring.sum()) & (distances > 2.0 * outer)]
-    if len(others) < 16 or counts[at] < 0.5 * ring.sum():
-        return None
-    return bool(abs(means[at] - others.mean()) > _UNUSUAL * (others.std() + 1e-3))
+    sums, counts = (
+        cv2.filter2D(plane, -1, ring, borderType=cv2.BORDER_CONSTANT) for plane in (total, share)
+    )
+    return np.where(counts > _INSIDE * ring.sum(), sums / np.maximum(counts, 1e-6), np.nan)

@@ -146,8 +146,12 @@ def seen_share(measured: Tensor) -> NDArray[np.float32]:
 
 
 def lit(linear: Tensor) -> Tensor:
-    """(H, W) bool: where the local mean of radiance (3, H, W) is above _UNLIT."""
-    return torch.from_numpy(smoothed(linear.mean(0).numpy(), _UNLIT_AROUND) > _UNLIT)
+    """(H, W) bool: where the local mean of radiance (3, H, W) is above _UNLIT.
+
+    Radiance is limited to 2 _UNLIT first, so that bright neighbours do not light a dark texel.
+    """
+    grey = linear.mean(0).clamp_max(2.0 * _UNLIT).numpy()
+    return torch.from_numpy(smoothed(grey, _UNLIT_AROUND) > _UNLIT)
 
 
 def _even(sensitivity: Tensor) -> NDArray[np.float32]:

@@ -1,10 +1,14 @@
 """Inpainting under the highlight by blocks of the exemplar (reflectance transport [aittala2015]).
 
 Near the mirror point the highlight hides albedo, and all maps where it is clipped. The material is
-stationary, so blocks of maps are copied there from visible places. The chosen block minimises, over
-random candidates, its mismatch with neighbours in the overlap plus the mismatch of its rendering in
-place with the photograph (texture transfer [efros2001]): 1 - correlation of log radiance, as the
-mean difference is an error of the fitted highlight.
+stationary, so blocks of maps are copied there from visible places. The chosen block minimises its
+mismatch with neighbours in the overlap plus the mismatch of its rendering in place with the
+photograph (texture transfer [efros2001]),
+
+    1 - correlation(a, b) + w |log(|a|^2 / |b|^2)|,
+
+where a and b are log radiance of the block and of the photograph, less their quadratic trends over
+the block, which are errors of the fitted highlight.
 """
 
 from __future__ import annotations
@@ -24,7 +28,9 @@ from matcap.capture.piece.refine import PieceLight
 from matcap.example.exemplar import Exemplar
 
 # Inpainting under the highlight; docs/notes/capture.md. NSD is the normalised style distance.
-_TRIED = 40  # candidate blocks per place. More match better, and take proportionally longer.
+_TRIED = 1000  # random candidate blocks per place
+_RENDERED = 40  # as many of those that match the overlap best, and of the others, are rendered
+_CONTRAST = 0.25  # w of the equation above
 _BLOCK = 48  # side of a block, texels: larger than the texture's features, small enough to match
 _OVERLAP = 12  # overlap of neighbouring blocks, texels
 # Least confidence of albedo in donors, over that of well seen texels. Larger values inpaint
@@ -35,11 +41,12 @@ _MOST_HIDDEN = 0.2  # largest share of the picture to inpaint, more than any fla
 _WHOLE_DONOR = 0.95  # least confident share of a donor block
 _WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
 _LEAST_HIDDEN = 2e-4  # hidden share of all texels below which nothing is inpainted
-_UNLIKENESS = 0.7  # weight of the decorrelation from the photograph against the overlap's mismatch
+_UNLIKENESS = 0.7  # weight of the mismatch with the photograph against the overlap's mismatch
 # A place keeps its maps if its energy of log radiance is above _STRONGER times the candidates'
 # median and a share above _VISIBLE_SHARE is visible: a scratch, or bare metal that only the
 # highlight shows.
 _STRONGER, _VISIBLE_SHARE = 2.0, 0.5
+_SPREAD = 4  # texels over which a hidden texel's light spreads to its neighbours
 _THINNED = 4  # subsampling, texels, of rendered candidates
 _FARTHEST = 4.0  # upper limit of a squared standardised difference in the overlap
 _SEAM_REACH = 24.0  # texels over which the two sides of a seam converge
@@ -86,7 +93,7 @@ def transport(
     known = np.ones(confidence.shape, np.bool_) if left_out is None else ~left_out
     trusted = confidence / max(float(np.quantile(confidence[known], _WELL_SEEN)), 1e-6)
     most = float(np.quantile(trusted[known], _MOST_HIDDEN)) + 1e-6
-    hidden = trusted < min(_TRUSTED, most)
+    hidden = _around(trusted < min(_TRUSTED, most))
     donors = _donors(~hidden & known)
     if left_out is not None:
         # Texels outside of a crop are not inpainted.
@@ -97,6 +104,7 @@ def transport(
     places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > _WANTED_SHARE]
     # From visible surroundings inwards, so that patterns continue.
     places.sort(key=lambda p: -float(trusted[_block(p)].mean()))
+    valid = valid & torch.from_numpy(confidence > 0.0)
     photograph = _Photograph(exemplar, linear, valid, light)
     chosen = _choose(places, donors, drawn, ~hidden, photograph)
     source, copied = _sources(chosen, hidden)
@@ -121,9 +129,9 @@ class _Likeness:
     """Match of N candidate blocks, rendered at a place, to the photograph there."""
 
     unlike: Floats
-    """(N,) 1 - correlation of log radiance; 0 without valid texels."""
+    """(N,) mismatch of log radiance (module equation); 0 without valid texels."""
     stronger: float
-    """Energy of the photographed log radiance over the candidates' median."""
+    """Energy of the photographed log radiance over the median of random candidates."""
     share: float
     """Share of the place that is visible and not clipped."""
 
@@ -140,7 +148,8 @@ class _Photograph:
         self, exemplar: Exemplar, linear: Tensor, valid: Tensor, light: PieceLight
     ) -> None:
         self._log = linear.clamp_min(_DARKEST).log()
-        self._valid = valid
+        # Log radiance is steep where it begins to clip.
+        self._valid = torch.from_numpy(~_around(~valid.numpy()))
         self._light = light
         maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
         planes = torch.cat([maps.diffuse, maps.specular, maps.roughness, maps.normal])
@@ -164,10 +173,12 @@ class _Photograph:
         if not seen.any():
             return _Likeness(np.zeros(len(blocks), np.float32), 0.0, share)
         even, shown = (x[(slice(None), *here)][None] for x in (self._even, self._log))
-        a, b = (_centred(x - even, seen) for x in (log, shown))
+        a, b = (_detrended(x - even, seen) for x in (log, shown))
         lit, photographed = (x.square().sum((1, 2, 3)) for x in (a, b))
         unlike = 1.0 - (a * b).sum((1, 2, 3)) / ((lit * photographed).sqrt() + 1e-6)
-        stronger = float(photographed / (lit.median() + 1e-6))
+        ratio = (lit + 1e-6) / (photographed + 1e-6)
+        unlike += _CONTRAST * ratio.log().abs().clamp_max(2.0)
+        stronger = float(photographed / (lit[len(lit) // 2 :].median() + 1e-6))
         return _Likeness(np.asarray(unlike, np.float32), stronger, share)
 
 
@@ -177,10 +188,14 @@ def _parts(planes: Tensor) -> tuple[Reflectance, Tensor]:
     return Reflectance(*reflectance), normal
 
 
-def _centred(log: Tensor, seen: Tensor) -> Tensor:
-    """Log radiance less its mean over visible texels; 0 elsewhere."""
-    mean = (log * seen).sum((1, 2, 3), keepdim=True) / (3.0 * seen.sum())
-    return (log - mean) * seen
+def _detrended(log: Tensor, seen: Tensor) -> Tensor:
+    """Log radiance (..., h, w) less its quadratic trend over visible texels (h, w); 0 elsewhere."""
+    y, x = (torch.linspace(-1.0, 1.0, side).to(log) for side in seen.shape)
+    y, x = (v.flatten() for v in torch.meshgrid(y, x, indexing="ij"))
+    smooth = torch.stack([torch.ones_like(x), x, y, x * x, x * y, y * y]) * seen.flatten()
+    basis = torch.linalg.svd(smooth, full_matrices=False).Vh
+    flat = log.flatten(-2) * seen.flatten()
+    return (flat - (flat @ basis.T) @ basis).unflatten(-1, seen.shape)
 
 
 def _choose(
@@ -200,8 +215,11 @@ def _choose(
         follow = [s for s in _continued(place, chosen) if s in allowed]
         if follow:
             blocks = np.concatenate([blocks, np.array(follow)])
-        shown = photograph.likeness(place, blocks)
         torn = _discontinuity(place, blocks, drawn.seen, seen, known)
+        nearest = np.argsort(torn, kind="stable")[:_RENDERED]
+        nearest = np.concatenate([nearest, np.arange(min(_RENDERED, len(blocks)))])
+        blocks, torn = blocks[nearest], torn[nearest]
+        shown = photograph.likeness(place, blocks)
         best = int((torn + _UNLIKENESS * shown.share * shown.unlike).argmin())
         source = (int(blocks[best][0]), int(blocks[best][1]))
         if shown.is_distinct:
@@ -279,6 +297,12 @@ def _drawn(exemplar: Exemplar, known: NDArray[np.bool_]) -> _Drawn:
     lightness /= lightness[known].std() + 1e-3
     seen = np.stack([lightness, across / steep, down / steep], axis=-1)
     return _Drawn(stacked, laid, seen.astype(np.float32))
+
+
+def _around(texels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(H, W) bool: texels, and those within _SPREAD of them."""
+    square = np.ones((2 * _SPREAD + 1,) * 2, np.uint8)
+    return np.asarray(cv2.dilate(texels.astype(np.uint8), square) > 0)
 
 
 def _between(known: NDArray[np.bool_]) -> NDArray[np.bool_]:

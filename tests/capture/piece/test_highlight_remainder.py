@@ -78,6 +78,13 @@ def test_a_halo_is_found_around_a_clipped_core():
     assert found[away(MIRROR) < 44.0].all()
 
 
+def test_shading_across_the_picture_does_not_hide_a_halo():
+    halo = (away(MIRROR) > 8.0) & (away(MIRROR) < 40.0)
+    albedo = texture(7, contrast=0.1) * np.where(halo, 0.85, 1.0)
+    shaded = albedo * np.exp(np.linspace(-0.6, 0.6, WIDTH, dtype=np.float32))
+    assert remaining_highlight(shaded, KNOWN, away(MIRROR))[halo].all()
+
+
 def test_a_mirror_point_outside_of_the_picture_is_none():
     assert not remaining_highlight(texture(4), KNOWN, away((-300.0, 900.0))).any()
 
