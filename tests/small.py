@@ -8,10 +8,11 @@ from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.train.corpus import srgb_bytes
 from matcap.lab.train.pack import Entry, Pack
+from matcap.lab.train.state import start_head
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.encoder import Encoder, EncoderConfig
 from matcap.space.prior.anchors import ConditionalMean
-from matcap.space.prior.base import VARYING, start_head
+from matcap.space.prior.base import VARYING
 from matcap.space.prior.store import Prior
 from matcap.statistics.lattice import Wave
 

@@ -11,6 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
+from matcap.brdf.folder import mapset_files, preview_name
 from matcap.errors import MatcapError
 from matcap.files.names import series, usable_name
 from matcap.files.quiet import quiet_decoders
@@ -66,8 +67,8 @@ def find_samples(
     """List the samples of an input folder, sorted by folder and name.
 
     Subfolders are searched, but for hidden ones, links, thumbnails (@eaDir and the like) and
-    outputs of batches. If a folder has a RAW and a JPEG of one shot (the same stem, or Pixel
-    phones' names), the RAW is used.
+    outputs of batches. Pictures of map sets and captures are no photographs. If a folder has a RAW
+    and a JPEG of one shot (the same stem, or Pixel phones' names), the RAW is used.
 
     Args:
         source: the input folder.
@@ -87,7 +88,9 @@ def find_samples(
     passed_over = {path.resolve() for path in without}
     grouped: list[tuple[Path, str, tuple[Path, ...], tuple[Path, ...]]] = []
     for folder, names in _folders(source, passed_over):
-        files = [folder / name for name in names if (folder / name).resolve() not in passed_over]
+        written = _outputs(names)
+        files = [folder / name for name in names if name not in written]
+        files = [file for file in files if file.resolve() not in passed_over]
         shots = _pairs(files)
         if not shots:
             continue
@@ -149,6 +152,13 @@ def _folders(source: Path, passed_over: set[Path]) -> Iterator[tuple[Path, list[
             and (folder / name).resolve() not in passed_over
         )
         yield folder, sorted(name for name in names if not name.startswith("."))
+
+
+def _outputs(names: Sequence[str]) -> set[str]:
+    """Names of a folder's files that are of map sets and captures in it."""
+    sets = [Path(name).stem for name in names if name.endswith(".json")]
+    written = {file for name in sets for file in (*mapset_files(name), preview_name(name))}
+    return written | ({"preview.png"} if "report.json" in names else set())
 
 
 def _pairs(files: Sequence[Path]) -> list[_Shot]:

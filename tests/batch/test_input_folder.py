@@ -88,6 +88,14 @@ def test_output_of_batches_hidden_folders_and_links_are_passed_over(tmp_path):
     assert names(find_samples(tmp_path, without=[tmp_path / "out"])) == ["a"]
 
 
+def test_pictures_that_matcap_wrote_are_passed_over(tmp_path):
+    touch(tmp_path, "oak.jpg", "oak.jpg.json", "bark_preview.png", "strip_diffuse.png")
+    touch(tmp_path, "strip.json", "strip_preview.png", "strip_normal.png", "sub/preview.png")
+    assert names(find_samples(tmp_path)) == ["bark_preview", "oak", "sub-preview"]
+    touch(tmp_path, "sub/report.json")
+    assert names(find_samples(tmp_path)) == ["bark_preview", "oak"]
+
+
 def test_grouped_by_folder(tmp_path):
     touch(tmp_path, "one/a.jpg", "one/b.jpg", "two/a.dng", "two/a.jpg", "top.jpg")
     found = find_samples(tmp_path, group="dir")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from matcap.brdf.integrate import integrated
+from matcap.brdf.integrate import integrate_periodic
 
 
 def waves(rows, columns, texel):
@@ -21,7 +21,7 @@ def waves(rows, columns, texel):
 @pytest.mark.parametrize(("rows", "columns", "texel"), [(32, 48, 1.0), (33, 25, 0.01)])
 def test_a_surface_comes_back_from_its_slopes(rows, columns, texel):
     height, slopes = waves(rows, columns, texel)
-    found = integrated(slopes, texel)
+    found = integrate_periodic(slopes, texel)
     np.testing.assert_allclose(found[0], height, atol=1e-5)
     assert found.dtype == np.float32
 
@@ -30,5 +30,5 @@ def test_means_and_curl_that_no_repeating_surface_has_are_left_out():
     height, slopes = waves(32, 32, 1.0)
     tilted = slopes + np.array([0.3, -0.2])[:, None, None]
     rolling = np.stack([slopes[1], -slopes[0]])  # the slopes' field turned: all curl
-    np.testing.assert_allclose(integrated(tilted)[0], height, atol=1e-5)
-    np.testing.assert_allclose(integrated(rolling), 0.0, atol=1e-5)
+    np.testing.assert_allclose(integrate_periodic(tilted)[0], height, atol=1e-5)
+    np.testing.assert_allclose(integrate_periodic(rolling), 0.0, atol=1e-5)

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.piece.integrate import integrate, poisson
+from matcap.brdf.integrate import integrate, poisson
 from matcap.capture.together.texels import slopes_of
 
 Floats = NDArray[np.float32]

@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.integrate import integrated
+from matcap.brdf.integrate import integrate_periodic
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
 from matcap.lab.simulate.map_sets import read_surface
@@ -93,7 +93,7 @@ def read_set(folder: Path) -> tuple[Picture, Picture]:
     surface = np.concatenate([maps.diffuse, maps.specular, maps.roughness, maps.metallic])
     steepness = np.sqrt(np.square(maps.slopes).sum(0, keepdims=True))
     slopes = maps.slopes * np.minimum(1.0, _STEEPEST / np.maximum(steepness, 1e-6))
-    return surface.astype(np.float32), integrated(slopes)
+    return surface.astype(np.float32), integrate_periodic(slopes)
 
 
 def halved(surface: Picture, height: Picture) -> tuple[Picture, Picture]:

@@ -6,6 +6,7 @@ worker processes. lab/train/trainer.py runs the steps. The shipped weights are t
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
@@ -19,8 +20,9 @@ from torch import Tensor
 
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import Inverse, InverseConfig
-from matcap.capture.piece.network.store import read_inverse, save_inverse
+from matcap.capture.piece.network.store import FORMAT, VERSION, read_inverse
 from matcap.errors import MatcapError
+from matcap.files.tensors import write_tensors
 from matcap.lab.inverse.losses import Compare, LossWeights, compared, loss_parts, total, wanted
 from matcap.lab.inverse.packed import training_sets
 from matcap.lab.inverse.samples import (
@@ -233,3 +235,25 @@ def _trained(folder: Path) -> Training[Inverse]:
     training = start(InverseConfig(), TrainSettings())
     training.load(folder)
     return training
+
+
+def save_inverse(network: Inverse, path: Path, card: Mapping[str, Any]) -> None:
+    """Write weights in half precision, whole or not at all.
+
+    Args:
+        network: the network.
+        path: of the file.
+        card: how it was trained; JSON.
+
+    Raises:
+        MatcapError: the folder cannot be written.
+    """
+    tensors = {name: value.half() for name, value in network.state_dict().items()}
+    about = {
+        "format": FORMAT,
+        "version": VERSION,
+        "widths": network.config.widths,
+        "context": network.config.context,
+        "card": dict(card),
+    }
+    write_tensors(path, tensors, {"matcap": json.dumps(about)})

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.brdf.integrate import integrated
+from matcap.brdf.integrate import integrate_periodic
 from matcap.brdf.maps import HEIGHT, SURFACE, MapSet
 from matcap.errors import MatcapError
 from matcap.relight.foreign.channels import read_channels
@@ -87,7 +87,8 @@ def read_map_set(folder: Path) -> MapSetMaterial:
     """
     maps = read_surface(folder)
     specular = maps.specular if maps.metallic.any() else maps.specular[:1]
-    stacked = np.concatenate([maps.diffuse, specular, maps.roughness, integrated(maps.slopes)])
+    height = integrate_periodic(maps.slopes)
+    stacked = np.concatenate([maps.diffuse, specular, maps.roughness, height])
     return MapSetMaterial(folder.name, stacked.astype(np.float32), _SPAN / stacked.shape[2])
 
 

@@ -20,7 +20,7 @@ from matcap.lab.train.pack import WAVE_DETAIL, Entry
 from matcap.space.decoder import CODE_SIZE, Decoder
 from matcap.space.encoder import Encoder
 from matcap.space.picture import picture
-from matcap.space.prior.anchors import Anchor, Anchors, ConditionalMean, anchors_of
+from matcap.space.prior.anchors import Anchor, Anchors, ConditionalMean
 from matcap.space.prior.base import VARYING, base_of, varying
 from matcap.space.prior.encoder_input import describe_windows, numbers, texture
 from matcap.space.prior.store import Prior
@@ -140,3 +140,13 @@ def with_anchors(prior: Prior, entries: Sequence[Entry]) -> Prior:
     """A prior whose draws are near these photographs; its networks are unchanged."""
     codes = codes_of(prior.encoder, entries)
     return replace(prior, anchors=anchors_known(codes, prior.conditional_mean, entries))
+
+
+def anchors_of(places: Sequence[Anchor]) -> Anchors:
+    """Stack several anchors."""
+    waves = torch.zeros(len(places), 2, 2)
+    for row, place in zip(waves, places, strict=True):
+        for slot, wave in zip(row, place.waves, strict=False):
+            slot.copy_(torch.tensor([wave.fx, wave.fy]))
+    codes = torch.stack([place.code for place in places])
+    return Anchors(codes, torch.stack([place.rest for place in places]), waves)

@@ -9,10 +9,11 @@ from torch import nn
 
 from matcap.errors import UsageError
 from matcap.lab.train.trainer import Training
-from matcap.space.decoder import Decoder, DecoderConfig
+from matcap.space.decoder import OUTPUTS, Decoder, DecoderConfig
 from matcap.space.encoder import Encoder, EncoderConfig
-from matcap.space.prior.base import start_head
 from matcap.space.prior.store import Prior
+
+_START = (1.0, 1.0, 1.0, 0.33, 0.33, 0.33)  # deviations of an untrained head's outputs
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,14 @@ class TrainConfig:
     report_every: int = 250
     encoder: EncoderConfig = EncoderConfig()
     decoder: DecoderConfig = DecoderConfig()
+
+
+def start_head(decoder: Decoder) -> None:
+    """Initialise an untrained head to output zero mean and the deviations _START."""
+    with torch.no_grad():
+        affine = decoder.head.adain.affine
+        affine.weight.mul_(0.2)
+        affine.bias.copy_(torch.cat([torch.zeros(OUTPUTS), torch.tensor(_START)]))
 
 
 class Model(nn.Module):

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from matcap.brdf.heights import check_heights
-from matcap.brdf.integrate import integrated
+from matcap.brdf.integrate import integrate_periodic
 from matcap.relight.foreign.channels import DIELECTRIC, SetChannels, read_channels
 from matcap.relight.foreign.normals import NormalStyle, gradient
 from matcap.relight.texture import Texture
@@ -123,7 +123,7 @@ def _relief(channels: SetChannels, notes: list[str]) -> tuple[Array, Array]:
         return height, gradient(height, texel)
     if slopes is not None:
         notes.append("no height map: the normal map was integrated")
-        return integrated(slopes, texel), slopes
+        return integrate_periodic(slopes, texel), slopes
     notes.append("neither normal nor height map: the surface is flat")
     return np.zeros((1, *channels.shape), np.float32), np.zeros((2, *channels.shape), np.float32)
 

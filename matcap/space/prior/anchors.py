@@ -17,7 +17,6 @@ lattice is the anchor's.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -98,13 +97,3 @@ class Anchors:
 def nowhere() -> Anchor:
     """The origin, without a lattice."""
     return Anchor(torch.zeros(CODE_SIZE), torch.zeros(VARYING), ())
-
-
-def anchors_of(places: Sequence[Anchor]) -> Anchors:
-    """Stack several anchors."""
-    waves = torch.zeros(len(places), 2, 2)
-    for row, place in zip(waves, places, strict=True):
-        for slot, wave in zip(row, place.waves, strict=False):
-            slot.copy_(torch.tensor([wave.fx, wave.fy]))
-    codes = torch.stack([place.code for place in places])
-    return Anchors(codes, torch.stack([place.rest for place in places]), waves)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import FlashSetup
-from matcap.space.decoder import OUTPUTS, Decoder
+from matcap.space.decoder import Decoder
 from matcap.space.tuning.start import head_start
 
 VARYING = 8  # numbers of a base that differ between materials: 5 means, 3 colour deviations
@@ -25,7 +25,6 @@ _CONTRASTS = (0.02, 1.5)  # limits of the deviation of log colour
 # Factors on the deviations that a capture starts with; larger for F0 and roughness, whose means
 # must be able to change more.
 _UNIT = (1.0, 1.0, 1.0, 3.0, 3.0, 1.0)
-_START = (1.0, 1.0, 1.0, 0.33, 0.33, 0.33)  # deviations of an untrained head's outputs
 
 # Deviations of F0, roughness and height are the same for every photograph.
 _ANY = CoarseFit((0.5, 0.5, 0.5), 0.04, 0.5, FlashSetup(), 0.0)
@@ -62,14 +61,6 @@ def base_from(numbers: Tensor) -> Base:
         torch.cat([numbers[:5], torch.zeros(1)]),
         torch.cat([numbers[5:].exp().clamp(low, 1.2 * high), rest]),
     )
-
-
-def start_head(decoder: Decoder) -> None:
-    """Initialise an untrained head to output zero mean and the deviations _START."""
-    with torch.no_grad():
-        affine = decoder.head.adain.affine
-        affine.weight.mul_(0.2)
-        affine.bias.copy_(torch.cat([torch.zeros(OUTPUTS), torch.tensor(_START)]))
 
 
 def fold(decoder: Decoder, base: Base) -> Decoder:

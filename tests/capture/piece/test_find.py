@@ -25,13 +25,14 @@ from matcap.capture.piece.network.network import (
     Inverse,
     InverseConfig,
 )
-from matcap.capture.piece.network.store import load_inverse, read_inverse, save_inverse
+from matcap.capture.piece.network.store import load_inverse, read_inverse
 from matcap.capture.piece.observation import lit, seen_share
 from matcap.capture.progress import CaptureClock
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.rectify import inside
+from matcap.lab.inverse.train import save_inverse
 
 
 def _plane(clip: float = 1e9):

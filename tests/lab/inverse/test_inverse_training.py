@@ -11,10 +11,10 @@ import torch
 from matcap.brdf.maps import HEIGHT
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import ANSWERS, ERRORS, Inverse, InverseConfig
-from matcap.capture.piece.network.store import read_inverse, save_inverse
+from matcap.capture.piece.network.store import read_inverse
 from matcap.lab.inverse.losses import loss_parts, total, wanted
 from matcap.lab.inverse.samples import draw_sample, training_material
-from matcap.lab.inverse.train import TrainSettings, ship, train
+from matcap.lab.inverse.train import TrainSettings, save_inverse, ship, train
 from matcap.lab.simulate.materials import random_material
 
 TINY = InverseConfig(widths=(8, 8, 8, 8, 8), context=8)

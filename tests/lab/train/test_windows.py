@@ -6,8 +6,9 @@ import torch
 from small import SMALL
 
 from matcap.brdf.maps import MapSet
+from matcap.lab.train.state import start_head
 from matcap.lab.train.training_windows import Turn, cut, prepare
-from matcap.space.prior.base import base_of, fold, start_head
+from matcap.space.prior.base import base_of, fold
 from matcap.statistics.lattice import Wave
 
 TURNS = [Turn(mirrored, quarters) for mirrored in (False, True) for quarters in range(4)]

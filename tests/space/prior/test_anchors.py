@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from matcap.errors import UsageError
+from matcap.lab.train.finish import anchors_of
 from matcap.space.decoder import CODE_SIZE
-from matcap.space.prior.anchors import Anchor, anchors_of
+from matcap.space.prior.anchors import Anchor
 from matcap.space.prior.base import VARYING, base_of, varying
 from matcap.space.prior.store import load_prior
 from matcap.space.tuned import TunedDecoder

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,35 +12,12 @@ from safetensors import SafetensorError, safe_open
 
 from matcap.capture.piece.network.network import Inverse, InverseConfig
 from matcap.errors import MatcapError
-from matcap.files.tensors import write_tensors
 
 FORMAT = "matcap-inverse"
 VERSION = 2  # of the file
 SHIPPED = Path(__file__).parent / "weights" / "inverse.safetensors"
 _WIDEST, _DEEPEST = 512, 8
 _REMEDY = "install matcap again, or give another file"
-
-
-def save_inverse(network: Inverse, path: Path, card: Mapping[str, Any]) -> None:
-    """Write weights in half precision, whole or not at all.
-
-    Args:
-        network: the network.
-        path: of the file.
-        card: how it was trained; JSON.
-
-    Raises:
-        MatcapError: the folder cannot be written.
-    """
-    tensors = {name: value.half() for name, value in network.state_dict().items()}
-    about = {
-        "format": FORMAT,
-        "version": VERSION,
-        "widths": network.config.widths,
-        "context": network.config.context,
-        "card": dict(card),
-    }
-    write_tensors(path, tensors, {"matcap": json.dumps(about)})
 
 
 def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:

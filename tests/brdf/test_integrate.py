@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from matcap.capture.piece.integrate import integrate
+from matcap.brdf.integrate import integrate
 
 
 @pytest.mark.parametrize(("height", "width"), [(64, 96), (63, 97)])
