@@ -20,6 +20,7 @@ from matcap.flash.mirror import lit_mirror
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.uniform import Uniform
 from matcap.photo.photo import Photo
+from matcap.photo.shrink import area_averaged
 from matcap.statistics.lattice import Wave, find_lattice
 
 UNION_TIMES = 4  # largest exemplar of several photographs, in texels of the first one's
@@ -75,7 +76,7 @@ def _blur(picture: NDArray[np.float32], deviation: float) -> NDArray[np.float32]
 def _halved(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """Box-filter to half the size."""
     size = tuple(max(1, side // 2) for side in picture.shape[::-1])
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
+    return area_averaged(picture, size)
 
 
 def detail_for(linear: Tensor, valid: Tensor) -> int:

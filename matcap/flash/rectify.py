@@ -15,6 +15,7 @@ from torch import Tensor
 
 from matcap.flash.geometry import FlashSetup, setup_rotation
 from matcap.photo.photo import Photo
+from matcap.photo.shrink import area_averaged
 
 _FINER = 2  # samples along the side of a texel, if the photograph has more pixels than texels
 CLIPPING = 0.95  # channels of a clipped pixel above this are the clipped ones
@@ -82,7 +83,7 @@ def _resampled(
     fine = (finer * detail, finer * round(detail * rows / columns))
     shrunk = picture
     if columns > fine[0]:
-        shrunk = np.asarray(cv2.resize(picture, fine, interpolation=cv2.INTER_AREA), np.float32)
+        shrunk = area_averaged(picture, fine)
     seen = cv2.warpPerspective(
         shrunk,
         _homography(setup, fine, (shrunk.shape[1], shrunk.shape[0])),
@@ -91,7 +92,7 @@ def _resampled(
         borderMode=cv2.BORDER_REFLECT_101,
     )
     size = (detail, fine[1] // finer)
-    return np.asarray(cv2.resize(seen, size, interpolation=cv2.INTER_AREA), np.float32)
+    return area_averaged(seen, size)
 
 
 def inside(shape: tuple[int, ...], setup: FlashSetup) -> NDArray[np.bool_]:

@@ -8,12 +8,12 @@ has no such step.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.files.values import Region
 from matcap.photo.photo import Photo
+from matcap.photo.shrink import area_averaged
 
 Values = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def _cells(pixels: NDArray[np.float32]) -> Values:
     height, width = pixels.shape[:2]
     columns = min(_CELLS, width)
     rows = max(8, round(columns * height / width))
-    small = cv2.resize(pixels, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float64)
+    small = area_averaged(pixels, (columns, rows)).astype(np.float64)
     log = np.log(small + _DARK * float(np.median(small)) + 1e-9)
     return np.stack([log[..., 0] - log[..., 1], log[..., 2] - log[..., 1], log.mean(axis=-1)])
 

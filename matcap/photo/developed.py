@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +17,7 @@ from matcap.errors import MatcapError
 from matcap.files.color import Linearise
 from matcap.files.stated_color import StatedColor
 from matcap.photo.decoded import Decoded
-from matcap.photo.shrink import Rows, shrink, shrunk_size
+from matcap.photo.shrink import Rows, area_averaged, shrink, shrunk_size
 
 _WHITE = 0.995  # linear value at which inks and CIELAB count as clipped
 
@@ -123,7 +122,7 @@ def _opacity(coded: Coded, long_side: int | None) -> NDArray[np.float32] | None:
     largest = np.iinfo(codes.dtype).max if np.issubdtype(codes.dtype, np.integer) else 1.0
     shown = np.where(codes > 0.5 * largest, np.uint8(255), np.uint8(0))
     size = shrunk_size(coded.width, coded.height, long_side)
-    resized = cv2.resize(shown, size, interpolation=cv2.INTER_AREA)
+    resized = area_averaged(shown, size)
     return np.asarray(resized / np.float32(255.0), np.float32)
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from matcap.photo.border import border_crop
 from matcap.photo.checks import CHECKS, Finding, Rating
 from matcap.photo.photo import Photo
+from matcap.photo.shrink import area_averaged
 
 Values = NDArray[np.float64]
 
@@ -351,18 +352,16 @@ def blurred(picture: NDArray[np.float32], deviation: float) -> NDArray[np.float3
         return np.asarray(cv2.GaussianBlur(picture, (0, 0), deviation), np.float32)
     height, width = picture.shape[:2]
     size = (max(1, width // step), max(1, height // step))
-    thin = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
     # Averaging and interpolation blur as well: variances s^2 / 12 and s^2 / 6 for a step of s.
     rest = math.sqrt(deviation**2 - step**2 / 4.0)
-    thin = cv2.GaussianBlur(
-        thin, (0, 0), sigmaX=rest * size[0] / width, sigmaY=rest * size[1] / height
-    )
+    across, down = rest * size[0] / width, rest * size[1] / height
+    thin = cv2.GaussianBlur(area_averaged(picture, size), (0, 0), sigmaX=across, sigmaY=down)
     return np.asarray(cv2.resize(thin, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def _small(picture: NDArray[np.float32], columns: int) -> Values:
     rows = max(1, round(columns * picture.shape[0] / picture.shape[1]))
-    resized = cv2.resize(picture, (columns, rows), interpolation=cv2.INTER_AREA)
+    resized = area_averaged(picture, (columns, rows))
     return np.asarray(resized, np.float64)
 
 

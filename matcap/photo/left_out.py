@@ -19,6 +19,7 @@ from matcap.files.values import Region
 from matcap.photo.orient import quarter_turn
 from matcap.photo.photo import Photo
 from matcap.photo.refusals import SHORTEST_SIDE
+from matcap.photo.shrink import area_averaged
 
 _LEAST = 0.04  # least share of a photograph that must remain
 _GREY = 0.5  # mask value up to which pixels are left out
@@ -49,7 +50,7 @@ def leave_out(photo: Photo, crop: Region | None, mask: Path | None) -> Photo:
         kept &= _masked(mask, width, height)
     lying = np.ascontiguousarray(quarter_turn(kept) if photo.turned else kept)
     rows, columns = photo.pixels.shape[:2]
-    share = cv2.resize(lying.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+    share = area_averaged(lying.astype(np.float32), (columns, rows))
     return _only(photo, np.asarray(share, np.float32), "the mask leaves", str(mask or photo.name))
 
 

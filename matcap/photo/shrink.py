@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,11 +40,11 @@ def shrink(read: ReadRows, width: int, height: int, long_side: int | None) -> Ro
     narrow_mask = np.empty((height, new_width), np.float32)
     for top, bottom in strips:
         strip, mask = read(top, bottom)
-        narrow[top:bottom] = _area(strip, new_width, bottom - top)
-        narrow_mask[top:bottom] = _area(mask.astype(np.float32), new_width, bottom - top)
-    share = _area(narrow_mask, new_width, new_height)
+        narrow[top:bottom] = area_averaged(strip, (new_width, bottom - top))
+        narrow_mask[top:bottom] = area_averaged(mask.astype(np.float32), (new_width, bottom - top))
+    share = area_averaged(narrow_mask, (new_width, new_height))
     # With a tolerance for rounding, so that exactly CLIPPED_SHARE counts.
-    return _area(narrow, new_width, new_height), share >= CLIPPED_SHARE - 1e-5
+    return area_averaged(narrow, (new_width, new_height)), share >= CLIPPED_SHARE - 1e-5
 
 
 def shrunk_size(width: int, height: int, long_side: int | None) -> tuple[int, int]:
@@ -54,8 +55,8 @@ def shrunk_size(width: int, height: int, long_side: int | None) -> tuple[int, in
     return max(1, round(width * long_side / longest)), max(1, round(height * long_side / longest))
 
 
-def _area(picture: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
+def area_averaged(picture: NDArray[Any], size: tuple[int, ...]) -> NDArray[np.float32]:
+    """A picture (H, W) or (H, W, C) shrunk to (width, height) by means over areas."""
     import cv2
 
-    resized = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
-    return np.asarray(resized, np.float32)
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)

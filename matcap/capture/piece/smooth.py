@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.capture.piece.strengths import BANDS
+from matcap.photo.shrink import area_averaged
 
 # Octave bands of a plane; docs/notes/capture.md.
 COARSER = 8  # subsampling, texels, of wide blurs. Larger values are faster and leave cells.
@@ -26,7 +27,7 @@ def coarse_smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
     """Gaussian blur of a plane (H, W), on a grid coarser by COARSER."""
     rows, columns = plane.shape
     size = (max(1, columns // COARSER), max(1, rows // COARSER))
-    thin = cv2.resize(plane, size, interpolation=cv2.INTER_AREA)
+    thin = area_averaged(plane, size)
     return np.asarray(cv2.GaussianBlur(thin, (0, 0), deviation / COARSER), np.float32)
 
 
@@ -45,8 +46,8 @@ def filled(plane: ChannelPlane, known: NDArray[np.bool_]) -> ChannelPlane:
         return np.where(known, plane, np.float32(0.0))
     size = tuple((side + 1) // 2 for side in plane.shape[::-1])
     weight = known.astype(np.float32)
-    share = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
-    total = cv2.resize(plane * weight, size, interpolation=cv2.INTER_AREA)
+    share = area_averaged(weight, size)
+    total = area_averaged(plane * weight, size)
     means = np.asarray(total / np.maximum(share, np.float32(1e-6)), np.float32)
     coarser = filled(means, share > 1e-3)
     return np.where(known, plane, enlarged(coarser, plane.shape))

@@ -19,6 +19,7 @@ from matcap.capture.piece.smooth import smoothed
 from matcap.flash.registration.grid import to_pixels
 from matcap.flash.registration.register import RegisteredView
 from matcap.photo.photo import FULL, Photo
+from matcap.photo.shrink import area_averaged
 
 Picture = NDArray[np.float32]
 Views = tuple[RegisteredView, ...]  # at most one without flash, the last
@@ -139,10 +140,7 @@ def _without(
     added = _seen_from(view, ambient) * amount.astype(np.float32)
     # No pixel can be darker than under ambient light alone; exposure metadata can be wrong.
     small = (64, max(8, round(64 * photo.pixels.shape[0] / photo.pixels.shape[1])))
-    light, theirs = (
-        np.asarray(cv2.resize(each, small, interpolation=cv2.INTER_AREA), np.float32)
-        for each in (photo.pixels, added)
-    )
+    light, theirs = (area_averaged(each, small) for each in (photo.pixels, added))
     ratio = light / np.maximum(theirs, np.float32(1e-6))
     most = np.asarray(np.quantile(ratio.reshape(-1, 3), _BOUND, axis=0)).clip(max=1.0)
     added *= np.asarray(most, np.float32)

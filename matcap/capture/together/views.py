@@ -22,6 +22,7 @@ from matcap.flash.registration.grid import grid_points, to_pixels
 from matcap.flash.registration.register import RegisteredView
 from matcap.photo.camera import CameraProfile
 from matcap.photo.photo import FULL
+from matcap.photo.shrink import area_averaged
 
 _FINER = 2  # samples along the side of a texel
 _MOST_CLIPPED = 0.25  # largest clipped share of a valid texel
@@ -163,20 +164,20 @@ class PieceView:
         rows, columns = photo.pixels.shape[:2]
         shrink = min(1.0, _FINER * across / columns)
         size = (round(columns * shrink), round(rows * shrink))
-        pixels = _shrunk(photo.pixels, size)
+        pixels = area_averaged(photo.pixels, size)
         full = (photo.clipped[..., None] & (photo.pixels > FULL)).astype(np.float32)
-        clipped = _shrunk(full, size)
+        clipped = area_averaged(full, size)
         fine = (across * _FINER, down * _FINER)
         x, y = _looked_up(view, place, fine, size)
         inside = (x > _BORDER) & (x < size[0] - _BORDER) & (y > _BORDER) & (y < size[1] - _BORDER)
 
         def gridded(picture: NDArray[np.float32], how: int) -> NDArray[np.float32]:
             there = cv2.remap(picture, x, y, how, borderMode=cv2.BORDER_REFLECT_101)
-            return np.asarray(cv2.resize(there, (across, down), interpolation=cv2.INTER_AREA))
+            return area_averaged(there, (across, down))
 
         linear = gridded(pixels, cv2.INTER_CUBIC).clip(DARKEST)
         hidden = gridded(clipped, cv2.INTER_LINEAR) > _MOST_CLIPPED
-        whole = cv2.resize(inside.astype(np.float32), (across, down), interpolation=cv2.INTER_AREA)
+        whole = area_averaged(inside.astype(np.float32), (across, down))
         seen = ~hidden & (whole[..., None] > 0.99)
         log = np.log(linear)
         shown = torch.from_numpy(np.ascontiguousarray(log.transpose(2, 0, 1)))
@@ -201,11 +202,6 @@ def _looked_up(
     parts = [slice(None)] if place.extent == OWN else strips(fine[1], _ROWS)
     pixels = [to_pixels(view.camera.sees(place.points(*fine, rows)), *size) for rows in parts]
     return np.concatenate([x for x, _ in pixels]), np.concatenate([y for _, y in pixels])
-
-
-def _shrunk(picture: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
-    """Box-filter a picture to (width, height)."""
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def light_at(

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.photo.inspect import blurred
+from matcap.photo.shrink import area_averaged
 
 Picture = NDArray[np.float32]
 TexelMask = NDArray[np.bool_]
@@ -36,7 +37,9 @@ def connectivity(pictures: tuple[Picture, Picture], valid: TexelMask) -> tuple[f
     rows, columns = valid.shape
     shrink = max(1.0, columns / _WIDTH)
     size = (round(columns / shrink), round(rows / shrink))
-    before, after, seen = (_resized(one, size) for one in (*pictures, valid.astype(np.float32)))
+    before, after, seen = (
+        area_averaged(one, size) for one in (*pictures, valid.astype(np.float32))
+    )
     places = [
         (slice(y, y + _WINDOW), slice(x, x + _WINDOW))
         for y in range(0, size[1] - _WINDOW + 1, _STEP)
@@ -53,10 +56,6 @@ def connectivity(pictures: tuple[Picture, Picture], valid: TexelMask) -> tuple[f
         # Both of a pair have the same light, so their difference has the smaller scatter.
         medians.append((middle, middle + float(np.median(each[:, 1] - each[:, 0]))))
     return max(medians, key=lambda pair: abs(pair[1] - pair[0]))
-
-
-def _resized(picture: Picture, size: tuple[int, int]) -> Picture:
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def _of_window(band: Picture) -> float:

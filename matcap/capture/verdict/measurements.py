@@ -25,6 +25,7 @@ from matcap.flash.plane import Plane, plane_of
 from matcap.flash.rectify import CLIPPING
 from matcap.photo.inspect import Inspection, blurred, channel_mean, inspect_photo
 from matcap.photo.photo import Photo
+from matcap.photo.shrink import area_averaged
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank
 from matcap.statistics.lattice import Wave, periodicity
@@ -221,13 +222,13 @@ def _band(log: Picture, least: float, most: float) -> Picture:
 def _tiles(picture: Picture) -> Picture:
     """Mean of a picture in tiles, eight across."""
     rows = max(1, round(8 * picture.shape[0] / picture.shape[1]))
-    return np.asarray(cv2.resize(picture, (8, rows), interpolation=cv2.INTER_AREA), np.float32)
+    return area_averaged(picture, (8, rows))
 
 
 def _smooth(picture: Picture) -> NDArray[np.float64]:
     """Low-pass filtered picture (H, W, 3), _CELLS across."""
     rows = max(4, round(_CELLS * picture.shape[0] / picture.shape[1]))
-    small = cv2.resize(picture, (_CELLS, rows), interpolation=cv2.INTER_AREA)
+    small = area_averaged(picture, (_CELLS, rows))
     blurred = cv2.GaussianBlur(small, (0, 0), _SMOOTH, borderType=cv2.BORDER_REFLECT)
     return np.asarray(blurred, np.float64)
 

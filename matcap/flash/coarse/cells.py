@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from torch import Tensor
 from matcap.flash.highlight import Highlight
 from matcap.flash.rectify import CLIPPING
 from matcap.photo.photo import Photo
+from matcap.photo.shrink import area_averaged
 
 _PATCH_REACH = 2.0  # half side of the patch, in half widths of the highlight
 _PATCH_WEIGHT = 0.5  # least weight of the patch; that of the whole picture is 1
@@ -114,9 +114,9 @@ def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int
     left, top, right, bottom = box
     rows, columns = photo.pixels.shape[:2]
     pixels = photo.pixels[top:bottom, left:right]
-    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float64)
+    small = area_averaged(pixels, size).astype(np.float64)
     full = photo.clipped[top:bottom, left:right, None] & (pixels > CLIPPING)
-    clipped = cv2.resize(full.astype(np.float32), size, interpolation=cv2.INTER_AREA) > _CLIPPED
+    clipped = area_averaged(full.astype(np.float32), size) > _CLIPPED
     knee = _KNEE_RADIOMETRIC if photo.radiometric else _KNEE_DEVELOPED
     above = np.where(clipped, 0.0, np.where(small > knee, _ABOVE_KNEE, 1.0))
     if photo.radiometric:
@@ -135,7 +135,7 @@ def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int
     weight = torch.full((count,), 1.0 / (3.0 * count), dtype=torch.float64)
     if photo.left_out is not None:
         part = photo.left_out[top:bottom, left:right].astype(np.float32)
-        share = cv2.resize(part, size, interpolation=cv2.INTER_AREA).ravel()
+        share = area_averaged(part, size).ravel()
         kept = torch.from_numpy(share < _LEFT_OUT).double()
         # The sum of weights is that without a mask, or 0 if no cell is left.
         weight = weight * kept * (count / max(float(kept.sum()), 1.0))

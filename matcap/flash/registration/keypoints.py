@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from matcap.files.srgb import srgb_encode
 from matcap.photo.photo import Photo
+from matcap.photo.shrink import area_averaged
 
 Doubles = NDArray[np.float64]
 
@@ -87,7 +88,7 @@ def find_keypoints(
     rows, columns = photo.pixels.shape[:2]
     shrunk = min(1.0, _LONG_SIDE / columns)
     size = (round(columns * shrunk), round(rows * shrunk))
-    grey = cv2.resize(photo.pixels.mean(2), size, interpolation=cv2.INTER_AREA)
+    grey = area_averaged(photo.pixels.mean(2), size)
     # Without precise upscaling, all coordinates are biased by a quarter of a pixel.
     sift = cv2.SIFT.create(_MOST, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
     points, described = sift.detectAndCompute(even(np.asarray(grey, np.float32)), None)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from matcap.photo.photo import Photo
+from matcap.photo.shrink import area_averaged
 
 # Settings of the test whether a match is shifted by a period of a repeating pattern.
 _ACROSS = 640  # width of the downsampled photograph, pixels
@@ -35,7 +36,7 @@ def likeness_further(photo: Photo) -> float:
     rows, columns = photo.pixels.shape[:2]
     wide = min(columns, _ACROSS)
     size = (wide, round(wide * rows / columns))
-    grey = cv2.resize(photo.pixels.mean(2), size, interpolation=cv2.INTER_AREA)
+    grey = area_averaged(photo.pixels.mean(2), size)
     log = np.log(np.maximum(grey, 1e-5)).astype(np.float32)
     texture = cv2.GaussianBlur(log, (0, 0), _FINE) - cv2.GaussianBlur(log, (0, 0), _SLOW)
     texture -= texture.mean()

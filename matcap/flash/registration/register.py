@@ -21,6 +21,7 @@ from matcap.flash.registration.keypoints import KeypointFinder
 from matcap.flash.registration.period import repeats_itself
 from matcap.flash.registration.sharp import BLURRED, blurring
 from matcap.photo.photo import Photo
+from matcap.photo.shrink import area_averaged
 
 # Limits beyond which a photograph is left out.
 MATCHES = 18  # least number of inliers; by chance there are 6 to 13 (docs/notes/several.md)
@@ -255,7 +256,7 @@ def _texture(
     """(H, W) high-passed log radiance over its local contrast on the plane's grid, and its mask."""
     rows, columns = view.photo.pixels.shape[:2]
     size = (across, round(across * rows / columns))
-    grey = cv2.resize(view.photo.pixels.mean(2), size, interpolation=cv2.INTER_AREA)
+    grey = area_averaged(view.photo.pixels.mean(2), size)
     log = np.log(np.maximum(grey, 1e-5)).astype(np.float32)
     image = view.camera.sees(grid_points(across, down))
     x, y = to_pixels(image, size[0], size[1])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.grid import grid_points, to_pixels
 from matcap.photo.photo import Photo
+from matcap.photo.shrink import area_averaged
 
 ChannelPlane = NDArray[np.float32]
 
@@ -54,14 +55,14 @@ def _fineness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.flo
     rows, columns = photo.pixels.shape[:2]
     wide = min(columns, across)
     size = (wide, round(wide * rows / columns))
-    grey = cv2.resize(photo.pixels.mean(2), size, interpolation=cv2.INTER_AREA)
+    grey = area_averaged(photo.pixels.mean(2), size)
     log = np.log(np.maximum(grey, 1e-4)).astype(np.float32)
     x, y = to_pixels(camera.sees(grid_points(across, down)), *size)
     inside = (x > 1) & (x < size[0] - 2) & (y > 1) & (y < size[1] - 2)
     there = cv2.remap(log, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
     tiles = (_TILES, max(2, round(_TILES * down / across)))
     fine, long, seen = (
-        cv2.resize(each, tiles, interpolation=cv2.INTER_AREA).ravel()
+        area_averaged(each, tiles).ravel()
         for each in (_band(there, _FINE), _band(there, _LONG), inside.astype(np.float32))
     )
     ratio = 0.5 * np.log((fine + 1e-9) / (long + 1e-9))
