@@ -101,7 +101,7 @@ def fields_experiment(
 def nsd(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
     """Normalised style distance, the mean over samples."""
     light = true.evaluator.flash.intensity
-    distances = [true.evaluator.nsd_of(maps, light) for maps in samples]
+    distances = [true.evaluator.style_ratio_of(maps, light) for maps in samples]
     return {"NSD": sum(distances) / len(distances)}
 
 

@@ -254,12 +254,12 @@ def errors(_at: At, outcome: CommandOutcome) -> Mapping[str, Value]:
     example, scene = outcome.material.part(Example), evaluator.own_scene
     exemplar = None if example is None else piece_maps(example.exemplar)
     return {
-        "field": evaluator.nsd(outcome.pictures),
-        "exemplar": math.nan if exemplar is None else evaluator.nsd_of(exemplar, own),
-        "flash": evaluator.nsd(evaluator.relit(endless, own, scene), scene=scene),
-        "fine": fine.nsd(fine.relit(endless, own)),
-        "patches": evaluator.nsd(outcome.pictures, "patches"),
-        "filters": evaluator.nsd(outcome.pictures, "filters"),
+        "field": evaluator.style_ratio(outcome.pictures),
+        "exemplar": math.nan if exemplar is None else evaluator.style_ratio_of(exemplar, own),
+        "flash": evaluator.style_ratio(evaluator.relit(endless, own, scene), scene=scene),
+        "fine": fine.style_ratio(fine.relit(endless, own)),
+        "patches": evaluator.style_ratio(outcome.pictures, "patches"),
+        "filters": evaluator.style_ratio(outcome.pictures, "filters"),
     }
 
 

@@ -103,7 +103,7 @@ def nsd_experiment(
 
 def nsd(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, Value]:
     """Normalised style distance."""
-    return {"NSD": captured.evaluator.nsd_of(maps.maps, maps.setup.intensity)}
+    return {"NSD": captured.evaluator.style_ratio_of(maps.maps, maps.setup.intensity)}
 
 
 def under_mirrored_lights(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, Value]:
@@ -114,7 +114,7 @@ def under_mirrored_lights(captured: CapturedSubject, maps: CapturedMaps) -> Mapp
     log_contrast = math.log(highlight_contrast(middle, scene))
     pictures = evaluator.relit(middle, maps.setup.intensity, scene)
     return {
-        "NSD mirrored": evaluator.nsd(pictures, scene=scene),
+        "NSD mirrored": evaluator.style_ratio(pictures, scene=scene),
         "highlight": math.exp(log_contrast - sum(true) / len(true)),
     }
 

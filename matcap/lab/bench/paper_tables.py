@@ -161,7 +161,7 @@ def _styles(subject: PaperSubject, made: PaperPictures) -> Mapping[str, Value]:
         values[f"{name}, flash"] = _distance(style, made.flash[:1], evaluator, own)
         values[f"{name}, relit"] = _distance(style, made.lights, evaluator, evaluator.scene)
     first = next(iter(subject.styles))
-    values["NSD, relit"] = evaluator.nsd(made.lights, first)
+    values["style ratio, relit"] = evaluator.style_ratio(made.lights, first)
     return values
 
 
@@ -207,9 +207,9 @@ def paper_page(rows: Sequence[Trial], command: str) -> str:
             "",
             "*style* is the relative L1 difference of statistics of random filters that no",
             "capture optimises, *VGG-16* that of Gram matrices of VGG-16 (0: the same, at most 2;",
-            "the paper leaves open which VGG, layers and scale). *NSD*: *style* over that of two",
-            "true samples. *diversity*: mean pairwise distance of realisations, at most 2. *XYZ*:",
-            "share of the picture whose colour the truth does not have. *flash*: under the",
+            "the paper leaves open which VGG, layers and scale). *style ratio*: *style* over that",
+            "of two true samples. *diversity*: mean pairwise distance of realisations, at most 2.",
+            "*XYZ*: share of the picture whose colour the truth does not have. *flash*: under the",
             "photograph's own flash; *relit*: under ten other lights.",
             "",
             *markdown(head, lines),

@@ -117,14 +117,15 @@ def quality_experiment(
         "quality",
         {name: partial(prepare, one) for name, one in choose(EXAMPLES, materials).items()},
         {method: Configuration(partial(run, method)) for method in chosen},
-        (nsd, sheet),
+        (style_ratios, sheet),
         settings=(evaluation, captured),
     )
 
 
-def nsd(judged: Judged, pictures: Tensor) -> Mapping[str, Value]:
-    """NSD by each style, and their mean."""
-    distances = {name: judged.evaluator.nsd(pictures, name) for name in judged.evaluator.styles}
+def style_ratios(judged: Judged, pictures: Tensor) -> Mapping[str, Value]:
+    """Style ratio by each style (NSD by SqueezeNet), and their mean."""
+    evaluator = judged.evaluator
+    distances = {name: evaluator.style_ratio(pictures, name) for name in evaluator.styles}
     return {**distances, "mean": sum(distances.values()) / len(distances)}
 
 

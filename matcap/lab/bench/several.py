@@ -147,7 +147,7 @@ def nsd(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     numbers = compared_numbers(middle, evaluator.truths)
     return {
         "seconds": sum(result.stage_seconds.values()),
-        "NSD": evaluator.nsd_of(maps, result.material.setup.intensity),
+        "NSD": evaluator.style_ratio_of(maps, result.material.setup.intensity),
         "tilt": numbers["tilt"],
         "true tilt": numbers["true tilt"],
     }

@@ -17,7 +17,7 @@ from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.measures.lights import BenchLight, BenchScene, bench_scene, relight_all
-from matcap.lab.measures.nsd import NormalisedStyleDistance, SqueezeNetStyle
+from matcap.lab.measures.nsd import SqueezeNetStyle, StyleRatio
 from matcap.lab.measures.squeezenet import WEIGHTS, SqueezeNet
 from matcap.lab.measures.style import Style
 from matcap.lab.simulate.photograph import PhoneCamera
@@ -92,7 +92,7 @@ class Evaluator:
         seeds = range(first, first + settings.truths)
         self.truths = [subject.pieces(seed)(pixels, pixels, texel) for seed in seeds]
         self._blur = settings.camera.blur * finest / settings.camera.width
-        self._distances: dict[tuple[str, BenchScene], NormalisedStyleDistance] = {}
+        self._distances: dict[tuple[str, BenchScene], StyleRatio] = {}
 
     @cached_property
     def pictures(self) -> list[Tensor]:
@@ -118,10 +118,10 @@ class Evaluator:
         floats = maps.map(lambda m: m.detach().float())
         return relight_all(floats, intensity, scene or self.scene, size=(self.settings.size,) * 2)
 
-    def nsd(
+    def style_ratio(
         self, pictures: Tensor, style: str | None = None, scene: BenchScene | None = None
     ) -> float:
-        """Normalised style distance of pictures (L, 3, H, W) under a scene's lights.
+        """Style distance of pictures (L, 3, H, W) relit in a scene, over that of true samples.
 
         Args:
             pictures: from `relit`.
@@ -131,12 +131,12 @@ class Evaluator:
         name, scene = style or next(iter(self.styles)), scene or self.scene
         if (name, scene) not in self._distances:
             truths = self.pictures if scene == self.scene else self.relit_truths(scene)
-            self._distances[name, scene] = NormalisedStyleDistance(self.styles[name], truths)
+            self._distances[name, scene] = StyleRatio(self.styles[name], truths)
         return self._distances[name, scene].of(pictures)
 
-    def nsd_of(self, maps: MapSet, intensity: Intensity) -> float:
-        """Normalised style distance of the maps' central square; `intensity` as of `relit`."""
-        return self.nsd(self.relit(self.middle(maps), intensity))
+    def style_ratio_of(self, maps: MapSet, intensity: Intensity) -> float:
+        """Style ratio of the maps' central square; `intensity` as of `relit`."""
+        return self.style_ratio(self.relit(self.middle(maps), intensity))
 
     def middle(self, maps: MapSet) -> MapSet:
         """Crop of maps to the central square that is compared.

@@ -60,8 +60,11 @@ def style_distance(style: Style, first: Tensor, second: Tensor) -> float:
     return float(difference(style(first), style(second)).mean())
 
 
-class NormalisedStyleDistance:
-    """NSD to true samples of one material, by one style."""
+class StyleRatio:
+    """Style distance to true samples of one material over that between them, by any one style.
+
+    By SqueezeNet it is NSD.
+    """
 
     def __init__(self, style: Style, truths: Sequence[Tensor]) -> None:
         """Describe true samples.
@@ -77,7 +80,7 @@ class NormalisedStyleDistance:
         self.between_truths = sum(float(difference(a, b).mean()) for a, b in pairs) / len(pairs)
 
     def of(self, pictures: Tensor) -> float:
-        """NSD of pictures (L, 3, H, W) relit from the same directions; 1 is indistinguishable."""
+        """Ratio of pictures (L, 3, H, W) relit from the same directions; 1 is indistinguishable."""
         statistics = self._style(pictures)
         errors = [float(difference(statistics, truth).mean()) for truth in self._truths]
         return sum(errors) / len(errors) / self.between_truths

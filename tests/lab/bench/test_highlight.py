@@ -31,7 +31,7 @@ def test_simulated_photographs_tell_errors_and_real_ones_highlights(visible):
 
 def test_a_highlight_that_is_not_rendered_is_lost(visible, monkeypatch):
     photo, _, fit = visible
-    monkeypatch.setattr(highlight, "_rerendered", lambda fit, photo: 0.0 * photo.pixels + 0.2)
+    monkeypatch.setattr(highlight, "rerendered", lambda fit, photo: 0.0 * photo.pixels + 0.2)
     found = kept((photo, None), fit)
     assert (found["kept"], found["width"], found["apart"]) == (0.0, 0.0, math.inf)
 

@@ -53,22 +53,24 @@ def truth(evaluator, shot, settings):
 
 
 def test_another_true_piece_scores_one(evaluator, truth):
-    assert evaluator.nsd(truth) == pytest.approx(1.0, abs=0.25)
+    assert evaluator.style_ratio(truth) == pytest.approx(1.0, abs=0.25)
 
 
 def test_blur_and_colour_are_noticed(evaluator, truth):
-    right = evaluator.nsd(truth)
+    right = evaluator.style_ratio(truth)
     kernel = torch.ones(3, 1, 5, 5) / 25
     blurred = F.conv2d(F.pad(truth, (2, 2, 2, 2), mode="reflect"), kernel, groups=3)
     recoloured = truth * torch.tensor([0.7, 1.0, 1.3])[:, None, None]
     darker = 0.7 * truth
     for wrong in (blurred, recoloured.clamp(0, 1), darker):
-        assert evaluator.nsd(wrong) > 1.25 * right
+        assert evaluator.style_ratio(wrong) > 1.25 * right
 
 
 def test_error_grows_towards_a_wrong_material(evaluator, truth, shot, settings):
     wrong = _pictures(evaluator, shot, settings, material="plaster")
-    errors = [evaluator.nsd(torch.lerp(truth, wrong, share)) for share in (0.0, 0.4, 0.7, 1.0)]
+    errors = [
+        evaluator.style_ratio(torch.lerp(truth, wrong, share)) for share in (0.0, 0.4, 0.7, 1.0)
+    ]
     assert errors == sorted(errors)
     assert errors[-1] > 2.5
 

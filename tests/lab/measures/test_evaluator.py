@@ -55,8 +55,8 @@ def test_true_maps_are_nearer_than_flat_ones_in_any_detail(styles):
     evaluator = Evaluator(subject, shot, sharp, styles)
     true = subject.pieces(77)(256, 256, 2.0 / 512)
     flat = replace(true, height=0.0 * true.height, roughness=0.0 * true.roughness + 0.3)
-    near = evaluator.nsd_of(true, shot.intensity)
-    assert evaluator.nsd_of(flat, shot.intensity) > 1.2 * near
+    near = evaluator.style_ratio_of(true, shot.intensity)
+    assert evaluator.style_ratio_of(flat, shot.intensity) > 1.2 * near
     pictures = relight_all(flat.map(lambda m: m.float()), shot.intensity, evaluator.scene)
     assert pictures.shape[-1] == 256  # compared with pictures of 128
 
@@ -77,9 +77,9 @@ def test_an_evaluation_stays_what_was_measured_by():
     shot = photograph_setup()
     evaluator = Evaluator(subject, shot, SMALL, {"NSD": SMALL.squeezenet})
     true = subject.pieces(77)(256, 256, 2.0 / 512)
-    assert evaluator.nsd_of(true, shot.intensity) == pytest.approx(2.7971, rel=1e-3)
+    assert evaluator.style_ratio_of(true, shot.intensity) == pytest.approx(2.7971, rel=1e-3)
     flat = replace(true, height=0.0 * true.height)
-    assert evaluator.nsd_of(flat, shot.intensity) == pytest.approx(3.0210, rel=1e-3)
+    assert evaluator.style_ratio_of(flat, shot.intensity) == pytest.approx(3.0210, rel=1e-3)
 
 
 def test_the_photograph_s_own_light_is_a_scene_of_its_own(styles):
@@ -88,7 +88,7 @@ def test_the_photograph_s_own_light_is_a_scene_of_its_own(styles):
     (light,) = evaluator.own_scene.lights
     assert light.place == (0.0, 0.0, evaluator.flash.distance) and light.strength == 1.0
     found = evaluator.relit_truths(evaluator.own_scene)[0]
-    assert evaluator.nsd(found, scene=evaluator.own_scene) < 1.0  # one of the true samples
+    assert evaluator.style_ratio(found, scene=evaluator.own_scene) < 1.0  # one of the true samples
 
 
 def test_maps_that_are_smaller_than_what_is_compared_are_refused(styles):

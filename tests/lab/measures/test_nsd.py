@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from matcap.errors import MatcapError
-from matcap.lab.measures.nsd import NormalisedStyleDistance, SqueezeNetStyle, style_distance
+from matcap.lab.measures.nsd import SqueezeNetStyle, StyleRatio, style_distance
 from matcap.lab.measures.patches import Patches
 from matcap.lab.measures.squeezenet import WEIGHTS, SqueezeNet
 from matcap.lab.measures.style import RandomFilters
@@ -83,7 +83,7 @@ def test_places_do_not_count_and_patterns_do():
 def test_another_true_sample_has_a_normalised_distance_of_1(style):
     generator = torch.Generator().manual_seed(0)
     samples = [torch.rand(1, 3, 128, 128, generator=generator) for _ in range(3)]
-    nsd = NormalisedStyleDistance(style, samples[1:])
+    nsd = StyleRatio(style, samples[1:])
     assert nsd.of(samples[0]) == pytest.approx(1.0, abs=0.3)
     assert nsd.of(stripes(8)) > 3.0
 
@@ -108,7 +108,7 @@ def test_distances_stay_what_was_measured_by(kind):
     found = (
         style_distance(style, first, second),
         style_distance(style, first, third),
-        NormalisedStyleDistance(style, [first, second]).of(third),
+        StyleRatio(style, [first, second]).of(third),
     )
     assert found == pytest.approx(REFERENCES[kind], rel=1e-3)
 
