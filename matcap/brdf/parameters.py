@@ -14,6 +14,8 @@ from torch import Tensor
 
 from matcap.brdf.maps import CHANNELS, MapSet, split_stacked
 
+# Of a parameter vector of one surface or texel: log albedo (3), log F0, logit roughness.
+ALBEDO, F0, ROUGH = slice(0, 3), 3, 4
 REFLECTANCE = {name: count for name, count in CHANNELS.items() if name != "height"}
 
 ALBEDO_LIMITS = (0.001, 0.99)  # of a diffuse channel
@@ -102,7 +104,7 @@ class SurfaceParameters:
         return SurfaceParameters(*(getattr(self, f.name).to(like) for f in fields(self)))
 
     def levels(self) -> Tensor:
-        """(5,) diffuse (3), specular and roughness parameters of a flat, uniform surface."""
+        """(5,) ALBEDO, F0 and ROUGH of a flat, uniform surface."""
         return torch.cat([self.diffuse, self.specular, self.roughness]).flatten()
 
     @staticmethod

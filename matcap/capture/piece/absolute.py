@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.metals import METAL_F0
+from matcap.brdf.parameters import ALBEDO, F0
 from matcap.example.exemplar import Exemplar
 from matcap.files.rec709 import LUMINANCE
 
@@ -75,8 +76,8 @@ def how_metallic(levels: Tensor) -> float:
     Args:
         levels: (5,) mean parameters (SurfaceParameters.levels), under any flash intensity.
     """
-    luminance = float((torch.from_numpy(_LUMINANCE) * levels[:3].exp()).sum())
-    logs = math.log(max(luminance, _LEAST)), float(levels[3])
+    luminance = float((torch.from_numpy(_LUMINANCE) * levels[ALBEDO].exp()).sum())
+    logs = math.log(max(luminance, _LEAST)), float(levels[F0])
     plain, metal = (kind.scale(*logs)[1] - math.log(kind.share) for kind in (DIELECTRIC, METAL))
     return metal - plain
 

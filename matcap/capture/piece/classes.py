@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.brdf.parameters import REFLECTANCE, SurfaceParameters
+from matcap.brdf.parameters import ALBEDO, F0, REFLECTANCE, SurfaceParameters
 from matcap.capture.piece.absolute import DIELECTRIC, METAL, how_metallic
 from matcap.capture.piece.levels import LevelPrior, RingTarget, fit_levels
 from matcap.capture.piece.metal import whole_colour
@@ -131,7 +131,7 @@ class Mixture:
         share = float(self.classes.metal_share.mean())
         return (
             min(share, 1.0 - share) > _LEAST_SHARE
-            and float(bare[3] - rest[3]) > _LEAST_CONTRAST
+            and float(bare[F0] - rest[F0]) > _LEAST_CONTRAST
             and how_metallic(uniform.levels() + rest) < -_LEAST_ODDS
             and self.off < _MOST_OFF * self.agreed
             and self.agreed > _LEAST_AGREED
@@ -151,12 +151,12 @@ def find_mixture(departures: SurfaceParameters, logit: Tensor, target: RingTarge
     few, thin = target.thinned(_TEXELS), drawn[:, ::step, ::step]
     metal = torch.sigmoid(thin)
     predicted = _pair(torch.sigmoid(drawn)).means(departures)
-    predicted[0, :3] = math.log(_METAL_ALBEDO) - target.surface.levels()[:3]
+    predicted[0, ALBEDO] = math.log(_METAL_ALBEDO) - target.surface.levels()[ALBEDO]
     levels = predicted
     deviation = torch.tensor(
         [*[_ALBEDO_DEVIATION] * 3, _F0_DEVIATION, _ROUGHNESS_DEVIATION]
     ).repeat(2, 1)
-    deviation[0, :3] = _METAL_ALBEDO_DEVIATION
+    deviation[0, ALBEDO] = _METAL_ALBEDO_DEVIATION
     prior = LevelPrior(
         predicted,
         deviation,

@@ -19,7 +19,7 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
-from matcap.brdf.parameters import SurfaceParameters
+from matcap.brdf.parameters import F0, SurfaceParameters
 from matcap.capture.piece.noise import DARKEST
 from matcap.flash.light import FlashLight, Incidence
 
@@ -163,7 +163,7 @@ def fit_levels(
     contrast = torch.zeros_like(start)
     wanted, belief = 0.0, 0.0
     if prior.contrast is not None:
-        contrast[0, 3], contrast[1, 3] = 1.0, -1.0
+        contrast[0, F0], contrast[1, F0] = 1.0, -1.0
         wanted, belief = prior.contrast[0], prior.contrast[1] ** -2
     across = contrast.flatten()
     counts = rings.counts.flatten() / _NOISE**2

@@ -24,11 +24,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.brdf.parameters import ALBEDO
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.smooth import smoothed, split
 from matcap.capture.piece.strengths import BANDS, RESPONSE_AROUND, measure_strengths
 from matcap.capture.together.ambient_light import LEAN, LEANING, Views
-from matcap.capture.together.texels import ALBEDO, SLOPES, points_of, rendered
+from matcap.capture.together.texels import SLOPES, points_of, rendered
 from matcap.capture.together.views import PieceView, SetLight, light_at
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.camera import Lens, PosedCamera
@@ -238,13 +239,14 @@ def with_lean(views: Sequence[PieceView], parameters: Tensor, light: SetLight) -
             normal + 1e-9 * np.trace(normal) * np.eye(4), terms @ (weight * wanted)
         )
         weight = 1.0 / np.square(np.maximum(fitted @ terms, 0.2 * wanted.mean()))
-    relief = max(float(fitted[3]), 1e-9)
+    linear, squared = slice(1, 3), 3  # of the terms
+    relief = max(float(fitted[squared]), 1e-9)
     # Effective number of independent samples, as local energies overlap.
     alike = weight.size * 4.0 * np.pi * around**2 / seen_share / ratio.use.size
     scatter = float((weight * np.square(fitted @ terms - wanted)).mean()) * alike
     variance = scatter * np.linalg.inv(normal).diagonal()
-    lean = fitted[1:3] / (2.0 * relief)
-    unsure = (variance[1:3] + np.square(2.0 * lean) * variance[3]) / (2.0 * relief) ** 2
+    lean = fitted[linear] / (2.0 * relief)
+    unsure = (variance[linear] + np.square(2.0 * lean) * variance[squared]) / (2.0 * relief) ** 2
     lean = lean * LEANING**2 / (LEANING**2 + unsure)
     lean = np.clip(lean, -2.0 * LEANING, 2.0 * LEANING)
     return replace(light, lean=torch.tensor([*lean.tolist(), LEAN[2]]))

@@ -22,17 +22,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.together.align import Aligned
 from matcap.capture.together.surface import surface_of
-from matcap.capture.together.texels import (
-    ALBEDO,
-    F0,
-    ROUGH,
-    SLOPES,
-    Estimate,
-    maps_of,
-    parameters_of,
-)
+from matcap.capture.together.texels import SLOPES, Estimate, maps_of, parameters_of
 from matcap.capture.together.tint import achromatic
 from matcap.capture.together.views import SetLight, ViewPlace
 from matcap.flash.coarse.fit import CoarseFit
@@ -180,13 +173,9 @@ def brought_over(
     maps, tint = achromatic(read.maps)
     logs = torch.cat([maps.diffuse.clamp_min(1e-3).log(), maps.specular.clamp_min(5e-3).log()])
     stacked = torch.stack([there(c) for c in torch.cat([logs, maps.roughness, maps.height])])
-    over = MapSet(
-        stacked[:3].exp(),
-        stacked[3:4].exp(),
-        stacked[4:5],
-        own.scale * stacked[5:],
-        place.extent.texel(size[0]),
-    )
+    logs, rough, height = stacked.split([4, 1, 1])
+    matte, f0 = logs.exp().split([3, 1])
+    over = MapSet(matte, f0, rough, own.scale * height, place.extent.texel(size[0]))
     unsure = torch.stack([there(channel, cv2.INTER_LINEAR) for channel in read.log_error])
     unsure = (unsure + torch.from_numpy(_fading(x, y, (width, height)))).clamp_max(UNREAD)
     tint = None if tint is None else torch.stack([there(c, cv2.INTER_LINEAR) for c in tint])

@@ -21,16 +21,14 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.together.octaves import denoised, read_error
 from matcap.capture.together.pair import as_steep, with_lean
 from matcap.capture.together.shared import SAMPLED, shared_step
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
-    ALBEDO,
-    F0,
     GLOSS,
-    ROUGH,
     ROWS,
     SLOPES,
     Estimate,

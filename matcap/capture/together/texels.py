@@ -15,14 +15,15 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_height, normals_from_slopes
+from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.together.ambient_light import AmbientLight, evenly_lit
 from matcap.capture.together.views import PieceView, SetLight, light_at, logarithm, radiance
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import FlashLight, strips
 
-ALBEDO, F0, ROUGH, SLOPES = slice(0, 3), 3, 4, slice(5, 7)
-GLOSS = slice(3, 5)  # F0 and ROUGH
+# Besides ALBEDO, F0 and ROUGH: slopes, and both of a kind.
+ACROSS, UP, GLOSS, SLOPES = 5, 6, slice(3, 5), slice(5, 7)
 PARAMETERS = 7
 
 
@@ -105,8 +106,9 @@ class ParameterPrior:
         """Prior from the network's prediction, with least deviations."""
         off = estimate.log_error.clamp(-8.0, 2.0).exp()
         albedo = off[:1].clamp_min(_ALBEDO).expand(3, -1, -1)
-        gloss = off[1:3].clamp_min(_GLOSS)
-        deviation = torch.cat([albedo, gloss, off[3:4].expand(2, -1, -1)])
+        f0, rough, slope = off[1:].split(1)
+        gloss = (each.clamp_min(_GLOSS) for each in (f0, rough))
+        deviation = torch.cat([albedo, *gloss, slope.expand(2, -1, -1)])
         return ParameterPrior(parameters_of(estimate.maps), deviation)
 
     @property
@@ -177,7 +179,7 @@ def points_of(
 
 def rendered(parameters: Tensor, lights: Sequence[FlashLight | AmbientLight]) -> list[Tensor]:
     """Radiance (3, h, w) of parameters (PARAMETERS, h, w) in each light."""
-    normal = normals_from_slopes(parameters[5:6], parameters[6:7])
+    normal = normals_from_slopes(*parameters[SLOPES].split(1))
     matte, f0 = parameters[ALBEDO].exp(), parameters[F0 : F0 + 1].exp()
     rough = torch.sigmoid(parameters[ROUGH : ROUGH + 1])
     return [radiance(light, matte, f0, rough, normal) for light in lights]
@@ -285,7 +287,7 @@ def derivatives(
     """
     matte, f0 = parameters[ALBEDO].exp(), parameters[F0 : F0 + 1].exp()
     rough = torch.sigmoid(parameters[ROUGH : ROUGH + 1])
-    x, y = parameters[5:6], parameters[6:7]
+    x, y = parameters[SLOPES].split(1)
     incidence = light.onto(normals_from_slopes(x, y))
     diffuse = incidence.diffuse(matte)
     log = logarithm(diffuse + incidence.specular(f0, rough))
@@ -322,7 +324,7 @@ def _solved(
     step, factor = _cholesky(normal, gradient + prior_precision * (expected - here))
     step = step.nan_to_num(0.0).clamp(-0.7, 0.7)
     # The factor's last block is that of the slopes' precision with other parameters eliminated.
-    first, across, second = factor[5, 5], factor[6, 5], factor[6, 6]
+    first, across, second = factor[ACROSS, ACROSS], factor[UP, ACROSS], factor[UP, UP]
     relief = torch.stack([first.square(), across.square() + second.square(), first * across])
     return (
         (here + step).reshape(shape),

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.detail import UNION_TIMES
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.together.readings import UNREAD, ReadView
-from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, Estimate, parameters_of
+from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
 from matcap.capture.together.tint import on_grid
 from matcap.flash.extent import NO_MARGINS, Extent, Margins
 from matcap.flash.light import strips

@@ -243,9 +243,9 @@ def _bent(light: SmoothLight, model: SmoothLight) -> float:
     level = (level - level.mean()) / max(float(level.std()), 1e-6)
     bent = np.stack([level, np.square(level)])
     plane = _plane(difference.shape)
-    terms = np.concatenate([plane, bent, np.ones((1, *difference.shape))])
+    terms = np.concatenate([bent, plane, np.ones((1, *difference.shape))])
     weights = np.linalg.lstsq(terms.reshape(len(terms), -1).T, difference.ravel(), rcond=1e-9)[0]
-    curve = np.einsum("n,nhw->hw", weights[2:4], bent)
+    curve = np.einsum("n,nhw->hw", weights[: len(bent)], bent)
     return float(curve.std())
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -46,8 +47,34 @@ class Pair:
     """Focal length of the photograph over the first's, by metadata or assumed."""
 
 
-_COMMON = 5  # log focal, k1, k2, the first camera's two tilts
-_OWN = 6  # rotation vector and position
+class _Common(NamedTuple):
+    """Parameters of all photographs: camera distance, lens, and the first camera's tilt."""
+
+    log_distance: float  # over the setup's
+    k1: float
+    k2: float
+    tilt_x: float
+    tilt_y: float
+
+    def first_camera(self, setup: FlashSetup) -> PosedCamera:
+        """The first photograph's."""
+        return PosedCamera.of(self.adjusted(setup), (self.k1, self.k2))
+
+    def adjusted(self, setup: FlashSetup) -> FlashSetup:
+        """The setup with the estimated field of view and tilt."""
+        distance = setup.distance * math.exp(self.log_distance)
+        fov = 2.0 * math.degrees(math.atan(1.0 / distance))
+        return replace(setup, fov=fov, tilt=(self.tilt_x, self.tilt_y))
+
+    def camera(self, setup: FlashSetup, pose: Doubles, focal: float) -> PosedCamera:
+        """Another photograph's, by its pose (6,) and its focal length over the first's."""
+        turn = np.asarray(cv2.Rodrigues(pose[_TURN])[0], np.float64)
+        distance = setup.distance * math.exp(self.log_distance)
+        return PosedCamera(turn, pose[_PLACE], Lens(distance * focal, (self.k1, self.k2)))
+
+
+_COMMON = len(_Common._fields)
+_OWN, _TURN, _PLACE = 6, slice(0, 3), slice(3, 6)  # a pose: rotation vector and position
 
 
 @dataclass(frozen=True)
@@ -81,9 +108,9 @@ def adjust(
     """
     focal = _KNOWN_FOCAL if known else _ASSUMED_FOCAL
     deviation = np.array([focal, *bent, _TILT, _TILT])
-    common = np.array([0.0, 0.0, 0.0, *setup.tilt])
-    prior = common.copy()
-    own = [_first_guess(_first_camera(setup, common), pair) for pair in pairs]
+    begun = _Common(0.0, 0.0, 0.0, *setup.tilt)
+    prior = common = np.array(begun)
+    own = [_first_guess(begun.first_camera(setup), pair) for pair in pairs]
     damping, cost = 1e-3, math.inf
     for _ in range(_STEPS):
         system = _System(setup, pairs, common, own, relief)
@@ -102,40 +129,24 @@ def adjust(
             damping *= 8.0
             if damping > 1e6:
                 break
-    first = replace(
-        setup,
-        fov=2.0 * math.degrees(math.atan(1.0 / (setup.distance * math.exp(common[0])))),
-        tilt=(float(common[3]), float(common[4])),
-    )
-    cameras = [_first_camera(setup, common)]
-    cameras += [_camera(setup, common, each, pair) for each, pair in zip(own, pairs, strict=True)]
+    fitted = _Common(*common.tolist())
+    cameras = [fitted.first_camera(setup)]
+    cameras += [
+        fitted.camera(setup, each, pair.focal) for each, pair in zip(own, pairs, strict=True)
+    ]
     off = tuple(
         float(np.median(np.hypot(*_residuals(setup, pair, common, each, relief))))
         for pair, each in zip(pairs, own, strict=True)
     )
-    return Adjusted(first, tuple(cameras), off)
-
-
-def _first_camera(setup: FlashSetup, common: Doubles) -> PosedCamera:
-    """The first camera by the common parameters (5,)."""
-    distance = setup.distance * math.exp(common[0])
-    fov = 2.0 * math.degrees(math.atan(1.0 / distance))
-    tilted = replace(setup, fov=fov, tilt=(float(common[3]), float(common[4])))
-    return PosedCamera.of(tilted, (float(common[1]), float(common[2])))
-
-
-def _camera(setup: FlashSetup, common: Doubles, own: Doubles, pair: Pair) -> PosedCamera:
-    """Another camera by the common parameters (5,) and its own (6,)."""
-    focal = setup.distance * math.exp(common[0]) * pair.focal
-    turn = np.asarray(cv2.Rodrigues(own[:3])[0], np.float64)
-    return PosedCamera(turn, own[3:], Lens(focal, (float(common[1]), float(common[2]))))
+    return Adjusted(fitted.adjusted(setup), tuple(cameras), off)
 
 
 def _residuals(
     setup: FlashSetup, pair: Pair, common: Doubles, own: Doubles, relief: float
 ) -> Doubles:
     """(2, n) reprojection errors of matches, pixels, less the part explained by relief."""
-    first, camera = _first_camera(setup, common), _camera(setup, common, own, pair)
+    every = _Common(*common.tolist())
+    first, camera = every.first_camera(setup), every.camera(setup, own, pair.focal)
     return less_relief(*reprojection(first, camera, pair, relief))
 
 

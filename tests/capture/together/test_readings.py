@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
+from matcap.brdf.parameters import F0
 from matcap.capture.together.readings import (
     OwnPlane,
     ReadView,
@@ -16,7 +17,7 @@ from matcap.capture.together.readings import (
     joined,
     with_others,
 )
-from matcap.capture.together.texels import F0, SLOPES, Estimate, parameters_of
+from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
 from matcap.capture.together.views import SetLight, ViewPlace
 from matcap.flash.geometry import camera_in_plane
 from matcap.flash.registration.camera import PosedCamera
