@@ -29,7 +29,7 @@ from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.smooth import smoothed, split
 from matcap.capture.piece.strengths import BANDS, RESPONSE_AROUND, measure_strengths
 from matcap.capture.together.ambient_light import LEAN, LEANING, Views
-from matcap.capture.together.texels import SLOPES, points_of, rendered
+from matcap.capture.together.texels import SLOPES, STEP, derivatives, points_of
 from matcap.capture.together.views import PieceView, SetLight, light_at
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.camera import Lens, PosedCamera
@@ -50,7 +50,6 @@ _STEPS = 60  # most iterations of ECC on each grid
 _LEAST = 0.2  # least correlation; below it the registration by features is kept
 _THINNED = 16  # subsampling of points for the camera and of texels for the regression, texels
 _PIXEL = 2e-4  # standard deviation of the resulting registration, plane units
-_STEP = 0.1  # step of finite differences in log albedo and slope
 _WINDOWS = 40.0  # the long side over the standard deviation of local energies
 _SURER = 1.0  # texels: a smaller registration error by features is kept
 _FINEST = 4.0  # wavelength, texels, below which bands keep their predicted energy
@@ -180,32 +179,25 @@ class Ratio:
             light: of all photographs.
         """
         some = ((0, views[0]), (len(views) - 1, views[-1]))
-        points, step = points_of(parameters.shape[1:], extent=views[0].extent), _STEP
-        lights = [light_at(number, view, light, points) for number, view in some]
+        size = parameters.shape[1:]
+        points = points_of(size, extent=views[0].extent)
         flat = parameters.clone()
         flat[ALBEDO] = flat[ALBEDO].mean((1, 2), keepdim=True)
         flat[SLOPES] = 0.0
-
-        def logs(which: slice, change: float) -> list[Tensor]:
-            moved = flat.clone()
-            moved[which] += change
-            return [each.log() for each in rendered(moved, lights)]
-
-        even = logs(ALBEDO, 0.0)
-        shares = [(b - e) / step for b, e in zip(logs(ALBEDO, step), even, strict=True)]
+        logs, slopes, shares = [], [], []
+        for number, view in some:
+            log, jacobian = derivatives(flat, light_at(number, view, light, points), STEP)
+            logs.append(view.log - log)
+            slopes.append(jacobian[SLOPES].unflatten(-1, size))
+            shares.append(jacobian[ALBEDO].diagonal().T.unflatten(-1, size))
         share = shares[0] / shares[1].clamp_min(1e-3)
 
         def ratio(flash: Tensor, room: Tensor) -> Floats:
             return np.asarray((flash - share * room).mean(0).numpy(), np.float32)
 
-        along = []
-        for number in range(SLOPES.start, SLOPES.stop):
-            which = slice(number, number + 1)
-            both = zip(logs(which, step), logs(which, -step), strict=True)
-            change = ratio(*((up - down) / (2.0 * step) for up, down in both))
-            along.append(smoothed(change, RESPONSE_AROUND))
+        along = [smoothed(ratio(*both), RESPONSE_AROUND) for both in zip(*slopes, strict=True)]
         use = (views[0].seen & views[-1].seen).all(0).numpy().astype(np.float32)
-        left = ratio(*(view.log - e for (_, view), e in zip(some, even, strict=True)))
+        left = ratio(*logs)
         left = (left - _mean(left, use, max(use.shape) / _SLOW)) * use
         return Ratio(left, np.stack(along), shares[0].mean(0).numpy(), use)
 
