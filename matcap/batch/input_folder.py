@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
-from matcap.brdf.folder import mapset_files, preview_name
+from matcap.capture.outputs import files_written
 from matcap.errors import MatcapError
 from matcap.files.names import series, usable_name
 from matcap.files.quiet import quiet_decoders
@@ -88,7 +88,7 @@ def find_samples(
     passed_over = {path.resolve() for path in without}
     grouped: list[tuple[Path, str, tuple[Path, ...], tuple[Path, ...]]] = []
     for folder, names in _folders(source, passed_over):
-        written = _outputs(names)
+        written = files_written(names)
         files = [folder / name for name in names if name not in written]
         files = [file for file in files if file.resolve() not in passed_over]
         shots = _pairs(files)
@@ -152,13 +152,6 @@ def _folders(source: Path, passed_over: set[Path]) -> Iterator[tuple[Path, list[
             and (folder / name).resolve() not in passed_over
         )
         yield folder, sorted(name for name in names if not name.startswith("."))
-
-
-def _outputs(names: Sequence[str]) -> set[str]:
-    """Names of a folder's files that are of map sets and captures in it."""
-    sets = [Path(name).stem for name in names if name.endswith(".json")]
-    written = {file for name in sets for file in (*mapset_files(name), preview_name(name))}
-    return written | ({"preview.png"} if "report.json" in names else set())
 
 
 def _pairs(files: Sequence[Path]) -> list[_Shot]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
@@ -19,6 +20,13 @@ if TYPE_CHECKING:
     from matcap.flash.geometry import FlashSetup
 
 PREVIEW, REPORT = "preview.png", "report.json"
+
+
+def files_written(names: Sequence[str]) -> set[str]:
+    """Which of a folder's files, by their `names`, are of a capture or a map set in it."""
+    sets = [Path(name).stem for name in names if name.endswith(".json")]
+    written = {file for name in sets for file in (*mapset_files(name), preview_name(name))}
+    return written | ({PREVIEW} if REPORT in names else set())
 
 
 def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings) -> Path:
