@@ -42,7 +42,7 @@ def main(arguments: Sequence[str]) -> int:
             experiment, asked.out / f"{group}.csv", lambda line: print(line, file=sys.stderr)
         )
         print(table(rows, " ".join(["python", *sys.argv])))
-        failed += failures(rows)
+        failed += failures(group, rows)
     return ExitCode.SOME_FAILED if failed else ExitCode.DONE
 
 

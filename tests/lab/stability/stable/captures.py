@@ -1,14 +1,15 @@
 """Captures of what goes wrong: each ends in finite maps within their ranges, or in one sentence.
 
-Photographs that go wrong in every way we know of (photographs.py), captured for a few steps, their
-piece's own maps found and rearranged, as they are and with every variety; sets of photographs and
-parts of them likewise (wholes.py).
+Photographs that go wrong in every way we know of (photographs.py), captured by both generators, as
+RAW and as developed pictures, upright and not; their exemplars rearranged, as they are and with
+every variety; sets of photographs and parts of them likewise (wholes.py).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -21,6 +22,7 @@ from matcap.capture.pipeline import capture_photo
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
 from matcap.field.plane import Rectangle
+from matcap.photo.tone import SHOULDER, ToneCurve
 from matcap.space.tuned import TunedDecoder
 from stable.edges.swept import Domain, Swept
 from stable.photographs import FOV, HARD_PHOTOGRAPHS
@@ -29,15 +31,18 @@ from stable.wholes import HARD_SETS, PARTS, capture_part, capture_set
 _MAPS = ("diffuse", "specular", "roughness", "height", "normal")
 _FIELD = 64  # texels a side of what is read by example
 _VARIETIES = (None, 0.0, 1.0)  # its own, and the ends
-# Texels across and down; a small photograph has too few windows for relief's strength.
-_SMALL, _LARGE = (128, 96), (384, 288)
+# Texels across and down; a small photograph has too few windows for relief's strength, and the
+# finest octaves of the last are not the network's, but transferred from the photograph.
+_SMALL, _LARGE, _FINE = (128, 96), (384, 288), (1152, 864)
+_SHARES = (0.70, 0.24, 0.06)  # of the draws by these sizes
 _STEPS = 3
+_PHONE = ToneCurve(1.4, SHOULDER)
 
 
 def capture_array(
-    pixels: NDArray[np.float32], settings: CaptureSettings, name: str
+    pixels: NDArray[np.float32], settings: CaptureSettings, name: str, *, developed: bool = False
 ) -> CaptureResult:
-    """Capture a picture given as an array, as a RAW would be, and match it to the photograph.
+    """Capture a picture given as an array, as a RAW or with a tone curve.
 
     Raises:
         MatcapError: it is refused.
@@ -45,6 +50,8 @@ def capture_array(
     photo = photo_from_array(
         pixels, long_side=settings.detail, fov=FOV, radiometric=True, name=name
     )
+    if developed:
+        photo = replace(photo, radiometric=False, tone=None, pixels=_PHONE.developed(photo.pixels))
     return capture_photo(photo, settings, method=Method(matched=True))
 
 
@@ -88,16 +95,23 @@ def _piece(found: ExemplarEstimate, seed: int) -> list[torch.Tensor]:
 
 
 def photographs(name: str) -> Domain:
-    """A photograph of HARD_PHOTOGRAPHS, captured by the decoder, with or without a prior."""
+    """A photograph of HARD_PHOTOGRAPHS, RAW or developed, upright or not, by either generator."""
 
     def captured(g: np.random.Generator) -> Swept:
-        width, height = _LARGE if g.random() < 0.25 else _SMALL
-        seed, prior = int(g.integers(1000)), ("auto", "none")[int(g.integers(2))]
-        asked = CaptureSettings(
-            "draft", _STEPS, detail=width, seed=seed, prior=prior, generator="decoder", aligned=True
-        )
+        width, height = (_SMALL, _LARGE, _FINE)[int(g.choice(3, p=_SHARES))]
+        seed, developed, turned = int(g.integers(1000)), g.random() < 0.4, g.random() < 0.25
+        by, asked = "example", CaptureSettings(detail=width, seed=seed)
+        if width <= _LARGE[0] and g.random() < 0.3:
+            prior = ("auto", "none")[int(g.integers(2))]
+            by = f"decoder, prior {prior}"
+            asked = replace(
+                asked, preset="draft", steps=_STEPS, prior=prior, generator="decoder", aligned=True
+            )
         pixels = HARD_PHOTOGRAPHS[name](width, height, seed)
-        return _swept(capture_array(pixels, asked, name), f"seed {seed}, {prior}, {width} across")
+        pixels = np.ascontiguousarray(np.rot90(pixels, -1)) if turned else pixels
+        result = capture_array(pixels, asked, name, developed=developed)
+        where = f"seed {seed}, {by}, {width} across"
+        return _swept(result, where + ", developed" * developed + ", portrait" * turned)
 
     return captured
 

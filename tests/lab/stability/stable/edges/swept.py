@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from matcap.errors import MatcapError
 
-LONGEST = 10.0  # seconds that one call may take
-
 
 @dataclass(frozen=True)
 class Swept:
