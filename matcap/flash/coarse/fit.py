@@ -93,41 +93,71 @@ def fit_coarse(
     """
     highlight = find_highlight(light_of(photo.pixels))
     cells = tuple(cells_of(photo, highlight, *grid) for grid in _GRIDS)
-    (dielectric, dielectric_cost, _), (conductor, cost, nat) = (
-        _fit_as(photo, cells, highlight, hypothesis(photo, tilt, tilt_prior, conductor=metal))
+    as_dielectric, as_conductor = (
+        Begun.of(photo, cells, highlight, hypothesis(photo, tilt, tilt_prior, conductor=metal))
         for metal in (False, True)
     )
-    red, _, blue = conductor.diffuse
-    is_metal = (
-        dielectric_cost - cost > _CONDUCTOR_ODDS * nat
-        # No metal reflects blue better than red, unlike a black surface with a blue sheen.
-        and math.log(blue / red) < _BLUEST
-        and conductor.roughness < _DULLEST
-    )
-    return replace(conductor if is_metal else dielectric, tilt_prior=tilt_prior)
-
-
-def _fit_as(
-    photo: Photo, cells: Sequence[CoarseCells], highlight: Highlight | None, prior: Hypothesis
-) -> tuple[CoarseFit, float, float]:
-    """The most probable fit under one hypothesis, its cost, and the cost of a nat of the prior."""
-    unit = _PRIOR_SHARE * HUBER**2
-    first, last = (
-        Problem(
-            cells=each,
-            distance=FlashSetup(fov=photo.fov).distance,
-            evidence=None if highlight is None else Evidence(highlight),
-            prior=prior.mean.vector(),
-            precision=unit * prior.precision,
-            unit=unit,
-            shoulder=SHOULDER if photo.tone_mapped else 0.0,
-            conductor=prior.conductor,
+    chosen, dielectric_cost, _ = _fitted(photo, as_dielectric)
+    # A conductor with the larger cost on coarse cells would have to gain all of _CONDUCTOR_ODDS.
+    if as_conductor.cost <= as_dielectric.cost:
+        conductor, cost, nat = _fitted(photo, as_conductor)
+        red, _, blue = conductor.diffuse
+        is_metal = (
+            dielectric_cost - cost > _CONDUCTOR_ODDS * nat
+            # No metal reflects blue better than red, unlike a black surface with a blue sheen.
+            and math.log(blue / red) < _BLUEST
+            and conductor.roughness < _DULLEST
         )
-        for each in cells
-    )
-    begun = starts(first.cells.observed, prior, highlight, first.distance)
-    tried = [first.minimised(start, _FEW) for start in begun]
-    tried.sort(key=lambda candidate: candidate[0])
+        chosen = conductor if is_metal else chosen
+    return replace(chosen, tilt_prior=tilt_prior)
+
+
+@dataclass(frozen=True)
+class Begun:
+    """A hypothesis fitted on coarse cells from every starting point.
+
+    Attributes:
+        prior: the hypothesis.
+        last: its problem on fine cells.
+        tried: costs and parameters on coarse cells, the least cost first.
+    """
+
+    prior: Hypothesis
+    last: Problem
+    tried: list[tuple[float, Tensor]]
+
+    @property
+    def cost(self) -> float:
+        """The least on coarse cells."""
+        return self.tried[0][0]
+
+    @staticmethod
+    def of(
+        photo: Photo, cells: Sequence[CoarseCells], highlight: Highlight | None, prior: Hypothesis
+    ) -> Begun:
+        """Fit coarse cells; `cells` are those of both grids."""
+        unit = _PRIOR_SHARE * HUBER**2
+        first, last = (
+            Problem(
+                cells=each,
+                distance=FlashSetup(fov=photo.fov).distance,
+                evidence=None if highlight is None else Evidence(highlight),
+                prior=prior.mean.vector(),
+                precision=unit * prior.precision,
+                unit=unit,
+                shoulder=SHOULDER if photo.tone_mapped else 0.0,
+                conductor=prior.conductor,
+            )
+            for each in cells
+        )
+        begun = starts(first.cells.observed, prior, highlight, first.distance)
+        tried = [first.minimised(start, _FEW) for start in begun]
+        return Begun(prior, last, sorted(tried, key=lambda candidate: candidate[0]))
+
+
+def _fitted(photo: Photo, begun: Begun) -> tuple[CoarseFit, float, float]:
+    """The most probable fit of a hypothesis, its cost, and the cost of a nat of the prior."""
+    last, tried, prior = begun.last, begun.tried, begun.prior
     if photo.radiometric:
         last = last.whitened(tried[0][1])
         last = last.trusting(tried[0][1])

@@ -14,7 +14,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.flash.geometry import rotation
 from matcap.flash.light import FlashLight, log_vignette
 
 _DARKEST = 1e-12  # radiance added before logarithms
@@ -128,6 +127,7 @@ def mirror_point(unknowns: Unknowns, distance: float) -> Tensor:
 
 def _places(unknowns: Unknowns, distance: float) -> tuple[Tensor, Tensor, Tensor]:
     """(3,) each, in the camera frame: the plane's normal, places of camera and flash."""
-    normal = rotation(*unknowns.tilt.unbind())[:, 2]
+    (sine_x, sine_y), (cosine_x, cosine_y) = unknowns.tilt.sin(), unknowns.tilt.cos()
+    normal = torch.stack([sine_y * cosine_x, -sine_x, cosine_y * cosine_x])  # rotation()[:, 2]
     camera = numbers(0.0, 0.0, distance)
     return normal, camera, camera + F.pad(unknowns.offset, (0, 1))

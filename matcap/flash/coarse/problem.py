@@ -137,19 +137,21 @@ class Problem:
 
     def residuals(self, parameters: Tensor) -> Tensor:
         """(residuals,) residuals at the parameters, in log radiance."""
-        cells = self.cells
-        difference = self.differences(parameters)
+        cells, evidence = self.cells, self.evidence
+        image = cells.image if evidence is None else torch.cat([cells.image, evidence.image], dim=1)
+        everywhere = self.log_radiance(parameters, image)
+        difference = cells.differences(everywhere[:, : cells.image.shape[1]])
         # Of a lower bound, only a darker model has a residual.
         bounded = torch.where(difference > 0.0, difference * cells.above, difference)
         if self.whitening is not None:
             whole = (cells.above == 1.0).all(0)
             bounded = torch.where(whole, self.whitening @ difference, bounded)
         difference = bounded.flatten()
-        if self.evidence is None:
+        if evidence is None:
             return difference
         mirror = mirror_point(Unknowns.of(parameters), self.distance)
-        seen = self.log_radiance(parameters, self.evidence.image)
-        return torch.cat([difference, HUBER * self.evidence.residuals(mirror, seen)])
+        seen = everywhere[:, cells.image.shape[1] :]
+        return torch.cat([difference, HUBER * evidence.residuals(mirror, seen)])
 
     def quadratic(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """(n, n) Gauss-Newton Hessian of the cost and (n,) its gradient, without brightening."""
