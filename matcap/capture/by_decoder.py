@@ -29,6 +29,8 @@ from matcap.space.tuning.initialisation import initial_decoder
 from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.match import match_photograph
 
+_LIES = "The photograph is a portrait: the decoder's maps are rotated 90 degrees anticlockwise."
+
 
 def capture_by_decoder(
     shot: CaptureStart,
@@ -68,6 +70,8 @@ def capture_by_decoder(
 
     estimate = _piece(shot, clock) if settings.aligned else None
     went = Tuning(tuned.history, own)
+    if photo.turned:
+        photo = replace(photo, notes=(*photo.notes, _LIES))
     return judged(photo, material, shot.rectified, settings, clock, estimate, went)
 
 

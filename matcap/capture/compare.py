@@ -14,11 +14,11 @@ from PIL import Image
 
 from matcap.capture.outputs import REPORT
 from matcap.capture.preview import Panel, block, each_map, relit, stacked, titled
-from matcap.capture.upright import standing
 from matcap.field.material import Material
 from matcap.field.opened import open_material
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
+from matcap.photo.orient import standing
 from matcap.photo.photo import Photo
 from matcap.photo.tone import ToneCurve
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from matcap.field.material import Material
 from matcap.files.interrupts import postponed
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.render import render_rectified
+from matcap.photo.orient import quarter_turn, standing
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 
@@ -45,28 +47,31 @@ def judged(
         rectified: the photograph on the sample's plane.
         settings: of the user.
         clock: of the capture.
-        estimate: the exemplar, if one was estimated.
+        estimate: the exemplar, if one was estimated; upright, as the material is if it is turned.
         tuning: the course of fine-tuning, if a decoder was.
     """
-    plane, waves = rectified.whole, rectified.waves
+    plane, waves, turned = rectified.whole, rectified.waves, material.setup.turned
     interrupted = clock.interrupted or (estimate is not None and estimate.interrupted)
     with clock.stage("verdict"), postponed() as stopped:
-        maps = material.maps(*plane.size, seed=settings.seed)
+        maps = material.maps(*(plane.size[::-1] if turned else plane.size), seed=settings.seed)
         with torch.inference_mode():
             rerendered = _picture(render_rectified(maps, material.setup))
+        # Pictures are measured as the photograph lies.
+        lying = np.ascontiguousarray(quarter_turn(rerendered)) if turned else rerendered
         seen = compared = _picture(plane.linear)
         if plane.left_out is not None:
             left_out = plane.left_out.numpy()[..., None]
-            compared = np.where(left_out, rerendered, seen)  # a difference of zero
+            compared = np.where(left_out, lying, seen)  # a difference of zero
             seen = np.where(left_out, np.float32(0.0), seen)
         about = None if estimate is None else _piece_measurements(estimate, photo, material, waves)
         valid = plane.valid.numpy()
-        measurements = measured(photo, material.setup, compared, rerendered, valid, waves, about)
+        setup = replace(material.setup, turned=False)
+        measurements = measured(photo, setup, compared, lying, valid, waves, about)
         verdict = judge(measurements)
     return CaptureResult(
         photo=photo,
         material=material,
-        rectified=seen,
+        rectified=standing(seen) if turned else seen,
         rerendered=rerendered,
         maps=maps,
         measurements=measurements,

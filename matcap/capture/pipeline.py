@@ -35,7 +35,6 @@ from matcap.capture.settings import (
 )
 from matcap.capture.start import CaptureStart
 from matcap.capture.tilt import fitted
-from matcap.capture.upright import upright
 from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
@@ -200,7 +199,7 @@ def capture_under(
 
         shot = _begun(photo, settings, method, clock, others)
         shot = replace(shot, rectified=shot.rectified.as_read())
-        return upright(capture_by_decoder(shot, settings, effort, method, clock), ())
+        return capture_by_decoder(shot, settings, effort, method, clock)
     if others:
         captured = _of_several([photo, *others], settings, effort, method, clock)
     else:
@@ -211,11 +210,10 @@ def capture_under(
         name=photo.stem,
         generators={"example": estimate.example},
         texel_size=rectified.whole.texel_size,
-        setup=coarse.setup.dimmed(estimate.scale),
+        setup=replace(coarse.setup.dimmed(estimate.scale), turned=estimate.turned),
         provenance=provenance(captured.photo, settings, coarse, effort, several),
     )
-    result = judged(captured.photo, material, rectified, settings, clock, estimate)
-    return upright(result, rectified.waves)
+    return judged(captured.photo, material, rectified, settings, clock, estimate)
 
 
 def _begun(
@@ -241,7 +239,14 @@ def _of_one(
     """Estimate the exemplar of one photograph."""
     shot = _begun(photo, settings, method, clock)
     absolute = photo.flash_intensity is not None
-    estimate = find_piece(shot.rectified, shot.coarse, load_inverse(), clock, absolute=absolute)
+    estimate = find_piece(
+        shot.rectified,
+        shot.coarse,
+        load_inverse(),
+        clock,
+        absolute=absolute,
+        turned=shot.photo.turned,
+    )
     return PhotographEstimate(estimate, shot.coarse, shot.rectified, shot.photo)
 
 

@@ -24,3 +24,8 @@ def upright(picture: NDArray[Scalar], orientation: int) -> NDArray[Scalar]:
 def quarter_turn(picture: NDArray[Scalar]) -> NDArray[Scalar]:
     """Rotate (H, W, ...) by 90 degrees counterclockwise: the right side becomes the top."""
     return np.rot90(picture)
+
+
+def standing(picture: NDArray[Scalar]) -> NDArray[Scalar]:
+    """The inverse of quarter_turn, contiguous."""
+    return np.ascontiguousarray(np.rot90(picture, -1))

@@ -67,7 +67,7 @@ class ExemplarEstimate:
         several: report on several photographs; None for one.
         scale: factor on albedo and F0 by the exposure prior; the flash is divided by it
             (absolute.py).
-        turned: whether the maps are rotated to a portrait photograph's orientation (upright.py).
+        turned: whether the maps are rotated to a portrait photograph's orientation.
     """
 
     example: Example
@@ -95,6 +95,12 @@ class ExemplarEstimate:
         if self.turned:
             margins, size = margins.turned(), size[::-1]
         return self.exemplar.cut(*margins.inside(size))
+
+    @property
+    def lying(self) -> MapSet:
+        """Maps of `framed` in landscape orientation, in which photographs are measured."""
+        maps = piece_maps(self.framed)
+        return maps.turned(1) if self.turned else maps
 
     def mean_confidence(self, kept: float = 1.0) -> dict[str, float]:
         """Mean confidence by map, in [0, 1], over the share `kept` of the photograph's texels."""
@@ -160,6 +166,7 @@ def find_piece(
     clock: CaptureClock,
     *,
     absolute: bool = False,
+    turned: bool = False,
 ) -> ExemplarEstimate:
     """Estimate the exemplar of a photograph, stage by stage.
 
@@ -169,6 +176,7 @@ def find_piece(
         network: the inverse network (network/store.py).
         clock: of the stages.
         absolute: whether the flash intensity is known, so that the exposure prior is not used.
+        turned: whether the photograph is a portrait.
     """
     whole = rectified.whole
     with clock.stage("piece"):
@@ -184,26 +192,31 @@ def find_piece(
             exemplar = finest(exemplar, whole, coarse)
         scale = 1.0 if absolute else most_probable_scale(exemplar, prediction.metal)
     with clock.stage("index"):
-        example = indexed(scaled(exemplar, scale), rectified.waves)
+        example = indexed(scaled(exemplar, scale), rectified.waves, turned=turned)
     left = remaining_of(observed, prediction)
-    return ExemplarEstimate(
+    estimate = ExemplarEstimate(
         example,
         strengths,
         _median(left, observed),
         float(left.slow.abs().mean()),
-        sharpness(piece_maps(example.exemplar), whole, coarse),
         scale=scale,
+        turned=turned,
     )
+    return replace(estimate, sharpness=sharpness(estimate.lying, whole, coarse))
 
 
-def indexed(exemplar: Exemplar, waves: Sequence[Wave]) -> Example:
+def indexed(exemplar: Exemplar, waves: Sequence[Wave], *, turned: bool) -> Example:
     """Index an exemplar for synthesis, with the smallest patches that keep its long structures.
 
     Args:
         exemplar: the maps.
         waves: frequency vectors of the lattice, cycles per texel.
+        turned: whether to rotate both upright first, 90 degrees clockwise.
     """
     lattice = tuple((wave.fx, wave.fy) for wave in waves)
+    if turned:
+        # Columns of the upright picture are rows of the landscape one from below, rows its columns.
+        exemplar, lattice = exemplar.turned(), tuple((-fy, fx) for fx, fy in lattice)
     return with_chosen_variety(Example.of(exemplar, lattice))
 
 

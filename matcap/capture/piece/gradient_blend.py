@@ -73,7 +73,8 @@ def _solved(right: NDArray[np.float64], free: NDArray[np.bool_], reach: float) -
     within, before, after = slice(1, -1), slice(None, -2), slice(2, None)
     sides = ((before, within), (after, within), (within, before), (within, after))
     neighbours = [number[side][free] for side in sides]
-    diagonal = (sum(in_box[side][free] for side in sides) + one(reach**-2))[:, None]
+    degree = np.stack([in_box[side][free] for side in sides], axis=1).sum(1, keepdims=True)
+    diagonal = degree + one(reach**-2)
     residual = np.ascontiguousarray(right[:, free].T, one)
     padded = np.concatenate([residual, np.zeros((1, len(right)), one)])
     direction, solution = padded[:count], np.zeros_like(residual)

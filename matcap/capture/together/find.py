@@ -146,9 +146,16 @@ def estimate_together(
         example, scale = _indexed(first, exemplar, single.metal, rectified.waves, reach)
     report = SetReport.of(registration, poses, solved, ahead, reach)
     estimate = ExemplarEstimate(
-        example, single.strengths, solved.residual[0], 0.0, 1.0, interrupted, report, scale
+        example,
+        single.strengths,
+        solved.residual[0],
+        0.0,
+        interrupted=interrupted,
+        several=report,
+        scale=scale,
+        turned=first.turned,
     )
-    sharp = sharpness(piece_maps(estimate.framed), rectified.whole, coarse)
+    sharp = sharpness(estimate.lying, rectified.whole, coarse)
     return PhotographEstimate(replace(estimate, sharpness=sharp), coarse, rectified, first)
 
 
@@ -329,4 +336,4 @@ def _indexed(
     known = photo.flash_intensity is not None
     own = exemplar.cut(*reach.margins.inside(reach.size)) if reach.margins.any else exemplar
     scale = 1.0 if known else most_probable_scale(own, metal)
-    return indexed(scaled(exemplar, scale), waves), scale
+    return indexed(scaled(exemplar, scale), waves, turned=photo.turned), scale

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -156,7 +156,10 @@ def _octaves(picture: Picture, region: TexelMask) -> list[float]:
 
 
 def from_mirror_point(setup: FlashSetup, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """(H, W) distance from the mirror point, plane units."""
+    """(H, W) distance from the mirror point, plane units; upright if the setup is turned."""
+    if setup.turned:
+        lying = from_mirror_point(replace(setup, turned=False), shape[::-1])
+        return np.rot90(lying, -1)
     (x, y), (height, width) = flash_mirror_point(setup), shape
     v, u = np.mgrid[:height, :width] + 0.5
     return np.hypot(2.0 * u / width - 1.0 - x, (height - 2.0 * v) / width - y)
