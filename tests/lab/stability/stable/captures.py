@@ -51,7 +51,10 @@ def capture_array(
         pixels, long_side=settings.detail, fov=FOV, radiometric=True, name=name
     )
     if developed:
-        photo = replace(photo, radiometric=False, tone=None, pixels=_PHONE.developed(photo.pixels))
+        # Beyond the clip level in proportion, as ToneCurve.linear reads it: a file of floats.
+        within, beyond = np.minimum(photo.pixels, 1.0), np.maximum(photo.pixels, 1.0)
+        pixels = _PHONE.developed(within) * beyond
+        photo = replace(photo, radiometric=False, tone=None, pixels=pixels)
     return capture_photo(photo, settings, method=Method(matched=True))
 
 
