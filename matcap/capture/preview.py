@@ -21,6 +21,7 @@ from PIL import Image, ImageDraw, ImageFont
 from matcap.capture.tilt import tilt_line
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged_file
+from matcap.photo.orient import standing
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -176,18 +177,16 @@ def piece_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[
 
     The normals are the height's gradient; the renderings show them.
     """
-    import torch
-
     from matcap.capture.piece.find import piece_maps
-    from matcap.flash.render import render_rectified
 
     maps, setup = piece_maps(estimate.framed), result.material.setup
-    with torch.inference_mode():
-        rerendered = render_rectified(maps, setup).movedim(0, -1).numpy()
+    maps = replace(maps, painted=maps.normal)
+    rerendered = _under_flash(maps, setup)
     yield _developed("photograph", result, result.rectified)
-    yield _developed("re-rendered", result, rerendered)
+    whole = _developed("re-rendered", result, rerendered.values)
+    yield replace(whole, close=rerendered.close)
     for side in _LIGHTS:
-        yield relit(side, maps, rerendered, setup)
+        yield relit(side, maps, rerendered.values, setup)
     yield from each_map(maps)
 
 
@@ -280,6 +279,31 @@ def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: Flash
     return Panel(f"light from the {side}", gain * whole, close=close)
 
 
+def _under_flash(maps: MapSet, setup: FlashSetup) -> Panel:
+    """Render maps with painted normals under the setup's flash: some texels, and the crop."""
+    import torch
+
+    from matcap.flash.geometry import plane_points
+    from matcap.flash.render import render_flash
+
+    turned, setup = setup.turned, replace(setup, turned=False)
+    lying = maps.turned(1) if turned else maps
+    width, height = lying.size
+    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    every = slice(None, None, max(1, width // _LIT))
+
+    @torch.no_grad()
+    def lit(rows: slice, columns: slice) -> NDArray[np.float32]:
+        some = lying.map(lambda planes: planes[..., rows, columns])
+        radiance = render_flash(some, setup, points[:, rows, columns]).movedim(0, -1).numpy()
+        return standing(radiance) if turned else np.ascontiguousarray(radiance)
+
+    rows, columns = _crop(*maps.size)
+    if turned:  # its right side is the top of the lying picture
+        rows, columns = slice(max(0, height - columns.stop), height - columns.start), rows
+    return Panel("re-rendered", lit(every, every), close=lit(rows, columns))
+
+
 def _picture(maps: MapSet, kind: str) -> NDArray[np.float32]:
     """(H, W, C) of one map."""
     picture: NDArray[np.float32] = getattr(maps, kind).detach().movedim(0, -1).contiguous().numpy()
@@ -294,7 +318,8 @@ def _coloured(kind: str, values: NDArray[np.float32]) -> Panel:
 
 def _stretched(kind: str, values: NDArray[np.float32]) -> Panel:
     """Panel of a scalar map, its 0.2 and 99.8 % quantiles as black and white and in the label."""
-    low, high = (float(v) for v in np.quantile(values, (0.002, 0.998)))
+    some = slice(None, None, max(1, values.shape[1] // _LIT))
+    low, high = (float(v) for v in np.quantile(values[some, some], (0.002, 0.998)))
     label = f"{kind}: {low:.3g} to {high:.3g}"
     short = max(_LEAST_SPAN[kind] - (high - low), 0.0)
     low, high = low - short / 2, high + short / 2

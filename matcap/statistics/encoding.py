@@ -25,6 +25,7 @@ _LEAST_CONTRAST = 0.02
 _LEAST_SIGNAL = 0.05  # lower limit of the signal's share of a colour direction's variance
 _LEAST_TEXELS = 64  # with fewer valid texels the covariance is taken over all texels
 _SHADING_SCALE = 48  # texels: side of the box average that separates shading from texture
+_MOST_TEXELS = 2048  # a side; of a larger picture every second texel is used, or fewer
 
 
 @dataclass(frozen=True)
@@ -55,13 +56,17 @@ def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> 
         noise: (3, H, W) an independent sample of the photograph's noise; each colour direction is
             scaled by the square root of its signal's share of the variance.
     """
+    step = -(-max(linear.shape[-2:]) // _MOST_TEXELS)
+    if step > 1:
+        linear, valid = linear[:, ::step, ::step], valid[::step, ::step]
+        noise = None if noise is None else noise[:, ::step, ::step]
     if int(valid.sum()) < _LEAST_TEXELS:
         valid = torch.ones_like(valid)
     seen = linear[:, valid]
     median = max(float(seen.mean(0).median()), 1e-6)
     plain = Encoding(median, torch.eye(3))
     log = plain.log(linear[None])
-    texture = (log - shading(log))[0][:, valid]
+    texture = (log - shading(log, _SHADING_SCALE // step))[0][:, valid]
     values, vectors = torch.linalg.eigh(torch.cov(texture.double()))
     strongest = values[-1].clamp_min(_LEAST_CONTRAST**2)
     scale = torch.rsqrt(values.clamp_min(_FAINTEST**2 * strongest))
@@ -72,8 +77,8 @@ def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> 
     return Encoding(median, (vectors * scale).T.float().contiguous())
 
 
-def shading(image: Tensor) -> Tensor:
-    """(B, C, H, W) smooth part of an image: box averages of _SHADING_SCALE, upsampled."""
-    size = min(_SHADING_SCALE, *image.shape[-2:])
+def shading(image: Tensor, scale: int = _SHADING_SCALE) -> Tensor:
+    """(B, C, H, W) smooth part of an image: box averages of `scale` texels, upsampled."""
+    size = min(scale, *image.shape[-2:])
     small = F.avg_pool2d(image, size, stride=max(1, size // 2))
     return F.interpolate(small, size=image.shape[-2:], mode="bilinear", align_corners=False)
