@@ -239,7 +239,7 @@ FAULTS = (
     Fault("coarse: every flash is white", "flash hypothesis",
           "conductor or photo.radiometric or photo.flash_intensity is not None", "True",
           "flash/test_coarse.py -k coloured_flash"),
-    Fault("tone: a RAW has a curve", "flash Begun.of", "SHOULDER if photo.tone_mapped else 0.0",
+    Fault("tone: a RAW has a curve", "flash _Begun.of", "SHOULDER if photo.tone_mapped else 0.0",
           "SHOULDER", "flash/test_coarse.py -k raw"),
     Fault("pair: the window's side the wrong way", "capture with_lean",
           "fitted[linear] / (2.0 * relief)", "fitted[linear] / (-2.0 * relief)",

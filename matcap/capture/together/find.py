@@ -145,15 +145,9 @@ def estimate_together(
     with clock.stage("index"):
         example, scale = _indexed(first, exemplar, single.metal, rectified.waves, reach)
     report = SetReport.of(registration, poses, solved, ahead, reach)
+    strengths, error = single.strengths, solved.residual[0]
     estimate = ExemplarEstimate(
-        example,
-        single.strengths,
-        solved.residual[0],
-        0.0,
-        interrupted=interrupted,
-        several=report,
-        scale=scale,
-        turned=first.turned,
+        example, strengths, error, 0.0, 1.0, interrupted, report, scale, first.turned
     )
     sharp = sharpness(estimate.lying, rectified.whole, coarse)
     return PhotographEstimate(replace(estimate, sharpness=sharp), coarse, rectified, first)

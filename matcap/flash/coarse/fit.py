@@ -94,7 +94,7 @@ def fit_coarse(
     highlight = find_highlight(light_of(photo.pixels))
     cells = tuple(cells_of(photo, highlight, *grid) for grid in _GRIDS)
     as_dielectric, as_conductor = (
-        Begun.of(photo, cells, highlight, hypothesis(photo, tilt, tilt_prior, conductor=metal))
+        _Begun.of(photo, cells, highlight, hypothesis(photo, tilt, tilt_prior, conductor=metal))
         for metal in (False, True)
     )
     chosen, dielectric_cost, _ = _fitted(photo, as_dielectric)
@@ -113,7 +113,7 @@ def fit_coarse(
 
 
 @dataclass(frozen=True)
-class Begun:
+class _Begun:
     """A hypothesis fitted on coarse cells from every starting point.
 
     Attributes:
@@ -134,7 +134,7 @@ class Begun:
     @staticmethod
     def of(
         photo: Photo, cells: Sequence[CoarseCells], highlight: Highlight | None, prior: Hypothesis
-    ) -> Begun:
+    ) -> _Begun:
         """Fit coarse cells; `cells` are those of both grids."""
         unit = _PRIOR_SHARE * HUBER**2
         first, last = (
@@ -152,10 +152,10 @@ class Begun:
         )
         begun = starts(first.cells.observed, prior, highlight, first.distance)
         tried = [first.minimised(start, _FEW) for start in begun]
-        return Begun(prior, last, sorted(tried, key=lambda candidate: candidate[0]))
+        return _Begun(prior, last, sorted(tried, key=lambda candidate: candidate[0]))
 
 
-def _fitted(photo: Photo, begun: Begun) -> tuple[CoarseFit, float, float]:
+def _fitted(photo: Photo, begun: _Begun) -> tuple[CoarseFit, float, float]:
     """The most probable fit of a hypothesis, its cost, and the cost of a nat of the prior."""
     last, tried, prior = begun.last, begun.tried, begun.prior
     if photo.radiometric:
