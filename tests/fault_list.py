@@ -255,6 +255,8 @@ FAULTS = (
     Fault("verdict: the highlight's factor upside down", "capture HighlightProfile.ratio",
           "after / before", "before / after",
           "capture/verdict/test_verdict.py -k clipped_core"),
+    Fault("verdict: colour within a code is texture", "capture texture_contrasts", "if developed",
+          "if False", "capture/verdict/test_verdict.py -k code"),
     Fault("verdict: a dark net looks like a bright one", "capture _of_window",
           "float(np.log(dark / bright))", "abs(float(np.log(dark / bright)))",
           "capture/verdict/test_connectivity.py -k bright_lines"),

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.method import FEATURES
+from matcap.capture.piece.noise import code_step
 from matcap.capture.verdict.causes import CauseMeasurements, by_place
 from matcap.capture.verdict.connectivity import connectivity
 from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
@@ -143,7 +144,7 @@ def measured(
         colour=colour,
         light=light,
         texture=texture_difference(plane, rendering),
-        contrast=texture_contrasts(*pictures),
+        contrast=texture_contrasts(*pictures, developed=not photo.radiometric),
         order=_order(plane, rendering, waves) if waves else None,
         offset=math.hypot(*setup.offset[:2]),
         connectivity=connectivity(
@@ -176,16 +177,24 @@ def smooth_difference(
     return (float(ratio[0]), float(ratio[1]), float(ratio[2])), float(rest.std())
 
 
-def texture_contrasts(seen: Picture, again: Picture) -> dict[str, tuple[float, float]]:
-    """Root-mean-square contrast of log luminance in two linear pictures (H, W, 3).
+def texture_contrasts(
+    seen: Picture, again: Picture, *, developed: bool = False
+) -> dict[str, tuple[float, float]]:
+    """Root-mean-square contrast of log luminance, and of colour, in two linear pictures (H, W, 3).
 
     By band, and by region: the photograph's brightest tiles ("in the light", where gloss reveals
-    relief) and the others. Medians over tiles, robust to the gradient of a highlight.
+    relief) and the others. Medians over tiles, robust to the gradient of a highlight. Colour of a
+    developed photograph is uncertain by a code of 255, which blurs to blotches (piece/noise.py):
+    that variance is added to both, so that only visible differences count.
     """
     light = _tiles(channel_mean(seen))
     bright = np.zeros(light.shape, bool)
     bright.flat[light.argsort(axis=None)[-math.ceil(_BRIGHT * light.size) :]] = True
     before, after = (_tile_contrasts(picture) for picture in (seen, again))
+    if developed:
+        noise = _code_variance(_tiles(seen), _log_luminance(seen)[1])
+        for tiles in (before, after):
+            tiles["coloured"] = tiles["coloured"] + noise
 
     def of(tiles: Picture, region: NDArray[np.bool_]) -> float:
         return math.sqrt(float(np.median(tiles[region])))
@@ -205,6 +214,17 @@ def _tile_contrasts(picture: Picture) -> dict[str, Picture]:
     whole = np.log(picture + floor)
     chroma = _band(whole[..., ::2] - whole[..., 1:2], *_CHROMA_BAND)
     return {**tiles, "coloured": _tiles(np.square(chroma)).mean(axis=2)}
+
+
+def _code_variance(picture: Picture, floor: float) -> Picture:
+    """(H, W) variance of log red / green and blue / green by an error of one code in each channel.
+
+    Args:
+        picture: (H, W, 3) linear.
+        floor: radiance added before the logarithm.
+    """
+    variance = np.square(code_step(picture) / (picture + floor))
+    return np.asarray(variance[..., ::2].mean(axis=2) + variance[..., 1])
 
 
 def _log_luminance(picture: Picture) -> tuple[Picture, float]:

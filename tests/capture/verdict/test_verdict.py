@@ -3,18 +3,25 @@
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import simulated_shots as shots
 from arrays import photo_from_array
 
+from matcap.capture.piece.noise import code_step
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.verdict.causes import CauseMeasurements
 from matcap.capture.verdict.findings import RESIDUES, findings
 from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
 from matcap.capture.verdict.judge import judge
-from matcap.capture.verdict.measurements import Measurements, measured, smooth_difference
+from matcap.capture.verdict.measurements import (
+    Measurements,
+    measured,
+    smooth_difference,
+    texture_contrasts,
+)
 from matcap.flash.highlight import Highlight
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
@@ -451,3 +458,18 @@ def test_a_white_dot_on_black_has_a_highlight_profile():
         found = highlight_profile(pictures, whole, whole, setup)
         assert math.isfinite(found.contrast[0] / found.contrast[1])
         assert math.isnan(found.ratio) or 0.0 < found.ratio < math.inf
+
+
+def test_colour_within_a_code_is_noise_of_a_developed_photograph() -> None:
+    """Blotches of a code beside grey are not missed; those of eight codes are."""
+    drawn = np.random.default_rng(2).standard_normal((192, 256, 3)).astype(np.float32)
+    blotches = cv2.GaussianBlur(drawn, (0, 0), 4.0)
+    blotches /= blotches.std()
+    grey = np.full((192, 256, 3), 0.2, np.float32)
+    for codes, least, most in ((1.0, 0.6, 1.0), (8.0, 0.0, 0.3)):
+        seen = grey + blotches * code_step(grey) * np.float32(codes)
+        contrasts = texture_contrasts(seen, grey, developed=True)
+        before, after = contrasts["coloured texture in the light"]
+        assert least < after / before < most
+    before, after = texture_contrasts(seen, grey)["coloured texture in the light"]
+    assert after < 1e-3 < before
