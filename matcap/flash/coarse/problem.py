@@ -10,7 +10,6 @@ Minimised by Levenberg-Marquardt steps, with weights of the Huber loss renewed a
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -20,6 +19,7 @@ from torch import Tensor
 from matcap.flash.coarse.cells import CoarseCells
 from matcap.flash.coarse.evidence import Evidence
 from matcap.flash.coarse.model import INDEX, Unknowns, log_radiance, mirror_point, numbers
+from matcap.flash.least_squares import minimised
 
 HUBER = 0.1  # threshold of the Huber loss, log radiance
 # Number of residuals per nat of the prior in a RAW, chosen empirically; about the number of cells,
@@ -196,25 +196,13 @@ class Problem:
 
     def minimised(self, start: Tensor, iterations: int) -> tuple[float, Tensor]:
         """(cost, parameters) after at most `iterations` Levenberg-Marquardt steps."""
-        parameters, damping = start.clone(), 1e-2
-        cost = self.cost(parameters)
-        for _ in range(iterations):
+
+        def quadratic(parameters: Tensor) -> tuple[Tensor, Tensor]:
             normal, gradient = self.quadratic(parameters)
             extra = self.brightening(parameters)
-            normal, gradient = normal + torch.diag(extra), gradient + extra * parameters
-            candidate, new = parameters, math.inf
-            while not new < cost and damping < 1e6:
-                damped = normal + damping * torch.diag(normal.diagonal())
-                candidate = parameters - torch.linalg.solve(damped, gradient).clamp(-1.0, 1.0)
-                new = self.cost(candidate)
-                damping *= 4.0
-            if not new < cost:
-                break
-            converged = cost - new < 1e-5 * cost
-            parameters, cost, damping = candidate, new, max(damping / 16.0, 1e-6)
-            if converged:
-                break
-        return cost, parameters
+            return normal + torch.diag(extra), gradient + extra * parameters
+
+        return minimised(self.cost, quadratic, start, iterations, farthest=1.0)
 
 
 def _whitening(residuals: Tensor, weight: Tensor) -> Tensor:

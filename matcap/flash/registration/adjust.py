@@ -1,22 +1,25 @@
 """Bundle adjustment of all cameras and their common lens over all feature matches.
 
 Matches are between the first photograph, which defines the plane frame up to its tilt, and every
-other one. Levenberg-Marquardt on the Huber cost of reprojection errors; the residuals of a
-photograph depend on its six pose parameters and the common ones only (sparse Jacobian).
+other one. The Huber cost of reprojection errors is minimised (flash/least_squares.py); the
+residuals of a photograph depend on its six pose parameters and the common ones only.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from matcap.flash.geometry import FlashSetup
+from matcap.flash.least_squares import minimised
 from matcap.flash.registration.camera import Lens, PosedCamera
 
 Doubles = NDArray[np.float64]
@@ -27,6 +30,7 @@ _HUBER = 1.0  # threshold of the Huber loss, pixels
 # between neighbours.
 _COUNTED = 40.0
 _STEPS = 30  # most iterations of Levenberg-Marquardt
+_STEP = 1e-6  # of finite differences
 # Prior standard deviations: of log d, if EXIF gives the field of view and if not; of the first
 # camera's tilt, radians; of a feature's height, plane units; of the lens distortion, k1 and k2.
 _KNOWN_FOCAL, _ASSUMED_FOCAL, _TILT = 0.01, 0.1, 0.15
@@ -107,47 +111,86 @@ def adjust(
         bent: prior standard deviations of the lens distortion, k1 and k2.
     """
     focal = _KNOWN_FOCAL if known else _ASSUMED_FOCAL
-    deviation = np.array([focal, *bent, _TILT, _TILT])
     begun = _Common(0.0, 0.0, 0.0, *setup.tilt)
-    prior = common = np.array(begun)
-    own = [_first_guess(begun.first_camera(setup), pair) for pair in pairs]
-    damping, cost = 1e-3, math.inf
-    for _ in range(_STEPS):
-        system = _System(setup, pairs, common, own, relief)
-        now = system.cost + float(np.square((common - prior) / deviation).sum()) / 2.0
-        step = system.step((prior - common) / deviation**2, deviation**-2, damping)
-        moved = common + step[:_COMMON]
-        theirs = [each + part for each, part in zip(own, _parts(step), strict=True)]
-        after = _cost(setup, pairs, moved, theirs, relief)
-        after += float(np.square((moved - prior) / deviation).sum()) / 2.0
-        if after < now:
-            common, own, damping = moved, theirs, max(damping / 8.0, 1e-9)
-            if cost - after < 1e-7 * after:
-                break
-            cost = after
-        else:
-            damping *= 8.0
-            if damping > 1e6:
-                break
+    bundle = _Bundle(setup, pairs, np.array(begun), np.array([focal, *bent, _TILT, _TILT]), relief)
+    poses = [_first_guess(begun.first_camera(setup), pair) for pair in pairs]
+    start = torch.from_numpy(np.concatenate([bundle.prior, *poses]))
+    _, whole = minimised(bundle.cost, bundle.quadratic, start, _STEPS, tolerance=1e-7)
+    common, poses = bundle.parts(whole)
     fitted = _Common(*common.tolist())
     cameras = [fitted.first_camera(setup)]
     cameras += [
-        fitted.camera(setup, each, pair.focal) for each, pair in zip(own, pairs, strict=True)
+        fitted.camera(setup, pose, pair.focal) for pose, pair in zip(poses, pairs, strict=True)
     ]
     off = tuple(
-        float(np.median(np.hypot(*_residuals(setup, pair, common, each, relief))))
-        for pair, each in zip(pairs, own, strict=True)
+        float(np.median(np.hypot(*bundle.residuals(pair, common, pose))))
+        for pair, pose in zip(pairs, poses, strict=True)
     )
     return Adjusted(fitted.adjusted(setup), tuple(cameras), off)
 
 
-def _residuals(
-    setup: FlashSetup, pair: Pair, common: Doubles, own: Doubles, relief: float
-) -> Doubles:
-    """(2, n) reprojection errors of matches, pixels, less the part explained by relief."""
-    every = _Common(*common.tolist())
-    first, camera = every.first_camera(setup), every.camera(setup, own, pair.focal)
-    return less_relief(*reprojection(first, camera, pair, relief))
+@dataclass(frozen=True)
+class _Bundle:
+    """Huber cost of reprojection errors in the common parameters and every photograph's pose.
+
+    Attributes:
+        setup: of the first photograph, from its coarse fit.
+        pairs: matches of every other photograph.
+        prior, deviation: (5,) Gaussian prior of the common parameters.
+        relief: prior standard deviation of a feature's height, plane units.
+    """
+
+    setup: FlashSetup
+    pairs: Sequence[Pair]
+    prior: Doubles
+    deviation: Doubles
+    relief: float
+
+    @staticmethod
+    def parts(parameters: Tensor) -> tuple[Doubles, list[Doubles]]:
+        """Common parameters (5,) and each photograph's pose (6,)."""
+        values = parameters.numpy()
+        return values[:_COMMON], list(values[_COMMON:].reshape(-1, _OWN))
+
+    def residuals(self, pair: Pair, common: Doubles, pose: Doubles) -> Doubles:
+        """(2, n) reprojection errors of matches, pixels, less the part explained by relief."""
+        every = _Common(*common.tolist())
+        first = every.first_camera(self.setup)
+        camera = every.camera(self.setup, pose, pair.focal)
+        return less_relief(*reprojection(first, camera, pair, self.relief))
+
+    def cost(self, parameters: Tensor) -> float:
+        """Cost of parameters (5 + 6 photographs,)."""
+        common, poses = self.parts(parameters)
+        each = (self.residuals(*one) for one in self._by_photograph(common, poses))
+        prior = float(np.square((common - self.prior) / self.deviation).sum()) / 2.0
+        return prior + sum(_huber(residuals)[0] for residuals in each)
+
+    def quadratic(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
+        """Its Gauss-Newton Hessian and gradient; a photograph's errors depend on its pose only."""
+        common, poses = self.parts(parameters)
+        normal, gradient = 1e-12 * np.eye(len(parameters)), np.zeros(len(parameters))
+        normal[range(_COMMON), range(_COMMON)] += self.deviation**-2
+        gradient[:_COMMON] = (common - self.prior) / self.deviation**2
+        for number, (pair, _, pose) in enumerate(self._by_photograph(common, poses)):
+            here = self.residuals(pair, common, pose)
+            whole = np.concatenate([common, pose])
+            there = (
+                self.residuals(pair, *np.split(whole + step, [_COMMON]))
+                for step in _STEP * np.eye(len(whole))
+            )
+            jacobian = np.stack([((moved - here) / _STEP).ravel() for moved in there], 1)
+            weighted = jacobian * np.tile(_huber(here)[1], 2)[:, None]
+            own = _COMMON + _OWN * number
+            places = np.r_[0:_COMMON, own : own + _OWN]
+            normal[np.ix_(places, places)] += weighted.T @ jacobian
+            gradient[places] += weighted.T @ here.ravel()
+        return torch.from_numpy(normal), torch.from_numpy(gradient)
+
+    def _by_photograph(
+        self, common: Doubles, poses: Sequence[Doubles]
+    ) -> Iterator[tuple[Pair, Doubles, Doubles]]:
+        return ((pair, common, pose) for pair, pose in zip(self.pairs, poses, strict=True))
 
 
 def reprojection(
@@ -179,67 +222,6 @@ def _huber(residuals: Doubles) -> tuple[float, Doubles]:
     each = min(1.0, _COUNTED / max(1, len(size)))
     cost = np.where(size < threshold, size**2 / 2.0, threshold * (size - threshold / 2.0))
     return each * float(cost.sum()), each * threshold / np.maximum(size, threshold)
-
-
-def _cost(
-    setup: FlashSetup,
-    pairs: Sequence[Pair],
-    common: Doubles,
-    own: Sequence[Doubles],
-    relief: float,
-) -> float:
-    """Huber cost of all photographs' reprojection errors."""
-    return sum(
-        _huber(_residuals(setup, pair, common, each, relief))[0]
-        for pair, each in zip(pairs, own, strict=True)
-    )
-
-
-class _System:
-    """Normal equations of all photographs at the current parameters."""
-
-    def __init__(
-        self,
-        setup: FlashSetup,
-        pairs: Sequence[Pair],
-        common: Doubles,
-        own: Sequence[Doubles],
-        relief: float,
-    ) -> None:
-        size = _COMMON + _OWN * len(pairs)
-        self.normal, self.gradient, self.cost = np.zeros((size, size)), np.zeros(size), 0.0
-        for number, (pair, each) in enumerate(zip(pairs, own, strict=True)):
-            here = _residuals(setup, pair, common, each, relief)
-            cost, weight = _huber(here)
-            whole = np.concatenate([common, each])
-            columns = []
-            for index in range(len(whole)):
-                moved = whole.copy()
-                moved[index] += 1e-6
-                there = _residuals(setup, pair, moved[:_COMMON], moved[_COMMON:], relief)
-                columns.append(((there - here) / 1e-6).ravel())
-            jacobian = np.stack(columns, 1)
-            weights = np.tile(weight, 2)
-            block = (jacobian * weights[:, None]).T @ jacobian
-            gradient = jacobian.T @ (weights * here.ravel())
-            first = _COMMON + _OWN * number
-            places = np.r_[0:_COMMON, first : first + _OWN]
-            self.normal[np.ix_(places, places)] += block
-            self.gradient[places] += gradient
-            self.cost += cost
-
-    def step(self, pull: Doubles, precision: Doubles, damping: float) -> Doubles:
-        """Damped step of all parameters, with a Gaussian prior of the common ones."""
-        normal, gradient = self.normal.copy(), -self.gradient
-        normal[range(_COMMON), range(_COMMON)] += precision
-        gradient[:_COMMON] += pull
-        normal += damping * np.diag(normal.diagonal()) + 1e-12 * np.eye(len(normal))
-        return np.asarray(np.linalg.solve(normal, gradient))
-
-
-def _parts(step: Doubles) -> list[Doubles]:
-    """Each photograph's own part (6,) of a step."""
-    return list(step[_COMMON:].reshape(-1, _OWN))
 
 
 def _first_guess(first: PosedCamera, pair: Pair) -> Doubles:

@@ -1,0 +1,49 @@
+"""Levenberg-Marquardt minimisation of a cost by its normal equations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+_FIRST, _LEAST, _MOST = 1e-2, 1e-6, 1e6  # damping: share of the diagonal that is added to it
+
+
+def minimised(
+    cost: Callable[[Tensor], float],
+    quadratic: Callable[[Tensor], tuple[Tensor, Tensor]],
+    start: Tensor,
+    iterations: int,
+    *,
+    farthest: float = math.inf,
+    tolerance: float = 1e-5,
+) -> tuple[float, Tensor]:
+    """Least cost and its parameters after at most `iterations` steps.
+
+    Args:
+        cost: of parameters (n,).
+        quadratic: its (n, n) Gauss-Newton Hessian and (n,) gradient at parameters.
+        start: (n,) initial parameters, float64.
+        iterations: most steps.
+        farthest: largest change of a parameter in a step.
+        tolerance: relative decrease of the cost at which it ends.
+    """
+    parameters, damping, least = start.clone(), _FIRST, cost(start)
+    for _ in range(iterations):
+        normal, gradient = quadratic(parameters)
+        candidate, new = parameters, math.inf
+        while not new < least and damping < _MOST:
+            damped = normal + damping * torch.diag(normal.diagonal())
+            step = torch.linalg.solve(damped, gradient).clamp(-farthest, farthest)
+            candidate = parameters - step
+            new = cost(candidate)
+            damping *= 4.0
+        if not new < least:
+            break
+        converged = least - new < tolerance * least
+        parameters, least, damping = candidate, new, max(damping / 16.0, _LEAST)
+        if converged:
+            break
+    return least, parameters
