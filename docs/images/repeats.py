@@ -76,7 +76,7 @@ def lit(maps: MapSet, gain: float) -> Picture:
     )
     alpha = np.square(np.square(maps.roughness[0].numpy().clip(0.05, 1.0)))
     lobe = alpha / (4.0 * np.pi * np.square(np.square(mirrored) * (alpha - 1.0) + 1.0))
-    light_out = maps.diffuse.numpy() + maps.specular[0].numpy() * lobe
+    light_out = maps.diffuse.numpy() + maps.specular.numpy() * lobe
     return framed(srgb_picture((gain * onto * light_out).transpose(1, 2, 0).clip(0.0, 1.0)))
 
 

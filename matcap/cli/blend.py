@@ -13,6 +13,10 @@ from matcap.field.draw_options import BlendOptions
 
 _MARK = "matcap blend"  # in its strip's metadata
 _STRIP = "strip.png"
+_PATTERNLESS = (
+    "A blend of two decoders has their colours, gloss and grain but not their patterns; captures "
+    "without --generator decoder keep them."
+)
 
 
 @with_settings
@@ -28,7 +32,8 @@ def blend(
 ) -> None:
     """Interpolate between two materials: a .matcap file for each step, and a strip of pictures.
 
-    Latent vectors and network weights are interpolated; the ends are A and B themselves.
+    Exemplars are laid over each other and interpolated; of two decoders, latent vectors and
+    network weights. The ends are A and B themselves.
     """
     from functools import partial
 
@@ -52,12 +57,14 @@ def blend(
         own=partial(provenance_says, "blend"),
     )
     ends = Material.load(first), Material.load(second)
-    check_writable(out, 4_000_000 * len(asked.shares))
+    check_writable(out, max(path.stat().st_size for path in (first, second)) * len(asked.shares))
     materials = [between.blend(*ends, t) for t in asked.shares]
     with staged(out) as stage:
         for name, material in zip(names, materials, strict=True):
             material.save(stage / name)
         write_picture(between.strip(materials, seed=asked.seed), stage / _STRIP, _MARK)
     if not quiet:
+        if not any("example" in end.generators for end in ends):
+            typer.echo(_PATTERNLESS, err=True)
         for name in (*names, _STRIP):
             typer.echo(f"wrote {out / name}", err=True)

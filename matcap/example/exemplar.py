@@ -87,6 +87,13 @@ class Exemplar:
         """Whether F0 has three channels."""
         return len(self.specular) == COLOURED
 
+    @staticmethod
+    def certain(stacked: Floats, texel_size: float) -> Exemplar:
+        """Stacked maps (6 or 8, H, W) that are known everywhere: of confidence 1."""
+        diffuse, specular = stacked[DIFFUSE], stacked[SPECULAR]
+        known = np.ones((len(CHANNELS), *stacked.shape[1:]), np.float32)
+        return Exemplar(diffuse, specular, stacked[ROUGHNESS], stacked[HEIGHT], known, texel_size)
+
     def cut(self, rows: slice, columns: slice) -> Exemplar:
         """A rectangle of its texels."""
 

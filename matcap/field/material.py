@@ -33,7 +33,6 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
@@ -54,7 +53,6 @@ GENERATORS: Mapping[Generator, str] = {
     "example": "matcap.example.stored",
     "decoder": "matcap.space.tuned",
 }
-_CODES = "matcap.space.code"  # computes latent vectors; imported on demand
 
 
 PartKind = TypeVar("PartKind")
@@ -123,12 +121,6 @@ class Material:
     def alignment(self) -> int:
         """Texels: periods of its field are multiples of this."""
         return self.generator.alignment
-
-    @cached_property
-    def code(self) -> Tensor:
-        """(64,) latent vector in the prior's space; computed at the first access."""
-        latent: Tensor = import_module(_CODES).code_of(self)
-        return latent
 
     def maps(
         self,

@@ -1,8 +1,9 @@
-"""Interpolation of two materials: latent vectors and decoder weights, then freezing.
+"""Interpolation of two materials.
 
-Linear interpolation of latent vector, weights, lattice, texel size and flash setup
-[henzler2021, sec. 4.7]. A material without a decoder of its own is represented by its latent vector
-and the prior's decoder. Shares 0 and 1 return the given materials unchanged.
+Where both have exemplars, these are interpolated (example/interpolate.py). Between two decoders the
+latent vector, weights, lattice, texel size and flash setup are interpolated linearly [henzler2021,
+sec. 4.7], and statistics frozen again; of a decoder and an exemplar, the decoder's is a rectangle
+of its field. Shares 0 and 1 return the given materials unchanged.
 """
 
 from __future__ import annotations
@@ -16,14 +17,20 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
+from matcap.example.correspondence import drawing_of
+from matcap.example.example import Example
+from matcap.example.exemplar import Exemplar
+from matcap.example.interpolate import interpolated
+from matcap.example.variety import with_chosen_variety
 from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_rectified
-from matcap.space.code import tuned_of
 from matcap.space.decoder import Decoder, with_cells
 from matcap.space.freeze import freeze
 from matcap.space.tuned import TunedDecoder
-from matcap.statistics.lattice import Wave
+from matcap.statistics.lattice import Wave, find_lattice
+
+_DRAWN = (512, 384)  # texels of a decoder's field that are its exemplar
 
 
 def blend(first: Material, second: Material, share: float) -> Material:
@@ -31,40 +38,78 @@ def blend(first: Material, second: Material, share: float) -> Material:
 
     Raises:
         UsageError: a share outside [0, 1].
-        MatcapError: decoders of different configurations, or a material without a latent vector
-            (code.code_of).
+        MatcapError: two decoders of different configurations.
     """
     if not 0.0 <= share <= 1.0:
         raise UsageError(f"the share {share:g} is not between 0 and 1", where="-t")
     if share in (0.0, 1.0):
         return second if share else first
-    ends = tuned_of(first), tuned_of(second)
-    shapes = {replace(end.decoder.config, cells=0) for end in ends}
-    if len(shapes) > 1:
+    check_blendable(first, second)
+    name = f"{first.name}_{second.name}_{share:g}"
+    setup = _blend_setups(first.setup, second.setup, share)
+    provenance = {"blend": [first.name, second.name], "share": share}
+    decoders = _decoders(first, second)
+    if decoders is not None:
+        return _blend_decoders(*decoders, share).material(name, setup, provenance)
+    exemplar = interpolated(_exemplar_of(first), _exemplar_of(second), share)
+    example = _indexed(exemplar)
+    return Material(name, {"example": example}, exemplar.texel_size, setup, provenance)
+
+
+def check_blendable(first: Material, second: Material) -> None:
+    """Raise what blend() would raise.
+
+    Raises:
+        MatcapError: two decoders of different configurations.
+    """
+    decoders = _decoders(first, second) or ()
+    if len({replace(one.decoder.config, cells=0) for one in decoders}) > 1:
         raise MatcapError(
             "the decoders have different shapes",
             where=f"{first.name} and {second.name}",
             remedy="capture both with the same matcap and prior",
         )
-    one, other = _of_one_shape(ends[0].decoder, ends[1].decoder)
+
+
+def _decoders(first: Material, second: Material) -> tuple[TunedDecoder, TunedDecoder] | None:
+    """The decoders of both, or None where either has an exemplar."""
+    one, other = (material.generator for material in (first, second))
+    if isinstance(one, TunedDecoder) and isinstance(other, TunedDecoder):
+        return one, other
+    return None
+
+
+def _exemplar_of(material: Material) -> Exemplar:
+    example = material.part(Example)
+    if example is not None:
+        return example.exemplar
+    maps = material.maps(*_DRAWN)
+    return Exemplar.certain(maps.stacked().numpy(), maps.texel_size)
+
+
+def _indexed(exemplar: Exemplar) -> Example:
+    """Index an exemplar, with the lattice of its drawing."""
+    drawing = torch.from_numpy(drawing_of(exemplar))
+    waves = find_lattice(drawing[None], torch.ones(drawing.shape, dtype=torch.bool)).waves
+    lattice = tuple((wave.fx, wave.fy) for wave in waves)
+    return with_chosen_variety(Example.of(exemplar, lattice))
+
+
+def _blend_decoders(first: TunedDecoder, second: TunedDecoder, share: float) -> TunedDecoder:
+    one, other = _of_one_shape(first.decoder, second.decoder)
     decoder = copy.deepcopy(one)
     towards = other.state_dict()
     with torch.no_grad():
         for name, weight in decoder.state_dict().items():
             weight.lerp_(towards[name], share)
-    code = torch.lerp(ends[0].code, ends[1].code, share)
-    waves = blend_waves(ends[0].waves, ends[1].waves, share)
-    tuned = TunedDecoder(
+    code = torch.lerp(first.code, second.code, share)
+    waves = blend_waves(first.waves, second.waves, share)
+    return TunedDecoder(
         decoder=decoder.eval().requires_grad_(False),
         code=code,
         moments=tuple(freeze(decoder, code, waves)),
         waves=waves,
         texel_size=_between(first.texel_size, second.texel_size, share),
-    )
-    return tuned.material(
-        f"{first.name}_{second.name}_{share:g}",
-        _blend_setups(first.setup, second.setup, share),
-        {"blend": [first.name, second.name], "share": share},
     )
 
 
@@ -106,11 +151,15 @@ def strip(materials: Sequence[Material], size: int = 256, seed: int = 0) -> NDAr
 
 
 def _blend_setups(first: FlashSetup, second: FlashSetup, share: float) -> FlashSetup:
+    """Interpolate two setups; of a portrait and a landscape, only the intensity."""
+
     def mix(a: tuple[float, ...], b: tuple[float, ...]) -> list[float]:
         return [_between(x, y, share) for x, y in zip(a, b, strict=True)]
 
-    x, y, z = mix(first.offset, second.offset)
     red, green, blue = mix(first.intensity, second.intensity)
+    if first.turned != second.turned:
+        return (second if share > 0.5 else first).with_intensity((red, green, blue))
+    x, y, z = mix(first.offset, second.offset)
     tilt_x, tilt_y = mix(first.tilt, second.tilt)
     return FlashSetup(
         fov=_between(first.fov, second.fov, share),
@@ -119,6 +168,7 @@ def _blend_setups(first: FlashSetup, second: FlashSetup, share: float) -> FlashS
         intensity=(red, green, blue),
         vignetting=_between(first.vignetting, second.vignetting, share),
         vignetting_quartic=_between(first.vignetting_quartic, second.vignetting_quartic, share),
+        turned=first.turned,
     )
 
 

@@ -14,7 +14,7 @@ With heights h1, h2 less their means m1, m2, and the sum d of their standard dev
 w is limited so that it is exactly 0 at s = 0 and 1 at s = 1. s depends on the texel alone, so that
 blocks and workers change no bit.
 
-space/between.py is something else: it interpolates two decoders to a single material.
+space/between.py is something else: it interpolates two materials to a single one.
 """
 
 from __future__ import annotations

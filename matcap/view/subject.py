@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     )
     from matcap.view.moments import Planes
 
-_FIELDS = 8  # fields cached, by seed and share
+_FIELDS = 8  # fields cached, by seed and share; and blends, by share
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,8 @@ class Materials:
 
     def __init__(self, first: Material, second: Material | None = None, seed: int = 0) -> None:
         self.first, self.second, self.seed = first, second, seed
-        self._averages: dict[int, Callable[[], ExemplarAverages]] = {}
+        self._blended = lru_cache(_FIELDS)(self._blend)
+        self._averages = lru_cache(_FIELDS)(self._averages_at)
         self._field = lru_cache(_FIELDS)(self._open)
         self._field(seed, 0.0)  # to raise errors here
 
@@ -133,6 +134,9 @@ class Materials:
         Raises:
             UsageError: there is no second material.
         """
+        return self._blended(share)
+
+    def _blend(self, share: float) -> Material:
         if self.second is not None:
             from matcap.space.between import blend
 
@@ -182,17 +186,15 @@ class Materials:
         example = material.part(Example)
         if example is None:
             return NetworkLevels.of(material, seed)
-        return ExampleLevels(example, seed, self._averages_of(example))
+        return ExampleLevels(example, seed, partial(self._averages, share))
 
-    def _averages_of(self, example: Example) -> Callable[[], ExemplarAverages]:
-        """Averages of an exemplar, computed at the first call and shared by all seeds."""
+    def _averages_at(self, share: float) -> ExemplarAverages:
+        """Averages of the exemplar at a share, shared by all seeds."""
         from matcap.view.level_of_detail import ExemplarAverages
 
-        # There are at most two exemplars.
-        key = id(example)
-        if key not in self._averages:
-            self._averages[key] = cache(lambda: ExemplarAverages(example.exemplar))
-        return self._averages[key]
+        example = self.at(share).part(Example)
+        assert example is not None
+        return ExemplarAverages(example.exemplar)
 
 
 @dataclass(frozen=True)
@@ -265,7 +267,7 @@ def open_subject(
             is preferred to its map set.
         second: a material to blend with.
         seed: of the realisation shown first.
-        read: options of reading the first; blends are always the decoder's.
+        read: options of reading the first.
 
     Raises:
         MatcapError: nothing to open, more than one thing, a broken file, or materials that cannot
@@ -277,9 +279,13 @@ def open_subject(
     file = _material_in(path)
     if file is not None:
         first = Material.load(file).by(read.generator).varied(read.variety)
-        subject = Materials(first, Material.load(second) if second else None, seed)
-        subject.at(0.0 if second is None else 0.5)  # raises where the two cannot be blended
-        return subject
+        if second is None:
+            return Materials(first, None, seed)
+        from matcap.space.between import check_blendable
+
+        other = Material.load(second)
+        check_blendable(first, other)
+        return Materials(first, other, seed)
     from matcap.brdf.folder import read_mapset
 
     maps, document = read_mapset(path)

@@ -175,22 +175,6 @@ def test_an_inspection_and_a_comparison_show_the_colour(tmp_path, capsys):
     assert main(["compare", *files, "-o", out, "-q"]) == 0
 
 
-def test_the_decoders_space_takes_a_metal_for_its_photograph():
-    """What a network is shown of it is a picture, under whatever light it was photographed."""
-    from matcap.space.code import _rerendered
-
-    material = replace(
-        a_material("hue", example=a_coloured_example()).by("example"),
-        provenance={
-            "coarse": {
-                "diffuse": [0.3, 0.2, 0.1], "specular": 0.5, "roughness": 0.4, "residual": 0.1
-            }
-        },
-    )  # fmt: skip
-    seen = _rerendered(material)
-    assert seen.pixels.shape == (144, 176, 3) and np.isfinite(seen.pixels).all()
-
-
 def test_patches_of_metal_are_not_taken_for_slow_light():
     """Half rust, half metal, more of the one here and of the other there: nothing to level."""
     random = np.random.default_rng(2)

@@ -2,11 +2,16 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
+from example.exemplars import PERIODS, blobs, bricks
+from materials import a_material
 
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
+from matcap.example.example import Example
+from matcap.example.interpolate import interpolated
 from matcap.field.material import Material
 from matcap.space.between import blend, blend_waves
 from matcap.space.decoder import Decoder, DecoderConfig
@@ -94,6 +99,47 @@ def test_the_command_writes_materials_and_a_strip(prior, tmp_path, capsys):
     ]
     end = Material.load(out / "a_b_1.000.matcap").maps(64, 64).stacked()
     assert torch.equal(end, Material.load(b).maps(64, 64).stacked())
+
+
+def test_exemplars_are_blended_to_an_exemplar_that_the_command_writes(tmp_path, capsys):
+    spots, wall = Example.of(blobs()), Example.of(bricks())
+    for name, example in (("spots", spots), ("wall", wall)):
+        a_material(name, example=example).by("example").save(tmp_path / f"{name}.matcap")
+    a, b, out = tmp_path / "spots.matcap", tmp_path / "wall.matcap", tmp_path / "out"
+    assert main(["blend", str(a), str(b), "-o", str(out)]) == 0
+    assert "patterns" not in capsys.readouterr().err
+    middle = Material.load(out / "spots_wall_0.500.matcap")
+    assert set(middle.generators) == {"example"}
+    wanted = interpolated(spots.exemplar, wall.exemplar, 0.5).rounded().stacked()
+    assert np.array_equal(middle.part(Example).exemplar.stacked(), wanted)
+
+
+def test_a_lattice_is_found_again_and_patches_keep_to_it():
+    wall, spots = bricks(400, 320), Example.of(blobs(400, 320))
+    wall = Example.of(replace(wall, diffuse=wall.roughness.repeat(3, axis=0)))  # of one colour
+    ends = [a_material(example=example).by("example") for example in (wall, spots)]
+    found = blend(*ends, 0.1).part(Example).index.lattice
+    rows = [np.hypot(*wave) for wave in found.waves]
+    assert np.abs(np.subtract.outer(rows, 1.0 / np.array(PERIODS))).min() < 1e-3
+
+
+def test_the_command_says_that_decoders_lose_their_patterns(prior, tmp_path, capsys):
+    for seed, name in ((1, "a"), (2, "b")):
+        prior.draw(seed).save(tmp_path / f"{name}.matcap")
+    a, b, out = str(tmp_path / "a.matcap"), str(tmp_path / "b.matcap"), str(tmp_path / "out")
+    assert main(["blend", a, b, "-o", out]) == 0
+    assert capsys.readouterr().err.count("not their patterns") == 1
+
+
+def test_setups_of_a_portrait_and_a_landscape_keep_the_nearer_ones_geometry():
+    example = Example.of(blobs())
+    lying = a_material("lying", example=example).by("example")
+    standing = replace(
+        lying,
+        setup=replace(lying.setup, turned=True, tilt=(0.1, 0.0), intensity=(3.0, 3.0, 3.0)),
+    )
+    assert blend(lying, standing, 0.25).setup == lying.setup.with_intensity((1.5, 1.5, 1.5))
+    assert blend(lying, standing, 0.75).setup == standing.setup.with_intensity((2.5, 2.5, 2.5))
 
 
 @pytest.mark.parametrize("share", ["2", "0:1", "0:1:1", "a", "-1", "0:2:3"])

@@ -11,13 +11,14 @@ from threading import Event
 import numpy as np
 import pytest
 import torch
-from example.exemplars import an_example
+from example.exemplars import an_example, blobs, bricks
 from materials import a_material
 from PIL import Image
 from random_maps import random_maps
 
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
 from matcap.errors import MatcapError
+from matcap.example.example import Example
 from matcap.field.field import Field
 from matcap.field.plane import Rectangle
 from matcap.files.exr import write_exr
@@ -199,6 +200,18 @@ def test_two_that_cannot_be_blended_can_be_compared(material):
     assert pair.moments(0, Rectangle(0, 0, 8, 8), seed=0, share=1.0)[0].shape[1:] == (8, 8)
     with pytest.raises(MatcapError, match="different shapes"):
         pair.moments(0, Rectangle(0, 0, 8, 8), seed=0, share=0.5)
+
+
+def test_a_blend_of_exemplars_has_averages_of_its_own():
+    spots, wall = (
+        a_material(example=Example.of(exemplar)).by("example") for exemplar in (blobs(), bricks())
+    )
+    pair = Materials(spots, wall)
+    first, middle, last = (
+        float(pair.moments(6, Rectangle(0, 0, 9, 9), seed=0, share=share)[0][0].mean())
+        for share in (0.0, 0.5, 1.0)
+    )
+    assert middle == pytest.approx((first + last) / 2.0, abs=0.2 * abs(last - first))
 
 
 def test_share_blends(client, subject):

@@ -22,7 +22,6 @@ from matcap.example.example import Example, detail_bits
 from matcap.example.exemplar import Exemplar
 from matcap.example.variety import with_chosen_variety
 from matcap.field.plane import Rectangle
-from matcap.lab.bench.methods import exemplar_of
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
@@ -142,7 +141,8 @@ def seams(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
 
 def true_example(maps: MapSet) -> Example:
     """True maps as an exemplar, indexed as by a capture."""
-    exemplar, (width, height) = exemplar_of(maps), maps.size
+    exemplar = Exemplar.certain(maps.stacked().float().numpy(), maps.texel_size)
+    width, height = maps.size
     colour = torch.from_numpy(exemplar.diffuse).clamp(0.0, 1.0) ** (1.0 / 2.2)
     lattice = find_lattice(colour, torch.ones(height, width, dtype=torch.bool))
     return with_chosen_variety(Example.of(exemplar, tuple((w.fx, w.fy) for w in lattice.waves)))

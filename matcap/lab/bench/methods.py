@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 
-from matcap.brdf.maps import CHANNELS, MapSet
+from matcap.brdf.maps import MapSet
 from matcap.capture.piece.find import piece_maps
 from matcap.capture.pipeline import capture_file
 from matcap.capture.result import CaptureResult
@@ -79,12 +78,5 @@ def true_exemplar(
     material: str, width: int, height: int, seed: int = 11, detail: int = 1024
 ) -> Exemplar:
     """The true maps of a simulated material as an exemplar."""
-    return exemplar_of(realise(material, width, height, seed, 2.0 / detail))
-
-
-def exemplar_of(maps: MapSet) -> Exemplar:
-    """True maps as an exemplar of confidence 1 everywhere."""
-    planes = {name: np.ascontiguousarray(getattr(maps, name).float().numpy()) for name in CHANNELS}
-    width, height = maps.size
-    trusted = np.ones((len(CHANNELS), height, width), np.float32)
-    return Exemplar(**planes, confidence=trusted, texel_size=maps.texel_size)
+    maps = realise(material, width, height, seed, 2.0 / detail)
+    return Exemplar.certain(maps.stacked().float().numpy(), maps.texel_size)

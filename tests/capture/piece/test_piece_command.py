@@ -60,12 +60,12 @@ def test_the_material_holds_the_piece_and_is_read_by_it(folder: Path) -> None:
         material.maps(48, 48, generator="decoder")
 
 
-def test_a_material_without_a_decoder_has_a_place_in_the_papers_space(folder: Path) -> None:
+def test_it_is_blended_with_a_decoders_field(folder: Path) -> None:
     material = Material.load(folder / f"{folder.name}.matcap")
-    assert material.code.shape == (64,) and bool(material.code.isfinite().all())
     drawn = load_prior().draw(3)
     between = blend(material, drawn, 0.5)
-    assert set(between.generators) == {"decoder"}
+    assert set(between.generators) == {"example"}
+    assert between.texel_size == pytest.approx((material.texel_size * drawn.texel_size) ** 0.5)
     assert bool(between.maps(48, 48).diffuse.isfinite().all())
     assert blend(material, drawn, 0.0) is material
 
