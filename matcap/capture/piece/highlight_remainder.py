@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.photo.shrink import area_averaged
+
 Floats = NDArray[np.float32]
 
 
@@ -37,9 +39,10 @@ def remaining_highlight(
         distance: (H, W) distance from the mirror point, texels.
     """
     step = max(1, max(known.shape) // _CELLS)
+    size = (known.shape[1] // step, known.shape[0] // step)
     log = np.log(np.maximum(albedo, 1e-3)).mean(0) * known
     total, share, distances = (
-        _averaged(plane, step) for plane in (log, known.astype(np.float32), distance / step)
+        area_averaged(plane, size) for plane in (log, known.astype(np.float32), distance / step)
     )
     radius = missed = 0
     for inner in range(0, _WIDEST, _WIDTH):
@@ -51,12 +54,6 @@ def remaining_highlight(
             if missed == _MISSED:
                 break
     return np.asarray((distance < (radius + 1) * step) & (radius > 0))
-
-
-def _averaged(plane: Floats, step: int) -> Floats:
-    """(h, w) means over squares of `step` texels."""
-    size = (plane.shape[1] // step, plane.shape[0] // step)
-    return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def _stands_out(total: Floats, share: Floats, distances: Floats, inner: int) -> bool | None:

@@ -35,6 +35,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.camera import Lens, PosedCamera
 from matcap.flash.registration.grid import grid_points, to_pixels
 from matcap.flash.registration.register import RegisteredView
+from matcap.photo.shrink import area_averaged
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
@@ -119,7 +120,7 @@ def _looked_up(view: RegisteredView, image: Doubles) -> Floats:
     rows, columns = pixels.shape[:2]
     shrink = min(1.0, 2.0 * image.shape[2] / columns)
     size = (round(columns * shrink), round(rows * shrink))
-    log = np.log(np.maximum(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), 1e-4)).mean(2)
+    log = np.log(np.maximum(area_averaged(pixels, size), 1e-4)).mean(2)
     x, y = to_pixels(image, *size)
     looked_up = cv2.remap(log, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
     return np.asarray(looked_up, np.float32)
