@@ -34,7 +34,7 @@ class Prediction:
     workers: int
     """Worker processes."""
     seconds_each: float | None
-    """Seconds a sample takes one worker; None if no photograph could be tried."""
+    """Wall time, seconds, of a sample on one worker; None if no photograph could be tried."""
     bytes_each: int
     """Disk space of a material."""
     worker_bytes: int
@@ -46,7 +46,7 @@ class Prediction:
 
     @property
     def seconds(self) -> float | None:
-        """Seconds of the whole batch."""
+        """Wall time of the whole batch, seconds, if nothing else uses the processor."""
         if self.seconds_each is None:
             return None
         return self.seconds_each * -(-self.todo // self.workers)
@@ -58,7 +58,7 @@ class Prediction:
         pace = "time unknown"
         if self.seconds is not None and self.seconds_each is not None:
             each = spoken_duration(self.seconds_each)
-            pace = f"about {spoken_duration(self.seconds)}, {each} each"
+            pace = f"about {spoken_duration(self.seconds)} of wall time, {each} each"
         full = "" if self.bytes_each * self.todo < self.free_bytes else ", more than is free"
         return (
             f"{self.todo} to capture with {self.workers} workers: {pace} ({self.measured}); "
@@ -107,7 +107,7 @@ def predict(prepared: Prepared) -> Prediction:
                 break
             try:
                 seconds, size = _trial(entry.sample.photos, settings)
-                how = f"measured on {entry.sample.photos[0].name}"
+                how = f"measured on {entry.sample.photos[0].name} alone, longer beside other work"
             except MatcapError:
                 continue
     return Prediction(
