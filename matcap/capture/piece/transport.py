@@ -258,7 +258,9 @@ def _discontinuity(
     rows, columns = 2 * np.array(np.nonzero(known[here]))
     if not rows.size:
         return np.zeros(len(blocks), np.float32)
-    there = donor[blocks[:, :1] + rows, blocks[:, 1:] + columns]
+    wide = donor.shape[1]
+    texels = blocks[:, :1] * wide + blocks[:, 1:] + (rows * wide + columns)
+    there = np.take(donor.reshape(-1, donor.shape[2]), texels, axis=0)
     difference = np.square(there - seen[place[0] + rows, place[1] + columns])
     return np.asarray(difference.clip(0.0, _FARTHEST).mean((1, 2)), np.float32)
 
