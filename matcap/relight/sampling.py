@@ -76,7 +76,7 @@ class Sampler:
 
     def _aligned(self, column: Array, row: Array) -> SurfaceSample | None:
         """Texels themselves, where places are a grid of adjacent texel centres; else None."""
-        if column.shape[0] != 1 or row.shape[1] != 1:
+        if column.ndim != 2 or column.shape[0] != 1 or row.shape[1] != 1:
             return None
         first, top = round(float(column[0, 0])), round(float(row[0, 0]))
         right, below = first + column.shape[1], top + row.shape[0]

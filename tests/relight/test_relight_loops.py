@@ -102,6 +102,19 @@ def pixels(relief, generator, *, framed=False, effects=EVERY, count=COUNT, rough
     return Block(context, hits, height, sample, np.zeros(count, dtype=int))
 
 
+def test_a_lone_pixel_is_looked_up_as_among_others():
+    """One hit of a mesh's tip is an array of one place, which is no grid of texels."""
+    sampler = Sampler(Texture.from_maps(bumpy(8, 8)), 1.0)
+    u, v = (np.array([0.013, 0.4], np.float32) for _ in range(2))
+    alone, beside = sampler.read((u[:1], v[:1])), sampler.read((u, v))
+    for one, other in zip(
+        (*alone.diffuse, alone.alpha, *alone.normal),
+        (*beside.diffuse, beside.alpha, *beside.normal),
+        strict=True,
+    ):
+        assert one == pytest.approx(other[:1])
+
+
 def shone(block, rays):
     """(3, N) radiance and (9, N) flow of rays: unit vectors and irradiance, all of radiance 1."""
     total, flow = np.zeros((3, COUNT)), np.zeros((9, COUNT))
