@@ -208,11 +208,12 @@ def _choose(
     """Corner of the donor block of every place; distinct places keep their maps, without entry."""
     rng = np.random.default_rng(0)
     known, seen = known.copy(), drawn.seen.copy()
-    allowed = set(map(tuple, donors.tolist()))
+    allowed = np.zeros(known.shape, np.bool_)
+    allowed[donors[:, 0], donors[:, 1]] = True
     chosen: dict[tuple[int, int], tuple[int, int]] = {}
     for place in places:
         blocks = donors[rng.integers(len(donors), size=_TRIED)]
-        follow = [s for s in _continued(place, chosen) if s in allowed]
+        follow = [(y, x) for y, x in _continued(place, chosen) if min(y, x) >= 0 and allowed[y, x]]
         if follow:
             blocks = np.concatenate([blocks, np.array(follow)])
         torn = _discontinuity(place, blocks, drawn.seen, seen, known)
