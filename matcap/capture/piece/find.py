@@ -30,7 +30,7 @@ from matcap.capture.piece.levels import LevelPrior, fit_levels
 from matcap.capture.piece.metal import metal_share
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse, NetworkAnswer
 from matcap.capture.piece.observation import Observation, seen_share
-from matcap.capture.piece.refine import Refined, flatten, refine, remaining
+from matcap.capture.piece.refine import Refined, flatten, refine, remaining, with_photographed_mean
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.transport import transport
@@ -362,7 +362,10 @@ def _rerendered(
         metal=metal,
         noise=observed.noise,
     )
-    return replace(prediction, departures=evened(observed, prediction, refined.departures))
+    even = evened(observed, prediction, refined.departures)
+    photograph = observed.plane.linear, observed.shown
+    departures = with_photographed_mean(even, *photograph, observed.light, metal)
+    return replace(prediction, departures=departures)
 
 
 def piece_maps(exemplar: Exemplar) -> MapSet:

@@ -48,6 +48,7 @@ _CHROMA = 0.3
 # The long side over the standard deviation of the blur that is subtracted from albedo, as the
 # sample is stationary.
 _STATIONARY = 8.0
+_MOST_SHIFT = 2.0  # largest factor on the mean radiance
 _THINNED = 3  # subsampling, texels, of least-squares sums over smooth planes
 
 
@@ -247,6 +248,42 @@ def refine(
             specular=departures.specular + bare * common,
         )
     return remaining(departures, linear, valid, light)
+
+
+@torch.no_grad()
+def with_photographed_mean(
+    departures: SurfaceParameters,
+    linear: Tensor,
+    valid: Tensor,
+    light: PieceLight,
+    metal: Tensor | None = None,
+) -> SurfaceParameters:
+    """Shift log albedo, and F0 of metal, so that the mean radiance is the photograph's.
+
+        shift = log(sum w (L - R) / sum w B),    w = B / (B + R) / U,
+
+    for each channel, with photographed radiance L, rendered radiance B + R whose part B is
+    proportional to albedo (of metal: F0), and the radiance U of the uniform material. Contrast that
+    refinement adds to log albedo changes the mean radiance: of a black and white weave by 1.5.
+
+    Args:
+        departures, linear, valid, light, metal: as of refine.
+    """
+    log, diffuse_share = light.rendered(light.maps(departures))
+    even, _ = light.rendered(light.maps(departures - departures))
+    bare = torch.zeros_like(log[:1]) if metal is None else metal
+    share = (1.0 - bare) * diffuse_share + bare * (1.0 - diffuse_share)
+    radiance = log.exp()
+    weight = valid * share / even.exp()
+    photographed = (weight * (linear - (1.0 - share) * radiance)).sum((1, 2))
+    rendered = (weight * share * radiance).sum((1, 2)).clamp_min(1e-9)
+    ratio = (photographed / rendered).clamp(1.0 / _MOST_SHIFT, _MOST_SHIFT)
+    shift = ratio.log()[:, None, None]
+    return replace(
+        departures,
+        diffuse=departures.diffuse + (1.0 - bare) * shift,
+        specular=departures.specular + bare * shift.mean(),
+    )
 
 
 def remaining(

@@ -32,6 +32,7 @@ from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.rectify import inside
+from matcap.flash.render import render_flash
 from matcap.lab.inverse.train import save_inverse
 
 
@@ -60,6 +61,22 @@ def test_the_piece_re_renders_to_its_photograph() -> None:
     # Brightness is the truth's, whatever the network has learnt yet.
     ratio = maps.diffuse.mean((1, 2)) / shot.maps.diffuse.mean((1, 2))
     assert float((ratio.log()).abs().max()) < 0.25
+
+
+def test_a_black_and_white_weave_is_as_bright_as_photographed() -> None:
+    """Strong contrast of log albedo does not change the mean radiance."""
+    shot = photographed(0.05, 0.0, width=256, height=192)
+    y, x = np.mgrid[0:192, 0:256]
+    dark = (x // 12) % 2 + (y // 12) % 2
+    tone = np.array([0.8, -1.2, -3.5], np.float32)[dark]
+    maps = replace(shot.maps, diffuse=shot.maps.diffuse * torch.from_numpy(tone).exp())
+    linear = render_flash(maps, shot.uniform.setup, shot.points)
+    mean = tuple(maps.diffuse.mean((1, 2)).tolist())
+    coarse = CoarseFit(mean, 0.04, 0.7, shot.uniform.setup, residual=0.0)
+    found = _found(plane_of(linear, torch.ones(192, 256, dtype=torch.bool)), coarse)
+    again = render_flash(piece_maps(found.exemplar), shot.uniform.setup, shot.points)
+    ratio = again.mean((1, 2)) / linear.mean((1, 2)) / found.scale
+    assert float(ratio.log().abs().max()) < 0.03
 
 
 def test_even_an_untaught_network_gives_maps_within_their_ranges() -> None:

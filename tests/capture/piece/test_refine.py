@@ -10,7 +10,7 @@ from photographed import photographed
 
 from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.piece.network.network import ExpectedErrors
-from matcap.capture.piece.refine import PieceLight, flatten, refine
+from matcap.capture.piece.refine import PieceLight, flatten, refine, with_photographed_mean
 
 ERRORS = ExpectedErrors.from_stacked(torch.log(torch.tensor([0.2, 0.1, 0.1, 0.1]))[:, None, None])
 
@@ -60,6 +60,36 @@ def test_slow_drift_is_not_the_materials() -> None:
     )
     assert float((refined.departures - truth).diffuse.mean((0, 1)).diff().abs().mean()) < 1e-3
     assert float(refined.slow.abs().mean()) > 0.04
+
+
+def test_the_mean_radiance_is_the_photographs_in_every_channel() -> None:
+    """Whatever the texture's contrast; a few clipped texels do not count."""
+    shot, valid, truth, _ = _setting(contrast=0.5)
+    light = PieceLight.of(shot.uniform, shot.points)
+    off = _paler(truth, torch.tensor([-0.4, -0.3, 0.1])[:, None, None])
+    clipped = shot.linear.clone()
+    clipped[:, :20] = 9.0
+    valid[:20] = False
+    found = with_photographed_mean(off, clipped, valid.expand(3, -1, -1), light)
+    assert _largest(found - truth) < 0.01
+    # Of half the contrast the mean log radiance differs, the mean radiance does not.
+    mean = truth.diffuse.mean((1, 2), keepdim=True)
+    fainter = replace(truth, diffuse=mean + 0.5 * (truth.diffuse - mean))
+    found = with_photographed_mean(fainter, shot.linear, valid.expand(3, -1, -1), light)
+    ratio = light.rendered(light.maps(found))[0].exp().mean((1, 2)) / shot.linear.mean((1, 2))
+    assert float(ratio.log().abs().max()) < 0.02
+
+
+def test_the_mean_of_a_metals_radiance_is_its_f0() -> None:
+    shot, valid, truth, _ = _setting()
+    light = PieceLight.of(shot.uniform, shot.points)
+    metal = replace(truth, diffuse=truth.diffuse - 9.0, specular=truth.specular + 2.0)
+    linear = light.rendered(light.maps(metal))[0].exp()
+    off = replace(metal, specular=metal.specular - 0.3)
+    one = torch.ones_like(metal.specular)
+    found = with_photographed_mean(off, linear, valid.expand(3, -1, -1), light, one)
+    assert float((found.specular - metal.specular).abs().max()) < 0.01
+    assert torch.equal(found.diffuse, off.diffuse)
 
 
 def test_clipped_texels_are_lower_bounds() -> None:
