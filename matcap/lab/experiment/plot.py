@@ -22,14 +22,14 @@ def draw(
     least: float | None = None,
     best: Sequence[Mean] | None = None,
 ) -> None:
-    """Draw one column against another, the Pareto front joined and named, as a PNG.
+    """Draw one column against another as a PNG, the Pareto front joined, numbered and listed.
 
     Args:
         averages: the means; whiskers show the spread over their subjects.
         path: of the picture.
         axes: columns along x (logarithmic) and y.
         title: above it.
-        labels: names to write next to configurations that are not on the front.
+        labels: names of configurations; those that are not on the front are listed too.
         least: lower limit of a logarithmic y axis; None for a linear one.
         best: the front; by default of the configurations measured on the most subjects.
 
@@ -37,7 +37,7 @@ def draw(
         MatcapError: matplotlib is not installed, or the file cannot be written.
     """
     x, y = axes
-    figure = new_figure((9.0, 5.6))
+    figure = new_figure((10.5, 5.6))
     plot = figure.add_subplot()
     for group in dict.fromkeys(mean.group for mean in averages):
         of = [mean for mean in averages if mean.group == group]
@@ -47,14 +47,15 @@ def draw(
     best = front(comparable(averages), x, y) if best is None else best
     line = [mean[x] for mean in best], [mean[y] for mean in best]
     plot.plot(*line, color="0.4", linewidth=1.0, zorder=0, label="Pareto front")
-    for mean in averages:
-        name = labels.get(mean.configuration) or (mean.configuration if mean in best else "")
-        place = (mean[x], mean[y])
-        turn = 25 if mean.configuration in labels else -25  # neighbours are closer than names long
+    named = [mean for mean in averages if mean in best or mean.configuration in labels]
+    key = []
+    for number, mean in enumerate(sorted(named, key=lambda mean: mean[x]), start=1):
+        name = labels.get(mean.configuration) or mean.configuration
+        key.append(f"{number}  {name}: {mean[x]:.3g}, {mean[y]:.3g}")
         plot.annotate(
-            name, place, xytext=(4, turn // 4), textcoords="offset points", fontsize=7,
-            rotation=turn, rotation_mode="anchor",
-        )  # fmt: skip
+            str(number), (mean[x], mean[y]), xytext=(5, 4), textcoords="offset points", fontsize=9
+        )
+    plot.text(1.02, 1.0, "\n".join(key), transform=plot.transAxes, va="top", fontsize=8)
     if averages and min(mean[x] for mean in averages) > 0:
         plot.set_xscale("log")
         # 1, 2 and 5 of every decade: all nine run into each other where points are hours apart.
@@ -65,7 +66,7 @@ def draw(
         plot.set_yscale("symlog", linthresh=least)
         plot.set_ylim(bottom=0.0)
     plot.set_xlabel(x)
-    plot.set_ylabel(y)
+    plot.set_ylabel(f"{y} (less is better)")
     plot.set_title(title, fontsize=10)
     plot.grid(alpha=0.25, which="both")
     plot.legend(fontsize=7)
