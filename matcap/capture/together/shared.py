@@ -50,6 +50,9 @@ _FARTHEST = 2.0  # largest displacement of a photograph in a step, texels
 # photograph alone has flash, which the prediction has already used; of the log gain of a
 # photograph, and the same if no texel of a mosaic is in two photographs.
 _OFFSET_DEVIATION, _ASTRAY = 0.06, 0.004
+# Largest distance of the flash, along each axis, from where the coarse fit has it, plane units:
+# shading that is not the flash's (folds of cloth, room light) moved it beyond any phone.
+_FARTHEST_FLASH = 0.15
 _GLOSS_DEVIATION, _KNOWN_GLOSS = (0.1, 1.0), (0.01, 0.01)
 _GAIN, _SEPARATE_GAIN = 1.5, 0.03
 
@@ -103,8 +106,9 @@ def shared_step(
     )
     expected, tight = layout.vector(light), layout.deviations(light, moved, *deviations)
     values = expected.clone()
-    # The prior mean of gloss is always the prediction's.
-    expected[_GLOSS] = 0.0
+    # Prior means of gloss and flash offset are always the prediction's and the coarse fit's.
+    expected[_GLOSS], expected[_OFFSET] = 0.0, light.coarse_offset.double()
+    nearest, farthest_flash = (expected[_OFFSET] + side * _FARTHEST_FLASH for side in (-1, 1))
     farthest = _FARTHEST * views[0].extent.texel(parameters.shape[-1])
     for _ in range(_STEPS):
         system = problem.eliminated(some, values)
@@ -112,6 +116,7 @@ def shared_step(
         gradient = _COUNTED * system.gradient + (expected - values) / tight**2
         step = layout.limited(torch.linalg.solve(normal, gradient), farthest)
         values = values + step.clamp(-1.5, 1.5)
+        values[_OFFSET] = values[_OFFSET].clamp(nearest, farthest_flash)
         some = some + system.texels(step)
     moves = [_homography(values[layout.move(k)]) for k in range(1, len(views))]
     return layout.light(values, light), [np.eye(3), *moves]

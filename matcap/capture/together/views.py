@@ -47,6 +47,7 @@ class SetLight:
             scales all slopes.
         lost: (2,) prior standard deviations of `vignetting`, by the camera profile if there is one.
         lean: (3,) direction of the ambient light (AmbientLight.lean).
+        coarse_offset: (2,) `offset` by the first photograph's coarse fit, the mean of its prior.
     """
 
     offset: Tensor
@@ -56,6 +57,7 @@ class SetLight:
     gloss: Tensor = field(default_factory=lambda: torch.zeros(2))
     lost: tuple[float, float] = (0.4, 0.6)
     lean: Tensor = field(default_factory=lambda: torch.tensor(LEAN))
+    coarse_offset: Tensor = field(default_factory=lambda: torch.zeros(2))
 
     @staticmethod
     def of(
@@ -73,6 +75,7 @@ class SetLight:
             torch.zeros(count, 3),
             torch.tensor(setup.intensity).float(),
             lost=RAW_FALLOFF if radiometric else lost,
+            coarse_offset=torch.tensor(setup.offset[:2]).float(),
         )
 
     def onto(self, setup: FlashSetup) -> FlashSetup:

@@ -111,6 +111,18 @@ def test_the_flash_is_found_beside_the_lens():
     assert np.abs(found.offset.numpy() - OFFSET).max() < 0.01
 
 
+def test_shading_that_is_not_the_flash_s_does_not_move_it_off_the_phone():
+    maps = _true(3)
+    views, light = seen([maps] * 5)
+    prior = ParameterPrior.of(Estimate(maps, NOTHING_KNOWN))
+    begun = replace(light, coarse_offset=light.offset)
+    width = views[0].log.shape[-1]
+    shaded = [replace(view, log=view.log + torch.linspace(-2.0, 2.0, width)) for view in views]
+    for _ in range(4):
+        begun, _ = shared_step(shaded, prior.mean, prior, begun)
+    assert np.abs(begun.offset.numpy() - OFFSET).max() < 0.16
+
+
 def test_the_falloff_of_all_photographs_stays_as_near_as_the_camera_s_profile_says():
     maps = _true(3)
     views, light = seen([maps] * 5)
