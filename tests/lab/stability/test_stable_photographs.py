@@ -109,7 +109,8 @@ def test_half_the_exposure_gives_the_same_maps():
     # F0 and roughness are one number each: a class's.
     assert torch.allclose(one.std(1), other.std(1), rtol=0.05, atol=1e-6)
     apart = (one - other).square().mean(1).sqrt()
-    assert bool((apart <= 0.3 * one.std(1) + 1e-6).all())
+    half = torch.finfo(torch.float16).eps * one.abs().amax(1)  # maps are kept in half precision
+    assert bool((apart <= 0.3 * one.std(1) + half).all())
     intensities = [r.material.setup.intensity[0] for r in (bright, dark)]
     assert intensities[1] / intensities[0] == pytest.approx(0.5, rel=0.02)
 

@@ -65,15 +65,18 @@ def test_a_base_is_told_by_code_and_rest(prior, pack):
 def test_draws_are_near_the_anchors_and_bring_their_order(known):
     waves = {known.draw(seed).part(TunedDecoder).waves for seed in range(12)}
     assert waves == {WOVEN, ()}
-    codes = torch.stack([known.draw(seed, spread=0.05).code for seed in range(12)])
+    codes = torch.stack(
+        [known.draw(seed, spread=0.05).part(TunedDecoder).code for seed in range(12)]
+    )
     assert float(torch.cdist(codes, known.anchors.codes).min(dim=1).values.max()) < 0.15 * 8.0
 
 
 def test_a_draw_may_be_near_a_place_of_ones_own(known):
     here = anchor(7, WOVEN)
     at, near, far = (known.draw(3, near=here, spread=t) for t in (0.0, 0.3, 1.0))
+    at, near, far = (material.part(TunedDecoder) for material in (at, near, far))
     assert torch.equal(at.code, here.code)
-    assert [m.part(TunedDecoder).waves for m in (at, near)] == [WOVEN, WOVEN]
+    assert [each.waves for each in (at, near)] == [WOVEN, WOVEN]
     assert float((near.code - here.code).norm()) < float((far.code - here.code).norm())
 
 
