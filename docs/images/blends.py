@@ -50,18 +50,18 @@ def main(file: Path = FILE, *materials: Path) -> None:
     """Make the sheet, and print a table."""
     rows = []
     shares = " | ".join(f"{share:g}" for share in _SHARES[1:-1])
-    print(f"| A, B | apart | to A: {shares} | to B: {shares} |\n|---|---:|{'---:|' * 10}")
+    print(f"| A, B | A to B | to A: {shares} | to B: {shares} |\n|---|---:|{'---:|' * 10}")
     for first, second in _files(materials) if materials else _captured():
         steps = [blend(first, second, share).maps(*_AREA, seed=1) for share in _SHARES]
         rows.append(_row([steps[_SHARES.index(share)] for share in _SHOWN]))
         described = [_described(step) for step in steps]
-        apart = _distance(described[0], described[-1])
+        length = _distance(described[0], described[-1])
         to_both = (
-            f"{_distance(step, end) / apart:.2f}"
+            f"{_distance(step, end) / length:.2f}"
             for end in (described[0], described[-1])
             for step in described[1:-1]
         )
-        print(f"| {first.name}, {second.name} | {apart:.2f} | {' | '.join(to_both)} |", flush=True)
+        print(f"| {first.name}, {second.name} | {length:.2f} | {' | '.join(to_both)} |", flush=True)
     Image.fromarray(np.vstack(rows)).save(file, "JPEG", quality=46, optimize=True)
     print(file, file.stat().st_size // 1024, "KB")
 

@@ -107,7 +107,7 @@ def predict(prepared: Prepared) -> Prediction:
                 break
             try:
                 seconds, size = _trial(entry.sample.photos, settings)
-                how = f"measured on {entry.sample.photos[0].name} alone, longer beside other work"
+                how = f"measured on {entry.sample.photos[0].name} alone, longer under load"
             except MatcapError:
                 continue
     return Prediction(

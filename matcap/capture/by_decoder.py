@@ -29,7 +29,9 @@ from matcap.space.tuning.initialisation import initial_decoder
 from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.match import match_photograph
 
-_LIES = "The photograph is a portrait: the decoder's maps are rotated 90 degrees anticlockwise."
+_PORTRAIT_NOTE = (
+    "The photograph is a portrait: the decoder's maps are rotated 90 degrees anticlockwise."
+)
 
 
 def capture_by_decoder(
@@ -71,7 +73,7 @@ def capture_by_decoder(
     estimate = _piece(shot, clock) if settings.aligned else None
     went = Tuning(tuned.history, own)
     if photo.turned:
-        photo = replace(photo, notes=(*photo.notes, _LIES))
+        photo = replace(photo, notes=(*photo.notes, _PORTRAIT_NOTE))
     return judged(photo, material, shot.rectified, settings, clock, estimate, went)
 
 

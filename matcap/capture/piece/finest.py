@@ -64,8 +64,11 @@ def finest(exemplar: Exemplar, plane: Plane, uniform: Uniform) -> Exemplar:
         left, share = _unshown(maps, plane, light, exemplar.size, noise)
         more = left * share / (share.square() + _HIDDEN)
         maps = replace(maps, diffuse=(maps.diffuse * more.exp()).clamp(*ALBEDO_LIMITS))
+    # Contrast added to log albedo raises the mean; an area's albedo is the mean of its texels'.
+    mean = torch.from_numpy(exemplar.diffuse.mean((1, 2), keepdims=True))
+    diffuse = maps.diffuse * (mean / maps.diffuse.mean((1, 2), keepdim=True))
     return Exemplar(
-        diffuse=maps.diffuse.numpy(),
+        diffuse=diffuse.clamp(*ALBEDO_LIMITS).numpy(),
         specular=maps.specular.numpy(),
         roughness=maps.roughness.numpy(),
         height=maps.height.numpy(),

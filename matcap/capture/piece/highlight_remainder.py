@@ -44,9 +44,10 @@ def remaining_highlight(
     total, share, distances = (
         area_averaged(plane, size) for plane in (log, known.astype(np.float32), distance / step)
     )
+    surroundings = _ring_means(total, share, _WIDEST, _WIDEST + _AROUND)
     radius = missed = 0
     for inner in range(0, _WIDEST, _WIDTH):
-        stands_out = _stands_out(total, share, distances, inner)
+        stands_out = _stands_out(total, share, surroundings, distances, inner)
         if stands_out:
             radius, missed = inner + _WIDTH, 0
         elif stands_out is not None:
@@ -56,19 +57,21 @@ def remaining_highlight(
     return np.asarray((distance < (radius + 1) * step) & (radius > 0))
 
 
-def _stands_out(total: Floats, share: Floats, distances: Floats, inner: int) -> bool | None:
+def _stands_out(
+    total: Floats, share: Floats, surroundings: Floats, distances: Floats, inner: int
+) -> bool | None:
     """Whether the ring from `inner` on has an unusual mean around the mirror point; None: unknown.
 
     Args:
         total: (h, w) sums of log albedo over cells.
         share: (h, w) known share of the cells.
+        surroundings: (h, w) mean over the ring around the largest disc, NaN where unknown.
         distances: (h, w) distance of the cells from the mirror point, cells.
         inner: inner radius of the ring, cells.
     """
     outer = inner + _WIDTH
     ring = _ring_means(total, share, inner, outer)
-    around = _ring_means(total, share, _WIDEST, _WIDEST + _AROUND)
-    contrast = np.where(np.isnan(around), np.nan, ring - around)
+    contrast = ring - surroundings
     at = np.unravel_index(int(distances.argmin()), distances.shape)
     others = contrast[np.isfinite(contrast) & (distances > _WIDEST + outer)]
     if len(others) < 16 or not np.isfinite(contrast[at]):

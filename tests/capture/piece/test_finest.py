@@ -56,6 +56,16 @@ def test_the_piece_is_as_sharp_as_its_photograph(shot) -> None:
     assert sharpness(blurred, plane, shot.uniform) < 0.5
 
 
+def test_grain_does_not_make_albedo_paler(shot) -> None:
+    grain = torch.from_numpy(np.random.default_rng(5).standard_normal((384, 512))).float()
+    maps = replace(shot.maps, diffuse=(0.15 * (0.6 * grain).exp()).expand(3, -1, -1))
+    half = _halved(maps)
+    linear = render_flash(maps, shot.uniform.setup, shot.points)
+    found = finest(half, _plane(linear), shot.uniform)
+    assert np.log(found.diffuse).std() > 1.3 * np.log(half.diffuse).std()
+    assert found.diffuse.mean((1, 2)) == pytest.approx(half.diffuse.mean((1, 2)), rel=0.01)
+
+
 def test_grain_of_albedo_comes_back_and_what_is_coarser_stays(shot) -> None:
     half = _halved(shot.maps)
     found = piece_maps(finest(half, _plane(shot.linear), shot.uniform))
