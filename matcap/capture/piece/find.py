@@ -330,9 +330,8 @@ def inpainted(observed: Observation, prediction: NetworkPrediction) -> Exemplar:
     """Inpaint the exemplar where specular light hides albedo, or is left in it (transport.py)."""
     plane = observed.plane
     exemplar = exemplar_of(observed, prediction)
-    valid = plane.valid.numpy()
     distance = (observed.from_mirror_point / plane.texel_size).numpy()
-    spot = remaining_highlight(exemplar.diffuse, valid, distance)
+    spot = remaining_highlight(exemplar.diffuse, observed.within.numpy(), distance)
     exemplar = replace(exemplar, confidence=exemplar.confidence * ~spot)
     left_out = None if plane.left_out is None else plane.left_out.numpy()
     return transport(exemplar, plane.linear, plane.valid, observed.light, left_out=left_out)

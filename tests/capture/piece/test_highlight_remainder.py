@@ -65,6 +65,22 @@ def test_a_spot_elsewhere_is_the_materials():
     assert not found.any()
 
 
+@pytest.mark.parametrize("off", [(30.0, 0.0), (-12.0, 24.0)])
+def test_a_narrow_core_is_found_off_the_fitted_mirror_point(off):
+    core = away((MIRROR[0] + off[0], MIRROR[1] + off[1])) < 10.0
+    found = remaining_highlight(texture(8) * np.where(core, 2.5, 1.0), KNOWN, away(MIRROR))
+    assert found[core].all()
+    assert found.sum() < 9 * core.sum()
+
+
+def test_a_spot_like_others_of_the_material_is_none():
+    albedo = texture(9)
+    for x in range(20, WIDTH, 64):
+        for y in range(20, HEIGHT, 64):
+            albedo[:, away((float(x), float(y))) < 10.0] = 0.9
+    assert not remaining_highlight(albedo, KNOWN, away(MIRROR)).any()
+
+
 def test_what_is_not_known_is_no_evidence():
     disc = away(MIRROR) < 16.0
     found = remaining_highlight(texture(3) * np.where(disc, 9.0, 1.0), ~disc, away(MIRROR))
@@ -73,8 +89,9 @@ def test_what_is_not_known_is_no_evidence():
 
 def test_a_halo_is_found_around_a_clipped_core():
     halo = (away(MIRROR) > 24.0) & (away(MIRROR) < 48.0)
-    known = away(MIRROR) > 28.0
-    found = remaining_highlight(texture(6) * np.where(halo, 1.6, 1.0), known, away(MIRROR))
+    albedo = texture(6) * np.where(halo, 1.6, 1.0)
+    albedo[:, away(MIRROR) < 28.0] = 0.5
+    found = remaining_highlight(albedo, KNOWN, away(MIRROR))
     assert found[away(MIRROR) < 44.0].all()
 
 
