@@ -42,15 +42,15 @@ def remaining_highlight(
     step = max(1, max(known.shape) // _CELLS)
     size = (known.shape[1] // step, known.shape[0] // step)
     log = np.log(np.maximum(albedo, 1e-3)).mean(0) * known
-    total, share, away = (
+    total, share, distances = (
         area_averaged(plane, size) for plane in (log, known.astype(np.float32), distance / step)
     )
     surroundings = _ring_means(total, share, _WIDEST, _WIDEST + _AROUND)
-    rings = [_unusual(total, share, surroundings, away, i) for i in range(0, _WIDEST, _WIDTH)]
-    centre = np.unravel_index(int(away.argmin()), away.shape)
-    radius = _radius([float(ring[centre]) for ring in rings]) if away[centre] <= 1.0 else 0
+    rings = [_unusual(total, share, surroundings, distances, i) for i in range(0, _WIDEST, _WIDTH)]
+    centre = np.unravel_index(int(distances.argmin()), distances.shape)
+    radius = _radius([float(ring[centre]) for ring in rings]) if distances[centre] <= 1.0 else 0
     discs = np.nan_to_num(rings[0])
-    spots = (away <= _NEAR) & (discs > discs[away > _WIDEST].max(initial=_UNUSUAL))
+    spots = (distances <= _NEAR) & (discs > discs[distances > _WIDEST].max(initial=_UNUSUAL))
     grown = cv2.dilate(spots.astype(np.uint8), np.ones((2 * _WIDTH + 1,) * 2, np.uint8))
     texels = cv2.resize(grown, known.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
     return np.asarray(texels | ((distance < (radius + 1) * step) & (radius > 0)))
@@ -70,7 +70,7 @@ def _radius(unusual: list[float]) -> int:
 
 
 def _unusual(
-    total: Floats, share: Floats, surroundings: Floats, away: Floats, inner: int
+    total: Floats, share: Floats, surroundings: Floats, distances: Floats, inner: int
 ) -> Floats:
     """(h, w) how far the contrast of the ring around each cell is from its mean over those far from
     the mirror point, in their standard deviations; NaN where it is unknown.
@@ -79,12 +79,12 @@ def _unusual(
         total: (h, w) sums of log albedo over cells.
         share: (h, w) known share of the cells.
         surroundings: (h, w) mean over the ring around the largest disc, NaN where unknown.
-        away: (h, w) distance of the cells from the mirror point, cells.
+        distances: (h, w) distance of the cells from the mirror point, cells.
         inner: inner radius of the ring, cells.
     """
     outer = inner + _WIDTH
     contrast = _ring_means(total, share, inner, outer) - surroundings
-    others = contrast[np.isfinite(contrast) & (away > _WIDEST + outer)]
+    others = contrast[np.isfinite(contrast) & (distances > _WIDEST + outer)]
     if len(others) < 16:
         return np.full_like(contrast, np.nan)
     return np.abs((contrast - others.mean()) / (others.std() + 1e-3)).astype(np.float32)
