@@ -350,6 +350,8 @@ FAULTS = (
     Fault("field: nothing is dear", "example prepare",
           "np.square(index.penalty, dtype=np.int32)",
           "0 * np.square(index.penalty, dtype=np.int32)", "example/test_example_field.py"),
+    Fault("field: patches of a bent lattice stay straight", "example PhasedLattice.is_bent",
+          "bend.max() > _STRAIGHT", "False", "example/test_variety.py -k larger"),
     Fault("field: odd rows", "example _refine", "fine[1 - first_y::2, :, 1]",
           "fine[first_y::2, :, 1]", "example/test_example_field.py"),
     Fault("field: the same row of finer texels", "example Example.places",

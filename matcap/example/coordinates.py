@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from matcap.example.correction import Places, correct, margin
 from matcap.example.grids import Frame
 from matcap.example.hashing import hash_places
-from matcap.example.lattice import Cells, PhasedLattice, Phases, cells_of
+from matcap.example.lattice import PhasedLattice, Phases, cells_of
 from matcap.example.lookup import Level, Lookup, two_phases
 from matcap.example.patches import Axis, cheapest, inset, lay_patches
 from matcap.field.plane import Period, Rectangle
@@ -98,14 +98,14 @@ def initial_places(
     depth, level = len(lookup.levels) - 1, lookup.levels[-1]
     x, y = columns << depth, rows << depth
     if lookup.lattice is not None:
-        best_x, best_y, offset_x, offset_y = _ordered(lookup, lookup.lattice, seed, x, y, period)
+        place_x, place_y = _ordered(lookup, lookup.lattice, seed, x, y, period)
     elif lookup.sizes.loose:
         side = lookup.sizes.width
-        # Offsets from the patches' centres.
-        offset_x, offset_y = x % side - side // 2, (y % side - side // 2)[:, None]
         hashes = hash_places(seed, depth, x // side, (y // side)[:, None])
         # The frame is inset so that a patch around its centre stays inside.
         best_x, best_y = cheapest(level, hashes, inset(level.frame, side // 2, side // 2))
+        place_x = best_x + x % side - side // 2
+        place_y = best_y + (y % side - side // 2)[:, None]
     else:
         along_x, along_y = period or (None, None)
         across, down = (
@@ -113,9 +113,8 @@ def initial_places(
             Axis.of(y, lookup.sizes.height, along_y),
         )
         best_x, best_y = lay_patches(level, depth, seed, across, down)
-        offset_x, offset_y = across.offset, down.offset[:, None]
-    places = np.stack(np.broadcast_arrays(best_x + offset_x, best_y + offset_y), axis=-1)
-    return _clamped(places, level.frame)
+        place_x, place_y = best_x + across.offset, best_y + down.offset[:, None]
+    return _clamped(np.stack([place_x, place_y], axis=-1), level.frame)
 
 
 def _ordered(
@@ -125,8 +124,8 @@ def _ordered(
     x: Integers,
     y: Integers,
     period: Period | None,
-) -> tuple[Integers, Integers, Integers, Integers]:
-    """Places x, y of lattice patches, in phase, and texels' offsets from the patches' centres."""
+) -> tuple[Integers, Integers]:
+    """Places x, y of lattice patches, in phase with the field's lattice."""
     depth, level = len(lookup.levels) - 1, lookup.levels[-1]
     together = lookup.sizes.cells
     wide = high = round(lattice.patch_width(together))
@@ -135,15 +134,25 @@ def _ordered(
     cells = cells_of(lattice, seed, x, y, period or (None, None), together)
     hashes = hash_places(seed, depth, cells.column, cells.row)
     best_x, best_y = cheapest(level, hashes, inset(level.frame, wide // 2, high // 2))
-    best_x, best_y = _in_phase(lattice, seed, best_x, best_y, cells, period)
-    return best_x, best_y, x - cells.middle_x, y[:, None] - cells.middle_y
+    centres = cells.middle_x, cells.middle_y
+    best_x, best_y = _in_phase(lattice, seed, (best_x, best_y), centres, period)
+    places = best_x + x - cells.middle_x, best_y + y[:, None] - cells.middle_y
+    # Where the exemplar's lattice is bent, texels off the centre are brought into phase as well.
+    if not lattice.is_bent:
+        return places
+    return _in_phase(lattice, seed, places, (x[None, :], y[:, None]), period)
 
 
 def _in_phase(
-    lattice: PhasedLattice, seed: int, x: Integers, y: Integers, cells: Cells, period: Period | None
+    lattice: PhasedLattice,
+    seed: int,
+    places: tuple[Integers, Integers],
+    texels: tuple[Integers, Integers],
+    period: Period | None,
 ) -> tuple[Integers, Integers]:
-    """Move places by less than a period, so that their phases are those of the cells' centres."""
-    wanted = lattice.ideal_phases(seed, cells.middle_x, cells.middle_y, period or (None, None))
+    """Move places by less than a period, so that their phases are those of texels of the field."""
+    x, y = places
+    wanted = lattice.ideal_phases(seed, *texels, period or (None, None))
     turns = lattice.periods()
     for _ in range(2):  # again, as the exemplar's lattice is bent
         phase_error = (wanted - lattice.phases(x, y)).astype(np.int64)

@@ -27,6 +27,9 @@ _SMALLER = 0.8  # factor by which patches shrink until they fit the exemplar
 # Standard deviation of the Gaussian window of a phase, periods; less in small exemplars.
 _WINDOW = 1.5
 _FEWEST = 3.0  # least number of periods across an exemplar
+_WELL_MEASURED = 6.0  # periods across an exemplar from which on phase offsets are a bend
+_STRAIGHT = 4.0  # texels, largest range of a bend that patches may keep
+_ROUGH = 1.0  # second difference of offsets along both axes, texels, from which on they are errors
 _FAINT = 1e-9  # added to a plane's power, squared features
 _LAG = 2.0  # distance at which coherence is measured, window deviations
 _STEADIEST = 0.98  # upper limit of a plane's coherence, so that no plane dominates
@@ -65,6 +68,22 @@ class PhasedLattice:
             (ax, ay), (bx, by) = self.waves
             area, columns = ax * by - ay * bx, [[by, -ay], [-bx, ax]]
         return np.rint(256.0 * np.array(columns) / area).astype(np.int64)
+
+    @property
+    def is_bent(self) -> bool:
+        """Whether the exemplar's lattice has a smooth bend.
+
+        Else it is straight, changes of offsets between grid places are errors, or a period is too
+        short or too long for them to be measured.
+        """
+        turns = self.phase_offsets / _TURN
+        bends = [np.diff(turns, 2, axis=axis) for axis in (1, 2)]
+        rough = sum(np.quantile(np.abs(b - np.rint(b)), 0.75, axis=(1, 2)) for b in bends)
+        period = 1.0 / np.hypot(*np.array(self.waves).T)
+        shortest, longest = 1 << GRID, min(turns.shape[1:]) * (1 << GRID) / _WELL_MEASURED
+        smooth = (rough * period < _ROUGH) & (shortest <= period) & (period <= longest)
+        bend = np.ptp(turns, axis=(1, 2)) * period
+        return bool(smooth.all() and bend.max() > _STRAIGHT)
 
     def patch_width(self, cells: float = LEAST_PATCH) -> float:
         """Least width in texels of a patch of whole lattice cells, of about `cells` texels."""

@@ -1,7 +1,8 @@
 """Choice of the variety (patch size): the highest one that keeps long structure.
 
 Samples of the field are synthesised at several varieties. Two measures are compared with limits:
-the loss of the exemplar's autocorrelation at long shifts, and the share of texels at seams.
+the loss of the exemplar's autocorrelation at long shifts, and the share of texels at seams. Where
+none is within both, small patches that do no worse than larger ones are preferred.
 """
 
 from __future__ import annotations
@@ -21,16 +22,18 @@ from matcap.example.patch_sizes import PatchSizes
 from matcap.field.plane import Rectangle
 
 # Choice of the variety; docs/notes/field.md.
-_TRIED = (1.0, 0.5, 0.25, 0.1)  # varieties, highest first; the last is taken if none passes
+_TRIED = (1.0, 0.5, 0.25, 0.1)  # varieties, highest first
 _LEVEL = 2  # level of the synthesised samples. Finer takes longer, coarser shows fewer seams.
 _BLOCKS = 2  # samples of each variety; one where the exemplar has fewer levels
 _STEP = 4  # texels that are averaged before the correlation
 _NEAR = 64.0  # shortest shift of the correlation, texels; shorter structure fits any patch
-_LOST = 0.035  # largest RMS loss of correlation. Random differences give 0.02.
+_LOST = 0.035  # largest RMS loss of correlation
+_CHANCE = 0.02  # RMS loss that random differences give
 _SHARE = 0.5  # largest loss as a share of the exemplar's RMS correlation, if that is more
 # Largest share of texels at seams. Textures without long structure have up to 0.0175, others
 # from 0.021 on.
 _SEAMS = 0.018
+_MORE_SEAMS = 1.1  # largest share of seams over the least of all varieties, if that is more
 
 Planes = NDArray[np.float32]
 
@@ -53,14 +56,23 @@ class VarietyTrial:
 
 
 def with_chosen_variety(example: Example) -> Example:
-    """A copy of the example with the highest variety whose measures are within limits."""
+    """A copy of the example with the highest variety whose measures are within limits.
+
+    If there is none, the limits are the least measures of all, plus what chance adds; with a
+    lattice the lowest variety is taken, as its seams do not follow the patches' size.
+    """
     long, trials = variety_trials(example)
-    limit = max(_LOST, _SHARE * long)
-    variety = next(
-        (one.variety for one in trials if one.lost <= limit and one.seams <= _SEAMS),
-        _TRIED[-1],
-    )
-    return example.varied(variety)
+    limit, tried = max(_LOST, _SHARE * long), []
+    for one in trials:
+        if one.lost <= limit and one.seams <= _SEAMS:
+            return example.varied(one.variety)
+        tried.append(one)
+    if example.lookup.lattice is not None:
+        return example.varied(_TRIED[-1])
+    limit = max(limit, min((one.lost for one in tried), default=0.0) + _CHANCE)
+    seams = max(_SEAMS, _MORE_SEAMS * min((one.seams for one in tried), default=0.0))
+    within = (one.variety for one in tried if one.lost <= limit and one.seams <= seams)
+    return example.varied(next(within, _TRIED[-1]))
 
 
 def variety_trials(example: Example) -> tuple[float, Iterator[VarietyTrial]]:

@@ -21,10 +21,10 @@ def blobs(width=176, height=144, seed=1):
     return exemplar(smooth)
 
 
-def bricks(width=240, height=200, periods=PERIODS):
-    """Every brick of its own colour; rows bend by a tenth of their height."""
+def bricks(width=240, height=200, periods=PERIODS, bend=0.1):
+    """Every brick of its own colour; rows bend by a share of their height."""
     y, x = np.mgrid[0:height, 0:width].astype(float)
-    y = y + 0.1 * periods[1] * np.sin(x / 90.0)
+    y = y + bend * periods[1] * np.sin(x / 90.0)
     column, row = x / periods[0], y / periods[1]
     colour = np.sin(12.9898 * np.floor(column) + 78.233 * np.floor(row)) * 43758.5453 % 1.0
     joint = np.minimum(
@@ -71,6 +71,6 @@ def a_coloured_example():
 
 
 @cache
-def ordered(width=240, height=200, periods=PERIODS):
+def ordered(width=240, height=200, periods=PERIODS, bend=0.1):
     waves = ((1 / periods[0], 0.0), (0.0, 1 / periods[1]))
-    return Example.of(bricks(width, height, periods), waves)
+    return Example.of(bricks(width, height, periods, bend), waves)

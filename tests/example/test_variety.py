@@ -120,17 +120,31 @@ def test_every_command_that_reads_a_material_takes_a_variety(tmp_path, capsys):
     assert "no patches" in capsys.readouterr().err
 
 
-def test_a_lattice_keeps_its_phase_in_larger_pieces():
-    example = ordered().varied(0.3)
+@pytest.mark.parametrize(
+    "example",
+    [ordered().varied(0.3), ordered(480, 320, (24.0, 24.0), 0.5).varied(0.1)],
+    ids=["nearly-straight", "bent"],
+)
+def test_a_lattice_keeps_its_phase_in_larger_pieces(example):
     lattice = example.index.lattice
     for x, y in ((0, 0), (16384, -16384), (2**40 - 128, 2**39)):
-        places = example.places(3, Rectangle(x, y, 96, 96), None).astype(np.int64)
-        columns, rows = np.arange(x, x + 96)[None, :], np.arange(y, y + 96)[:, None]
+        places = example.places(3, Rectangle(x, y, 192, 192), None).astype(np.int64)
+        columns, rows = np.arange(x, x + 192)[None, :], np.arange(y, y + 192)[:, None]
         apart = lattice.phases(places[..., 0], places[..., 1]) - lattice.ideal_phases(
             3, columns, rows, (None, None)
         )
         turns = apart.astype(float) / 2**16
         assert abs(turns.mean()) < 0.03 and np.sqrt((turns**2).mean()) < 0.06
+
+
+@pytest.mark.parametrize(
+    "bend, spread, bent", [(0.5, 0.0, True), (0.0, 0.0, False), (0.5, 0.3, False)]
+)
+def test_offsets_that_jump_are_errors_and_no_bend(bend, spread, bent):
+    lattice = ordered(480, 320, (24.0, 24.0), bend).index.lattice
+    jumps = np.random.default_rng(0).standard_normal(lattice.phase_offsets.shape) * spread
+    moved = lattice.phase_offsets + np.rint(2**16 * (jumps + np.rint(9 * jumps))).astype(np.int32)
+    assert replace(lattice, phase_offsets=moved).is_bent == bent
 
 
 def stripes(width=512, height=384):
