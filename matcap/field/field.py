@@ -76,13 +76,16 @@ def read_source(source: Source, wanted: Rectangle, workers: int) -> MapSet:
     """Compute the maps of a rectangle with `workers` threads; see Field.read."""
     channels = MAP_CHANNELS + source.specular_channels
     stacked = torch.empty(channels, wanted.height, wanted.width)
-    parts = list(block_parts(wanted, source.grid, source.period))
+    parts: dict[Rectangle, list[BlockPart]] = {}  # a block that repeats is computed once
+    for part in block_parts(wanted, source.grid, source.period):
+        parts.setdefault(part.block, []).append(part)
 
-    def fill(part: BlockPart) -> None:
+    def fill(block: Rectangle) -> None:
         # Threads do not inherit the caller's inference mode.
         with torch.inference_mode():
-            planes = inner(source.maps(part.block))[(..., *part.source)]
-            stacked[(..., *part.target)] = planes.cpu()
+            planes = inner(source.maps(block)).cpu()
+            for part in parts[block]:
+                stacked[(..., *part.target)] = planes[(..., *part.source)]
 
     with single_threaded(min(workers, len(parts))) as pool:
         list(pool.map(fill, parts))
