@@ -49,24 +49,18 @@ def photos(tmp_path_factory):
     return sorted(folder.glob("tile_*.jpg"))
 
 
-@pytest.mark.parametrize("generator", ["example", "decoder"])
-def test_a_capture_asks_the_branch_and_reports_both_sources(tmp_path, photos, asked, generator):
+@pytest.mark.parametrize(("generator", "count"), [("example", 1), ("decoder", 2)])
+def test_the_branch_is_asked_of_every_photograph(tmp_path, photos, asked, generator, count):
     steps = 1 if generator == "decoder" else None
     settings = CaptureSettings(preset="draft", steps=steps, detail=160, generator=generator)
-    capture_into(tmp_path / "out", photos[:1], settings, OutputSettings((32, 32)))
-    assert asked == [photos[0].name]
+    capture_into(tmp_path / "out", photos[:count], settings, OutputSettings((32, 32)))
+    assert asked == [path.name for path in photos[:count]]
     camera = json.loads((tmp_path / "out" / "report.json").read_text())["camera"]
     values = camera["tilt_sources"]
     assert values["branch"] == [9.0, -6.0]
     assert values["used"] == pytest.approx([9.0, -6.0], abs=0.3)
     assert camera["tilt_degrees"] == pytest.approx(values["used"], abs=0.01)
     assert max(abs(p - b) for p, b in zip(values["picture"], values["branch"], strict=True)) > 1.0
-
-
-def test_every_photograph_of_a_decoders_set_is_asked(tmp_path, photos, asked):
-    settings = CaptureSettings(preset="draft", steps=1, detail=160, generator="decoder")
-    capture_into(tmp_path / "out", photos, settings, OutputSettings((32, 32)))
-    assert asked == [path.name for path in photos]
 
 
 def test_an_inspection_asks_the_branch(photos, asked):
@@ -80,23 +74,23 @@ def test_an_inspection_asks_the_branch(photos, asked):
 def test_the_real_branch_brings_fits_nearer_to_the_truth():
     """Held-out kinds as RAW. With a sign turned, or the branch not asked, fits are no nearer."""
     alone, measured = [], []
-    for seed in range(UNSEEN + 700, UNSEEN + 708):
+    for seed in range(UNSEEN + 702, UNSEEN + 706):
         photo, truth = tilted_photo(seed, 320, radiometric=True)
         for fit, errors in ((fit_coarse(photo), alone), (fitted(photo), measured)):
             errors += [abs(a - b) for a, b in zip(fit.setup.tilt, truth, strict=True)]
-    assert sum(measured) < 0.9 * sum(alone)  # 0.82; with a sign turned above 1
+    assert sum(measured) < 0.75 * sum(alone)  # 0.60; with a sign turned at least 1.4
 
 
 def test_a_developed_picture_moves_a_fit_less_than_a_raw_one(monkeypatch):
     """On phones' own pictures the branch is biased by some degrees."""
     monkeypatch.setattr(tilt, "tilt_measurement", lambda photo: SAID)
-    photo, _ = tilted_photo(UNSEEN + 700, 320, radiometric=True)
+    photo, _ = tilted_photo(UNSEEN + 700, 160, radiometric=True)
     fits = [fitted(replace(photo, radiometric=raw)) for raw in (True, False)]
     used, developed = (tilt_document(fit)["branch_std"] for fit in fits)
     assert min(developed) >= 5.0 > max(used)
 
 
 def test_without_a_measurement_nothing_is_told(photos):
-    photo, _ = tilted_photo(UNSEEN, 256)
+    photo, _ = tilted_photo(UNSEEN, 128)
     assert tilt_document(fit_coarse(photo)) is None
     assert fitted(replace(photo, flash_intensity=3.0)).setup.intensity == (3.0,) * 3

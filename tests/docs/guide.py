@@ -21,8 +21,9 @@ ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "guide"
 # What makes a line quick, by its first word; the last of an option's values counts.
 QUICK: dict[str, tuple[str, ...]] = {
-    "capture": ("--preset", "instant", "--detail", "256", "--size", "256"),
-    "batch": ("--preset", "instant", "--detail", "256", "--size", "256", "-j", "1"),
+    "capture": ("--preset", "instant", "--detail", "160", "--size", "64"),
+    "batch": ("--preset", "instant", "--detail", "160", "--size", "64", "-j", "1"),
+    "relight": ("--size", "160x120"),
     "export": ("--size", "64"),
 }
 # Options that stand for hours, and what stands for them here.
@@ -60,8 +61,8 @@ def words_of(line: str) -> list[str]:
     return [*(word for several in spread for word in several), *quick]
 
 
-def prepare(folder: Path, page: str) -> None:
-    """What the lines of a page read."""
+def prepare(folder: Path, page: str, captured: Path | None = None) -> None:
+    """What the lines of a page read; `captured` is where two photographs were captured before."""
     from matcap.cli.main import main
 
     photos = ROOT / "examples" / "photos"
@@ -75,7 +76,13 @@ def prepare(folder: Path, page: str) -> None:
     shutil.copy(ROOT / "examples" / "scenes" / "flash.toml", folder / "scene.toml")
     text = " ".join(lines_of(page))
     if "out/" in text or "MATERIAL" in text:
-        assert main(["capture", "leather.dng", "cloth.jpg", "-o", "out", *QUICK["capture"]]) == 0
+        if captured and captured.exists():
+            shutil.copytree(captured, folder / "out")
+        else:
+            words = ("capture", "leather.dng", "cloth.jpg", "-o", "out")
+            assert main([*words, *QUICK["capture"]]) == 0
+            if captured:
+                shutil.copytree(folder / "out", captured)
         shutil.copy(folder / "out" / "leather" / "leather.matcap", folder / "MATERIAL.matcap")
         shutil.copy(folder / "out" / "cloth" / "cloth.matcap", folder / "OTHER.matcap")
     if "bricks/" in text:
@@ -118,14 +125,14 @@ def _several(folder: Path) -> None:
         write_dng(folder / f"oak_{number}.dng", shot.shot, oak.sensor, number)
 
 
-def run(page: str, folder: Path) -> Iterator[tuple[str, str]]:
-    """Run a page's lines in a folder: each line, and what is wrong with it, or ""."""
+def run(page: str, folder: Path, captured: Path | None = None) -> Iterator[tuple[str, str]]:
+    """Run a page's lines in a folder: each line, and what is wrong with it, or "" (see prepare)."""
     from matcap.cli.main import main
 
     before = Path.cwd()
     os.chdir(folder)
     try:
-        prepare(folder, page)
+        prepare(folder, page, captured)
         for line in lines_of(page):
             words = words_of(line)
             code = main([*words, *_again(words)])

@@ -5,25 +5,22 @@ from pathlib import Path
 import guide
 import pytest
 
-from matcap.cli.main import main
+# A batch runs as README has it, in tests/cli; test_learn.py parses all lines.
+QUICKEST = ("relight.md", "view.md")
 
-QUICKEST = ("batch.md", "relight.md", "view.md")
+
+@pytest.fixture(scope="module")
+def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the first page leaves its captures for the others."""
+    return tmp_path_factory.mktemp("captured") / "out"
 
 
 @pytest.mark.parametrize("page", QUICKEST)
-def test_the_lines_of_a_page_run_and_leave_what_they_name(page: str, tmp_path: Path) -> None:
-    faults = [f"{line}: {wrong}" for line, wrong in guide.run(page, tmp_path) if wrong]
+def test_the_lines_of_a_page_run_and_leave_what_they_name(
+    page: str, tmp_path: Path, captured: Path
+) -> None:
+    faults = [f"{line}: {wrong}" for line, wrong in guide.run(page, tmp_path, captured) if wrong]
     assert not faults
-
-
-@pytest.mark.parametrize("page", guide.pages())
-def test_options_of_all_lines_exist(page: str, capsys: pytest.CaptureFixture[str]) -> None:
-    for line in guide.lines_of(page):
-        words = guide.words_of(line)
-        assert main([words[0], "--help"]) == 0
-        result = capsys.readouterr().out
-        for option in (word for word in words if word.startswith("--")):
-            assert option in result, line
 
 
 def test_no_line_is_left_out_without_a_reason() -> None:

@@ -20,13 +20,11 @@ def read_usd():
     return read_usd
 
 
-@pytest.mark.parametrize("suffix", ["usda", "usdz"])
-@pytest.mark.parametrize(
-    ("material", "name"), [("leather", "leather"), ("leather", "2001 façade-1"), ("gold", "gold")]
-)
-def test_it_is_valid(tmp_path, made, read_usd, suffix, material, name):
+@pytest.mark.parametrize(("material", "name"), [("leather", "2001 façade-1"), ("gold", "gold")])
+def test_it_is_valid(tmp_path, made, read_usd, material, name):
     write_export(ExportJob(made[material], name, millimetres=90.0), "usd", tmp_path)
-    assert read_usd.complaints(tmp_path / f"{name}.{suffix}") == []
+    for suffix in ("usda", "usdz"):
+        assert read_usd.complaints(tmp_path / f"{name}.{suffix}") == []
 
 
 def test_the_validators_would_object(tmp_path, made, read_usd):
@@ -46,16 +44,15 @@ def test_its_materialx_is_materialxs(tmp_path, made, read_usd, name):
     assert read_usd.misnamed(wrong) == ["/leather/Material/OpenPBR.specular_IOR"]
 
 
-@pytest.mark.parametrize("suffix", ["usda", "usdz"])
 @pytest.mark.parametrize("name", [*MATERIALS, *METALS])
-def test_its_network_gives_the_light_of_the_maps(tmp_path, made, read_usd, name, suffix):
+def test_its_network_gives_the_light_of_the_maps(tmp_path, made, read_usd, name):
     write_export(ExportJob(made[name], name), "usd", tmp_path)
-    if suffix == "usdz":
+    for suffix in ("usda", "usdz"):
+        off = residual(made[name], read_usd.surface(tmp_path / f"{name}.{suffix}"))
+        assert off.mean < 0.01
+        assert off.worst < 0.02
         for file in tmp_path.glob("*.png"):
             file.unlink()  # so that only the package's own can be read
-    off = residual(made[name], read_usd.surface(tmp_path / f"{name}.{suffix}"))
-    assert off.mean < 0.01
-    assert off.worst < 0.02
 
 
 @pytest.mark.parametrize(("unit", "metres"), [(None, 1.0), (90.0, 0.09)])

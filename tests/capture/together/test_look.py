@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from matcap.capture.together.look import SAME_PLACE, look_at_files, set_quality
@@ -21,8 +22,18 @@ from matcap.photo.checks import Rating
 
 @pytest.fixture(scope="module")
 def looked(held, foreign):
-    photos = [*held[1], foreign]
-    return register(photos, fit_coarse(photos[0]).setup)
+    _, photos = held
+    return register([photos[0], foreign, *photos[1:]], fit_coarse(photos[0]).setup)
+
+
+def test_cameras_are_found_and_a_foreign_photograph_is_named(held, looked):
+    cameras, photos = held
+    assert [view.photo.name for view in looked.views] == [photo.name for photo in photos]
+    assert [one.name for one in looked.left_out] == ["leather_9"]
+    assert looked.left_out[0].why
+    for view, camera in zip(looked.views[1:], cameras[1:], strict=True):
+        apart = np.linalg.norm(view.camera.place - camera.place)
+        assert apart < 0.03 * np.linalg.norm(camera.place)
 
 
 def test_a_set_is_told_what_it_lacks(looked):
@@ -94,7 +105,7 @@ def test_names_that_count_are_a_series():
 
 def test_inspect_tells_of_sets(tmp_path, capsys):
     plaster = EXAMPLES["plaster"]
-    phone, hand = PhoneCamera(width=480, height=360, supersampling=1), Hand()
+    phone, hand = PhoneCamera(width=320, height=240, supersampling=1), Hand()
     cameras = hold(phone, hand, 2, 5)
     paths = []
     for number, one in enumerate(take_several(plaster.pieces(15), phone, cameras, hand, 5)):

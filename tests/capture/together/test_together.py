@@ -26,7 +26,6 @@ from matcap.capture.together.texels import (
 from matcap.capture.together.views import RAW_FALLOFF, SetLight
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.registration.register import register
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import as_photo
 from matcap.lab.simulate.specimen import subjects
@@ -185,17 +184,6 @@ def test_slopes_stay_finite_where_nothing_is_seen():
     assert torch.isfinite(found.estimate.log_error).all()
 
 
-def test_cameras_are_found_and_a_foreign_photograph_is_named(held, foreign):
-    cameras, photos = held
-    found = register([photos[0], foreign, *photos[1:]], FlashSetup(fov=PHONE.fov))
-    assert [view.photo.name for view in found.views] == [photo.name for photo in photos]
-    assert [one.name for one in found.left_out] == ["leather_9"]
-    assert found.left_out[0].why
-    for view, camera in zip(found.views[1:], cameras[1:], strict=True):
-        apart = np.linalg.norm(view.camera.place - camera.place)
-        assert apart < 0.03 * np.linalg.norm(camera.place)
-
-
 def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
     _, photos = held
     lines = []
@@ -227,7 +215,7 @@ def test_boards_are_kept_whole_as_of_one_photograph():
     cameras = hold(PHONE, Hand(), 2, 5)
     shots = take_several(planks.pieces(planks.seed), PHONE, cameras, Hand(), 5)
     photos = [as_photo(one.shot, n, f"planks_{n}") for n, one in enumerate(shots)]
-    settings = CaptureSettings(preset="instant", detail=192)
+    settings = CaptureSettings(preset="instant", detail=128)
     result = capture_photo(photos[0], settings, others=photos[1:])
     assert result.estimate is not None and result.estimate.example.variety < 1.0
 

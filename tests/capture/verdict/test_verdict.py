@@ -273,13 +273,12 @@ def test_another_material_is_no_good(leather):
     assert not verdict.fit
 
 
-def captured(photo):
-    settings = CaptureSettings(preset="instant", detail=512)
-    return capture_photo(photo, settings).verdict
+def captured(photo, detail=256):
+    return capture_photo(photo, CaptureSettings(preset="instant", detail=detail)).verdict
 
 
 def test_a_good_photograph_is_not_called_failed_and_shows_no_cause():
-    verdict = captured(shots.good("leather"))
+    verdict = captured(shots.good("leather"), 512)
     assert verdict.rating is not Rating.FAILED
     assert verdict.causes == ()
 
