@@ -119,13 +119,13 @@ class Angles:
         )
 
     @staticmethod
-    def quick(normal: Tensor, to_light: Tensor, to_view: Tensor) -> Angles:
+    def quick(normal: Tensor, to_light: Tensor, to_view: Tensor, half: Tensor) -> Angles:
         """Angles of unit vectors (..., 3, H, W), in the vectors' own precision: for fits.
 
         In float32 lobes are within 1 % of exact() from roughness SINGLE_ROUGHNESS up. Cosines are
-        clamped to LEAST_COSINE, so that gradients do not vanish at the horizon.
+        clamped to LEAST_COSINE, so that gradients do not vanish at the horizon. `half` is between
+        `to_light` and `to_view`.
         """
-        half = normalize(to_light + to_view)
         # |n x h|^2 = d^2 (1 - d^2 / 4) with the chord d = |n - h|: as accurate as the cross product
         # where they nearly coincide, at a fraction of its cost.
         difference = normal - half

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -36,13 +37,21 @@ class Incidence:
     irradiance: Tensor
     """(..., 1 or 3, H, W) E; 0 where light or view is below the surface, unless Angles.quick."""
 
+    def matte(self, albedo: Tensor) -> Tensor:
+        """Radiance over irradiance (..., 3, H, W) of diffuse albedo (..., 3, H, W)."""
+        return albedo / math.pi
+
+    def mirrored(self, specular: Tensor, roughness: Tensor) -> Tensor:
+        """Radiance over irradiance of F0 (..., 1 or 3, H, W) and roughness."""
+        return specular_lobe(specular, roughness, self.angles)
+
     def diffuse(self, albedo: Tensor) -> Tensor:
         """Radiance (..., 3, H, W) of diffuse albedo (..., 3, H, W)."""
-        return albedo / math.pi * self.irradiance
+        return self.matte(albedo) * self.irradiance
 
     def specular(self, specular: Tensor, roughness: Tensor) -> Tensor:
         """Radiance (..., 1 or 3, H, W) mirrored by F0 (..., 1 or 3, H, W) and roughness."""
-        return specular_lobe(specular, roughness, self.angles) * self.irradiance
+        return self.mirrored(specular, roughness) * self.irradiance
 
     def radiance(self, diffuse: Tensor, specular: Tensor, roughness: Tensor) -> Tensor:
         """Diffuse plus specular radiance (..., 3, H, W)."""
@@ -86,6 +95,11 @@ class FlashLight:
         intensity = torch.tensor(setup.intensity).to(points)[:, None, None]
         return FlashLight.between(points, camera, light, intensity * vignette(points, setup))
 
+    @cached_property
+    def half(self) -> Tensor:
+        """(..., 3, H, W) unit vectors halfway between light and camera."""
+        return normalize(self.to_light + self.to_view)
+
     def cut(self, rows: slice, columns: slice) -> FlashLight:
         """The light at a rectangle of points."""
         return FlashLight(
@@ -102,7 +116,8 @@ class FlashLight:
             exact: whether highlights of any width are accurate and the back side is dark; else
                 single precision and radiance above 0, for logarithms and gradients (Angles.quick).
         """
-        angles = (Angles.exact if exact else Angles.quick)(normal, self.to_light, self.to_view)
+        both = self.to_light, self.to_view
+        angles = Angles.exact(normal, *both) if exact else Angles.quick(normal, *both, self.half)
         return Incidence(angles, angles.lit(self.power * angles.n_dot_l))
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -58,19 +59,29 @@ def split(plane: ChannelPlane, bands: Sequence[tuple[float, float]] = BANDS) -> 
 
     Longest band first, the rest last; they sum to the plane.
     """
-    height, width = plane.shape
+    return [of_planes[0] for of_planes in split_all([plane], bands)]
+
+
+def split_all(
+    planes: Sequence[ChannelPlane], bands: Sequence[tuple[float, float]]
+) -> Iterator[list[ChannelPlane]]:
+    """Band by band, the components of planes of one size, as `split` orders them."""
+    height, width = planes[0].shape
     # cv2.dct requires even sides.
-    whole = np.pad(plane, [(0, side % 2) for side in plane.shape], mode="edge")
-    waves = cv2.dct(whole.astype(np.float32))
-    rows, columns = (np.arange(side) / (2.0 * side) for side in whole.shape)
+    even = [(0, side % 2) for side in planes[0].shape]
+    waves = [cv2.dct(np.pad(plane, even, mode="edge").astype(np.float32)) for plane in planes]
+    rows, columns = (np.arange(side) / (2.0 * side) for side in waves[0].shape)
     octave = np.log2(np.maximum(np.hypot(rows[:, None], columns), 1e-9)).astype(np.float32)
     passed = [_ramp(octave + np.float32(np.log2(longest))) for longest, _ in bands]
     below = [*passed[1:], np.zeros_like(octave)]
-    shares = [above - finer for above, finer in zip(passed, below, strict=True)]
-    return [
-        np.ascontiguousarray(cv2.idct(waves * share)[:height, :width])
-        for share in (*shares, 1.0 - passed[0])
-    ]
+    for above, finer in zip(passed, below, strict=True):
+        yield [_of_waves(each, above - finer, height, width) for each in waves]
+    yield [_of_waves(each, 1.0 - passed[0], height, width) for each in waves]
+
+
+def _of_waves(waves: NDArray[Any], share: NDArray[Any], height: int, width: int) -> ChannelPlane:
+    """The plane whose cosine transform is `share` of `waves`, without what was padded."""
+    return np.ascontiguousarray(cv2.idct(waves * share)[:height, :width])
 
 
 def _ramp(octave: ChannelPlane) -> ChannelPlane:

@@ -41,22 +41,18 @@ class AmbientIncidence:
     """Ambient light incident on a relief: L = (diffuse albedo + F0) E.
 
     Attributes:
-        irradiance: (..., 1 or 3, h, w) E.
+        irradiance: (1 or 3, h, w) E.
     """
 
     irradiance: Tensor
 
-    def diffuse(self, albedo: Tensor) -> Tensor:
-        """Radiance (3, h, w) of diffuse albedo (3, h, w)."""
-        return albedo * self.irradiance
+    def matte(self, albedo: Tensor) -> Tensor:
+        """Radiance over irradiance of diffuse albedo, its own."""
+        return albedo
 
-    def specular(self, specular: Tensor, roughness: Tensor) -> Tensor:
-        """Radiance (3, h, w) mirrored by F0 (1, h, w), independent of roughness."""
-        return (specular + 0.0 * roughness) * self.irradiance
-
-    def radiance(self, diffuse: Tensor, specular: Tensor, roughness: Tensor) -> Tensor:
-        """Diffuse plus specular radiance (3, h, w)."""
-        return self.diffuse(diffuse) + self.specular(specular, roughness)
+    def mirrored(self, specular: Tensor, roughness: Tensor) -> Tensor:
+        """Radiance over irradiance of F0, its own with the shape of both."""
+        return specular + 0.0 * roughness
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.piece.smooth import smoothed, split
+from matcap.capture.piece.smooth import smoothed, split_all
 from matcap.capture.piece.strengths import BANDS
 
 Floats = NDArray[np.float32]
@@ -108,14 +108,12 @@ def _octaves(
     measured: Floats, read: Floats, changes: Sequence[Floats] | Floats
 ) -> Iterator[_Octave]:
     """Octave bands of both maps, and the low-pass remainder."""
-    share = np.float32(
-        max(0.5, 1.0 - 1.0 / len(changes))
-    )  # (n - 1) / n of the jackknife, but not 0 for one photograph
-    noises = [np.full_like(measured, _LEAST) for _ in range(len(_OCTAVES) + 1)]
-    for change in changes:
-        for noise, band in zip(noises, split(change, _OCTAVES), strict=True):
-            noise += share * np.square(band)
+    # (n - 1) / n of the jackknife, but not 0 for one photograph
+    share = np.float32(max(0.5, 1.0 - 1.0 / len(changes)))
     waves = [*(longest for longest, _ in _OCTAVES), 2.0 * _OCTAVES[0][0]]
-    bands = (split(each, _OCTAVES) for each in (measured, measured + changes[0], read))
-    for y, others, m, noise, wave in zip(*bands, noises, waves, strict=True):
-        yield _Octave.of(y, others, m, smoothed(noise, _AROUND * wave), wave)
+    bands = split_all([measured, read, *changes], _OCTAVES)
+    for wave, (y, m, *changed) in zip(waves, bands, strict=True):
+        noise = np.full_like(measured, _LEAST)
+        for change in changed:
+            noise += share * np.square(change)
+        yield _Octave.of(y, y + changed[0], m, smoothed(noise, _AROUND * wave), wave)

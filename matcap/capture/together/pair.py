@@ -29,7 +29,7 @@ from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.smooth import smoothed, split
 from matcap.capture.piece.strengths import BANDS, RESPONSE_AROUND, measure_strengths
 from matcap.capture.together.ambient_light import LEAN, LEANING, Views
-from matcap.capture.together.texels import SLOPES, STEP, derivatives, points_of
+from matcap.capture.together.texels import SLOPES, derivatives, points_of
 from matcap.capture.together.views import PieceView, SetLight, light_at
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.camera import Lens, PosedCamera
@@ -186,11 +186,12 @@ class Ratio:
         flat[ALBEDO] = flat[ALBEDO].mean((1, 2), keepdim=True)
         flat[SLOPES] = 0.0
         logs, slopes, shares = [], [], []
-        for number, view in some:
-            log, jacobian = derivatives(flat, light_at(number, view, light, points), STEP)
+        lights = [light_at(number, view, light, points) for number, view in some]
+        for (_, view), shown in zip(some, derivatives(flat, lights), strict=True):
+            log, share, gained = shown
             logs.append(view.log - log)
-            slopes.append(jacobian[SLOPES].unflatten(-1, size))
-            shares.append(jacobian[ALBEDO].diagonal().T.unflatten(-1, size))
+            slopes.append(gained[-2:].unflatten(-1, size))
+            shares.append(share.unflatten(-1, size))
         share = shares[0] / shares[1].clamp_min(1e-3)
 
         def ratio(flash: Tensor, room: Tensor) -> Floats:

@@ -162,7 +162,8 @@ def brought_over(
         size: (across, down) texels of the first one's grid.
     """
     width, height = read.maps.size
-    points = own.here(camera.on_plane(camera.sees(place.points(*size))))
+    whole = np.concatenate([*place.points(*size)], axis=1)
+    points = own.here(camera.on_plane(camera.sees(whole)))
     x = ((points[0] + 1.0) * width / 2.0 - 0.5).astype(np.float32)
     y = ((height - points[1] * width) / 2.0 - 0.5).astype(np.float32)
 

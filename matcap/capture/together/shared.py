@@ -11,21 +11,20 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.together.ambient_light import AmbientLight
 from matcap.capture.together.texels import (
     GLOSS,
     PARAMETERS,
-    STEP,
     ParameterPrior,
     derivatives,
+    jacobian,
     points_of,
     rendered,
+    solved_in_place,
     weights,
 )
 from matcap.capture.together.views import PieceView, SetLight, light_at
@@ -36,7 +35,8 @@ from matcap.flash.registration.camera import Doubles
 _OFFSET, _VIGNETTING, _GLOSS = slice(0, 2), slice(2, 4), slice(4, 6)
 _LIGHT = slice(0, 4)  # offset and vignetting
 _SHARED, _GAINS, _MOVES = 6, 3, 8  # numbers of parameters: common, gains of each, homography
-_FOURTH = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], np.float32) / 12.0  # fourth-order derivative
+# Fourth-order derivative: weights of texels this far away.
+_FOURTH = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
 _ROUNDING = 1e-5  # damping of the diagonal against rounding in single precision
 
 
@@ -206,14 +206,7 @@ def _sampled(views: Sequence[PieceView], chosen: Tensor, moving: bool) -> _Sampl
     points = points_of(size, extent=views[0].extent).flatten(1)[:, chosen]
     along = []
     for view in views:
-        dx, dy = (
-            (plane.flatten(1)[:, chosen] for plane in _gradient(view.log, texel))
-            if moving
-            else (
-                torch.zeros(3, *chosen.shape),
-                torch.zeros(3, *chosen.shape),
-            )
-        )
+        dx, dy = _gradient(view.log, chosen, texel) if moving else torch.zeros(2, 3, *chosen.shape)
         x, y = points[0], points[1]
         radial = x * dx + y * dy
         along.append(torch.stack([dx, dx * x, dx * y, dy, dy * x, dy * y, x * radial, y * radial]))
@@ -225,19 +218,28 @@ def _sampled(views: Sequence[PieceView], chosen: Tensor, moving: bool) -> _Sampl
     )
 
 
-def _gradient(log: Tensor, texel: float) -> tuple[Tensor, Tensor]:
-    """(3, H, W) each: d log L / dx (right) and d log L / dy (up), per plane unit.
+def _gradient(log: Tensor, chosen: Tensor, texel: float) -> tuple[Tensor, Tensor]:
+    """(3, 1, N) each: d log L / dx (right) and d log L / dy (up), per plane unit.
 
     Fourth order: second-order differences underestimate the gradient of a weave of period four
     texels, and registration steps then overshoot and oscillate.
+
+    Args:
+        log: (3, H, W) log radiance.
+        chosen: (1, N) indices of texels.
+        texel: side of a texel, plane units.
     """
-    right = _FOURTH / texel
-    gradients: tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]] = ([], [])
-    for plane in log.numpy():
-        for way, kernel in zip(gradients, (right, -right.T), strict=True):
-            gained = cv2.filter2D(plane, cv2.CV_32F, kernel, borderType=cv2.BORDER_REFLECT_101)
-            way.append(np.asarray(gained, np.float32))
-    return torch.from_numpy(np.stack(gradients[0])), torch.from_numpy(np.stack(gradients[1]))
+    height, width = log.shape[1:]
+    row, column = chosen // width, chosen % width
+
+    def mirrored(index: Tensor, side: int) -> Tensor:
+        return side - 1 - (side - 1 - index.abs()).abs()
+
+    dx, dy = torch.zeros(2, 3, *chosen.shape)
+    for off, weight in _FOURTH:
+        dx += weight * log[:, row, mirrored(column + off, width)]
+        dy += weight * log[:, mirrored(row - off, height), column]
+    return dx / texel, dy / texel
 
 
 @dataclass(frozen=True)
@@ -246,12 +248,13 @@ class _Eliminated:
 
     normal: Tensor
     gradient: Tensor
-    alone: Tensor  # (N, PARAMETERS) texels' step at fixed shared parameters
-    answer: Tensor  # (N, PARAMETERS, count) minus its derivative by the shared parameters' step
+    alone: Tensor  # (PARAMETERS, N) texels' step at fixed shared parameters
+    answer: Tensor  # (PARAMETERS, count, N) minus its derivative by the shared parameters' step
 
     def texels(self, step: Tensor) -> Tensor:
         """(PARAMETERS, 1, N) texel parameters' step by back-substitution of the shared `step`."""
-        return (self.alone - self.answer @ step.float()).clamp(-0.7, 0.7).T[:, None]
+        moved = (self.answer * step.float()[:, None]).sum(1)
+        return (self.alone - moved).clamp(-0.7, 0.7)[:, None]
 
 
 @dataclass(frozen=True)
@@ -275,19 +278,21 @@ class _SharedFit:
     def eliminated(self, some: Tensor, values: Tensor) -> _Eliminated:
         """Reduced normal equations at texel parameters (PARAMETERS, 1, N) and shared `values`."""
         texels, count = some.shape[-1], len(values)
-        precision = self.prior.precision[:, 0].T
-        within = torch.diag_embed(precision)
-        between = torch.zeros(texels, PARAMETERS, count)
-        right = precision * (self.prior.mean - some)[:, 0].T
+        precision = self.prior.precision[:, 0]
+        within = torch.diag_embed(precision.T).movedim(0, -1).contiguous()
+        between = torch.zeros(PARAMETERS, count, texels)
+        right = precision * (self.prior.mean - some)[:, 0]
         normal = torch.zeros(count, count, dtype=torch.float64)
         gradient = torch.zeros(count, dtype=torch.float64)
         # The mean of gloss acts only through the texels' priors: hierarchical least squares.
-        right[:, GLOSS] += precision[:, GLOSS] * values[_GLOSS].float()
-        between[:, GLOSS, _GLOSS] = -torch.diag_embed(precision[:, GLOSS])
-        normal[_GLOSS, _GLOSS] = torch.diag(precision[:, GLOSS].double().sum(0))
-        gradient[_GLOSS] = -right[:, GLOSS].double().sum(0)
-        for k, view in enumerate(self.views):
-            log, own = derivatives(some, self._lit(k, values), STEP)
+        right[GLOSS] += precision[GLOSS] * values[_GLOSS].float()[:, None]
+        between[GLOSS, _GLOSS] = -torch.diag_embed(precision[GLOSS].T).movedim(0, -1)
+        normal[_GLOSS, _GLOSS] = torch.diag(precision[GLOSS].double().sum(1))
+        gradient[_GLOSS] = -right[GLOSS].double().sum(1)
+        lights = [self._lit(k, values) for k in range(len(self.views))]
+        shaded = derivatives(some, lights)
+        for (k, view), (log, *shown) in zip(enumerate(self.views), shaded, strict=True):
+            own = jacobian(*shown)
             seen_log = self.samples.logs[k]
             if k and self.layout.moving:
                 move = values[self.layout.move(k)].float()
@@ -296,20 +301,15 @@ class _SharedFit:
             weight = weights(residual, self.samples.seen[k], view.noise)[:, 0]
             columns, places = self._by_shared(k, some, log, values)
             weighted = own * weight
-            within += torch.einsum("icn,jcn->nij", weighted, own)
-            right += torch.einsum("icn,cn->ni", weighted, residual[:, 0])
-            between[:, :, places] += torch.einsum("icn,jcn->nij", weighted, columns)
-            wide = (columns * weight).double()
-            normal[places[:, None], places] += torch.einsum("icn,jcn->ij", wide, columns.double())
-            gradient[places] += torch.einsum("icn,cn->i", wide, residual[:, 0].double())
-        solved = texels_solved(within, torch.cat([right[..., None], between], dim=-1))
-        alone, answer = solved[..., 0], solved[..., 1:]
-        return _Eliminated(
-            normal - torch.einsum("nij,nik->jk", between.double(), answer.double()),
-            gradient - torch.einsum("nij,ni->j", between.double(), alone.double()),
-            alone,
-            answer,
-        )
+            within += (weighted[:, None] * own).sum(2)
+            right += (weighted * residual[:, 0]).sum(1)
+            between[:, places] += (weighted[:, None] * columns).sum(2)
+            wide = (columns * weight).double().flatten(1)
+            normal[places[:, None], places] += wide @ columns.double().flatten(1).T
+            gradient[places] += wide @ residual.double().flatten()
+        solved = texels_solved(within, torch.cat([right[:, None], between], dim=1))
+        lost = (between.double() @ solved.double().mT).sum(0)
+        return _Eliminated(normal - lost[:, 1:], gradient - lost[:, 0], solved[:, 0], solved[:, 1:])
 
     def _lit(self, number: int, values: Tensor) -> FlashLight | AmbientLight:
         """Light of a photograph at the samples, with shared parameters `values`."""
@@ -336,20 +336,18 @@ class _SharedFit:
 
 
 def texels_solved(within: Tensor, sides: Tensor) -> Tensor:
-    """(N, PARAMETERS, k) solutions of every texel's normal equations (N, PARAMETERS, PARAMETERS).
+    """(PARAMETERS, k, N) solutions of N texels' normal equations (PARAMETERS, PARAMETERS, N).
 
     Solutions of equations that are singular in single precision are set to 0, as an arbitrary step
     would propagate into the shared parameters.
 
     Args:
         within: symmetric, positive definite up to rounding.
-        sides: (N, PARAMETERS, k) right-hand sides.
+        sides: (PARAMETERS, k, N) right-hand sides.
     """
-    damped = within + torch.diag_embed(_ROUNDING * within.diagonal(dim1=-2, dim2=-1))
-    factor, failed = torch.linalg.cholesky_ex(damped)
-    solution = torch.cholesky_solve(sides, factor)
-    sound = (failed == 0)[:, None, None] & torch.isfinite(solution).all(-2, keepdim=True)
-    return torch.where(sound, solution, 0.0)
+    system = torch.cat([within, sides.movedim(1, 0)])
+    system.diagonal().mul_(1.0 + _ROUNDING)
+    return solved_in_place(system).nan_to_num(0.0, 0.0, 0.0)
 
 
 def _homography(move: Tensor) -> Doubles:

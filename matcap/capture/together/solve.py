@@ -120,7 +120,8 @@ def solve(
             expected = prior.with_gloss_of(light)
             for turn in range(1, steps + 1):
                 each = turn == steps and (not rounds[index + 1 :] or (fresh and not index))
-                step = stepped(lit, parameters, expected, light, without_each=each)
+                changed = SLOPES if each else None
+                step = stepped(lit, parameters, expected, light, changed=changed)
                 parameters, done = step.parameters, done + 1
                 on_progress(done / total)
             parameters[SLOPES] = _without_slow(parameters[SLOPES], unit)
@@ -157,13 +158,13 @@ def _denoised(
     Args:
         height: (1, H, W), estimated from all photographs.
         views: the photographs.
-        changes: (photographs, PARAMETERS, H, W) change when each is left out (jackknife).
+        changes: (photographs, 2, H, W) change of slopes when each is left out (jackknife).
         prior: whose mean slopes are the network's.
     """
     extent, across = views[0].extent, height.shape[-1]
     read, *others = (
         surface_of(_without_slow(slopes, extent.unit(across)), extent.texel(across))
-        for slopes in (prior.mean[SLOPES], *changes[:, SLOPES])
+        for slopes in (prior.mean[SLOPES], *changes)
     )
     jackknife = [other[0].numpy() for other in others]
     calm = denoised(height[0].numpy(), read[0].numpy(), jackknife, drawn=True)
@@ -246,10 +247,7 @@ def _step_at_fixed_slopes(
     light: SetLight,
 ) -> Tensor:
     """Parameters after a step with slopes fixed, albedo denoised (octaves.py)."""
-    mean, deviation = prior.mean.clone(), prior.deviation.clone()
-    mean[SLOPES], deviation[SLOPES] = parameters[SLOPES], 1e-4
-    tight = ParameterPrior(mean, deviation)
-    step = stepped(views, parameters, tight, light, without_each=True)
+    step = stepped(views, parameters, prior, light, slopes=False, changed=ALBEDO)
     for channel in range(3):
         measured, read, changes = (
             each.numpy()
@@ -261,10 +259,8 @@ def _step_at_fixed_slopes(
 
 def _read_off(parameters: Tensor, prior_mean: Tensor, changes: Tensor) -> float:
     """Standard deviation of the network's slopes, measured by the photographs (octaves.py)."""
-    squares = [
-        read_error(parameters[k].numpy(), prior_mean[k].numpy(), changes[:, k].numpy())
-        for k in range(SLOPES.start, SLOPES.stop)
-    ]
+    both = (parameters[SLOPES], prior_mean[SLOPES], changes.movedim(1, 0))
+    squares = [read_error(*(x.numpy() for x in each)) for each in zip(*both, strict=True)]
     return math.sqrt(sum(squares) / len(squares))
 
 

@@ -6,7 +6,7 @@ PARAMETERS = 7: log diffuse albedo (3), log F0, logit roughness, slopes along x 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -35,7 +35,7 @@ _NOISE = 0.02
 # keeps closer to the network's prediction.
 _ALBEDO, _GLOSS = 0.25, 0.2
 _STEEPEST = 3.0  # limit of slopes
-STEP = 0.02  # of finite differences, parameter units
+_STEP = 0.02  # of finite differences, parameter units
 # Levenberg-Marquardt: share of a parameter's precision added to the diagonal. Less overshoots;
 # more leaves the trade-off of albedo and slope at its initial value.
 _DAMPING = 0.005
@@ -51,7 +51,7 @@ class Stepped:
         precision: (PARAMETERS, H, W) diagonal of the photographs' J^T W J, prior excluded.
         relief: (3, H, W) precision of slopes: xx, yy and xy of the posterior, all other parameters
             eliminated.
-        changes: (photographs, PARAMETERS, H, W) change when each photograph is left out: the
+        changes: (photographs, some parameters, H, W) change when each photograph is left out: the
             jackknife [efron1982]. Empty unless requested.
     """
 
@@ -209,147 +209,171 @@ def stepped(
     prior: ParameterPrior,
     light: SetLight,
     *,
-    without_each: bool = False,
+    slopes: bool = True,
+    changed: slice | None = None,
 ) -> Stepped:
-    """A Gauss-Newton step at every texel; with `without_each` also the jackknife changes.
+    """A Gauss-Newton step at every texel, and the jackknife changes of some parameters.
 
     Args:
         views: photographs on the grid.
         parameters: (PARAMETERS, H, W) current estimate.
         prior: of the parameters.
         light: of all photographs.
-        without_each: repeat the step without each photograph.
+        slopes: whether slopes move; if not, their precision is 0.
+        changed: parameters whose changes without each photograph are computed; None for none.
     """
-    moved, precision = torch.empty_like(parameters), torch.empty_like(parameters)
-    relief = torch.empty(3, *parameters.shape[1:])
-    changes = torch.zeros(len(views) * without_each, *parameters.shape)
+    moved, precision = parameters.clone(), torch.zeros_like(parameters)
+    relief = torch.zeros(3, *parameters.shape[1:])
+    changes = torch.zeros(len(views) if changed else 0, *parameters[changed or slice(0)].shape)
     for rows in strips(parameters.shape[1], ROWS):
-        part = slice(None), rows
-        points = points_of(parameters.shape[-2:], rows, views[0].extent)
-        of_each = [
-            _system(index, view, rows, parameters[part], light, points)
-            for index, view in enumerate(views)
-        ]
-        here = parameters[part], ParameterPrior(prior.mean[part], prior.deviation[part])
-        moved[part], precision[part], relief[part] = _solved(of_each, *here, _DAMPING)
-        for k, change in enumerate(changes):
-            others = of_each[:k] + of_each[k + 1 :]
-            change[part] = _solved(others, *here, _DAMPING)[0] - moved[part]
-    steep = _STEEPEST
-    moved[SLOPES] = moved[SLOPES].clamp(-steep, steep)
+        part = slice(PARAMETERS if slopes else ACROSS), rows
+        of_each = _systems(views, rows, parameters[:, rows], light, slopes=slopes)
+        albedo, rest = (sum(parts[1:], parts[0]) for parts in zip(*of_each, strict=True))
+        here = parameters[part], prior.mean[part], prior.deviation[part]
+        moved[part], precision[part], slope_precision = _solved(albedo, rest, *here)
+        relief[:, rows] = slope_precision if slopes else 0.0
+        for change, own in zip(changes, of_each, strict=bool(changed)):
+            others = albedo - own[0], rest - own[1]
+            change[:, rows] = (_solved(*others, *here)[0] - moved[part])[changed]
+    moved[SLOPES] = moved[SLOPES].clamp(-_STEEPEST, _STEEPEST)
     moved[ALBEDO] = moved[ALBEDO].clamp(math.log(1e-3), math.log(0.98))
     moved[F0] = moved[F0].clamp(math.log(5e-3), math.log(0.98))
     moved[ROUGH] = moved[ROUGH].clamp(-3.5, 3.9)
     return Stepped(moved, precision, relief, changes)
 
 
-def _system(
-    index: int,
-    view: PieceView,
+def _systems(
+    views: Sequence[PieceView],
     rows: slice,
     parameters: Tensor,
     light: SetLight,
-    points: Tensor,
-) -> tuple[Tensor, Tensor]:
-    """Normal equations (7, 7, N) and right-hand sides (7, N) of some rows of a photograph."""
-    count = parameters[0].numel()
-    normal, gradient = torch.zeros(PARAMETERS, PARAMETERS, count), torch.zeros(PARAMETERS, count)
-    seen = view.seen[:, rows]
-    if seen.any():
-        log, shown = derivatives(parameters, light_at(index, view, light, points), STEP)
-        residual = view.log[:, rows] - log
-        weight = weights(residual, seen, view.noise).flatten(1)
-        weighted = shown * weight
-        # Albedo of a channel changes only that channel's radiance.
-        for channel in range(3):
-            own = weighted[channel, channel]
-            normal[channel, channel] = own * shown[channel, channel]
-            normal[3:, channel] = own * shown[3:, channel]
-        for number in range(3, PARAMETERS):
-            normal[number:, number] = (weighted[number] * shown[number:]).sum(1)
-        gradient = (weighted * residual.flatten(1)).sum(1)
-    for number in range(PARAMETERS):
-        normal[number, number + 1 :] = normal[number + 1 :, number]
-    return normal, gradient
+    *,
+    slopes: bool,
+) -> list[tuple[Tensor, Tensor]]:
+    """Normal equations of some rows, of each photograph, albedo's apart from m others'.
+
+    Albedo of a channel changes that channel's radiance only, so its equations are coupled to those
+    of the others but not to each other.
+
+    Returns:
+        For each (3, m + 2, N), rows of albedo: diagonal, coupling, right-hand side; and
+        (m + 1, m, N), the others' lower triangle, and their right-hand sides as the last row.
+    """
+    points = points_of((views[0].log.shape[-2:]), rows, views[0].extent)
+    seen = [view.seen[:, rows] for view in views]
+    lights = (light_at(k, view, light, points) for k, view in enumerate(views) if seen[k].any())
+    shaded = derivatives(parameters, lights, slopes=slopes)
+    others, count = (PARAMETERS if slopes else ACROSS) - F0, parameters[0].numel()
+    systems = []
+    for view, mask in zip(views, seen, strict=True):
+        albedo, rest = torch.zeros(3, others + 2, count), torch.zeros(others + 1, others, count)
+        if mask.any():
+            log, share, gained = next(shaded)
+            residual = view.log[:, rows] - log
+            weight, residual = weights(residual, mask, view.noise).flatten(1), residual.flatten(1)
+            torch.mul(share, weight, out=albedo[:, 0])
+            torch.mul(gained, albedo[:, 0], out=albedo[:, 1:-1].movedim(0, 1))
+            torch.mul(residual, albedo[:, 0], out=albedo[:, -1])
+            albedo[:, 0] *= share
+            weighted = gained * weight
+            for number in range(others):
+                rest[number:-1, number] = (weighted[number] * gained[number:]).sum(1)
+            rest[-1] = (weighted * residual).sum(1)
+        systems.append((albedo, rest))
+    return systems
 
 
 def derivatives(
-    parameters: Tensor, light: FlashLight | AmbientLight, step: float
-) -> tuple[Tensor, Tensor]:
-    """Log radiance (3, h, w), and its Jacobian (PARAMETERS, 3, h * w).
+    parameters: Tensor, lights: Iterable[FlashLight | AmbientLight], *, slopes: bool = True
+) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+    """In each light log radiance (3, h, w) and its derivatives by the parameters.
 
-    d log L / d log albedo is the diffuse share of the radiance; the others are forward differences.
+    These are the diffuse share of radiance (3, h * w), which is d log L / d log albedo of its
+    channel, and forward differences by the others (2 or 4, 3, h * w).
 
     Args:
         parameters: (PARAMETERS, h, w).
-        light: incident at those texels.
-        step: of the differences, parameter units.
+        lights: incident at those texels.
+        slopes: whether slopes are among the others.
     """
     matte, f0 = parameters[ALBEDO].exp(), parameters[F0 : F0 + 1].exp()
-    rough = torch.sigmoid(parameters[ROUGH : ROUGH + 1])
+    brighter = torch.stack([f0, f0 * math.exp(_STEP)])
+    rough, rougher = torch.sigmoid(
+        parameters[ROUGH : ROUGH + 1] + torch.tensor([0.0, _STEP])[:, None, None, None]
+    )
     x, y = parameters[SLOPES].split(1)
-    incidence = light.onto(normals_from_slopes(x, y))
-    diffuse = incidence.diffuse(matte)
-    log = logarithm(diffuse + incidence.specular(f0, rough))
-    rougher = torch.sigmoid(parameters[ROUGH : ROUGH + 1] + step)
-    moved = [
-        diffuse + incidence.specular(f0 * math.exp(step), rough),
-        diffuse + incidence.specular(f0, rougher),
-        light.onto(normals_from_slopes(x + step, y)).radiance(matte, f0, rough),
-        light.onto(normals_from_slopes(x, y + step)).radiance(matte, f0, rough),
-    ]
-    shown = torch.zeros(PARAMETERS, 3, log[0].numel())
-    for number, each in enumerate(moved, start=F0):
-        shown[number] = ((logarithm(each) - log) / step).flatten(1)
-    share = (diffuse / log.exp()).flatten(1)
-    for channel in range(3):
-        shown[channel, channel] = share[channel]
-    return log, shown
+    normals = [(x, y), *([(x + _STEP, y), (x, y + _STEP)] if slopes else [])]
+    level, *turned = (normals_from_slopes(*each) for each in normals)
+    for light in lights:
+        lit = light.onto(level)
+        diffuse = lit.matte(matte)
+        same, changed = diffuse + lit.mirrored(brighter, rough)
+        moved = [(changed, lit), (diffuse + lit.mirrored(f0, rougher), lit)]
+        for normal in turned:
+            other = light.onto(normal)
+            moved.append((diffuse + other.mirrored(f0, rough), other))
+        log = logarithm(same * lit.irradiance)
+        gained = log.new_empty(len(moved), *log.shape)
+        for place, (each, at) in zip(gained, moved, strict=True):
+            torch.sub(logarithm(each * at.irradiance), log, out=place)
+        yield log, (diffuse / same).flatten(1), gained.mul_(1.0 / _STEP).flatten(2)
+
+
+def jacobian(share: Tensor, gained: Tensor) -> Tensor:
+    """(PARAMETERS, 3, N) d log L by all parameters, from those of `derivatives`."""
+    return torch.cat([torch.diag_embed(share.T).movedim(0, -1), gained])
 
 
 def _solved(
-    systems: Sequence[tuple[Tensor, Tensor]],
-    parameters: Tensor,
-    prior: ParameterPrior,
-    damping: float,
+    albedo: Tensor, rest: Tensor, parameters: Tensor, mean: Tensor, deviation: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Parameters, precision and relief as in Stepped, of some rows, from summed `systems`."""
-    shape, count = parameters.shape, parameters[0].numel()
-    normal = sum((each for each, _ in systems), torch.zeros(PARAMETERS, PARAMETERS, count))
-    gradient = sum((each for _, each in systems), torch.zeros(PARAMETERS, count))
-    here, expected = parameters.flatten(1), prior.mean.flatten(1)
-    prior_precision = prior.deviation.flatten(1).square().reciprocal()
-    measured_precision = normal.diagonal().T.clone()
-    normal.diagonal().T.add_(prior_precision + damping * measured_precision)
-    step, factor = _cholesky(normal, gradient + prior_precision * (expected - here))
-    step = step.nan_to_num(0.0).clamp(-0.7, 0.7)
+    """Parameters, precision and relief as in Stepped, of some rows.
+
+    Args:
+        albedo, rest: normal equations as of _systems.
+        parameters, mean, deviation: (n, h, w) current and prior.
+    """
+    shape = parameters.shape
+    precision = deviation.flatten(1).square().reciprocal()
+    pull = precision * (mean - parameters).flatten(1)
+    measured = torch.cat([albedo[:, 0], rest.diagonal().T])
+    albedo, rest, damped = albedo.clone(), rest.clone(), precision + _DAMPING * measured
+    albedo[:, 0] += damped[ALBEDO]
+    albedo[:, -1] += pull[ALBEDO]
+    rest.diagonal().T.add_(damped[F0:])
+    rest[-1] += pull[F0:]
+    albedo[:, 1:] *= albedo[:, :1].rsqrt()
+    for number in range(rest.shape[1]):
+        rest[number:, number] -= (albedo[:, 1 + number :] * albedo[:, 1 + number, None]).sum(0)
+    others = solved_in_place(rest)[:, 0]
+    of_albedo = albedo[:, -1] - (albedo[:, 1:-1] * others).sum(1)
+    step = torch.cat([of_albedo * albedo[:, 0].rsqrt(), others]).nan_to_num(0.0).clamp(-0.7, 0.7)
     # The factor's last block is that of the slopes' precision with other parameters eliminated.
-    first, across, second = factor[ACROSS, ACROSS], factor[UP, ACROSS], factor[UP, UP]
+    first, across, second = rest[-3, -2], rest[-2, -2], rest[-2, -1]
     relief = torch.stack([first.square(), across.square() + second.square(), first * across])
     return (
-        (here + step).reshape(shape),
-        measured_precision.reshape(shape),
+        parameters + step.reshape(shape),
+        measured.reshape(shape),
         relief.nan_to_num(0.0).reshape(3, *shape[1:]),
     )
 
 
-def _cholesky(normal: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
-    """Solutions (n, N) and Cholesky factors (n + 1, n, N) of N small systems side by side.
+def solved_in_place(system: Tensor) -> Tensor:
+    """Solutions (n, k, N) of N small systems side by side, which become their Cholesky factors.
 
     A third of the time of LAPACK's, which solves one system after the other. NaN where a system is
-    not positive definite. The factors' last row is that of the right-hand side.
+    not positive definite.
 
     Args:
-        normal: (n, n, N) symmetric.
-        right: (n, N).
+        system: (n + k, n, N) lower triangles, and k right-hand sides as the last rows.
     """
-    factor, count = torch.cat([normal, right[None]]), len(right)
+    count = system.shape[1]
     for k in range(count):
-        factor[k:, k] *= factor[k, k].rsqrt()
+        system[k:, k] *= system[k, k].rsqrt()
         for j in range(k + 1, count):
-            factor[j:, j] -= factor[j:, k] * factor[j, k]
-    solution = factor[count].clone()
+            system[j:, j] -= system[j:, k] * system[j, k]
+    solution = system[count:].movedim(0, 1).clone()
     for k in reversed(range(count)):
-        solution[k] /= factor[k, k]
-        solution[:k] -= factor[k, :k] * solution[k]
-    return solution, factor
+        solution[k] /= system[k, k]
+        solution[:k] -= system[k, :k, None] * solution[k]
+    return solution

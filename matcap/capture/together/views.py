@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -26,7 +26,7 @@ from matcap.photo.shrink import area_averaged
 
 _FINER = 2  # samples along the side of a texel
 _MOST_CLIPPED = 0.25  # largest clipped share of a valid texel
-_ROWS = 256  # rows of a mosaic's texels that are projected at a time
+_ROWS = 32  # rows that are projected at a time, in the processor's cache
 RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs
 _BORDER = 2.0  # width of a photograph's unused border, pixels
 
@@ -108,21 +108,26 @@ class ViewPlace:
     first: Doubles
     extent: Extent = OWN
 
-    def points(self, across: int, down: int, rows: slice = slice(None)) -> Doubles:
-        """(3, down, across) plane points of a grid's texels, or of some of its rows."""
-        points = grid_points(across, down, self.extent, rows)
-        height = np.zeros(points.shape[1:], np.float32)
-        if self.relief is not None:
-            wide = cv2.resize(self.relief, (across, down), interpolation=cv2.INTER_LINEAR)
-            height = np.asarray(wide, np.float32)[rows]
-        share = height / self.first[2]
-        points = points + share * (self.first[:, None, None] - points)
-        raised = points[2].copy()
-        points[2] = 1.0
-        points = np.tensordot(self.nudge, points, 1)
-        points /= points[2].copy()
-        points[2] = raised
-        return points
+    def points(self, across: int, down: int) -> Iterator[NDArray[np.float32]]:
+        """(3, rows, across) plane points of a grid's texels, _ROWS rows at a time.
+
+        Single precision rounds a pixel's place by a thousandth.
+        """
+        first, nudge = (np.asarray(each, np.float32) for each in (self.first, self.nudge))
+        relief = self.relief
+        if relief is not None:
+            wide = cv2.resize(relief, (across, down), interpolation=cv2.INTER_LINEAR)
+            relief = np.asarray(wide, np.float32)
+        for rows in strips(down, _ROWS):
+            points = np.asarray(grid_points(across, down, self.extent, rows), np.float32)
+            if relief is not None:
+                points += relief[rows] / first[2] * (first[:, None, None] - points)
+            raised = points[2].copy()
+            points[2] = 1.0
+            points = np.tensordot(nudge, points, 1)
+            points /= points[2].copy()
+            points[2] = raised
+            yield points
 
 
 @dataclass(frozen=True)
@@ -171,6 +176,7 @@ class PieceView:
         full = (photo.clipped[..., None] & (photo.pixels > FULL)).astype(np.float32)
         clipped = area_averaged(full, size)
         fine = (across * _FINER, down * _FINER)
+        place = place or ViewPlace(np.eye(3), None, view.camera.place)
         x, y = _looked_up(view, place, fine, size)
         inside = (x > _BORDER) & (x < size[0] - _BORDER) & (y > _BORDER) & (y < size[1] - _BORDER)
 
@@ -191,20 +197,16 @@ class PieceView:
             view.camera,
             None if view.flash else AmbientLight(),
             0.0 if view.flash else AMBIENT_NOISE,
-            OWN if place is None else place.extent,
+            place.extent,
         )
 
 
 def _looked_up(
-    view: RegisteredView, place: ViewPlace | None, fine: tuple[int, int], size: tuple[int, int]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    view: RegisteredView, place: ViewPlace, fine: tuple[int, int], size: tuple[int, int]
+) -> list[NDArray[np.float32]]:
     """Columns and rows in a photograph of `size` pixels of the texels of a grid `fine`."""
-    if place is None:
-        return to_pixels(view.camera.sees(grid_points(*fine)), *size)
-    # The many points of a mosaic are projected some rows at a time, to bound memory.
-    parts = [slice(None)] if place.extent == OWN else strips(fine[1], _ROWS)
-    pixels = [to_pixels(view.camera.sees(place.points(*fine, rows)), *size) for rows in parts]
-    return np.concatenate([x for x, _ in pixels]), np.concatenate([y for _, y in pixels])
+    parts = [to_pixels(view.camera.sees(points), *size) for points in place.points(*fine)]
+    return [np.concatenate(each) for each in zip(*parts, strict=True)]
 
 
 def light_at(
@@ -228,7 +230,8 @@ def radiance(
     light: FlashLight | AmbientLight, matte: Tensor, specular: Tensor, rough: Tensor, normal: Tensor
 ) -> Tensor:
     """(3, h, w) radiance of albedo, F0 and roughness with unit normals (3, h, w)."""
-    return light.onto(normal).radiance(matte, specular, rough).clamp_min(DARKEST)
+    lit = light.onto(normal)
+    return ((lit.matte(matte) + lit.mirrored(specular, rough)) * lit.irradiance).clamp_min(DARKEST)
 
 
 def logarithm(radiance: Tensor) -> Tensor:

@@ -122,11 +122,28 @@ def adjust(
     cameras += [
         fitted.camera(setup, pose, pair.focal) for pose, pair in zip(poses, pairs, strict=True)
     ]
-    off = tuple(
-        float(np.median(np.hypot(*bundle.residuals(pair, common, pose))))
-        for pair, pose in zip(pairs, poses, strict=True)
-    )
+    each = (bundle.residuals(*one) for one in bundle.by_photograph(common, poses))
+    off = tuple(float(np.median(np.hypot(*residuals))) for residuals in each)
     return Adjusted(fitted.adjusted(setup), tuple(cameras), off)
+
+
+class Features(NamedTuple):
+    """(3, n) features on the plane, and at a height above it, plane units."""
+
+    points: Doubles
+    raised: Doubles
+
+    @staticmethod
+    def of(first: PosedCamera, pair: Pair, height: float) -> Features:
+        """Raised along the first camera's rays, so that it sees both at the same coordinates."""
+        points = first.on_plane(pair.first)
+        return Features(points, points + height * (first.place[:, None] - points) / first.place[2])
+
+    def reprojected(self, camera: PosedCamera, pair: Pair) -> tuple[Doubles, Doubles]:
+        """(2, n) reprojection errors in the other photograph, pixels, and the height's parallax."""
+        seen = camera.sees(self.points)
+        parallax = (camera.sees(self.raised) - seen) / pair.pixel
+        return (seen - pair.second) / pair.pixel, parallax
 
 
 @dataclass(frozen=True)
@@ -152,17 +169,30 @@ class _Bundle:
         values = parameters.numpy()
         return values[:_COMMON], list(values[_COMMON:].reshape(-1, _OWN))
 
-    def residuals(self, pair: Pair, common: Doubles, pose: Doubles) -> Doubles:
-        """(2, n) reprojection errors of matches, pixels, less the part explained by relief."""
-        every = _Common(*common.tolist())
-        first = every.first_camera(self.setup)
-        camera = every.camera(self.setup, pose, pair.focal)
-        return less_relief(*reprojection(first, camera, pair, self.relief))
+    def features(self, pair: Pair, common: Doubles) -> Features:
+        """Features of a pair where the first camera of `common` sees them."""
+        first = _Common(*common.tolist()).first_camera(self.setup)
+        return Features.of(first, pair, self.relief)
+
+    def residuals(
+        self,
+        pair: Pair,
+        common: Doubles,
+        pose: Doubles,
+        features: Features | None = None,
+    ) -> Doubles:
+        """(2, n) reprojection errors of matches, pixels, less the part explained by relief.
+
+        `features` are those of `common` if known.
+        """
+        camera = _Common(*common.tolist()).camera(self.setup, pose, pair.focal)
+        features = features or self.features(pair, common)
+        return less_relief(*features.reprojected(camera, pair))
 
     def cost(self, parameters: Tensor) -> float:
         """Cost of parameters (5 + 6 photographs,)."""
         common, poses = self.parts(parameters)
-        each = (self.residuals(*one) for one in self._by_photograph(common, poses))
+        each = (self.residuals(*one) for one in self.by_photograph(common, poses))
         prior = float(np.square((common - self.prior) / self.deviation).sum()) / 2.0
         return prior + sum(_huber(residuals)[0] for residuals in each)
 
@@ -172,13 +202,13 @@ class _Bundle:
         normal, gradient = 1e-12 * np.eye(len(parameters)), np.zeros(len(parameters))
         normal[range(_COMMON), range(_COMMON)] += self.deviation**-2
         gradient[:_COMMON] = (common - self.prior) / self.deviation**2
-        for number, (pair, _, pose) in enumerate(self._by_photograph(common, poses)):
-            here = self.residuals(pair, common, pose)
-            whole = np.concatenate([common, pose])
-            there = (
-                self.residuals(pair, *np.split(whole + step, [_COMMON]))
-                for step in _STEP * np.eye(len(whole))
-            )
+        for number, (pair, _, pose) in enumerate(self.by_photograph(common, poses)):
+            features = self.features(pair, common)
+            here = self.residuals(pair, common, pose, features)
+            there = [self.residuals(pair, common + d, pose) for d in _STEP * np.eye(_COMMON)]
+            there += [
+                self.residuals(pair, common, pose + d, features) for d in _STEP * np.eye(_OWN)
+            ]
             jacobian = np.stack([((moved - here) / _STEP).ravel() for moved in there], 1)
             weighted = jacobian * np.tile(_huber(here)[1], 2)[:, None]
             own = _COMMON + _OWN * number
@@ -187,22 +217,11 @@ class _Bundle:
             gradient[places] += weighted.T @ here.ravel()
         return torch.from_numpy(normal), torch.from_numpy(gradient)
 
-    def _by_photograph(
+    def by_photograph(
         self, common: Doubles, poses: Sequence[Doubles]
     ) -> Iterator[tuple[Pair, Doubles, Doubles]]:
+        """Arguments of `residuals` for each."""
         return ((pair, common, pose) for pair, pose in zip(self.pairs, poses, strict=True))
-
-
-def reprojection(
-    first: PosedCamera, camera: PosedCamera, pair: Pair, height: float
-) -> tuple[Doubles, Doubles]:
-    """(2, n) reprojection errors in pixels, and the parallax of a height above the plane."""
-    points = first.on_plane(pair.first)
-    seen = camera.sees(points)
-    # Raised along the first camera's rays, so that it sees the features at the same coordinates.
-    raised = points + height * (first.place[:, None] - points) / first.place[2]
-    parallax = (camera.sees(raised) - seen) / pair.pixel
-    return (seen - pair.second) / pair.pixel, parallax
 
 
 def less_relief(residual: Doubles, parallax: Doubles) -> Doubles:

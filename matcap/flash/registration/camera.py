@@ -9,6 +9,7 @@ multiplies them by 1 + k1 r^2 + k2 r^4 ([brown1966], radial terms only).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from matcap.flash.geometry import FlashSetup, camera_in_plane, setup_rotation
 
 Doubles = NDArray[np.float64]
+Points = NDArray[Any]  # of single or double precision
 
 _ROUNDS = 12  # fixed-point iterations of undistortion; each gains two digits at a distortion of 3 %
 
@@ -29,7 +31,7 @@ class Lens:
     bent: tuple[float, float] = (0.0, 0.0)
     """(k1, k2) of its radial distortion."""
 
-    def drawn(self, image: Doubles) -> Doubles:
+    def drawn(self, image: Points) -> Points:
         """Distort ideal image coordinates (2, ...)."""
         squared = np.square(image).sum(0)
         return image * (1.0 + squared * (self.bent[0] + squared * self.bent[1]))
@@ -60,11 +62,11 @@ class PosedCamera:
         place, _ = camera_in_plane(setup)
         return PosedCamera(setup_rotation(setup).numpy(), place.numpy(), Lens(setup.distance, bent))
 
-    def sees(self, points: Doubles) -> Doubles:
-        """(2, ...) image coordinates of points (3, ...); NaN behind the camera."""
-        relative = points - self.place.reshape(3, *(1,) * (points.ndim - 1))
-        x, y, z = np.tensordot(self.turn, relative, 1)
-        depth = np.where(z < 0.0, -z, np.nan)
+    def sees(self, points: Points) -> Points:
+        """(2, ...) image coordinates of points (3, ...), as precise; NaN behind the camera."""
+        turn, place = (each.astype(points.dtype) for each in (self.turn, self.place))
+        x, y, z = np.tensordot(turn, points - place.reshape(3, *(1,) * (points.ndim - 1)), 1)
+        depth = np.where(z < 0.0, -z, np.nan).astype(points.dtype)
         return self.lens.drawn(self.lens.focal * np.stack([x, y]) / depth)
 
     def on_plane(self, image: Doubles) -> Doubles:

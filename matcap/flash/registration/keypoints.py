@@ -88,7 +88,7 @@ def find_keypoints(
     rows, columns = photo.pixels.shape[:2]
     shrunk = min(1.0, _LONG_SIDE / columns)
     size = (round(columns * shrunk), round(rows * shrunk))
-    grey = area_averaged(photo.pixels.mean(2), size)
+    grey = area_averaged(photo.pixels, size).mean(2)
     # Without precise upscaling, all coordinates are biased by a quarter of a pixel.
     sift = cv2.SIFT.create(_MOST, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
     points, described = sift.detectAndCompute(even(np.asarray(grey, np.float32)), None)

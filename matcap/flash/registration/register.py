@@ -256,7 +256,7 @@ def _texture(
     """(H, W) high-passed log radiance over its local contrast on the plane's grid, and its mask."""
     rows, columns = view.photo.pixels.shape[:2]
     size = (across, round(across * rows / columns))
-    grey = area_averaged(view.photo.pixels.mean(2), size)
+    grey = area_averaged(view.photo.pixels, size).mean(2)
     log = np.log(np.maximum(grey, 1e-5)).astype(np.float32)
     image = view.camera.sees(grid_points(across, down))
     x, y = to_pixels(image, size[0], size[1])

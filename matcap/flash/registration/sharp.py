@@ -55,7 +55,7 @@ def _fineness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.flo
     rows, columns = photo.pixels.shape[:2]
     wide = min(columns, across)
     size = (wide, round(wide * rows / columns))
-    grey = area_averaged(photo.pixels.mean(2), size)
+    grey = area_averaged(photo.pixels, size).mean(2)
     log = np.log(np.maximum(grey, 1e-4)).astype(np.float32)
     x, y = to_pixels(camera.sees(grid_points(across, down)), *size)
     inside = (x > 1) & (x < size[0] - 2) & (y > 1) & (y < size[1] - 2)
