@@ -556,7 +556,7 @@ FAULTS = (
     Fault("several: shading leaves no doubt", "flash _covariance",
           "covariance + np.outer(moved, moved)", "covariance",
           "flash/registration/test_doubt.py -k is_said"),
-    Fault("several: moved twice as far as they lie astray", "capture _FOURTH", "12.0", "24.0",
+    Fault("several: moved twice as far as they lie astray", "capture _gradient", "12.0", "24.0",
           "capture/together/test_alignment.py -k no_farther"),
     Fault("several: those that are held move", "capture _Layout.deviations",
           "number in moved", "True", "capture/together/test_alignment.py -k held_stays"),

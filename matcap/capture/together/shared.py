@@ -35,8 +35,8 @@ from matcap.flash.registration.camera import Doubles
 _OFFSET, _VIGNETTING, _GLOSS = slice(0, 2), slice(2, 4), slice(4, 6)
 _LIGHT = slice(0, 4)  # offset and vignetting
 _SHARED, _GAINS, _MOVES = 6, 3, 8  # numbers of parameters: common, gains of each, homography
-# Fourth-order derivative: weights of texels this far away.
-_FOURTH = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
+# Fourth-order derivative, twelvefold: weights of texels this far away.
+_FOURTH = ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0))
 _ROUNDING = 1e-5  # damping of the diagonal against rounding in single precision
 
 
@@ -239,7 +239,8 @@ def _gradient(log: Tensor, chosen: Tensor, texel: float) -> tuple[Tensor, Tensor
     for off, weight in _FOURTH:
         dx += weight * log[:, row, mirrored(column + off, width)]
         dy += weight * log[:, mirrored(row - off, height), column]
-    return dx / texel, dy / texel
+    spacing = 12.0 * texel
+    return dx / spacing, dy / spacing
 
 
 @dataclass(frozen=True)
