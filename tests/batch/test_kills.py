@@ -7,6 +7,6 @@ from kills import torture
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
-def test_three_kills_leave_nothing_torn_and_the_same_result(tmp_path):
-    tally = torture(tmp_path, kills=3, photographs=2, jobs=1, seed=2)
-    assert tally.kills == 3 and tally.complete >= 1
+def test_two_kills_leave_nothing_torn_and_the_same_result(tmp_path):
+    tally = torture(tmp_path, kills=2, photographs=2, jobs=1, seed=2)
+    assert tally.kills == 2 and tally.complete >= 1

@@ -7,6 +7,7 @@ hides a tilt behind an offset, which the priors then split: only glossy ones are
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -33,6 +34,12 @@ CASES = {
 def made(*, offset=(0.1, 0.05, 0.0), tilt=(0.0, 0.0), intensity=10.0, **material):
     setup = a_setup(offset=offset, tilt=tilt, intensity=intensity)
     return setup, photograph(setup, **material)
+
+
+@cache
+def plain_fit(radiometric):
+    """Of rough material, as RAW or as it is developed."""
+    return fit_coarse(made(roughness=0.5, radiometric=radiometric)[1])
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
@@ -138,10 +145,9 @@ def test_a_trend_of_colour_is_not_taken_for_the_light():
 )
 def test_a_cone_of_flash_light_is_the_cameras_and_not_the_materials(lost, response):
     """Photographs lose light with r^4 on top of r^2; albedo and gloss are as without."""
-    setup, photo = made(roughness=0.5)
-    coned = replace(setup, vignetting=lost[0], vignetting_quartic=lost[1])
-    plain = fit_coarse(replace(photo, radiometric=False))
-    taken = replace(photograph(coned, roughness=0.5), radiometric=False)
+    coned = replace(a_setup(), vignetting=lost[0], vignetting_quartic=lost[1])
+    plain = plain_fit(radiometric=False)
+    taken = photograph(coned, roughness=0.5, radiometric=False)
     profile = response and CameraProfile("phone", response, 9)
     cone = fit_coarse(replace(taken, profile=profile))
     assert cone.setup.vignetting_quartic > plain.setup.vignetting_quartic + 0.5 * lost[1]
@@ -154,9 +160,8 @@ def test_a_cone_of_flash_light_is_the_cameras_and_not_the_materials(lost, respon
 
 def test_a_raw_shows_the_cone_as_well():
     """The LED lights a cone in every format: gloss is as without."""
-    setup, photo = made(roughness=0.5)
-    plain = fit_coarse(photo)
-    cone = fit_coarse(photograph(replace(setup, vignetting_quartic=0.6), roughness=0.5))
+    plain = plain_fit(radiometric=True)
+    cone = fit_coarse(photograph(replace(a_setup(), vignetting_quartic=0.6), roughness=0.5))
     lost = cone.setup.vignetting + cone.setup.vignetting_quartic
     assert lost == pytest.approx(0.6, abs=0.2)
     assert cone.roughness == pytest.approx(plain.roughness, abs=0.05)
@@ -226,9 +231,8 @@ def test_the_tone_curve_is_fitted_and_undone_where_the_falloff_is_known():
 
 def test_a_raw_has_no_tone_curve():
     """Its numbers are proportional to light."""
-    _, photo = made(roughness=0.5)
-    assert fit_coarse(photo).tone == ToneCurve()
-    assert fit_coarse(replace(photo, radiometric=False)).tone.exponent != 1.0
+    assert plain_fit(radiometric=True).tone == ToneCurve()
+    assert plain_fit(radiometric=False).tone.exponent != 1.0
 
 
 def test_a_coloured_flash_does_not_colour_a_black_dielectric():

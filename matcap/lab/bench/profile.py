@@ -34,7 +34,7 @@ _STAGES = (_START, *PIECE_STAGES, _WHOLE)
 
 Cost = Mapping[str, float]
 ByStage = Mapping[str, Cost]
-Profiled = Callable[[str], ByStage]  # by preset
+Profiled = Callable[[str], ByStage | MatcapError]  # by preset; or why there is none
 
 
 def profile_experiment(
@@ -48,10 +48,13 @@ def profile_experiment(
     chosen = choose(PRESETS, presets)
 
     def prepare(path: Path) -> Profiled:
-        return cache(partial(profiled, path))
+        return cache(partial(_tried, path))
 
     def cost(preset: str, stage: str, by_preset: Profiled, _seed: int) -> Cost:
-        return by_preset(preset)[stage]
+        found = by_preset(preset)
+        if isinstance(found, MatcapError):
+            raise found
+        return found[stage]
 
     return Experiment(
         "profile",
@@ -64,6 +67,14 @@ def profile_experiment(
         (lambda _by_preset, cost: cost,),
         settings=[path.resolve() for path in photographs],
     )
+
+
+def _tried(photograph: Path, preset: str) -> ByStage | MatcapError:
+    """A failure is remembered, too: its stages are not captured one by one."""
+    try:
+        return profiled(photograph, preset)
+    except MatcapError as error:
+        return error
 
 
 def profiled(photograph: Path, preset: str) -> ByStage:
