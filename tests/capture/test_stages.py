@@ -64,7 +64,9 @@ def test_a_stage_without_a_share_is_a_bug():
         pass
 
 
-def test_of_the_papers_system_a_default_material_loads_the_alignment_branch_alone(tmp_path):
+def test_a_default_material_loads_no_compiler_and_of_the_papers_system_one_branch(
+    tmp_path,
+):
     """Capture, synth, relight, export and view, in a process of its own."""
     program = """
 import sys
@@ -80,6 +82,8 @@ work = [
 for words in work:
     code = main(words)
     assert code == 0, (words, code)
+    # PyTorch's compiler, which many of its functions import, takes 0.3 to 2 s.
+    assert not {"sympy", "torch._dynamo"} & set(sys.modules), words
 print(sorted(name for name in sys.modules if name.startswith(("matcap.space", "matcap.lab"))))
 """
     command = [sys.executable, "-c", program, str(PHOTO), str(tmp_path)]

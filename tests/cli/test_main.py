@@ -5,9 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image
 
 import matcap as package
 from matcap.cli import main as main_module
@@ -31,7 +29,7 @@ def test_help_answers_at_once():
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
-    assert min(seconds() for _ in range(5)) < 0.5
+    assert min(seconds() for _ in range(3)) < 0.5
 
 
 @pytest.mark.parametrize("module", ["matcap", "matcap.cli.main"])
@@ -39,25 +37,6 @@ def test_nothing_heavy_is_imported(module):
     code = f"import sys, {module}; print(*[m for m in {HEAVY} if m in sys.modules])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.split() == []
-
-
-def test_a_capture_does_without_pytorchs_compiler(tmp_path):
-    """Many of PyTorch's functions import it, and its algebra with it: 0.3 to 2 s."""
-    pixels = np.random.default_rng(0).integers(60, 160, (96, 128, 3), dtype=np.uint8)
-    Image.fromarray(pixels).save(tmp_path / "photo.png")
-    arguments = ["capture", "photo.png", "-o", "out", "--size", "16", "-q"]
-    arguments += ["--detail", "128"]
-    code = f"""import sys
-from matcap.cli.main import run
-sys.argv = ["matcap", *{arguments}]
-try:
-    run()
-except SystemExit as end:
-    print(end.code, "sympy" in sys.modules, "torch._dynamo" in sys.modules)"""
-    found = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    assert found.stdout.split() == ["0", "False", "False"]
 
 
 def test_the_console_script_is_installed():

@@ -25,20 +25,22 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_the_same_request_in_two_processes_gives_the_same_files(folder):
-    for out in ("first", "second"):
-        said = run(folder, "synth", "noise.matcap", "--size", "96x40", "--seed", "7", "-o", out)
-        assert said.returncode == 0, said.stderr
+def test_the_same_request_in_two_processes_gives_the_same_files(folder, matcap):
+    words = ("--size", "96x40", "--seed", "7", "-o")
+    assert matcap("synth", folder / "noise.matcap", *words, folder / "first").code == 0
+    said = run(folder, "synth", "noise.matcap", *words, "second")
+    assert said.returncode == 0, said.stderr
     files = sorted(f.name for f in (folder / "first").iterdir())
     assert len(files) == 7
     for name in files:
         assert filecmp.cmp(folder / "first" / name, folder / "second" / name, shallow=False)
 
 
-def test_a_command_that_read_pictures_ends_without_a_word_of_leaks(folder):
+def test_a_command_that_read_pictures_ends_without_a_word_of_leaks(folder, matcap):
     """Python is not to skip at its end what OpenImageIO then would miss."""
-    assert run(folder, "synth", "noise.matcap", "--size", "32x32", "-o", "small").returncode == 0
-    said = run(folder, "relight", "small", "--quiet", "-o", "small.png")
+    made = matcap("synth", folder / "noise.matcap", "--size", "32x32", "-o", folder / "small")
+    assert made.code == 0
+    said = run(folder, "relight", "small", "--quiet", "--size", "64x48", "-o", "small.png")
     assert (said.returncode, said.stderr) == (0, "")
 
 

@@ -85,11 +85,11 @@ def test_the_clipped_share_is_within_one_percent(shots, tmp_path, gain):
 def test_the_tilt_is_within_three_degrees_on_average():
     """RAW of kinds never trained on, tilted up to 15 degrees either way; as captures have it."""
     errors = []
-    for seed in range(UNSEEN + 900, UNSEEN + 912):
+    for seed in range(UNSEEN + 900, UNSEEN + 906):
         photo, (tilt_x, tilt_y) = tilted_photo(seed, 256, radiometric=True)
         value = photograph_quality(photo)["tilt"].value
         errors += [value["up"] - math.degrees(tilt_x), value["right"] + math.degrees(tilt_y)]
-    assert np.abs(errors).mean() < 3.0
+    assert np.abs(errors).mean() < 3.0  # 2.0
 
 
 def grey(texture: float = 0.1, falloff: float = 1.0) -> np.ndarray:

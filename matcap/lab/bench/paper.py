@@ -29,10 +29,12 @@ _METHOD = Method(
 )
 
 
-def capture_as_in_paper(photo: Path, material: Path, seed: int, steps: int = STEPS) -> None:
+def capture_as_in_paper(
+    photo: Path, material: Path, seed: int, steps: int = STEPS, detail: int = 512
+) -> None:
     """Capture a photograph and write the material's file."""
     settings = CaptureSettings(
-        steps=steps, detail=512, seed=seed, prior="none", generator="decoder"
+        steps=steps, detail=detail, seed=seed, prior="none", generator="decoder"
     )
     read = read_photograph(photo, settings)
     capture_photo(read, settings, method=_METHOD).material.save(material)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,9 +14,22 @@ from matcap.capture.piece.smooth import split
 from matcap.capture.piece.strengths import BANDS, Strengths, slope_strengths
 
 
+@cache
 def _bumps() -> np.ndarray:
     shot = photographed(0.2, 0.0, width=768, height=512)
     return (shot.maps.height / shot.maps.texel_size)[0].numpy()
+
+
+@cache
+def _grainy() -> tuple[np.ndarray, np.ndarray]:
+    """Bumps with waves of all lengths, and their strengths by band."""
+    height = _bumps() + 0.02 * np.random.default_rng(0).standard_normal((512, 768))
+    return height.astype(np.float32), slope_strengths(height.astype(np.float32))
+
+
+@cache
+def _even(grainy: bool = False) -> np.ndarray:
+    return equalise(_grainy()[0] if grainy else _bumps(), None)
 
 
 def slopes(height):
@@ -52,9 +66,7 @@ def test_a_wave_is_in_its_own_band(band: int) -> None:
 
 def test_relief_gets_the_strength_that_is_told_in_every_band() -> None:
     """Also of the finest waves, of which networks draw a tenth."""
-    height = _bumps() + 0.02 * np.random.default_rng(0).standard_normal((512, 768))
-    height = height.astype(np.float32)
-    true = slope_strengths(height)
+    height, true = _grainy()
     shrunk = [
         share * band
         for share, band in zip((0.5, 0.5, 0.5, 0.4, 0.2, 0.1, 1), split(height), strict=True)
@@ -65,8 +77,7 @@ def test_relief_gets_the_strength_that_is_told_in_every_band() -> None:
 
 
 def test_what_is_told_of_some_bands_holds_of_those_nothing_is_told_of() -> None:
-    height = _bumps() + 0.02 * np.random.default_rng(0).standard_normal((512, 768))
-    true = slope_strengths(height.astype(np.float32))
+    height, true = _grainy()
     result = _estimate(true)
     result.slope[:2], result.deviation[:2] = 0.0, 1.0
     found = slope_strengths(equalise(np.asarray(0.3 * height, np.float32), result))
@@ -75,9 +86,7 @@ def test_what_is_told_of_some_bands_holds_of_those_nothing_is_told_of() -> None:
 
 
 def test_even_relief_is_left_as_it_is() -> None:
-    height = _bumps()
-    even = equalise(height, None)
-    before, after = (np.stack(slopes(h)) for h in (height, even))
+    before, after = (np.stack(slopes(h)) for h in (_bumps(), _even()))
     correlation = (before * after).sum() / np.sqrt(np.square(before).sum() * np.square(after).sum())
     assert correlation > 0.95
 
@@ -160,10 +169,8 @@ def test_waves_of_any_direction_are_left_as_they_are(way) -> None:
 def test_relief_becomes_as_strong_as_the_photograph_says_so_far_as_it_is_sure(
     result, doubt, least, most
 ) -> None:
-    height = _bumps() + 0.02 * np.random.default_rng(0).standard_normal((512, 768))
-    height = height.astype(np.float32)
-    found = slope_strengths(height)
-    own = _strength(equalise(height, None), (slice(None), slice(None)))[0]
+    height, found = _grainy()
+    own = _strength(_even(grainy=True), (slice(None), slice(None)))[0]
     strengths = _estimate(result * found, doubt)
     now = _strength(equalise(height, strengths), (slice(None), slice(None)))[0]
     assert least < now / own < most
@@ -181,5 +188,5 @@ def test_a_bowl_is_no_relief() -> None:
     height = _bumps()
     y, x = np.mgrid[-1 : 1 : height.shape[0] * 1j, -1.5 : 1.5 : height.shape[1] * 1j]
     bowl = (60.0 * (x**2 + y**2)).astype(np.float32)
-    left = equalise(height + bowl, None) - equalise(height, None)
+    left = equalise(height + bowl, None) - _even()
     assert left.std() < 0.05 * bowl.std()

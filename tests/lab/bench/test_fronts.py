@@ -105,7 +105,7 @@ def test_memory_is_the_command_s_and_not_the_bench_s(capfd):
 def test_the_paper_s_form_is_a_decoder_from_nothing(tmp_path):
     specimen, camera = EXAMPLES["plaster"], PhoneCamera(160, 120, supersampling=1)
     photo, _ = photograph(specimen, camera, tmp_path)
-    capture_as_in_paper(photo, tmp_path / "paper.matcap", 0, steps=1)
+    capture_as_in_paper(photo, tmp_path / "paper.matcap", 0, steps=1, detail=160)
     found = Material.load(tmp_path / "paper.matcap")
     assert set(found.generators) == {"decoder"}
     assert found.provenance["settings"]["prior"] == "none"

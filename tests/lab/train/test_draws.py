@@ -10,7 +10,7 @@ from matcap.lab.train.prior_variety import VarietySettings, middles, run_variety
 
 def test_the_page_tells_what_was_measured(prior, pack, tmp_path, monkeypatch):
     pack = Pack((*pack.entries, *(entry(f"simulated{i}", i, simulated=True) for i in range(4))))
-    monkeypatch.setattr(pictures, "_SIZE", 128)
+    monkeypatch.setattr(pictures, "_SIZE", 64)
     monkeypatch.setattr("matcap.lab.train.corpus.LONG_SIDE", 256)
     monkeypatch.setattr("matcap.lab.train.prior_variety.PAIRS", 2)
     said = []
