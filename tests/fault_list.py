@@ -145,6 +145,8 @@ FAULTS = (
           "sync(folder)", "pass", "files/test_publishing.py -k leaves_a_half and plain"),
     Fault("publishing: nobody reads the journal", "files recover",
           "os.path.lexists(folder / JOURNAL)", "False", "files/test_publishing.py -k whoever"),
+    Fault("signals: torch is interrupted while it is imported", "files raise_on_signals",
+          "_importing('torch')", "False", "files/test_interrupts.py -k imported"),
     Fault("environment: a plane sees behind itself", "relight Renderer._environment",
           "environment.above_plane() if flat else environment", "environment",
           "relight/test_relight_edges.py -k behind"),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,12 +23,23 @@ def raise_on_signals() -> Callable[[], bool]:
 
     def raised(number: int, frame: FrameType | None) -> None:
         came.append(number)
-        signal.default_int_handler(number, frame)
+        if _importing("torch"):  # whose C++ aborts at an exception: again when it is done
+            again = threading.Timer(0.05, os.kill, (os.getpid(), number))
+            again.daemon = True
+            again.start()
+        else:
+            signal.default_int_handler(number, frame)
 
     for which in _BOTH:
         if signal.getsignal(which) is not signal.SIG_IGN:  # as under nohup
             signal.signal(which, raised)
     return lambda: bool(came)
+
+
+def _importing(name: str) -> bool:
+    """Whether a module's import has begun and not ended."""
+    spec = getattr(sys.modules.get(name), "__spec__", None)
+    return getattr(spec, "_initializing", False)
 
 
 def ignore_signals() -> None:

@@ -53,3 +53,22 @@ def test_both_end_a_command_by_a_keyboard_interrupt(number):
 
     run = subprocess.run([sys.executable, "-c", program], preexec_fn=heed, check=False)
     assert run.returncode == 7
+
+
+@pytest.mark.parametrize("number", BOTH)
+def test_a_signal_waits_until_torch_is_imported(tmp_path, number):
+    """Its C++ aborts at an exception in what it imports."""
+    (tmp_path / "torch.py").write_text(
+        f"import os, time; os.kill(os.getpid(), {int(number)}); time.sleep(0.2); whole = True\n"
+    )
+    program = (
+        "import sys, time; from matcap.files.interrupts import raise_on_signals\n"
+        "raise_on_signals()\n"
+        "try: import torch; time.sleep(30)\n"
+        "except KeyboardInterrupt: sys.exit(7 if hasattr(sys.modules.get('torch'), 'whole') else 8)"
+    )
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    run = subprocess.run(
+        [sys.executable, "-c", program], env=os.environ | {"PYTHONPATH": path}, check=False
+    )
+    assert run.returncode == 7
