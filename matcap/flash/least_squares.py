@@ -30,7 +30,7 @@ def minimised(
         farthest: largest change of a parameter in a step.
         tolerance: relative decrease of the cost at which it ends.
     """
-    parameters, damping, least = start.clone(), _FIRST, cost(start)
+    parameters, damping, least = start, _FIRST, cost(start)
     for _ in range(iterations):
         normal, gradient = quadratic(parameters)
         candidate, new = parameters, math.inf

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import torch
 from torch import Tensor
@@ -71,6 +71,7 @@ def _deviation(parts: tuple[float, float], highlight: Highlight) -> float:
     return parts[0] + parts[1] * highlight.width
 
 
+@cache
 def _circle() -> Tensor:
     """(2, directions) unit vectors at equal angles."""
     turn = torch.arange(_DIRECTIONS, dtype=torch.float64) * (2.0 * math.pi / _DIRECTIONS)

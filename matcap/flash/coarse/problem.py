@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -93,11 +94,10 @@ class Problem:
 
         Light is common to all channels, texture is not: channel differences separate the two.
         """
-        whole = (self.cells.above == 1.0).all(0)
-        if int(whole.sum()) < _LEAST_WHOLE_CELLS:
+        if int(self._whole.sum()) < _LEAST_WHOLE_CELLS:
             return self
-        rest = self.differences(parameters)
-        return replace(self, whitening=_whitening(rest[:, whole], self.cells.weight[whole]))
+        rest = self.differences(parameters)[:, self._whole]
+        return replace(self, whitening=_whitening(rest, self.cells.weight[self._whole]))
 
     def trusting(self, parameters: Tensor) -> Problem:
         """The problem with the prior's weight set from the residuals of a first fit."""
@@ -129,23 +129,32 @@ class Problem:
         prior = replace(Unknowns.of(self.prior), offset=place.offset, tilt=place.tilt)
         return replace(self, prior=prior.vector(), precision=precision)
 
-    @property
+    @cached_property
     def weight(self) -> Tensor:
         """(residuals,) weight of each residual."""
         each = self.cells.weight.repeat(3)
         return each if self.evidence is None else torch.cat([each, self.evidence.weights])
 
+    @cached_property
+    def _image(self) -> Tensor:
+        """(2, n) image coordinates of cells and of the highlight's measurements."""
+        parts = [self.cells.image, *([] if self.evidence is None else [self.evidence.image])]
+        return torch.cat(parts, dim=1)
+
+    @cached_property
+    def _whole(self) -> Tensor:
+        """(cells,) bool, no channel is a lower bound."""
+        return (self.cells.above == 1.0).all(0)
+
     def residuals(self, parameters: Tensor) -> Tensor:
         """(residuals,) residuals at the parameters, in log radiance."""
         cells, evidence = self.cells, self.evidence
-        image = cells.image if evidence is None else torch.cat([cells.image, evidence.image], dim=1)
-        everywhere = self.log_radiance(parameters, image)
+        everywhere = self.log_radiance(parameters, self._image)
         difference = cells.differences(everywhere[:, : cells.image.shape[1]])
         # Of a lower bound, only a darker model has a residual.
         bounded = torch.where(difference > 0.0, difference * cells.above, difference)
         if self.whitening is not None:
-            whole = (cells.above == 1.0).all(0)
-            bounded = torch.where(whole, self.whitening @ difference, bounded)
+            bounded = torch.where(self._whole, self.whitening @ difference, bounded)
         difference = bounded.flatten()
         if evidence is None:
             return difference
@@ -153,9 +162,12 @@ class Problem:
         seen = everywhere[:, cells.image.shape[1] :]
         return torch.cat([difference, HUBER * evidence.residuals(mirror, seen)])
 
-    def quadratic(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
-        """(n, n) Gauss-Newton Hessian of the cost and (n,) its gradient, without brightening."""
-        r = self.residuals(parameters)
+    def quadratic(self, parameters: Tensor, r: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """(n, n) Gauss-Newton Hessian of the cost and (n,) its gradient, without brightening.
+
+        `r` are the residuals there, if they are known.
+        """
+        r = self.residuals(parameters) if r is None else r
         jacobian = _jacobian(self.residuals, parameters, r)
         weight = self.weight * HUBER / r.abs().clamp_min(HUBER)
         hessian = (jacobian * weight[:, None]).T @ jacobian + self.precision
@@ -185,9 +197,9 @@ class Problem:
             Unknowns.of(torch.zeros_like(parameters)), vignetting=precision_there
         ).vector()
 
-    def cost(self, parameters: Tensor) -> float:
-        """Cost at the parameters."""
-        r = self.residuals(parameters).abs()
+    def cost(self, parameters: Tensor, r: Tensor | None = None) -> float:
+        """Cost at the parameters; `r` are the residuals there, if they are known."""
+        r = (self.residuals(parameters) if r is None else r).abs()
         huber = torch.where(r < HUBER, 0.5 * r.square(), HUBER * (r - 0.5 * HUBER))
         deviation = parameters - self.prior
         prior = 0.5 * deviation @ self.precision @ deviation
@@ -196,13 +208,20 @@ class Problem:
 
     def minimised(self, start: Tensor, iterations: int) -> tuple[float, Tensor]:
         """(cost, parameters) after at most `iterations` Levenberg-Marquardt steps."""
+        last: tuple[Tensor, Tensor | None] = (start, None)  # parameters and their residuals
+
+        def cost(parameters: Tensor) -> float:
+            nonlocal last
+            last = parameters, self.residuals(parameters)
+            return self.cost(*last)
 
         def quadratic(parameters: Tensor) -> tuple[Tensor, Tensor]:
-            normal, gradient = self.quadratic(parameters)
+            known = last[1] if last[0] is parameters else None
+            normal, gradient = self.quadratic(parameters, known)
             extra = self.brightening(parameters)
             return normal + torch.diag(extra), gradient + extra * parameters
 
-        return minimised(self.cost, quadratic, start, iterations, farthest=1.0)
+        return minimised(cost, quadratic, start, iterations, farthest=1.0)
 
 
 def _whitening(residuals: Tensor, weight: Tensor) -> Tensor:
