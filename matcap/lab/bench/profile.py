@@ -51,10 +51,10 @@ def profile_experiment(
         return cache(partial(_tried, path))
 
     def cost(preset: str, stage: str, by_preset: Profiled, _seed: int) -> Cost:
-        found = by_preset(preset)
-        if isinstance(found, MatcapError):
-            raise found
-        return found[stage]
+        costs = by_preset(preset)
+        if isinstance(costs, MatcapError):
+            raise costs
+        return costs[stage]
 
     return Experiment(
         "profile",
