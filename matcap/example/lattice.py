@@ -30,6 +30,10 @@ _FEWEST = 3.0  # least number of periods across an exemplar
 _WELL_MEASURED = 6.0  # periods across an exemplar from which on phase offsets are a bend
 _STRAIGHT = 4.0  # texels, largest range of a bend that patches may keep
 _ROUGH = 1.0  # second difference of offsets along both axes, texels, from which on they are errors
+_NEAR = 2  # texels around a period within which the largest correlation is taken
+# Correlation at a period that makes a lattice, and gain over that at half a period if it is less:
+# 0.06 to 0.22 and -0.1 to 0.09 on plaids and boards with waves of another order.
+_ALIKE, _GAIN = 0.25, 0.1
 _FAINT = 1e-9  # added to a plane's power, squared features
 _LAG = 2.0  # distance at which coherence is measured, window deviations
 _STEADIEST = 0.98  # upper limit of a plane's coherence, so that no plane dominates
@@ -249,7 +253,8 @@ def measure_lattice(
 ) -> PhasedLattice | None:
     """Measure frequency vectors and phases of a lattice.
 
-    None without waves, or if a period is longer than a third of the exemplar.
+    Waves by which the exemplar does not repeat are left out. None without waves, or if a period is
+    longer than a third of the exemplar.
 
     Args:
         planes: (C, H, W) of zero mean.
@@ -262,8 +267,34 @@ def measure_lattice(
     lattice = PhasedLattice(
         tuple(wave for wave, _ in fitted), np.stack([bend for _, bend in fitted])
     )
+    repeats = [_repeats(planes, period) for period in lattice.periods().T / 256.0]
+    if not all(repeats):
+        kept = tuple(wave for wave, one in zip(waves, repeats, strict=True) if one)
+        return measure_lattice(planes, kept)
     joints = _joints(np.delete(planes, _SLOPES, axis=0), lattice)
     return PhasedLattice(lattice.waves, lattice.phase_offsets - joints[:, None, None])
+
+
+def _repeats(planes: NDArray[np.floating], period: NDArray[np.float64]) -> bool:
+    """Whether planes (C, H, W) are like themselves a period away, more than half a period away."""
+    high, wide = planes.shape[1:]
+
+    def alike(x: int, y: int) -> float:
+        rows, columns = (
+            np.arange(max(0, -by), side - max(0, by), 2) for by, side in ((y, high), (x, wide))
+        )
+        if not (rows.size and columns.size):
+            return 0.0
+        here = planes[:, rows[:, None], columns]
+        there = planes[:, rows[:, None] + y, columns + x]
+        powers = np.square(here).sum() * np.square(there).sum()
+        return float((here * there).sum() / np.sqrt(powers + _FAINT))
+
+    x, y = (round(along) for along in period)
+    near = range(-_NEAR, _NEAR + 1)
+    once = max(alike(x + dx, y + dy) for dx in near for dy in near)
+    half = alike(round(period[0] / 2), round(period[1] / 2))
+    return once > min(half + _GAIN, _ALIKE)
 
 
 def _joints(planes: NDArray[np.floating], lattice: PhasedLattice) -> NDArray[np.int32]:

@@ -146,3 +146,14 @@ def test_checks_as_large_as_a_third_of_an_exemplar_are_kept(periods, kept):
         assert np.abs(turns).max() < 0.05
         across = np.diff(found[0, :, 0])[0] - 224.0 / period
         assert abs(across - round(across)) < 0.05
+
+
+def test_waves_by_which_an_exemplar_does_not_repeat_are_no_lattice():
+    random = np.random.default_rng(2)
+    rows = np.mgrid[:192, :256][0]
+    across, along = (1.0 / 31.0, 0.0), (0.0, 1.0 / 24.0)
+    stripes = np.cos(2 * np.pi * rows / 24.0) + 0.5 * random.standard_normal(rows.shape)
+    boards = np.broadcast_to(random.standard_normal(8).repeat(32), rows.shape)
+    for plane, wave, repeats in ((stripes, along, True), (boards, across, False)):
+        planes = np.stack([plane, *[np.zeros_like(plane)] * 6])
+        assert (measure_lattice(planes, (wave,)) is not None) == repeats

@@ -344,7 +344,10 @@ def evened(
     across = observed.plane.extent.unit(observed.plane.size[0])
     levels = prediction.classes.flat()
     trusted = prediction.confidence["diffuse"]
-    return flatten(departures - levels, trusted, observed.specular_fraction, across=across) + levels
+    texel = observed.plane.texel_size
+    points = [(d / texel).numpy() for d in (observed.from_mirror_point, observed.from_axis)]
+    fraction = observed.specular_fraction
+    return flatten(departures - levels, trusted, fraction, points, across=across) + levels
 
 
 def _rerendered(

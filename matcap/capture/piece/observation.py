@@ -20,7 +20,7 @@ from matcap.capture.piece.refine import PieceLight
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.piece.strengths import RESPONSE_AROUND, Strengths, measure_strengths
 from matcap.flash.coarse.fit import CoarseFit
-from matcap.flash.geometry import flash_mirror_point, plane_points
+from matcap.flash.geometry import flash_mirror_point, plane_points, project
 from matcap.flash.plane import Plane
 from matcap.flash.rectify import inside
 
@@ -84,6 +84,11 @@ class Observation:
         """(H, W) distance from the flash's mirror point, plane units."""
         x, y = flash_mirror_point(self.coarse.setup)
         return torch.hypot(self.points[0] - x, self.points[1] - y)
+
+    @property
+    def from_axis(self) -> Tensor:
+        """(H, W) distance from the lens's axis in the photograph, in half widths."""
+        return project(self.points, self.coarse.setup).norm(dim=0)
 
     def strengths(self, read: Tensor | None = None) -> Strengths | None:
         """Relief spectrum measured in the photograph; None if too few texels are valid.

@@ -9,6 +9,7 @@ residuals are errors of coarse fit and tone curve, and are left out.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,6 +49,7 @@ _CHROMA = 0.3
 # The long side over the standard deviation of the blur that is subtracted from albedo, as the
 # sample is stationary.
 _STATIONARY = 8.0
+_RINGS, _SECTORS = 64, 16  # rings across the long side, and their parts
 _MOST_SHIFT = 2.0  # largest factor on the mean radiance
 _THINNED = 3  # subsampling, texels, of least-squares sums over smooth planes
 
@@ -144,10 +146,12 @@ def flatten(
     departures: SurfaceParameters,
     confidence: NDArray[np.float32],
     specular_fraction: NDArray[np.float32],
+    distances: Sequence[NDArray[np.float32]],
     *,
     across: float | None = None,
 ) -> SurfaceParameters:
-    """Remove from albedo (of metal: F0) low frequencies and what correlates with the highlight.
+    """Remove from albedo (of metal: F0) low frequencies, what correlates with the highlight, and
+    rings around given points: the flash's mirror point, and the lens's axis.
 
     A stationary sample has neither. The mean, weighted by squared confidence, is kept.
 
@@ -155,6 +159,7 @@ def flatten(
         departures: of the exemplar from its classes' mean parameters.
         confidence: (H, W) of albedo, in [0, 1].
         specular_fraction: (H, W) specular fraction of the radiance.
+        distances: (H, W) each, from these points, texels.
         across: texels of the photograph's long side, if the exemplar extends beyond it.
     """
     shape = np.stack(
@@ -162,19 +167,59 @@ def flatten(
     )
     weight = torch.from_numpy(confidence).square() + 1e-3
 
-    def even(channel: Tensor) -> Tensor:
-        if not bool(channel.any()):
-            return channel
-        mean = (channel * weight).sum() / weight.sum()
-        channel = channel - torch.from_numpy(_following(channel.numpy(), shape))
-        slow = smoothed(channel.numpy(), (across or max(channel.shape)) / _STATIONARY)
-        return channel + (mean - torch.from_numpy(slow))
+    def even(channels: Tensor) -> Tensor:
+        if not bool(channels.any()):
+            return channels
+        mean = (channels * weight).sum((1, 2), keepdim=True) / weight.sum()
+        level = np.stack([c - _following(c, shape) for c in channels.numpy()])
+        level -= np.stack([smoothed(c, (across or max(c.shape)) / _STATIONARY) for c in level])
+        for distance in distances:
+            level -= _rings(level, distance, confidence)
+        return torch.from_numpy(level) + mean
 
-    return replace(
-        departures,
-        diffuse=torch.stack([even(c) for c in departures.diffuse]),
-        specular=torch.stack([even(c) for c in departures.specular]),
-    )
+    return replace(departures, diffuse=even(departures.diffuse), specular=even(departures.specular))
+
+
+def _rings(
+    planes: NDArray[np.float32], distance: NDArray[np.float32], weight: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """(C, H, W) means of planes over rings around a point, as far as they are no chance.
+
+    Of a ring's mean m with standard error e, from the scatter of its sectors, m (1 - e^2 / m^2) is
+    kept, or 0 (James-Stein).
+
+    Args:
+        planes: (C, H, W) of about zero mean.
+        distance: (H, W) distance from the point, texels.
+        weight: (H, W) of the texels.
+    """
+    width = max(distance.shape) / _RINGS
+    row, column = divmod(int(distance.argmin()), distance.shape[1])
+    rows, columns = (np.arange(n, dtype=np.float32) for n in distance.shape)
+    turns = np.arctan2(rows[:, None] - row, columns - column) / (2.0 * np.pi) % 1.0
+    sector = np.minimum((turns * _SECTORS).astype(np.int64), _SECTORS - 1)
+    ring = (distance / width).astype(np.int64)
+    count = int(ring.max()) + 1
+    part = (ring * _SECTORS + sector).ravel()
+
+    def sums(values: NDArray[np.float32]) -> NDArray[np.float64]:
+        flat = np.bincount(part, values.ravel(), count * _SECTORS)
+        return flat.reshape(count, _SECTORS).astype(np.float64)
+
+    weights = sums(weight)
+    seen = weights > 0.25 * weights.max(axis=1, keepdims=True)
+    number = seen.sum(1)
+    middles = (np.arange(count) + 0.5) * width
+    rings = np.empty_like(planes)
+    for plane, means in zip(planes, rings, strict=True):
+        parts = sums(weight * plane) / np.maximum(weights, 1e-6)
+        mean = (parts * seen).sum(1) / np.maximum(number, 1)
+        scatter = (np.square(parts - mean[:, None]) * seen).sum(1)
+        error = scatter / np.maximum(number * (number - 1), 1)
+        kept = mean * np.clip(1.0 - error / np.maximum(np.square(mean), 1e-12), 0.0, 1.0)
+        kept[number < _SECTORS / 4] = 0.0
+        means[:] = np.interp(distance, middles, kept)
+    return rings
 
 
 def _following(plane: NDArray[np.float32], shape: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import torch
 from photographed import photographed
@@ -153,11 +154,13 @@ def test_what_is_clipped_must_be_as_bright_as_the_clip_level() -> None:
     assert float(too_dark[1].mean()) < 0.4 * float(too_dark[0].mean())
 
 
-def _flattened(stacked, confidence=None, glare=None):
+def _flattened(stacked, confidence=None, glare=None, points=()):
     shape = stacked.shape[-2:]
     trusted = np.ones(shape, np.float32) if confidence is None else confidence
     glare = np.zeros(shape, np.float32) if glare is None else glare
-    return flatten(SurfaceParameters.from_stacked(stacked), trusted, glare).stacked()
+    rows, columns = np.indices(shape).astype(np.float32)
+    distances = [np.hypot(columns - x, rows - y) for x, y in points]
+    return flatten(SurfaceParameters.from_stacked(stacked), trusted, glare, distances).stacked()
 
 
 def test_the_mean_of_albedo_is_the_one_where_it_is_trusted() -> None:
@@ -179,3 +182,25 @@ def test_nothing_of_a_stationary_sample_follows_the_highlight_or_drifts() -> Non
         ramp[:4, 24:-24, 32:-32].std()
     )
     assert torch.equal(_flattened(ramp)[5], ramp[5])  # relief is left to equalise.py
+
+
+def test_rings_around_the_light_are_no_material_and_a_texture_is() -> None:
+    rows, columns = np.indices((192, 256))
+    mirror = (110.0, 90.0)
+    distance = np.hypot(columns - mirror[0], rows - mirror[1])
+    texture = 0.3 * np.random.default_rng(3).standard_normal(distance.shape)
+    texture = cv2.GaussianBlur(texture, (0, 0), 2.0)
+    halo = 0.2 * np.exp(-(((distance - 40.0) / 8.0) ** 2))
+    plain, ringed = (
+        torch.from_numpy(p.astype(np.float32)).expand(6, -1, -1).contiguous()
+        for p in (texture, texture + halo)
+    )
+    before, after = _flattened(plain), _flattened(ringed, points=[mirror])
+    ring = torch.from_numpy(np.abs(distance - 40.0) < 4.0)
+    assert float((after - before)[:4, ring].abs().mean()) < 0.2 * float(halo[ring.numpy()].mean())
+    blotches = cv2.GaussianBlur(
+        np.random.default_rng(3).standard_normal(texture.shape), (0, 0), 6.0
+    )
+    plain = torch.from_numpy(blotches.astype(np.float32)).expand(6, -1, -1).contiguous()
+    before, kept = _flattened(plain), _flattened(plain, points=[mirror])
+    assert float((kept - before)[:4].std()) < 0.1 * float(before[:4].std())
