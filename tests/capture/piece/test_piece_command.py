@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from materials import a_material
 from photographed import photographed
 from PIL import Image
 from typer.testing import CliRunner
@@ -19,7 +20,6 @@ from matcap.field.material import Material
 from matcap.files.exr import read_exr
 from matcap.files.srgb import srgb_encode
 from matcap.space.between import blend
-from matcap.space.prior.store import load_prior
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_the_material_holds_the_piece_and_is_read_by_it(folder: Path) -> None:
 
 def test_it_is_blended_with_a_decoders_field(folder: Path) -> None:
     material = Material.load(folder / f"{folder.name}.matcap")
-    drawn = load_prior().draw(3)
+    drawn = a_material("drawn", across=512)
     between = blend(material, drawn, 0.5)
     assert set(between.generators) == {"example"}
     assert between.texel_size == pytest.approx((material.texel_size * drawn.texel_size) ** 0.5)

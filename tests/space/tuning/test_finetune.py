@@ -2,6 +2,7 @@
 
 import math
 import time
+from functools import cache
 
 import pytest
 import torch
@@ -38,12 +39,17 @@ def error_of(decoder, moments=None, seeds=range(100, 108)):
     return total / len(seeds)
 
 
+@cache
+def error_at_the_start():
+    return error_of(start())
+
+
 def state_of(tuned):
     return tuned.decoder.state_dict()
 
 
 def test_the_error_falls_on_noise_it_has_never_seen():
-    before = error_of(start())
+    before = error_at_the_start()
     tuned = tune(steps=80)
     assert error_of(tuned.decoder, list(tuned.moments)) < 0.8 * before
 
@@ -100,7 +106,7 @@ def test_ctrl_c_ends_it_with_the_best_so_far():
     tuned = tune(interrupt, steps=40)
     assert tuned.interrupted
     assert 15 <= len(tuned.history) <= 25
-    assert error_of(tuned.decoder, list(tuned.moments)) < error_of(start())
+    assert error_of(tuned.decoder, list(tuned.moments)) < error_at_the_start()
 
 
 class Sabotage:
@@ -141,13 +147,13 @@ WAYS = [poisoned_gradient, nan_penalty, infinite_loss, explosion]
 
 
 @pytest.mark.parametrize("how", WAYS)
-@pytest.mark.parametrize("steps", [{0}, {10, 11, 30, 39}], ids=str)
-def test_a_step_that_goes_wrong_is_taken_back(monkeypatch, how, steps):
-    Sabotage(monkeypatch, steps, how)
+def test_steps_that_go_wrong_are_taken_back(monkeypatch, how):
+    """The first, two in a row, and the last among them."""
+    Sabotage(monkeypatch, {0, 10, 11, 30, 39}, how)
     tuned = tune(steps=40)
     assert all(bool(torch.isfinite(value).all()) for value in state_of(tuned).values())
     assert all(bool(torch.isfinite(v).all()) for pair in tuned.moments for v in pair)
-    assert error_of(tuned.decoder, list(tuned.moments)) < 1.05 * error_of(start())
+    assert error_of(tuned.decoder, list(tuned.moments)) < 1.05 * error_at_the_start()
 
 
 @pytest.mark.parametrize("how", WAYS)
@@ -165,7 +171,7 @@ def test_a_rate_that_diverges_is_lowered_until_it_does_not():
     tuned = tune(steps=80, learning_rate=30.0)
     assert all(bool(torch.isfinite(value).all()) for value in state_of(tuned).values())
     assert math.isfinite(tuned.history[-1][2])
-    assert error_of(tuned.decoder, list(tuned.moments)) < 4.0 * error_of(start())
+    assert error_of(tuned.decoder, list(tuned.moments)) < 4.0 * error_at_the_start()
 
 
 def test_gloss_that_varies_for_nothing_is_paid_for():
