@@ -1,5 +1,6 @@
 """Every command of docs/guide/export.md runs and leaves the files that the page names."""
 
+import json
 import re
 import shlex
 from pathlib import Path
@@ -17,10 +18,13 @@ SHELL = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)).splitlines()
 EXPORTS = [line for line in SHELL if line.startswith("matcap export") and "--udim" not in line]
 
 
+LEATHER = MapSetInfo("leather", provenance={"made": "up"})
+
+
 @pytest.fixture
 def captured(tmp_path, monkeypatch, made):
     """What a capture leaves, but for its size."""
-    write_mapset(made["leather"], tmp_path / "out" / "leather", MapSetInfo("leather"))
+    write_mapset(made["leather"], tmp_path / "out" / "leather", LEATHER)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -30,22 +34,22 @@ def test_commands_run(captured, line):
     assert main(shlex.split(line)[1:]) == 0
 
 
-@pytest.mark.parametrize("target", ["materialx", "gltf", "usd", "blender", "mitsuba"])
-def test_files_are_called_as_the_page_says(captured, target):
+ENDS = {"materialx": ".mtlx", "gltf": ".glb", "usd": ".usd", "blender": ".py", "mitsuba": ".xml"}
+
+
+@pytest.mark.parametrize("target", ENDS)
+def test_files_are_called_as_the_page_says_and_residuals_are_told(captured, target, capsys):
     assert any(f"--to {target}" in line for line in EXPORTS)
-    assert main(["export", "out/leather", "--to", target, "-q"]) == 0
+    assert main(["export", "out/leather", "--to", target]) == 0
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith(f"wrote leather_{target} (")
+    assert "residual" in said.err
     there = {file.name for file in (captured / f"leather_{target}").iterdir()}
     named = re.findall(r"`(leather[\w.]*\.(?:mtlx|glb|usd[az]|py|xml))`", PAGE)
-    ends = {
-        "materialx": ".mtlx",
-        "gltf": ".glb",
-        "usd": ".usd",
-        "blender": ".py",
-        "mitsuba": ".xml",
-    }
-    mine = [name for name in named if ends[target] in name]
-    assert mine
-    assert set(mine) <= there
+    mine = {name for name in named if ENDS[target] in name}
+    assert mine and mine <= there
+    sidecar = json.loads((captured / f"leather_{target}/leather_{target}.json").read_text())
+    assert sidecar["provenance"] == {"made": "up"}
 
 
 @pytest.mark.parametrize("preset", [*LIBRARIES, *ENGINES])
