@@ -11,6 +11,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import cv2
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -157,9 +159,9 @@ def _autocorrelation_of(colour: Tensor, valid: Tensor) -> Callable[[float, float
 
 def _local_means(planes: Tensor) -> Tensor:
     """Box averages over squares of _SHADING texels, padded with zeros."""
-    half = _SHADING // 2
-    rows = F.avg_pool2d(planes, (_SHADING, 1), stride=1, padding=(half, 0))
-    return F.avg_pool2d(rows, (1, _SHADING), stride=1, padding=(0, half))
+    square, zeros = (_SHADING, _SHADING), cv2.BORDER_CONSTANT
+    means = [cv2.boxFilter(plane.numpy(), -1, square, borderType=zeros) for plane in planes]
+    return torch.from_numpy(np.stack(means))
 
 
 def _mean_spectrum(colour: Tensor, valid: Tensor) -> Tensor | None:
