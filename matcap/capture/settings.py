@@ -279,10 +279,13 @@ class OutputSettings:
     def room(self) -> int:
         """Upper bound of the outputs' size on disk, bytes."""
         from matcap.brdf.folder import mapset_bytes
-        from matcap.export.targets import export_bytes
 
-        exports = len(self.targets) * export_bytes(*self.size)
-        return mapset_bytes(*self.size, png=self.png) + exports + _BESIDES
+        room = mapset_bytes(*self.size, png=self.png) + _BESIDES
+        if self.targets:
+            from matcap.export.targets import export_bytes
+
+            room += len(self.targets) * export_bytes(*self.size)
+        return room
 
 
 def check_photographs(settings: CaptureSettings, photographs: int) -> None:
