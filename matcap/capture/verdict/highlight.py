@@ -161,7 +161,7 @@ def from_mirror_point(setup: FlashSetup, shape: tuple[int, ...]) -> NDArray[np.f
         lying = from_mirror_point(replace(setup, turned=False), shape[::-1])
         return np.rot90(lying, -1)
     (x, y), (height, width) = flash_mirror_point(setup), shape
-    v, u = np.mgrid[:height, :width] + 0.5
+    u, v = np.arange(width) + 0.5, np.arange(height)[:, None] + 0.5
     return np.hypot(2.0 * u / width - 1.0 - x, (height - 2.0 * v) / width - y)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.files.srgb import srgb_encode
+from matcap.photo.inspect import blurred
 from matcap.photo.photo import Photo
 from matcap.photo.shrink import area_averaged
 
@@ -106,8 +107,8 @@ def find_keypoints(
 def even_contrast(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
     """8-bit high-passed log radiance over its local mean amplitude."""
     log = np.log(np.maximum(grey, 1e-5))
-    fine = cv2.GaussianBlur(log, (0, 0), _FINE) - cv2.GaussianBlur(log, (0, 0), _SLOW)
-    size = np.sqrt(cv2.GaussianBlur(fine * fine, (0, 0), _AROUND)) + _FAINT
+    fine = blurred(log, _FINE) - blurred(log, _SLOW)
+    size = np.sqrt(blurred(fine * fine, _AROUND)) + _FAINT
     return np.asarray((128.0 + 48.0 * fine / size).clip(0, 255).round().astype(np.uint8))
 
 
