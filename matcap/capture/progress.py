@@ -29,18 +29,18 @@ PIECE_STAGES: Mapping[str, float] = MappingProxyType(
 # The same of five photographs of one sample.
 TOGETHER_STAGES: Mapping[str, float] = MappingProxyType(
     {
-        "read": 0.14,
+        "read": 0.04,
         "register": 0.10,
         "coarse fit": 0.02,
-        "piece": 0.05,
-        "strengths": 0.01,
-        "refine": 0.05,
-        "align": 0.20,
-        "join": 0.06,
-        "solve": 0.21,
-        "predict": 0.06,
-        "inpaint": 0.02,
-        "index": 0.02,
+        "piece": 0.08,
+        "strengths": 0.04,
+        "refine": 0.04,
+        "align": 0.12,
+        "join": 0.13,
+        "solve": 0.25,
+        "predict": 0.08,
+        "inpaint": 0.01,
+        "index": 0.03,
         "verdict": 0.03,
         "write": 0.03,
     }

@@ -25,7 +25,7 @@ _LEAST_CONTRAST = 0.02
 _LEAST_SIGNAL = 0.05  # lower limit of the signal's share of a colour direction's variance
 _LEAST_TEXELS = 64  # with fewer valid texels the covariance is taken over all texels
 _SHADING_SCALE = 48  # texels: side of the box average that separates shading from texture
-_MOST_TEXELS = 2048  # a side; of a larger picture every second texel is used, or fewer
+_MOST_TEXELS = 1024  # a side; of a larger picture every second texel is used, or fewer
 
 
 @dataclass(frozen=True)

@@ -281,14 +281,11 @@ def _residuals(
     views: Sequence[PieceView], parameters: Tensor, light: SetLight
 ) -> tuple[float, ...]:
     """Median absolute residual of log radiance of each photograph."""
-    left = []
-    for k, view in enumerate(views):
-        off = []
-        for rows in strips(parameters.shape[1], ROWS):
-            points = points_of(parameters.shape[-2:], rows, view.extent)
-            lit = light_at(k, view, light, points)
-            shown = rendered(parameters[:, rows], [lit])[0].log()
-            off.append((view.log[:, rows] - shown)[view.seen[:, rows]].abs())
-        every = torch.cat(off)
-        left.append(float(every.median()) if every.numel() else math.nan)
-    return tuple(left)
+    off: list[list[Tensor]] = [[] for _ in views]
+    for rows in strips(parameters.shape[1], ROWS):
+        points = points_of(parameters.shape[-2:], rows, views[0].extent)
+        lit = [light_at(k, view, light, points) for k, view in enumerate(views)]
+        for view, left, shown in zip(views, off, rendered(parameters[:, rows], lit), strict=True):
+            left.append((view.log[:, rows] - shown.log())[view.seen[:, rows]].abs())
+    every = (torch.cat(each) for each in off)
+    return tuple(float(each.median()) if each.numel() else math.nan for each in every)
