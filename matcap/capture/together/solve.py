@@ -120,8 +120,7 @@ def solve(
             expected = prior.with_gloss_of(light)
             for turn in range(1, steps + 1):
                 each = turn == steps and (not rounds[index + 1 :] or (fresh and not index))
-                changed = SLOPES if each else None
-                step = stepped(lit, parameters, expected, light, changed=changed)
+                step = stepped(lit, parameters, expected, light, changed=SLOPES if each else None)
                 parameters, done = step.parameters, done + 1
                 on_progress(done / total)
             parameters[SLOPES] = _without_slow(parameters[SLOPES], unit)

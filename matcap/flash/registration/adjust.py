@@ -127,17 +127,19 @@ def adjust(
     return Adjusted(fitted.adjusted(setup), tuple(cameras), off)
 
 
-class Features(NamedTuple):
+class MatchedPoints(NamedTuple):
     """(3, n) features on the plane, and at a height above it, plane units."""
 
     points: Doubles
     raised: Doubles
 
     @staticmethod
-    def of(first: PosedCamera, pair: Pair, height: float) -> Features:
+    def of(first: PosedCamera, pair: Pair, height: float) -> MatchedPoints:
         """Raised along the first camera's rays, so that it sees both at the same coordinates."""
         points = first.on_plane(pair.first)
-        return Features(points, points + height * (first.place[:, None] - points) / first.place[2])
+        return MatchedPoints(
+            points, points + height * (first.place[:, None] - points) / first.place[2]
+        )
 
     def reprojected(self, camera: PosedCamera, pair: Pair) -> tuple[Doubles, Doubles]:
         """(2, n) reprojection errors in the other photograph, pixels, and the height's parallax."""
@@ -169,17 +171,17 @@ class _Bundle:
         values = parameters.numpy()
         return values[:_COMMON], list(values[_COMMON:].reshape(-1, _OWN))
 
-    def features(self, pair: Pair, common: Doubles) -> Features:
-        """Features of a pair where the first camera of `common` sees them."""
+    def features(self, pair: Pair, common: Doubles) -> MatchedPoints:
+        """MatchedPoints of a pair where the first camera of `common` sees them."""
         first = _Common(*common.tolist()).first_camera(self.setup)
-        return Features.of(first, pair, self.relief)
+        return MatchedPoints.of(first, pair, self.relief)
 
     def residuals(
         self,
         pair: Pair,
         common: Doubles,
         pose: Doubles,
-        features: Features | None = None,
+        features: MatchedPoints | None = None,
     ) -> Doubles:
         """(2, n) reprojection errors of matches, pixels, less the part explained by relief.
 

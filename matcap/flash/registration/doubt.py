@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.flash.registration.adjust import Adjusted, Features, Pair, less_relief
+from matcap.flash.registration.adjust import Adjusted, MatchedPoints, Pair, less_relief
 from matcap.flash.registration.camera import Doubles, Lens, PosedCamera
 from matcap.flash.registration.grid import grid_points
 
@@ -75,7 +75,7 @@ def _covariance(fit: Adjusted, pairs: Sequence[Pair]) -> Doubles:
     pulled, depths = np.zeros(size), []
     for number, pair in enumerate(pairs):
         first, camera = cameras[0], cameras[number + 1]
-        residual, parallax = Features.of(first, pair, _RELIEF).reprojected(camera, pair)
+        residual, parallax = MatchedPoints.of(first, pair, _RELIEF).reprojected(camera, pair)
         noise, depth = _scatter(residual, parallax)
         depths.append(depth)
         jacobian, shading = _linear(first, camera, pair)
@@ -113,7 +113,7 @@ def _linear(first: PosedCamera, camera: PosedCamera, pair: Pair) -> tuple[Double
     def off(change: Doubles, depth: float = 0.0) -> Doubles:
         one = _changed(first, np.r_[change[:_COMMON], np.zeros(_OWN)])
         other = _changed(camera, np.r_[change[:2], 0.0, 0.0, change[_COMMON:]])
-        residual, parallax = Features.of(one, pair, _RELIEF).reprojected(other, pair)
+        residual, parallax = MatchedPoints.of(one, pair, _RELIEF).reprojected(other, pair)
         if depth:
             residual = residual + depth * shaded
         return less_relief(residual, parallax).ravel()
