@@ -1,11 +1,13 @@
 """Small materials, of the shape that captures have; as fixtures, too."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
-from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.decoder import CODE_SIZE, DRAWING_CHANNELS, Decoder, DecoderConfig
 from matcap.space.freeze import freeze
 from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave
@@ -15,17 +17,25 @@ SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
 
 
 def a_material(
-    name="tiny", seed=3, config=TINY, waves=(), example=None, across=1024, provenance=None
+    name="tiny",
+    seed=3,
+    config=TINY,
+    waves=(),
+    example=None,
+    drawing=None,
+    across=1024,
+    provenance=None,
 ):
     """Random weights; codes of different seeds look different. Perhaps an exemplar beside them."""
+    config = replace(config, drawing=0 if drawing is None else DRAWING_CHANNELS)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         decoder = Decoder(config).eval().requires_grad_(False)
         for layer in decoder.layers():
             layer.adain.affine.bias.data += 0.2 * torch.randn_like(layer.adain.affine.bias)
     code = torch.zeros(CODE_SIZE)
-    moments = tuple(freeze(decoder, code, waves))
-    tuned = TunedDecoder(decoder, code, moments, waves, 2 / across)
+    moments = tuple(freeze(decoder, code, waves, drawing))
+    tuned = TunedDecoder(decoder, code, moments, waves, 2 / across, drawing)
     made = {"decoder": tuned} if example is None else {"example": example, "decoder": tuned}
     return Material(name, made, 2 / across, FlashSetup(), provenance or {})
 

@@ -23,5 +23,6 @@ def decoded(decoder: FoldedDecoder, field: RandomField) -> Tensor:
     down, up = (
         [[_padded(one) for one in block] for block in side] for side in (decoder.down, decoder.up)
     )
-    waves = field.waves if decoder.has_waves else ()
-    return ascend(descend(field.noise, down), waves, up, _padded(decoder.head), periodic=False)
+    kinds = [each for each in (field.drawing, field.waves if decoder.has_waves else ()) if each]
+    read = [torch.cat(level, 1) for level in zip(*kinds, strict=True)]
+    return ascend(descend(field.noise, down), read, up, _padded(decoder.head), periodic=False)

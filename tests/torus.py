@@ -19,6 +19,7 @@ from matcap.field.field import Field
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
 from matcap.space.decoder import DEPTH, maps_from_raw
+from matcap.space.drawing import Drawing
 from matcap.space.patch import Patch
 from matcap.space.random_field import random_field
 from matcap.space.tuned import TunedDecoder
@@ -28,9 +29,10 @@ WAVES = (Wave(1 / 16.7, 0.003), Wave(0.002, 1 / 9.3))
 PERIOD = (BLOCK + 64, BLOCK_HEIGHT + 96)
 
 
-def noisy(waves: tuple[Wave, ...] = ()) -> Material:
+def noisy(waves: tuple[Wave, ...] = (), drawing: Drawing | None = None) -> Material:
     """A material of random weights."""
-    return a_material("test", config=replace(SMALL, cells=3 if waves else 0), waves=waves)
+    config = replace(SMALL, cells=3 if waves else 0)
+    return a_material("test", config=config, waves=waves, drawing=drawing)
 
 
 def both(material: Material) -> tuple[torch.Tensor, torch.Tensor]:
@@ -46,6 +48,9 @@ def both(material: Material) -> tuple[torch.Tensor, torch.Tensor]:
         Patch(5, Rectangle(0, 0, *PERIOD), period=PERIOD), config.noise_channels, tuned.waves,
         levels=DEPTH, cells=config.cells,
     )  # fmt: skip
+    if tuned.drawing is not None:
+        drawn = tuned.drawing.levels(5, Rectangle(0, 0, *PERIOD), PERIOD)
+        field = replace(field, drawing=drawn)
     with torch.no_grad():
         raw = tuned.decoder(field, tuned.code, tuned.moments)[0]
     return found, maps_from_raw(raw, material.texel_size).stacked()

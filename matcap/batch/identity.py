@@ -19,7 +19,8 @@ from matcap.photo.camera import CameraProfile
 # Settings that do not change a material; of prior and card the content is hashed instead.
 _NO_MATTER = ("jobs", "group", "gap", "card", "prior")
 # Settings added later, at the value that earlier versions had: not hashed, so that hashes stay.
-_SINCE = {"statistics": "filterbank", "generator": "decoder", "aligned": False, "width_cm": None}
+_SINCE = {"statistics": "filterbank", "generator": "decoder", "aligned": False, "width_cm": None,
+          "drawing": True}  # fmt: skip
 
 
 def identity(

@@ -1,8 +1,9 @@
 """Capture by the paper's generator: a pretrained decoder, fine-tuned to the photograph
 [henzler2021, sec. 4.6].
 
-Stages: statistics, start, fine-tuning, matching, verdict; with CaptureSettings.aligned also the
-stages of find_piece, which estimate the exemplar's maps.
+Beyond the paper the decoder reads a drawing (space/drawing.py) of the exemplar, which is estimated
+first, as by default. Stages: those of find_piece, statistics, start, fine-tuning,
+matching, verdict.
 """
 
 from __future__ import annotations
@@ -21,11 +22,18 @@ from matcap.capture.start import CaptureStart
 from matcap.capture.target import photograph_target
 from matcap.errors import MatcapError
 from matcap.files.interrupts import postponed
-from matcap.space.decoder import DecoderConfig
+from matcap.space.decoder import DecoderConfig, with_drawing
+from matcap.space.drawing import Drawing
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.anytime import Forecaster, self_difference
-from matcap.space.tuning.finetune import OnStep, Tuned, TuneSettings, finetune
-from matcap.space.tuning.initialisation import initial_decoder
+from matcap.space.tuning.finetune import (
+    RATE_WITH_DRAWING,
+    OnStep,
+    Tuned,
+    TuneSettings,
+    finetune,
+)
+from matcap.space.tuning.initialisation import InitialDecoder, initial_decoder
 from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.match import match_photograph
 
@@ -54,14 +62,20 @@ def capture_by_decoder(
         MatcapError: the prior cannot be read, or the picture is too small for `target`.
     """
     photo, coarse, plane = shot.photo, shot.coarse, shot.plane
+    estimate = _piece(shot, clock) if settings.draws else None
     with clock.stage("statistics"):
         most = None if effort.steps else 1
         target, joined = photograph_target(shot, settings, method, most)
+        drawing = None if estimate is None else Drawing(estimate.example)
+        if drawing is not None:  # it has the lattice, at phases of its own
+            target = replace(target, waves=())
         own = self_difference(target.windows, target.weights)
         tune = _tune(settings, effort, method, own, photo.name)
 
     on_step = _on_step(clock, own)
-    decoder, tuned = _tuned_decoder(shot, settings, method, target, tune, clock, on_step)
+    start = _start(shot, settings, method, target, tune, clock)
+    target = replace(target, drawing=drawing)
+    decoder, tuned = _tuned_decoder(shot, start, target, tune, clock, on_step)
     about = provenance(photo, settings, coarse, effort, joined)
     material = decoder.material(photo.stem, coarse.setup, about)
     if tuned.history and effort.matched:
@@ -70,25 +84,27 @@ def capture_by_decoder(
             material = match_photograph(material, plane, settings.seed)
         clock.interrupted |= stopped()
 
-    estimate = _piece(shot, clock) if settings.aligned else None
-    went = Tuning(tuned.history, own)
+    if estimate is None and settings.aligned:
+        with postponed() as stopped:
+            estimate = _piece(shot, CaptureClock(None))
+        clock.interrupted |= stopped()
+    went = Tuning(tuned.history, own, drawing is not None)
     if photo.turned:
         photo = replace(photo, notes=(*photo.notes, _PORTRAIT_NOTE))
     return judged(photo, material, shot.rectified, settings, clock, estimate, went)
 
 
-def _tuned_decoder(
+def _start(
     shot: CaptureStart,
     settings: CaptureSettings,
     method: Method,
     target: PhotographTarget,
     tune: TuneSettings,
     clock: CaptureClock,
-    on_step: OnStep,
-) -> tuple[TunedDecoder, Tuned]:
-    """Initialise a decoder from the prior and fine-tune it."""
+) -> InitialDecoder:
+    """The prior's decoder, or a random one; it reads no drawing."""
     with clock.stage("start"):
-        start = initial_decoder(
+        return initial_decoder(
             shot.photo.developed(shot.photo.pixels),  # as the encoder was trained on
             shot.coarse,
             shot.plane,
@@ -98,15 +114,31 @@ def _tuned_decoder(
             method.decoder or DecoderConfig(),
             search=settings.time_limit is None,
         )
+
+
+def _tuned_decoder(
+    shot: CaptureStart,
+    start: InitialDecoder,
+    target: PhotographTarget,
+    tune: TuneSettings,
+    clock: CaptureClock,
+    on_step: OnStep,
+) -> tuple[TunedDecoder, Tuned]:
+    """Fine-tune a decoder, to a drawing if the target has one."""
+    decoder, rate = start.decoder, start.rate
+    if target.drawing is not None:
+        decoder, rate = with_drawing(decoder), RATE_WITH_DRAWING
     with clock.stage("fine-tuning"):
         limit = clock.left_for("fine-tuning")
         seconds = limit if math.isfinite(limit) else None
-        tune = replace(tune, seconds=seconds, learning_rate=start.rate)
-        tuned = finetune(start.decoder, start.code, target, tune, on_step)
+        tune = replace(tune, seconds=seconds, learning_rate=rate)
+        tuned = finetune(decoder, start.code, target, tune, on_step)
     clock.interrupted |= tuned.interrupted
     network = tuned.decoder.eval().requires_grad_(False)
-    decoder = TunedDecoder(network, start.code, tuned.moments, shot.waves, shot.plane.texel_size)
-    return decoder, tuned
+    made = TunedDecoder(
+        network, start.code, tuned.moments, target.waves, shot.plane.texel_size, target.drawing
+    )
+    return made, tuned
 
 
 def _tune(
@@ -129,11 +161,8 @@ def _on_step(clock: CaptureClock, own: float) -> OnStep:
 
 
 def _piece(shot: CaptureStart, clock: CaptureClock) -> ExemplarEstimate:
-    """Estimate the exemplar, to the end even if interrupted."""
-    with postponed() as stopped:
-        estimate = find_piece(shot.rectified, shot.coarse, load_inverse(), CaptureClock(None))
-    clock.interrupted |= stopped()
-    return estimate
+    """Estimate the exemplar of the (first) photograph, at the coarse fit's exposure."""
+    return find_piece(shot.rectified, shot.coarse, load_inverse(), clock, absolute=True)
 
 
 def _target(settings: CaptureSettings, own: float, name: str) -> float | None:

@@ -19,6 +19,7 @@ from matcap.capture.piece.find import PhotographEstimate, find_piece
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import (
     DECODER_STAGES,
+    DRAWING_STAGES,
     PIECE_STAGES,
     TOGETHER_STAGES,
     CaptureClock,
@@ -180,7 +181,8 @@ def clock_of(
 ) -> CaptureClock:
     """Clock of a capture of a number of photographs; its last stage, `write`, is the caller's."""
     by_example = TOGETHER_STAGES if photographs > 1 else PIECE_STAGES
-    stages = DECODER_STAGES if settings.generator == "decoder" else by_example
+    by_decoder = DRAWING_STAGES if settings.draws else DECODER_STAGES
+    stages = by_decoder if settings.generator == "decoder" else by_example
     return CaptureClock(progress, stages, settings.time_limit, spent)
 
 

@@ -45,6 +45,24 @@ TOGETHER_STAGES: Mapping[str, float] = MappingProxyType(
         "write": 0.03,
     }
 )
+# The same of a decoder that reads a drawing, and of one that does not.
+DRAWING_STAGES: Mapping[str, float] = MappingProxyType(
+    {
+        "read": 0.02,
+        "coarse fit": 0.08,
+        "piece": 0.03,
+        "strengths": 0.01,
+        "refine": 0.03,
+        "inpaint": 0.03,
+        "index": 0.05,
+        "statistics": 0.02,
+        "start": 0.01,
+        "fine-tuning": 0.60,
+        "matching": 0.04,
+        "verdict": 0.04,
+        "write": 0.04,
+    }
+)
 DECODER_STAGES: Mapping[str, float] = MappingProxyType(
     {
         "read": 0.04,

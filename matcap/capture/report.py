@@ -174,6 +174,7 @@ def _tuning(tuning: Tuning | None) -> dict[str, Any] | None:
 
     history = tuning.history
     return {
+        "drawing": tuning.drawing,
         "error": history[-1][2] if history else None,
         "self_difference": tuning.self_difference,
         "relative_error": tuning.relative_error,

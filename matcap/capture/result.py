@@ -27,10 +27,12 @@ class Tuning:
         history: (seconds, step, error) of fine-tuning.
         self_difference: texture distance between neighbouring windows of the photograph, in the
             units of error; NaN if it is too small for two windows.
+        drawing: whether the decoder reads a drawing.
     """
 
     history: tuple[tuple[float, int, float], ...]
     self_difference: float = math.nan
+    drawing: bool = False
 
     @property
     def relative_error(self) -> float | None:
@@ -55,7 +57,7 @@ class CaptureResult:
         stage_seconds: duration by stage.
         settings: of the user.
         interrupted: whether Ctrl-C ended it early, with the best result so far.
-        estimate: the exemplar; None with the decoder, unless `aligned` is set.
+        estimate: the exemplar; None with a decoder without drawing or `aligned`.
         tuning: course of fine-tuning; None without a decoder.
     """
 

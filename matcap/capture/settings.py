@@ -152,6 +152,9 @@ class CaptureSettings:
     generator: Generator = setting("example", words=("decoder", "example"))
     """Generator of the material: the maps of the photographed rectangle, rearranged (example), or
     the paper's network, fine-tuned (decoder)."""
+    drawing: bool = setting(True)
+    """With the decoder: let it read a drawing, the pattern of the rearranged exemplar, which the
+    material then contains; without, it reads noise alone, as in the paper."""
     union: bool = setting(False)
     """With several photographs of one sample: estimate maps of all that they show, not only of the
     first one's rectangle."""
@@ -174,6 +177,11 @@ class CaptureSettings:
     def solves(self, photographs: int) -> bool:
         """Whether this number of photographs is solved jointly."""
         return photographs > 1 and self.generator == "example"
+
+    @property
+    def draws(self) -> bool:
+        """Whether a decoder is captured that reads a drawing: without a step it cannot learn to."""
+        return self.drawing and resolve(self).steps > 0
 
     def named(self) -> dict[str, Any]:
         """All settings by name as JSON values."""

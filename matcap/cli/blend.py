@@ -15,7 +15,7 @@ _MARK = "matcap blend"  # in its strip's metadata
 _STRIP = "strip.png"
 _PATTERNLESS = (
     "A blend of two decoders has their colours, gloss and grain but not their patterns; captures "
-    "without --generator decoder keep them."
+    "without --no-drawing keep them."
 )
 
 
@@ -33,7 +33,7 @@ def blend(
     """Interpolate between two materials: a .matcap file for each step, and a strip of pictures.
 
     Exemplars are laid over each other and interpolated; of two decoders, latent vectors and
-    network weights. The ends are A and B themselves.
+    network weights, and the exemplars that they draw from. The ends are A and B themselves.
     """
     from functools import partial
 
@@ -64,7 +64,7 @@ def blend(
             material.save(stage / name)
         write_picture(between.strip(materials, seed=asked.seed), stage / _STRIP, _MARK)
     if not quiet:
-        if not any("example" in end.generators for end in ends):
+        if between.loses_patterns(*ends):
             typer.echo(_PATTERNLESS, err=True)
         for name in (*names, _STRIP):
             typer.echo(f"wrote {out / name}", err=True)

@@ -150,7 +150,9 @@ def _material(path: Path) -> tuple[dict[str, Any], str]:
     from matcap.example.summary import summary
     from matcap.export.job import known_scale
 
-    exemplified = read_exemplified(path)
+    exemplified, made = read_exemplified(path), "by example"
+    if exemplified is None:
+        exemplified, made = read_exemplified(path, "drawing"), "a decoder that reads a drawing"
     if exemplified is None:
         return {"exemplar": None}, f"{path}: a decoder without an exemplar"
     about = summary(exemplified.example)
@@ -167,4 +169,4 @@ def _material(path: Path) -> tuple[dict[str, Any], str]:
         lines.append(f"     {'verdict':<13} {verdict['sentence']}")
         gloss = (name for name in ("highlight_contrast", "glint_contrast") if name in checks)
         lines += [f"     {name[:-9]:<13} {checks[name]['says']}" for name in gloss]
-    return document, "\n".join([f"{path}: by example", *lines])
+    return document, "\n".join([f"{path}: {made}", *lines])

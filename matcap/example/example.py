@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
 _MEASURED = (1, 128)  # level, and places a side, of the square of seam_correlations
-PREFIX = "example."  # of the names of its tensors in a file
 _GRID = 1536  # texels of the grid's longer side, at most
 
 
@@ -166,13 +165,13 @@ class Example:
         # A file without a variety has variety 1.
         return tensors, described | ({} if self.variety == 1.0 else {"variety": self.variety})
 
-    def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Tensors and an entry of a material's description; the inverse of stored.read()."""
+    def in_file(self, entry: str = "example") -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Tensors and an entry of a material's description; the inverse of stored.example_of()."""
         import torch
 
         arrays, about = self.stored()
-        tensors = {PREFIX + name: torch.from_numpy(data.copy()) for name, data in arrays.items()}
-        return tensors, {"example": about}
+        tensors = {f"{entry}.{k}": torch.from_numpy(data.copy()) for k, data in arrays.items()}
+        return tensors, {entry: about}
 
     @staticmethod
     def read(about: Mapping[str, Any], tensor: Callable[[str], NDArray[np.uint8]]) -> Example:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.example import PREFIX, Example
+from matcap.example.example import Example
 from matcap.field.header import opened
 
 
@@ -26,16 +26,20 @@ class Exemplified:
     """The indexed exemplar."""
 
 
-def read_exemplified(path: Path) -> Exemplified | None:
+def read_exemplified(path: Path, entry: str = "example") -> Exemplified | None:
     """Read the exemplar of a `.matcap` file, or None if it has none.
+
+    Args:
+        path: of the file.
+        entry: "example", or "drawing" for the exemplar that a decoder draws from.
 
     Raises:
         MatcapError: missing, not a material, of another version, or damaged.
     """
     with opened(path, "np") as (file, about):
-        example = read(about, file, path)
-        if example is None:
+        if entry not in about:
             return None
+        example = example_of(about, file, entry)
         return Exemplified(about["name"], about["provenance"], example)
 
 
@@ -50,13 +54,16 @@ def read(about: Mapping[str, Any], file: Any, path: Path) -> Example | None:  # 
     Raises:
         SafetensorError, DAMAGED (field/header.py): the data are missing or malformed.
     """
-    if "example" not in about:
-        return None
+    return example_of(about, file) if "example" in about else None
+
+
+def example_of(about: Mapping[str, Any], file: Any, entry: str = "example") -> Example:  # noqa: ANN401
+    """The example of an entry of the description. Raises as read(), and KeyError without it."""
 
     def data(name: str) -> NDArray[np.uint8]:
-        array = np.asarray(file.get_tensor(PREFIX + name))
+        array = np.asarray(file.get_tensor(f"{entry}.{name}"))
         if array.dtype != np.uint8 or array.ndim != 1:
             raise ValueError(f"{name} is no bytes")
         return array
 
-    return Example.read(about["example"], data)
+    return Example.read(about[entry], data)

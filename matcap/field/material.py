@@ -8,6 +8,7 @@ Tensors:
     example.exemplar.*: bytes, one map of the exemplar each; see example/exemplar.py.
     example.index.*: bytes of the exemplar's index; see example/index.py.
     decoder.*: weights of the fine-tuned decoder, where there is one.
+    drawing.*: as example.*, of the exemplar that the decoder draws from, if it does.
     code: (64,), the latent vector it was fine-tuned at.
     moments.*.mean: (channels of layer *,), frozen mean of its AdaIN's input.
     moments.*.deviation: (channels of layer *,), frozen standard deviation of it.
@@ -22,8 +23,10 @@ Metadata:
         orientation and the maps are in portrait.
     provenance: how it was made.
     example: `exemplar` and `index`, descriptions of their tensors; absent without an exemplar.
-    decoder: `noise_channels`, `widths` (five), `convolutions` (down, up), `cells` and
-        `grains` (channels of lattice cells and of structured noise); absent without a decoder.
+    drawing: as example, of that exemplar.
+    decoder: `noise_channels`, `widths` (five), `convolutions` (down, up), `cells`, `grains` and
+        `drawing` (channels of lattice cells, of structured noise and of the drawing, 0 or 2);
+        absent without a decoder.
     waves: at most two `{fx, fy}`, cycles per texel: the decoder's lattice.
 """
 

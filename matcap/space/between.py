@@ -2,8 +2,8 @@
 
 Where both have exemplars, these are interpolated (example/interpolate.py). Between two decoders the
 latent vector, weights, lattice, texel size and flash setup are interpolated linearly [henzler2021,
-sec. 4.7], and statistics frozen again; of a decoder and an exemplar, the decoder's is a rectangle
-of its field. Shares 0 and 1 return the given materials unchanged.
+sec. 4.7], the exemplars that they draw from as above, and statistics frozen again; of a decoder and
+an exemplar, the decoder's is a rectangle of its field. Shares 0 and 1 return the given materials.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from matcap.example.variety import with_chosen_variety
 from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_rectified
-from matcap.space.decoder import Decoder, with_cells
+from matcap.space.decoder import Decoder, with_cells, with_drawing
+from matcap.space.drawing import Drawing
 from matcap.space.freeze import freeze
 from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave, find_lattice
@@ -63,12 +64,18 @@ def check_blendable(first: Material, second: Material) -> None:
         MatcapError: two decoders of different configurations.
     """
     decoders = _decoders(first, second) or ()
-    if len({replace(one.decoder.config, cells=0) for one in decoders}) > 1:
+    if len({replace(one.decoder.config, cells=0, drawing=0) for one in decoders}) > 1:
         raise MatcapError(
             "the decoders have different shapes",
             where=f"{first.name} and {second.name}",
             remedy="capture both with the same matcap and prior",
         )
+
+
+def loses_patterns(first: Material, second: Material) -> bool:
+    """Whether their blends have no pattern: those of two decoders of which neither draws."""
+    decoders = _decoders(first, second)
+    return decoders is not None and all(one.drawing is None for one in decoders)
 
 
 def _decoders(first: Material, second: Material) -> tuple[TunedDecoder, TunedDecoder] | None:
@@ -104,20 +111,34 @@ def _blend_decoders(first: TunedDecoder, second: TunedDecoder, share: float) -> 
             weight.lerp_(towards[name], share)
     code = torch.lerp(first.code, second.code, share)
     waves = blend_waves(first.waves, second.waves, share)
+    drawing = _blend_drawings(first.drawing, second.drawing, share)
+    texel_size = _between(first.texel_size, second.texel_size, share)
     return TunedDecoder(
         decoder=decoder.eval().requires_grad_(False),
         code=code,
-        moments=tuple(freeze(decoder, code, waves)),
+        moments=tuple(freeze(decoder, code, waves, drawing)),
         waves=waves,
-        texel_size=_between(first.texel_size, second.texel_size, share),
+        texel_size=texel_size if drawing is None else drawing.example.exemplar.texel_size,
+        drawing=drawing,
     )
 
 
-def _of_one_shape(first: Decoder, second: Decoder) -> tuple[Decoder, Decoder]:
-    """Give a decoder without cell channels the other's weights for them.
+def _blend_drawings(first: Drawing | None, second: Drawing | None, share: float) -> Drawing | None:
+    """The drawing of the interpolated exemplar; the only one where the other decoder has none."""
+    if first is None or second is None:
+        return first or second
+    one, other = first.example.exemplar, second.example.exemplar
+    return Drawing(_indexed(interpolated(one, other, share)))
 
-    It has no lattice, so that its cell channels are zero and the weights have no effect.
+
+def _of_one_shape(first: Decoder, second: Decoder) -> tuple[Decoder, Decoder]:
+    """Give a decoder the channels that only the other one reads: a drawing's with weights of zero.
+
+    A decoder without cell channels gets the other's weights: it has no lattice, so that its cells
+    are zero.
     """
+    if first.config.drawing or second.config.drawing:
+        first, second = with_drawing(first), with_drawing(second)
     if first.config.cells == second.config.cells:
         return first, second
     if first.config.cells:

@@ -1,9 +1,9 @@
 """The decoder: a U-Net that turns a random field into maps [henzler2021, sec. 4.2].
 
 Noise enters at full resolution, is halved by max-pooling four times and doubled back by bilinear
-upsampling with skip connections. On the way up every level also receives the material's lattice
-channels, if it has a lattice (lattice_channels.py). They are not inputs of the way down, where
-max-pooling would alias them.
+upsampling with skip connections. On the way up every level also receives a drawing, if the decoder
+reads one (drawing.py), and the material's lattice channels, if it has a lattice
+(lattice_channels.py). They are not inputs of the way down, where max-pooling would alias them.
 
 Every convolution is followed by AdaIN [huang2017], whose target mean and deviation are affine in
 the 64-D latent vector; also the last one, so that each map's mean and contrast are affine in it.
@@ -18,7 +18,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
@@ -33,6 +33,7 @@ CODE_SIZE = 64  # dimensions of the latent vector, as in the paper
 OUTPUTS = 6  # diffuse (3), specular, roughness, height
 DEPTH = 4  # poolings; rectangles are multiples of 2^DEPTH
 ALIGNMENT = 2**DEPTH  # texels: sides and periods are multiples of this
+DRAWING_CHANNELS = 2  # of a decoder that reads a drawing
 _LATTICE_GAIN = 3.0  # factor on initial weights of lattice channels, which are few among features
 _EPSILON = 1e-5  # added to variances
 
@@ -51,6 +52,8 @@ class DecoderConfig:
     """Channels of noise that is constant over each lattice cell (lattice_channels.py)."""
     structured_channels: int = 0
     """Channels of structured noise (structured_noise.py) at full resolution."""
+    drawing: int = 0
+    """Channels of the drawing (drawing.py): DRAWING_CHANNELS, or 0 as in the paper."""
 
     @property
     def inputs(self) -> int:
@@ -59,7 +62,7 @@ class DecoderConfig:
 
     @property
     def lattice_channels(self) -> int:
-        """Channels that every level of the way up reads besides features."""
+        """Lattice channels of every level of the way up."""
         return WAVE_CHANNELS + self.cells
 
 
@@ -153,9 +156,8 @@ class Decoder(nn.Module):
             down.append(_block(channels, width, config.convolutions[0]))
             channels = width
         for width in reversed(widths[:-1]):
-            up.append(
-                _block(channels + width + config.lattice_channels, width, config.convolutions[1])
-            )
+            read = channels + width + config.drawing + config.lattice_channels
+            up.append(_block(read, width, config.convolutions[1]))
             channels = width
         with torch.no_grad():
             for block in up:
@@ -234,7 +236,7 @@ class Decoder(nn.Module):
 
         up = [[step(layer) for layer in block] for block in self.up_layers()]
         skips = self.way_down(field.noise, step)
-        return ascend(skips, field.waves, up, step(self.head), periodic=periodic).float()
+        return ascend(skips, field.read_up, up, step(self.head), periodic=periodic).float()
 
 
 def with_cells(decoder: Decoder, other: Decoder) -> Decoder:
@@ -250,6 +252,24 @@ def with_cells(decoder: Decoder, other: Decoder) -> Decoder:
             read = torch.cat([state[name], weight[:, state[name].shape[1] :]], dim=1)
             state[name] = read.contiguous(memory_format=torch.channels_last)
     wider.load_state_dict(state)
+    return wider
+
+
+def with_drawing(decoder: Decoder) -> Decoder:
+    """Add a drawing's channels to a decoder, with weights of zero; itself if it has them."""
+    if decoder.config.drawing:
+        return decoder
+    wider = copy.deepcopy(decoder)
+    wider.config = replace(decoder.config, drawing=DRAWING_CHANNELS)
+    for first, *_ in wider.up_layers():
+        features, lattice = first.convolution.weight.detach().tensor_split(
+            [-decoder.config.lattice_channels], dim=1
+        )
+        silent = torch.zeros_like(features[:, :DRAWING_CHANNELS])
+        weight = torch.cat([features, silent, lattice], dim=1)
+        first.convolution.weight = nn.Parameter(
+            weight.contiguous(memory_format=torch.channels_last)
+        )
     return wider
 
 
@@ -271,7 +291,7 @@ def descend(noise: Tensor, down: Sequence[Sequence[LayerStep]]) -> list[Tensor]:
 
 def ascend(
     skips: Sequence[Tensor],
-    waves: Sequence[Tensor],
+    read: Sequence[Tensor],
     up: Sequence[Sequence[LayerStep]],
     head: LayerStep,
     *,
@@ -281,7 +301,7 @@ def ascend(
 
     Args:
         skips: features of the way down, full resolution first.
-        waves: lattice channels by level, or empty.
+        read: what each level reads besides features, or empty.
         up: layers by block, coarsest first.
         head: the last layer.
         periodic: upsample as a torus.
@@ -289,8 +309,8 @@ def ascend(
     features = skips[-1]
     for level, block in zip(reversed(range(DEPTH)), up, strict=True):
         parts = [upsample(features, periodic), skips[level]]
-        if waves:
-            parts.append(waves[level].to(features))
+        if read:
+            parts.append(read[level].to(features))
         features = torch.cat(parts, dim=1)
         for step in block:
             features = step(features)

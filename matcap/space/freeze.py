@@ -25,6 +25,7 @@ from matcap.space.decoder import (
     Moments,
     upsample,
 )
+from matcap.space.drawing import Drawing
 from matcap.space.patch import Patch
 from matcap.space.random_field import RandomField, random_field
 from matcap.space.spans import Spans
@@ -34,22 +35,30 @@ _SIZE = 512  # texels a side of the reference field
 _REFERENCE_SEED = -1  # a seed that users are unlikely to choose
 
 
-def reference_field(config: DecoderConfig, waves: tuple[Wave, ...]) -> RandomField:
+def reference_field(
+    config: DecoderConfig, waves: tuple[Wave, ...], drawing: Drawing | None = None
+) -> RandomField:
     """The periodic random field on which statistics are measured."""
-    return random_field(
-        Patch(_REFERENCE_SEED, Rectangle(0, 0, _SIZE, _SIZE), period=(_SIZE, _SIZE)),
+    area, period = Rectangle(0, 0, _SIZE, _SIZE), (_SIZE, _SIZE)
+    field = random_field(
+        Patch(_REFERENCE_SEED, area, period=period),
         config.noise_channels,
         waves,
         levels=DEPTH,
         cells=config.cells,
         structured=config.structured_channels,
     )
+    if drawing is None:
+        return field
+    return replace(field, drawing=drawing.levels(_REFERENCE_SEED, area, period))
 
 
-def freeze(decoder: Decoder, code: Tensor, waves: tuple[Wave, ...]) -> list[Moments]:
+def freeze(
+    decoder: Decoder, code: Tensor, waves: tuple[Wave, ...], drawing: Drawing | None = None
+) -> list[Moments]:
     """Statistics of every layer for a latent vector, measured on the reference field."""
     with torch.no_grad():
-        field = reference_field(decoder.config, waves)
+        field = reference_field(decoder.config, waves, drawing)
         return decoder.reference_moments(field, code)
 
 
@@ -62,7 +71,7 @@ class FoldedLayer:
 
     weights: tuple[Tensor, ...]
     """(out, in_i, k, k) for each part of its input, in channels_last memory format. On the way up
-    the parts are the level below, the skip connection and, if any, the lattice channels."""
+    the parts are the level below, the skip connection and, if any, drawing and lattice channels."""
     bias: Tensor
     """(out,) bias of each channel."""
     activate: bool
@@ -130,7 +139,7 @@ class FoldedDecoder:
         """Raw outputs (B, OUTPUTS, H, W) over the spans' output, float32.
 
         Args:
-            field: noise over the spans' down[0], lattice channels over their joined.
+            field: noise over the spans' down[0], drawing and lattice channels over their joined.
             rows, columns: spans_of for this decoder's convolutions.
         """
 
@@ -139,6 +148,7 @@ class FoldedDecoder:
             high, wide = (a.within(b) for a, b in zip(wanted, covered, strict=True))
             return features[..., high, wide].contiguous(memory_format=torch.channels_last)
 
+        waves = field.waves if self.has_waves else ()
         features, skips = field.noise, []
         for level, block in enumerate(self.down):
             if level > 0:
@@ -151,9 +161,9 @@ class FoldedDecoder:
             joined = (rows.joined[level], columns.joined[level])
             below = cut(features, (rows.risen[level + 1], columns.risen[level + 1]), covered)
             skip = cut(skips[level], joined, (rows.skips[level], columns.skips[level]))
-            waves = [field.waves[level]] if self.has_waves else []
+            read = [each[level] for each in (field.drawing, waves) if each]
             # The outermost texel of what is upsampled is not valid.
-            features = first(upsample(below, periodic=False), skip, *waves)
+            features = first(upsample(below, periodic=False), skip, *read)
             for layer in others:
                 features = layer(features)
             covered = (joined[0].grown(-1 - len(others)), joined[1].grown(-1 - len(others)))
@@ -180,14 +190,16 @@ def fold(
             parts = weight.split(list(sizes), dim=1) if sizes else (weight,)
             if sizes and not has_waves:
                 parts = parts[:-1]
-            weights = (part.contiguous(memory_format=torch.channels_last) for part in parts)
+            weights = (
+                part.contiguous(memory_format=torch.channels_last) for part in parts if part.numel()
+            )
             return FoldedLayer(tuple(weights), shift, layer.activate)
 
         down = tuple(tuple(folded(layer) for layer in block) for block in decoder.down_layers())
         up = []
-        below = decoder.config.widths[-1]
-        for skip, block in zip(decoder.config.widths[-2::-1], decoder.up_layers(), strict=True):
-            first = folded(block[0], (below, skip, decoder.config.lattice_channels))
+        config, below = decoder.config, decoder.config.widths[-1]
+        for skip, block in zip(config.widths[-2::-1], decoder.up_layers(), strict=True):
+            first = folded(block[0], (below, skip, config.drawing, config.lattice_channels))
             up.append((first, *(folded(layer) for layer in block[1:])))
             below = skip
         return FoldedDecoder(

@@ -1,4 +1,4 @@
-"""The decoder's input: white noise, structured noise and lattice channels."""
+"""The decoder's input: white noise, structured noise, lattice channels and a drawing."""
 
 from __future__ import annotations
 
@@ -22,6 +22,15 @@ class RandomField:
     """(B, noise_channels + structured_channels, H, W): white, then structured noise."""
     waves: tuple[Tensor, ...]
     """Lattice channels of each level k, (B, WAVE_CHANNELS + cells, H / 2^k, W / 2^k)."""
+    drawing: tuple[Tensor, ...] = ()
+    """The drawing at each level k, (B, DRAWING_CHANNELS, H / 2^k, W / 2^k); empty without one."""
+
+    @property
+    def read_up(self) -> tuple[Tensor, ...]:
+        """What each level of the way up reads besides features: the drawing, then the lattice."""
+        if not self.drawing:
+            return self.waves
+        return tuple(torch.cat(each, 1) for each in zip(self.drawing, self.waves, strict=True))
 
 
 def random_field(

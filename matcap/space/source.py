@@ -15,7 +15,8 @@ from matcap.field.blocks import RING, Grid
 from matcap.field.device import repeatable
 from matcap.field.plane import Period, Rectangle, Span
 from matcap.field.source import planes_of
-from matcap.space.decoder import maps_from_raw
+from matcap.space.decoder import ALIGNMENT, maps_from_raw
+from matcap.space.drawing import Drawing
 from matcap.space.freeze import FoldedDecoder
 from matcap.space.lattice_channels import lattice_field
 from matcap.space.patch import Patch
@@ -87,6 +88,34 @@ def read_lattice(
     return tuple(stack)
 
 
+def read_drawing(source: Seeded, spans: BlockSpans, drawing: Drawing | None) -> tuple[Tensor, ...]:
+    """Per level (1, DRAWING_CHANNELS, H, W) of a block's spans; empty without a drawing."""
+    if drawing is None:
+        return ()
+    block, down, across = spans.block, spans.rows.joined, spans.columns.joined
+
+    def reached(joined: tuple[Span, ...]) -> Span:
+        """The span of level 0 that has all levels' texels; texels of the coarsest are whole."""
+        first = min(each.start << level for level, each in enumerate(joined))
+        last = max(each.stop << level for level, each in enumerate(joined))
+        return Span(first // ALIGNMENT * ALIGNMENT, -(-last // ALIGNMENT) * ALIGNMENT)
+
+    rows, columns = reached(down), reached(across)
+    area = Rectangle(block.x + columns.start, block.y + rows.start, columns.size, rows.size)
+
+    def cut(level: int, plane: Tensor) -> Tensor:
+        top, left = rows.start >> level, columns.start >> level
+        high, wide = (
+            slice(each.start - start, each.stop - start)
+            for each, start in ((down[level], top), (across[level], left))
+        )
+        part = plane[..., high, wide].to(source.device)
+        return part.contiguous(memory_format=torch.channels_last)
+
+    levels = drawing.levels(source.seed, area, source.period)
+    return tuple(cut(level, plane) for level, plane in enumerate(levels))
+
+
 @dataclass(frozen=True)
 class DecoderSource:
     """The field of one decoder and seed; picklable."""
@@ -102,6 +131,8 @@ class DecoderSource:
     period: Period | None = None
     """Period in texels, multiples of ALIGNMENT; None if the field never repeats."""
     grid: Grid = Grid()
+    drawing: Drawing | None = None
+    """The drawing that the decoder reads, or None."""
 
     @property
     def specular_channels(self) -> int:
@@ -131,6 +162,7 @@ class DecoderSource:
                     self, spans, self.decoder.noise_channels, self.decoder.structured_channels
                 ),
                 read_lattice(self, spans, self.waves, self.decoder.cells),
+                read_drawing(self, spans, self.drawing),
             )
             raw = self.decoder.decode(field, spans.rows, spans.columns)[0].contiguous()
             # Vectorised sigmoids round the last few texels of a row differently. They must see

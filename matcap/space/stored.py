@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from matcap.space.decoder import DEPTH, Decoder, DecoderConfig
+from matcap.space.decoder import DEPTH, DRAWING_CHANNELS, Decoder, DecoderConfig
 from matcap.space.structured_noise import STRUCTURED_CHANNELS
 
 _STRUCTURED = "grains"  # name of structured_channels in files
@@ -30,6 +30,7 @@ def decoder_config(stated: Mapping[str, Any]) -> DecoderConfig:
         convolutions=(int(stated["convolutions"][0]), int(stated["convolutions"][1])),
         cells=int(stated["cells"]),
         structured_channels=int(stated.get(_STRUCTURED, 0)),  # absent in the shipped prior
+        drawing=int(stated.get("drawing", 0)),  # likewise
     )
     sizes = (config.noise_channels, *config.widths)
     if len(config.widths) != DEPTH + 1 or not all(1 <= s <= _LARGEST_WIDTH for s in sizes):
@@ -38,6 +39,8 @@ def decoder_config(stated: Mapping[str, Any]) -> DecoderConfig:
         raise ValueError(f"{config.cells} channels of cells")
     if not 0 <= config.structured_channels <= STRUCTURED_CHANNELS:
         raise ValueError(f"{config.structured_channels} channels of structured noise")
+    if config.drawing not in (0, DRAWING_CHANNELS):
+        raise ValueError(f"{config.drawing} channels of a drawing")
     if not all(1 <= count <= 4 for count in config.convolutions):
         raise ValueError(f"{config.convolutions} convolutions a block")
     return config

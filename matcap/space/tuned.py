@@ -14,6 +14,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
+from matcap.example.stored import example_of
 from matcap.field.header import REMEDY
 from matcap.field.material import Material
 from matcap.field.plane import Period, check_period, check_seed
@@ -21,6 +22,7 @@ from matcap.files.tensors import StoredTensors
 from matcap.files.values import bounded
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import ALIGNMENT, CODE_SIZE, Decoder, Moments
+from matcap.space.drawing import Drawing
 from matcap.space.freeze import FoldedDecoder, fold
 from matcap.space.source import DecoderSource
 from matcap.space.stored import config_document, decoder_config, empty_decoder
@@ -39,6 +41,7 @@ class TunedDecoder:
         moments: frozen AdaIN statistics, one pair a layer.
         waves: of the material's lattice; empty for most materials.
         texel_size: in plane units.
+        drawing: what it reads besides noise, or None as in the paper.
     """
 
     decoder: Decoder
@@ -46,11 +49,12 @@ class TunedDecoder:
     moments: tuple[Moments, ...]
     waves: tuple[Wave, ...]
     texel_size: float
+    drawing: Drawing | None = None
 
     @property
     def alignment(self) -> int:
         """Texels: periods of its field are multiples of this."""
-        return ALIGNMENT
+        return ALIGNMENT if self.drawing is None else max(ALIGNMENT, self.drawing.alignment)
 
     @property
     def piece_size(self) -> None:
@@ -81,9 +85,11 @@ class TunedDecoder:
             UsageError: a seed or period out of range.
         """
         check_seed(seed)
-        check_period(period, ALIGNMENT)
+        check_period(period, self.alignment)
         decoder = self.folded.to(device)
-        return DecoderSource(decoder, self.waves, self.texel_size, seed, period)
+        return DecoderSource(
+            decoder, self.waves, self.texel_size, seed, period, drawing=self.drawing
+        )
 
     def varied(self, variety: float) -> TunedDecoder:
         """Decoders have no variety.
@@ -120,6 +126,10 @@ class TunedDecoder:
             "decoder": config_document(self.decoder.config),
             "waves": [asdict(wave) for wave in self.waves],
         }
+        if self.drawing is not None:
+            read, described = self.drawing.example.in_file("drawing")
+            tensors |= read
+            about |= described
         return tensors, about
 
 
@@ -138,7 +148,8 @@ def read(about: Mapping[str, Any], file: safe_open, path: Path) -> TunedDecoder 
     if "decoder" not in about:
         return None
     stored = StoredTensors(file, path, REMEDY)
-    decoder = empty_decoder(decoder_config(about["decoder"]))
+    config = decoder_config(about["decoder"])
+    decoder = empty_decoder(config)
     state = {
         name: stored.tensor(f"decoder.{name}", tuple(value.shape))
         for name, value in decoder.state_dict().items()
@@ -160,4 +171,5 @@ def read(about: Mapping[str, Any], file: safe_open, path: Path) -> TunedDecoder 
             for w in about["waves"][:2]
         ),
         texel_size=bounded(about["texel_size"], "texel_size", 1e-9, 1e3),
+        drawing=Drawing(example_of(about, file, "drawing")) if config.drawing else None,
     )

@@ -88,7 +88,7 @@ CHANGES = {
     "preset": "draft", "steps": 7, "time": 5.0, "detail": 77, "fov": 30.0, "seed": 3,
     "size": (64, 32), "tile": True, "png": True, "normal": "dx", "target": 2.0,
     "export": ("gltf",), "statistics": "vgg19=weights.pth", "generator": "decoder", "aligned": True,
-    "width_cm": 20.0,
+    "width_cm": 20.0, "drawing": False,
 }  # fmt: skip
 
 

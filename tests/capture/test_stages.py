@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from matcap.capture.pipeline import capture_into
-from matcap.capture.progress import DECODER_STAGES, PIECE_STAGES, CaptureClock
+from matcap.capture.progress import DECODER_STAGES, DRAWING_STAGES, PIECE_STAGES, CaptureClock
 from matcap.capture.settings import CaptureSettings, OutputSettings
 
 PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
@@ -18,7 +18,11 @@ PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
 
 @pytest.mark.parametrize(
     ("generator", "stages", "longest"),
-    [("example", PIECE_STAGES, None), ("decoder", DECODER_STAGES, "fine-tuning")],
+    [
+        ("example", PIECE_STAGES, None),
+        ("decoder", DRAWING_STAGES, "fine-tuning"),
+        ("decoder", DECODER_STAGES, "fine-tuning"),
+    ],
 )
 @pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
 def test_every_stage_has_its_share_and_is_reported_in_order(tmp_path, generator, stages, longest):
@@ -26,7 +30,8 @@ def test_every_stage_has_its_share_and_is_reported_in_order(tmp_path, generator,
     lines = []
     settings = CaptureSettings(detail=160)
     if generator == "decoder":
-        settings = replace(settings, steps=2, generator=generator)
+        drawing = stages is DRAWING_STAGES
+        settings = replace(settings, steps=2, generator=generator, drawing=drawing)
     result = capture_into(
         tmp_path / "tile", [PHOTO], settings, OutputSettings((32, 32)), lines.append
     )
@@ -39,6 +44,8 @@ def test_every_stage_has_its_share_and_is_reported_in_order(tmp_path, generator,
     report = json.loads((tmp_path / "tile" / "report.json").read_text())
     assert list(report["stage_seconds"]) == list(stages)[:-1]
     assert (report["tuning"] is None) == (generator == "example")
+    draws = report["tuning"] is not None and report["tuning"]["drawing"]
+    assert draws == (stages is DRAWING_STAGES)
 
 
 def test_a_time_limit_leaves_room_for_what_comes_after():

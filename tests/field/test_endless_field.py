@@ -8,14 +8,17 @@ import threading
 
 import pytest
 import torch
+from example.exemplars import blobs
 from plain_decoder import decoded
 from torus import WAVES, both, noisy
 
 from matcap.errors import MatcapError, UsageError
+from matcap.example.example import Example
 from matcap.field.field import Field
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
 from matcap.space.decoder import CODE_SIZE
+from matcap.space.drawing import Drawing
 from matcap.space.freeze import reference_field
 from matcap.space.lattice_channels import wave_field
 from matcap.space.noise import noise_field
@@ -24,9 +27,10 @@ from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave
 
 
-@pytest.fixture(scope="module", params=[(), WAVES], ids=["noise", "waves"])
+@pytest.fixture(scope="module", params=["noise", "waves", "drawing"])
 def material(request):
-    return noisy(request.param)
+    drawing = Drawing(Example.of(blobs())) if request.param == "drawing" else None
+    return noisy(WAVES if request.param == "waves" else (), drawing)
 
 
 @pytest.mark.parametrize("origin", [0, 2**31 - 300, 2**40 - 900])
@@ -93,7 +97,7 @@ def test_seeds_differ_and_processes_agree(material, tmp_path):
 def test_frozen_and_folded_are_the_network_that_was_tuned(material):
     tuned = material.part(TunedDecoder)
     decoder, code = tuned.decoder, tuned.code
-    field = reference_field(decoder.config, tuned.waves)
+    field = reference_field(decoder.config, tuned.waves, tuned.drawing)
     with torch.no_grad():
         own = decoder(field, code)
         frozen = decoder(field, code, tuned.moments)

@@ -34,7 +34,7 @@ def capture_as_in_paper(
 ) -> None:
     """Capture a photograph and write the material's file."""
     settings = CaptureSettings(
-        steps=steps, detail=detail, seed=seed, prior="none", generator="decoder"
+        steps=steps, detail=detail, seed=seed, prior="none", generator="decoder", drawing=False
     )
     read = read_photograph(photo, settings)
     capture_photo(read, settings, method=_METHOD).material.save(material)

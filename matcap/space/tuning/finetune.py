@@ -2,7 +2,8 @@
 
 Each step decodes new noise, renders the maps under the flash at a few positions of the photograph,
 and minimises the distance of the renderings' texture statistics to those of the photograph at the
-same positions. Sensor noise is added to the renderings, so that the decoder does not learn it. The
+same positions. A decoder that reads a drawing is taught by the exemplar's maps, too (teacher.py).
+Sensor noise is added to the renderings, so that the decoder does not learn it. The
 last steps use frozen AdaIN statistics, so that the saved network is the optimised one.
 
 It ends after a number of steps, a time, at an error (schedule.py), or by an interrupt, and returns
@@ -28,10 +29,11 @@ from matcap.space.tuning.likeness import PhotographTarget, compare_windows, rend
 from matcap.space.tuning.penalty import Penalties, price
 from matcap.space.tuning.rollback import Rollback
 from matcap.space.tuning.schedule import Schedule
+from matcap.space.tuning.teacher import Lesson, Teacher
 from matcap.statistics.precision import computes_bfloat16
 
 # Learning rates. At a higher rate 100 steps lose colours that the prior has (docs/notes/prior.md).
-RATE_FROM_NOTHING, RATE_FROM_PRIOR = 2e-2, 2.5e-3
+RATE_FROM_NOTHING, RATE_FROM_PRIOR, RATE_WITH_DRAWING = 2e-2, 2.5e-3, 5e-3
 
 _SEED_STRIDE = 1_000_003  # between seeds, so that runs share no noise
 
@@ -92,25 +94,30 @@ def finetune(
         report: called after every step.
     """
     if not settings.steps:
-        return Tuned(decoder, tuple(freeze(decoder, code, scene.waves)), (), False)
+        return Tuned(decoder, tuple(freeze(decoder, code, scene.waves, scene.drawing)), (), False)
     schedule = Schedule(settings.steps, settings.seconds, settings.target)
     rollback = Rollback(decoder, settings.learning_rate)
     order = shuffled(scene.windows.count, settings.seed)
-    half = settings.half_precision
+    half, size = settings.half_precision, scene.windows.size
+    full = size + 2 * ALIGNMENT
+    teacher = None if scene.drawing is None else Teacher.of(scene.drawing, full, settings.seed)
     moments: list[Moments] | None = None
     history: list[tuple[float, int, float]] = []
     interrupted = False
     try:
         while not schedule.over(rollback.error):
             if moments is None and schedule.freezes:
-                moments = freeze(decoder, code, scene.waves)
+                moments = freeze(decoder, code, scene.waves, scene.drawing)
                 rollback.begin_again()
             places = torch.tensor([next(order) for _ in range(settings.places)])
             seed = wrap64(settings.seed * _SEED_STRIDE + schedule.step)
-            maps = decode_window(decoder, code, scene, seed, moments, half_precision=half)
+            lesson = None if teacher is None else teacher.lesson(size, ALIGNMENT, seed)
+            maps = decode_window(decoder, code, scene, seed, moments, lesson, half_precision=half)
             rendered = render_windows(maps, scene, places, schedule.step)
             loss = compare_windows(rendered, scene, places, half_precision=half)
             penalty = price(maps, scene.expected, settings.penalties, schedule.share)
+            if lesson is not None:
+                penalty = penalty + lesson.loss(maps)
             taken = rollback.take(loss, penalty, schedule.pace)
             schedule.step += 1
             if taken:
@@ -120,7 +127,7 @@ def finetune(
         interrupted = True
     rollback.finish()
     if moments is None or not history:
-        moments = freeze(decoder, code, scene.waves)
+        moments = freeze(decoder, code, scene.waves, scene.drawing)
     return Tuned(decoder, tuple(moments), tuple(history), interrupted)
 
 
@@ -130,16 +137,17 @@ def decode_window(
     scene: PhotographTarget,
     seed: int,
     moments: list[Moments] | None,
+    lesson: Lesson | None = None,
     *,
     half_precision: bool,
 ) -> MapSet:
     """Maps (1, ., size, size) of a window of new noise, decoded as a torus.
 
-    A lattice does not repeat with the window; with one, a margin around the window is decoded and
-    cut off.
+    A lattice or drawing does not repeat with the window; with one, a margin around the window is
+    decoded and cut off.
     """
     size = scene.windows.size
-    margin = ALIGNMENT if scene.waves else 0
+    margin = ALIGNMENT if scene.waves or lesson else 0
     full = size + 2 * margin
     noise = random_field(
         Patch(seed, Rectangle(0, 0, full, full), period=(full, full)),
@@ -153,7 +161,8 @@ def decode_window(
         Patch(seed, Rectangle(0, 0, full, full)), 1, scene.waves, levels=DEPTH, cells=cells
     ).waves
     with torch.autocast("cpu", torch.bfloat16, enabled=half_precision and computes_bfloat16()):
-        raw = decoder(RandomField(noise, waves), code, moments)
+        drawing = () if lesson is None else lesson.drawing
+        raw = decoder(RandomField(noise, waves, drawing), code, moments)
     if margin:
         raw = raw[..., margin:-margin, margin:-margin]
     return maps_from_raw(raw, scene.texel_size, periodic=margin == 0)

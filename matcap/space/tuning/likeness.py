@@ -14,6 +14,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_flash
+from matcap.space.drawing import Drawing
 from matcap.space.tuning.windows import Windows, shot_deviation
 from matcap.statistics.compare import Features, Weights, describe, distance
 from matcap.statistics.encoding import Encoding
@@ -41,6 +42,8 @@ class PhotographTarget:
     """Weights of the statistics."""
     expected: Tensor | None = None
     """(5,) logits of the coarse fit's diffuse albedo, F0 and roughness, or None."""
+    drawing: Drawing | None = None
+    """The drawing that the decoder reads, or None."""
     others: tuple[FlashSetup, ...] = ()
     """Camera and flash of further photographs, the second one's first."""
 

@@ -13,9 +13,9 @@ def frozen(monkeypatch):
     """Codes that were frozen at, in turn; the statistics are the true ones."""
     codes = []
 
-    def remember(decoder, code, waves):
+    def remember(decoder, code, *read):
         codes.append(code.clone())
-        return freeze(decoder, code, waves)
+        return freeze(decoder, code, *read)
 
     monkeypatch.setattr(finetune, "freeze", remember)
     return codes

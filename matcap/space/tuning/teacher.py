@@ -1,0 +1,105 @@
+"""The exemplar's maps as a teacher of a decoder that reads its drawing.
+
+In every step of fine-tuning a window of one field of the exemplar is drawn, and the decoder's maps
+m are compared with the field's own, m', besides the texture distance to the photograph:
+
+    w (3 mean |log R_l - log R'_l| + mean |logit m - logit m'|),
+
+m the diffuse albedo, F0 and roughness, R_l the radiance under a far light l 53 degrees off the
+normal, of which every step takes two. Figures in docs/notes/prior.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.field.plane import Rectangle
+from matcap.flash.light import FlashLight
+from matcap.space.drawing import AROUND, Drawing
+
+_WEIGHT, _LIT = 1.0, 3.0  # w, and that of radiance; docs/notes/prior.md
+_LIGHTS = (
+    (-0.8, 0.0, 0.6), (0.8, 0.0, 0.6), (0.0, 0.8, 0.6),
+    (0.0, -0.8, 0.6), (0.57, 0.57, 0.6), (-0.57, 0.57, 0.6),
+)  # fmt: skip
+_AT_ONCE = 2  # lights in a step
+_FAR = 100.0  # plane units: camera and lights, so far that rays are parallel
+_DARKEST = 0.01  # added to radiance before the logarithm
+_LOGIT_EPSILON = 1e-3  # of albedo, F0 and roughness: bounds the logit at 0 and 1
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """A window of the teacher's field."""
+
+    drawing: tuple[Tensor, ...]
+    """Drawing.levels of the window."""
+    maps: MapSet
+    """Its maps, (1, ., size, size)."""
+    seed: int
+    """Of the choice of lights."""
+
+    def loss(self, maps: MapSet) -> Tensor:
+        """How far maps (1, ., size, size) are from the window's; see the module's equation."""
+        generator = torch.Generator().manual_seed(self.seed)
+        chosen = torch.randperm(len(_LIGHTS), generator=generator)[:_AT_ONCE].tolist()
+        lit = [
+            (_log_radiance(maps, _LIGHTS[n]) - _log_radiance(self.maps, _LIGHTS[n])).abs().mean()
+            for n in chosen
+        ]
+        return _WEIGHT * (
+            _LIT * torch.stack(lit).mean() + (_logits(maps) - _logits(self.maps)).abs().mean()
+        )
+
+
+@dataclass(frozen=True)
+class Teacher:
+    """One field of the exemplar, as large as it, from which windows are taken."""
+
+    drawing: Drawing
+    field: Tensor
+    """Stacked maps, with what the drawing needs around them."""
+
+    @staticmethod
+    def of(drawing: Drawing, size: int, seed: int) -> Teacher:
+        """A field of a seed, of at least `size` texels along each side."""
+        width, height = (max(side, size) for side in drawing.example.exemplar.size)
+        return Teacher(drawing, drawing.around(seed, Rectangle(0, 0, width, height)))
+
+    def lesson(self, size: int, margin: int, seed: int) -> Lesson:
+        """A window of size x size texels, at random; its drawing has a margin around it."""
+        full, generator = size + 2 * margin, torch.Generator().manual_seed(seed)
+        around = 2 * AROUND
+        y, x = (
+            int(torch.randint(side - full - around + 1, (), generator=generator))
+            for side in self.field.shape[1:]
+        )
+        maps = self.field[:, y : y + full + around, x : x + full + around]
+        inner = maps[
+            None, :, AROUND + margin : -AROUND - margin, AROUND + margin : -AROUND - margin
+        ]
+        texel = self.drawing.example.exemplar.texel_size
+        return Lesson(self.drawing.levels_of(maps), MapSet.from_stacked(inner, texel), seed)
+
+
+def _log_radiance(maps: MapSet, light: tuple[float, float, float]) -> Tensor:
+    """(1, 3, H, W) log radiance under a far light, seen from straight above."""
+    direction = maps.diffuse.new_tensor(light)
+    far = FlashLight.between(
+        torch.zeros(3, 1, 1),
+        direction.new_tensor([0.0, 0.0, _FAR]),
+        _FAR * direction,
+        direction.new_full((3,), _FAR**2 / light[2]),  # an irradiance of 1 on the plane
+    )
+    lit = far.onto(maps.normal).radiance(maps.diffuse, maps.specular, maps.roughness)
+    return (lit + _DARKEST).log()
+
+
+def _logits(maps: MapSet) -> Tensor:
+    """(1, 5, H, W) logits of diffuse albedo, mean F0 and roughness."""
+    specular = maps.specular.mean(dim=1, keepdim=True)
+    return torch.logit(torch.cat([maps.diffuse, specular, maps.roughness], 1), eps=_LOGIT_EPSILON)

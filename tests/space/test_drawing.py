@@ -1,0 +1,176 @@
+"""A decoder that reads a drawing: every seed's own, and untrained it is the prior's decoder."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from example.exemplars import blobs, bricks
+from materials import SMALL, a_material
+from tuning.tuning import CODE, scene, start, tune
+
+from matcap.cli.main import main
+from matcap.errors import MatcapError
+from matcap.example.example import Example
+from matcap.example.interpolate import interpolated
+from matcap.field.material import Material
+from matcap.field.plane import Rectangle
+from matcap.files.rec709 import LUMINANCE
+from matcap.space.between import blend
+from matcap.space.decoder import ALIGNMENT, DEPTH, DRAWING_CHANNELS, Decoder, with_drawing
+from matcap.space.drawing import Drawing
+from matcap.space.freeze import reference_field
+from matcap.space.tuned import TunedDecoder
+from matcap.space.tuning.finetune import decode_window
+from matcap.space.tuning.teacher import Teacher
+
+AREA = Rectangle(-64, 32, 128, 96)
+
+
+@pytest.fixture(scope="module")
+def drawing():
+    return Drawing(Example.of(blobs()))
+
+
+@pytest.fixture(scope="module")
+def drawn(drawing):
+    return a_material("drawn", config=SMALL, drawing=drawing)
+
+
+def test_with_weights_of_zero_it_is_the_decoder_that_it_was(drawing):
+    torch.manual_seed(4)
+    decoder = Decoder(SMALL)
+    wider = with_drawing(decoder)
+    field = reference_field(decoder.config, ())
+    shown = reference_field(wider.config, (), drawing)
+    with torch.no_grad():
+        assert torch.allclose(wider(shown, CODE), decoder(field, CODE), atol=1e-5)
+    assert decoder.config.drawing == 0 and with_drawing(wider) is wider
+    wider(shown, CODE).square().mean().backward()
+    width = SMALL.widths[0] + SMALL.widths[1]
+    slope = wider.up[3][0].convolution.weight.grad[:, width : width + DRAWING_CHANNELS]
+    assert float(slope.abs().max()) > 0.0
+
+
+def test_levels_are_means_of_one_endless_drawing(drawing):
+    levels = drawing.levels(3, AREA)
+    assert [level.shape[2:] for level in levels] == [(96 >> k, 128 >> k) for k in range(DEPTH)]
+    inner = drawing.levels(3, Rectangle(AREA.x + 32, AREA.y + 16, 64, 48))
+    for k, (part, whole) in enumerate(zip(inner, levels, strict=True)):
+        cut = whole[..., 16 >> k : 64 >> k, 32 >> k : 96 >> k]
+        assert torch.allclose(part, cut, atol=1e-5)
+    # By the exemplar's moments.
+    wide = drawing.levels(3, Rectangle(0, 0, 512, 512))[0]
+    assert wide.mean((0, 2, 3)).abs().max() < 0.2
+    assert torch.allclose(wide.std((0, 2, 3)), torch.ones(DRAWING_CHANNELS), atol=0.2)
+
+
+def test_the_field_has_the_drawing_of_its_seed(drawn, drawing):
+    """Against the same decoder with another exemplar, which differs in nothing but the drawing."""
+    tuned = drawn.part(TunedDecoder)
+    other = replace(tuned, drawing=Drawing(Example.of(blobs(seed=2))))
+    one, second = (
+        each.material("m", drawn.setup).maps(96, 64).stacked() for each in (tuned, other)
+    )
+    assert (one[:3] - second[:3]).abs().mean() > 0.01
+
+
+def test_another_seed_is_another_drawing(drawn):
+    """The noise is the same: only its weights are kept."""
+    tuned = drawn.part(TunedDecoder)
+    decoder = Decoder(tuned.decoder.config)
+    decoder.load_state_dict(tuned.decoder.state_dict())
+    decoder.down[0][0].convolution.weight.data.zero_()
+    material = replace(tuned, decoder=decoder).material("m", drawn.setup)
+    first, again, other = (material.maps(64, 64, seed=seed).diffuse for seed in (1, 1, 2))
+    assert torch.equal(first, again)
+    assert (first - other).abs().mean() > 0.01
+
+
+def test_its_periods_are_those_of_both_generators(drawn, drawing):
+    repeat = drawn.alignment
+    assert repeat % ALIGNMENT == 0 and repeat % drawing.alignment == 0
+
+
+def test_what_is_taught_is_the_field_that_is_drawn(drawing):
+    lesson = Teacher.of(drawing, 96, 5).lesson(48, ALIGNMENT, 7)
+    assert lesson.drawing[0].shape == (1, DRAWING_CHANNELS, 80, 80)
+    assert lesson.maps.size == (48, 48)
+    assert float(lesson.loss(lesson.maps)) == 0.0
+    shifted = replace(lesson.maps, diffuse=lesson.maps.diffuse.roll(5, -1))
+    bumpy = replace(lesson.maps, height=lesson.maps.height.roll(5, -1))
+    assert float(lesson.loss(shifted)) > 0.1 and float(lesson.loss(bumpy)) > 0.01
+    colour = lesson.maps.diffuse
+    luminance = torch.einsum("c,bchw->bhw", colour.new_tensor(LUMINANCE), colour).log()
+    seen = lesson.drawing[0][:, 0, ALIGNMENT:-ALIGNMENT, ALIGNMENT:-ALIGNMENT]
+    assert _correlation(luminance, seen) > 0.99
+
+
+def test_fine_tuned_it_draws(drawing):
+    """It comes nearer to maps that it was never taught, which without a teacher it does not."""
+    target = replace(scene(), drawing=drawing)
+    held_out = Teacher.of(drawing, 80, 99).lesson(48, ALIGNMENT, 3)
+
+    def apart(decoder, moments):
+        with torch.no_grad():
+            maps = decode_window(decoder, CODE, target, 5, moments, held_out, half_precision=False)
+            return float(held_out.loss(maps))
+
+    before = apart(with_drawing(start()), None)
+    tuned = tune(steps=30, decoder=with_drawing(start()), seen=target, learning_rate=2e-2)
+    assert apart(tuned.decoder, list(tuned.moments)) < 0.85 * before
+
+
+def _correlation(first, second):
+    return float(torch.corrcoef(torch.stack([first.flatten(), second.flatten()]))[0, 1])
+
+
+def test_the_file_has_the_exemplar_and_says_so(drawn, tmp_path, capsys):
+    path = tmp_path / "drawn.matcap"
+    drawn.save(path)
+    loaded = Material.load(path)
+    assert set(loaded.generators) == {"decoder"}
+    kept = loaded.part(TunedDecoder).drawing.example.exemplar.stacked()
+    assert (kept == drawn.part(TunedDecoder).drawing.example.exemplar.stacked()).all()
+    assert main(["inspect", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "a decoder that reads a drawing" in said and "176 x 144 texels" in said
+
+
+@pytest.mark.parametrize("channels", [1, -2])
+def test_a_file_with_another_drawing_is_refused(tmp_path, monkeypatch, drawn, channels):
+    about = drawn.part(TunedDecoder).in_file
+    monkeypatch.setattr(
+        TunedDecoder,
+        "in_file",
+        lambda self: (
+            about()[0],
+            about()[1] | {"decoder": about()[1]["decoder"] | {"drawing": channels}},
+        ),
+    )
+    drawn.save(tmp_path / "m.matcap")
+    with pytest.raises(MatcapError, match="channels of a drawing"):
+        Material.load(tmp_path / "m.matcap")
+
+
+def test_the_middle_of_two_draws_what_lies_between(drawn, tmp_path, capsys):
+    second = a_material("bricks", seed=8, config=SMALL, drawing=Drawing(Example.of(bricks())))
+    middle = blend(drawn, second, 0.25).part(TunedDecoder)
+    one, other = (each.part(TunedDecoder).drawing.example.exemplar for each in (drawn, second))
+    wanted = interpolated(one, other, 0.25).rounded()
+    assert (middle.drawing.example.exemplar.stacked() == wanted.stacked()).all()
+    assert middle.texel_size == middle.drawing.example.exemplar.texel_size
+    assert blend(drawn, second, 0.0) is drawn and blend(drawn, second, 1.0) is second
+    for name, material in (("a", drawn), ("b", second)):
+        material.save(tmp_path / f"{name}.matcap")
+    ends = [str(tmp_path / name) for name in ("a.matcap", "b.matcap")]
+    assert main(["blend", *ends, "-t", "0:1:2", "-o", str(tmp_path / "out")]) == 0
+    assert "patterns" not in capsys.readouterr().err
+
+
+def test_one_that_draws_blends_with_one_that_does_not(drawn, drawing):
+    plain = a_material("plain", seed=8, config=SMALL)
+    for ends, share in (((drawn, plain), 0.01), ((plain, drawn), 0.99)):
+        middle = blend(*ends, share)
+        assert middle.part(TunedDecoder).drawing is drawing
+        apart = (middle.maps(64, 64).stacked() - drawn.maps(64, 64).stacked())[:5].abs().mean()
+        assert float(apart) < 0.02
