@@ -107,7 +107,9 @@ def floors(
     material: MaterialArgument = None,
     sets: SetsOption = None,
     out: OutOption = Path("bench/floors"),
-    given: Annotated[Given, Fields(CaptureSettings, only=("preset", "detail"))] = NOTHING,
+    given: Annotated[
+        Given, Fields(CaptureSettings, only=("preset", "detail", "generator"))
+    ] = NOTHING,
     judged: Annotated[
         int,
         typer.Option(

@@ -59,8 +59,8 @@ def capture(
     set, preview.png and report.json. Prints a verdict: good, usable, doubtful or failed, with the
     likely cause and a remedy. Ctrl-C saves a decoder's best result so far. By default the maps of
     the photographed sample are estimated, and larger maps synthesised by example from them;
-    --generator decoder fine-tunes the decoder of Henzler et al. 2021 instead. Both use the tilt
-    that its alignment branch predicts.
+    --generator decoder fine-tunes the decoder of Henzler et al. 2021 instead, which also reads
+    their pattern. Both use the tilt that its alignment branch predicts.
     """
     from matcap.cli.capture_display import display
     from matcap.files.memory import keep_memory

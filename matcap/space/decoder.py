@@ -7,7 +7,8 @@ reads one (drawing.py), and the material's lattice channels, if it has a lattice
 
 Every convolution is followed by AdaIN [huang2017], whose target mean and deviation are affine in
 the 64-D latent vector; also the last one, so that each map's mean and contrast are affine in it.
-AdaIN normalises by statistics of its input (training), or by stored ones (frozen; see freeze.py).
+AdaIN normalises by statistics of its input (training), by stored ones (frozen; see freeze.py), or
+by running ones (tuning/renormalise.py).
 
 A rectangle is decoded either as a torus (`periodic=True`) or with a halo of noise around it, which
 the caller cuts off; no border is padded.
@@ -35,7 +36,7 @@ DEPTH = 4  # poolings; rectangles are multiples of 2^DEPTH
 ALIGNMENT = 2**DEPTH  # texels: sides and periods are multiples of this
 DRAWING_CHANNELS = 2  # of a decoder that reads a drawing
 _LATTICE_GAIN = 3.0  # factor on initial weights of lattice channels, which are few among features
-_EPSILON = 1e-5  # added to variances
+EPSILON = 1e-5  # added to variances
 
 
 @dataclass(frozen=True)
@@ -104,16 +105,14 @@ class AdaIN(nn.Module):
         mean, deviation = (target.to(exact) for target in self.target(code))
         own = variance = None
         if moments is not None:
-            own, variance = moments[0], moments[1].square() - _EPSILON
-        return F.batch_norm(
-            features, own, variance, deviation, mean, moments is None, 0.0, _EPSILON
-        )
+            own, variance = moments[0], moments[1].square() - EPSILON
+        return F.batch_norm(features, own, variance, deviation, mean, moments is None, 0.0, EPSILON)
 
     def measured(self, features: Tensor, code: Tensor) -> tuple[Tensor, Moments]:
         """Normalise by the features' own moments (C,), which are returned as well; in float32."""
         mean, deviation = (target.float() for target in self.target(code))
         adapted, own, inverse = torch.native_batch_norm(
-            features.float(), deviation, mean, None, None, True, 0.0, _EPSILON
+            features.float(), deviation, mean, None, None, True, 0.0, EPSILON
         )
         return adapted, (own, inverse.reciprocal())
 
@@ -201,7 +200,7 @@ class Decoder(nn.Module):
         def adapt(layer: ConvolutionLayer, features: Tensor) -> Tensor:
             return layer.adain(features, code, None if remaining is None else next(remaining))
 
-        return self._run(field, adapt, periodic)
+        return self.run(field, adapt, periodic=periodic)
 
     def reference_moments(self, field: RandomField, code: Tensor) -> list[Moments]:
         """Every layer's statistics on a periodic reference field, in order of execution."""
@@ -212,7 +211,7 @@ class Decoder(nn.Module):
             recorded.append(moments)
             return adapted
 
-        self._run(field, adapt, periodic=True)
+        self.run(field, adapt)
         return recorded
 
     def way_down(
@@ -221,12 +220,15 @@ class Decoder(nn.Module):
         """Features for the skip connections of every level, full resolution first."""
         return descend(noise, [[step(layer) for layer in block] for block in self.down_layers()])
 
-    def _run(
+    def run(
         self,
         field: RandomField,
         adapt: Callable[[ConvolutionLayer, Tensor], Tensor],
-        periodic: bool,
+        *,
+        periodic: bool = True,
     ) -> Tensor:
+        """Raw outputs, as forward(), with every convolution's output normalised by `adapt`."""
+
         def step(layer: ConvolutionLayer) -> LayerStep:
             def apply(features: Tensor) -> Tensor:
                 adapted = adapt(layer, layer.convolve(features, periodic))

@@ -2,8 +2,9 @@
 
 Each step decodes new noise, renders the maps under the flash at a few positions of the photograph,
 and minimises the distance of the renderings' texture statistics to those of the photograph at the
-same positions. A decoder that reads a drawing is taught by the exemplar's maps, too (teacher.py).
-Sensor noise is added to the renderings, so that the decoder does not learn it. The
+same positions. Sensor noise is added to the renderings, so that the decoder does not learn it. A
+decoder that reads a drawing is taught by the exemplar's maps, too (teacher.py), and its AdaIN
+normalises by more than one window (renormalise.py). The
 last steps use frozen AdaIN statistics, so that the saved network is the optimised one.
 
 It ends after a number of steps, a time, at an error (schedule.py), or by an interrupt, and returns
@@ -20,16 +21,17 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.field.plane import Rectangle
-from matcap.space.decoder import ALIGNMENT, DEPTH, Decoder, Moments, maps_from_raw
+from matcap.space.decoder import DEPTH, Decoder, DecoderConfig, Moments, maps_from_raw
 from matcap.space.freeze import freeze
 from matcap.space.noise import wrap64
 from matcap.space.patch import Patch
 from matcap.space.random_field import RandomField, random_field
 from matcap.space.tuning.likeness import PhotographTarget, compare_windows, render_windows, shuffled
 from matcap.space.tuning.penalty import Penalties, price
+from matcap.space.tuning.renormalise import Renormalisation
 from matcap.space.tuning.rollback import Rollback
 from matcap.space.tuning.schedule import Schedule
-from matcap.space.tuning.teacher import Lesson, Teacher
+from matcap.space.tuning.teacher import MARGIN, Lesson, Teacher
 from matcap.statistics.precision import computes_bfloat16
 
 # Learning rates. At a higher rate 100 steps lose colours that the prior has (docs/notes/prior.md).
@@ -98,21 +100,28 @@ def finetune(
     schedule = Schedule(settings.steps, settings.seconds, settings.target)
     rollback = Rollback(decoder, settings.learning_rate)
     order = shuffled(scene.windows.count, settings.seed)
-    half, size = settings.half_precision, scene.windows.size
-    full = size + 2 * ALIGNMENT
-    teacher = None if scene.drawing is None else Teacher.of(scene.drawing, full, settings.seed)
+    half, drawing = settings.half_precision, scene.drawing
+    teacher = None if drawing is None else Teacher.of(drawing, scene.windows.size, settings.seed)
+    renormalised = Renormalisation()
     moments: list[Moments] | None = None
+
+    def decode(field: RandomField) -> Tensor:
+        if moments is None and teacher is not None:
+            return renormalised.decode(decoder, field, code, schedule.share)
+        raw: Tensor = decoder(field, code, moments)
+        return raw
+
     history: list[tuple[float, int, float]] = []
     interrupted = False
     try:
         while not schedule.over(rollback.error):
             if moments is None and schedule.freezes:
-                moments = freeze(decoder, code, scene.waves, scene.drawing)
+                moments = freeze(decoder, code, scene.waves, drawing)
                 rollback.begin_again()
             places = torch.tensor([next(order) for _ in range(settings.places)])
             seed = wrap64(settings.seed * _SEED_STRIDE + schedule.step)
-            lesson = None if teacher is None else teacher.lesson(size, ALIGNMENT, seed)
-            maps = decode_window(decoder, code, scene, seed, moments, lesson, half_precision=half)
+            lesson = None if teacher is None else teacher.lesson(seed)
+            maps = decode_window(decoder.config, decode, scene, seed, lesson, half_precision=half)
             rendered = render_windows(maps, scene, places, schedule.step)
             loss = compare_windows(rendered, scene, places, half_precision=half)
             penalty = price(maps, scene.expected, settings.penalties, schedule.share)
@@ -127,16 +136,15 @@ def finetune(
         interrupted = True
     rollback.finish()
     if moments is None or not history:
-        moments = freeze(decoder, code, scene.waves, scene.drawing)
+        moments = freeze(decoder, code, scene.waves, drawing)
     return Tuned(decoder, tuple(moments), tuple(history), interrupted)
 
 
 def decode_window(
-    decoder: Decoder,
-    code: Tensor,
+    config: DecoderConfig,
+    decode: Callable[[RandomField], Tensor],
     scene: PhotographTarget,
     seed: int,
-    moments: list[Moments] | None,
     lesson: Lesson | None = None,
     *,
     half_precision: bool,
@@ -147,22 +155,21 @@ def decode_window(
     decoded and cut off.
     """
     size = scene.windows.size
-    margin = ALIGNMENT if scene.waves or lesson else 0
+    margin = MARGIN if scene.waves or lesson else 0
     full = size + 2 * margin
     noise = random_field(
         Patch(seed, Rectangle(0, 0, full, full), period=(full, full)),
-        decoder.config.noise_channels,
+        config.noise_channels,
         (),
         levels=0,
-        structured=decoder.config.structured_channels,
+        structured=config.structured_channels,
     ).noise
-    cells = decoder.config.cells
     waves = random_field(
-        Patch(seed, Rectangle(0, 0, full, full)), 1, scene.waves, levels=DEPTH, cells=cells
+        Patch(seed, Rectangle(0, 0, full, full)), 1, scene.waves, levels=DEPTH, cells=config.cells
     ).waves
     with torch.autocast("cpu", torch.bfloat16, enabled=half_precision and computes_bfloat16()):
         drawing = () if lesson is None else lesson.drawing
-        raw = decoder(RandomField(noise, waves, drawing), code, moments)
+        raw = decode(RandomField(noise, waves, drawing))
     if margin:
         raw = raw[..., margin:-margin, margin:-margin]
     return maps_from_raw(raw, scene.texel_size, periodic=margin == 0)

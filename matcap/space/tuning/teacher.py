@@ -19,6 +19,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.field.plane import Rectangle
 from matcap.flash.light import FlashLight
+from matcap.space.decoder import ALIGNMENT
 from matcap.space.drawing import AROUND, Drawing
 
 _WEIGHT, _LIT = 1.0, 3.0  # w, and that of radiance; docs/notes/prior.md
@@ -26,6 +27,7 @@ _LIGHTS = (
     (-0.8, 0.0, 0.6), (0.8, 0.0, 0.6), (0.0, 0.8, 0.6),
     (0.0, -0.8, 0.6), (0.57, 0.57, 0.6), (-0.57, 0.57, 0.6),
 )  # fmt: skip
+MARGIN = ALIGNMENT  # texels around a window that are decoded too
 _AT_ONCE = 2  # lights in a step
 _FAR = 100.0  # plane units: camera and lights, so far that rays are parallel
 _DARKEST = 0.01  # added to radiance before the logarithm
@@ -37,7 +39,7 @@ class Lesson:
     """A window of the teacher's field."""
 
     drawing: tuple[Tensor, ...]
-    """Drawing.levels of the window."""
+    """Drawing.levels of the window and MARGIN around it."""
     maps: MapSet
     """Its maps, (1, ., size, size)."""
     seed: int
@@ -58,32 +60,32 @@ class Lesson:
 
 @dataclass(frozen=True)
 class Teacher:
-    """One field of the exemplar, as large as it, from which windows are taken."""
+    """One field of the exemplar, at least as large, from which windows are taken."""
 
     drawing: Drawing
     field: Tensor
     """Stacked maps, with what the drawing needs around them."""
+    size: int
+    """Side of a window, texels."""
 
     @staticmethod
     def of(drawing: Drawing, size: int, seed: int) -> Teacher:
-        """A field of a seed, of at least `size` texels along each side."""
-        width, height = (max(side, size) for side in drawing.example.exemplar.size)
-        return Teacher(drawing, drawing.around(seed, Rectangle(0, 0, width, height)))
+        """A field of a seed."""
+        width, height = (max(side, size + 2 * MARGIN) for side in drawing.example.exemplar.size)
+        return Teacher(drawing, drawing.around(seed, Rectangle(0, 0, width, height)), size)
 
-    def lesson(self, size: int, margin: int, seed: int) -> Lesson:
-        """A window of size x size texels, at random; its drawing has a margin around it."""
-        full, generator = size + 2 * margin, torch.Generator().manual_seed(seed)
-        around = 2 * AROUND
+    def lesson(self, seed: int) -> Lesson:
+        """A window at random."""
+        beyond = AROUND + MARGIN
+        whole, generator = self.size + 2 * beyond, torch.Generator().manual_seed(seed)
         y, x = (
-            int(torch.randint(side - full - around + 1, (), generator=generator))
+            int(torch.randint(side - whole + 1, (), generator=generator))
             for side in self.field.shape[1:]
         )
-        maps = self.field[:, y : y + full + around, x : x + full + around]
-        inner = maps[
-            None, :, AROUND + margin : -AROUND - margin, AROUND + margin : -AROUND - margin
-        ]
-        texel = self.drawing.example.exemplar.texel_size
-        return Lesson(self.drawing.levels_of(maps), MapSet.from_stacked(inner, texel), seed)
+        read = self.field[:, y : y + whole, x : x + whole]
+        maps = read[None, :, beyond:-beyond, beyond:-beyond]
+        texel_size = self.drawing.example.exemplar.texel_size
+        return Lesson(self.drawing.levels_of(read), MapSet.from_stacked(maps, texel_size), seed)
 
 
 def _log_radiance(maps: MapSet, light: tuple[float, float, float]) -> Tensor:
