@@ -22,6 +22,8 @@ from matcap.files.settings import field_docs
 from matcap.relight import scenefile
 from matcap.relight.foreign import names
 from matcap.relight.scene import Camera, Film, Surface
+from matcap.space.drawing import Drawing
+from matcap.space.tuned import TunedDecoder
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -98,7 +100,9 @@ def test_a_material_holds_what_is_told(small, tmp_path):
         confidence=np.ones((4, 96, 96), np.float32),
         texel_size=maps.texel_size,
     )
-    both = {"example": Example.of(piece), **small.generators}
+    example = Example.of(piece)
+    drawn = replace(small.part(TunedDecoder), drawing=Drawing(example))
+    both = {"example": example, "decoder": drawn}
     replace(small, generators=both).save(tmp_path / "leather.matcap")
     with safe_open(tmp_path / "leather.matcap", framework="pt") as file:
         about, tensors = json.loads(file.metadata()["matcap"]), list(file.keys())
