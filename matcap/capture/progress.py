@@ -48,32 +48,24 @@ TOGETHER_STAGES: Mapping[str, float] = MappingProxyType(
 # The same of a decoder that reads a drawing, and of one that does not.
 DRAWING_STAGES: Mapping[str, float] = MappingProxyType(
     {
-        "read": 0.02,
-        "coarse fit": 0.08,
-        "piece": 0.03,
-        "strengths": 0.01,
-        "refine": 0.03,
+        "read": 0.01,
+        "coarse fit": 0.02,
+        "piece": 0.09,
+        "strengths": 0.045,
+        "refine": 0.04,
         "inpaint": 0.03,
-        "index": 0.05,
-        "statistics": 0.02,
-        "start": 0.01,
-        "fine-tuning": 0.60,
-        "matching": 0.04,
-        "verdict": 0.04,
-        "write": 0.04,
+        "index": 0.03,
+        "statistics": 0.035,
+        "start": 0.005,
+        "fine-tuning": 0.62,
+        "matching": 0.025,
+        "verdict": 0.035,
+        "write": 0.015,
     }
 )
+_EXEMPLAR = ("piece", "strengths", "refine", "inpaint", "index")
 DECODER_STAGES: Mapping[str, float] = MappingProxyType(
-    {
-        "read": 0.04,
-        "coarse fit": 0.04,
-        "statistics": 0.05,
-        "start": 0.02,
-        "fine-tuning": 0.72,
-        "matching": 0.05,
-        "verdict": 0.04,
-        "write": 0.04,
-    }
+    {name: share / 0.765 for name, share in DRAWING_STAGES.items() if name not in _EXEMPLAR}
 )
 
 

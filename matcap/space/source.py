@@ -92,28 +92,25 @@ def read_drawing(source: Seeded, spans: BlockSpans, drawing: Drawing | None) -> 
     """Per level (1, DRAWING_CHANNELS, H, W) of a block's spans; empty without a drawing."""
     if drawing is None:
         return ()
-    block, down, across = spans.block, spans.rows.joined, spans.columns.joined
-
-    def reached(joined: tuple[Span, ...]) -> Span:
-        """The span of level 0 that has all levels' texels; texels of the coarsest are whole."""
-        first = min(each.start << level for level, each in enumerate(joined))
-        last = max(each.stop << level for level, each in enumerate(joined))
-        return Span(first // ALIGNMENT * ALIGNMENT, -(-last // ALIGNMENT) * ALIGNMENT)
-
-    rows, columns = reached(down), reached(across)
-    area = Rectangle(block.x + columns.start, block.y + rows.start, columns.size, rows.size)
-
-    def cut(level: int, plane: Tensor) -> Tensor:
-        top, left = rows.start >> level, columns.start >> level
+    rows, columns = _reached(spans.rows.joined), _reached(spans.columns.joined)
+    x, y = spans.block.x + columns.start, spans.block.y + rows.start
+    levels = drawing.levels(source.seed, Rectangle(x, y, columns.size, rows.size), source.period)
+    stack = []
+    for k, plane in enumerate(levels):
         high, wide = (
-            slice(each.start - start, each.stop - start)
-            for each, start in ((down[level], top), (across[level], left))
+            each.within(Span(whole.start >> k, whole.stop >> k))
+            for each, whole in ((spans.rows.joined[k], rows), (spans.columns.joined[k], columns))
         )
         part = plane[..., high, wide].to(source.device)
-        return part.contiguous(memory_format=torch.channels_last)
+        stack.append(part.contiguous(memory_format=torch.channels_last))
+    return tuple(stack)
 
-    levels = drawing.levels(source.seed, area, source.period)
-    return tuple(cut(level, plane) for level, plane in enumerate(levels))
+
+def _reached(joined: tuple[Span, ...]) -> Span:
+    """The span of level 0 that has all levels' texels, those of the coarsest whole."""
+    first = min(each.start << level for level, each in enumerate(joined))
+    last = max(each.stop << level for level, each in enumerate(joined))
+    return Span(first // ALIGNMENT * ALIGNMENT, -(-last // ALIGNMENT) * ALIGNMENT)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from matcap.space.random_field import random_field
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.finetune import decode_window
 from matcap.space.tuning.renormalise import Renormalisation
-from matcap.space.tuning.teacher import Teacher
+from matcap.space.tuning.teacher import MARGIN, Teacher
 
 AREA = Rectangle(-64, 32, 128, 96)
 
@@ -96,7 +96,7 @@ def test_its_periods_are_those_of_both_generators(drawn, drawing):
 
 def test_what_is_taught_is_the_field_that_is_drawn(drawing):
     lesson = Teacher.of(drawing, 48, 5).lesson(7)
-    assert lesson.drawing[0].shape == (1, DRAWING_CHANNELS, 80, 80)
+    assert lesson.drawing[0].shape == (1, DRAWING_CHANNELS, 48 + 2 * MARGIN, 48 + 2 * MARGIN)
     assert lesson.maps.size == (48, 48)
     assert float(lesson.loss(lesson.maps)) == 0.0
     shifted = replace(lesson.maps, diffuse=lesson.maps.diffuse.roll(5, -1))
@@ -104,7 +104,7 @@ def test_what_is_taught_is_the_field_that_is_drawn(drawing):
     assert float(lesson.loss(shifted)) > 0.1 and float(lesson.loss(bumpy)) > 0.01
     colour = lesson.maps.diffuse
     luminance = torch.einsum("c,bchw->bhw", colour.new_tensor(LUMINANCE), colour).log()
-    seen = lesson.drawing[0][:, 0, ALIGNMENT:-ALIGNMENT, ALIGNMENT:-ALIGNMENT]
+    seen = lesson.drawing[0][:, 0, MARGIN:-MARGIN, MARGIN:-MARGIN]
     assert _correlation(luminance, seen) > 0.99
 
 

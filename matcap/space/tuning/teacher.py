@@ -22,12 +22,12 @@ from matcap.flash.light import FlashLight
 from matcap.space.decoder import ALIGNMENT
 from matcap.space.drawing import AROUND, Drawing
 
-_WEIGHT, _LIT = 1.0, 3.0  # w, and that of radiance; docs/notes/prior.md
+_WEIGHT, _LIT = 2.0, 3.0  # w, and that of radiance; docs/notes/prior.md
 _LIGHTS = (
     (-0.8, 0.0, 0.6), (0.8, 0.0, 0.6), (0.0, 0.8, 0.6),
     (0.0, -0.8, 0.6), (0.57, 0.57, 0.6), (-0.57, 0.57, 0.6),
 )  # fmt: skip
-MARGIN = ALIGNMENT  # texels around a window that are decoded too
+MARGIN = ALIGNMENT // 2  # texels around a window that are decoded too
 _AT_ONCE = 2  # lights in a step
 _FAR = 100.0  # plane units: camera and lights, so far that rays are parallel
 _DARKEST = 0.01  # added to radiance before the logarithm
@@ -97,8 +97,8 @@ def _log_radiance(maps: MapSet, light: tuple[float, float, float]) -> Tensor:
         _FAR * direction,
         direction.new_full((3,), _FAR**2 / light[2]),  # an irradiance of 1 on the plane
     )
-    lit = far.onto(maps.normal).radiance(maps.diffuse, maps.specular, maps.roughness)
-    return (lit + _DARKEST).log()
+    lit = far.onto(maps.normal, exact=True).radiance(maps.diffuse, maps.specular, maps.roughness)
+    return (lit.clamp_min(0.0) + _DARKEST).log()
 
 
 def _logits(maps: MapSet) -> Tensor:
