@@ -21,7 +21,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.field.plane import Rectangle
-from matcap.space.decoder import ALIGNMENT, DEPTH, Decoder, DecoderConfig, Moments, maps_from_raw
+from matcap.space.decoder import DEPTH, Decoder, DecoderConfig, Moments, maps_from_raw
 from matcap.space.freeze import freeze
 from matcap.space.noise import wrap64
 from matcap.space.patch import Patch
@@ -155,7 +155,7 @@ def decode_window(
     decoded and cut off.
     """
     size = scene.windows.size
-    margin = MARGIN if lesson else ALIGNMENT if scene.waves else 0
+    margin = MARGIN if scene.waves or lesson else 0
     full = size + 2 * margin
     noise = random_field(
         Patch(seed, Rectangle(0, 0, full, full), period=(full, full)),

@@ -22,12 +22,12 @@ from matcap.flash.light import FlashLight
 from matcap.space.decoder import ALIGNMENT
 from matcap.space.drawing import AROUND, Drawing
 
-_WEIGHT, _LIT = 2.0, 3.0  # w, and that of radiance; docs/notes/prior.md
+_WEIGHT, _LIT = 1.0, 3.0  # w, and that of radiance; docs/notes/prior.md
 _LIGHTS = (
     (-0.8, 0.0, 0.6), (0.8, 0.0, 0.6), (0.0, 0.8, 0.6),
     (0.0, -0.8, 0.6), (0.57, 0.57, 0.6), (-0.57, 0.57, 0.6),
 )  # fmt: skip
-MARGIN = ALIGNMENT // 2  # texels around a window that are decoded too
+MARGIN = ALIGNMENT  # texels around a window that are decoded too
 _AT_ONCE = 2  # lights in a step
 _FAR = 100.0  # plane units: camera and lights, so far that rays are parallel
 _DARKEST = 0.01  # added to radiance before the logarithm
