@@ -6,7 +6,7 @@ import pytest
 import torch
 from example.exemplars import blobs, bricks
 from materials import SMALL, a_material
-from tuning.tuning import CODE, scene, start, tune
+from tuning import CODE, scene, start, tune
 
 from matcap.cli.main import main
 from matcap.errors import MatcapError
