@@ -281,7 +281,7 @@ def _repeats(planes: NDArray[np.floating], period: NDArray[np.float64]) -> bool:
 
     def alike(x: int, y: int) -> float:
         rows, columns = (
-            np.arange(max(0, -by), side - max(0, by), 2) for by, side in ((y, high), (x, wide))
+            np.arange(max(0, -by), side - max(0, by), 4) for by, side in ((y, high), (x, wide))
         )
         if not (rows.size and columns.size):
             return 0.0
