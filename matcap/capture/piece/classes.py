@@ -33,6 +33,7 @@ _AROUND = 10.0  # the long side over the standard deviation of the blur that the
 # borders more, and the photograph less.
 _BY_NETWORK = 2.0
 _TEXELS = 128  # short side of the grid of the fit
+_ROUNDS_OF_MEANS = 20  # iterations for the threshold between two classes of a score
 _ROUNDS = 3  # iterations of fitting mean parameters and classifying texels
 # Prior standard deviations of the mean parameters (log, log, logit).
 _ALBEDO_DEVIATION, _F0_DEVIATION, _ROUGHNESS_DEVIATION = 1.5, 2.0, 0.35
@@ -179,6 +180,15 @@ def find_mixture(departures: SurfaceParameters, logit: Tensor, target: RingTarge
     return Mixture(replace(_pair(metal), levels=levels), off, agreed)
 
 
+def _two_means(score: Tensor) -> float:
+    """The threshold halfway between the means of the values above and below it (2-means)."""
+    threshold = float(score.mean())
+    for _ in range(_ROUNDS_OF_MEANS):
+        above = score > threshold
+        threshold = 0.5 * float(score[above].mean() + score[~above].mean())
+    return threshold
+
+
 def _pair(metal: Tensor) -> Classes:
     """Two classes, metal with the given share (1, H, W) of each texel first."""
     return Classes(torch.cat([metal, 1.0 - metal]), (True, False), torch.zeros(2, 5))
@@ -191,7 +201,7 @@ def _coloured(target: RingTarget, metal: Tensor) -> RingTarget:
 
 
 def goes_with_metal(departures: SurfaceParameters, logit: Tensor) -> Tensor:
-    """(1, H, W) score of metal in the predicted maps, with median 0 and standard deviation 1.
+    """(1, H, W) score of metal in the predicted maps, of standard deviation 1, positive if likely.
 
     Sum of high-passed maps, weighted by their signed squared correlation with the high-passed logit
     of metal (1, H, W). Low frequencies of the logit are biased: to metal near a highlight.
@@ -205,8 +215,8 @@ def goes_with_metal(departures: SurfaceParameters, logit: Tensor) -> Tensor:
     local /= local.std((1, 2), keepdims=True) + np.float32(1e-6)
     together = (local * local[0]).mean((1, 2))
     score = np.tensordot(together * np.abs(together), local, 1)
-    score = (score - np.median(score)) / (score.std() + np.float32(1e-6))
-    return torch.from_numpy(score.astype(np.float32))[None]
+    scaled = torch.from_numpy((score / (score.std() + np.float32(1e-6))).astype(np.float32))[None]
+    return scaled - _two_means(scaled)
 
 
 def _nearer(target: RingTarget, levels: Tensor) -> Tensor:
