@@ -65,7 +65,7 @@ def row(subject: Specimen) -> Picture:
     return np.hstack([framed(photo), show(material.maps(*_AREA, seed=1)), show(again)])
 
 
-def lit(maps: MapSet, gain: float) -> Picture:
+def lit(maps: MapSet, gain: float, size: tuple[int, int] = PANEL) -> Picture:
     """Maps under a light from the left, their highlights too, from straight above."""
     normal = maps.normal.numpy()
     light = _LIGHT / np.linalg.norm(_LIGHT)
@@ -77,13 +77,14 @@ def lit(maps: MapSet, gain: float) -> Picture:
     alpha = np.square(np.square(maps.roughness[0].numpy().clip(0.05, 1.0)))
     lobe = alpha / (4.0 * np.pi * np.square(np.square(mirrored) * (alpha - 1.0) + 1.0))
     light_out = maps.diffuse.numpy() + maps.specular.numpy() * lobe
-    return framed(srgb_picture((gain * onto * light_out).transpose(1, 2, 0).clip(0.0, 1.0)))
+    picture = (gain * onto * light_out).transpose(1, 2, 0).clip(0.0, 1.0)
+    return framed(srgb_picture(picture), size)
 
 
-def framed(picture: NDArray[np.float32]) -> Picture:
-    """Code values of a panel, a dark line around it."""
-    size = (PANEL[0] - 4, PANEL[1] - 4)
-    small = cv2.resize(picture.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+def framed(picture: NDArray[np.float32], size: tuple[int, int] = PANEL) -> Picture:
+    """Code values of a panel (width, height), a dark line around it."""
+    inner = (size[0] - 4, size[1] - 4)
+    small = cv2.resize(picture.astype(np.float32), inner, interpolation=cv2.INTER_AREA)
     codes = np.rint(255.0 * small.clip(0.0, 1.0)).astype(np.uint8)
     return cv2.copyMakeBorder(codes, 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=(24, 24, 24))
 
