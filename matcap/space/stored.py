@@ -49,6 +49,8 @@ def decoder_config(stated: Mapping[str, Any]) -> DecoderConfig:
 def config_document(config: DecoderConfig) -> dict[str, Any]:
     """The JSON description of a configuration; the inverse of decoder_config."""
     document = asdict(config)
+    if not config.drawing:
+        del document["drawing"]
     return document | {_STRUCTURED: document.pop("structured_channels")}
 
 
