@@ -185,6 +185,8 @@ def _two_means(score: Tensor) -> float:
     threshold = float(score.mean())
     for _ in range(_ROUNDS_OF_MEANS):
         above = score > threshold
+        if above.any() == above.all():
+            break
         threshold = 0.5 * float(score[above].mean() + score[~above].mean())
     return threshold
 

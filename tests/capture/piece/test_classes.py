@@ -131,3 +131,12 @@ def test_what_goes_with_metal_is_told_beside_a_drift() -> None:
     assert float(score.std()) == pytest.approx(1.0, abs=0.01)
     right = ((score > 0.0) == (metal > 0.5)).float().mean()
     assert float(right) > 0.95
+
+
+def test_a_prediction_without_texture_is_one_class() -> None:
+    shown, truth, read = photograph(torch.zeros(1, HEIGHT, WIDTH))
+    flat = 0.0 * doubtful(patches())
+    assert torch.isfinite(goes_with_metal(truth, flat)).all()
+    mixture = find_mixture(read, flat, shown)
+    assert torch.isfinite(mixture.classes.levels).all()
+    assert not mixture.likely(shown.surface)
