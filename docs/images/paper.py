@@ -28,19 +28,19 @@ from matcap.space.prior.store import load_prior
 
 FILE = Path(__file__).parent / "paper.jpg"
 _STRIP, _AREA = (4096, 512), (512, 384)  # texels
-_BESIDE = 4  # panels in a row
+_PANELS = 4  # panels in a row
 
 
 def main(file: Path = FILE) -> None:
     """Make the sheet."""
     leather, granite = (captured(name) for name in ("leather", "granite"))
     panels = [shown(leather.maps(*_AREA, seed=seed)) for seed in range(1, 5)]
-    for share in np.linspace(0.0, 1.0, _BESIDE):
+    for share in np.linspace(0.0, 1.0, _PANELS):
         panels.append(shown(blend(leather, granite, float(share)).maps(*_AREA, seed=1)))
     space = load_prior(None)
     panels += [shown(space.draw(seed).maps(*_AREA, seed=1)) for seed in range(8)]
-    rows = [np.hstack(panels[at : at + _BESIDE]) for at in range(0, len(panels), _BESIDE)]
-    width = _BESIDE * PANEL[0]
+    rows = [np.hstack(panels[at : at + _PANELS]) for at in range(0, len(panels), _PANELS)]
+    width = _PANELS * PANEL[0]
     strip = shown(leather.maps(*_STRIP, seed=1), (width, width * _STRIP[1] // _STRIP[0]))
     Image.fromarray(np.vstack([strip, *rows])).save(file, "JPEG", quality=70, optimize=True)
     print(file, file.stat().st_size // 1024, "KB")

@@ -64,8 +64,9 @@ DRAWING_STAGES: Mapping[str, float] = MappingProxyType(
     }
 )
 _EXEMPLAR = ("piece", "strengths", "refine", "inpaint", "index")
+_OTHERS = 1.0 - sum(DRAWING_STAGES[name] for name in _EXEMPLAR)
 DECODER_STAGES: Mapping[str, float] = MappingProxyType(
-    {name: share / 0.765 for name, share in DRAWING_STAGES.items() if name not in _EXEMPLAR}
+    {name: share / _OTHERS for name, share in DRAWING_STAGES.items() if name not in _EXEMPLAR}
 )
 
 

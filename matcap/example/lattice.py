@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +74,7 @@ class PhasedLattice:
             area, columns = ax * by - ay * bx, [[by, -ay], [-bx, ax]]
         return np.rint(256.0 * np.array(columns) / area).astype(np.int64)
 
-    @property
+    @cached_property
     def is_bent(self) -> bool:
         """Whether the exemplar's lattice has a smooth bend.
 

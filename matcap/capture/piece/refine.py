@@ -153,7 +153,7 @@ def flatten(
     """Remove from albedo (of metal: F0) low frequencies, what correlates with the highlight, and
     rings around given points: the flash's mirror point, and the lens's axis.
 
-    A stationary sample has neither. The mean, weighted by squared confidence, is kept.
+    A stationary sample has none of these. The mean, weighted by squared confidence, is kept.
 
     Args:
         departures: of the exemplar from its classes' mean parameters.

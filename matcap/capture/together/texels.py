@@ -250,7 +250,7 @@ def _systems(
     *,
     slopes: bool,
 ) -> list[tuple[Tensor, Tensor]]:
-    """Normal equations of some rows, of each photograph, albedo's apart from m others'.
+    """Normal equations of some rows, of each photograph, those of albedo and of the m others.
 
     Albedo of a channel changes that channel's radiance only, so its equations are coupled to those
     of the others but not to each other.
@@ -259,7 +259,7 @@ def _systems(
         For each (3, m + 2, N), rows of albedo: diagonal, coupling, right-hand side; and
         (m + 1, m, N), the others' lower triangle, and their right-hand sides as the last row.
     """
-    points = points_of((views[0].log.shape[-2:]), rows, views[0].extent)
+    points = points_of(views[0].log.shape[-2:], rows, views[0].extent)
     seen = [view.seen[:, rows] for view in views]
     lights = (light_at(k, view, light, points) for k, view in enumerate(views) if seen[k].any())
     shaded = derivatives(parameters, lights, slopes=slopes)

@@ -228,7 +228,9 @@ def paper_page(rows: Sequence[Trial], command: str) -> str:
             "",
             f"## Ablations, by {style}",
             "",
-            *markdown(["ablation of the decoder", style, "beside FULL", "in the paper"], ablations),
+            *markdown(
+                ["ablation of the decoder", style, "against FULL", "in the paper"], ablations
+            ),
             "",
         ]
     )

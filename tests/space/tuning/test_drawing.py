@@ -113,7 +113,7 @@ def test_fine_tuned_it_draws(drawing):
     target = replace(scene(), drawing=drawing)
     held_out = Teacher.of(drawing, 48, 99).lesson(3)
 
-    def apart(decoder, moments):
+    def difference(decoder, moments):
         with torch.no_grad():
             maps = decode_window(
                 decoder.config,
@@ -125,9 +125,9 @@ def test_fine_tuned_it_draws(drawing):
             )
             return float(held_out.loss(maps))
 
-    before = apart(with_drawing(start()), None)
+    before = difference(with_drawing(start()), None)
     tuned = tune(steps=30, decoder=with_drawing(start()), seen=target, learning_rate=2e-2)
-    assert apart(tuned.decoder, list(tuned.moments)) < 0.85 * before
+    assert difference(tuned.decoder, list(tuned.moments)) < 0.85 * before
 
 
 def test_clouds_larger_than_a_window_are_seen_in_fine_tuning(drawn, drawing):
@@ -206,5 +206,5 @@ def test_one_that_draws_blends_with_one_that_does_not(drawn, drawing):
     for ends, share in (((drawn, plain), 0.01), ((plain, drawn), 0.99)):
         middle = blend(*ends, share)
         assert middle.part(TunedDecoder).drawing is drawing
-        apart = (middle.maps(64, 64).stacked() - drawn.maps(64, 64).stacked())[:5].abs().mean()
-        assert float(apart) < 0.02
+        change = (middle.maps(64, 64).stacked() - drawn.maps(64, 64).stacked())[:5].abs().mean()
+        assert float(change) < 0.02
