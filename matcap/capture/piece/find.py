@@ -346,8 +346,7 @@ def evened(
     trusted = prediction.confidence["diffuse"]
     texel = observed.plane.texel_size
     points = [(d / texel).numpy() for d in (observed.from_mirror_point, observed.from_axis)]
-    fraction = observed.specular_fraction
-    return flatten(departures - levels, trusted, fraction, points, across=across) + levels
+    return flatten(departures - levels, trusted, points, across=across) + levels
 
 
 def _rerendered(

@@ -51,7 +51,6 @@ _CHROMA = 0.3
 _STATIONARY = 8.0
 _RINGS, _SECTORS = 64, 16  # rings across the long side, and their parts
 _MOST_SHIFT = 2.0  # largest factor on the mean radiance
-_THINNED = 3  # subsampling, texels, of least-squares sums over smooth planes
 
 
 @dataclass(frozen=True)
@@ -145,34 +144,29 @@ class PieceLight:
 def flatten(
     departures: SurfaceParameters,
     confidence: NDArray[np.float32],
-    specular_fraction: NDArray[np.float32],
     distances: Sequence[NDArray[np.float32]],
     *,
     across: float | None = None,
 ) -> SurfaceParameters:
-    """Remove from albedo (of metal: F0) low frequencies, what correlates with the highlight, and
-    rings around given points: the flash's mirror point, and the lens's axis.
+    """Remove from albedo (of metal: F0) low frequencies, and rings around given points: the
+    flash's mirror point, and the lens's axis.
 
-    A stationary sample has none of these. The mean, weighted by squared confidence, is kept.
+    A stationary sample has neither. The mean, weighted by squared confidence, is kept.
 
     Args:
         departures: of the exemplar from its classes' mean parameters.
         confidence: (H, W) of albedo, in [0, 1].
-        specular_fraction: (H, W) specular fraction of the radiance.
         distances: (H, W) each, from these points, texels.
         across: texels of the photograph's long side, if the exemplar extends beyond it.
     """
-    shape = np.stack(
-        [np.ones_like(specular_fraction), specular_fraction, np.square(specular_fraction)]
-    )
     weight = torch.from_numpy(confidence).square() + 1e-3
 
     def even(channels: Tensor) -> Tensor:
         if not bool(channels.any()):
             return channels
         mean = (channels * weight).sum((1, 2), keepdim=True) / weight.sum()
-        level = np.stack([c - _following(c, shape) for c in channels.numpy()])
-        level -= np.stack([smoothed(c, (across or max(c.shape)) / _STATIONARY) for c in level])
+        unit = across or max(channels.shape)
+        level = np.stack([c - smoothed(c, unit / _STATIONARY) for c in channels.numpy()])
         for distance in distances:
             level -= _rings(level, distance, confidence)
         return torch.from_numpy(level) + mean
@@ -220,19 +214,6 @@ def _rings(
         kept[number < _SECTORS / 4] = 0.0
         means[:] = np.interp(distance, middles, kept)
     return rings
-
-
-def _following(plane: NDArray[np.float32], shape: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Least-squares projection (H, W) of a plane on smooth shapes (N, H, W).
-
-    Sums run in NumPy on one thread, so that the result is the same bits on every run.
-    """
-    every = slice(None, None, _THINNED)
-    thin = shape[:, every, every].astype(np.float64)
-    products = np.einsum("nhw,mhw->nm", thin, thin, optimize=False)
-    projected = np.einsum("nhw,hw->n", thin, plane[every, every], optimize=False)
-    weights = np.linalg.lstsq(products, projected, rcond=1e-9)[0].astype(np.float32)
-    return np.asarray(np.einsum("n,nhw->hw", weights, shape, optimize=False), np.float32)
 
 
 @torch.no_grad()
