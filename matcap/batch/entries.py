@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -45,7 +45,6 @@ def make_plan(
     force: bool = False,
     retry_failed: bool = False,
     overwrite: bool = False,
-    on_progress: Callable[[int], None] = lambda count: None,
 ) -> list[BatchEntry]:
     """Determine the state of every sample.
 
@@ -58,11 +57,9 @@ def make_plan(
         force: make materials again that are done.
         retry_failed: try samples again that failed.
         overwrite: replace captures of a longer preset.
-        on_progress: called with the number of samples inspected.
     """
     entries = []
-    for index, sample in enumerate(samples):
-        on_progress(index)
+    for sample in samples:
         entry = _entry(sample, settings, prior, card)
         if entry.state == "todo":
             look_again(

@@ -55,7 +55,6 @@ OnCapture = Callable[[CaptureProgress], None]
 def read_photograph(
     path: str | Path,
     settings: CaptureSettings,
-    method: Method | None = None,
     *,
     several: bool = False,
 ) -> Photo:
@@ -64,7 +63,6 @@ def read_photograph(
     Args:
         path: of the photograph.
         settings: of the capture.
-        method: of the capture; the default one if None.
         several: whether it is one of several photographs of a sample.
 
     Raises:

@@ -174,10 +174,6 @@ class CaptureSettings:
         """
         return CaptureSettings(**typed_settings(CaptureSettings, named))
 
-    def solves(self, photographs: int) -> bool:
-        """Whether this number of photographs is solved jointly."""
-        return photographs > 1 and self.generator == "example"
-
     @property
     def draws(self) -> bool:
         """Whether a decoder is captured that reads a drawing: without a step it cannot learn to."""

@@ -316,18 +316,6 @@ def highlight(
 
 
 @app.command()
-def aligned(out: OutOption = Path("bench/aligned"), material: OnlyOption = None) -> None:
-    """Errors of the photographed sample's maps, texel by texel.
-
-    Photographs simulated materials and compares exemplar, photograph as albedo and coarse fit with
-    the true maps, by distance from the flash. Prints the table.
-    """
-    from matcap.lab.bench.aligned import ABOUT, aligned_experiment
-
-    _print(aligned_experiment(material or (), out), out, ABOUT)
-
-
-@app.command()
 def repetition(
     materials: Annotated[
         list[str] | None,

@@ -95,6 +95,13 @@ class FlashLight:
         intensity = torch.tensor(setup.intensity).to(points)[:, None, None]
         return FlashLight.between(points, camera, light, intensity * vignette(points, setup))
 
+    @staticmethod
+    def far(direction: Tensor) -> FlashLight:
+        """Parallel light from a direction (3,), of irradiance 1 on the plane, seen from above."""
+        to_light = normalize(_column(direction))
+        above = to_light.new_tensor([0.0, 0.0, 1.0])
+        return FlashLight(to_light, _column(above), 1.0 / to_light[2:])
+
     @cached_property
     def half(self) -> Tensor:
         """(..., 3, H, W) unit vectors halfway between light and camera."""

@@ -98,8 +98,7 @@ def _indexed(exemplar: Exemplar) -> Example:
     """Index an exemplar, with the lattice of its drawing."""
     drawing = torch.from_numpy(drawing_of(exemplar))
     waves = find_lattice(drawing[None], torch.ones(drawing.shape, dtype=torch.bool)).waves
-    lattice = tuple((wave.fx, wave.fy) for wave in waves)
-    return with_chosen_variety(Example.of(exemplar, lattice))
+    return with_chosen_variety(Example.of(exemplar, waves))
 
 
 def _blend_decoders(first: TunedDecoder, second: TunedDecoder, share: float) -> TunedDecoder:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -124,7 +124,7 @@ class TunedDecoder:
             tensors[f"moments.{index}.deviation"] = deviation
         about = {
             "decoder": config_document(self.decoder.config),
-            "waves": [asdict(wave) for wave in self.waves],
+            "waves": [wave._asdict() for wave in self.waves],
         }
         if self.drawing is not None:
             read, described = self.drawing.example.in_file("drawing")

@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -39,8 +40,7 @@ _LEAST_EXPLAINED = 0.05
 _ORDERS = range(-4, 5)
 
 
-@dataclass(frozen=True)
-class Wave:
+class Wave(NamedTuple):
     """A plane wave: cycles per texel along x (right) and y (down)."""
 
     fx: float

@@ -7,7 +7,6 @@ photograph.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -205,7 +204,7 @@ def find_piece(
     return replace(estimate, sharpness=sharpness(estimate.lying, whole, coarse))
 
 
-def indexed(exemplar: Exemplar, waves: Sequence[Wave], *, turned: bool) -> Example:
+def indexed(exemplar: Exemplar, waves: tuple[Wave, ...], *, turned: bool) -> Example:
     """Index an exemplar for synthesis, with the smallest patches that keep its long structures.
 
     Args:
@@ -213,11 +212,10 @@ def indexed(exemplar: Exemplar, waves: Sequence[Wave], *, turned: bool) -> Examp
         waves: frequency vectors of the lattice, cycles per texel.
         turned: whether to rotate both upright first, 90 degrees clockwise.
     """
-    lattice = tuple((wave.fx, wave.fy) for wave in waves)
     if turned:
         # Columns of the upright picture are rows of the landscape one from below, rows its columns.
-        exemplar, lattice = exemplar.turned(), tuple((-fy, fx) for fx, fy in lattice)
-    return with_chosen_variety(Example.of(exemplar, lattice))
+        exemplar, waves = exemplar.turned(), tuple(Wave(-wave.fy, wave.fx) for wave in waves)
+    return with_chosen_variety(Example.of(exemplar, waves))
 
 
 def remaining_of(observed: Observation, prediction: NetworkPrediction) -> Refined:

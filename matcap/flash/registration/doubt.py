@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from matcap.flash.registration.adjust import Adjusted, MatchedPoints, Pair, less_relief
 from matcap.flash.registration.camera import Doubles, Lens, PosedCamera
@@ -35,8 +34,7 @@ _BENT = 0.03  # prior standard deviation of the lens distortion k1
 _RELIEF = 0.01  # prior standard deviation of features' heights, plane units (adjust.less_relief)
 
 
-_COMMON = 4  # log focal, k1, the first camera's rotations about x and y
-_OWN = 6  # rotations about x, y and z, position
+_OWN = 6  # parameters of each photograph alone: rotation and position
 _STEP = 1e-6  # of finite differences
 
 
@@ -58,23 +56,23 @@ def doubts(fit: Adjusted, pairs: Sequence[Pair]) -> Doubts:
         fit: cameras after bundle adjustment.
         pairs: the matches they were fitted to.
     """
-    covariance = _covariance(fit, pairs)
-    cameras, others = fit.cameras, range(1, len(fit.cameras))
+    first, *others = fit.cameras
+    known = list(zip(others, _covariances(fit, pairs), strict=True))
     return Doubts(
-        np.array([_off(cameras, number, covariance) for number in others]),
-        np.array([_misregistration(cameras, number, covariance) for number in others]),
+        np.array([_off(first, camera, covariance) for camera, covariance in known]),
+        np.array([_misregistration(first, camera, covariance) for camera, covariance in known]),
     )
 
 
-def _covariance(fit: Adjusted, pairs: Sequence[Pair]) -> Doubles:
-    """Covariance of the common and every other camera's parameters, error by shading included."""
-    cameras = fit.cameras
-    size = _COMMON + _OWN * len(pairs)
-    deviation = np.array([_FOCAL, _BENT, _TILT, _TILT])
-    normal = np.diag(np.r_[deviation**-2, np.zeros(size - _COMMON)])
-    pulled, depths = np.zeros(size), []
-    for number, pair in enumerate(pairs):
-        first, camera = cameras[0], cameras[number + 1]
+def _covariances(fit: Adjusted, pairs: Sequence[Pair]) -> list[Doubles]:
+    """(10, 10) of each other photograph: of a `_changed`'s change, error by shading included."""
+    first, *others = fit.cameras
+    deviation = np.array([_FOCAL, _BENT, _TILT, _TILT])  # of the parameters that all share
+    normal = np.diag(np.r_[deviation**-2, np.zeros(_OWN * len(pairs))])
+    shared, own = np.split(np.arange(len(normal)), [len(deviation)])
+    blocks = [np.r_[shared, each] for each in own.reshape(len(pairs), _OWN)]
+    pulled, depths = np.zeros(len(normal)), []
+    for camera, pair, block in zip(others, pairs, blocks, strict=True):
         residual, parallax = MatchedPoints.of(first, pair, _RELIEF).reprojected(camera, pair)
         noise, depth = _scatter(residual, parallax)
         depths.append(depth)
@@ -82,19 +80,13 @@ def _covariance(fit: Adjusted, pairs: Sequence[Pair]) -> Doubles:
         # Matches beyond four standard deviations are outliers, with weight 0.
         kept = np.tile(np.hypot(*less_relief(residual, parallax)) < 4.0 * noise, 2)
         weight = _ALONE * kept / noise**2
-        places = _numbers(number + 1)
-        normal[np.ix_(places, places)] += (jacobian.T * weight) @ jacobian
-        pulled[places] += (jacobian.T * weight) @ shading
-    covariance = np.asarray(np.linalg.inv(normal + 1e-9 * np.eye(size)), np.float64)
+        normal[np.ix_(block, block)] += (jacobian.T * weight) @ jacobian
+        pulled[block] += (jacobian.T * weight) @ shading
+    covariance = np.asarray(np.linalg.inv(normal + 1e-9 * np.eye(len(normal))), np.float64)
     depth = float(np.median(depths)) if depths else 0.0
     moved = _ALIKE * depth * (covariance @ pulled)
-    return covariance + np.outer(moved, moved)
-
-
-def _numbers(number: int) -> NDArray[np.int64]:
-    """Indices of the common parameters and of a photograph's own in the whole vector."""
-    own = _COMMON + _OWN * (number - 1)
-    return np.r_[0:_COMMON, own : own + _OWN]
+    covariance += np.outer(moved, moved)
+    return [covariance[np.ix_(block, block)] for block in blocks]
 
 
 def _scatter(residual: Doubles, parallax: Doubles) -> tuple[float, float]:
@@ -111,18 +103,14 @@ def _linear(first: PosedCamera, camera: PosedCamera, pair: Pair) -> tuple[Double
     """(2n, 10) d residual / d parameter of a photograph, and (2n,) d residual / d common depth."""
 
     def off(change: Doubles, depth: float = 0.0) -> Doubles:
-        one = _changed(first, np.r_[change[:_COMMON], np.zeros(_OWN)])
-        other = _changed(camera, np.r_[change[:2], 0.0, 0.0, change[_COMMON:]])
+        one, other = _changed(first, camera, change)
         residual, parallax = MatchedPoints.of(one, pair, _RELIEF).reprojected(other, pair)
         if depth:
             residual = residual + depth * shaded
         return less_relief(residual, parallax).ravel()
 
     shaded = _shaded(first, camera, pair)
-    nothing = np.zeros(_COMMON + _OWN)
-    here = off(nothing)
-    columns = [(off(_STEP * unit) - here) / _STEP for unit in np.eye(len(nothing))]
-    return np.stack(columns, 1), (off(nothing, _STEP) - here) / _STEP
+    return _jacobian(off, 10), (off(np.zeros(10), _STEP) - off(np.zeros(10))) / _STEP
 
 
 def _shaded(first: PosedCamera, camera: PosedCamera, pair: Pair) -> Doubles:
@@ -137,16 +125,22 @@ def _shaded(first: PosedCamera, camera: PosedCamera, pair: Pair) -> Doubles:
     return (camera.sees(points + _STEP * shift) - camera.sees(points)) / (_STEP * pair.pixel)
 
 
-def _changed(camera: PosedCamera, change: Doubles) -> PosedCamera:
-    """The camera after `change` (10,): log focal, k1, first tilt (2), own rotation and position."""
-    focal, bent, x, y = change[:_COMMON]
-    lens = Lens(
-        camera.lens.focal * math.exp(focal), (camera.lens.bent[0] + bent, camera.lens.bent[1])
-    )
+def _changed(
+    first: PosedCamera, camera: PosedCamera, change: Doubles
+) -> tuple[PosedCamera, PosedCamera]:
+    """Change the first camera and another.
+
+    `change` (10,) is of log focal length, k1, the first one's rotation about x and y, and the
+    other's rotation (3,) and position (3,).
+    """
+    (focal,), (bent,), (x, y), turn, place = np.split(change, [1, 2, 4, 7])
+
+    def lens(old: Lens) -> Lens:
+        return Lens(old.focal * math.exp(focal), (old.bent[0] + bent, old.bent[1]))
+
     leant = _turn(np.array([x, y, 0.0]))
-    turn = _turn(change[_COMMON : _COMMON + 3]) @ camera.turn @ leant.T
-    place = leant @ camera.place + change[_COMMON + 3 :]
-    return PosedCamera(turn, place, lens)
+    one = PosedCamera(first.turn @ leant.T, leant @ first.place, lens(first.lens))
+    return one, PosedCamera(_turn(turn) @ camera.turn, camera.place + place, lens(camera.lens))
 
 
 def _turn(vector: Doubles) -> Doubles:
@@ -156,43 +150,37 @@ def _turn(vector: Doubles) -> Doubles:
     return np.asarray(np.eye(3) + cross + 0.5 * cross @ cross)
 
 
-def _both(
-    cameras: Sequence[PosedCamera], number: int, change: Doubles
-) -> tuple[PosedCamera, PosedCamera]:
-    """The first camera and another after a `change` (10,) of common and own parameters."""
-    one = _changed(cameras[0], np.r_[change[:_COMMON], np.zeros(_OWN)])
-    return one, _changed(cameras[number], np.r_[change[:2], 0.0, 0.0, change[_COMMON:]])
-
-
-def _off(cameras: Sequence[PosedCamera], number: int, covariance: Doubles) -> float:
+def _off(first: PosedCamera, camera: PosedCamera, covariance: Doubles) -> float:
     """Standard deviation of a camera's position in the first one's frame, over its distance."""
 
     def between(change: Doubles) -> Doubles:
-        one, other = _both(cameras, number, change)
+        one, other = _changed(first, camera, change)
         return np.asarray(one.turn @ (other.place - one.place))
 
-    variance = _variance(between, covariance, number)
-    return math.sqrt(float(variance.sum())) / float(np.linalg.norm(cameras[number].place))
+    variance = _variance(between, covariance)
+    return math.sqrt(float(variance.sum())) / float(np.linalg.norm(camera.place))
 
 
-def _misregistration(cameras: Sequence[PosedCamera], number: int, covariance: Doubles) -> float:
+def _misregistration(first: PosedCamera, camera: PosedCamera, covariance: Doubles) -> float:
     """Registration error of a photograph to the first, plane units, where both show the plane."""
     points = grid_points(16, 12).reshape(3, -1)
-    both = (np.abs(cameras[number].sees(points)) < 1.0).all(0)
-    image = cameras[0].sees(points[:, both] if both.any() else points)
+    both = (np.abs(camera.sees(points)) < 1.0).all(0)
+    image = first.sees(points[:, both] if both.any() else points)
 
     def seen(change: Doubles) -> Doubles:
-        one, other = _both(cameras, number, change)
-        return cameras[number].on_plane(other.sees(one.on_plane(image)))[:2].ravel()
+        one, other = _changed(first, camera, change)
+        return camera.on_plane(other.sees(one.on_plane(image)))[:2].ravel()
 
-    return math.sqrt(2.0 * float(_variance(seen, covariance, number).mean()))
+    return math.sqrt(2.0 * float(_variance(seen, covariance).mean()))
 
 
-def _variance(f: Callable[[Doubles], Doubles], covariance: Doubles, number: int) -> Doubles:
-    """(n,) variances of f(change) (n,), by linear propagation of a photograph's covariance."""
-    places = _numbers(number)
-    nothing = np.zeros(len(places))
-    here = f(nothing)
-    jacobian = np.stack([(f(_STEP * unit) - here) / _STEP for unit in np.eye(len(places))], 1)
-    spread = covariance[np.ix_(places, places)]
-    return np.asarray(np.einsum("ni,ij,nj->n", jacobian, spread, jacobian))
+def _variance(f: Callable[[Doubles], Doubles], covariance: Doubles) -> Doubles:
+    """(n,) variances of f(change) (n,), by linear propagation of the change's covariance."""
+    jacobian = _jacobian(f, len(covariance))
+    return np.asarray(np.einsum("ni,ij,nj->n", jacobian, covariance, jacobian))
+
+
+def _jacobian(f: Callable[[Doubles], Doubles], size: int) -> Doubles:
+    """(n, size) d f(change) / d change at 0."""
+    here = f(np.zeros(size))
+    return np.stack([(f(_STEP * unit) - here) / _STEP for unit in np.eye(size)], 1)

@@ -145,7 +145,7 @@ def true_example(maps: MapSet) -> Example:
     width, height = maps.size
     colour = torch.from_numpy(exemplar.diffuse).clamp(0.0, 1.0) ** (1.0 / 2.2)
     lattice = find_lattice(colour, torch.ones(height, width, dtype=torch.bool))
-    return with_chosen_variety(Example.of(exemplar, tuple((w.fx, w.fy) for w in lattice.waves)))
+    return with_chosen_variety(Example.of(exemplar, lattice.waves))
 
 
 def joint_length(height: NDArray[np.float32]) -> float | None:

@@ -139,7 +139,7 @@ def _captured(
 ) -> Callable[[PaperSubject, int], PaperPictures]:
     def run(subject: PaperSubject, seed: int) -> PaperPictures:
         chosen = replace(asked, seed=seed)
-        result = capture_photo(read_photograph(subject.path, chosen, method), chosen, method=method)
+        result = capture_photo(read_photograph(subject.path, chosen), chosen, method=method)
         return _relit(result, subject.evaluator, settings.realisations)
 
     return run

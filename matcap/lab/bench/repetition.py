@@ -61,7 +61,7 @@ def example_of(material: str) -> Example:
     exemplar = true_exemplar(material, *_EXEMPLAR)
     maps = torch.from_numpy(exemplar.stacked())
     lattice = find_lattice(maps, torch.ones(maps.shape[1:], dtype=torch.bool))
-    return Example.of(exemplar, tuple((wave.fx, wave.fy) for wave in lattice.waves))
+    return Example.of(exemplar, lattice.waves)
 
 
 def repetition_experiment(

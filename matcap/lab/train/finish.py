@@ -147,6 +147,6 @@ def anchors_of(places: Sequence[Anchor]) -> Anchors:
     waves = torch.zeros(len(places), 2, 2)
     for row, place in zip(waves, places, strict=True):
         for slot, wave in zip(row, place.waves, strict=False):
-            slot.copy_(torch.tensor([wave.fx, wave.fy]))
+            slot.copy_(torch.tensor(wave))
     codes = torch.stack([place.code for place in places])
     return Anchors(codes, torch.stack([place.rest for place in places]), waves)

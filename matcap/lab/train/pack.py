@@ -225,5 +225,5 @@ def _from_row(row: list[float]) -> CoarseFit:
 def _to_waves(waves: tuple[Wave, ...]) -> Tensor:
     table = torch.full((2, 2), float("nan"), dtype=torch.float64)
     for index, wave in enumerate(waves):
-        table[index] = torch.tensor([wave.fx, wave.fy], dtype=torch.float64)
+        table[index] = torch.tensor(wave, dtype=torch.float64)
     return table

@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.flash.render import shade
+from matcap.flash.light import FlashLight
 from matcap.lab.train.trainer import mixed
 from matcap.statistics.compare import Weights, describe, distance
 from matcap.statistics.encoding import Encoding
@@ -24,18 +24,13 @@ from matcap.statistics.filterbank import FilterBank
 _LOWEST, _HIGHEST = math.radians(30.0), math.radians(70.0)  # of the light, from the normal
 _OCTAVES = 5  # in which relief is compared, the finest one texel's
 _UNSEEN = 0.02  # root-mean-square slope below which a surface is flat to the eye
-_FAR = 100.0  # plane units: camera and light, so far that their rays are parallel
 
 
 def side_light(rng: np.random.Generator) -> Tensor:
-    """(3,) random position of a far light, 30 to 70 degrees from the normal."""
+    """(3,) random direction of a far light, 30 to 70 degrees from the normal."""
     azimuth, angle = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(_LOWEST, _HIGHEST)
-    direction = (
-        math.sin(angle) * math.cos(azimuth),
-        math.sin(angle) * math.sin(azimuth),
-        math.cos(angle),
-    )
-    return _FAR * torch.tensor(direction)
+    across, up = math.sin(angle) * math.cos(azimuth), math.sin(angle) * math.sin(azimuth)
+    return torch.tensor((across, up, math.cos(angle)))
 
 
 def relit_distance(
@@ -99,13 +94,6 @@ def _between(height: Tensor) -> Tensor:
 
 def _exposed(maps: MapSet, light: Tensor, encoding: Encoding) -> Tensor:
     """(B, 3, H, W) radiance under a far light, scaled to the encoding's median."""
-    view = _lit(maps, light)
+    incidence = FlashLight.far(light.to(maps.diffuse)).onto(maps.normal, exact=True)
+    view = incidence.radiance(maps.diffuse, maps.specular, maps.roughness)
     return view * (encoding.median / view.detach().mean(1).median().clamp_min(1e-6))
-
-
-def _lit(maps: MapSet, light: Tensor) -> Tensor:
-    """(B, 3, H, W) radiance of maps under a far light, seen from straight above."""
-    points = torch.zeros_like(maps.diffuse)
-    camera = torch.tensor([0.0, 0.0, _FAR]).to(points)
-    intensity = torch.full((3,), _FAR**2).to(points)
-    return shade(maps, points, camera, light.to(points), intensity)

@@ -29,7 +29,6 @@ _LIGHTS = (
 )  # fmt: skip
 MARGIN = ALIGNMENT  # texels around a window that are decoded too
 _AT_ONCE = 2  # lights in a step
-_FAR = 100.0  # plane units: camera and lights, so far that rays are parallel
 _DARKEST = 0.01  # added to radiance before the logarithm
 _LOGIT_EPSILON = 1e-3  # of albedo, F0 and roughness: bounds the logit at 0 and 1
 
@@ -90,13 +89,7 @@ class Teacher:
 
 def _log_radiance(maps: MapSet, light: tuple[float, float, float]) -> Tensor:
     """(1, 3, H, W) log radiance under a far light, seen from straight above."""
-    direction = maps.diffuse.new_tensor(light)
-    far = FlashLight.between(
-        torch.zeros(3, 1, 1),
-        direction.new_tensor([0.0, 0.0, _FAR]),
-        _FAR * direction,
-        direction.new_full((3,), _FAR**2 / light[2]),  # an irradiance of 1 on the plane
-    )
+    far = FlashLight.far(maps.diffuse.new_tensor(light))
     lit = far.onto(maps.normal, exact=True).radiance(maps.diffuse, maps.specular, maps.roughness)
     return (lit.clamp_min(0.0) + _DARKEST).log()
 
