@@ -11,6 +11,7 @@ from matcap.statistics.filterbank import FilterBankConfig
 if TYPE_CHECKING:
     from matcap.space.decoder import DecoderConfig
 
+WINDOW = 160  # side of the windows whose texture statistics are compared, texels
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 
 
@@ -18,8 +19,8 @@ FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 class Method:
     """A variant of the capture method; by default the one that measured best."""
 
-    window: int = 160
-    """Side, texels, of the square windows whose texture statistics are compared."""
+    window: int = WINDOW
+    """Side of the compared windows, texels."""
     features: FilterBankConfig = FEATURES
     """Filter bank of the texture statistics."""
     decoder: DecoderConfig | None = None

@@ -40,13 +40,13 @@ from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
 from matcap.flash.plane import Plane
+from matcap.flash.registration.keypoints import LONG_SIDE
 from matcap.photo.camera import read_camera_profile
 from matcap.photo.left_out import leave_out
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
 from matcap.photo.refusals import SHORTEST_SIDE
 
-_MATCHED = 1600  # pixels along the long side for matching keypoints of several photographs
 _WINDOW_STEP = 16  # texels: sides of windows are multiples of this, the decoder's alignment
 
 OnCapture = Callable[[CaptureProgress], None]
@@ -71,7 +71,7 @@ def read_photograph(
         MatcapError: the file cannot be read as a photograph; the mask has another size; one of
             several photographs has transparent pixels.
     """
-    detail = max(settings.detail or 0, _MATCHED) if several else settings.most_detail
+    detail = max(settings.detail or 0, LONG_SIDE) if several else settings.most_detail
     if several and (settings.crop or settings.mask):
         raise UsageError(
             "one rectangle or mask cannot fit several photographs, each taken from another place",

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from matcap.flash.extent import NO_MARGINS, Extent, Margins
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.rectify import MOST_CLIPPED, kept, measured, rectify, rectify_noise
+from matcap.flash.rectify import kept, measured, rectify, rectify_noise
 from matcap.photo.photo import Photo
+from matcap.photo.shrink import CLIPPED_SHARE
 from matcap.statistics.encoding import Encoding, fit_encoding
 
 
@@ -76,7 +77,7 @@ class Plane:
             return F.interpolate(planes[None], size=size, mode="area")[0]
 
         def whole(seen: Tensor) -> Tensor:
-            return mean(seen.float()) > 1.0 - MOST_CLIPPED
+            return mean(seen.float()) > 1.0 - CLIPPED_SHARE
 
         linear, valid = mean(self.linear), whole(self.valid[None])[0]
         noise = None if self.noise is None else mean(self.noise)

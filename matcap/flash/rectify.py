@@ -15,12 +15,11 @@ from torch import Tensor
 
 from matcap.flash.geometry import FlashSetup, setup_rotation
 from matcap.photo.photo import Photo
-from matcap.photo.shrink import area_averaged
+from matcap.photo.shrink import CLIPPED_SHARE, area_averaged
 
-_FINER = 2  # samples along the side of a texel, if the photograph has more pixels than texels
+FINER = 2  # samples along the side of a texel, if the photograph has more pixels than texels
 CLIPPING = 0.95  # channels of a clipped pixel above this are the clipped ones
-_LEFT_OUT = 0.02  # largest masked share of a valid texel
-MOST_CLIPPED = 0.25  # largest clipped share of a valid texel
+MOST_LEFT_OUT = 0.02  # largest masked share of a valid texel, and largest clipped one of a cell
 
 
 def rectify(photo: Photo, setup: FlashSetup, detail: int) -> tuple[Tensor, Tensor]:
@@ -36,7 +35,7 @@ def rectify(photo: Photo, setup: FlashSetup, detail: int) -> tuple[Tensor, Tenso
     """
     linear = _resampled(photo.pixels, setup, detail, cv2.INTER_CUBIC).clip(0.0)
     clipped = _resampled(photo.clipped.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
-    valid = inside(linear.shape[:2], setup) & (clipped < MOST_CLIPPED)
+    valid = inside(linear.shape[:2], setup) & (clipped < CLIPPED_SHARE)
     valid &= _kept(photo, setup, detail)
     return _planes(linear), torch.from_numpy(valid)
 
@@ -48,7 +47,7 @@ def measured(photo: Photo, setup: FlashSetup, detail: int) -> Tensor:
     """
     full = photo.clipped[..., None] & (photo.pixels > CLIPPING)
     clipped = _resampled(full.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
-    seen = inside(clipped.shape[:2], setup)[..., None] & (clipped < MOST_CLIPPED)
+    seen = inside(clipped.shape[:2], setup)[..., None] & (clipped < CLIPPED_SHARE)
     seen &= _kept(photo, setup, detail)[..., None]
     return torch.from_numpy(seen).permute(2, 0, 1).contiguous()
 
@@ -65,7 +64,7 @@ def kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_] | No
     if photo.left_out is None:
         return None
     share = _resampled(photo.left_out.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
-    return np.asarray(share < _LEFT_OUT)
+    return np.asarray(share < MOST_LEFT_OUT)
 
 
 def _kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_]:
@@ -79,7 +78,7 @@ def _resampled(
 ) -> NDArray[np.float32]:
     """Resample a picture to the plane's grid, (H, W) or (H, W, 3); cubic may overshoot."""
     rows, columns = picture.shape[:2]
-    finer = _FINER if columns > detail else 1
+    finer = FINER if columns > detail else 1
     fine = (finer * detail, finer * round(detail * rows / columns))
     shrunk = picture
     if columns > fine[0]:

@@ -67,7 +67,7 @@ _MOST_OF_METAL = 0.9  # the same of F0 with metal, as F0 of glints is overestima
 _HUE = 0.12  # standard deviation of the log colour of metal around a pure metal's
 _CLEAN = 0.1  # standard deviation of the log F0 of metal around the pure metal's of its hue
 _UNKNOWN = 0.3  # weight of a metal of unknown hue; a pure metal of exactly the hue has weight 1
-_LEAST_PART = 0.03  # least share of the exemplar for a part to count
+LEAST_PART = 0.03  # least share of the exemplar for a part, a class, to count
 
 
 def how_metallic(levels: Tensor) -> float:
@@ -109,7 +109,7 @@ def _factor_of_parts(exemplar: Exemplar, metal: NDArray[np.float32]) -> float:
     total = weights = 0.0
     for part, kind in parts:
         size = float(part.mean())
-        if size < _LEAST_PART:
+        if size < LEAST_PART:
             continue
         for measured, (mean, deviation) in zip(
             _logs(exemplar, part), (kind.albedo, kind.specular), strict=True

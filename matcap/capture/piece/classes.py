@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.parameters import ALBEDO, F0, REFLECTANCE, SurfaceParameters
-from matcap.capture.piece.absolute import DIELECTRIC, METAL, how_metallic
+from matcap.capture.piece.absolute import DIELECTRIC, LEAST_PART, METAL, how_metallic
 from matcap.capture.piece.levels import LevelPrior, RingTarget, fit_levels
 from matcap.capture.piece.metal import whole_colour
 from matcap.capture.piece.noise import DARKEST
@@ -37,14 +37,12 @@ _ROUNDS_OF_MEANS = 20  # iterations for the threshold between two classes of a s
 _ROUNDS = 3  # iterations of fitting mean parameters and classifying texels
 # Prior standard deviations of the mean parameters (log, log, logit).
 _ALBEDO_DEVIATION, _F0_DEVIATION, _ROUGHNESS_DEVIATION = 1.5, 2.0, 0.35
-# Scale of a texel's residual of log radiance from relief and grain, of the channels' mean and
-# chroma. Smaller values classify by relief.
-_GREY_SCALE, _CHROMA_SCALE = 1.0, 0.2
+# Scale of a texel's residual chroma of log radiance; of the channels' mean, with relief, it is 1.
+_CHROMA_SCALE = 0.2
 # Standard deviation of the blur of log odds, in the picture's long side. Larger values round
 # borders, smaller ones classify by relief.
 _BLUR = 0.002
 _COUNTS = 3.0  # factor on the blurred log odds, as the residuals of neighbours are correlated
-_LEAST_SHARE = 0.03  # least share of either class
 # Diffuse albedo of metal, and standard deviation of its logarithm.
 _METAL_ALBEDO, _METAL_ALBEDO_DEVIATION = 0.004, 0.3
 _LEAST_CONTRAST = 1.5  # least log ratio of F0 of metal to that of the dielectric; 2.5 is typical
@@ -131,7 +129,7 @@ class Mixture:
         bare, rest = self.classes.levels
         share = float(self.classes.metal_share.mean())
         return (
-            min(share, 1.0 - share) > _LEAST_SHARE
+            min(share, 1.0 - share) > LEAST_PART
             and float(bare[F0] - rest[F0]) > _LEAST_CONTRAST
             and how_metallic(uniform.levels() + rest) < -_LEAST_ODDS
             and self.off < _MOST_OFF * self.agreed
@@ -236,7 +234,7 @@ def _nearer(target: RingTarget, levels: Tensor) -> Tensor:
         grey = residual.mean(0, keepdim=True)
         colour = (residual - grey).square().sum(0, keepdim=True)
         # Cauchy distribution: misplaced relief gives occasional large residuals.
-        tones = torch.log1p(grey.square() / _GREY_SCALE**2)
+        tones = torch.log1p(grey.square())
         off.append(tones + torch.log1p(colour / _CHROMA_SCALE**2))
     bare, rest = off
     # Blurred: classes form patches, and slopes towards and away from the light cancel.
@@ -252,5 +250,5 @@ def _share(nearer: Tensor, drawn: Tensor, before: float) -> Tensor:
         nearer, drawn: (1, H, W) log odds by radiance and by the network.
         before: prior share of metal.
     """
-    common = min(max(before, _LEAST_SHARE), 1.0 - _LEAST_SHARE)
+    common = min(max(before, LEAST_PART), 1.0 - LEAST_PART)
     return torch.sigmoid(math.log(common / (1.0 - common)) + nearer + drawn)

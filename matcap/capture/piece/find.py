@@ -26,11 +26,11 @@ from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.glints import scaled_by_glints
 from matcap.capture.piece.highlight_remainder import remaining_highlight
 from matcap.capture.piece.levels import LevelPrior, fit_levels
-from matcap.capture.piece.metal import metal_share
+from matcap.capture.piece.metal import has_metal
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse, NetworkAnswer
 from matcap.capture.piece.observation import Observation, seen_share
 from matcap.capture.piece.refine import Refined, flatten, refine, remaining, with_photographed_mean
-from matcap.capture.piece.smooth import smoothed
+from matcap.capture.piece.smooth import WIDE, smoothed
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.transport import transport
 from matcap.capture.progress import CaptureClock
@@ -47,9 +47,6 @@ if TYPE_CHECKING:
 # Expected errors (log, log, logit, slope) at which confidence is 1/e. Larger values trust
 # uncertain maps.
 _DOUBTED_ALBEDO, _DOUBTED_SPECULAR, _DOUBTED_ROUGHNESS, _DOUBTED_SLOPE = 0.3, 0.6, 0.6, 0.15
-# The picture's long side over the standard deviation of the blur of confidence. Larger values
-# trust only texels without features.
-_CONFIDENCE_AROUND = 12.0
 
 
 @dataclass(frozen=True)
@@ -235,11 +232,10 @@ def read_piece(observed: Observation, network: Inverse) -> tuple[Observation, Ne
     answer = NetworkAnswer.from_stacked(_read(network, observed.inputs.stacked()))
     trusted = confidence(answer.errors, seen_share(observed.plane.measured))
     trusted[0] *= 1.0 - observed.specular_fraction
-    some = metal_share(answer.metal)
     classes = Classes.whole(observed.specular_fraction.shape, metal=observed.coarse.conductor)
     if observed.coarse.conductor:
         observed = observed.tinted(classes.metal_share)
-    logit = None if some is None else answer.metal
+    logit = answer.metal if has_metal(answer.metal) else None
     return observed, NetworkPrediction(answer.departures, answer.errors, trusted, logit, classes)
 
 
@@ -390,7 +386,7 @@ def confidence(
         _DOUBTED_ALBEDO, _DOUBTED_SPECULAR, _DOUBTED_ROUGHNESS, _DOUBTED_SLOPE,
     )  # fmt: skip
     error = error / np.array(units, np.float32)[:, None, None]
-    around = (unit or max(seen.shape)) / _CONFIDENCE_AROUND
+    around = (unit or max(seen.shape)) / WIDE
     certain = np.stack([np.exp(-smoothed(plane, around)) for plane in error])
     return np.ascontiguousarray(certain * seen, dtype=np.float32)
 

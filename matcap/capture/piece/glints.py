@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.parameters import SurfaceParameters
+from matcap.capture.piece.noise import DARKEST
 from matcap.capture.piece.refine import PieceLight
-from matcap.capture.piece.smooth import filled, smoothed, split
+from matcap.capture.piece.smooth import WIDE, filled, smoothed, split
 
 # Specular fraction of the radiance that bounds the glossiest region, where slopes dominate.
 MIRRORED = 0.4
 LEAST_SHARE = 0.01  # least share of the photograph for that region
 # Share of the photograph, with the least specular fraction, in the mattest region.
 _MATTE_SHARE = 0.33
-_AROUND = 12.0  # the long side over the standard deviation of the blur that is subtracted first
 _LEAST_FACTOR, _MOST_FACTOR = 0.5, 6.0  # limits of the factors
 
 
@@ -51,7 +51,7 @@ def scaled_by_glints(
     """
     maps = light.maps(departures)
     _, diffuse_share = light.rendered(maps)
-    around = max(linear.shape) / _AROUND
+    around = max(linear.shape) / WIDE
     glare = 1.0 - smoothed(diffuse_share.mean(0).numpy(), around / 4.0)
     seen = measured.all(0).numpy()
     region = (glare > MIRRORED) & seen
@@ -60,7 +60,7 @@ def scaled_by_glints(
     mean = departures.diffuse.mean((1, 2), keepdim=True)
     maps = light.maps(replace(departures, diffuse=mean.expand_as(linear)))
     rendered = light.rendered(maps)[0].mean(0).numpy()
-    photograph = linear.clamp_min(1e-5).log().mean(0).numpy()
+    photograph = linear.clamp_min(DARKEST).log().mean(0).numpy()
     variance = (noise.square().mean(0) / 3.0).numpy()
 
     def energies(where: NDArray[np.bool_]) -> NDArray[np.float64]:

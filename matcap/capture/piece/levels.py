@@ -20,11 +20,9 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.parameters import F0, SurfaceParameters
+from matcap.capture.piece.network.inputs import STEP
 from matcap.capture.piece.noise import DARKEST
 from matcap.flash.light import FlashLight, Incidence
-
-_STEP = 0.03  # of logit roughness, for differences
-
 
 _INNERMOST = 0.02  # r0, plane units; the ring of radius r is _PER_OCTAVE log2(1 + r / r0)
 _PER_OCTAVE = 4.0  # rings per octave of radius
@@ -195,7 +193,7 @@ def _linear(
 ) -> tuple[Tensor, Tensor]:
     """(N,) residuals of the rings' log radiance, and (5 K, N) d log mean / d mean parameter."""
     parts = target.rendered(levels, incidence)
-    duller = target.rendered(levels, incidence, _STEP)
+    duller = target.rendered(levels, incidence, STEP)
     mixed = sum(share * (d + s) for share, (d, s) in zip(shares, parts, strict=True))
     assert isinstance(mixed, Tensor)
     mean = rings.means(mixed).clamp_min(DARKEST)
@@ -207,5 +205,5 @@ def _linear(
             own[:, channel] = by_albedo[:, channel]
             columns.append(own)
         columns.append(rings.means(share * specular) / mean)
-        columns.append(rings.means(share * (moved - specular) / _STEP) / mean)
+        columns.append(rings.means(share * (moved - specular) / STEP) / mean)
     return (observed - mean.log()).flatten(), torch.stack(columns).flatten(1)

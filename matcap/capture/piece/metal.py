@@ -15,9 +15,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-# Predicted shares below the first count as 0 and above the second as 1: predictions are uncertain,
-# and dielectrics must stay achromatic.
-_NONE, _WHOLE = 0.25, 0.75
 _LEAST_SHARE = 0.005  # least share of metal in an exemplar
 _AROUND = 5  # side, texels, of the neighbourhood whose colour is averaged, against noise
 # Radiance (1 at clipping) at which the local colour weighs as much as the mean: darker texels
@@ -47,14 +44,9 @@ def whole_colour(linear: Tensor, weight: Tensor) -> Tensor:
     return whole / whole.mean(-3, keepdim=True)
 
 
-def metal_share(metal: Tensor) -> Tensor | None:
-    """(1, H, W) share of metal in each texel, in [0, 1], or None if there is hardly any.
-
-    Args:
-        metal: (1, H, W) logit predicted by the network.
-    """
-    share = ((torch.sigmoid(metal) - _NONE) / (_WHOLE - _NONE)).clamp(0.0, 1.0)
-    return share if float((share > 0.5).float().mean()) > _LEAST_SHARE else None
+def has_metal(logit: Tensor) -> bool:
+    """Whether the network's logit of metal (1, H, W) predicts more than hardly any."""
+    return float((logit > 0.0).float().mean()) > _LEAST_SHARE
 
 
 def tint(metal: Tensor, colour: Tensor) -> Tensor:

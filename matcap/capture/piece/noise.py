@@ -16,9 +16,6 @@ from matcap.capture.piece.smooth import smoothed
 from matcap.files.srgb import srgb_slope
 from matcap.flash.plane import Plane
 
-# Standard deviation of a developed channel's noise, in codes of 255. Larger values take dark
-# texture for noise.
-_CODE_NOISE = 1.0
 AROUND = 8.0  # texels, standard deviation of local averages
 _ALIKE = 0.1  # log radiance added in quadrature to the noise before channels are weighted by it
 DARKEST = 1e-5  # linear radiance below which logarithms are clamped
@@ -38,7 +35,7 @@ def channel_noise(plane: Plane) -> Tensor:
         drawn = plane.noise.square().numpy()
         deviation = np.sqrt(np.stack([smoothed(c, AROUND) for c in drawn]))
     elif plane.developed:
-        deviation = code_step(linear) * np.float32(_CODE_NOISE)
+        deviation = code_step(linear)
     else:
         return torch.zeros_like(plane.linear)
     share = deviation / np.maximum(linear, np.maximum(deviation, np.float32(1e-9)))

@@ -15,7 +15,7 @@ from matcap.capture.piece.levels import RingTarget
 from matcap.capture.piece.metal import seen_colour, tint
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import NetworkInputs
-from matcap.capture.piece.noise import channel_noise, channel_weights, noise_level
+from matcap.capture.piece.noise import AROUND, channel_noise, channel_weights, noise_level
 from matcap.capture.piece.refine import PieceLight
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.piece.strengths import RESPONSE_AROUND, Strengths, measure_strengths
@@ -25,9 +25,8 @@ from matcap.flash.plane import Plane
 from matcap.flash.rectify import inside
 
 _SPREAD_OF_LIGHT = 1.5  # texels, standard deviation of the blur of clipping
-# Radiance (1 at clipping) below which a Gaussian neighbourhood (standard deviation in texels) is
-# unlit: it has the lowest 8-bit codes, or a RAW's noise.
-_UNLIT, _UNLIT_AROUND = 1e-3, 8.0
+# Radiance (1 at clipping) below which a neighbourhood is unlit: the lowest 8-bit codes, or noise.
+_UNLIT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -156,7 +155,7 @@ def lit(linear: Tensor) -> Tensor:
     Radiance is limited to 2 _UNLIT first, so that bright neighbours do not light a dark texel.
     """
     grey = linear.mean(0).clamp_max(2.0 * _UNLIT).numpy()
-    return torch.from_numpy(smoothed(grey, _UNLIT_AROUND) > _UNLIT)
+    return torch.from_numpy(smoothed(grey, AROUND) > _UNLIT)
 
 
 def _even(sensitivity: Tensor) -> NDArray[np.float32]:

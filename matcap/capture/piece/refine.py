@@ -20,9 +20,10 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_slopes
 from matcap.brdf.parameters import F0_LIMITS, Reflectance, SurfaceParameters
+from matcap.capture.piece.network.inputs import STEP
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.noise import DARKEST, channel_weights
-from matcap.capture.piece.smooth import smoothed
+from matcap.capture.piece.smooth import WIDE, smoothed
 from matcap.flash.light import FlashLight, Incidence, cached_rows, strips
 from matcap.flash.uniform import Uniform
 
@@ -31,11 +32,9 @@ from matcap.flash.uniform import Uniform
 # Gauss-Newton steps. The power of granite's finest octave is 0.66, 0.74 and 0.74 of the
 # photograph's after 3, 4 and 6.
 _STEPS = 5
-_SLOPE_STEP = 0.03  # step of slope in finite differences of log radiance
 _LEAST_ERROR, _MOST_ERROR = 0.02, 1.0  # limits of expected errors
 # Log radiance, lower limit of the noise. Smaller values copy sensor noise into the maps.
 _LEAST_NOISE = 0.01
-_SLOW = 12.0  # the long side over the standard deviation of the blur whose result is left out
 # Largest change of log radiance in a step. Gaps between threads are predicted too bright by more
 # than 0.5.
 _MOST_CHANGE = 1.5
@@ -136,9 +135,9 @@ class PieceLight:
             incidence = self.flash.onto(normals_from_slopes(x * one, y * one))
             return self.logs(maps, incidence)[0].mean(0)
 
-        across = tilted(_SLOPE_STEP, 0.0) - tilted(-_SLOPE_STEP, 0.0)
-        up = tilted(0.0, _SLOPE_STEP) - tilted(0.0, -_SLOPE_STEP)
-        return torch.stack([across, up]) / (2.0 * _SLOPE_STEP)
+        across = tilted(STEP, 0.0) - tilted(-STEP, 0.0)
+        up = tilted(0.0, STEP) - tilted(0.0, -STEP)
+        return torch.stack([across, up]) / (2.0 * STEP)
 
 
 def flatten(
@@ -330,7 +329,7 @@ def _unexplained(observed: Tensor, log: Tensor, valid: Tensor) -> Tensor:
 
 def _slow(residual: Tensor, valid: Tensor) -> Tensor:
     """Low-frequency part (3, H, W) of a residual, over valid texels."""
-    deviation = max(valid.shape) / _SLOW
+    deviation = max(valid.shape) / WIDE
     weights = valid.expand_as(residual).numpy().astype(np.float32) + np.float32(1e-4)
     planes = [
         smoothed(plane * weight, deviation) / smoothed(weight, deviation)

@@ -14,6 +14,8 @@ from matcap.photo.shrink import area_averaged
 
 # Octave bands of a plane; docs/notes/capture.md.
 COARSER = 8  # subsampling, texels, of wide blurs. Larger values are faster and leave cells.
+# The long side over the standard deviation of the blur that takes light and shading, not texture.
+WIDE = 12.0
 _SOFT = 0.25  # octaves, half width of the transition between bands. Smaller values ring.
 
 ChannelPlane = NDArray[np.float32]

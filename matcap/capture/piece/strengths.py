@@ -38,11 +38,8 @@ _LINEAR = 1.2
 _ROUNDS = 4  # of reweighting, as an energy's standard error is proportional to the energy
 _FEWEST_WINDOWS = 8  # least number of windows for the three unknowns
 _SCATTER = 2.0  # factor on standard errors, for windows that overlap and are shared by directions
-# Prior standard deviation of a window's factor m - 1 on albedo's energy. At 0, diluted albedo is
-# taken for relief (a weave's slopes come out three times too large).
-_COMMON_FACTOR = 1.0
-# The same of the coefficient of m on the squared diffuse share. Dark gaps are diluted far more
-# than by the share itself.
+# Prior standard deviation of the coefficient of a window's m on the squared diffuse share, as dark
+# gaps are diluted far more than by the share itself; that of m - 1 is 1.
 _DILUTION = 5.0
 _DISAGREED = 0.5  # share of the difference of two estimates that is added to the standard deviation
 RESPONSE_AROUND = 24.0  # texels, standard deviation of the blur of the sensitivity
@@ -266,7 +263,7 @@ def _regress(
     terms = (np.ones_like(slant), 2.0 * slant, squared)
     own = np.concatenate([each * term[..., None] for term in terms], axis=2).reshape(-1, 3 * kinds)
     drift = _DILUTION * (matte - matte.mean())[:, None]
-    common = np.tile(np.concatenate([_COMMON_FACTOR * np.eye(windows), drift], axis=1), (kinds, 1))
+    common = np.tile(np.concatenate([np.eye(windows), drift], axis=1), (kinds, 1))
     prior = np.eye(own.shape[1] + common.shape[1])[own.shape[1] :]
     spread = np.tile(np.sqrt(counts), kinds)
     least = np.repeat(0.2 * energy.mean(1) + 1e-12, windows)

@@ -17,6 +17,7 @@ from matcap.capture.together.union import reach_of
 from matcap.errors import MatcapError
 from matcap.flash.registration.doubt import DOUBTED
 from matcap.flash.registration.grid import grid_points
+from matcap.flash.registration.keypoints import LONG_SIDE
 from matcap.flash.registration.register import RegisteredView, Registration, register_in_any_order
 from matcap.photo.checks import Finding, Rating
 from matcap.photo.inspect import Inspection
@@ -35,7 +36,6 @@ SAME_PLACE = 0.08
 _STEEP = 50.0  # largest tilt, degrees; beyond it few pixels cover the far side
 _ALONE = 0.25  # largest share of the sample that only one photograph shows
 _GRID = 64  # points across the grid on which coverage is determined
-_DETAIL = 1600  # pixels along the long side for keypoints
 
 
 def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection:
@@ -54,7 +54,7 @@ def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection
             where=str(paths[0]),
             remedy="give two or more of one sample",
         )
-    photos = [load_photo(path, long_side=_DETAIL, fov=fov, noise=False) for path in paths]
+    photos = [load_photo(path, long_side=LONG_SIDE, fov=fov, noise=False) for path in paths]
     return set_quality(register_in_any_order(photos))
 
 
@@ -198,7 +198,7 @@ def _union(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
     if len(views) < 2:
         return ()
     rows, columns = views[0].photo.pixels.shape[:2]
-    reach = reach_of(views, (_DETAIL, round(_DETAIL * rows / columns)))
+    reach = reach_of(views, (LONG_SIDE, round(LONG_SIDE * rows / columns)))
     value = round(reach.times, 2)
     if not reach.margins.any:
         says = "They show hardly more than the first one: --union makes the maps no larger."

@@ -28,7 +28,6 @@ Floats = NDArray[np.float32]
 _OCTAVES = ((256.0, 128.0), (128.0, 64.0), *BANDS)
 _AROUND = 2.0  # wavelengths over which noise is averaged
 _LEAST = 1e-12  # lower limit of variances
-_NOISE = 1.0  # relative standard error of the noise's variance
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ class _Octave:
         """
         read, noise = float(np.square(self.read).mean()), float(self.noise.mean())
         seen = float(self.gain) ** 2 * read + float(self.error)
-        sure = read**2 / (read**2 + (_NOISE * noise) ** 2 + _LEAST**2)
+        sure = read**2 / (read**2 + noise**2 + _LEAST**2)
         more = (sure * seen + (1.0 - sure) * read - float(self.error)) / max(read, _LEAST)
         return np.float32(max(abs(float(self.gain)), np.sqrt(max(more, 0.0))))
 

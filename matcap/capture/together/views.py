@@ -17,15 +17,14 @@ from matcap.capture.together.tint import on_grid
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import FlashLight, log_vignette, strips
+from matcap.flash.rectify import FINER
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.grid import grid_points, to_pixels
 from matcap.flash.registration.register import RegisteredView
 from matcap.photo.camera import CameraProfile
 from matcap.photo.photo import FULL
-from matcap.photo.shrink import area_averaged
+from matcap.photo.shrink import CLIPPED_SHARE, area_averaged
 
-_FINER = 2  # samples along the side of a texel
-_MOST_CLIPPED = 0.25  # largest clipped share of a valid texel
 _ROWS = 32  # rows that are projected at a time, in the processor's cache
 RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs
 _BORDER = 2.0  # width of a photograph's unused border, pixels
@@ -170,12 +169,12 @@ class PieceView:
         """
         photo = view.photo
         rows, columns = photo.pixels.shape[:2]
-        shrink = min(1.0, _FINER * across / columns)
+        shrink = min(1.0, FINER * across / columns)
         size = (round(columns * shrink), round(rows * shrink))
         pixels = area_averaged(photo.pixels, size)
         full = (photo.clipped[..., None] & (photo.pixels > FULL)).astype(np.float32)
         clipped = area_averaged(full, size)
-        fine = (across * _FINER, down * _FINER)
+        fine = (across * FINER, down * FINER)
         place = place or ViewPlace(np.eye(3), None, view.camera.place)
         x, y = _looked_up(view, place, fine, size)
         inside = (x > _BORDER) & (x < size[0] - _BORDER) & (y > _BORDER) & (y < size[1] - _BORDER)
@@ -185,7 +184,7 @@ class PieceView:
             return area_averaged(there, (across, down))
 
         linear = gridded(pixels, cv2.INTER_CUBIC).clip(DARKEST)
-        hidden = gridded(clipped, cv2.INTER_LINEAR) > _MOST_CLIPPED
+        hidden = gridded(clipped, cv2.INTER_LINEAR) > CLIPPED_SHARE
         whole = area_averaged(inside.astype(np.float32), (across, down))
         seen = ~hidden & (whole[..., None] > 0.99)
         log = np.log(linear)

@@ -26,6 +26,7 @@ from matcap.capture.piece.glints import LEAST_SHARE, MIRRORED
 from matcap.capture.piece.levels import BOUND
 from matcap.capture.piece.smooth import filled
 from matcap.flash.geometry import FlashSetup, flash_mirror_point, plane_points
+from matcap.flash.highlight import FAINTEST_HIGHLIGHT
 from matcap.flash.light import FlashLight, cached_rows, strips
 from matcap.photo.inspect import channel_mean
 
@@ -34,7 +35,6 @@ TexelMask = NDArray[np.bool_]
 
 NEAR, FAR = 0.06, 0.3  # plane units from the mirror point
 _EDGES = (0.0, NEAR, 0.085, 0.12, 0.17, 0.24, FAR, 9.0)  # radii, plane units; two rings per octave
-GLOSSY = 1.3  # least contrast of a highlight, as in flash/highlight.py
 UNSEEN = 0.01  # standard deviation of log radiance that is invisible
 _OCTAVES = 3  # number, from 1 texel on
 _DARKEST = 1e-4  # radiance below which logarithms are clamped
@@ -60,7 +60,7 @@ class HighlightProfile:
     @property
     def glossy(self) -> bool:
         """Whether either picture has a highlight."""
-        return max(self.contrast) >= GLOSSY
+        return max(self.contrast) >= FAINTEST_HIGHLIGHT
 
     @property
     def bound(self) -> bool:
@@ -79,7 +79,7 @@ class HighlightProfile:
         measured = (
             after / before
             for (before, after), clipped in zip(self.rings, self.clipped, strict=True)
-            if clipped <= BOUND and max(before, after) >= GLOSSY
+            if clipped <= BOUND and max(before, after) >= FAINTEST_HIGHLIGHT
         )
         core = self.contrast[1] / self.contrast[0]
         return max((core, next(measured, core)), key=lambda ratio: abs(math.log(ratio)))

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.method import FEATURES
+from matcap.capture.method import FEATURES, WINDOW
 from matcap.capture.piece.noise import code_step
 from matcap.capture.verdict.causes import CauseMeasurements, by_place
 from matcap.capture.verdict.connectivity import connectivity
@@ -45,7 +45,6 @@ _FINE = (1.0, 3.0)
 _COARSE_BAND = (4.0, 16.0)  # standard deviations of the band-pass for coarse texture, texels
 _CHROMA_BAND = (2.0, 16.0)  # those for coloured texture, log red / green and blue / green
 _BRIGHT = 0.2  # share of tiles, the brightest, that form the region in the light
-_WINDOW = 160  # side of the windows whose texture statistics are compared, texels
 _PLACES = (4, 3)  # number of windows across and down
 _LEAST_SEEN = 0.5  # least valid share of a window
 
@@ -268,20 +267,20 @@ def texture_difference(plane: Plane, rendering: Tensor) -> float:
     width, height = plane.size
     places = [
         (x, y)
-        for y in _spread(height - _WINDOW, _PLACES[1])
-        for x in _spread(width - 2 * _WINDOW, _PLACES[0])
-        if plane.valid[y : y + _WINDOW, x : x + 2 * _WINDOW].float().mean() > _LEAST_SEEN
+        for y in _spread(height - WINDOW, _PLACES[1])
+        for x in _spread(width - 2 * WINDOW, _PLACES[0])
+        if plane.valid[y : y + WINDOW, x : x + 2 * WINDOW].float().mean() > _LEAST_SEEN
     ]
     if not places:
         return math.nan
     bank, weights = FilterBank(FEATURES), Weights(mean=0.0)
 
     def described(picture: Tensor, shift: int) -> Descriptor:
-        cut = [picture[:, y : y + _WINDOW, x + shift :][..., :_WINDOW] for x, y in places]
+        cut = [picture[:, y : y + WINDOW, x + shift :][..., :WINDOW] for x, y in places]
         return describe(torch.stack(cut), plane.encoding, bank)
 
     with torch.inference_mode():
-        here, neighbour = described(plane.linear, 0), described(plane.linear, _WINDOW)
+        here, neighbour = described(plane.linear, 0), described(plane.linear, WINDOW)
         there = described(rendering, 0)
         own = float(distance(neighbour, here, weights).median())
         return float(distance(there, here, weights).median()) / max(own, 1e-6)

@@ -14,14 +14,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.flash.highlight import Highlight
-from matcap.flash.rectify import CLIPPING
+from matcap.flash.rectify import CLIPPING, MOST_LEFT_OUT
 from matcap.photo.photo import Photo
 from matcap.photo.shrink import area_averaged
 
 _PATCH_REACH = 2.0  # half side of the patch, in half widths of the highlight
 _PATCH_WEIGHT = 0.5  # least weight of the patch; that of the whole picture is 1
-_LEFT_OUT = 0.02  # largest masked share of a cell
-_CLIPPED = 0.02  # largest clipped share of a cell that is measured
 # Radiance (1 at clipping) above which cells are lower bounds: development compresses bright tones
 # below clipping, RAW is linear up to it.
 _KNEE_DEVELOPED, _KNEE_RADIOMETRIC = 0.8, 0.95
@@ -116,7 +114,7 @@ def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int
     pixels = photo.pixels[top:bottom, left:right]
     small = area_averaged(pixels, size).astype(np.float64)
     full = photo.clipped[top:bottom, left:right, None] & (pixels > CLIPPING)
-    clipped = area_averaged(full.astype(np.float32), size) > _CLIPPED
+    clipped = area_averaged(full.astype(np.float32), size) > MOST_LEFT_OUT
     knee = _KNEE_RADIOMETRIC if photo.radiometric else _KNEE_DEVELOPED
     above = np.where(clipped, 0.0, np.where(small > knee, _ABOVE_KNEE, 1.0))
     if photo.radiometric:
@@ -136,7 +134,7 @@ def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int
     if photo.left_out is not None:
         part = photo.left_out[top:bottom, left:right].astype(np.float32)
         share = area_averaged(part, size).ravel()
-        kept = torch.from_numpy(share < _LEFT_OUT).double()
+        kept = torch.from_numpy(share < MOST_LEFT_OUT).double()
         # The sum of weights is that without a mask, or 0 if no cell is left.
         weight = weight * kept * (count / max(float(kept.sum()), 1.0))
     return CoarseCells(

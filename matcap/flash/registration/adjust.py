@@ -30,11 +30,11 @@ _HUBER = 1.0  # threshold of the Huber loss, pixels
 # between neighbours.
 _COUNTED = 40.0
 _STEPS = 30  # most iterations of Levenberg-Marquardt
-_STEP = 1e-6  # of finite differences
+STEP = 1e-6  # of finite differences
 # Prior standard deviations: of log d, if EXIF gives the field of view and if not; of the first
 # camera's tilt, radians; of a feature's height, plane units; of the lens distortion, k1 and k2.
-_KNOWN_FOCAL, _ASSUMED_FOCAL, _TILT = 0.01, 0.1, 0.15
-_RELIEF, BENT = 0.01, (0.03, 0.01)
+_KNOWN_FOCAL, _ASSUMED_FOCAL, TILT = 0.01, 0.1, 0.15
+RELIEF, BENT = 0.01, (0.03, 0.01)
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def adjust(
     pairs: Sequence[Pair],
     *,
     known: bool,
-    relief: float = _RELIEF,
+    relief: float = RELIEF,
     bent: tuple[float, float] = BENT,
 ) -> Adjusted:
     """Estimate the cameras of photographs from their matches with the first.
@@ -112,7 +112,7 @@ def adjust(
     """
     focal = _KNOWN_FOCAL if known else _ASSUMED_FOCAL
     begun = _Common(0.0, 0.0, 0.0, *setup.tilt)
-    bundle = _Bundle(setup, pairs, np.array(begun), np.array([focal, *bent, _TILT, _TILT]), relief)
+    bundle = _Bundle(setup, pairs, np.array(begun), np.array([focal, *bent, TILT, TILT]), relief)
     poses = [_first_guess(begun.first_camera(setup), pair) for pair in pairs]
     start = torch.from_numpy(np.concatenate([bundle.prior, *poses]))
     _, whole = minimised(bundle.cost, bundle.quadratic, start, _STEPS, tolerance=1e-7)
@@ -207,11 +207,9 @@ class _Bundle:
         for number, (pair, _, pose) in enumerate(self.by_photograph(common, poses)):
             features = self.features(pair, common)
             here = self.residuals(pair, common, pose, features)
-            there = [self.residuals(pair, common + d, pose) for d in _STEP * np.eye(_COMMON)]
-            there += [
-                self.residuals(pair, common, pose + d, features) for d in _STEP * np.eye(_OWN)
-            ]
-            jacobian = np.stack([((moved - here) / _STEP).ravel() for moved in there], 1)
+            there = [self.residuals(pair, common + d, pose) for d in STEP * np.eye(_COMMON)]
+            there += [self.residuals(pair, common, pose + d, features) for d in STEP * np.eye(_OWN)]
+            jacobian = np.stack([((moved - here) / STEP).ravel() for moved in there], 1)
             weighted = jacobian * np.tile(_huber(here)[1], 2)[:, None]
             own = _COMMON + _OWN * number
             places = np.r_[0:_COMMON, own : own + _OWN]

@@ -15,7 +15,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from matcap.flash.registration.adjust import Adjusted, MatchedPoints, Pair, less_relief
+from matcap.flash.registration.adjust import (
+    BENT,
+    RELIEF,
+    STEP,
+    TILT,
+    Adjusted,
+    MatchedPoints,
+    Pair,
+    less_relief,
+)
 from matcap.flash.registration.camera import Doubles, Lens, PosedCamera
 from matcap.flash.registration.grid import grid_points
 
@@ -27,15 +36,9 @@ _ALIKE = 3.0  # standard deviation of the features' common apparent depth over t
 # Tangent of the light's angle at which the displacement by shading is half the linear one.
 _SATURATED = 0.5
 _ALONE = 0.25  # share of features that are independent (do not overlap others)
-# Prior standard deviation of the first camera's tilt, radians, as in bundle adjustment.
-_TILT = 0.15
 _FOCAL = 0.005  # prior standard deviation of the log focal length
-_BENT = 0.03  # prior standard deviation of the lens distortion k1
-_RELIEF = 0.01  # prior standard deviation of features' heights, plane units (adjust.less_relief)
-
 
 _OWN = 6  # parameters of each photograph alone: rotation and position
-_STEP = 1e-6  # of finite differences
 
 
 @dataclass(frozen=True)
@@ -67,13 +70,13 @@ def doubts(fit: Adjusted, pairs: Sequence[Pair]) -> Doubts:
 def _covariances(fit: Adjusted, pairs: Sequence[Pair]) -> list[Doubles]:
     """(10, 10) of each other photograph: of a `_changed`'s change, error by shading included."""
     first, *others = fit.cameras
-    deviation = np.array([_FOCAL, _BENT, _TILT, _TILT])  # of the parameters that all share
+    deviation = np.array([_FOCAL, BENT[0], TILT, TILT])  # of the parameters that all share
     normal = np.diag(np.r_[deviation**-2, np.zeros(_OWN * len(pairs))])
     shared, own = np.split(np.arange(len(normal)), [len(deviation)])
     blocks = [np.r_[shared, each] for each in own.reshape(len(pairs), _OWN)]
     pulled, depths = np.zeros(len(normal)), []
     for camera, pair, block in zip(others, pairs, blocks, strict=True):
-        residual, parallax = MatchedPoints.of(first, pair, _RELIEF).reprojected(camera, pair)
+        residual, parallax = MatchedPoints.of(first, pair, RELIEF).reprojected(camera, pair)
         noise, depth = _scatter(residual, parallax)
         depths.append(depth)
         jacobian, shading = _linear(first, camera, pair)
@@ -95,7 +98,7 @@ def _scatter(residual: Doubles, parallax: Doubles) -> tuple[float, float]:
     along = (residual * parallax).sum(0) / length
     across = (residual[0] * parallax[1] - residual[1] * parallax[0]) / length
     noise = max(1.48 * float(np.nanmedian(np.abs(across))), 0.05)
-    pixels = float(np.nanmedian(length)) / _RELIEF
+    pixels = float(np.nanmedian(length)) / RELIEF
     return noise, 1.48 * float(np.nanmedian(np.abs(along))) / pixels
 
 
@@ -104,13 +107,13 @@ def _linear(first: PosedCamera, camera: PosedCamera, pair: Pair) -> tuple[Double
 
     def off(change: Doubles, depth: float = 0.0) -> Doubles:
         one, other = _changed(first, camera, change)
-        residual, parallax = MatchedPoints.of(one, pair, _RELIEF).reprojected(other, pair)
+        residual, parallax = MatchedPoints.of(one, pair, RELIEF).reprojected(other, pair)
         if depth:
             residual = residual + depth * shaded
         return less_relief(residual, parallax).ravel()
 
     shaded = _shaded(first, camera, pair)
-    return _jacobian(off, 10), (off(np.zeros(10), _STEP) - off(np.zeros(10))) / _STEP
+    return _jacobian(off, 10), (off(np.zeros(10), STEP) - off(np.zeros(10))) / STEP
 
 
 def _shaded(first: PosedCamera, camera: PosedCamera, pair: Pair) -> Doubles:
@@ -122,7 +125,7 @@ def _shaded(first: PosedCamera, camera: PosedCamera, pair: Pair) -> Doubles:
         return np.asarray(towards / (1.0 + np.square(towards).sum(0) / _SATURATED**2))
 
     shift = np.concatenate([moved(camera.place) - moved(first.place), np.zeros_like(points[2:])])
-    return (camera.sees(points + _STEP * shift) - camera.sees(points)) / (_STEP * pair.pixel)
+    return (camera.sees(points + STEP * shift) - camera.sees(points)) / (STEP * pair.pixel)
 
 
 def _changed(
@@ -183,4 +186,4 @@ def _variance(f: Callable[[Doubles], Doubles], covariance: Doubles) -> Doubles:
 def _jacobian(f: Callable[[Doubles], Doubles], size: int) -> Doubles:
     """(n, size) d f(change) / d change at 0."""
     here = f(np.zeros(size))
-    return np.stack([(f(_STEP * unit) - here) / _STEP for unit in np.eye(size)], 1)
+    return np.stack([(f(STEP * unit) - here) / STEP for unit in np.eye(size)], 1)

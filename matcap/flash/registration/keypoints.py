@@ -26,14 +26,14 @@ _AT_ONCE = 1024  # rows of the distance matrix computed at a time, 25 MB
 
 
 # Settings of detection and matching.
-_LONG_SIDE = 1600  # pixels along the long side of the downsampled photograph
+LONG_SIDE = 1600  # pixels along the long side of the downsampled photograph
 _MOST = 6000  # largest number of features of a photograph
 _CONTRAST = 0.01  # contrast threshold of SIFT; low, as materials have little contrast
 _RATIO = 0.95  # largest ratio of the distances of nearest and second nearest match [lowe2004]
 _OFF = 2.5  # largest distance of an inlier from the homography, pixels
 _ENOUGH = 200  # inliers below which votes and the other contrast normalisation are tried as well
 _VOTERS = 600  # largest number of matches that vote
-_FINE = 0.8  # standard deviation of the blur against noise, pixels
+FINE = 0.8  # standard deviation of the blur against noise, pixels
 _SLOW = 24.0  # standard deviation of the high-pass, pixels
 _AROUND = 40.0  # standard deviation of the local contrast, pixels
 _FAINT = 0.01  # log radiance added to the local contrast, so that noise is not amplified
@@ -87,7 +87,7 @@ def find_keypoints(
 ) -> Keypoints:
     """Keypoints of a photograph after the contrast normalisation `even`."""
     rows, columns = photo.pixels.shape[:2]
-    shrunk = min(1.0, _LONG_SIDE / columns)
+    shrunk = min(1.0, LONG_SIDE / columns)
     size = (round(columns * shrunk), round(rows * shrunk))
     grey = area_averaged(photo.pixels, size).mean(2)
     # Without precise upscaling, all coordinates are biased by a quarter of a pixel.
@@ -107,7 +107,7 @@ def find_keypoints(
 def even_contrast(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
     """8-bit high-passed log radiance over its local mean amplitude."""
     log = np.log(np.maximum(grey, 1e-5))
-    fine = blurred(log, _FINE) - blurred(log, _SLOW)
+    fine = blurred(log, FINE) - blurred(log, _SLOW)
     size = np.sqrt(blurred(fine * fine, _AROUND)) + _FAINT
     return np.asarray((128.0 + 48.0 * fine / size).clip(0, 255).round().astype(np.uint8))
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from matcap.flash.registration.keypoints import FINE
 from matcap.photo.photo import Photo
 from matcap.photo.shrink import area_averaged
 
 # Settings of the test whether a match is shifted by a period of a repeating pattern.
 _ACROSS = 640  # width of the downsampled photograph, pixels
-_FINE = 0.8  # smaller standard deviation of the band-pass (difference of Gaussians), pixels
-_SLOW = 12.0  # larger standard deviation of the band-pass, pixels
+_SLOW = 12.0  # larger standard deviation of the band-pass, pixels; the smaller is FINE
 _NEAREST = 4  # least lag, pixels; at smaller ones any smooth texture correlates
 _REACH = 0.2  # largest lag along each axis, as a share of the width
 # Autocorrelation from which a pattern is periodic; leather, stone and plaster have below 0.07,
@@ -38,7 +38,7 @@ def likeness_further(photo: Photo) -> float:
     size = (wide, round(wide * rows / columns))
     grey = area_averaged(photo.pixels.mean(2), size)
     log = np.log(np.maximum(grey, 1e-5)).astype(np.float32)
-    texture = cv2.GaussianBlur(log, (0, 0), _FINE) - cv2.GaussianBlur(log, (0, 0), _SLOW)
+    texture = cv2.GaussianBlur(log, (0, 0), FINE) - cv2.GaussianBlur(log, (0, 0), _SLOW)
     texture -= texture.mean()
     fields = [texture, np.ones_like(texture)]
     whole = tuple(2 * side for side in texture.shape)

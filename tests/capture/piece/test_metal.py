@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from photographed import photographed
 
-from matcap.capture.piece.metal import metal_share, seen_colour, tint
+from matcap.capture.piece.metal import has_metal, seen_colour, tint
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.refine import PieceLight, refine
 from matcap.flash.render import render_flash
@@ -46,10 +46,8 @@ def test_clipped_texels_say_nothing_of_colour() -> None:
 
 
 def test_what_is_no_metal_stays_grey_and_doubt_counts_as_none() -> None:
-    assert metal_share(torch.full((1, 8, 8), -2.0)) is None
-    share = metal_share(torch.linspace(-6.0, 6.0, 64).reshape(1, 8, 8))
-    assert share is not None
-    assert float(share.min()) == 0.0 and float(share.max()) == 1.0
+    assert not has_metal(torch.full((1, 8, 8), -2.0))
+    assert has_metal(torch.linspace(-6.0, 6.0, 64).reshape(1, 8, 8))
     colour = seen_colour(torch.rand(3, 8, 8), torch.ones(1, 8, 8, dtype=torch.bool))
     assert torch.equal(tint(torch.zeros(1, 8, 8), colour), torch.ones(3, 8, 8))
 
