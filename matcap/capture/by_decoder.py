@@ -21,6 +21,7 @@ from matcap.capture.settings import CaptureSettings, Effort
 from matcap.capture.start import CaptureStart
 from matcap.capture.target import photograph_target
 from matcap.errors import MatcapError
+from matcap.field.material import Material
 from matcap.files.interrupts import postponed
 from matcap.space.decoder import DecoderConfig, with_drawing
 from matcap.space.drawing import Drawing
@@ -36,10 +37,6 @@ from matcap.space.tuning.finetune import (
 from matcap.space.tuning.initialisation import InitialDecoder, initial_decoder
 from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.match import match_photograph
-
-_PORTRAIT_NOTE = (
-    "The photograph is a portrait: the decoder's maps are rotated 90 degrees anticlockwise."
-)
 
 
 def capture_by_decoder(
@@ -89,8 +86,9 @@ def capture_by_decoder(
             estimate = _piece(shot, CaptureClock(None))
         clock.interrupted |= stopped()
     went = Tuning(tuned.history, own, drawing is not None)
-    if photo.turned:
-        photo = replace(photo, notes=(*photo.notes, _PORTRAIT_NOTE))
+    if photo.turned:  # all above is as the photograph lies
+        material = _upright(material)
+        estimate = estimate and estimate.upright(shot.rectified.waves)
     return judged(photo, material, shot.rectified, settings, clock, estimate, went)
 
 
@@ -139,6 +137,13 @@ def _tuned_decoder(
         network, start.code, tuned.moments, target.waves, shot.plane.texel_size, target.drawing
     )
     return made, tuned
+
+
+def _upright(material: Material) -> Material:
+    """A decoder's material with its field rotated to a portrait."""
+    tuned, setup = material.part(TunedDecoder), replace(material.setup, turned=True)
+    assert tuned is not None
+    return tuned.material(material.name, setup, material.provenance)
 
 
 def _tune(

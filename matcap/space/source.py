@@ -130,6 +130,8 @@ class DecoderSource:
     grid: Grid = Grid()
     drawing: Drawing | None = None
     """The drawing that the decoder reads, or None."""
+    turned: bool = False
+    """Whether the field is that of the lying photograph, rotated 90 degrees clockwise."""
 
     @property
     def specular_channels(self) -> int:
@@ -152,6 +154,8 @@ class DecoderSource:
 
     def maps(self, block: Rectangle) -> Tensor:
         """Stacked maps (OUTPUTS, height + 2 RING, width + 2 RING) of a block and its ring."""
+        if self.turned:
+            return self._lying().maps(_lying(block)).rot90(-1, (1, 2)).contiguous()
         spans = spans_of_block(block, self.decoder.convolutions)
         with torch.inference_mode(), repeatable(self.device):
             field = RandomField(
@@ -166,6 +170,15 @@ class DecoderSource:
             # whole blocks, so that a texel has the same bits whatever rectangle is read.
             return maps_from_raw(raw, self.texel_size).stacked()
 
+    def _lying(self) -> DecoderSource:
+        period = self.period and (self.period[1], self.period[0])
+        return replace(self, turned=False, period=period)
+
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
         """(9, height, width) maps and normal of a block."""
         return planes_of(self, block, normal)
+
+
+def _lying(block: Rectangle) -> Rectangle:
+    """A block's texels before it was rotated 90 degrees clockwise about the origin."""
+    return Rectangle(block.y, -block.x - block.width, block.height, block.width)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,7 @@ class TunedDecoder:
         waves: of the material's lattice; empty for most materials.
         texel_size: in plane units.
         drawing: what it reads besides noise, or None as in the paper.
+        turned: whether its field is rotated upright, 90 degrees clockwise, of a portrait.
     """
 
     decoder: Decoder
@@ -50,6 +51,7 @@ class TunedDecoder:
     waves: tuple[Wave, ...]
     texel_size: float
     drawing: Drawing | None = None
+    turned: bool = False
 
     @property
     def alignment(self) -> int:
@@ -69,7 +71,8 @@ class TunedDecoder:
         self, name: str, setup: FlashSetup, provenance: Mapping[str, Any] | None = None
     ) -> Material:
         """A material with this decoder as its only generator; arguments as in Material."""
-        return Material(name, {"decoder": self}, self.texel_size, setup, provenance or {})
+        tuned = replace(self, turned=setup.turned)
+        return Material(name, {"decoder": tuned}, self.texel_size, setup, provenance or {})
 
     @cached_property
     def folded(self) -> FoldedDecoder:
@@ -88,7 +91,13 @@ class TunedDecoder:
         check_period(period, self.alignment)
         decoder = self.folded.to(device)
         return DecoderSource(
-            decoder, self.waves, self.texel_size, seed, period, drawing=self.drawing
+            decoder,
+            self.waves,
+            self.texel_size,
+            seed,
+            period,
+            drawing=self.drawing,
+            turned=self.turned,
         )
 
     def varied(self, variety: float) -> TunedDecoder:
@@ -172,4 +181,5 @@ def read(about: Mapping[str, Any], file: safe_open, path: Path) -> TunedDecoder 
         ),
         texel_size=bounded(about["texel_size"], "texel_size", 1e-9, 1e3),
         drawing=Drawing(example_of(about, file, "drawing")) if config.drawing else None,
+        turned=about["setup"]["turned"],
     )

@@ -37,7 +37,7 @@ def slanted(width, height, texel):
 
 
 @pytest.fixture(scope="module")
-def captures(tmp_path_factory):
+def photographs(tmp_path_factory):
     """The same picture as a landscape, and as a portrait that is stored on its side."""
     folder = tmp_path_factory.mktemp("portrait")
     light = expose(take(slanted, CAMERA, SETUP), 1)
@@ -46,8 +46,36 @@ def captures(tmp_path_factory):
     turned[0x0112] = 6  # to be turned a quarter clockwise
     Image.fromarray(codes).save(folder / "lying.png")
     Image.fromarray(codes).save(folder / "standing.png", exif=turned)
+    return {name: folder / f"{name}.png" for name in ("lying", "standing")}
+
+
+@pytest.fixture(scope="module")
+def captures(photographs):
     settings = CaptureSettings(preset="draft", detail=192, aligned=True)
-    return {name: capture_file(folder / f"{name}.png", settings) for name in ("lying", "standing")}
+    return {name: capture_file(path, settings) for name, path in photographs.items()}
+
+
+@pytest.mark.parametrize("drawing", [True, False])
+def test_a_decoder_s_field_is_the_lying_one_turned(photographs, drawing, tmp_path):
+    """Across blocks of the grid, where it repeats too, and read from its file."""
+    settings = CaptureSettings(
+        generator="decoder", preset="draft", detail=192, steps=1, drawing=drawing, aligned=True
+    )
+    done = {name: capture_file(path, settings) for name, path in photographs.items()}
+    lying, standing = done["lying"], done["standing"]
+    assert standing.maps.size == (144, 192) == standing.rectified.shape[1::-1]
+    np.testing.assert_array_equal(
+        standing.estimate.exemplar.diffuse, np.rot90(lying.estimate.exemplar.diffuse, -1, (1, 2))
+    )
+    standing.material.save(tmp_path / "standing.matcap")
+    read = Material.load(tmp_path / "standing.matcap")
+    for period in (None, (128, 96)):
+        turned = lying.material.maps(
+            80, 60, seed=5, x=-30, y=-17 - 60, period=period and period[::-1]
+        ).turned(-1)
+        for material in (standing.material, read):
+            maps = material.maps(60, 80, seed=5, x=17, y=-30, period=period)
+            assert torch.equal(maps.stacked(), turned.stacked())
 
 
 def test_the_piece_is_the_lying_one_turned(captures):

@@ -98,6 +98,10 @@ class ExemplarEstimate:
         maps = piece_maps(self.framed)
         return maps.turned(1) if self.turned else maps
 
+    def upright(self, waves: Sequence[Wave]) -> ExemplarEstimate:
+        """A lying portrait's estimate with its maps rotated; `waves` is their lattice."""
+        return replace(self, example=indexed(self.exemplar, waves, turned=True), turned=True)
+
     def mean_confidence(self, kept: float = 1.0) -> dict[str, float]:
         """Mean confidence by map, in [0, 1], over the share `kept` of the photograph's texels."""
         if self.several is not None and self.several.reach is not None:
