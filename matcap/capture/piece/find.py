@@ -98,7 +98,7 @@ class ExemplarEstimate:
         maps = piece_maps(self.framed)
         return maps.turned(1) if self.turned else maps
 
-    def upright(self, waves: Sequence[Wave]) -> ExemplarEstimate:
+    def upright(self, waves: tuple[Wave, ...]) -> ExemplarEstimate:
         """A lying portrait's estimate with its maps rotated; `waves` is their lattice."""
         return replace(self, example=indexed(self.exemplar, waves, turned=True), turned=True)
 
