@@ -15,7 +15,7 @@ from matcap.capture.piece.levels import RingTarget
 from matcap.capture.piece.metal import seen_colour, tint
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import NetworkInputs
-from matcap.capture.piece.noise import AROUND, channel_noise, channel_weights, noise_level
+from matcap.capture.piece.noise import AROUND, channel_noise, channel_weights
 from matcap.capture.piece.refine import PieceLight
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.piece.strengths import RESPONSE_AROUND, Strengths, measure_strengths
@@ -103,12 +103,13 @@ class Observation:
         # Interpolate clipped texels, to no less than the clipped value.
         channels = zip(self.inputs.log.numpy(), use, strict=True)
         whole = [np.maximum(filled(channel, seen), channel) for channel, seen in channels]
-        weights = channel_weights(self.noise).numpy()
+        weights = channel_weights(self.noise)
+        variance = (weights * self.noise).square().sum(0)[plane.valid]
         return measure_strengths(
-            np.asarray((weights * whole).sum(0), np.float32),
+            np.asarray((weights.numpy() * whole).sum(0), np.float32),
             _even(self.inputs.slope_sensitivity),
             use.mean(0, dtype=np.float32),
-            noise_level(plane),
+            float(variance.mean().sqrt()) if variance.numel() else 0.0,
             matte=(1.0 - self.inputs.gloss[0]).clamp(0.0, 1.0).numpy(),
             also=None if read is None else _even(read),
         )

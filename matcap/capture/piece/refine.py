@@ -32,7 +32,6 @@ from matcap.flash.uniform import Uniform
 # Gauss-Newton steps. The power of granite's finest octave is 0.66, 0.74 and 0.74 of the
 # photograph's after 3, 4 and 6.
 _STEPS = 5
-_LEAST_ERROR, _MOST_ERROR = 0.02, 1.0  # limits of expected errors
 # Log radiance, lower limit of the noise. Smaller values copy sensor noise into the maps.
 _LEAST_NOISE = 0.01
 # Largest change of log radiance in a step. Gaps between threads are predicted too bright by more
@@ -239,7 +238,7 @@ def refine(
     """
     observed = linear.clamp_min(DARKEST).log()
     valid = valid.expand_as(linear)
-    albedo = errors.albedo.exp().clamp(_LEAST_ERROR, _MOST_ERROR).square()
+    albedo = errors.albedo.exp().square()
     colour = albedo * _CHROMA**2
     maps = light.maps(departures)
     incidence = light.flash.onto(maps.normal)

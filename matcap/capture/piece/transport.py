@@ -24,6 +24,7 @@ from torch import Tensor
 from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
 from matcap.brdf.parameters import Reflectance
 from matcap.capture.piece.gradient_blend import composed
+from matcap.capture.piece.noise import DARKEST
 from matcap.capture.piece.refine import PieceLight
 from matcap.example.exemplar import Exemplar
 
@@ -50,7 +51,6 @@ _SPREAD = 4  # texels over which a hidden texel's light spreads to its neighbour
 _THINNED = 4  # subsampling, texels, of rendered candidates
 _FARTHEST = 4.0  # upper limit of a squared standardised difference in the overlap
 _SEAM_REACH = 24.0  # texels over which the two sides of a seam converge
-_DARKEST = 1e-4  # lower limit of linear radiance and albedo before logarithms
 
 Floats = NDArray[np.float32]
 BlockPlaces = NDArray[np.int64]
@@ -111,7 +111,7 @@ def transport(
     # F0 and roughness are constant in a class and have steps between classes: no blending.
     maps = drawn.laid[:, source[0], source[1]]
     texel = exemplar.texel_size
-    log_albedo = np.log(drawn.laid[DIFFUSE].clip(_DARKEST))
+    log_albedo = np.log(drawn.laid[DIFFUSE].clip(DARKEST))
     drawing = np.concatenate([log_albedo, drawn.laid[HEIGHT] / texel])
     *albedo, fine = composed(drawing, source, copied, _SEAM_REACH)
     slow = drawn.stacked[HEIGHT] - drawn.laid[HEIGHT]
@@ -147,7 +147,7 @@ class _Photograph:
     def __init__(
         self, exemplar: Exemplar, linear: Tensor, valid: Tensor, light: PieceLight
     ) -> None:
-        self._log = linear.clamp_min(_DARKEST).log()
+        self._log = linear.clamp_min(DARKEST).log()
         # Log radiance is steep where it begins to clip.
         self._valid = torch.from_numpy(~_around(~valid.numpy()))
         self._light = light
