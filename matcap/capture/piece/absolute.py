@@ -23,6 +23,7 @@ from matcap.brdf.metals import METAL_F0
 from matcap.brdf.parameters import ALBEDO, F0
 from matcap.example.exemplar import Exemplar
 from matcap.files.rec709 import LUMINANCE
+from matcap.flash.coarse.hypotheses import CONDUCTOR_F0
 
 _LUMINANCE = np.array(LUMINANCE, np.float32)
 _LEAST = 1e-4  # of albedo and F0
@@ -60,7 +61,7 @@ class MaterialKind:
 # A wider F0 prior of dielectrics follows the fitted flash intensity more, and makes black materials
 # grey.
 DIELECTRIC = MaterialKind(0.93, (math.log(0.15), 1.0), (math.log(0.04), 0.25))
-METAL = MaterialKind(0.07, (math.log(0.01), 1.5), (math.log(0.5), 0.5))
+METAL = MaterialKind(0.07, (math.log(0.01), 1.5), CONDUCTOR_F0)
 _BRIGHTEST = 0.95  # limit of albedo and F0 of the brightest texels
 _MOST_OF = 0.999  # quantile that defines the brightest texels
 _MOST_OF_METAL = 0.9  # the same of F0 with metal, as F0 of glints is overestimated

@@ -18,6 +18,7 @@ of g is added (docs/notes/capture.md).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,7 @@ RESPONSE_AROUND = 24.0  # texels, standard deviation of the blur of the sensitiv
 Doubles = NDArray[np.float64]
 
 # Longest and shortest wavelength of each band, texels.
-BANDS = ((64.0, 32.0), (32.0, 16.0), (16.0, 8.0), (8.0, 4.0), (4.0, 2.8), (2.8, 2.0))
+BANDS = tuple(pairwise((64.0, 32.0, 16.0, 8.0, 4.0, 2.8, 2.0)))
 DIRECTIONS = 6
 
 

@@ -28,7 +28,7 @@ Views = tuple[RegisteredView, ...]  # at most one without flash, the last
 # Model of ambient light; docs/notes/several.md.
 AMBIENT_NOISE = 0.05  # standard deviation of log radiance from the model of ambient light
 # Standard deviation of the low-pass that separates illumination, as a share of the long side.
-_SLOW = 0.08
+SLOW = 0.08
 LEAN = (0.0, 0.0, 0.5)  # prior mean of AmbientLight.lean
 LEANING = 0.25  # prior standard deviation of its x and y
 _DARKEST = 0.05  # least irradiance of any normal, over that of a level surface
@@ -85,7 +85,7 @@ def evenly_lit(log: Tensor, seen: Tensor, rendered: Tensor) -> Tensor:
     """
     off = (log - rendered).numpy()
     mask = seen.float().numpy()
-    deviation = _SLOW * max(log.shape[1:])
+    deviation = SLOW * max(log.shape[1:])
 
     def fast(plane: Picture, weight: Picture) -> Picture:
         whole = smoothed(weight, deviation)

@@ -41,12 +41,12 @@ from matcap.capture.piece.observation import Observation
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.progress import CaptureClock
 from matcap.capture.together.align import Aligned, aligned, reframed
-from matcap.capture.together.ambient_light import without_ambient
+from matcap.capture.together.ambient_light import SLOW, without_ambient
 from matcap.capture.together.pair import on_albedo
 from matcap.capture.together.predict import predictions
 from matcap.capture.together.readings import ReadView, read_views, with_others
 from matcap.capture.together.set_report import SetReport
-from matcap.capture.together.solve import ROUNDS, SLOW, Solved, solve
+from matcap.capture.together.solve import ROUNDS, Solved, solve
 from matcap.capture.together.texels import Estimate
 from matcap.capture.together.tint import achromatic, coloured, on_grid
 from matcap.capture.together.union import (

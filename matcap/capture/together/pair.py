@@ -44,7 +44,7 @@ Doubles = NDArray[np.float64]
 # Registration of an ambient photograph, and relief by it; docs/notes/several.md.
 
 # Longest and shortest wavelength of each compared octave, texels.
-_BANDS = ((128.0, 64.0), (64.0, 32.0), (32.0, 16.0), (16.0, 8.0))
+_BANDS = ((128.0, 64.0), *BANDS[:3])
 _AROUND = 24.0  # standard deviation of the local contrast normalisation, texels
 _SHRUNK = (4.0, 2.0, 1.0)  # subsampling of the grids of ECC, coarse to fine, texels
 _STEPS = 60  # most iterations of ECC on each grid

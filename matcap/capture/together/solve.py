@@ -23,6 +23,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.piece.smooth import smoothed
+from matcap.capture.together.ambient_light import SLOW
 from matcap.capture.together.octaves import denoised, read_error
 from matcap.capture.together.pair import as_steep, with_lean
 from matcap.capture.together.shared import SAMPLED, shared_step
@@ -52,8 +53,8 @@ ROUNDS: tuple[int, ...] = (2, 2, 1)
 # error, and from then on the factor on that: each octave's gain is estimated later (octaves.py).
 _SLOPE, _WIDER = 1.0, 3.0
 # Standard deviation of the blur that interpolates F0 and roughness, as a share of the first
-# photograph's long side, and of the high-pass of slopes.
-_AROUND, SLOW = 0.02, 0.08
+# photograph's long side.
+_AROUND = 0.02
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from matcap.capture.together.readings import UNREAD, ReadView
 from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
 from matcap.capture.together.tint import on_grid
 from matcap.flash.extent import NO_MARGINS, Extent, Margins
-from matcap.flash.light import strips
+from matcap.flash.light import cached_rows, strips
 from matcap.flash.registration.camera import Doubles, Lens, PosedCamera
 from matcap.flash.registration.grid import grid_points
 from matcap.flash.registration.register import RegisteredView
@@ -43,7 +43,6 @@ _TEXELS = 4_000_000  # largest number of texels, but no fewer than the first pho
 _CELLS = 64  # cells across the first photograph, in which coverage is determined
 _FARTHEST = 256  # cells searched on each side
 _THINNEST = 3  # least width of a margin, cells
-_ROWS = 256  # rows of texels processed at a time
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,7 @@ def seen_by_any(views: Sequence[RegisteredView], reach: Reach) -> Tensor:
     """(H, W) bool on the mosaic: whether any flash photograph shows the texel."""
     width, height = reach.margins.around(reach.size)
     seen = np.zeros((height, width), np.bool_)
-    for rows in strips(height, _ROWS):
+    for rows in strips(height, cached_rows(width)):
         points = grid_points(width, height, reach.extent, rows)
         seen[rows] = _any_sees(views, points)
     return torch.from_numpy(seen)

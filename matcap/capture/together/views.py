@@ -16,7 +16,7 @@ from matcap.capture.together.ambient_light import AMBIENT_NOISE, LEAN, AmbientLi
 from matcap.capture.together.tint import on_grid
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.light import FlashLight, log_vignette, strips
+from matcap.flash.light import FlashLight, cached_rows, log_vignette, strips
 from matcap.flash.rectify import FINER
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.grid import grid_points, to_pixels
@@ -25,7 +25,6 @@ from matcap.photo.camera import CameraProfile
 from matcap.photo.photo import FULL
 from matcap.photo.shrink import CLIPPED_SHARE, area_averaged
 
-_ROWS = 32  # rows that are projected at a time, in the processor's cache
 RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs
 _BORDER = 2.0  # width of a photograph's unused border, pixels
 
@@ -108,7 +107,7 @@ class ViewPlace:
     extent: Extent = OWN
 
     def points(self, across: int, down: int) -> Iterator[NDArray[np.float32]]:
-        """(3, rows, across) plane points of a grid's texels, _ROWS rows at a time.
+        """(3, rows, across) plane points of a grid's texels, some rows at a time.
 
         Single precision rounds a pixel's place by a thousandth.
         """
@@ -117,7 +116,7 @@ class ViewPlace:
         if relief is not None:
             wide = cv2.resize(relief, (across, down), interpolation=cv2.INTER_LINEAR)
             relief = np.asarray(wide, np.float32)
-        for rows in strips(down, _ROWS):
+        for rows in strips(down, cached_rows(across)):
             points = np.asarray(grid_points(across, down, self.extent, rows), np.float32)
             if relief is not None:
                 points += relief[rows] / first[2] * (first[:, None, None] - points)

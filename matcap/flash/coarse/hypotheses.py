@@ -42,7 +42,7 @@ _DEVIATION = Unknowns(
     vignetting=numbers(1.0, 1.0),
     tone=numbers(0.08),
 )
-_CONDUCTOR_F0 = (math.log(0.5), 0.5)  # mean and standard deviation of log F0
+CONDUCTOR_F0 = (math.log(0.5), 0.5)  # mean and standard deviation of log F0
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def hypothesis(
     mean = replace(_MEAN, vignetting=numbers(*falloff.mean))
     deviation = _DEVIATION
     if conductor:
-        level, scatter = _CONDUCTOR_F0
+        level, scatter = CONDUCTOR_F0
         mean = replace(mean, albedo=numbers(*[level] * 3))
         deviation = replace(deviation, albedo=numbers(*[scatter] * 3))
     # A conductor colours all that it reflects; RAW and cards are white under the flash.
