@@ -72,10 +72,13 @@ def prior_hash(prior: str) -> str:
     Raises:
         MatcapError: the file is no prior.
     """
-    from matcap.capture.named_prior import prior_file
+    from matcap.space.prior.store import SHIPPED, load_prior
 
-    file = prior_file(prior)
-    return "none" if file is None else file_hash(file)
+    if prior == "none":
+        return prior
+    if prior != "auto":
+        load_prior(Path(prior))  # a broken one would fail for every photograph
+    return file_hash(SHIPPED if prior == "auto" else Path(prior))
 
 
 def file_hash(path: Path) -> str:

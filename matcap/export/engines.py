@@ -6,6 +6,9 @@ the smaller residual is written.
 
 from __future__ import annotations
 
+from importlib.resources import files as resources
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from matcap.export.formats import Picture, rgb
@@ -23,7 +26,9 @@ from matcap.export.presets import (
 )
 from matcap.export.shading import TargetShading
 from matcap.export.textures import BASE, Workflow
-from matcap.export.unreal import unreal_import
+
+if TYPE_CHECKING:
+    from matcap.export.job import ExportJob
 
 _ORM = "R: occlusion, G: roughness, B: metallic"
 _F0 = "F0, on the sRGB curve"
@@ -31,6 +36,16 @@ _UNREAL_F0 = 0.08  # F0 of Unreal's Specular = 1
 _UNITY_F0 = 0.04
 _MOBILE = TargetShading(specular="mobile")
 _HDRP = TargetShading(diffuse="disney")
+
+
+def _unreal_import(job: ExportJob, files: dict[str, str], model: EngineModel) -> dict[str, str]:
+    """T_NAME_import.py by file name: imports the textures and builds the material.
+
+    It is the same for every material, and reads the sidecar NAME_unreal.json.
+    """
+    del files, model  # in the sidecar
+    script = resources("matcap.export.scripts").joinpath("unreal_import.py").read_text()
+    return {f"T_{job.name}_import.py": script}
 
 
 def _base(material: PackedMaterial) -> Picture:
@@ -122,7 +137,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 TargetShading(masking="hammon", fading=True), "metallic", (0.0, _UNREAL_F0)
             ),
             notes=("--workflow specular is closer, if the project uses Substrate", *_UNREAL),
-            documents=unreal_import,
+            documents=_unreal_import,
         ),
         "specular": Preset(
             "T_{stem}_{map}",
@@ -142,7 +157,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "needs Substrate, in Unreal's project settings; --workflow metallic does not",
                 *_UNREAL,
             ),
-            documents=unreal_import,
+            documents=_unreal_import,
         ),
     },
     "unity-hdrp": {

@@ -21,6 +21,8 @@ from matcap.files.srgb import srgb_decode, srgb_picture
 TOKEN = "<UDIM>"  # stands for a tile's number in file names
 WRITERS = 2  # textures written in parallel: each holds one picture in memory
 _JPEG_QUALITY = 95
+# OpenImageIO's names of numpy's types.
+_TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}
 
 
 @dataclass(frozen=True)
@@ -183,11 +185,42 @@ class TextureFile:
         if self.container == "exr" and not job.tiled:
             write_exr(path, self.pixels(job).astype(np.float32), half=self.depth == "half")
         elif self.container in ("exr", "tx"):
-            from matcap.export.tiled import write_tiled
-
-            write_tiled(path, self.pixels(job), srgb=self.colour_space == "sRGB", wrap=job.wrap)
+            _write_tiled(path, self.pixels(job), srgb=self.colour_space == "sRGB", wrap=job.wrap)
         else:
             path.write_bytes(self.encoded(job))
+
+
+def _write_tiled(path: Path, pixels: NDArray[Any], *, srgb: bool, wrap: str) -> None:
+    """Write encoded pixels in tiles, with mipmaps, for renderers' texture caches.
+
+    Args:
+        path: .exr, or .tx: EXR for floats, TIFF for integers.
+        pixels: (H, W), (H, W, 3) or (H, W, 4) integers or floats.
+        srgb: integers are sRGB-encoded; the file states it, and mipmaps average linear light.
+        wrap: "periodic" or "clamp".
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    import OpenImageIO as oiio
+
+    planes = np.ascontiguousarray(pixels if pixels.ndim == 3 else pixels[..., None])
+    spec = oiio.ImageSpec(
+        planes.shape[1], planes.shape[0], planes.shape[2], oiio.TypeDesc(_TYPES[planes.dtype.name])
+    )
+    buffer = oiio.ImageBuf(spec)
+    buffer.set_pixels(oiio.ROI(), planes)
+    config = oiio.ImageSpec()
+    config.tile_width = config.tile_height = 64
+    config.attribute("maketx:wrapmodes", f"{wrap},{wrap}")
+    config.attribute("maketx:sharpen", 0.0)
+    config.attribute("maketx:constant_color_detect", 0)
+    config.attribute("oiio:ColorSpace", "srgb_rec709_scene" if srgb else "data")
+    whole = planes.dtype.kind == "u"
+    config.attribute("maketx:fileformatname", "tiff" if whole else "openexr")
+    config.attribute("compression", "zip")
+    if not oiio.ImageBufAlgo.make_texture(oiio.MakeTxTexture, buffer, str(path), config):
+        raise OSError(oiio.geterror() or f"{path.name} could not be written")
 
 
 def _curved(values: Picture) -> Picture:

@@ -7,9 +7,9 @@ import math
 
 import torch
 from torch import Tensor
+from torch.optim.adam import adam
 
 from matcap.space.decoder import Decoder
-from matcap.space.tuning.adam import Adam
 
 # Rollback; docs/notes/prior.md.
 _SMOOTHING = 0.05  # weight of the newest step in the running error
@@ -33,7 +33,7 @@ class Rollback:
     def __init__(self, decoder: Decoder, rate: float) -> None:
         self.decoder, self.error = decoder, math.nan
         self._rate, self._step = rate, 0
-        self._optimiser = _adam(decoder)
+        self._optimiser = Adam(decoder)
         self.begin_again()
 
     def begin_again(self) -> None:
@@ -78,8 +78,36 @@ class Rollback:
         self.decoder.load_state_dict(self._best)
         self.error = self._best_error if math.isfinite(self._best_error) else math.nan
         self._rate *= 0.5
-        self._optimiser = _adam(self.decoder)
+        self._optimiser = Adam(self.decoder)
 
 
-def _adam(decoder: Decoder) -> Adam:
-    return Adam([p for p in decoder.parameters() if p.requires_grad])
+class Adam:
+    """Adam [kingma2015] by torch.optim's function; its class imports PyTorch's compiler (1 s)."""
+
+    def __init__(self, decoder: Decoder) -> None:
+        """Start with zero moments; steps change the decoder's weights in place."""
+        self._parameters = [p for p in decoder.parameters() if p.requires_grad]
+        self._means = [torch.zeros_like(p) for p in self._parameters]
+        self._squares = [torch.zeros_like(p) for p in self._parameters]
+        self._steps = [torch.zeros(()) for _ in self._parameters]
+
+    @torch.no_grad()
+    def step(self, rate: float) -> None:
+        """Take a step for all parameters that have a gradient; `rate` is the learning rate."""
+        had = [i for i, p in enumerate(self._parameters) if p.grad is not None]
+        adam(
+            [self._parameters[i] for i in had],
+            [self._parameters[i].grad for i in had],  # type: ignore[misc]
+            [self._means[i] for i in had],
+            [self._squares[i] for i in had],
+            [],
+            [self._steps[i] for i in had],
+            fused=True,
+            amsgrad=False,
+            beta1=0.9,
+            beta2=0.99,
+            lr=rate,
+            weight_decay=0.0,
+            eps=1e-8,
+            maximize=False,
+        )
