@@ -7,6 +7,7 @@ photograph.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -279,20 +280,59 @@ def with_levels(
 ) -> NetworkPrediction:
     """Fit the classes' mean parameters to the radial profile of the highlight (levels.py)."""
     classes = prediction.classes
-    target = observed.ring_target(departures, classes.metal)
-    size = target.distance.shape
-    target = target.thinned(LEVEL_TEXELS)
-    step = max(1, min(size) // LEVEL_TEXELS)
-    shares = classes.shares[:, ::step, ::step]
-    deviation = torch.tensor([_METAL_LEVELS if metal else _PLAIN_LEVELS for metal in classes.metal])
-    start = torch.zeros_like(classes.levels)
-    moved, _ = fit_levels(target, shares, start, LevelPrior(start, deviation))
+    moved, _ = _fitted_levels(observed, classes, departures, LEVEL_TEXELS)
+    changed = departures + classes.flat(moved)
     classes = replace(classes, levels=classes.levels + moved)
-    changed = departures + prediction.classes.flat(moved)
     return replace(prediction, departures=changed, classes=classes)
 
 
+def _fitted_levels(
+    observed: Observation, classes: Classes, departures: SurfaceParameters, texels: int
+) -> tuple[Tensor, float]:
+    """(K, 5) changes of the classes' mean parameters, and the mean absolute log residual of rings.
+
+    Args:
+        observed: the photograph.
+        classes: material classes.
+        departures: of the maps from the coarse fit.
+        texels: short side of the grid of the fit, at least.
+    """
+    target = observed.ring_target(departures, classes.metal)
+    step = max(1, min(target.distance.shape) // texels)
+    shares = classes.shares[:, ::step, ::step]
+    deviation = torch.tensor([_METAL_LEVELS if metal else _PLAIN_LEVELS for metal in classes.metal])
+    start = torch.zeros_like(classes.levels)
+    return fit_levels(target.thinned(texels), shares, start, LevelPrior(start, deviation))
+
+
+def narrowed(
+    observed: Observation, prediction: NetworkPrediction, departures: SurfaceParameters
+) -> SurfaceParameters:
+    """Scale relief down until it does not make the highlight wider than photographed.
+
+    Roughness makes up for relief that is too flat; nothing narrows the highlight of relief that is
+    too steep. The scale s <= 1 is the most probable one of half octaves:
+
+        minimise  (r(s) / _RING_ERROR)^2 / 2 + (log s / _SCALE_LOG)^2 / 2,
+
+    with r the mean absolute log residual of rings, their levels fitted to relief s h.
+    """
+
+    def cost(scale: float) -> float:
+        scaled = replace(departures, height=departures.height * scale)
+        _, residual = _fitted_levels(observed, prediction.classes, scaled, _SCALE_TEXELS)
+        return (residual / _RING_ERROR) ** 2 + (math.log(scale) / _SCALE_LOG) ** 2
+
+    scale, least = 1.0, cost(1.0)
+    while scale > _LEAST_SCALE and (lower := cost(scale * math.sqrt(0.5))) < least:
+        scale, least = scale * math.sqrt(0.5), lower
+    return replace(departures, height=departures.height * scale)
+
+
 LEVEL_TEXELS = 384  # short side of the grid of the fit
+# Of `narrowed`: short side of its grid, least scale, standard deviations of the mean residual of
+# rings and of the log scale.
+_SCALE_TEXELS, _LEAST_SCALE, _RING_ERROR, _SCALE_LOG = 192, 0.1, 0.025, 0.5
 # Prior standard deviations of mean parameters (log albedo 3, log F0, logit roughness) around their
 # values before relief is known, of dielectric and metal.
 _PLAIN_LEVELS = [1.0, 1.0, 1.0, 0.15, 0.3]
@@ -302,7 +342,7 @@ _METAL_LEVELS = [0.05, 0.05, 0.05, 0.5, 0.3]
 def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
     """Fit mean parameters of the classes, then albedo of every texel, to the photograph."""
     flat = evened(observed, prediction, prediction.departures)
-    prediction = with_levels(observed, prediction, flat)
+    prediction = with_levels(observed, prediction, narrowed(observed, prediction, flat))
     plane = observed.plane
     steep = scaled_by_glints(
         prediction.departures, plane.linear, plane.measured, observed.light, observed.noise

@@ -16,7 +16,9 @@ from matcap.capture.piece.find import (
     _read,
     confidence,
     find_piece,
+    narrowed,
     piece_maps,
+    read_piece,
 )
 from matcap.capture.piece.network.network import (
     ERRORS,
@@ -26,7 +28,7 @@ from matcap.capture.piece.network.network import (
     InverseConfig,
 )
 from matcap.capture.piece.network.store import load_inverse, read_inverse
-from matcap.capture.piece.observation import lit, seen_share
+from matcap.capture.piece.observation import Observation, lit, seen_share
 from matcap.capture.progress import CaptureClock
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import CoarseFit
@@ -197,3 +199,26 @@ def test_what_is_read_has_no_mesh_of_two_texels():
 
 def _generator(seed):
     return torch.Generator().manual_seed(seed)
+
+
+@pytest.mark.parametrize(
+    ("roughness", "steeper", "least", "most"),
+    [(0.15, 10.0, 0.05, 0.36), (0.15, 1.0, 0.7, 1.0), (0.7, 10.0, 0.7, 1.0)],
+    ids=["glossy and too steep", "glossy and right", "matte"],
+)
+def test_relief_is_no_wider_than_the_highlight(
+    roughness: float, steeper: float, least: float, most: float
+) -> None:
+    shot = photographed(0.02, 0.1)
+    uniform = replace(shot.uniform, roughness=roughness)
+    maps = replace(shot.maps, roughness=torch.full_like(shot.maps.roughness, roughness))
+    linear = render_flash(maps, uniform.setup, shot.points)
+    coarse = CoarseFit(uniform.diffuse, uniform.specular, roughness, uniform.setup, residual=0.0)
+    plane = plane_of(linear, torch.ones(linear.shape[1:], dtype=torch.bool))
+    observed, prediction = read_piece(Observation.of(plane, coarse), load_inverse())
+    guess = replace(
+        prediction.classes.settled(prediction.departures),
+        height=steeper * shot.maps.height / shot.maps.texel_size,
+    )
+    found = narrowed(observed, prediction, guess)
+    assert least <= float(found.height.std() / guess.height.std()) <= most
