@@ -57,13 +57,18 @@ def finest(exemplar: Exemplar, plane: Plane, uniform: Uniform) -> Exemplar:
     light = PieceLight.of(uniform, points)
     maps = _enlarged(exemplar, plane)
     noise = _Noise.of(plane, exemplar.size)
-    grain, _ = _unshown(maps, plane, light, exemplar.size, noise)
+    grain = _unshown(light.rendered(maps)[0], plane, exemplar.size, noise)
     relief = _relief(exemplar, grain.mean(0).numpy(), maps, light)
     maps = replace(maps, height=maps.height + torch.from_numpy(relief)[None] * plane.texel_size)
+    log, share = light.rendered(maps)
     for _ in range(_ROUNDS):
-        left, share = _unshown(maps, plane, light, exemplar.size, noise)
+        left = _unshown(log, plane, exemplar.size, noise)
         more = left * share / (share.square() + _HIDDEN)
-        maps = replace(maps, diffuse=(maps.diffuse * more.exp()).clamp(*ALBEDO_LIMITS))
+        diffuse = (maps.diffuse * more.exp()).clamp(*ALBEDO_LIMITS)
+        ratio = diffuse / maps.diffuse
+        brighter = 1.0 + share * (ratio - 1.0)  # only diffuse radiance has changed
+        log, share = log + brighter.log(), share * ratio / brighter
+        maps = replace(maps, diffuse=diffuse)
     # Contrast added to log albedo raises the mean; an area's albedo is the mean of its texels'.
     mean = torch.from_numpy(exemplar.diffuse.mean((1, 2), keepdims=True))
     diffuse = maps.diffuse * (mean / maps.diffuse.mean((1, 2), keepdim=True))
@@ -114,20 +119,18 @@ def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
 
 
 def _unshown(
-    maps: MapSet, plane: Plane, light: PieceLight, coarse: tuple[int, int], noise: _Noise | None
-) -> tuple[Tensor, Tensor]:
-    """(3, H, W) each: residual of log radiance, and diffuse share of the maps' radiance.
+    rendered: Tensor, plane: Plane, coarse: tuple[int, int], noise: _Noise | None
+) -> Tensor:
+    """(3, H, W) residual of log radiance, photograph less `rendered`, denoised.
 
-    The residual, photograph less maps, is denoised and has only frequencies above those of a grid
-    of `coarse` = (width, height) texels.
+    It has only frequencies above those of a grid of `coarse` = (width, height) texels.
     """
-    rendered, share = light.rendered(maps)
     left = plane.linear.clamp_min(DARKEST).log() - rendered
     left = torch.where(plane.measured, left, left.clamp_min(0.0)).clamp(
         -_MOST_RESIDUAL, _MOST_RESIDUAL
     )
     grain = _beyond(left, coarse)
-    return grain if noise is None else noise.left_out(grain), share
+    return grain if noise is None else noise.left_out(grain)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,8 @@ BOUND = 0.05  # clipped share of a ring above which its mean is only a lower bou
 # Standard deviation of a ring's log radiance, and threshold of its Huber loss.
 _NOISE, _HUBER = 0.1, 0.3
 _MOST_STEP = 0.4  # largest change of a parameter in a step
-_STEPS = 16  # Gauss-Newton steps
+_STEPS = 16  # most Gauss-Newton steps
+_LEAST_STEP = 1e-5  # change of all parameters below which there is no further step
 
 
 @dataclass(frozen=True)
@@ -178,6 +179,8 @@ def fit_levels(
         gradient += belief * (wanted - across @ levels.flatten()) * across
         step = torch.linalg.solve(normal, gradient).clamp(-_MOST_STEP, _MOST_STEP)
         levels = levels + step.reshape(levels.shape)
+        if float(step.abs().max()) < _LEAST_STEP:
+            break
     residual, _ = _linear(target, incidence, rings, shares, levels, observed)
     counts = counts * torch.where(residual < 0.0, bound, 1.0)
     return levels, float((residual.abs() * counts).sum() / counts.sum())
@@ -194,16 +197,22 @@ def _linear(
     """(N,) residuals of the rings' log radiance, and (5 K, N) d log mean / d mean parameter."""
     parts = target.rendered(levels, incidence)
     duller = target.rendered(levels, incidence, STEP)
-    mixed = sum(share * (d + s) for share, (d, s) in zip(shares, parts, strict=True))
-    assert isinstance(mixed, Tensor)
-    mean = rings.means(mixed).clamp_min(DARKEST)
+    # (K, C, rings) of each class: diffuse, specular, and the latter's derivative by roughness.
+    means = [
+        (
+            rings.means(share * diffuse),
+            rings.means(share * specular),
+            rings.means(share * (moved - specular) / STEP),
+        )
+        for share, (diffuse, specular), (_, moved) in zip(shares, parts, duller, strict=True)
+    ]
+    mean = torch.stack([matte + mirrored for matte, mirrored, _ in means]).sum(0)
+    mean = mean.clamp_min(DARKEST)
     columns = []
-    for share, (diffuse, specular), (_, moved) in zip(shares, parts, duller, strict=True):
-        by_albedo = rings.means(share * diffuse) / mean
+    for matte, mirrored, widened in means:
         for channel in range(3):
-            own = torch.zeros_like(by_albedo)
-            own[:, channel] = by_albedo[:, channel]
+            own = torch.zeros_like(mean)
+            own[:, channel] = matte[:, channel] / mean[:, channel]
             columns.append(own)
-        columns.append(rings.means(share * specular) / mean)
-        columns.append(rings.means(share * (moved - specular) / STEP) / mean)
+        columns += [mirrored / mean, widened / mean]
     return (observed - mean.log()).flatten(), torch.stack(columns).flatten(1)

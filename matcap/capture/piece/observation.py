@@ -87,7 +87,7 @@ class Observation:
     @property
     def from_axis(self) -> Tensor:
         """(H, W) distance from the lens's axis in the photograph, in half widths."""
-        return project(self.points, self.coarse.setup).norm(dim=0)
+        return torch.hypot(*project(self.points, self.coarse.setup))
 
     def strengths(self, read: Tensor | None = None) -> Strengths | None:
         """Relief spectrum measured in the photograph; None if too few texels are valid.

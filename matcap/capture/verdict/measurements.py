@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -136,19 +137,25 @@ def measured(
         fired=photo.flash_fired,
         photographs=piece.photographs,
     )
+    logs = (_log_luminance(pictures[0])[0], _log_luminance(pictures[1])[0])
+    with ThreadPoolExecutor() as pool:  # most of them compute on one thread
+        profile = pool.submit(highlight_profile, pictures, inside, valid, setup)
+        contrast = pool.submit(texture_contrasts, *pictures, developed=not photo.radiometric)
+        inspection = pool.submit(inspect_photo, photo, setup.tilt)
+        connected = pool.submit(connectivity, logs, valid)
+        order = _order(plane, rendering, waves) if waves else None
+        texture = texture_difference(plane, rendering)
     return Measurements(
-        photograph=inspect_photo(photo, setup.tilt),
+        photograph=inspection.result(),
         highlights=highlights,
-        profile=highlight_profile(pictures, inside, valid, setup),
+        profile=profile.result(),
         colour=colour,
         light=light,
-        texture=texture_difference(plane, rendering),
-        contrast=texture_contrasts(*pictures, developed=not photo.radiometric),
-        order=_order(plane, rendering, waves) if waves else None,
+        texture=texture,
+        contrast=contrast.result(),
+        order=order,
         offset=math.hypot(*setup.offset[:2]),
-        connectivity=connectivity(
-            (_log_luminance(pictures[0])[0], _log_luminance(pictures[1])[0]), valid
-        ),
+        connectivity=connected.result(),
         piece=piece.maps,
         residue=piece.residue,
         causes=causes.with_photograph(photo.pixels, smooth, pictures, highlights),
