@@ -34,6 +34,7 @@ from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.named import SCENES
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
+    Camera,
     Colour,
     DirectionalLight,
     EnvironmentLight,
@@ -169,10 +170,10 @@ def tolerance_experiment(
 
 
 def mitsuba_experiment(*, width: int = 320, texels: int = 512) -> Experiment[LitScene, Timed]:
-    """The named scenes, by matcap and by Mitsuba.
+    """The named scenes, and a megapixel of a flat material, by matcap and by Mitsuba.
 
     Args:
-        width: of the pictures, which are 4:3.
+        width: of the named scenes' pictures, which are 4:3.
         texels: across the leather.
 
     Raises:
@@ -197,6 +198,9 @@ def mitsuba_experiment(*, width: int = 320, texels: int = 512) -> Experiment[Lit
         name: replace(given, film=replace(given.film or Film(), width=width, height=width * 3 // 4))
         for name, given in SCENES.items()
     }
+    above = scene_from_light("top")
+    flat = replace(above.surface, size=2.0, displacement=0.0)
+    chosen[MEGAPIXEL] = replace(above, camera=Camera(), film=Film(1024, 1024), surface=flat)
     return Experiment(
         "mitsuba",
         {name: partial(_lit, scene, texels) for name, scene in chosen.items()},
