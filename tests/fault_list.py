@@ -309,7 +309,7 @@ FAULTS = (
     Fault("equalise: mirrored directions", "capture _directions",
           "-np.fft.fftfreq(shape[0])[:, None]", "np.fft.fftfreq(shape[0])[:, None]",
           "capture/piece/test_equalise.py -k shown_best"),
-    Fault("equalise: as strong as on the mean", "capture _where_seen",
+    Fault("equalise: as strong as on the mean", "capture.piece.equalise _weight",
           "(weight / max(float(weight.max()), 1e-12)) ** _SHARPNESS + 1e-09",
           "(weight / max(float(weight.max()), 1e-12)) ** 0.0",
           "capture/piece/test_equalise.py -k shown_best"),

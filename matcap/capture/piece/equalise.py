@@ -9,6 +9,7 @@ to the energies that the photograph measures (strengths.py).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -59,8 +60,14 @@ def equalise(
     # The low-pass rest is an error of the highlight, shaped like a bowl, and is dropped.
     bands = split(height)[:-1]
     seen = _squares(np.ones((2, *height.shape), np.float32) if sensitivity is None else sensitivity)
+    margin = min(_MARGIN, *(side - 1 for side in height.shape))
+    directions = [
+        (share, _weight(angle, seen))
+        for angle, share in _directions(tuple(side + 2 * margin for side in height.shape))
+    ]
     with ThreadPoolExecutor() as pool:
-        even = np.stack(list(pool.map(partial(_evened, seen=seen), bands)))
+        evened = partial(_evened, margin=margin, directions=directions)
+        even = np.stack(list(pool.map(evened, bands)))
     wanted = _wanted(height, strengths)
     factors: Doubles = np.ones(len(even))
     most = _MOST_FACTOR
@@ -81,34 +88,35 @@ def _squares(sensitivity: Height) -> Height:
     return np.stack([coarse_smoothed(product, COARSER) for product in (x * x, x * y, y * y)])
 
 
-def _evened(band: Height, seen: Height) -> Height:
+def _evened(band: Height, margin: int, directions: Sequence[tuple[Height, Doubles]]) -> Height:
     """Normalise the local energy of a band (H, W) in each direction to its mean where it shows.
 
-    `seen` is the result of _squares.
+    Args:
+        band: of the relief.
+        margin: texels by which it is mirrored at its borders.
+        directions: filter of each direction (_directions), and weights of its energy (_weight).
     """
     height, width = band.shape
-    margin = min(_MARGIN, *(side - 1 for side in band.shape))
     padded = np.pad(band, margin, mode="reflect")
     spectrum = np.fft.rfft2(padded)
     inside = slice(margin, margin + height), slice(margin, margin + width)
     even = np.zeros_like(band)
-    for angle, share in _directions(padded.shape):
+    for share, weight in directions:
         waves = np.fft.irfft2(spectrum * share, s=padded.shape)[inside].astype(np.float32)
         energy = coarse_smoothed(np.square(waves), _AROUND)
-        wanted = _where_seen(energy, angle, seen)
+        wanted = float((weight * energy).sum() / weight.sum())
         gain = np.sqrt(wanted / np.maximum(energy, 1e-20))
         gain = gain.clip(_LEAST_GAIN, _MOST_GAIN).astype(np.float32)
         even += enlarged(gain, band.shape) * waves
     return even
 
 
-def _where_seen(energy: Height, angle: float, seen: Height) -> float:
-    """Mean of an energy (h, w), weighted by the sensitivity to slopes along `angle`."""
+def _weight(angle: float, seen: Height) -> Doubles:
+    """(h, w) weight of places by their sensitivity to slopes along `angle`, from _squares."""
     c, s = np.cos(angle), np.sin(angle)
     xx, xy, yy = seen.astype(np.float64)
     weight = np.maximum(c * c * xx + 2.0 * c * s * xy + s * s * yy, 0.0)
-    weight = (weight / max(float(weight.max()), 1e-12)) ** _SHARPNESS + 1e-9
-    return float((weight * energy).sum() / weight.sum())
+    return np.asarray((weight / max(float(weight.max()), 1e-12)) ** _SHARPNESS + 1e-9)
 
 
 def _directions(shape: tuple[int, ...]) -> list[tuple[float, Height]]:
