@@ -30,7 +30,14 @@ from matcap.capture.piece.levels import LevelPrior, fit_levels
 from matcap.capture.piece.metal import has_metal
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse, NetworkAnswer
 from matcap.capture.piece.observation import Observation, seen_share
-from matcap.capture.piece.refine import Refined, flatten, refine, remaining, with_photographed_mean
+from matcap.capture.piece.refine import (
+    PieceLight,
+    Refined,
+    flatten,
+    refine,
+    remaining,
+    with_photographed_mean,
+)
 from matcap.capture.piece.smooth import WIDE, smoothed
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.transport import transport
@@ -189,8 +196,10 @@ def find_piece(
         prediction = levelled(observed, prediction)
     with clock.stage("inpaint"):
         exemplar = inpainted(observed, prediction)
+        light = observed.light
         if whole.size != rectified.read.size:
-            exemplar = finest(exemplar, whole, coarse)
+            light = PieceLight.over(coarse, whole)
+            exemplar = finest(exemplar, whole, light)
         scale = 1.0 if absolute else most_probable_scale(exemplar, prediction.metal)
     with clock.stage("index"):
         example = indexed(scaled(exemplar, scale), rectified.waves, turned=turned)
@@ -203,7 +212,7 @@ def find_piece(
         scale=scale,
         turned=turned,
     )
-    return replace(estimate, sharpness=sharpness(estimate.lying, whole, coarse))
+    return replace(estimate, sharpness=sharpness(estimate.lying, whole, light))
 
 
 def indexed(exemplar: Exemplar, waves: tuple[Wave, ...], *, turned: bool) -> Example:

@@ -25,9 +25,7 @@ from matcap.capture.piece.noise import AROUND, DARKEST
 from matcap.capture.piece.refine import PieceLight
 from matcap.capture.piece.smooth import smoothed, split
 from matcap.example.exemplar import Exemplar
-from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
-from matcap.flash.uniform import Uniform
 
 # Detail transfer; docs/notes/capture.md.
 _MOST_RESIDUAL = 1.0  # log radiance; residuals are clipped to +-this
@@ -44,17 +42,14 @@ Floats = NDArray[np.float32]
 
 
 @torch.no_grad()
-def finest(exemplar: Exemplar, plane: Plane, uniform: Uniform) -> Exemplar:
+def finest(exemplar: Exemplar, plane: Plane, light: PieceLight) -> Exemplar:
     """Enlarge an exemplar to the photograph's plane and add its finest bands.
 
     Args:
         exemplar: estimated at a lower resolution.
         plane: the photograph.
-        uniform: the coarse fit.
+        light: the photograph's, at every texel of the plane.
     """
-    width, height = plane.size
-    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    light = PieceLight.of(uniform, points)
     maps = _enlarged(exemplar, plane)
     noise = _Noise.of(plane, exemplar.size)
     grain = _unshown(light.rendered(maps)[0], plane, exemplar.size, noise)
@@ -82,14 +77,12 @@ def finest(exemplar: Exemplar, plane: Plane, uniform: Uniform) -> Exemplar:
     )
 
 
-def sharpness(maps: MapSet, plane: Plane, uniform: Uniform) -> float:
+def sharpness(maps: MapSet, plane: Plane, light: PieceLight) -> float:
     """Amplitude of the finest octave of log radiance, re-rendering over photograph.
 
     1 is as sharp as the photograph. Over valid texels; 1 without any.
     """
     width, height = plane.size
-    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    light = PieceLight.of(uniform, points)
     rendered = light.rendered(maps)[0]
     observed = plane.linear.clamp_min(DARKEST).log()
     half = ((width + 1) // 2, (height + 1) // 2)

@@ -24,7 +24,9 @@ from matcap.capture.piece.network.inputs import STEP
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.noise import DARKEST, channel_weights
 from matcap.capture.piece.smooth import WIDE, smoothed
+from matcap.flash.geometry import plane_points
 from matcap.flash.light import FlashLight, Incidence, cached_rows, strips
+from matcap.flash.plane import Plane
 from matcap.flash.uniform import Uniform
 
 # Refinement; docs/notes/capture.md. NSD is the normalised style distance.
@@ -86,6 +88,13 @@ class PieceLight:
     def of(coarse: Uniform, points: Tensor) -> PieceLight:
         """Light and uniform material of a coarse fit, at plane points (3, H, W)."""
         return PieceLight(FlashLight.of(coarse.setup, points), coarse.parameters().to(points))
+
+    @staticmethod
+    def over(coarse: Uniform, plane: Plane) -> PieceLight:
+        """Light and uniform material of a coarse fit, at the texels of a photograph's plane."""
+        width, height = plane.size
+        points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+        return PieceLight.of(coarse, points)
 
     def cut(self, rows: slice, columns: slice) -> PieceLight:
         """The light at a rectangle of texels."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -72,13 +73,21 @@ def split_all(
     # cv2.dct requires even sides.
     even = [(0, side % 2) for side in planes[0].shape]
     waves = [cv2.dct(np.pad(plane, even, mode="edge").astype(np.float32)) for plane in planes]
-    rows, columns = (np.arange(side) / (2.0 * side) for side in waves[0].shape)
+    for share in _shares(waves[0].shape, tuple(bands)):
+        yield [_of_waves(each, share, height, width) for each in waves]
+
+
+@lru_cache(maxsize=1)
+def _shares(
+    shape: tuple[int, ...], bands: tuple[tuple[float, float], ...]
+) -> tuple[ChannelPlane, ...]:
+    """(H, W) each: share of a cosine transform that is in each of the bands, and in the rest."""
+    rows, columns = (np.arange(side) / (2.0 * side) for side in shape)
     octave = np.log2(np.maximum(np.hypot(rows[:, None], columns), 1e-9)).astype(np.float32)
     passed = [_ramp(octave + np.float32(np.log2(longest))) for longest, _ in bands]
     below = [*passed[1:], np.zeros_like(octave)]
-    for above, finer in zip(passed, below, strict=True):
-        yield [_of_waves(each, above - finer, height, width) for each in waves]
-    yield [_of_waves(each, 1.0 - passed[0], height, width) for each in waves]
+    within = [above - finer for above, finer in zip(passed, below, strict=True)]
+    return (*within, 1.0 - passed[0])
 
 
 def _of_waves(waves: NDArray[Any], share: NDArray[Any], height: int, width: int) -> ChannelPlane:

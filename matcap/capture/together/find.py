@@ -38,6 +38,7 @@ from matcap.capture.piece.find import (
 from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse
 from matcap.capture.piece.observation import Observation
+from matcap.capture.piece.refine import PieceLight
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.progress import CaptureClock
 from matcap.capture.together.align import Aligned, aligned, reframed
@@ -149,7 +150,7 @@ def estimate_together(
     estimate = ExemplarEstimate(
         example, strengths, error, 0.0, 1.0, interrupted, report, scale, first.turned
     )
-    sharp = sharpness(estimate.lying, rectified.whole, coarse)
+    sharp = sharpness(estimate.lying, rectified.whole, PieceLight.over(coarse, rectified.whole))
     return PhotographEstimate(replace(estimate, sharpness=sharp), coarse, rectified, first)
 
 
@@ -206,7 +207,7 @@ def read_alone(
         prediction = levelled(observed, prediction)
         exemplar = exemplar_of(observed, prediction)
         if plane.size != read.size:
-            exemplar = finest(exemplar, plane, coarse)
+            exemplar = finest(exemplar, plane, PieceLight.over(coarse, plane))
     errors = prediction.errors.stacked()
     wide = F.interpolate(errors[None], size=plane.size[::-1], mode="bilinear")[0]
     return SinglePrediction(Estimate(piece_maps(exemplar), wide), strengths, prediction.metal)

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from photographed import photographed
+from photographed import Photographed, photographed
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.detail import Rectified
 from matcap.capture.piece.find import piece_maps
 from matcap.capture.piece.finest import finest, sharpness
+from matcap.capture.piece.refine import PieceLight
 from matcap.capture.settings import DETAIL
 from matcap.example.exemplar import Exemplar
 from matcap.flash.plane import Plane, plane_of
@@ -44,16 +45,20 @@ def _halved(maps: MapSet) -> Exemplar:
     )
 
 
+def _light(shot: Photographed) -> PieceLight:
+    return PieceLight.of(shot.uniform, shot.points)
+
+
 def test_the_piece_is_as_sharp_as_its_photograph(shot) -> None:
     plane = _plane(shot.linear)
     half = _halved(shot.maps)
-    found = finest(half, plane, shot.uniform)
+    found = finest(half, plane, _light(shot))
     assert found.size == plane.size
     assert found.texel_size == plane.texel_size
-    assert sharpness(piece_maps(found), plane, shot.uniform) == pytest.approx(1.0, abs=0.1)
+    assert sharpness(piece_maps(found), plane, _light(shot)) == pytest.approx(1.0, abs=0.1)
     enlarged = piece_maps(half).map(lambda m: F.interpolate(m[None], scale_factor=2.0)[0])
     blurred = replace(enlarged, texel_size=plane.texel_size)
-    assert sharpness(blurred, plane, shot.uniform) < 0.5
+    assert sharpness(blurred, plane, _light(shot)) < 0.5
 
 
 def test_grain_does_not_make_albedo_paler(shot) -> None:
@@ -61,14 +66,14 @@ def test_grain_does_not_make_albedo_paler(shot) -> None:
     maps = replace(shot.maps, diffuse=(0.15 * (0.6 * grain).exp()).expand(3, -1, -1))
     half = _halved(maps)
     linear = render_flash(maps, shot.uniform.setup, shot.points)
-    found = finest(half, _plane(linear), shot.uniform)
+    found = finest(half, _plane(linear), _light(shot))
     assert np.log(found.diffuse).std() > 1.3 * np.log(half.diffuse).std()
     assert found.diffuse.mean((1, 2)) == pytest.approx(half.diffuse.mean((1, 2)), rel=0.01)
 
 
 def test_grain_of_albedo_comes_back_and_what_is_coarser_stays(shot) -> None:
     half = _halved(shot.maps)
-    found = piece_maps(finest(half, _plane(shot.linear), shot.uniform))
+    found = piece_maps(finest(half, _plane(shot.linear), _light(shot)))
     fine, true = _fine(found), _fine(shot.maps)
     assert float(torch.corrcoef(torch.stack([fine, true]))[0, 1]) > 0.9
     coarse = F.avg_pool2d(found.diffuse[None], 4)[0] / F.avg_pool2d(shot.maps.diffuse[None], 4)[0]
@@ -89,7 +94,7 @@ def test_the_sensors_noise_is_not_drawn_for_grain(shot) -> None:
         )
         plane = _plane((linear + noisy).clamp_min(0.0))
         for noise in (None, result):
-            found = finest(_halved(maps), replace(plane, noise=noise), shot.uniform)
+            found = finest(_halved(maps), replace(plane, noise=noise), _light(shot))
             drawn[name, noise is not None] = _fine(piece_maps(found))
     kept = drawn["smooth", True].std() / drawn["smooth", False].std()
     assert float(kept) < 0.3
@@ -107,7 +112,7 @@ def _fine(maps: MapSet) -> torch.Tensor:
 def test_flat_maps_stay_flat(shot) -> None:
     """Grain of albedo over no relief is not drawn as relief."""
     half = replace(_halved(shot.maps), height=np.zeros((1, 192, 256), np.float32))
-    found = finest(half, _plane(shot.linear), shot.uniform)
+    found = finest(half, _plane(shot.linear), _light(shot))
     assert float(np.abs(found.height).max()) < 1e-6
 
 
@@ -116,7 +121,7 @@ def test_what_clips_is_not_drawn_darker(shot) -> None:
     clipped = shot.linear.clamp_max(clip)
     measured = shot.linear < clip
     plane = replace(plane_of(clipped, measured.all(0)), channels=measured)
-    found = piece_maps(finest(_halved(shot.maps), plane, shot.uniform))
+    found = piece_maps(finest(_halved(shot.maps), plane, _light(shot)))
     ratio = (found.diffuse / shot.maps.diffuse)[~measured]
     assert float(ratio.log().mean()) > -0.1
 
