@@ -261,9 +261,11 @@ def _discontinuity(
         return np.zeros(len(blocks), np.float32)
     wide = donor.shape[1]
     texels = blocks[:, :1] * wide + blocks[:, 1:] + (rows * wide + columns)
-    there = np.take(donor.reshape(-1, donor.shape[2]), texels, axis=0)
-    difference = np.square(there - seen[place[0] + rows, place[1] + columns])
-    return np.asarray(difference.clip(0.0, _FARTHEST).mean((1, 2)), np.float32)
+    difference = np.take(donor.reshape(-1, donor.shape[2]), texels, axis=0)
+    difference -= seen[place[0] + rows, place[1] + columns]
+    np.square(difference, out=difference)
+    np.minimum(difference, np.float32(_FARTHEST), out=difference)
+    return np.asarray(difference.mean((1, 2)), np.float32)
 
 
 def _sources(
