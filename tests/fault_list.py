@@ -348,7 +348,7 @@ FAULTS = (
     Fault("strengths: no covariance of albedo and slope", "capture _regress", "2.0 * slant",
           "0.0 * slant", "capture/piece/test_strengths.py -k goes_with"),
     Fault("strengths: albedo shows alike everywhere", "capture _regress",
-          "[np.eye(windows), drift]", "[0.0 * np.eye(windows), 0.0 * drift]",
+          "_DILUTION * (matte - matte.mean())", "0.0 * matte",
           "capture/piece/test_strengths.py -k dilutes"),
     Fault("strengths: noise is added, not taken off", "capture measure_strengths", "energy - white",
           "energy + white", "capture/piece/test_strengths.py -k noise"),

@@ -252,7 +252,8 @@ def _regress(
     """(3, DIRECTIONS) A, S and S's standard error of a band, A and S not negative.
 
     Weighted least squares over all directions, with a factor m of each window that has a Gaussian
-    prior; linear, as A in the product A m is that of the previous round.
+    prior; linear, as A in the product A m is that of the previous round. m is eliminated, as only
+    its own window's residuals depend on it.
 
     Args:
         slant: (DIRECTIONS, N) mean of g along the direction, s, in each window.
@@ -261,26 +262,32 @@ def _regress(
         energy: (DIRECTIONS, N) energy of log radiance.
         counts: (N,) weight of each window, at most 1.
     """
-    kinds, windows = energy.shape
+    kinds = len(energy)
     each = np.eye(kinds)[:, None, :]
     terms = (np.ones_like(slant), 2.0 * slant, squared)
-    own = np.concatenate([each * term[..., None] for term in terms], axis=2).reshape(-1, 3 * kinds)
-    drift = _DILUTION * (matte - matte.mean())[:, None]
-    common = np.tile(np.concatenate([np.eye(windows), drift], axis=1), (kinds, 1))
-    prior = np.eye(own.shape[1] + common.shape[1])[own.shape[1] :]
-    spread = np.tile(np.sqrt(counts), kinds)
-    least = np.repeat(0.2 * energy.mean(1) + 1e-12, windows)
-    albedo, expected = energy.mean(1), np.full(energy.size, energy.mean() + 1e-12)
+    own = np.concatenate([each * term[..., None] for term in terms], axis=2)
+    drift = np.broadcast_to(_DILUTION * (matte - matte.mean()), energy.shape)
+    prior = np.eye(3 * kinds + 1)[-1:]  # of the drift; that of m is in `white`
+    least = 0.2 * energy.mean(1, keepdims=True) + 1e-12
+    albedo, expected = energy.mean(1, keepdims=True), np.full(energy.shape, energy.mean() + 1e-12)
     for _ in range(_ROUNDS):
-        weight = spread / expected
-        columns = np.concatenate([own, common * np.repeat(albedo, windows)[:, None]], axis=1)
-        matrix = np.concatenate([columns * weight[:, None], prior])
-        aim = np.concatenate([energy.ravel() * weight, np.zeros(len(prior))])
+        weight = np.sqrt(counts) / expected
+        columns = np.concatenate([own, (drift * albedo)[..., None]], axis=2)
+        common = albedo * weight
+        # With m eliminated, a window's errors have the covariance 1 + common common^T.
+        size = np.square(common).sum(0)
+        along = (1.0 - 1.0 / np.sqrt(1.0 + size)) / np.maximum(size, 1e-12) * common
+        rows = np.concatenate([columns, energy[..., None]], axis=2) * weight[..., None]
+        white = rows - along[..., None] * (common[..., None] * rows).sum(0)
+        matrix = np.concatenate([white[..., :-1].reshape(-1, 3 * kinds + 1), prior])
+        aim = np.append(white[..., -1], 0.0)
         solution = np.linalg.lstsq(matrix, aim, rcond=None)[0]
-        expected = np.maximum(columns @ solution, least)
-        albedo = solution[:kinds].clip(0.0)
+        left = rows[..., -1] - rows[..., :-1] @ solution
+        factor = (common * left).sum(0) / (1.0 + size)
+        expected = np.maximum(columns @ solution + albedo * factor, least)
+        albedo = solution[:kinds, None].clip(0.0)
     scatter = np.square(aim - matrix @ solution).sum() / max(kinds * (counts.sum() - 3.0), 1.0)
     slopes = slice(2 * kinds, 3 * kinds)
     variance = np.linalg.pinv(matrix.T @ matrix).diagonal()[slopes].clip(0.0)
     error = _SCATTER * np.sqrt(scatter * variance)
-    return np.stack([albedo, solution[slopes].clip(0.0), error])
+    return np.stack([albedo[:, 0], solution[slopes].clip(0.0), error])
