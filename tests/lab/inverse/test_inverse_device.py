@@ -25,50 +25,15 @@ AWAY = "meta"
 TINY = InverseConfig(widths=(8, 8, 8, 8, 8), context=8)
 
 
-class Elsewhere(Tensor):
-    """A tensor of another device."""
-
-    numbers: Tensor
-
-    @staticmethod
-    def __new__(cls, numbers: Tensor) -> Elsewhere:
-        made: Elsewhere = torch.Tensor._make_wrapper_subclass(  # type: ignore[attr-defined]
-            cls,
-            numbers.shape,
-            strides=numbers.stride(),
-            dtype=numbers.dtype,
-            device=AWAY,
-            requires_grad=numbers.requires_grad,
-        )
-        made.numbers = numbers.detach()
-        return made
-
-    @classmethod
-    def __torch_dispatch__(
-        cls,
-        func: Callable[..., Any],
-        types: Any,
-        args: tuple[Any, ...] = (),
-        kwargs: dict[str, Any] | None = None,
-    ) -> Any:
-        return computed(func, args, kwargs or {})
-
-
-class Played(TorchDispatchMode):
-    """Also sees operations whose tensors all are on the CPU: a move is one."""
-
-    def __torch_dispatch__(
-        self,
-        func: Callable[..., Any],
-        types: Any,
-        args: tuple[Any, ...] = (),
-        kwargs: dict[str, Any] | None = None,
-    ) -> Any:
-        return computed(func, args, kwargs or {})
-
-
-def computed(func: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+def computed(
+    _: Any,
+    func: Callable[..., Any],
+    types: Any,
+    args: tuple[Any, ...] = (),
+    kwargs: dict[str, Any] | None = None,
+) -> Any:
     """An operation on the numbers; its results are where its tensors were, or where it was told."""
+    kwargs = kwargs or {}
     tensors = [t for t in tree_iter((args, kwargs)) if isinstance(t, Tensor)]
     away = any(isinstance(t, Elsewhere) for t in tensors)
     if away and func is not torch.ops.aten.copy_.default:  # which may move
@@ -93,6 +58,32 @@ def computed(func: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, 
         return Elsewhere(value) if away else value
 
     return tree_map(put, results)
+
+
+class Elsewhere(Tensor):
+    """A tensor of another device."""
+
+    numbers: Tensor
+    __torch_dispatch__ = classmethod(computed)
+
+    @staticmethod
+    def __new__(cls, numbers: Tensor) -> Elsewhere:
+        made: Elsewhere = torch.Tensor._make_wrapper_subclass(  # type: ignore[attr-defined]
+            cls,
+            numbers.shape,
+            strides=numbers.stride(),
+            dtype=numbers.dtype,
+            device=AWAY,
+            requires_grad=numbers.requires_grad,
+        )
+        made.numbers = numbers.detach()
+        return made
+
+
+class Played(TorchDispatchMode):
+    """Also sees operations whose tensors all are on the CPU: a move is one."""
+
+    __torch_dispatch__ = computed
 
 
 def test_the_played_device_tells_strangers_apart() -> None:
