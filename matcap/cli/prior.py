@@ -115,18 +115,23 @@ def finish(
 def align(
     out: Annotated[Path, typer.Option("--out", "-o", help="The branch.")],
     materials: Annotated[
-        int, typer.Option(min=16, help="Simulated materials, each photographed three times.")
-    ] = 2000,
+        int, typer.Option(min=16, help="Simulated materials, each photographed eight times.")
+    ] = 1250,
     steps: Annotated[int, typer.Option(min=1, help="Training steps, of 24 photographs.")] = 8000,
+    start: Annotated[
+        Path | None, typer.Option(help="A branch to train on, at a lower rate.")
+    ] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Train the alignment branch, which predicts a photograph's tilt, on simulated ones."""
     from matcap.files.staging import check_writable
     from matcap.lab.train.align import make, report_alignment, train_alignment
-    from matcap.space.alignment import save_alignment
+    from matcap.space.alignment import load_alignment, save_alignment
 
     check_writable(out.parent, 2_000_000)
-    branch = train_alignment(make(range(materials)), steps, on_progress=_printer(quiet))
+    begun = None if start is None else load_alignment(start)
+    pool = make(range(materials))
+    branch = train_alignment(pool, steps, start=begun, on_progress=_printer(quiet))
     save_alignment(out, branch)
     typer.echo(report_alignment(branch))
 

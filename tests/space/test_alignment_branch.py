@@ -21,8 +21,8 @@ from matcap.space.alignment import (
 
 @pytest.fixture(scope="module")
 def measured():
-    """What it says of twelve photographs of held-out kinds, half of them RAW, and the truth."""
-    shots = [tilted_photo(UNSEEN + 500 + n, 320, radiometric=bool(n % 2)) for n in range(12)]
+    """What it says of forty photographs of held-out kinds, half of them RAW, and the truth."""
+    shots = [tilted_photo(UNSEEN + 500 + n, 320, radiometric=bool(n % 2)) for n in range(40)]
     return [(tilt_measurement(photo), truth) for photo, truth in shots]
 
 
