@@ -69,9 +69,14 @@ def agreement(table: Path) -> list[str]:
     path = table.with_name("pairs.csv")
     if not path.exists():
         return []
-    earlier = table.with_name("compared.csv")
-    measured = [*read(table), *(read(earlier) if earlier.exists() else ())]
-    known = {(row.subject, row.configuration): row for row in measured if row.seed == 0}
+    earlier, rows = table.with_name("compared.csv"), read(table)
+    measured = [*rows, *(read(earlier) if earlier.exists() else ())]
+    experiments = {row.experiment for row in rows}
+    known = {
+        (row.subject, row.configuration): row
+        for row in measured
+        if row.seed == 0 and row.experiment in experiments
+    }
     with path.open(encoding="utf-8") as file:
         decided = [row for row in csv.DictReader(file) if row["nearer"] in ("left", "right")]
     looked = [
@@ -81,17 +86,17 @@ def agreement(table: Path) -> list[str]:
     ]
     if not looked:
         return []
-    rows = []
+    lines = []
     for name in _MEASURES:
         both = [(a.number(name), b.number(name), nearer) for a, b, nearer in looked]
         both = [(a, b, nearer) for a, b, nearer in both if not math.isnan(a + b)]
         separate = [(a, b, nearer) for a, b, nearer in both if max(a, b) >= _SEPARATION * min(a, b)]
-        rows.append([name, _agreed(both), _agreed(separate)])
+        lines.append([name, _agreed(both), _agreed(separate)])
     head = ["measure", "agrees", f"{_SEPARATION - 1.0:.0%} apart, agrees"]
     about = (
         f"Blind comparison of pairs ({path.name}): in {len(looked)} one was nearer to the truth."
     )
-    return ["### Agreement with people", "", about, "", *markdown(head, rows), ""]
+    return ["### Agreement with people", "", about, "", *markdown(head, lines), ""]
 
 
 def _agreed(pairs: Sequence[tuple[float, float, str]]) -> str:

@@ -191,6 +191,7 @@ def test_what_was_measured_for_the_documentation_is_read():
     assert {row.configuration for row in rows} <= set(WAYS)
     assert all(0.5 < row.number("field") < 10.0 and row.number("seconds") > 1.0 for row in rows)
     assert len(agreement(folder / "fronts.csv")) > 5
+    assert agreement(folder / "relight.csv") == []  # the pairs are of captures
 
 
 def test_pairs_are_of_one_material_without_names(tmp_path):
