@@ -57,12 +57,13 @@ def finest(exemplar: Exemplar, plane: Plane, light: PieceLight) -> Exemplar:
     maps = replace(maps, height=maps.height + torch.from_numpy(relief)[None] * plane.texel_size)
     log, share = light.rendered(maps)
     for _ in range(_ROUNDS):
-        left = _unshown(log, plane, exemplar.size, noise)
-        more = left * share / (share.square() + _HIDDEN)
-        diffuse = (maps.diffuse * more.exp()).clamp(*ALBEDO_LIMITS)
-        ratio = diffuse / maps.diffuse
+        more = _unshown(log, plane, exemplar.size, noise)
+        more *= share / (share.square() + _HIDDEN)
+        diffuse = (maps.diffuse * more.exp_()).clamp_(*ALBEDO_LIMITS)
+        ratio = torch.div(diffuse, maps.diffuse, out=more)
         brighter = 1.0 + share * (ratio - 1.0)  # only diffuse radiance has changed
-        log, share = log + brighter.log(), share * ratio / brighter
+        share *= ratio.div_(brighter)
+        log += brighter.log_()
         maps = replace(maps, diffuse=diffuse)
     # Contrast added to log albedo raises the mean; an area's albedo is the mean of its texels'.
     mean = torch.from_numpy(exemplar.diffuse.mean((1, 2), keepdims=True))

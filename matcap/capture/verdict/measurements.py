@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -137,25 +136,19 @@ def measured(
         fired=photo.flash_fired,
         photographs=piece.photographs,
     )
-    logs = (_log_luminance(pictures[0])[0], _log_luminance(pictures[1])[0])
-    with ThreadPoolExecutor() as pool:  # most of them compute on one thread
-        profile = pool.submit(highlight_profile, pictures, inside, valid, setup)
-        contrast = pool.submit(texture_contrasts, *pictures, developed=not photo.radiometric)
-        inspection = pool.submit(inspect_photo, photo, setup.tilt)
-        connected = pool.submit(connectivity, logs, valid)
-        order = _order(plane, rendering, waves) if waves else None
-        texture = texture_difference(plane, rendering)
     return Measurements(
-        photograph=inspection.result(),
+        photograph=inspect_photo(photo, setup.tilt),
         highlights=highlights,
-        profile=profile.result(),
+        profile=highlight_profile(pictures, inside, valid, setup),
         colour=colour,
         light=light,
-        texture=texture,
-        contrast=contrast.result(),
-        order=order,
+        texture=texture_difference(plane, rendering),
+        contrast=texture_contrasts(*pictures, developed=not photo.radiometric),
+        order=_order(plane, rendering, waves) if waves else None,
         offset=math.hypot(*setup.offset[:2]),
-        connectivity=connected.result(),
+        connectivity=connectivity(
+            (_log_luminance(pictures[0])[0], _log_luminance(pictures[1])[0]), valid
+        ),
         piece=piece.maps,
         residue=piece.residue,
         causes=causes.with_photograph(photo.pixels, smooth, pictures, highlights),
