@@ -3,7 +3,7 @@
 python docs/images/repeats.py [FILE]     takes about four minutes of a core
 
 Twelve rows of two: the photograph, a part of the field, the piece made to repeat, both of
-1536 x 1152 texels and lit from the left. Captured with the preset `instant`, none left out after
+1024 x 768 texels and lit from the left. Captured with the preset `instant`, none left out after
 it was seen.
 """
 
@@ -33,7 +33,7 @@ KINDS = (
     "chipped",
 )  # fmt: skip
 PANEL = (256, 192)  # pixels
-_AREA = (1536, 1152)  # texels
+_AREA = (1024, 768)  # texels
 _LIGHT = np.array([-0.55, 0.35, 0.76])
 
 Picture = NDArray[np.uint8]
