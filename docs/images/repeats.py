@@ -47,7 +47,7 @@ def main(file: Path = FILE) -> None:
         print(subject.name, flush=True)
     half = len(rows) // 2
     sheet = np.hstack([np.vstack(rows[:half]), np.vstack(rows[half:])])
-    Image.fromarray(sheet).save(file, "JPEG", quality=78)
+    Image.fromarray(sheet).save(file, "JPEG", quality=65)
     print(file, file.stat().st_size // 1024, "KB")
 
 
