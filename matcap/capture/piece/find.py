@@ -329,19 +329,18 @@ def narrowed(
 
     def cost(scale: float) -> float:
         scaled = replace(departures, height=departures.height * scale)
-        _, residual = _fitted_levels(observed, prediction.classes, scaled, _SCALE_TEXELS)
+        _, residual = _fitted_levels(observed, prediction.classes, scaled, LEVEL_TEXELS // 2)
         return (residual / _RING_ERROR) ** 2 + (math.log(scale) / _SCALE_LOG) ** 2
 
     scale, least = 1.0, cost(1.0)
-    while scale > _LEAST_SCALE and (lower := cost(scale * math.sqrt(0.5))) < least:
+    while (lower := cost(scale * math.sqrt(0.5))) < least:
         scale, least = scale * math.sqrt(0.5), lower
     return replace(departures, height=departures.height * scale)
 
 
 LEVEL_TEXELS = 384  # short side of the grid of the fit
-# Of `narrowed`: short side of its grid, least scale, standard deviations of the mean residual of
-# rings and of the log scale.
-_SCALE_TEXELS, _LEAST_SCALE, _RING_ERROR, _SCALE_LOG = 192, 0.1, 0.025, 0.5
+# Standard deviations of the mean residual of rings, and of the log scale of relief (`narrowed`).
+_RING_ERROR, _SCALE_LOG = 0.025, 0.5
 # Prior standard deviations of mean parameters (log albedo 3, log F0, logit roughness) around their
 # values before relief is known, of dielectric and metal.
 _PLAIN_LEVELS = [1.0, 1.0, 1.0, 0.15, 0.3]
