@@ -56,11 +56,11 @@ def batch(
     from matcap.batch.run import Policy
     from matcap.batch.settings import settings_of
     from matcap.batch.whole import prepare, work_off
-    from matcap.cli.batch_display import batch_display
+    from matcap.cli.display import BatchDisplay
 
     settings = settings_of(source, given)
     policy = Policy(force, retry_failed, fail_fast, strict, overwrite)
-    with batch_display(quiet=quiet) as shown:
+    with BatchDisplay.open(quiet=quiet) as shown:
         if scheduler:  # workers have other current folders
             source, out = source.resolve(), out.resolve()
         prepared = prepare(source, out, settings, policy, shown)

@@ -18,7 +18,7 @@ from matcap.errors import ExitCode, MatcapError, UsageError
 from matcap.files.names import usable_name
 
 if TYPE_CHECKING:
-    from matcap.cli.capture_display import Display
+    from matcap.cli.display import CaptureDisplay
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def capture(
     --generator decoder fine-tunes the decoder of Henzler et al. 2021 instead, which also reads
     their pattern. Both use the tilt that its alignment branch predicts.
     """
-    from matcap.cli.capture_display import display
+    from matcap.cli.display import CaptureDisplay
     from matcap.files.memory import keep_memory
     from matcap.files.staging import check_writable
 
@@ -75,7 +75,7 @@ def capture(
         jobs = [replace(jobs[0], others=tuple(photos[1:]))]
     check_writable(out, outputs.room)
     results = []
-    with display(quiet=quiet) as shown:
+    with CaptureDisplay.open(quiet=quiet) as shown:
         for job in jobs:
             # Time before the first photograph counts as the process's start.
             spent = time.process_time() if job is jobs[0] else 0.0
@@ -106,7 +106,7 @@ def _attempt(
     job: _Job,
     settings: CaptureSettings,
     outputs: OutputSettings,
-    shown: Display,
+    shown: CaptureDisplay,
     spent: float,
     *,
     overwrite: bool,
@@ -137,7 +137,7 @@ def _capture(
     job: _Job,
     settings: CaptureSettings,
     outputs: OutputSettings,
-    shown: Display,
+    shown: CaptureDisplay,
     spent: float,
 ) -> dict[str, Any]:
     began = time.perf_counter()

@@ -15,7 +15,7 @@ from matcap.batch.predict import _trial
 from matcap.batch.settings import BatchSettings
 from matcap.capture import outputs, pipeline
 from matcap.capture.progress import CaptureProgress
-from matcap.cli.batch_display import BatchDisplay
+from matcap.cli.display import BatchDisplay
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.files.progress import Progress

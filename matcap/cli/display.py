@@ -1,0 +1,192 @@
+"""Progress displays on stderr, of captures and of batches: live on a terminal, else plain lines."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn
+
+from matcap.files.values import spoken_duration
+
+if TYPE_CHECKING:
+    from matcap.batch.entries import BatchEntry
+    from matcap.capture.progress import CaptureProgress
+    from matcap.files.progress import Progress as WorkProgress
+
+_FIT = ("good", "usable")  # verdicts
+_STAGE = TextColumn("{task.fields[stage]}")
+_LEFT = TextColumn("{task.fields[left]}", style="dim")
+
+
+class _Shown:
+    """A display on a console.
+
+    Args:
+        console: the console to print on.
+        bars: the live display, or None to print lines.
+        quiet: print only failures.
+    """
+
+    columns: ClassVar[tuple[ProgressColumn, ...]]
+    """Of the live display, between the bar and the remaining time."""
+    indent: ClassVar[str] = ""
+    """Before notes."""
+    transient: ClassVar[bool] = False
+    """Whether the live display goes at the end."""
+
+    def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:
+        self._console, self._bars, self._quiet = console, bars, quiet
+
+    @classmethod
+    @contextmanager
+    def open(cls, *, quiet: bool) -> Iterator[Self]:
+        """A display on stderr while the block runs."""
+        console = Console(stderr=True)
+        if quiet or not console.is_terminal or console.is_dumb_terminal:
+            yield cls(console, None, quiet=quiet)
+            return
+        name = TextColumn("{task.description}", markup=False)
+        columns = (name, BarColumn(), *cls.columns, _LEFT)
+        with Progress(*columns, console=console, transient=cls.transient) as bars:
+            yield cls(console, bars, quiet=quiet)
+
+    def note(self, sentence: str) -> None:
+        """Print a sentence, unless quiet."""
+        if not self._quiet:
+            self._say(f"{self.indent}{sentence}")
+
+    def _say(self, line: str) -> None:
+        """Print a line as plain text, without markup or wrapping."""
+        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+class CaptureDisplay(_Shown):
+    """Shows the progress of captures."""
+
+    columns = (_STAGE, TextColumn("{task.fields[error]}", style="cyan"))
+    indent = "  "
+    _task: TaskID | None = None
+    _stage, _interrupted = "", False
+
+    def started(self, photo: Path) -> None:
+        """Begin the display of a photograph."""
+        self._stage, self._interrupted = "", False
+        if self._bars is not None:
+            self._task = self._bars.add_task(
+                photo.name, total=1.0, stage="reading", error="", left=""
+            )
+
+    def progress(self, now: CaptureProgress) -> None:
+        """Show the stage, the error and the remaining time."""
+        error = ""
+        left = "" if now.seconds_left is None else spoken_duration(now.seconds_left)
+        if now.error is not None:
+            error = f"texture distance {now.error:.2f} times that between parts of the photograph"
+        if now.in_a_minute is not None:
+            error += f" ({now.in_a_minute:.2f} after another minute)"
+        if self._bars is not None and self._task is not None:
+            to_go = left and f"{left} left"
+            self._bars.update(
+                self._task, completed=now.fraction, stage=now.stage, error=error, left=to_go
+            )
+        elif not self._quiet and now.stage not in (self._stage, "read"):
+            # Without the stage `read`, so that an unreadable file prints only its error.
+            self._say(f"  {now.seconds:6.1f} s  {now.stage}  {error}".rstrip())
+        if now.interrupted and not self._interrupted and not self._quiet:
+            soon = left and f", in about {left}"
+            self._say(f"  interrupted: saving the best so far{soon}")
+        self._stage, self._interrupted = now.stage, now.interrupted
+
+    def finished(self, photo: Path, done: dict[str, Any]) -> None:
+        """Print the folder, the verdict and notes of a completed capture."""
+        self._end_bar()
+        if not self._quiet:
+            early = " (interrupted: the best so far)" if done["status"] == "interrupted" else ""
+            self._say(f"{photo.name}: {done['folder']}, {spoken_duration(done['seconds'])}{early}")
+            self._say(f"  {done['verdict']['sentence']}")
+            for note in done["notes"]:
+                self.note(note)
+
+    def failed(self, photo: Path, sentence: str) -> None:
+        """Print why a photograph could not be captured."""
+        self._end_bar()
+        self._say(f"matcap: {sentence}")
+
+    def _end_bar(self) -> None:
+        if self._bars is not None and self._task is not None:
+            self._bars.remove_task(self._task)
+            self._task = None
+
+
+class BatchDisplay(_Shown):
+    """Shows the progress of a batch."""
+
+    columns = (TextColumn("{task.percentage:>3.0f} %"), _STAGE)
+    transient = True
+
+    def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:
+        super().__init__(console, bars, quiet=quiet)
+        self._tasks: dict[str, TaskID] = {}
+        self._shares: dict[str, float] = {}
+        self._whole: TaskID | None = None
+        self._total = self._made = self._ended = 0
+        self._began: float | None = None
+
+    def expect(self, total: int) -> None:
+        """Set the number of samples."""
+        self._total = total
+        if self._bars is not None:
+            self._whole = self._bars.add_task("all", total=total, stage="", left="")
+
+    def started(self, entry: BatchEntry) -> None:
+        """Work on a sample begins."""
+        name = entry.sample.name
+        self._began = self._began or time.monotonic()
+        self._shares[name] = 0.0
+        if self._bars is not None and name not in self._tasks:
+            self._tasks[name] = self._bars.add_task(name, total=1.0, stage="waiting", left="")
+
+    def progress(self, entry: BatchEntry, now: WorkProgress) -> None:
+        """Update the progress of a sample."""
+        name = entry.sample.name
+        self._shares[name] = now.fraction
+        if self._bars is not None and name in self._tasks:
+            self._bars.update(self._tasks[name], completed=now.fraction, stage=now.stage)
+            if self._whole is not None:
+                self._bars.update(self._whole, left=self._left())
+
+    def ended(self, entry: BatchEntry) -> None:
+        """A sample is made, kept, failed or left."""
+        name = entry.sample.name
+        self._shares.pop(name, None)
+        self._ended += 1
+        if self._bars is not None:
+            if name in self._tasks:
+                self._bars.remove_task(self._tasks.pop(name))
+            if self._whole is not None:
+                self._bars.update(self._whole, completed=self._ended)
+        count = f"[{self._ended}/{self._total}] " if self._total else ""
+        if entry.state == "made":
+            self._made += 1
+            if not self._quiet:
+                record = entry.record
+                verdict = record["verdict"]["rating"]
+                doubt = ", doubtful shot" if record["doubtful"] and verdict in _FIT else ""
+                left = self._left()
+                said = f"{count}{name}: {spoken_duration(record['seconds'])}, {verdict}{doubt}"
+                self._say(f"{said}{f', {left}' if left else ''}")
+        elif entry.state == "failed":
+            self._say(f"{count}{name}: failed")
+
+    def _left(self) -> str:
+        """Remaining time in words; empty until a tenth of a sample is done."""
+        done = self._made + sum(self._shares.values())
+        if self._began is None or done < 0.1:
+            return ""
+        to_do = self._total - self._ended - sum(self._shares.values())
+        return f"{spoken_duration((time.monotonic() - self._began) / done * max(0.0, to_do))} left"
