@@ -18,6 +18,22 @@ from matcap.errors import MatcapError
 EntryState = Literal["todo", "made", "kept", "failed", "left"]
 
 
+@dataclass(frozen=True)
+class Policy:
+    """Which samples are captured again, and what counts as failure."""
+
+    force: bool = False
+    """Make materials again that are done."""
+    retry_failed: bool = False
+    """Try samples again that failed."""
+    fail_fast: bool = False
+    """End at the first failure."""
+    strict: bool = False
+    """Doubtful and failed verdicts count as failures in the exit code."""
+    overwrite: bool = False
+    """Replace captures of a longer preset."""
+
+
 @dataclass
 class BatchEntry:
     """A sample and its state, which the batch updates."""
@@ -39,12 +55,10 @@ def make_plan(
     samples: Sequence[ShotSample],
     out: Path,
     settings: BatchSettings,
+    policy: Policy,
     *,
     prior: str,
     card: str = "",
-    force: bool = False,
-    retry_failed: bool = False,
-    overwrite: bool = False,
 ) -> list[BatchEntry]:
     """Determine the state of every sample.
 
@@ -52,43 +66,32 @@ def make_plan(
         samples: of the input folder.
         out: the output folder.
         settings: of the batch.
+        policy: what is made again.
         prior: hash of the prior.
         card: hash of the calibration, or "".
-        force: make materials again that are done.
-        retry_failed: try samples again that failed.
-        overwrite: replace captures of a longer preset.
     """
     entries = []
     for sample in samples:
         entry = _entry(sample, settings, prior, card)
         if entry.state == "todo":
-            look_again(
-                entry, out, settings, force=force, retry_failed=retry_failed, overwrite=overwrite
-            )
+            look_again(entry, out, settings, policy)
         entries.append(entry)
     return entries
 
 
-def look_again(
-    entry: BatchEntry,
-    out: Path,
-    settings: BatchSettings,
-    *,
-    force: bool = False,
-    retry_failed: bool = False,
-    overwrite: bool = False,
-) -> None:
+def look_again(entry: BatchEntry, out: Path, settings: BatchSettings, policy: Policy) -> None:
     """Update an entry whose material is done, failed before, or would replace a longer capture."""
     folder = out / entry.sample.name
-    if not force and is_done(folder, entry.identity):
+    if not policy.force and is_done(folder, entry.identity):
         entry.state, entry.record = "kept", read_record(folder) or {}
         return
-    known = None if force or retry_failed else read_failure(out, entry.sample.name)
+    again = policy.force or policy.retry_failed
+    known = None if again else read_failure(out, entry.sample.name)
     if known is not None and known.get("identity") == entry.identity:
         entry.state, entry.reason = "failed", str(known.get("reason", "it failed before"))
         return
     try:
-        if not overwrite:
+        if not policy.overwrite:
             refuse_to_replace_longer_capture(folder, settings.capture, len(entry.sample.photos))
     except MatcapError as error:
         entry.state, entry.reason, entry.record = "failed", str(error), read_record(folder) or {}

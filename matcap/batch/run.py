@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from matcap.batch.entries import BatchEntry, look_again
+from matcap.batch.entries import BatchEntry, Policy, look_again
 from matcap.batch.settings import BatchSettings
 from matcap.batch.work import BatchJob, Failure
 from matcap.batch.worker_pool import BatchWorkers, Event
@@ -27,22 +27,6 @@ _PAGE_EVERY = 20.0  # least seconds between two updates of the index
 _LEAST_DETAIL = 128  # texels across: the least detail that is tried when memory runs out
 _FORGET = ("memory", "disk", "crash")  # failures that are not recorded: they may pass
 _AGAIN = "Free some space and run the same command again."
-
-
-@dataclass(frozen=True)
-class Policy:
-    """Which samples are captured again, and what counts as failure."""
-
-    force: bool = False
-    """Make materials again that are done."""
-    retry_failed: bool = False
-    """Try samples again that failed."""
-    fail_fast: bool = False
-    """End at the first failure."""
-    strict: bool = False
-    """Doubtful and failed verdicts count as failures in the exit code."""
-    overwrite: bool = False
-    """Replace captures of a longer preset."""
 
 
 class Show(Protocol):
@@ -172,15 +156,7 @@ class Batch:
                 self._elsewhere.append(task)
                 return
             # Another run may have finished it in the meantime.
-            policy = self._policy
-            look_again(
-                entry,
-                self._run.out,
-                self._settings,
-                force=policy.force,
-                retry_failed=policy.retry_failed,
-                overwrite=policy.overwrite,
-            )
+            look_again(entry, self._run.out, self._settings, self._policy)
             if entry.state != "todo":
                 self._end(task)
                 return

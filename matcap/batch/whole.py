@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import cast
 
 from matcap.batch.cameras import with_profiles
-from matcap.batch.entries import BatchEntry, make_plan
+from matcap.batch.entries import BatchEntry, Policy, make_plan
 from matcap.batch.identity import prior_hash
 from matcap.batch.input_folder import Grouping, ShotSample, find_samples
 from matcap.batch.memory import largest_worker, pool_size
 from matcap.batch.overview import write_index
-from matcap.batch.run import Batch, Policy, Show, exit_code
+from matcap.batch.run import Batch, Show, exit_code
 from matcap.batch.settings import BatchSettings
 from matcap.batch.work import do_job, settle_threads
 from matcap.batch.worker_pool import BatchWorkers, Machines, Processes
@@ -72,16 +72,8 @@ def prepare(
         samples, source, out, settings.capture, show.note, again=policy.force
     )
     check_writable(out, settings.outputs.room)
-    entries = make_plan(
-        samples,
-        out,
-        settings,
-        prior=prior,
-        card=card.digest if card else "",
-        force=policy.force,
-        retry_failed=policy.retry_failed,
-        overwrite=policy.overwrite,
-    )
+    digest = card.digest if card else ""
+    entries = make_plan(samples, out, settings, policy, prior=prior, card=digest)
     todo = [entry for entry in entries if entry.state == "todo"]
     each = largest_worker(settings, [photo for e in todo for photo in e.sample.photos])
     workers = pool_size(settings.jobs, each, len(todo))

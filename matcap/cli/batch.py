@@ -53,7 +53,7 @@ def batch(
     Settings come from matcap.toml in or next to the folder; options override it. The results are
     listed in index.html in the output folder.
     """
-    from matcap.batch.run import Policy
+    from matcap.batch.entries import Policy
     from matcap.batch.settings import settings_of
     from matcap.batch.whole import prepare, work_off
     from matcap.cli.display import BatchDisplay

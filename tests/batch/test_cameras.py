@@ -8,7 +8,7 @@ from test_run import FakeWorkers, Watcher
 
 from matcap.batch import cameras, whole
 from matcap.batch.cameras import camera_of
-from matcap.batch.run import Policy
+from matcap.batch.entries import Policy
 from matcap.batch.settings import BatchSettings
 from matcap.batch.whole import prepare, work_off
 from matcap.capture import tilt

@@ -134,7 +134,7 @@ def test_on_a_dumb_terminal_a_line_tells_of_each_end(tmp_path):
 def test_a_card_in_the_shoot_is_no_sample_and_what_it_tells_is_part_of_the_identity(
     shoot, tmp_path, monkeypatch
 ):
-    from matcap.batch.run import Policy
+    from matcap.batch.entries import Policy
     from matcap.batch.settings import BatchSettings
     from matcap.batch.whole import prepare
     from matcap.photo.calibrate import Calibration

@@ -6,10 +6,10 @@ import os
 
 import pytest
 
-from matcap.batch.entries import make_plan
+from matcap.batch.entries import Policy, make_plan
 from matcap.batch.input_folder import find_samples
 from matcap.batch.record import write_record
-from matcap.batch.run import Batch, Policy, exit_code
+from matcap.batch.run import Batch, exit_code
 from matcap.batch.settings import BatchSettings
 from matcap.batch.work import Failure, do_job
 from matcap.batch.worker_pool import Event
@@ -89,10 +89,7 @@ def batch(shoot, tmp_path):
 
     def go(answer=lambda job: True, policy=None, size=2, settings=SETTINGS):
         policy, workers, watcher = policy or Policy(), FakeWorkers(answer, size), Watcher()
-        entries = make_plan(
-            find_samples(shoot), tmp_path / "out", settings, prior="p", force=policy.force,
-            retry_failed=policy.retry_failed,
-        )  # fmt: skip
+        entries = make_plan(find_samples(shoot), tmp_path / "out", settings, policy, prior="p")
         with open_run(tmp_path / "out") as run:
             Batch(entries, run, workers, settings, policy, watcher, lambda: None).go()
         return entries, workers, watcher
@@ -205,7 +202,7 @@ def test_two_runs_at_once_share_the_work(shoot, tmp_path):
     out = tmp_path / "out"
 
     def plan():
-        return make_plan(find_samples(shoot), out, SETTINGS, prior="p")
+        return make_plan(find_samples(shoot), out, SETTINGS, Policy(), prior="p")
 
     second_workers = FakeWorkers(lambda job: True)
     with open_run(out) as first:
@@ -241,7 +238,7 @@ def test_an_interrupt_stops_the_workers_and_leaves_the_rest(shoot, tmp_path):
         return True
 
     workers, pages = FakeWorkers(answer, size=1), []
-    entries = make_plan(find_samples(shoot), tmp_path / "out", SETTINGS, prior="p")
+    entries = make_plan(find_samples(shoot), tmp_path / "out", SETTINGS, Policy(), prior="p")
     with open_run(tmp_path / "out") as run, pytest.raises(KeyboardInterrupt):
         Batch(entries, run, workers, SETTINGS, Policy(), Watcher(), lambda: pages.append(1)).go()
     assert workers.closed and pages
@@ -277,7 +274,7 @@ def test_a_shorter_capture_replaces_a_longer_one_only_if_asked(shoot, tmp_path):
         (out / name / "report.json").write_text(json.dumps(report))
 
     def plan(**choice):
-        entries = make_plan(find_samples(shoot), out, SETTINGS, prior="p", **choice)
+        entries = make_plan(find_samples(shoot), out, SETTINGS, Policy(**choice), prior="p")
         return {entry.sample.name: entry for entry in entries}
 
     kept = plan()
