@@ -114,7 +114,7 @@ def page(paths: list[Path]) -> None:
     beside = find_references(paths[0], subject.facts.name, None, subject.first.exemplar)
     listening = listen(0)
     address = new_address(listening.getsockname()[1])
-    app = make_app(subject, Pages(subject), address, beside)
+    app = make_app(subject, address, Pages, beside)
     server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
     thread.start()

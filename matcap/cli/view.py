@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -36,7 +37,8 @@ def view(
     from matcap.view.document import MARK, check_page_path, sealed_page, write_page
     from matcap.view.library import Library, find_library
     from matcap.view.references import find_references
-    from matcap.view.serve import serve, serve_library
+    from matcap.view.serve import serve
+    from matcap.view.server import make_app, make_library
     from matcap.view.subject import Materials, open_subject
 
     def announce(address: str) -> None:
@@ -60,9 +62,8 @@ def view(
                     where=f"--{name}",
                     remedy="name one of them",
                 )
-        library = Library(files, read)
-        name = path.resolve().name
-        serve_library(library, name, announce=announce, port=port, opens=opens)
+        library, name = Library(files, read), path.resolve().name
+        serve(partial(make_library, library, name), announce=announce, port=port, opens=opens)
         return
     subject = open_subject(path, blend, asked.seed, read)
     material = subject.first if isinstance(subject, Materials) else None
@@ -72,11 +73,5 @@ def view(
         if not quiet:
             typer.echo(f"wrote {html}", err=True)
         return
-    serve(
-        subject,
-        references=references,
-        adjust=read.adjustments,
-        announce=announce,
-        port=port,
-        opens=opens,
-    )
+    app = partial(make_app, subject, references=references, adjust=read.adjustments)
+    serve(app, announce=announce, port=port, opens=opens)

@@ -8,17 +8,13 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
-from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import MatcapError
 from matcap.view.pages import Pages, Place
-from matcap.view.references import References
-from matcap.view.server import Address, make_app, make_library, new_address
+from matcap.view.server import Address, PagesOf, new_address
 from matcap.view.subject import Viewable
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
-
-    from matcap.view.library import Library
 
 HOST = "127.0.0.1"
 # (level, column, row) of the pages visible first, as initial() in page/view.js.
@@ -26,48 +22,16 @@ _FIRST = ((3, 0, 0), (0, 3, 3), (0, 4, 3), (0, 3, 4), (0, 4, 4))
 
 
 def serve(
-    subject: Viewable,
-    *,
-    port: int = 0,
-    references: References | None = None,
-    adjust: Adjustments = NONE,
-    opens: bool = True,
-    announce: Callable[[str], None],
-) -> None:
-    """Serve the page until interrupted.
-
-    Args:
-        subject: to show.
-        port: 0 is a free one.
-        references: photograph, doubt mask and verdict.
-        adjust: initial adjustments.
-        opens: open the browser.
-        announce: called with the address once requests are accepted.
-
-    Raises:
-        MatcapError: the port is taken, or the extra `view` is not installed.
-    """
-
-    def open_app(address: Address, opened: ExitStack) -> Starlette:
-        pages = _begun(subject, opened)
-        return make_app(subject, pages, address, references, adjust)
-
-    _run(open_app, port, opens=opens, announce=announce)
-
-
-def serve_library(
-    library: Library,
-    name: str,
+    make: Callable[[Address, PagesOf], Starlette],
     *,
     port: int = 0,
     opens: bool = True,
     announce: Callable[[str], None],
 ) -> None:
-    """Serve a folder of materials until interrupted.
+    """Serve a page until interrupted.
 
     Args:
-        library: the materials.
-        name: of the folder.
+        make: the application (server.py), of its address and a function to pages.
         port: 0 is a free one.
         opens: open the browser.
         announce: called with the address once requests are accepted.
@@ -75,29 +39,6 @@ def serve_library(
     Raises:
         MatcapError: the port is taken, or the extra `view` is not installed.
     """
-
-    def open_app(address: Address, opened: ExitStack) -> Starlette:
-        return make_library(library, name, address, lambda subject: _begun(subject, opened))
-
-    _run(open_app, port, opens=opens, announce=announce)
-
-
-def _begun(subject: Viewable, opened: ExitStack) -> Pages:
-    """Pages of a subject, with the first visible ones being computed while the browser starts."""
-    pages = Pages(subject)
-    opened.callback(pages.close)
-    for level, column, row in _FIRST:
-        pages.ask(Place(level, column, row, subject.facts.seed))
-    return pages
-
-
-def _run(
-    open_app: Callable[[Address, ExitStack], Starlette],
-    port: int,
-    *,
-    opens: bool,
-    announce: Callable[[str], None],
-) -> None:
     try:
         import uvicorn
     except ImportError as error:
@@ -111,7 +52,7 @@ def _run(
     torch.set_num_threads(1)
     listening, opened = listen(port), ExitStack()
     address = new_address(listening.getsockname()[1])
-    app = open_app(address, opened)
+    app = make(address, lambda subject: _begun(subject, opened))
     server = uvicorn.Server(
         uvicorn.Config(app, log_level="warning", lifespan="off", server_header=False)
     )
@@ -125,6 +66,15 @@ def _run(
     finally:
         opened.close()
         listening.close()
+
+
+def _begun(subject: Viewable, opened: ExitStack) -> Pages:
+    """Pages of a subject, with the first visible ones being computed while the browser starts."""
+    pages = Pages(subject)
+    opened.callback(pages.close)
+    for level, column, row in _FIRST:
+        pages.ask(Place(level, column, row, subject.facts.seed))
+    return pages
 
 
 def listen(port: int) -> socket.socket:

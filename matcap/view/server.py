@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from starlette.applications import Starlette
     from starlette.requests import Request
     from starlette.responses import Response
-    from starlette.routing import BaseRoute
+    from starlette.routing import BaseRoute, Router
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 PagesOf = Callable[[Viewable], Pages]
@@ -78,8 +78,8 @@ def new_address(port: int) -> Address:
 
 def make_app(
     subject: Viewable,
-    pages: Pages,
     address: Address,
+    pages: PagesOf,
     references: References | None = None,
     adjust: Adjustments = NONE,
 ) -> Starlette:
@@ -87,12 +87,13 @@ def make_app(
 
     Args:
         subject: to show.
-        pages: of the subject.
         address: whose token and host requests must have.
+        pages: returns the pages of a subject.
         references: photograph, doubt mask and verdict.
         adjust: initial adjustments.
     """
-    return _guarded(_subject_routes(subject, pages, references or References(), adjust), address)
+    routes = _subject_routes(subject, pages(subject), references or References(), adjust)
+    return _guarded(routes, address)
 
 
 def make_library(library: Library, name: str, address: Address, pages: PagesOf) -> Starlette:
@@ -104,12 +105,11 @@ def make_library(library: Library, name: str, address: Address, pages: PagesOf) 
         address: whose token and host requests must have.
         pages: returns the pages of a subject.
     """
-    from starlette.applications import Starlette
     from starlette.responses import HTMLResponse, PlainTextResponse
-    from starlette.routing import Mount, Route
+    from starlette.routing import Mount, Route, Router
 
     text = library_page(name, library)
-    opened: dict[str, Starlette] = {}
+    opened: dict[str, Router] = {}
 
     async def whole(_: Request) -> Response:
         return HTMLResponse(text)
@@ -118,17 +118,14 @@ def make_library(library: Library, name: str, address: Address, pages: PagesOf) 
         wanted = numbers(request.query_params.get("index", ""), len(library.files))
         if wanted is None:
             return PlainTextResponse("There is no such material.", 404)
-        try:
-            page = await asyncio.to_thread(library.swatch, wanted[0])
-        except MatcapError as error:
-            return PlainTextResponse(str(error), 400)
-        return _page_answer(page)
+        return _page_answer(await asyncio.to_thread(library.swatch, wanted[0]))
 
-    def open_one(first: int, second: int | None) -> Starlette:
+    def open_one(first: int, second: int | None) -> Router:
         subject = library.subject(first, second)
         references = library.references(first)
-        routes = _subject_routes(subject, pages(subject), references, library.adjust, library=True)
-        return Starlette(routes=routes)
+        return Router(
+            _subject_routes(subject, pages(subject), references, library.adjust, library=True)
+        )
 
     async def material(scope: Scope, receive: Receive, send: Send) -> None:
         key, _, rest = scope["path"].removeprefix("/m/").partition("/")
@@ -137,12 +134,9 @@ def make_library(library: Library, name: str, address: Address, pages: PagesOf) 
         if wanted is None:
             answer = PlainTextResponse("There is no such material.", 404)
         else:
-            try:
-                if key not in opened:
-                    opened[key] = await asyncio.to_thread(open_one, *wanted)
-                answer = opened[key]
-            except MatcapError as error:
-                answer = PlainTextResponse(str(error), 400)
+            if key not in opened:
+                opened[key] = await asyncio.to_thread(open_one, *wanted)
+            answer = opened[key]
         await answer({**scope, "path": f"/{rest}", "root_path": ""}, receive, send)
 
     routes = [
@@ -155,10 +149,16 @@ def make_library(library: Library, name: str, address: Address, pages: PagesOf) 
 
 
 def _guarded(routes: Sequence[BaseRoute], address: Address) -> Starlette:
+    """The application of routes, behind the filter; a MatcapError is answered by its sentence."""
     from starlette.applications import Starlette
     from starlette.middleware import Middleware
+    from starlette.responses import PlainTextResponse
 
-    return Starlette(routes=routes, middleware=[Middleware(_RequestFilter, address=address)])
+    return Starlette(
+        routes=routes,
+        middleware=[Middleware(_RequestFilter, address=address)],
+        exception_handlers={MatcapError: lambda _, error: PlainTextResponse(str(error), 400)},
+    )
 
 
 def _parts(names: Sequence[str]) -> Callable[[Request], Awaitable[Response]]:
@@ -204,11 +204,8 @@ def _subject_routes(
         return Response(status_code=204)
 
     async def exported(request: Request) -> Response:
-        try:
-            wish = export_request(request.query_params)
-            data = await asyncio.to_thread(zipped, subject, wish)
-        except MatcapError as error:
-            return PlainTextResponse(str(error), 400)
+        wish = export_request(request.query_params)
+        data = await asyncio.to_thread(zipped, subject, wish)
         name = f"{quote(subject.facts.name, safe='')}_{wish.target}.zip"
         headers = {"Content-Disposition": f"attachment; filename*=UTF-8''{name}"}
         return Response(data, media_type="application/zip", headers=headers)
@@ -220,20 +217,14 @@ def _subject_routes(
             if size > LARGEST_FILE:
                 return PlainTextResponse("This picture is too large.", 413)
             parts.append(part)
-        try:
-            picture = await asyncio.to_thread(decoded, b"".join(parts))
-        except MatcapError as error:
-            return PlainTextResponse(str(error), 400)
+        picture = await asyncio.to_thread(decoded, b"".join(parts))
         height, width = picture.shape[:2]
         headers = {"X-Size": json.dumps([width, height])}
         data = picture.astype("<f4").tobytes()
         return Response(data, media_type="application/octet-stream", headers=headers)
 
     async def piece(request: Request) -> Response:
-        try:
-            wanted = await _waited(pages, place_of(request.query_params), request)
-        except MatcapError as error:
-            return PlainTextResponse(str(error), 400)
+        wanted = await _waited(pages, place_of(request.query_params), request)
         if wanted is None:
             return PlainTextResponse("The request was cancelled.", 499)
         return _page_answer(wanted)

@@ -55,7 +55,7 @@ def serving(subject, beside=None):
     if isinstance(subject, Library):
         app = make_library(subject, "shoot", address, pages_of)
     else:
-        app = make_app(subject, pages_of(subject), address, beside)
+        app = make_app(subject, address, pages_of, beside)
     server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
     thread.start()

@@ -46,7 +46,7 @@ def pages(subject):
 
 @pytest.fixture(scope="module")
 def client(subject, pages):
-    app = server.make_app(subject, pages, ADDRESS, References(PHOTO))
+    app = server.make_app(subject, ADDRESS, lambda _: pages, References(PHOTO))
     return testclient.TestClient(app, base_url=BASE)
 
 
