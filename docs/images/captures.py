@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,8 +24,8 @@ from matcap.capture.settings import CaptureSettings
 from matcap.files.srgb import srgb_picture
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.materials.kinds import kind_of
-from matcap.lab.simulate.photograph import PhoneCamera, Realise, as_photo, take
-from matcap.lab.simulate.specimen import EXAMPLES, realisation
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
+from matcap.lab.simulate.specimen import EXAMPLES, Specimen
 from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.relight.named import SCENES
 from matcap.relight.output import encode
@@ -53,25 +52,25 @@ Picture = NDArray[np.float32]
 def main(names: list[str]) -> None:
     """Make the pictures of some materials, or of all."""
     HERE.mkdir(exist_ok=True)
-    pieces = {name: _named(name) for name in EXAMPLES} | {
-        kind: _drawn(kind, number) for kind, number in KINDS.items()
+    known = {**EXAMPLES} | {
+        kind: Specimen(kind, kind_of(kind, number).realise, 0) for kind, number in KINDS.items()
     }
-    for name in names or pieces:
+    for name in names or known:
         path = HERE / f"{name}.jpg"
-        codes = np.rint(row(pieces[name]) * 255.0).astype(np.uint8)
+        codes = np.rint(row(known[name]) * 255.0).astype(np.uint8)
         Image.fromarray(codes).save(path, "JPEG", quality=82)
         print(path, path.stat().st_size // 1024, "KB", flush=True)
 
 
-def row(pieces: Callable[[int], Realise]) -> Picture:
+def row(specimen: Specimen) -> Picture:
     """The four pictures of a material side by side, code values from 0 to 1."""
-    shot = take(pieces(0), PhoneCamera(), SETUP)
+    shot = take(specimen.realise, PhoneCamera(), SETUP)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "photo.dng"
         write_dng(path, shot, Sensor(), 1)
         material = capture_file(path, CaptureSettings(detail=_DETAIL)).material
     texel = 2.0 / _DETAIL
-    true = pieces(1)(_TEXELS, _TEXELS, texel).map(lambda m: m.float())
+    true = specimen.pieces(specimen.seed + 1)(_TEXELS, _TEXELS, texel).map(lambda m: m.float())
     captured = material.maps(_TEXELS, _TEXELS)
     # Flash and albedo share a factor that no photograph tells: the truth's own is taken.
     gain = material.setup.intensity[1] / shot.setup.intensity[1]
@@ -105,15 +104,6 @@ def sphere(maps: MapSet) -> Picture:
     radiance = relight(maps, studio, effects=_QUICK)
     ball = np.where(radiance.max(axis=2, keepdims=True) > 0.0, encode(radiance, film), _GROUND)
     return np.asarray(ball.reshape(SIDE, 2, SIDE, 2, 3).mean(axis=(1, 3)), np.float32)
-
-
-def _named(name: str) -> Callable[[int], Realise]:
-    return lambda seed: realisation(name, EXAMPLES[name].seed + seed)
-
-
-def _drawn(kind: str, number: int) -> Callable[[int], Realise]:
-    drawn = kind_of(kind, number)
-    return lambda seed: lambda width, height, texel: drawn.realise(width, height, seed, texel)
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ from pathlib import Path
 
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.photograph import PhoneCamera, take
-from matcap.lab.simulate.specimen import realisation
+from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 
@@ -48,7 +48,7 @@ def make_shoot(folder: Path, count: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for index, name in enumerate(("leather", "granite", "rust", "plaster")[:count]):
         setup = FlashSetup(offset=(0.1, 0.05, 0.0), tilt=(0.02 * index, -0.02))
-        shot = take(realisation(name, 5 + index), camera, setup)
+        shot = take(EXAMPLES[name].pieces(5 + index), camera, setup)
         write_jpeg(folder / f"{name}.jpg", shot, index)
         if index == 0:
             write_dng(folder / f"{name}.dng", shot, Sensor(), index)

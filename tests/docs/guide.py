@@ -120,7 +120,7 @@ def _several(folder: Path) -> None:
 
     oak, phone, hand = EXAMPLES["leather"], PhoneCamera(width=800, height=600), Hand()
     cameras = hold(phone, hand, 5, oak.seed)
-    shots = take_several(oak.pieces(oak.seed), phone, cameras, hand, oak.seed)
+    shots = take_several(oak.realise, phone, cameras, hand, oak.seed)
     for number, shot in enumerate(shots, 1):
         write_dng(folder / f"oak_{number}.dng", shot.shot, oak.sensor, number)
 

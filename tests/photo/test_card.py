@@ -130,9 +130,9 @@ def test_a_matrix_and_a_falloff_are_found_together():
 
 
 def test_a_photograph_without_a_card_is_refused(tmp_path):
-    from matcap.lab.simulate.specimen import realisation
+    from matcap.lab.simulate.specimen import EXAMPLES
 
-    shot = take(realisation("granite", 3), PhoneCamera(width=256, height=192), FlashSetup())
+    shot = take(EXAMPLES["granite"].pieces(3), PhoneCamera(width=256, height=192), FlashSetup())
     write_jpeg(tmp_path / "card.jpg", shot, 1)
     with pytest.raises(MatcapError, match="no card is seen"):
         read_card(tmp_path / "card.jpg")

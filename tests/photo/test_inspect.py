@@ -18,7 +18,7 @@ from matcap.capture.inspection import photograph_quality
 from matcap.cli.main import main
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
-from matcap.lab.simulate.specimen import realisation
+from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.lab.train.align import UNSEEN, tilted_photo
@@ -48,7 +48,7 @@ def flat(roughness: float):
 @pytest.fixture(scope="module")
 def shots():
     return {
-        (name, index): take(realisation(name, 7 + index), CAMERA, setup)
+        (name, index): take(EXAMPLES[name].pieces(7 + index), CAMERA, setup)
         for name in NAMES
         for index, setup in enumerate(SETUPS)
     }
@@ -58,7 +58,7 @@ def test_the_hot_spot_is_within_two_percent_of_the_width(shots):
     """Of where a uniform material of the same roughness is brightest under the same flash."""
     errors = []
     for (name, index), shot in shots.items():
-        maps = realisation(name, 7 + index)(64, 64, 2.0 / 320)
+        maps = EXAMPLES[name].pieces(7 + index)(64, 64, 2.0 / 320)
         ideal = take(flat(float(maps.roughness.mean())), CAMERA, SETUPS[index]).linear.mean(-1)
         row, column = np.unravel_index(ideal.argmax(), ideal.shape)
         (x, y), _ = hot_spot(as_photo(shot, 1, name))

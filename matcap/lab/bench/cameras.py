@@ -63,7 +63,7 @@ def camera_experiment(
     def simulated(specimen: Specimen) -> CameraSubject:
         lost, more = falloff
         setup = replace(specimen.setup, vignetting=lost, vignetting_quartic=more)
-        piece = specimen.pieces(specimen.seed)
+        piece = specimen.realise
         photo = as_photo(take(piece, _PHONE, setup), specimen.seed, specimen.name)
         if developed:
             photo = replace(photo, radiometric=False, pixels=PHONE.developed(photo.pixels))

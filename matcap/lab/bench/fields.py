@@ -80,7 +80,7 @@ def fields_experiment(
     style = settings.squeezenet
 
     def prepare(subject: Specimen) -> TrueExample:
-        maps = subject.pieces(subject.seed)(*_SIZE, 2.0 / _SIZE[0])
+        maps = subject.realise(*_SIZE, 2.0 / _SIZE[0])
         evaluator = Evaluator(subject, subject.setup, settings, {"NSD": style})
         return TrueExample(true_example(maps), evaluator)
 

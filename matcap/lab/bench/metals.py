@@ -65,7 +65,7 @@ def metals_experiment(
 
     def prepare(subject: Specimen) -> PhotographedMetal:
         path, shot = photograph(subject, camera, out)
-        truth = true_maps(subject.pieces(subject.seed), camera, subject.setup)
+        truth = true_maps(subject.realise, camera, subject.setup)
         return PhotographedMetal(path, shot, truth)
 
     def run(metal: PhotographedMetal, _seed: int) -> MapSet:

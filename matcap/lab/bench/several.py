@@ -29,7 +29,6 @@ from matcap.lab.simulate.hand_held import (
     take_several,
     take_without_flash,
     true_maps_along,
-    true_maps_on,
 )
 from matcap.lab.simulate.specimen import Specimen
 
@@ -76,9 +75,9 @@ class TakenSubject:
         """Function of (columns, rows) to true maps on the estimated plane."""
         several = None if result.estimate is None else result.estimate.several
         bent = (0.0, 0.0) if several is None else several.bent
-        realise = self.subject.pieces(self.subject.seed)
         phone = self.evaluator.settings.camera
-        return true_maps_on(realise, phone, self.cameras, result.material.setup, bent)
+        estimated = PosedCamera.of(result.material.setup, bent)
+        return true_maps_along(self.subject.realise, phone, self.cameras, 0, estimated)
 
 
 def several_experiment(
@@ -105,7 +104,7 @@ def several_experiment(
     style, phone = evaluation.squeezenet, evaluation.camera
 
     def prepare(subject: Specimen) -> TakenSubject:
-        realise = subject.pieces(subject.seed)
+        realise = subject.realise
         cameras = hold(phone, hand, max(counts), subject.seed)
         shots = take_several(realise, phone, cameras, hand, subject.seed)
         jpeg = settings.jpeg
@@ -188,7 +187,7 @@ def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     left = ~reach.margins.own(reach.size)
     planes, known = torch.zeros(9, *exemplar.size[::-1]), torch.zeros_like(left)
     names = [path.name for path in taken.paths]
-    realise = taken.subject.pieces(taken.subject.seed)
+    realise = taken.subject.realise
     phone = taken.evaluator.settings.camera
     for view in views[1:]:
         up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]

@@ -24,14 +24,10 @@ from matcap.flash.render import shade
 from matcap.lab.experiment.results import markdown
 from matcap.lab.inverse.losses import LossWeights, loss_parts, total, wanted
 from matcap.lab.inverse.packed import PackedSet
-from matcap.lab.inverse.samples import (
-    HELD_OUT,
-    RealiseAt,
-    Sample,
-    draw_sample,
-)
+from matcap.lab.inverse.samples import HELD_OUT, Sample, draw_sample
 from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.varied import random_material
+from matcap.lab.simulate.photograph import RealiseAt
 
 DOUBTS = ("albedo", "F0", "roughness", "slope")
 _FIRST = 50_000_000  # numbers of samples, beyond training's

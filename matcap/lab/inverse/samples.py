@@ -31,6 +31,7 @@ from matcap.lab.simulate.develop import contrast, drift, exposure, noisy, should
 from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.kinds import random_kind
 from matcap.lab.simulate.materials.varied import random_material
+from matcap.lab.simulate.photograph import RealiseAt
 
 # Kinds excluded from training: captures are evaluated on them.
 HELD_OUT = ("leather", "granite", "tile")
@@ -46,8 +47,6 @@ _SPECULAR_OFF = (-0.2, 0.4)
 _METALLIC = (0.1, 0.35)  # F0 of what is simulated: no metal below, all of it above
 _JPEGS = 0.25  # share of pictures that went through a JPEG at the scale they are read at
 _ROOM = 64  # texels by which a piece is larger than a picture
-
-RealiseAt = Callable[[int, int, int, float], MapSet]
 
 
 @dataclass(frozen=True)

@@ -230,29 +230,6 @@ def take_without_flash(
     return HandShot(Shot(linear * gain, setup, phone, exposure=gain, fired=False), camera)
 
 
-def true_maps_on(
-    realise: Realise,
-    phone: PhoneCamera,
-    cameras: Sequence[PosedCamera],
-    setup: FlashSetup,
-    bent: tuple[float, float] = (0.0, 0.0),
-) -> Callable[[int, int], MapSet]:
-    """True maps of the sample that take_several photographs, on an estimated plane.
-
-    Errors of the estimated tilt displace the plane's texels; the truth is therefore looked up along
-    the ray of the pixel that each texel was resampled from.
-
-    Args:
-        realise, phone, cameras: as of take_several.
-        setup: estimate of the first camera.
-        bent: estimate of its lens distortion.
-
-    Returns:
-        Function of (columns, rows), the plane's size in texels, to true maps.
-    """
-    return true_maps_along(realise, phone, cameras, 0, PosedCamera.of(setup, bent))
-
-
 def true_maps_along(
     realise: Realise,
     phone: PhoneCamera,
@@ -262,6 +239,9 @@ def true_maps_along(
     extent: Extent = OWN,
 ) -> Callable[[int, int], MapSet]:
     """True maps along the rays of one camera, for texels resampled from its photograph alone.
+
+    Errors of the estimated pose displace the plane's texels; the truth is therefore looked up along
+    the ray of the pixel that each texel was resampled from.
 
     Args:
         realise, phone, cameras: as of take_several.

@@ -8,7 +8,6 @@ remark in the folders' common `manifest.json` marks bare metals without `metalli
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,14 +44,6 @@ class MapSetMaterial:
     tile: Floats
     texel_size: float
 
-    def piece(self, seed: int) -> Callable[[int, int, float], MapSet]:
-        """`realise` for a seed: crops of neighbouring seeds lie far from each other on the tile."""
-
-        def realise(width: int, height: int, texel_size: float) -> MapSet:
-            return self.realise(width, height, seed, texel_size)
-
-        return realise
-
     def realise(self, width: int, height: int, seed: int, texel_size: float) -> MapSet:
         """A rectangle of the repeated tile, float64 (C, height, width).
 
@@ -62,7 +53,7 @@ class MapSetMaterial:
         Args:
             width: texels.
             height: texels.
-            seed: of the rectangle's position on the tile.
+            seed: of the position on the tile; neighbouring seeds lie far from each other.
             texel_size: a texel's side in plane units.
         """
         tile = _shrunk(self.tile, texel_size / self.texel_size)

@@ -12,8 +12,8 @@ from __future__ import annotations
 import json
 import math
 import zlib
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.camera import PosedCamera
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
-from matcap.lab.simulate.photograph import PhoneCamera, Realise
+from matcap.lab.simulate.photograph import PhoneCamera, RealiseAt
 from matcap.lab.simulate.specimen import Specimen
 
 _BRIGHTNESS = (0.133, 0.35)  # of the clip level: median, and deviation of the logarithm
@@ -59,7 +59,7 @@ class PhonePhotographs:
         x, y = (rng.normal(*each) for each in _FLASH)
         further = math.exp(rng.uniform(-_DISTANCE, _DISTANCE))
         return PhonePhotographs(
-            replace(specimen, pieces=_further(specimen.pieces, further)),
+            replace(specimen, material=partial(_further, specimen.material, further)),
             replace(phone, brightness=brightness, clipped=clipped),
             Hand(flash=(x, y, 0.0)),
             (tilt_x, tilt_y),
@@ -78,8 +78,7 @@ class PhonePhotographs:
             cameras = hold(self.phone, self.hand, count, subject.seed)
             first = FlashSetup(fov=self.phone.fov, tilt=self.tilt)
             cameras[0] = PosedCamera.of(first, self.hand.bent)
-            realise = subject.pieces(subject.seed)
-            shots = take_several(realise, self.phone, cameras, self.hand, subject.seed)
+            shots = take_several(subject.realise, self.phone, cameras, self.hand, subject.seed)
             for number, shot in enumerate(shots):
                 subject.write(shot.shot, out, number)
             sidecar.write_text(json.dumps({"intensity": shots[0].shot.setup.intensity}))
@@ -88,14 +87,9 @@ class PhonePhotographs:
         return paths, setup.with_intensity((red, green, blue))
 
 
-def _further(pieces: Callable[[int], Realise], factor: float) -> Callable[[int], Realise]:
-    """Realisations seen from `factor` times the distance, so scaled down by `factor`."""
-
-    def piece(seed: int) -> Realise:
-        def realise(width: int, height: int, texel_size: float) -> MapSet:
-            maps = pieces(seed)(width, height, factor * texel_size)
-            return replace(maps, height=maps.height / factor, texel_size=texel_size)
-
-        return realise
-
-    return piece
+def _further(
+    material: RealiseAt, factor: float, width: int, height: int, seed: int, texel_size: float
+) -> MapSet:
+    """A realisation seen from `factor` times the distance, so scaled down by `factor`."""
+    maps = material(width, height, seed, factor * texel_size)
+    return replace(maps, height=maps.height / factor, texel_size=texel_size)

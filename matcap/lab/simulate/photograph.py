@@ -23,6 +23,8 @@ from matcap.photo.photo import Photo
 
 # (width, height, texel_size) to maps: a material and a seed.
 Realise = Callable[[int, int, float], MapSet]
+# (width, height, seed, texel_size) to maps: a material.
+RealiseAt = Callable[[int, int, int, float], MapSet]
 
 _ROWS = 64  # shaded at a time: float64 of a whole picture would take gigabytes
 _HALF_FRAME = 18.0  # mm, half the long side of the 35 mm film frame

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -14,8 +14,8 @@ from matcap.errors import UsageError
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.map_sets import map_set_folders, read_map_set
 from matcap.lab.simulate.materials import realise
-from matcap.lab.simulate.materials.kinds import RandomKind, kind_of, kinds_known
-from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, take, true_maps
+from matcap.lab.simulate.materials.kinds import kind_of, kinds_known
+from matcap.lab.simulate.photograph import PhoneCamera, Realise, RealiseAt, Shot, take, true_maps
 from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.lab.simulate.write_jpeg import PHONE, write_jpeg
 
@@ -30,8 +30,8 @@ class Specimen:
     name: str
     """The material's name."""
 
-    pieces: Callable[[int], Realise]
-    """Realisations by seed."""
+    material: RealiseAt
+    """The material, of any seed, size and resolution."""
 
     seed: int = _PHOTOGRAPHED
     """Seed of the photographed realisation and of the sensor's noise."""
@@ -46,6 +46,10 @@ class Specimen:
     def realise(self) -> Realise:
         """The photographed realisation."""
         return self.pieces(self.seed)
+
+    def pieces(self, seed: int) -> Realise:
+        """A realisation."""
+        return lambda width, height, texel_size: self.material(width, height, seed, texel_size)
 
     def take(self, camera: PhoneCamera) -> Shot:
         """Simulate a photograph of the specimen."""
@@ -72,15 +76,6 @@ class Specimen:
         return path
 
 
-def realisation(material: str, seed: int) -> Realise:
-    """Realisation of a named material by seed, of any size and resolution."""
-
-    def piece(width: int, height: int, texel_size: float) -> MapSet:
-        return realise(material, width, height, seed, texel_size)
-
-    return piece
-
-
 def _example(
     name: str,
     seed: int,
@@ -91,7 +86,7 @@ def _example(
     """A named material; the flash's offset in plane units, tilts in degrees, shading as Sensor."""
     x, y = (math.radians(degrees) for degrees in tilt)
     setup = FlashSetup(offset=(*offset, 0.0), tilt=(x, y))
-    return Specimen(name, partial(realisation, name), seed, setup, Sensor(shading=shading))
+    return Specimen(name, partial(realise, name), seed, setup, Sensor(shading=shading))
 
 
 # The example photographs, by name.
@@ -159,14 +154,9 @@ def _subject(name: str, folders: dict[str, Path]) -> Specimen:
     if name in EXAMPLES:
         return EXAMPLES[name]
     if name in folders:
-        return Specimen(name, read_map_set(folders[name]).piece)
+        return Specimen(name, read_map_set(folders[name]).realise)
     kind, _, number = name.partition(":")
     if kind in kinds_known() and (number.isdecimal() or not number):
-        pieces = partial(_of_kind, kind_of(kind, int(number or NUMBER)))
-        return Specimen(name, pieces)
+        return Specimen(name, kind_of(kind, int(number or NUMBER)).realise)
     known = ", ".join([*EXAMPLES, *kinds_known(), *folders])
     raise UsageError("there is no such material", where=name, remedy=f"choose from {known}")
-
-
-def _of_kind(material: RandomKind, seed: int) -> Realise:
-    return lambda width, height, texel_size: material.realise(width, height, seed, texel_size)

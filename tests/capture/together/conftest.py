@@ -16,7 +16,7 @@ def held():
     assert "plaster" in EXAMPLES
     plaster = EXAMPLES["plaster"]
     cameras = hold(PHONE, HAND, 3, 5)
-    shots = take_several(plaster.pieces(plaster.seed), PHONE, cameras, HAND, 5)
+    shots = take_several(plaster.realise, PHONE, cameras, HAND, 5)
     return cameras, [as_photo(one.shot, n, f"plaster_{n}") for n, one in enumerate(shots)]
 
 
@@ -25,5 +25,5 @@ def foreign():
     """A photograph of leather."""
     leather = EXAMPLES["leather"]
     cameras = hold(PHONE, HAND, 1, 6)
-    (shot,) = take_several(leather.pieces(leather.seed), PHONE, cameras, HAND, 6)
+    (shot,) = take_several(leather.realise, PHONE, cameras, HAND, 6)
     return as_photo(shot.shot, 9, "leather_9")

@@ -26,6 +26,7 @@ from matcap.capture.together.texels import (
 from matcap.capture.together.views import RAW_FALLOFF, PieceView, SetLight, light_at
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
+from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.grid import grid_points
 from matcap.flash.registration.register import RegisteredView, Registration, register_in_any_order
 from matcap.lab.simulate.hand_held import (
@@ -34,7 +35,7 @@ from matcap.lab.simulate.hand_held import (
     hold,
     take_several,
     take_without_flash,
-    true_maps_on,
+    true_maps_along,
 )
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
 from matcap.lab.simulate.specimen import EXAMPLES
@@ -49,7 +50,7 @@ SIZE = (72, 96)
 def lit():
     """Shots of leather in a lit room, what they would be in the dark, and one without flash."""
     leather = EXAMPLES["leather"]
-    realise = leather.pieces(leather.seed)
+    realise = leather.realise
     cameras = hold(PHONE, HAND, 3, 5)
     bright = take_several(realise, PHONE, cameras, HAND, 5)
     dark = take_several(realise, PHONE, cameras, replace(HAND, room=None), 5)
@@ -89,7 +90,9 @@ def test_a_photograph_without_flash_is_registered_on_albedo(lit):
     astray = replace(room.camera, place=room.camera.place + np.array([0.012, -0.02, 0.01]))
     off = (*registration.views[:-1], replace(room, camera=astray, astray=0.02))
     leather = EXAMPLES["leather"]
-    on_plane = true_maps_on(leather.pieces(leather.seed), PHONE, cameras, registration.setup)
+    on_plane = true_maps_along(
+        leather.realise, PHONE, cameras, 0, PosedCamera.of(registration.setup)
+    )
     maps = on_plane(320, 240)
     found = on_albedo(off, registration.setup, maps)
     points = grid_points(32, 24)
@@ -112,7 +115,7 @@ def test_a_photograph_of_another_surface_is_refused_in_a_sentence(lit):
     _, _, room = lit
     plaster = EXAMPLES["plaster"]
     cameras = hold(PHONE, HAND, 1, 5)
-    flash = take_several(plaster.pieces(plaster.seed), PHONE, cameras, HAND, 5)[0]
+    flash = take_several(plaster.realise, PHONE, cameras, HAND, 5)[0]
     photos = [_photo(flash, 1, "plaster"), _photo(room, 2, "leather")]
     with pytest.raises(MatcapError, match="no other photograph can be registered to plaster"):
         capture_photo(photos[0], CaptureSettings(preset="instant", detail=192), others=photos[1:])

@@ -213,7 +213,7 @@ def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
 def test_boards_are_kept_whole_as_of_one_photograph():
     (planks,) = subjects(("planks",))
     cameras = hold(PHONE, Hand(), 2, 5)
-    shots = take_several(planks.pieces(planks.seed), PHONE, cameras, Hand(), 5)
+    shots = take_several(planks.realise, PHONE, cameras, Hand(), 5)
     photos = [as_photo(one.shot, n, f"planks_{n}") for n, one in enumerate(shots)]
     settings = CaptureSettings(preset="instant", detail=128)
     result = capture_photo(photos[0], settings, others=photos[1:])

@@ -196,7 +196,7 @@ def captured():
     """(cameras, leather, result) of two photographs, each of which shows half of the other."""
     leather = EXAMPLES["leather"]
     cameras = hold(PHONE, BESIDE, 2, 5)
-    shots = take_several(leather.pieces(leather.seed), PHONE, cameras, BESIDE, 5)
+    shots = take_several(leather.realise, PHONE, cameras, BESIDE, 5)
     photos = [as_photo(one.shot, n, f"leather_{n}") for n, one in enumerate(shots)]
     settings = CaptureSettings(preset="instant", detail=192, union=True)
     return cameras, leather, capture_photo(photos[0], settings, others=photos[1:])
@@ -219,7 +219,7 @@ def test_two_photographs_that_share_a_half_are_one_larger_piece(captured):
     points = grid_points(*piece.size, reach.extent)
     beyond = torch.from_numpy(sees(other, points, 0.75, STEEPEST))
     beyond &= ~reach.margins.own(reach.size)
-    args = leather.pieces(leather.seed), PHONE, cameras, 1, other, reach.extent
+    args = leather.realise, PHONE, cameras, 1, other, reach.extent
     true = true_maps_along(*args)(*piece.size)
     off = MapsOff.of(piece, true, beyond)
     assert off.normals < 0.9 * off.flat

@@ -25,7 +25,7 @@ from matcap.field.material import Material
 from matcap.files.digest import DIGEST, METHOD, digest_prefix
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
-from matcap.lab.simulate.specimen import realisation
+from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.space.decoder import DecoderConfig
@@ -82,7 +82,7 @@ _NUMBERS = (0, 1, 2, 255, 256, 32767, 65535, 65536, 2**31 - 1, 2**31, 2**32 - 1,
 def write_inputs(folder: Path) -> dict[str, list[Path]]:
     """Good files by the kind of reader that they are for."""
     camera = PhoneCamera(width=96, height=72, supersampling=1)
-    shot = take(realisation("leather", 3), camera, FlashSetup(offset=(0.1, 0.05, 0.0)))
+    shot = take(EXAMPLES["leather"].pieces(3), camera, FlashSetup(offset=(0.1, 0.05, 0.0)))
     light = expose(shot, 1).astype(np.float32)
     code = np.round(light * 65535.0).astype(np.uint16)
     write_dng(folder / "plain.dng", shot, Sensor(), 1)

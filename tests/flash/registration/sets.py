@@ -27,7 +27,7 @@ from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.materials import MATERIALS
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, as_photo
-from matcap.lab.simulate.specimen import realisation
+from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.photo.photo import Photo
 
 EASY = ("leather", "granite", "rust", "plaster")
@@ -95,7 +95,7 @@ def make_set(number: int, *, hard: str | None, width: int = 800) -> MadeSet:
         material = "cloth"
     elif hard is None and rng.random() < 0.2:
         material = sorted(MATERIALS)[int(rng.integers(len(MATERIALS)))]
-    realise = _plain(number) if hard == "plain" else realisation(material, number)
+    realise = _plain(number) if hard == "plain" else EXAMPLES[material].pieces(number)
     if hard == "apart":
         hand = replace(hand, aside=0.75)
     elif hard == "steep":
@@ -107,8 +107,9 @@ def make_set(number: int, *, hard: str | None, width: int = 800) -> MadeSet:
     photos = [as_photo(one.shot, number + n, f"p{n}") for n, one in enumerate(shots)]
     foreign = frozenset[int]()
     if hard == "foreign":
-        other = realisation(EASY[(EASY.index(material) + 1) % 4] if number % 2 else material, 99991)
-        stranger = take_several(other, phone, cameras[1:2], hand, number)[0]
+        other = EASY[(EASY.index(material) + 1) % 4] if number % 2 else material
+        piece = EXAMPLES[other].pieces(99991)
+        stranger = take_several(piece, phone, cameras[1:2], hand, number)[0]
         photos[-1] = as_photo(stranger.shot, number, "foreign")
         foreign = frozenset({len(photos) - 1})
     elif hard == "blurred":

@@ -13,7 +13,7 @@ from matcap.lab.measures.evaluator import Evaluator
 from matcap.lab.measures.lights import relight_all
 from matcap.lab.measures.style import PortillaSimoncelli, RandomFilters, difference
 from matcap.lab.simulate.photograph import as_photo
-from matcap.lab.simulate.specimen import EXAMPLES, realisation
+from matcap.lab.simulate.specimen import EXAMPLES
 
 needs_plenoptic = pytest.mark.skipif(
     importlib.util.find_spec("plenoptic") is None, reason="plenoptic (extra bench) is missing"
@@ -40,7 +40,7 @@ def evaluator(style, shot, settings):
 def _pictures(evaluator, shot, settings, material="leather", seed=55):
     """Another true piece, seen as the evaluator's."""
     fine = 2 * settings.size
-    maps = realisation(material, seed)(fine, fine, 1.0 / settings.detail)
+    maps = EXAMPLES[material].pieces(seed)(fine, fine, 1.0 / settings.detail)
     blur = settings.camera.blur * 2 * settings.detail / settings.camera.width
     return relight_all(
         maps, shot.setup.intensity, evaluator.scene, size=(settings.size, settings.size), blur=blur
@@ -114,7 +114,7 @@ def test_run_measures_every_method_and_writes_what_it_saw(tmp_path, settings):
         example = EXAMPLES[path.stem]
         assert path.is_file()
         setup = example.take(settings.camera).setup
-        maps = realisation(example.name, 77)(400, 300, 2.0 / settings.detail)
+        maps = EXAMPLES[example.name].pieces(77)(400, 300, 2.0 / settings.detail)
         return CapturedMaps(maps, setup)
 
     lines = []

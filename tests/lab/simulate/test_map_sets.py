@@ -8,6 +8,7 @@ import torch
 from matcap.errors import MatcapError
 from matcap.lab.simulate.map_sets import map_set_folders, read_map_set
 from matcap.lab.simulate.photograph import PhoneCamera, take
+from matcap.lab.simulate.specimen import Specimen
 
 SIDE = 32
 SLOPE = 0.5  # the steepest
@@ -71,7 +72,8 @@ def test_it_goes_on_without_end_and_finer_shows_the_same_piece(waves):
 
 
 def test_it_can_be_photographed(waves):
-    shot = take(read_map_set(waves).piece(1), PhoneCamera(64, 48), _setup())
+    specimen = Specimen("waves", read_map_set(waves).realise)
+    shot = take(specimen.realise, PhoneCamera(64, 48), _setup())
     assert np.isfinite(shot.linear).all() and shot.linear.mean() > 0.01
 
 

@@ -21,9 +21,8 @@ def test_a_material_is_photographed_in_the_same_way_at_every_time_and_others_oth
     assert rust.phone != tile.phone and rust.tilt != tile.tilt
 
 
-def named(name, pieces=None):
-    specimen = EXAMPLES["plaster"]
-    return replace(specimen, name=name, pieces=pieces or specimen.pieces)
+def named(name, material=EXAMPLES["plaster"].material):
+    return replace(EXAMPLES["plaster"], name=name, material=material)
 
 
 def test_exposures_are_those_of_real_photographs():
@@ -37,12 +36,9 @@ def test_exposures_are_those_of_real_photographs():
 def test_from_further_away_slopes_stay_and_more_is_seen():
     pieces, asked = named("").pieces, []
 
-    def spy(seed):
-        def realise(width, height, texel_size):
-            asked.append(texel_size)
-            return pieces(seed)(width, height, texel_size)
-
-        return realise
+    def spy(width, height, seed, texel_size):
+        asked.append(texel_size)
+        return pieces(seed)(width, height, texel_size)
 
     maps = PhonePhotographs.of(named("far", spy), SMALL).specimen.pieces(3)(32, 32, 0.01)
     (texel,) = asked

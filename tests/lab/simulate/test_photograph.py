@@ -9,7 +9,7 @@ from matcap.flash.geometry import FlashSetup, plane_points, project
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, expose, take, true_maps
-from matcap.lab.simulate.specimen import EXAMPLES, realisation
+from matcap.lab.simulate.specimen import EXAMPLES
 
 CAMERA = PhoneCamera(width=128, height=96)
 
@@ -63,7 +63,7 @@ def test_strips_do_not_show():
     """Shading goes by strips of rows; normals at their borders must be those of the whole."""
     setup = FlashSetup(offset=(0.1, 0.0, 0.0))
     camera = PhoneCamera(width=128, height=96, supersampling=1, blur=0.01)
-    piece = realisation("leather", 1)
+    piece = EXAMPLES["leather"].pieces(1)
     shot = take(piece, camera, setup)
     whole = render_rectified(true_maps(piece, camera, setup), shot.setup)
     inner = slice(2, -2)

@@ -12,7 +12,7 @@ from matcap.capture.settings import CaptureSettings
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.render import render_rectified
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
-from matcap.lab.simulate.specimen import realisation
+from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.space.freeze import freeze
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.match import _Blocks, _gain, _shift, correction, match_photograph
@@ -172,7 +172,7 @@ def test_a_render_that_is_not_finite_changes_nothing(truth, photo):
 @pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
 def test_a_capture_ends_with_it_but_for_drafts():
     setup = SETUP.with_intensity((3.0, 3.0, 3.0))
-    shot = take(realisation("leather", 1), PhoneCamera(128, 96, supersampling=1), setup)
+    shot = take(EXAMPLES["leather"].pieces(1), PhoneCamera(128, 96, supersampling=1), setup)
     stages = {}
     for name, settings in (
         ("tuned", CaptureSettings(steps=2, detail=128, generator="decoder")),
