@@ -52,8 +52,7 @@ def export(
     docs/guide/export.md.
     """
     from matcap.errors import MatcapError, UsageError
-    from matcap.export.job import ExportJob, known_scale
-    from matcap.export.reach import material_reach
+    from matcap.export.job import ExportJob, known_scale, material_reach
     from matcap.export.targets import (
         DOCUMENTS,
         check_target,

@@ -58,6 +58,7 @@ def relight(
     from matcap.files.mark import check_replaceable
     from matcap.files.memory import check_memory
     from matcap.files.staging import check_writable
+    from matcap.relight.named import ANIMATIONS, light_sheet
     from matcap.relight.output import (
         MARK,
         check_path,
@@ -68,8 +69,6 @@ def relight(
         write_tiles,
     )
     from matcap.relight.planning import parse_choice
-    from matcap.relight.sequence import ANIMATIONS, light_sheet
-    from matcap.relight.sequence import animate as animated
 
     asked = chosen(RelightOptions, given)
     scene, size, maps_from, light = asked.scene, asked.size, asked.maps_from, asked.light
@@ -115,7 +114,7 @@ def relight(
     )
     if animate is not None:
         scenes = ANIMATIONS[animate](renderer.scene, asked.frames)
-        moving = animated(renderer, scenes, tolerance=limit, effects=effects)
+        moving = (renderer.render(one, tolerance=limit, effects=effects) for one in scenes)
         first = next(moving)
         rest = (one.radiance for one in moving)
         write_movie(chain([first.radiance], rest), out, film)

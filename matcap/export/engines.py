@@ -6,6 +6,7 @@ the smaller residual is written.
 
 from __future__ import annotations
 
+import math
 from importlib.resources import files as resources
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,6 @@ import numpy as np
 
 from matcap.export.formats import Picture, rgb
 from matcap.export.gltf import SHADING as GLTF
-from matcap.export.godot import LARGEST_F0, godot_material
 from matcap.export.presets import (
     EngineModel,
     PackedMaterial,
@@ -29,6 +29,43 @@ from matcap.export.textures import BASE, Workflow
 
 if TYPE_CHECKING:
     from matcap.export.job import ExportJob
+
+_LARGEST_F0 = 0.16  # of Godot: F0 = 0.16 metallic_specular^2
+_LAMBERT = 1
+_RED, _GREEN, _BLUE = 0, 1, 2
+
+
+def _godot_material(job: ExportJob, files: dict[str, str], model: EngineModel) -> dict[str, str]:
+    """NAME.tres, a StandardMaterial3D of Godot 4; paths are relative to it."""
+    way = "normal_gl" if "normal_gl" in files else "normal_dx"
+    linked = {"base": files["base"], "orm": files["orm"], "normal": files[way]}
+    links = "\n".join(
+        f'[ext_resource type="Texture2D" path="{file}" id="{kind}"]'
+        for kind, file in linked.items()
+    )
+    specular = math.sqrt(model.dielectric[0] / _LARGEST_F0)
+    text = f"""[gd_resource type="StandardMaterial3D" load_steps={len(linked) + 1} format=3]
+
+{links}
+
+[resource]
+resource_name = "{job.name}"
+diffuse_mode = {_LAMBERT}
+albedo_texture = ExtResource("base")
+metallic = 1.0
+metallic_specular = {specular:.6g}
+metallic_texture = ExtResource("orm")
+metallic_texture_channel = {_BLUE}
+roughness_texture = ExtResource("orm")
+roughness_texture_channel = {_GREEN}
+normal_enabled = true
+normal_texture = ExtResource("normal")
+ao_enabled = true
+ao_texture = ExtResource("orm")
+ao_texture_channel = {_RED}
+"""
+    return {f"{job.name}.tres": text}
+
 
 _ORM = "R: occlusion, G: roughness, B: metallic"
 _F0 = "F0, on the sRGB curve"
@@ -265,9 +302,9 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 TargetShading(masking="hammon", fading=True),
                 "metallic",
                 (_UNITY_F0, _UNITY_F0),
-                even=LARGEST_F0,
+                even=_LARGEST_F0,
             ),
-            documents=godot_material,
+            documents=_godot_material,
         ),
     },
     "substance": {

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from matcap.brdf.maps import COLOURED
+from matcap.errors import MatcapError
 from matcap.export.formats import Container, Depth, Picture, bands
 
 if TYPE_CHECKING:
@@ -234,3 +237,29 @@ def roomy(reach: float) -> float:
     if not reach > 0.0:
         return 1.0
     return float(10.0 ** ((np.ceil(10.0 * np.log10(reach) - 1e-9) + 1.0) / 10.0))
+
+
+def material_reach(path: Path, name: str) -> float | None:
+    """Largest absolute height that coded heights hold, in plane units (ExportJob.reach).
+
+    That of the exemplar, which every realisation rearranges, rounded up (roomy).
+
+    Args:
+        path: a material, or the JSON document or folder of a map set.
+        name: of the map set; its material is NAME.matcap in the same folder.
+
+    Returns:
+        None without a material that has an exemplar.
+    """
+    from matcap.field.material import Material
+
+    folder = path if path.is_dir() else path.parent
+    file = path if path.suffix.lower() == ".matcap" else folder / f"{name}.matcap"
+    piece = None
+    if file.is_file():
+        # The maps have been read; a damaged material in their folder is ignored.
+        with suppress(MatcapError):
+            piece = Material.load(file).generator.piece()
+    if piece is None:
+        return None
+    return roomy(float(piece.height.abs().amax()))

@@ -49,14 +49,13 @@ from matcap.errors import UsageError
 from matcap.export.blender import blender
 from matcap.export.engines import ENGINES, PLAIN
 from matcap.export.gltf import gltf_metallic, gltf_specular
-from matcap.export.job import ExportJob, known_scale
+from matcap.export.job import ExportJob, known_scale, material_reach
 from matcap.export.libraries import LIBRARIES
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import mitsuba
 from matcap.export.names import known
 from matcap.export.options import ExportOptions
 from matcap.export.presets import pack
-from matcap.export.reach import material_reach
 from matcap.export.surface import Residual, residuals
 from matcap.export.texture_file import TOKEN, WRITERS, TextureFile
 from matcap.export.textures import Export, Workflow

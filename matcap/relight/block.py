@@ -10,14 +10,12 @@ from functools import cached_property
 
 import numpy as np
 
-from matcap.relight.budget import Budget
-from matcap.relight.clock import Clock
 from matcap.relight.effects import multiscatter
 from matcap.relight.environment_map import Environment
 from matcap.relight.horizons import Horizons
 from matcap.relight.loops.library import KeptArrays
 from matcap.relight.loops.structures import CPixels
-from matcap.relight.plan import Plan
+from matcap.relight.plan import Budget, Plan
 from matcap.relight.relief import Relief
 from matcap.relight.sampling import Sampler, SurfaceSample, between
 from matcap.relight.scene import Scene
@@ -43,14 +41,12 @@ class ShadingContext:
     """One for each environment light, in their order."""
     horizons: Horizons | None
     """Horizon maps, where ambient visibility or interreflection run."""
-    clock: Clock
-    """Sums seconds by effect."""
     samples: int
     """Sampled directions of the specular lobe under environments."""
     budget: Budget | None
     """Error each pixel may spend on leaving effects out; None runs every effect in every pixel."""
     tally: Tally
-    """Notes the tiles in which effects run."""
+    """Notes the tiles in which effects run, and their seconds."""
 
 
 class Block:
@@ -93,7 +89,7 @@ class Block:
         self.strength: list[Array] = []
         self.share: list[Array] = []
         if self.plan.on("multiscatter"):
-            with context.clock.on("multiscatter"):
+            with context.tally.timed("multiscatter"):
                 self._near = albedo().near(sample.alpha)
                 terms = [multiscatter.terms(f0, self._near, self.n_dot_v) for f0 in sample.specular]
                 self.strength, self.share = ([one[k] for one in terms] for k in (0, 1))

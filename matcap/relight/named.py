@@ -5,7 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from matcap.errors import UsageError
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.plan import Plan
+from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     NAMED_LIGHTS,
     Camera,
@@ -152,3 +158,29 @@ def _rotated(
     if axis == 1:
         return (c * x + s * z, y, c * z - s * x)
     return (c * x - s * y, s * x + c * y, z)
+
+
+ANIMATIONS = {"light-orbit": light_orbit, "turntable": turntable}
+
+
+def light_sheet(
+    renderer: Renderer,
+    columns: int,
+    rows: int,
+    *,
+    tolerance: float = DEFAULT_TOLERANCE,
+    effects: str = "auto",
+) -> tuple[NDArray[np.float32], Plan]:
+    """Render the material under each of sheet_lights(), instead of the scene's own lights.
+
+    Returns:
+        (rows H, columns W, 3) radiance, and the last picture's plan.
+    """
+    scene = renderer.scene
+    renderings = [
+        renderer.render(replace(scene, lights=(light,)), tolerance=tolerance, effects=effects)
+        for light in sheet_lights(columns, rows)
+    ]
+    pictures = [one.radiance for one in renderings]
+    lines = [np.hstack(pictures[i : i + columns]) for i in range(0, len(pictures), columns)]
+    return np.vstack(lines), renderings[-1].plan

@@ -15,19 +15,24 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.relight.block import ShadingContext
-from matcap.relight.brightness import check_lights, too_bright
-from matcap.relight.budget import Budget
 from matcap.relight.camera import View, view_of
-from matcap.relight.clock import Clock
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.effects.environment import samples_for
 from matcap.relight.environment_map import Environment, environment_of
 from matcap.relight.horizons import Horizons
-from matcap.relight.plan import Plan
+from matcap.relight.plan import Budget, Plan
 from matcap.relight.planning import EffectChoice, make_plan, parse_choice, radiance_tolerance
 from matcap.relight.relief import Relief
 from matcap.relight.sampling import Sampler
-from matcap.relight.scene import EnvironmentLight, Film, Scene, Surface, scene_from_light
+from matcap.relight.scene import (
+    EnvironmentLight,
+    Film,
+    Scene,
+    Surface,
+    check_lights,
+    scene_from_light,
+    too_bright,
+)
 from matcap.relight.scene_bounds import gather
 from matcap.relight.shade import shade
 from matcap.relight.surfaces.shape import Shape, shape_of
@@ -169,7 +174,7 @@ class Renderer:
         # Vignetting below 0 brightens corners, and with them the error of effects left out.
         brightest = replace(film, exposure=film.exposure + math.log2(view.brightest))
         plan = make_plan(limits, radiance_tolerance(tolerance, brightest), choice)
-        clock, tally = Clock(), Tally(view.size)
+        tally = Tally(view.size)
         adaptive = choice.start != "all" and any(plan.on(effect) for effect in BY_TILES)
         context = ShadingContext(
             scene,
@@ -178,7 +183,6 @@ class Renderer:
             plan,
             environments,
             self._horizons(plan, adaptive=adaptive),
-            clock,
             samples_for(tolerance),
             Budget(plan.left(tolerance, brightest), brightest, plan.running) if adaptive else None,
             tally,
@@ -198,7 +202,7 @@ class Renderer:
         _in_parallel(block, blocks, lambda done: progress(done / len(blocks)))
         if not all(np.isfinite(row).all() for row in picture):
             raise too_bright(scene.lights)
-        done = plan.done(clock.seconds, tally.shares())
+        done = plan.done(tally.seconds, tally.shares())
         return Rendering(picture, done, film, perf_counter() - start, tally)
 
     def _seen(self, scene: Scene, film: Film) -> tuple[View, Shape]:

@@ -43,16 +43,16 @@ def shade(context: ShadingContext, hits: Hits, tiles: Array) -> Array:
 
 def _block(context: ShadingContext, hits: Hits, index: Array | None, tiles: Array) -> Block:
     """Hits on the displaced surface and the material there, of the pixels in `index`."""
-    plan, clock, sampler = context.plan, context.clock, context.sampler
+    plan, tally, sampler = context.plan, context.tally, context.sampler
     flat = hits.flat(index, tiles.shape)
     height: Array | None = None
     for name, effect in EFFECTS.items():
         if effect.move is not None and plan.on(name):
-            with clock.on(name):
+            with tally.timed(name):
                 flat, height = effect.move(context.relief, flat)
     if height is None and plan.on("shadows"):
         height = context.relief.at(*flat.place)
-    with clock.on("filtering" if plan.on("filtering") else "reading"):
+    with tally.timed("filtering" if plan.on("filtering") else "reading"):
         if plan.on("filtering"):
             sample = sampler.read(flat.place, flat.footprint)
         elif index is None and height is None:
@@ -94,7 +94,7 @@ def _light(block: Block) -> None:
         environment.add(block, one)
     for name, effect in EFFECTS.items():
         if effect.add is not None and plan.on(name):
-            with context.clock.on(name):
+            with context.tally.timed(name):
                 effect.add(block)
     if not block.facing.all():
         block.total *= block.facing

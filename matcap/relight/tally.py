@@ -1,9 +1,13 @@
-"""Record of the picture's tiles in which each effect ran."""
+"""Record of a picture's rendering: the tiles in which each effect ran, and the seconds it took."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from threading import Lock
+from time import perf_counter
 
 import numpy as np
 
@@ -14,11 +18,23 @@ TILE = 32  # pixels a side
 
 @dataclass(frozen=True)
 class Tally:
-    """Tiles by effect, filled during rendering."""
+    """Tiles and wall-clock seconds by effect, filled during rendering; threads may share one."""
 
     size: tuple[int, int]
     """(width, height) of the picture in pixels."""
+    seconds: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    """Summed over threads."""
     _ran: dict[str, Array] = field(default_factory=dict)
+    _lock: Lock = field(default_factory=Lock)
+
+    @contextmanager
+    def timed(self, effect: str) -> Iterator[None]:
+        """Add the time spent inside the `with` block to an effect's seconds."""
+        start = perf_counter()
+        yield
+        spent = perf_counter() - start
+        with self._lock:
+            self.seconds[effect] += spent
 
     @property
     def tiles(self) -> tuple[int, int]:

@@ -9,8 +9,7 @@ from exported import MATERIALS, METALS
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.errors import MatcapError, UsageError
-from matcap.export.job import ExportJob
-from matcap.export.reach import material_reach
+from matcap.export.job import ExportJob, material_reach
 from matcap.export.targets import DOCUMENTS, export_mapset, write_export
 
 # What is exported to the others is read again for all materials, in the tests of each.

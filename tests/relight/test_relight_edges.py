@@ -79,7 +79,7 @@ def test_a_light_too_bright_is_named_with_its_remedy(light, named):
 
 
 def test_a_picture_that_overflows_names_the_brightest_light(monkeypatch):
-    monkeypatch.setattr(import_module("matcap.relight.brightness"), "BRIGHTEST", np.inf)
+    monkeypatch.setattr(import_module("matcap.relight.scene"), "BRIGHTEST", np.inf)
     mirror = flat(specular=1.0, roughness=0.0)
     lights = (PointLight((0.0, 0.0, 2.0)), PointLight((0.0, 0.0, 1e-6), (1e36,) * 3))
     camera = Camera("orthographic", (0.0, 0.0, 3.0), (0.0, 0.0, 0.0), scale=1e-6)

@@ -19,13 +19,11 @@ from relight_samples import bumpy
 from matcap.errors import MatcapError
 from matcap.files.exr import write_exr
 from matcap.relight.block import Block, ShadingContext
-from matcap.relight.budget import Budget
-from matcap.relight.clock import Clock
 from matcap.relight.effects import area, direct, environment, parallax
 from matcap.relight.environment_map import environment_of
 from matcap.relight.horizons import COARSENESS, Horizons
 from matcap.relight.loops import library
-from matcap.relight.plan import Plan, Step
+from matcap.relight.plan import Budget, Plan, Step
 from matcap.relight.relief import Relief
 from matcap.relight.render import relight
 from matcap.relight.sampling import Sampler, SurfaceSample
@@ -96,7 +94,7 @@ def pixels(relief, generator, *, framed=False, effects=EVERY, count=COUNT, rough
     sample = SurfaceSample(tuple(colours[:3]), tuple(colours[3:]), alpha, normal)
     plan = Plan(tuple(Step(one, True, 0.0, "") for one in effects), 1e-4)
     context = ShadingContext(
-        Scene(), Sampler(relief.texture, 1.0), relief, plan, (), Horizons(relief), Clock(), 144,
+        Scene(), Sampler(relief.texture, 1.0), relief, plan, (), Horizons(relief), 144,
         None, Tally((count, 1)),
     )  # fmt: skip
     return Block(context, hits, height, sample, np.zeros(count, dtype=int))

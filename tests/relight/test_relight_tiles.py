@@ -10,10 +10,10 @@ from relight_samples import bumpy
 
 from matcap.lab.bench.relight import codes
 from matcap.relight import render
-from matcap.relight.budget import Budget
 from matcap.relight.effects import area, parallax
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.named import SCENES
+from matcap.relight.plan import Budget
 from matcap.relight.relief import Relief
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (

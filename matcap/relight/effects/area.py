@@ -97,7 +97,7 @@ def add(block: Block, light: AreaLight) -> None:
         pixels, texels = math.prod(block.context.tally.size), len(relief.heights)
         bounded = block.adaptive and texels <= _TEXELS_A_PIXEL * pixels
         field = byref(relief.bounded_field if bounded else relief.field)
-    with block.context.clock.on("area"):
+    with block.context.tally.timed("area"):
         loops().matcap_relight_area(
             byref(block.as_c), byref(c_light), field,
             byref(directions(SAMPLES)[0]), Whole(block.adaptive), address(ran),

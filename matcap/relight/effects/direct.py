@@ -80,7 +80,7 @@ def add(block: Block, light: PointLight | DirectionalLight | SphereLight | Recta
         + VECTOR * plan.on("interreflection")
     )
     if plan.on("shadows"):
-        with block.context.clock.on("shadows"):
+        with block.context.tally.timed("shadows"):
             lit = np.ones(block.tiles.size, dtype=np.float32)
             cast = np.zeros(block.tiles.size, dtype=np.uint8)
             loops().matcap_relight_past(
@@ -99,7 +99,7 @@ def shine(block: Block, lamp: CLamp, lit: Array | None) -> None:
         lamp: the light.
         lit: (N,) share of the light that arrives, [0, 1]; None is 1.
     """
-    with block.context.clock.on("specular" if block.plan.on("specular") else "diffuse"):
+    with block.context.tally.timed("specular" if block.plan.on("specular") else "diffuse"):
         arrives = None if lit is None else address(lit)
         loops().matcap_relight_lamp(byref(block.as_c), byref(lamp), arrives)
 

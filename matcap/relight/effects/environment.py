@@ -67,14 +67,14 @@ def bound(limits: SceneBounds) -> Bound:
 
 def add(block: Block, environment: Environment) -> None:
     """Add the light of an environment to a block."""
-    plan, clock, sample = block.plan, block.context.clock, block.sample
+    plan, tally, sample = block.plan, block.context.tally, block.sample
     varied, seen = plan.on("environment"), np.ones(1, dtype=np.float32)
     if plan.on("visibility"):
-        with clock.on("visibility"):
+        with tally.timed("visibility"):
             seen = block.open[0]
             block.ran("visibility")
     mean = environment.mean.astype(np.float32)
-    with clock.on("environment"):
+    with tally.timed("environment"):
         if varied:
             irradiance = diffuse_irradiance(environment, sample.normal, block.hits) * seen
         else:
@@ -88,7 +88,7 @@ def add(block: Block, environment: Environment) -> None:
         elif plan.on("specular"):
             _reflect(block, *(mean[:, None] * (one * seen) for one in _even(block)))
     if block.share:
-        with clock.on("multiscatter"):
+        with tally.timed("multiscatter"):
             for channel in range(3):
                 share = block.share[channel % len(block.share)]
                 block.total[channel] += share * irradiance[channel] * np.float32(1.0 / math.pi)
