@@ -26,7 +26,6 @@ from matcap.export.formats import (
 )
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.metallic import FIRST_METAL, FORMS, Form, Metallic, MetallicAim, to_metallic
-from matcap.export.names import known
 from matcap.export.options import ExportOptions
 from matcap.export.shading import MATCAP, TargetShading
 from matcap.export.surface import MadeSurface, Reader, TargetSurface, nearest
@@ -50,6 +49,7 @@ from matcap.export.textures import (
     signed,
 )
 from matcap.files.names import is_portable, plain_name, shown
+from matcap.files.settings import known
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -53,7 +53,6 @@ from matcap.export.job import ExportJob, known_scale, material_reach
 from matcap.export.libraries import LIBRARIES
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import mitsuba
-from matcap.export.names import known
 from matcap.export.options import ExportOptions
 from matcap.export.presets import pack
 from matcap.export.surface import Residual, residuals
@@ -64,6 +63,7 @@ from matcap.export.usd import usd_metallic, usd_specular
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.mark import check_replaceable
 from matcap.files.names import plain_name, sanitised_name
+from matcap.files.settings import known
 from matcap.files.staging import staged
 
 FORMAT = "matcap export"

@@ -194,11 +194,23 @@ def _docs_in(module: str) -> dict[str, dict[str, str]]:
     return by_class
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def nearest(name: str, words: Iterable[str]) -> str:
     """Remedy for an unknown word: the closest known one, or the list of all."""
-    words = list(known)
-    close = difflib.get_close_matches(name, words, n=1, cutoff=0.5)
-    return f"the nearest is {close[0]!r}" if close else f"there are {', '.join(words)}"
+    words = list(words)
+    close = difflib.get_close_matches(name.lower(), words, n=1, cutoff=0.5)
+    return f"did you mean {close[0]!r}" if close else f"choose from {', '.join(words)}"
+
+
+def known(name: str, words: Iterable[str], where: str) -> str:
+    """Return `name` if it is one of `words`.
+
+    Raises:
+        UsageError: it is not.
+    """
+    words = list(words)
+    if name not in words:
+        raise UsageError(f"there is no '{name}'", where=where, remedy=nearest(name, words))
+    return name
 
 
 def _short(value: object) -> str:

@@ -11,7 +11,6 @@ Files that they name are relative to the scene file. Presets are in named.py.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import tomllib
 from collections.abc import Callable, Mapping
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from matcap.errors import MatcapError
+from matcap.files.settings import nearest
 from matcap.relight.scene import (
     Camera,
     DirectionalLight,
@@ -110,8 +110,7 @@ class _Reader:
     def only(self, table: Mapping[str, Any], known: tuple[str, ...], place: str) -> None:
         for key in table:
             if key not in known:
-                near = difflib.get_close_matches(key, known, n=1, cutoff=0.0)
-                raise self.fault(place, f"unknown key '{key}'", f"did you mean '{near[0]}'")
+                raise self.fault(place, f"unknown key '{key}'", nearest(key, known))
 
     def table(
         self, table: object, place: str, checks: Mapping[str, Checked], ignore: tuple[str, ...] = ()
@@ -137,10 +136,8 @@ def _light(read: _Reader, entry: object, number: int) -> Light:
         raise read.fault(place, "this is not a table", "write its keys below [[light]]")
     kind = entry.get("type")
     if not isinstance(kind, str) or kind not in _LIGHTS:
-        names = ", ".join(_LIGHTS)
         what = "a light needs a type" if kind is None else f"unknown type {kind!r}"
-        near = difflib.get_close_matches(str(kind), _LIGHTS, n=1)
-        raise read.fault(place, what, f"did you mean '{near[0]}'" if near else f"give {names}")
+        raise read.fault(place, what, nearest(str(kind), _LIGHTS))
     make, checks, needed = _LIGHTS[kind]
     values = read.table(entry, place, checks, ignore=("type",))
     missing = [key for key in needed if key not in values]

@@ -66,11 +66,11 @@ def test_python_and_the_command_line_refuse_alike(capsys):
         assert main(["capture", "none.jpg", *options]) == code
     with pytest.raises(UsageError, match=r"--detail: 10 is out of range; give between 64 and 8192"):
         CaptureSettings(detail=10)
-    with pytest.raises(UsageError, match="--preset: there is no preset 'drafd'; the nearest is 'd"):
+    with pytest.raises(UsageError, match="--preset: there is no preset 'drafd'; did you mean 'd"):
         CaptureSettings(preset="drafd")
     capsys.readouterr()
 
 
 def test_the_nearest_word_or_all_there_are():
-    assert nearest("prest", ["preset", "steps"]) == "the nearest is 'preset'"
-    assert nearest("qqqq", ["preset", "steps"]) == "there are preset, steps"
+    assert nearest("prest", ["preset", "steps"]) == "did you mean 'preset'"
+    assert nearest("qqqq", ["preset", "steps"]) == "choose from preset, steps"
