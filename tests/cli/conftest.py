@@ -1,6 +1,5 @@
 """A capture that takes no time, so that the command line can be tested on its own."""
 
-import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,8 +16,6 @@ from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.photo import Photo
-
-sys.path.insert(0, str(Path(__file__).parent))  # for signals.py
 
 
 @dataclass(frozen=True)

@@ -162,7 +162,7 @@ def test_patterns_of_the_users_own():
         ("{stem}", "two maps are called moss.exr"),
         ("{stem}_{mop}", "there is no 'mop'; did you mean 'map'"),
         ("{stem}_{map", "is not a pattern"),
-        ("{map.real}", "choose from stem, map, res, format"),
+        ("{map.real}", "did you mean 'map'"),
         ("../{map}", "plain file name"),
         ("{}", "choose from"),
     ],
