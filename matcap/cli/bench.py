@@ -16,8 +16,7 @@ import typer
 
 from matcap.capture.settings import CaptureSettings
 from matcap.cli.fields import NOTHING, Fields, Given, with_settings
-from matcap.cli.laboratory import require_laboratory
-from matcap.cli.options import JsonOption, typed
+from matcap.cli.options import JsonOption, require_laboratory, typed
 from matcap.errors import UsageError
 from matcap.files import values
 

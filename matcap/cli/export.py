@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.inputs import files_read
-from matcap.cli.options import JsonOption, OverwriteOption, QuietOption
+from matcap.cli.options import JsonOption, OverwriteOption, QuietOption, files_read
 from matcap.export.options import ExportArea, ExportOptions
 from matcap.field.options import ReadOptions
 from matcap.files import values

@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli.laboratory import require_laboratory
-from matcap.cli.options import QuietOption, typed
+from matcap.cli.options import QuietOption, require_laboratory, typed
 from matcap.files import values
 
 app = typer.Typer(

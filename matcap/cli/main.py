@@ -37,7 +37,7 @@ from matcap.cli import (
     synth,
     view,
 )
-from matcap.cli.plain_command import PlainCommand
+from matcap.cli.options import PlainCommand
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.interrupts import ignore_signals, raise_on_signals
 from matcap.files.maker import MAKER

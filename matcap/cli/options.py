@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import wraps
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import typer
+from typer.core import TyperCommand
 
+from matcap.errors import MatcapError
 from matcap.files import values
+from matcap.files.mark import mark_of
 
 T = TypeVar("T")
 
@@ -47,3 +52,44 @@ ReplaceOption = Annotated[
     typer.Option("--overwrite", help="Replace a file that another program or command wrote."),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only failures.")]
+
+
+class PlainCommand(TyperCommand):
+    """Typer's command, without `<bool>` in the help of flags."""
+
+    def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401
+        """All parameters including `--help`, flags without a type."""
+        params = super().get_params(ctx)
+        for param in params:
+            if getattr(param, "is_flag", False) and param.metavar is None:
+                param.metavar = ""
+        return params
+
+
+def require_laboratory() -> None:
+    """Check that the laboratory is installed.
+
+    Raises:
+        MatcapError: it is not.
+    """
+    if find_spec("matcap.lab") is None:
+        raise MatcapError(
+            "this command measures or trains, and the laboratory is not installed",
+            remedy="install it from a clone of matcap with: pip install ./matcap/lab",
+        )
+
+
+_READ = (".matcap", ".json", ".exr")  # of a folder: materials, map sets and their pictures
+
+
+def files_read(*given: Path | None) -> list[Path]:
+    """Files among `given`, and possible maps in given folders or next to a map set's JSON file."""
+    return [file for path in given if path is not None for file in _of(path)]
+
+
+def _of(path: Path) -> Iterable[Path]:
+    if path.is_dir() or path.suffix.lower() == ".json":
+        folder = path if path.is_dir() else path.parent
+        files = [file for file in sorted(folder.glob("*")) if file.suffix.lower() in _READ]
+        return [file for file in files if not mark_of(file)]  # what relight left is no map
+    return [path]

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.laboratory import require_laboratory
-from matcap.cli.options import QuietOption
+from matcap.cli.options import QuietOption, require_laboratory
 
 if TYPE_CHECKING:
     from collections.abc import Callable

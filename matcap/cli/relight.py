@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.inputs import files_read
-from matcap.cli.options import JsonOption, QuietOption, ReplaceOption
+from matcap.cli.options import JsonOption, QuietOption, ReplaceOption, files_read
 from matcap.field.options import ReadOptions
 from matcap.relight.options import RelightOptions
 

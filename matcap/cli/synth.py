@@ -12,8 +12,7 @@ import typer
 
 from matcap.capture.settings import OutputSettings
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import OverwriteOption, QuietOption
-from matcap.cli.plain_command import PlainCommand
+from matcap.cli.options import OverwriteOption, PlainCommand, QuietOption
 from matcap.errors import ExitCode, UsageError
 from matcap.field.draw_options import DrawOptions
 from matcap.field.options import ReadOptions

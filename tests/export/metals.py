@@ -4,7 +4,7 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.lab.simulate.materials import realise
-from matcap.lab.simulate.materials.kinds.coloured_metals import METAL_F0
+from matcap.lab.simulate.materials.kinds.metal import METAL_F0
 
 DIELECTRIC = 0.04
 SIDE = 64

@@ -28,13 +28,12 @@ from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
 from matcap.lab.experiment.results import Trial, Value, markdown, means, shown
 from matcap.lab.experiment.runner import Configuration, Experiment
-from matcap.lab.measures.diversity import diversity
 from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
 from matcap.lab.measures.lights import BenchScene
 from matcap.lab.measures.nsd import style_distance
+from matcap.lab.measures.paper_metrics import diversity, xyz_difference
 from matcap.lab.measures.style import RandomFilters, Style
 from matcap.lab.measures.vgg16 import Vgg16Style
-from matcap.lab.measures.xyz import xyz_difference
 from matcap.lab.simulate.specimen import Specimen, photograph
 from matcap.statistics.compare import Weights
 

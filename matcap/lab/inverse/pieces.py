@@ -18,7 +18,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import DIFFUSE, HEIGHT, SPECULAR, SURFACE, MapSet
 from matcap.lab.inverse.packed import LEVELS, PackedSet
-from matcap.lab.inverse.recoloured_metals import coloured_metal
+from matcap.lab.simulate.materials.kinds.metal import anodised_f0, metal_colour
 
 _SCALES = (0.3, 2.0)  # texels of the picture to one of the set
 _STRENGTHS = (0.5, 2.0)  # of relief
@@ -160,3 +160,29 @@ def coloured(surface: Picture, metal: Picture, rng: np.random.Generator) -> Pict
         albedo.clip(1e-3, 0.95), specular.clip(0.015, 0.97), 1.0 / (1.0 + np.exp(-logit)),
     ]  # fmt: skip
     return np.concatenate(parts).astype(np.float32)
+
+
+# Map sets have few coloured metals: shares of pieces of metal that keep their colour, or get a
+# known metal's; the rest are dyed.
+_AS_IT_IS, _KNOWN = 0.4, 0.35
+_LEAST_F0, _MOST_F0 = 0.015, 0.98
+_SOME, _SOME_SHARE = 0.5, 0.01  # a piece with this share of texels more metal than that is coloured
+
+
+def coloured_metal(specular: Picture, metal: Picture, rng: np.random.Generator) -> Picture:
+    """F0 (3, H, W) with its metal recoloured at random, or unchanged.
+
+    Contrast and variations of colour are preserved.
+
+    Args:
+        specular: (3, H, W) F0.
+        metal: (1, H, W) share that is metal.
+        rng: random numbers.
+    """
+    which = rng.random()
+    if which < _AS_IT_IS or float((metal > _SOME).mean()) < _SOME_SHARE:
+        return specular
+    colour = metal_colour(rng) if which < _AS_IT_IS + _KNOWN else anodised_f0(rng)
+    mean = float((specular * metal).sum() / (3.0 * metal.sum()))
+    gain = 1.0 + metal * (colour.astype(np.float32)[:, None, None] / np.float32(mean) - 1.0)
+    return np.asarray((specular * gain).clip(_LEAST_F0, _MOST_F0), np.float32)

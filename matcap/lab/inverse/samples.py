@@ -25,8 +25,7 @@ from matcap.flash.light import FlashLight
 from matcap.flash.render import render_flash
 from matcap.flash.uniform import Uniform, uniform_radiance
 from matcap.lab.inverse.packed import PackedSet
-from matcap.lab.inverse.pieces import real_piece
-from matcap.lab.inverse.recoloured_metals import coloured_metal
+from matcap.lab.inverse.pieces import coloured_metal, real_piece
 from matcap.lab.simulate.develop import contrast, drift, exposure, noisy, shoulder
 from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.kinds import random_kind

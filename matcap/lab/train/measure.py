@@ -20,10 +20,9 @@ from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.render import render_flash
 from matcap.lab.experiment.results import Value
-from matcap.lab.measures.diversity import diversity
 from matcap.lab.measures.nsd import style_distance
+from matcap.lab.measures.paper_metrics import diversity, xyz_difference
 from matcap.lab.measures.style import RandomFilters
-from matcap.lab.measures.xyz import xyz_difference
 from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
 from matcap.lab.train.pack import Entry
 from matcap.photo.photo import Photo

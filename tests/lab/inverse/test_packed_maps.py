@@ -23,8 +23,7 @@ from matcap.lab.inverse.packed import (
     pack,
     training_sets,
 )
-from matcap.lab.inverse.pieces import cut, real_piece
-from matcap.lab.inverse.recoloured_metals import coloured_metal
+from matcap.lab.inverse.pieces import coloured_metal, cut, real_piece
 from matcap.lab.inverse.samples import draw_sample
 
 SIDE = 64

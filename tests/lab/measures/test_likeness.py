@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from matcap.lab.measures.diversity import diversity
-from matcap.lab.measures.xyz import BINS, xyz_difference, xyz_histograms
+from matcap.lab.measures.paper_metrics import BINS, diversity, xyz_difference, xyz_histograms
 from matcap.lab.simulate.write_dng import REC709_TO_XYZ
 
 

@@ -9,7 +9,7 @@ import torch
 from matcap.flash.render import render_rectified
 from matcap.lab.simulate.map_sets import read_map_set
 from matcap.lab.simulate.materials.kinds import COLOURED_METALS, KINDS, kind_of, random_kind
-from matcap.lab.simulate.materials.kinds.coloured_metals import (
+from matcap.lab.simulate.materials.kinds.metal import (
     METAL_F0,
     anodised_f0,
     metal_colour,

@@ -17,7 +17,6 @@ from matcap.brdf.maps import MapSet
 from matcap.lab.simulate.materials.kinds import (
     cells,
     coats,
-    coloured_metals,
     masonry,
     metal,
     sheets,
@@ -68,14 +67,14 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
 # Metals whose F0 has a colour, by name alone: `random_kind`, which training draws from, has none.
 COLOURED_METALS: Mapping[str, Kind] = MappingProxyType(
     {
-        "anodised": Kind(coloured_metals.anodised, (0.02, 0.1), (0.003, 0.015), 0.0),
-        "streaked": Kind(coloured_metals.streaked, (0.03, 0.15), (0.003, 0.02), 0.0),
-        "beaten": Kind(coloured_metals.beaten, (0.06, 0.35), (0.003, 0.02), 0.0),
-        "rusted": Kind(coloured_metals.rusted, (0.06, 0.25), (0.004, 0.03), 0.0),
-        "leafed": Kind(coloured_metals.leafed, (0.03, 0.12), (0.003, 0.02), 0.0),
+        "anodised": Kind(metal.anodised, (0.02, 0.1), (0.003, 0.015), 0.0),
+        "streaked": Kind(metal.streaked, (0.03, 0.15), (0.003, 0.02), 0.0),
+        "beaten": Kind(metal.beaten, (0.06, 0.35), (0.003, 0.02), 0.0),
+        "rusted": Kind(metal.rusted, (0.06, 0.25), (0.004, 0.03), 0.0),
+        "leafed": Kind(metal.leafed, (0.03, 0.12), (0.003, 0.02), 0.0),
         **{
             name: Kind(lay, (0.015, 0.08), (0.002, 0.012), 0.0)
-            for name, lay in coloured_metals.SHEETS.items()
+            for name, lay in metal.SHEETS.items()
         },
     }
 )

@@ -1,20 +1,34 @@
-"""Bare metals: hammered and brushed."""
+"""Bare metals: hammered and brushed; and such whose F0 has a colour.
+
+The latter are plain sheets, anodised, streaked, beaten, rusted, leafed; COLOURED_METALS in this
+folder's `__init__`. `random_kind`, which training draws from, leaves them out, so that its stream
+is unchanged.
+"""
 
 from __future__ import annotations
 
+import colorsys
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from types import MappingProxyType
+
 import numpy as np
 
+from matcap.brdf import metals
 from matcap.lab.simulate.materials.kinds.draws import (
     METALS,
+    Colours,
     Whole,
     angle,
     chance,
     log_uniform,
     natural,
+    shade,
 )
-from matcap.lab.simulate.materials.kinds.place import scatter, splat
-from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, noise, smoothstep
+from matcap.lab.simulate.materials.kinds.place import rim, scatter, splat, warp
+from matcap.lab.simulate.materials.kinds.surface_fields import Lay, SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, cells, mix, noise, smoothstep
 
 
 def hammered(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
@@ -74,3 +88,137 @@ def brushed(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     return SurfaceFields(
         diffuse, specular, rough + 0.1 * scratch, height, smoothstep(0.5, -2.0, streak)
     )
+
+
+METAL_F0: Mapping[str, Colours] = MappingProxyType(
+    {name: np.array(f0) for name, f0 in metals.METAL_F0.items()}
+)
+_OXIDE = 0.04  # F0 of the clear oxide over anodised aluminium, which dye does not reach
+_ANODISED = 0.25  # share of drawn metals that are
+_RUST = np.array([0.22, 0.085, 0.03])
+_BOLE = np.array([0.24, 0.055, 0.032])  # red clay that leaf is laid on
+
+
+def metal_colour(rng: np.random.Generator) -> Colours:
+    """(3,) F0, linear Rec.709, of a random metal: mostly a known one, at times anodised.
+
+    Tabulated F0 with random brightness and warmth. Used by this file's kinds and by training.
+    """
+    if chance(rng, _ANODISED):
+        return anodised_f0(rng)
+    known = list(METAL_F0.values())
+    clean = known[rng.integers(len(known))]
+    warmth = 0.04 * rng.standard_normal() * np.array([1.0, 0.1, -1.1])
+    return np.asarray(np.clip(clean * np.exp(warmth - rng.uniform(0.0, 0.2)), 0.05, 1.0))
+
+
+def anodised_f0(rng: np.random.Generator) -> Colours:
+    """(3,) F0 of dyed aluminium: blue or red more often than any other hue, always saturated.
+
+    F0 = R + (1 - R)^2 F_Al t, R the achromatic reflectance of the oxide's surface, F_Al aluminium's
+    F0 and t the dye's transmittance.
+    """
+    hue = float(rng.choice([0.0, 0.61])) + 0.03 * rng.standard_normal()
+    if chance(rng, 0.3):
+        hue = rng.random()
+    dye = np.array(colorsys.hsv_to_rgb(hue % 1.0, rng.uniform(0.7, 0.95), rng.uniform(0.35, 0.9)))
+    return np.asarray(_OXIDE + (1.0 - _OXIDE) ** 2 * METAL_F0["aluminium"] * dye)
+
+
+def _sheet(name: str, canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+    """One metal, from polished to satin, with a fine grain or streaks, and hardly tarnished."""
+    fine = log_uniform(rng, 0.006, 0.012)
+    long = 1.0 if chance(rng, 0.5) else log_uniform(rng, 8.0, 40.0)
+    mark = noise(canvas, "marks", Spectrum(5.0 * fine, fine, 0.5, stretch=long, angle=angle(rng)))
+    haze = noise(canvas, "haze", Spectrum(0.15, 0.02, slope=1.5))
+    old = rng.uniform(0.0, 0.05)
+    specular = METAL_F0[name][:, None, None] * np.exp(-old * smoothstep(-1.0, 2.0, haze))
+    rough = log_uniform(rng, 0.12, 0.4) * np.exp(0.08 * haze + 0.05 * mark)
+    return SurfaceFields(
+        _dirt(rng, haze), specular, rough, fine * mark, smoothstep(0.5, -2.0, mark)
+    )
+
+
+def _dirt(rng: np.random.Generator, where: Raster) -> Raster:
+    """Low diffuse albedo of a clean metal."""
+    grey = shade(rng, np.array([0.004, 0.0037, 0.0033]) + 0.01, 0.2) - 0.01
+    return np.clip(grey, 0.0, None)[:, None, None] * np.exp(0.4 * where)
+
+
+def anodised(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+    """Dyed oxide over brushed aluminium, with clear scratches here and there."""
+    colour = anodised_f0(rng)[:, None, None]
+    under = brushed(canvas, rng)
+    streak = under.height / max(float(np.std(under.height)), 1e-9)
+    scratch = smoothstep(2.2, 2.8, streak)
+    bare = mix(colour, METAL_F0["aluminium"][:, None, None], 0.7 * scratch)
+    tone = np.exp(0.04 * streak)
+    rough = np.asarray(under.roughness) * rng.uniform(0.7, 1.1) + 0.05
+    return SurfaceFields(
+        0.03 * colour + 0.0 * streak, bare * tone, rough, under.height, under.cavity
+    )
+
+
+def streaked(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+    """Brushed metal of any colour: anisotropic slopes and roughness, isotropic lobes."""
+    colour = metal_colour(rng)[:, None, None]
+    under = brushed(canvas, rng)
+    return replace(under, diffuse=0.1 * under.diffuse, specular=_tinted(colour, under.specular))
+
+
+def beaten(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+    """Hammered metal of any colour."""
+    colour = metal_colour(rng)[:, None, None]
+    under = hammered(canvas, rng)
+    return replace(under, diffuse=0.1 * under.diffuse, specular=_tinted(colour, under.specular))
+
+
+def _tinted(colour: Raster, grey: Raster | float) -> Raster:
+    """(3, H, W) a metal's colour with the brightness variation of a grey F0."""
+    values = np.asarray(grey)
+    return np.asarray(colour * values / values.mean())
+
+
+def rusted(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+    """Steel with hardly any diffuse albedo, in part covered by dielectric rust."""
+    size = log_uniform(rng, 0.06, 0.15)
+    patch = noise(canvas, "patch", Spectrum(1.3 * size, 0.012, slope=1.6))
+    crumbs = noise(canvas, "crumbs", Spectrum(0.03, 0.006, slope=0.8))
+    scratch = noise(canvas, "lines", Spectrum(0.04, 0.006, 0.5, stretch=14.0, angle=angle(rng)))
+    left, soft = rng.uniform(-0.4, 0.4), log_uniform(rng, 0.05, 0.25)
+    crust = smoothstep(left - soft, left + soft, patch + 0.2 * crumbs)
+    brown = shade(rng, _RUST, 0.3)[:, None, None] * np.exp(0.3 * crumbs)
+    steel = METAL_F0["steel"][:, None, None] * np.exp(0.03 * scratch)
+    return SurfaceFields(
+        mix(_dirt(rng, scratch), brown, crust),
+        mix(steel, 0.04 + 0.0 * crumbs, crust),
+        mix(rng.uniform(0.2, 0.4) + 0.03 * scratch, 0.82 + 0.04 * crumbs, crust),
+        0.01 * mix(0.1 * scratch, 1.0 + 0.5 * crumbs, crust),
+        0.5 * crust,
+    )
+
+
+def leafed(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+    """Leaves of gold over red bole, worn through at their edges and where they were rubbed."""
+    size = log_uniform(rng, 0.16, 0.3)
+    turn = angle(rng)
+    bend = warp(canvas, "leaves", size, 0.03 * size)
+    leaf = cells(canvas, "leaves", size, jitter=0.2, angle=turn, warp=bend)
+    edge = smoothstep(0.03, 0.006, rim(canvas, leaf))
+    rub = noise(canvas, "rub", Spectrum(0.2, 0.012, slope=1.6))
+    crinkle = noise(canvas, "crinkle", Spectrum(0.04, 0.008, slope=1.0))
+    worn, soft = rng.uniform(1.2, 2.0), log_uniform(rng, 0.1, 0.3)
+    bare = smoothstep(worn - soft, worn + soft, rub + 0.3 * crinkle + rng.uniform(1.2, 2.4) * edge)
+    gold = METAL_F0["gold"] * np.exp(-rng.uniform(0.0, 0.06))
+    tone = np.exp(0.08 * (leaf.draw(canvas.stream("tone")) - 1.0))
+    bole = shade(rng, _BOLE, 0.25)[:, None, None] * np.exp(0.1 * crinkle)
+    return SurfaceFields(
+        mix(_dirt(rng, rub), bole, bare),
+        mix(gold[:, None, None] * tone, 0.04 + 0.0 * rub, bare),
+        mix(rng.uniform(0.16, 0.34) + 0.02 * rub, 0.6 + 0.03 * crinkle, bare),
+        0.004 * (crinkle + edge * (1.0 - bare)) - 0.002 * bare,
+        bare,
+    )
+
+
+SHEETS: Mapping[str, Lay] = MappingProxyType({name: partial(_sheet, name) for name in METAL_F0})
