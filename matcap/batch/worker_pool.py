@@ -8,9 +8,7 @@ process ends, however it ends.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -148,7 +146,6 @@ class _Worker:
 
 def _serve(pipe: Connection, work: DoWork, prepare: Prepare) -> None:
     settle_child()
-    threading.Thread(target=_end_with_parent, daemon=True).start()
     prepare()
 
     def tell(now: Progress) -> None:
@@ -160,13 +157,6 @@ def _serve(pipe: Connection, work: DoWork, prepare: Prepare) -> None:
         except (EOFError, OSError):
             return
         pipe.send(("done", work(job, tell)))
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 class Machines:

@@ -84,10 +84,19 @@ def starting_children() -> Iterator[None]:
 
 
 def settle_child() -> None:
-    """Set up signals in a worker process: ignore Ctrl-C, which the main process handles.
+    """Set up a worker process: ignore Ctrl-C, which the main process handles.
 
-    SIGTERM, which process pools send, ends it silently.
+    It ends silently at SIGTERM, which process pools send, and with its parent, however that ends.
     """
+    from multiprocessing import parent_process
+
+    def follow() -> None:
+        parent = parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _BOTH)

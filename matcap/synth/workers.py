@@ -5,14 +5,11 @@ Read next: field/single.py (why one thread a block), stream.py (which uses the r
 
 from __future__ import annotations
 
-import os
-import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from multiprocessing import get_context, parent_process
-from multiprocessing.process import BaseProcess
+from multiprocessing import get_context
 from typing import TYPE_CHECKING
 
 from matcap.field.single import compute_alone, single_threaded
@@ -100,12 +97,3 @@ def _prepare(packed: bytes) -> None:
     compute_alone()
     keep_memory()
     settle_child()
-    parent = parent_process()
-    if parent is not None:
-        threading.Thread(target=_follow, args=(parent,), daemon=True).start()
-
-
-def _follow(parent: BaseProcess) -> None:
-    """Exit when the parent process ends, even if it was killed."""
-    parent.join()
-    os._exit(1)
