@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from matcap.files.document import read_document
 from matcap.files.publish import sync
 
 FILE = "matcap-batch.json"
@@ -46,17 +47,10 @@ def write_record(folder: Path, about: Mapping[str, Any]) -> None:
 def read_record(folder: Path) -> dict[str, Any] | None:
     """The record of a material's folder; None if there is none, or it cannot be read."""
     file = folder / FILE
-    try:
-        if file.stat().st_size > _MOST_BYTES:
-            return None
-        document = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+    document = read_document(file, FORMAT) if (_size(file) or 0) <= _MOST_BYTES else None
+    if document is None or document.get("version") != VERSION:
         return None
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        return None
-    if document.get("version") != VERSION or not isinstance(document.get("files"), dict):
-        return None
-    return document
+    return document if isinstance(document.get("files"), dict) else None
 
 
 def is_done(folder: Path, identity: str) -> bool:

@@ -34,6 +34,7 @@ from matcap.batch.input_folder import WORKSPACE
 from matcap.batch.record import FILE as RECORD
 from matcap.batch.record import read_record
 from matcap.capture.outputs import output_files
+from matcap.files.document import read_document
 from matcap.files.publish import sync
 from matcap.files.staging import write_error
 
@@ -134,11 +135,7 @@ class Run:
 
 def read_failure(out: Path, name: str) -> dict[str, Any] | None:
     """The record of a sample that could not be used; None without one."""
-    try:
-        record = json.loads((out / WORKSPACE / "failed" / name).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return record if isinstance(record, dict) else None
+    return read_document(out / WORKSPACE / "failed" / name)
 
 
 @contextmanager

@@ -49,6 +49,7 @@ from matcap.brdf.other_normals import note_other_normals, painted_normals
 from matcap.brdf.seam import seam_ratio
 from matcap.brdf.stated import SPECULAR_CHANNELS, NormalSource, NormalStyle, stated_maps
 from matcap.errors import MatcapError
+from matcap.files.document import read_document
 from matcap.files.exr import read_exr, write_exr
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.names import plain_name
@@ -382,12 +383,8 @@ def _find_document(path: Path) -> Path:
 
 def _load_any(file: Path) -> dict[str, Any] | None:
     """A JSON document of matcap, of any version; None for any other file."""
-    try:
-        document = json.loads(file.read_bytes())
-    except (OSError, ValueError, RecursionError):
-        return None
-    known = isinstance(document, dict) and str(document.get("format", "")).startswith("matcap")
-    return document if known else None
+    document = read_document(file) or {}
+    return document if str(document.get("format", "")).startswith("matcap") else None
 
 
 def _load_document(file: Path) -> dict[str, Any] | None:
@@ -396,13 +393,8 @@ def _load_document(file: Path) -> dict[str, Any] | None:
     Raises:
         MatcapError: a map set of another version.
     """
-    try:
-        document = json.loads(file.read_bytes())
-    except (OSError, ValueError, RecursionError):
-        return None
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        return None
-    if document.get("version") != VERSION:
+    document = read_document(file, FORMAT)
+    if document is not None and document.get("version") != VERSION:
         raise MatcapError(
             f"map set of version {document.get('version')}, this matcap reads {VERSION}",
             where=str(file),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from matcap.capture.outputs import REPORT
 from matcap.capture.preview import Panel, block, each_map, relit, stacked, titled
 from matcap.field.material import Material
 from matcap.field.opened import open_material
+from matcap.files.document import read_document
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
 from matcap.photo.orient import standing
@@ -98,12 +98,7 @@ def _rows(linear: torch.Tensor) -> np.ndarray[Any, np.dtype[np.float32]]:
 
 def read_report(file: Path) -> dict[str, Any]:
     """Read a report.json; an empty dict if it is missing or no report of matcap."""
-    try:
-        document = json.loads(file.read_bytes())
-    except (OSError, ValueError, RecursionError):
-        return {}
-    known = isinstance(document, dict) and document.get("format") == "matcap report"
-    return document if known else {}
+    return read_document(file, "matcap report") or {}
 
 
 def _verdict(report: dict[str, Any]) -> dict[str, Any] | None:

@@ -10,6 +10,7 @@ from typing import Any
 from matcap.capture.outputs import REPORT
 from matcap.capture.settings import CaptureSettings, OutputSettings, resolve
 from matcap.errors import MatcapError
+from matcap.files.document import read_document
 
 # Settings that determine only the effort; the resulting effort is compared instead.
 _HOW_LONG = ("preset", "steps", "time_limit", "target")
@@ -97,7 +98,7 @@ def _differences(
         if key in earlier and earlier[key] != json.loads(json.dumps(named[key]))
     ]
     differences += _longer(old, settings, len(photographs))
-    maps = _document(folder / f"{folder.name}.json")
+    maps = read_document(folder / f"{folder.name}.json")
     if maps is not None:
         size = (maps.get("width"), maps.get("height"))
         if size != outputs.size:
@@ -111,14 +112,4 @@ def _differences(
 
 def _report(folder: Path) -> dict[str, Any] | None:
     """report.json of a folder, or None."""
-    report = _document(folder / REPORT)
-    return report if report is not None and report.get("format") == "matcap report" else None
-
-
-def _document(file: Path) -> dict[str, Any] | None:
-    """A file's JSON object, or None."""
-    try:
-        document = json.loads(file.read_bytes())
-    except (OSError, ValueError, RecursionError):
-        return None
-    return document if isinstance(document, dict) else None
+    return read_document(folder / REPORT, "matcap report")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from matcap.example.example import Example
+from matcap.files.document import read_document
 
 if TYPE_CHECKING:
     from matcap.example.exemplar import Exemplar
@@ -91,9 +91,8 @@ def find_photograph(path: Path, name: str) -> Path | None:
 def reported_photograph(folder: Path) -> Path | None:
     """The photograph whose path a capture's report has, if it exists."""
     try:
-        report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-        file = Path(report["photograph"]["path"])
-    except (OSError, ValueError, KeyError, TypeError):
+        file = Path((read_document(folder / "report.json") or {})["photograph"]["path"])
+    except (KeyError, TypeError):
         return None
     return file if file.is_file() else None
 
@@ -101,9 +100,9 @@ def reported_photograph(folder: Path) -> Path | None:
 def read_verdict(folder: Path) -> tuple[str, str] | None:
     """(rating, sentence) of the verdict in a capture's report, or None."""
     try:
-        verdict = json.loads((folder / "report.json").read_text(encoding="utf-8"))["verdict"]
+        verdict = (read_document(folder / "report.json") or {})["verdict"]
         return str(verdict["rating"]), str(verdict["sentence"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (KeyError, TypeError):
         return None
 
 
