@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -158,6 +159,40 @@ def specular_lobe(specular: Tensor, roughness: Tensor, angles: Angles) -> Tensor
         * smith_visibility(angles.n_dot_l, angles.n_dot_v, alpha)
         * schlick(specular, angles.l_dot_h)
     )
+
+
+class LobeGradient(NamedTuple):
+    """Derivatives of log specular_lobe, (..., 1, H, W) each."""
+
+    log_specular: Tensor
+    logit_roughness: Tensor
+    n_dot_l: Tensor
+    n_dot_v: Tensor
+    n_dot_h: Tensor
+
+    @staticmethod
+    def of(specular: Tensor, roughness: Tensor, angles: Angles) -> LobeGradient:
+        """At F0 and roughness of one channel (..., 1, H, W)."""
+        light, view, half = angles.n_dot_l, angles.n_dot_v, angles.n_dot_h
+        alpha_squared = roughness.clamp_min(angles.least_roughness).square().square()
+        rest, squared = 1.0 - alpha_squared, half.square()
+        spread = (angles.n_cross_h_squared + squared * alpha_squared).clamp_min(_LEAST_SPREAD)
+        view_squared, light_squared = view.square(), light.square()
+        to_view = torch.sqrt(view_squared * rest + alpha_squared)
+        to_light = torch.sqrt(light_squared * rest + alpha_squared)
+        masked = -1.0 / (light * to_view + view * to_light).clamp_min(_TINY)  # d log V / d (sum)
+        across = light * view * rest
+        rougher = light * (1.0 - view_squared) / to_view + view * (1.0 - light_squared) / to_light
+        by_log_alpha = 2.0 - alpha_squared * (4.0 * squared / spread - masked * rougher)
+        free = (roughness > angles.least_roughness) * (2.0 - 2.0 * roughness)
+        grazing = schlick(torch.zeros_like(specular), angles.l_dot_h)
+        return LobeGradient(
+            specular * (1.0 - grazing) / (specular + (1.0 - specular) * grazing),
+            by_log_alpha * free,
+            masked * (to_view + across / to_light),
+            masked * (to_light + across / to_view),
+            4.0 * half * rest / spread,
+        )
 
 
 def cook_torrance(

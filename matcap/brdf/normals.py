@@ -54,6 +54,17 @@ def normals_from_slopes(dh_dx: Tensor, dh_dy: Tensor) -> Tensor:
     return torch.cat([-dh_dx * inverse_length, -dh_dy * inverse_length, inverse_length], dim=-3)
 
 
+def by_slopes(normal: Tensor, vector: Tensor) -> Tensor:
+    """(2, H, W) derivatives of n . u by both slopes: n_z (n_i (n . u) - u_i).
+
+    Args:
+        normal: (3, H, W) unit normals n.
+        vector: (3, H, W) u, which is fixed.
+    """
+    along = (normal * vector).sum(0, keepdim=True)
+    return normal[2:] * (normal[:2] * along - vector[:2])
+
+
 def _one_sided_at_borders(field: Tensor, dim: int) -> Tensor:
     """Differences per texel along dim: central inside, one-sided at both ends."""
     size = field.shape[dim]

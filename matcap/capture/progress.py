@@ -30,19 +30,18 @@ PIECE_STAGES: Mapping[str, float] = MappingProxyType(
 TOGETHER_STAGES: Mapping[str, float] = MappingProxyType(
     {
         "read": 0.04,
-        "register": 0.10,
+        "register": 0.12,
         "coarse fit": 0.02,
-        "piece": 0.08,
+        "piece": 0.11,
         "strengths": 0.04,
-        "refine": 0.04,
-        "align": 0.12,
-        "join": 0.13,
-        "solve": 0.25,
+        "refine": 0.05,
+        "align": 0.10,
+        "solve": 0.30,
         "predict": 0.08,
         "inpaint": 0.01,
-        "index": 0.03,
-        "verdict": 0.03,
-        "write": 0.03,
+        "index": 0.05,
+        "verdict": 0.04,
+        "write": 0.04,
     }
 )
 # The same of a decoder that reads a drawing, and of one that does not.

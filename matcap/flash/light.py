@@ -20,7 +20,8 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import Angles, dot, normalize, specular_lobe
+from matcap.brdf.cook_torrance import Angles, LobeGradient, dot, normalize, specular_lobe
+from matcap.brdf.normals import by_slopes
 from matcap.flash.geometry import FlashSetup, camera_in_plane, project
 
 # Squared distance from the centre of the corner of a 4:3 picture, the unit of vignetting.
@@ -126,6 +127,28 @@ class FlashLight:
         both = self.to_light, self.to_view
         angles = Angles.exact(normal, *both) if exact else Angles.quick(normal, *both, self.half)
         return Incidence(angles, angles.lit(self.power * angles.n_dot_l))
+
+    def linearised(
+        self, normal: Tensor, specular: Tensor, roughness: Tensor
+    ) -> tuple[Incidence, Tensor, Tensor]:
+        """Incidence on a relief, with derivatives of the logs of specular lobe and irradiance.
+
+        Args:
+            normal: (3, H, W) unit normals.
+            specular, roughness: (1, H, W) F0 and roughness.
+
+        Returns:
+            The light incident on the relief, not exact; (4, H, W) derivatives of the lobe by log
+            F0, logit roughness and both slopes; (2, H, W) of irradiance by both slopes.
+        """
+        lit = self.onto(normal)
+        lobe = LobeGradient.of(specular, roughness, lit.angles)
+        along = (
+            lobe.n_dot_l * self.to_light + lobe.n_dot_v * self.to_view + lobe.n_dot_h * self.half
+        )
+        slanted = by_slopes(normal, self.to_light) / lit.angles.n_dot_l
+        gloss = lobe.log_specular, lobe.logit_roughness
+        return lit, torch.cat([*gloss, by_slopes(normal, along)]), slanted
 
 
 def strips(height: int, rows: int) -> list[slice]:

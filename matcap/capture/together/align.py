@@ -45,7 +45,7 @@ from matcap.flash.registration.register import RegisteredView
 _LEVELS = (0.25, 0.5, 1.0)
 _FINEST = 768  # most texels across
 _ROUNDS = (3, 4, 4)  # most registration rounds on each grid
-_SETTLED = 0.05  # texels; a grid ends when no photograph is moved farther in a round
+_SETTLED = 0.1  # texels; a grid ends when no photograph is moved farther in a round
 # Gauss-Newton steps per texel on each grid, for the relief's parallax; on the finest only the
 # sampled texels move.
 _STEPS = (2, 1, 0)
@@ -138,12 +138,12 @@ def aligned(
             light, moves = shared_step(seen, parameters, begin, light, moved=unsure)
             first, both = views[0].camera.place, zip(places, moves, strict=True)
             places = [ViewPlace(p.nudge @ m, relief, first, extent) for p, m in both]
-            if unsure:
-                setup, views, places = _posed(begun.setup, views, places)
             done += 1
             on_progress(done / effort)
             if _farthest(moves) < _SETTLED * texel:
                 break
+        if unsure:
+            setup, views, places = _posed(begun.setup, views, places)
     return Aligned(setup, _less_doubted(views, moved), tuple(places), light)
 
 

@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.brdf.normals import by_slopes
 from matcap.capture.piece.smooth import smoothed
 from matcap.flash.registration.grid import to_pixels
 from matcap.flash.registration.register import RegisteredView
@@ -73,6 +74,18 @@ class AmbientLight:
         lit = 1.0 + torch.tensordot(self.lean.to(off), off, 1)[None]
         lit = lit.clamp_min(_DARKEST)
         return AmbientIncidence(lit if self.strength is None else lit * self.strength)
+
+    def linearised(
+        self, normal: Tensor, specular: Tensor, roughness: Tensor
+    ) -> tuple[AmbientIncidence, Tensor, Tensor]:
+        """As FlashLight.linearised; of the lobe, only F0 changes the radiance."""
+        lit, lean = self.onto(normal), self.lean.to(normal)[:, None, None]
+        level = lit.irradiance[:1]
+        if self.strength is not None:
+            level = level / self.strength[:1]
+        lobe = torch.zeros_like(normal[:1]).repeat(4, 1, 1)
+        lobe[0] = 1.0
+        return lit, lobe, by_slopes(normal, lean) / level
 
 
 def evenly_lit(log: Tensor, seen: Tensor, rendered: Tensor) -> Tensor:

@@ -1,7 +1,8 @@
 """Estimate the exemplar from several photographs: named stages, from values to values.
 
 Registration by features; coarse fit and network prediction of the first photograph; registration by
-rendering; fusion of all predictions; joint estimation of all maps; inpainting and indexing.
+rendering; joint estimation of all maps; inpainting and indexing. A mosaic (union.py) also needs the
+predictions of the others, beyond the first photograph.
 """
 
 from __future__ import annotations
@@ -72,8 +73,8 @@ from matcap.flash.registration.register import Registration, register_in_any_ord
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 
-# Steps per texel in each round, on a grid that starts from one half as fine.
-_FINER: tuple[int, ...] = (1, 1)
+# Steps per texel in each round, on a grid that starts from the solution of one half as fine.
+_FINER: tuple[int, ...] = (1,)
 _COARSE = 320  # texels across the grid that starts from the network's prediction
 
 
@@ -123,14 +124,12 @@ def estimate_together(
     rectified = Rectified.of_photo(first, replace(coarse, setup=poses.setup), detail)
     posed = PosedCamera.of(registration.setup), poses.views[0].camera
     maps, tint = achromatic(reframed(read.maps, *posed, reach.extent))
-    read, readings = Estimate(maps, unread(read.log_error, reach)), None
-    if not interrupted:
-        readings = _readings(poses, read, coarse, network, clock)
-        interrupted = readings is None
-    if readings is not None:
-        read = with_others(read, readings)
-    tint = tint_over(tint, readings, reach)
+    read = Estimate(maps, unread(read.log_error, reach))
     if reach.margins.any:
+        readings = None if interrupted else _readings(poses, read, coarse, network)
+        interrupted |= readings is None
+        if readings is not None:
+            read, tint = with_others(read, readings), tint_over(tint, readings, reach)
         most = scatter(single.estimate)[:, None, None]
         read = replace(read, log_error=torch.minimum(read.log_error, most))
     with clock.stage("solve"):
@@ -138,8 +137,7 @@ def estimate_together(
     interrupted |= solved.interrupted
     coarse = replace(coarse, setup=solved.light.onto(poses.setup))
     with clock.stage("predict"):
-        known = None if interrupted else readings
-        ahead = None if known is None else predictions(poses, known, solved, tint)
+        ahead = None if interrupted else predictions(poses, read, solved, tint)
     with clock.stage("inpaint"):
         reach, whole, solved = _whole(rectified.whole, poses, reach, solved)
         exemplar = _inpainted(Observation.of(whole, coarse), solved, tint, views)
@@ -242,16 +240,15 @@ def _aligned(
 
 
 def _readings(
-    poses: Aligned, first: Estimate, coarse: CoarseFit, network: Inverse, clock: CaptureClock
-) -> list[ReadView | None] | None:
-    """The network's prediction of each photograph; None if interrupted."""
+    poses: Aligned, first: Estimate, coarse: CoarseFit, network: Inverse
+) -> list[ReadView] | None:
+    """The network's prediction of each photograph of a mosaic; None if interrupted."""
 
     def read(plane: Plane, fit: CoarseFit) -> Estimate:
         return read_alone(plane, fit, network, CaptureClock(None)).estimate
 
     try:
-        with clock.stage("join"):
-            return read_views(poses, first, coarse, read, clock.callback("join"))
+        return read_views(poses, first, coarse, read)
     except KeyboardInterrupt:
         return None
 

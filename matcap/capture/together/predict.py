@@ -13,13 +13,14 @@ import torch
 from torch import Tensor
 
 from matcap.capture.together.align import Aligned
-from matcap.capture.together.readings import ReadView, fewer, joined
 from matcap.capture.together.solve import Solved, predicted, solve
+from matcap.capture.together.texels import Estimate
 
 # Settings of the leave-one-out solves; docs/notes/several.md.
 _ACROSS = 224  # texels across the grid, enough for errors of shading and gloss
-# Steps per texel in each round; a round begins with a fit of the shared parameters.
-_ROUNDS = (2, 1)
+# Steps per texel in each round with all photographs, and from there without one; a round begins
+# with a fit of the shared parameters.
+_ROUNDS, _WITHOUT = (2, 1), (1,)
 # Texels to which shared parameters are fitted; few, as the initial light is nearly exact.
 _SAMPLED = 1500
 
@@ -41,41 +42,34 @@ class Predictions:
 @torch.no_grad()
 def predictions(
     alignment: Aligned,
-    readings: Sequence[ReadView | None],
+    read: Estimate,
     solved: Solved,
     tint: Tensor | None = None,
 ) -> Predictions | None:
     """Predict every flash photograph from all others; None with fewer than two.
 
-    A photograph's gain and network prediction are left out of its own prediction; its registration
-    is not.
+    A photograph's gain is left out of its own prediction; its registration is not, nor is the
+    network's prediction of the first.
 
     Args:
         alignment: registration of the photographs.
-        readings: network prediction of each (readings.py).
+        read: the network's prediction.
         solved: solution by all, whose light is the initial value.
         tint: (3, H, W) specular tint of metal (tint.py), or None.
     """
-    first = next(read for read in readings if read is not None)
-    height, width = first.parameters.shape[1:]
+    width, height = read.maps.size
     across = min(alignment.extent.across(_ACROSS), width)
     down = max(8, round(height * across / width))
-    few = fewer(readings, (down, across))
+    small = read.resized((down, across), alignment.extent)
     views = alignment.on_grid(across, down, tint)
     if sum(view.ambient is None for view in views) < 2:
         return None
 
-    def by(kept: Sequence[int]) -> Solved:
-        read = [few[k] for k in kept]
-        # A single photograph without a prediction, for its tilt, gets those of all.
-        prior = joined(read if any(read) else few)
-        return solve(
-            [views[k] for k in kept],
-            prior,
-            solved.light.of_some(kept),
-            rounds=_ROUNDS,
-            sampled=_SAMPLED,
-        )
+    def by(kept: Sequence[int], begun: Solved | None = None) -> Solved:
+        light = (begun or solved).light.of_some(kept)
+        rounds = _WITHOUT if begun else _ROUNDS
+        some = [views[k] for k in kept]
+        return solve(some, small, light, begun, rounds=rounds, sampled=_SAMPLED)
 
     every = list(range(len(views)))
     whole = by(every)
@@ -84,5 +78,5 @@ def predictions(
         lit = view.ambient is None
         own.append(predicted(view, whole) if lit else math.nan)
         others = [k for k in every if k != index]
-        ahead.append(predicted(view, by(others)) if lit else math.nan)
+        ahead.append(predicted(view, by(others, whole)) if lit else math.nan)
     return Predictions(tuple(ahead), tuple(own))

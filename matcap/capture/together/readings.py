@@ -1,4 +1,4 @@
-"""Network predictions of each photograph, fused in the first one's frame.
+"""Network predictions of each photograph of a mosaic, fused in the first one's frame.
 
 Each photograph is rectified to the plane facing its own camera, as in training, with the light from
 registration. Predictions of a parameter, resampled to the first photograph's texels, are averaged
@@ -112,19 +112,14 @@ def read_views(
     first: Estimate,
     coarse: CoarseFit,
     read: ReadAlone,
-    on_progress: Callable[[float], None],
-) -> list[ReadView | None]:
-    """The network's prediction of every photograph, one at a time.
+) -> list[ReadView]:
+    """The network's predictions of the photographs with flash and without too large a tilt.
 
     Args:
         alignment: registration and light of the photographs.
         first: prediction of the first, in the estimated frame.
         coarse: fit of the first, whose mean material all share.
         read: predicts the maps of one photograph.
-        on_progress: called with the completed share, in [0, 1].
-
-    Returns:
-        One prediction per photograph; None if it is without flash or has too large a tilt.
     """
     extent = alignment.extent
     width, height = first.maps.size
@@ -132,16 +127,14 @@ def read_views(
     across = extent.across(own_across)
     down = max(8, round(height * across / width))
     small = first.resized((down, across), extent)
-    readings: list[ReadView | None] = [ReadView(parameters_of(small.maps), small.log_error, extent)]
+    readings = [ReadView(parameters_of(small.maps), small.log_error, extent)]
     for number, view in enumerate(alignment.views[1:], 1):
-        readings.append(None)
         if view.flash and math.degrees(view.camera.tilt) < _STEEPEST:
             own = OwnPlane.of(view.camera, alignment.light, number)
             plane = read_plane(view.photo, own.setup, own_across)
             theirs = read(plane, replace(coarse, setup=own.setup))
             place = alignment.places[number]
-            readings[-1] = brought_over(theirs, own, view.camera, place, (across, down))
-        on_progress(number / (len(alignment.views) - 1))
+            readings.append(brought_over(theirs, own, view.camera, place, (across, down)))
     return readings
 
 
@@ -192,13 +185,12 @@ def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
     return np.asarray(-0.5 * np.log(np.maximum(weight, _NOTHING)), np.float32)
 
 
-def joined(readings: Sequence[ReadView | None]) -> Estimate:
+def joined(every: Sequence[ReadView]) -> Estimate:
     """Precision-weighted mean of predictions and its standard deviations (module equation).
 
     Args:
-        readings: in any order, at least one that is not None.
+        every: predictions in any order.
     """
-    every = [read for read in readings if read is not None]
     weights = torch.stack([(-2.0 * read.log_error.clamp(-8.0, 8.0)).exp() for read in every])
     whole = weights.sum(0)
     parameters = torch.zeros_like(every[0].parameters)
@@ -215,37 +207,19 @@ def joined(readings: Sequence[ReadView | None]) -> Estimate:
     return Estimate(maps_of(parameters, height, texel_size), log_error)
 
 
-def with_others(first: Estimate, readings: Sequence[ReadView | None]) -> Estimate:
+def with_others(first: Estimate, readings: Sequence[ReadView]) -> Estimate:
     """The first photograph's prediction plus the upsampled change by fusion with the others.
 
-    Detail finer than the grid of fusion stays the first photograph's.
+    Detail finer than the grid of fusion stays the first photograph's. Its predicted height does not
+    extend beyond it: slopes are integrated.
     """
     alone, together = joined(readings[:1]), joined(readings)
-    maps, own = first.maps, readings[0]
 
     def wide(change: Tensor) -> Tensor:
-        return F.interpolate(change[None], size=maps.size[::-1], mode="bilinear")[0]
+        return F.interpolate(change[None], size=first.maps.size[::-1], mode="bilinear")[0]
 
+    change = parameters_of(together.maps) - readings[0].parameters
+    parameters, texel_size = parameters_of(first.maps) + wide(change), first.maps.texel_size
+    raised = surface_of(parameters[SLOPES], texel_size)
     log_error = first.log_error + wide(together.log_error - alone.log_error)
-    if own is not None and own.extent != OWN:
-        # Outside of the first photograph there is no predicted height to add to: integrate slopes.
-        parameters = parameters_of(maps) + wide(parameters_of(together.maps) - own.parameters)
-        raised = surface_of(parameters[SLOPES], maps.texel_size)
-    else:
-        parameters = parameters_of(maps) + wide(
-            parameters_of(together.maps) - parameters_of(alone.maps)
-        )
-        raised = maps.height + wide(together.maps.height - alone.maps.height)
-    return Estimate(maps_of(parameters, raised, maps.texel_size), log_error)
-
-
-def fewer(readings: Sequence[ReadView | None], size: tuple[int, int]) -> list[ReadView | None]:
-    """Predictions averaged on a coarser grid of `size` = (rows, columns)."""
-
-    def small(values: Tensor) -> Tensor:
-        return F.interpolate(values[None], size=size, mode="area")[0]
-
-    return [
-        one and ReadView(small(one.parameters), small(one.log_error), one.extent)
-        for one in readings
-    ]
+    return Estimate(maps_of(parameters, raised, texel_size), log_error)

@@ -50,8 +50,9 @@ from matcap.flash.light import strips
 # Per-texel steps in each round; each begins with a fit of the shared parameters.
 ROUNDS: tuple[int, ...] = (2, 2, 1)
 # Least standard deviation of the prior of slopes, until the photographs measure the prediction's
-# error, and from then on the factor on that: each octave's gain is estimated later (octaves.py).
-_SLOPE, _WIDER = 1.0, 3.0
+# error; then the factor on that for each photograph: each octave's gain is estimated later
+# (octaves.py), but noise of slopes from two photographs is in all of them.
+_SLOPE, _WIDER = 1.0, 0.5
 # Standard deviation of the blur that interpolates F0 and roughness, as a share of the first
 # photograph's long side.
 _AROUND = 0.02
@@ -105,33 +106,32 @@ def solve(
         on_progress: called with the completed share, in [0, 1].
         rounds, sampled: see ROUNDS and shared.SAMPLED.
     """
-    prior, fresh, off = ParameterPrior.of(read), begun is None, begun.read_off if begun else 0.0
+    fresh, off = begun is None, begun.read_off if begun else 0.0
+    prior = ParameterPrior.of(read).with_least_slope(off)
     parameters = prior.mean.clone() if begun is None else _continued(prior.mean, read.maps, begun)
-    # Prior for shared parameters, which common slope errors would bias, and prior for texels.
-    known = prior.with_least_slope(off)
-    prior = prior.with_least_slope(_SLOPE if fresh else _WIDER * off)
     total, done, interrupted = sum(rounds) + 2, 0, False
     light, unit = with_lean(views, prior.mean, light), views[0].extent.unit(parameters.shape[-1])
     lit, expected, step = list(views), prior, Stepped.none(parameters)
     try:
         for index, steps in enumerate(rounds):
             lit, before = under_fitted_ambient(views, parameters, light), light.gloss
-            light, _ = shared_step(lit, parameters, known, light, sampled)
+            light, _ = shared_step(lit, parameters, prior, light, sampled)
             parameters[GLOSS] += (light.gloss - before)[:, None, None]
-            expected = prior.with_gloss_of(light)
+            measures = fresh and index == 0
+            wide = _SLOPE if measures else _WIDER * len(views) * off
+            expected = prior.with_least_slope(wide).with_gloss_of(light)
             for turn in range(1, steps + 1):
-                each = turn == steps and (not rounds[index + 1 :] or (fresh and not index))
+                each = turn == steps and (measures or not rounds[index + 1 :])
                 step = stepped(lit, parameters, expected, light, changed=SLOPES if each else None)
                 parameters, done = step.parameters, done + 1
                 on_progress(done / total)
             parameters[SLOPES] = _without_slow(parameters[SLOPES], unit)
-            if index == 0 and fresh:
+            if measures:
                 off = _read_off(parameters, prior.mean, step.changes)
-                prior = known.with_least_slope(_WIDER * off)
-                known = known.with_least_slope(off)
+                prior = prior.with_least_slope(off)
             if index == 0:
-                mean = _gloss_prior(prior.mean, parameters - expected.mean, step.precision, unit)
-                prior, known = replace(prior, mean=mean), replace(known, mean=mean)
+                change = parameters - expected.mean
+                prior = replace(prior, mean=_gloss_prior(prior.mean, change, step.precision, unit))
     except KeyboardInterrupt:
         interrupted = True
     height = surface_of(parameters[SLOPES], read.maps.texel_size, step.relief)
@@ -142,8 +142,8 @@ def solve(
         parameters = _step_at_fixed_slopes(lit, parameters, expected, light)
     parameters[SLOPES] = slopes_of(height, read.maps.texel_size)
     maps = maps_of(parameters, height, read.maps.texel_size)
-    estimate = Estimate(maps, _log_errors(step.precision, prior))
-    left, shares = _residuals(lit, parameters, light), _shares(step.precision, prior)
+    estimate = Estimate(maps, _log_errors(step.precision, expected))
+    left, shares = _residuals(lit, parameters, light), _shares(step.precision, expected)
     return Solved(estimate, light, left, shares, off, interrupted)
 
 
@@ -280,9 +280,9 @@ def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, float, flo
 def _residuals(
     views: Sequence[PieceView], parameters: Tensor, light: SetLight
 ) -> tuple[float, ...]:
-    """Median absolute residual of log radiance of each photograph."""
+    """Median absolute residual of log radiance of each photograph, from a quarter of the rows."""
     off: list[list[Tensor]] = [[] for _ in views]
-    for rows in strips(parameters.shape[1], ROWS):
+    for rows in strips(parameters.shape[1], ROWS // 4)[::4]:
         points = points_of(parameters.shape[-2:], rows, views[0].extent)
         lit = [light_at(k, view, light, points) for k, view in enumerate(views)]
         for view, left, shown in zip(views, off, rendered(parameters[:, rows], lit), strict=True):

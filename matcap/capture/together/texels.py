@@ -35,7 +35,6 @@ _NOISE = 0.02
 # keeps closer to the network's prediction.
 _ALBEDO, _GLOSS = 0.25, 0.2
 _STEEPEST = 3.0  # limit of slopes
-_STEP = 0.02  # of finite differences, parameter units
 # Levenberg-Marquardt: share of a parameter's precision added to the diagonal. Less overshoots;
 # more leaves the trade-off of albedo and slope at its initial value.
 _DAMPING = 0.005
@@ -262,13 +261,14 @@ def _systems(
     points = points_of(views[0].log.shape[-2:], rows, views[0].extent)
     seen = [view.seen[:, rows] for view in views]
     lights = (light_at(k, view, light, points) for k, view in enumerate(views) if seen[k].any())
-    shaded = derivatives(parameters, lights, slopes=slopes)
+    shaded = derivatives(parameters, lights)
     others, count = (PARAMETERS if slopes else ACROSS) - F0, parameters[0].numel()
     systems = []
     for view, mask in zip(views, seen, strict=True):
         albedo, rest = torch.zeros(3, others + 2, count), torch.zeros(others + 1, others, count)
         if mask.any():
             log, share, gained = next(shaded)
+            gained = gained[:others]
             residual = view.log[:, rows] - log
             weight, residual = weights(residual, mask, view.noise).flatten(1), residual.flatten(1)
             torch.mul(share, weight, out=albedo[:, 0])
@@ -284,39 +284,28 @@ def _systems(
 
 
 def derivatives(
-    parameters: Tensor, lights: Iterable[FlashLight | AmbientLight], *, slopes: bool = True
+    parameters: Tensor, lights: Iterable[FlashLight | AmbientLight]
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """In each light log radiance (3, h, w) and its derivatives by the parameters.
 
-    These are the diffuse share of radiance (3, h * w), which is d log L / d log albedo of its
-    channel, and forward differences by the others (2 or 4, 3, h * w).
+    These are the diffuse share s of radiance (3, h * w), which is d log L / d log albedo of its
+    channel, and by the other four (4, 3, h * w): d log L = (1 - s) d log lobe + d log irradiance.
 
     Args:
         parameters: (PARAMETERS, h, w).
         lights: incident at those texels.
-        slopes: whether slopes are among the others.
     """
     matte, f0 = parameters[ALBEDO].exp(), parameters[F0 : F0 + 1].exp()
-    brighter = torch.stack([f0, f0 * math.exp(_STEP)])
-    rough, rougher = torch.sigmoid(
-        parameters[ROUGH : ROUGH + 1] + torch.tensor([0.0, _STEP])[:, None, None, None]
-    )
-    x, y = parameters[SLOPES].split(1)
-    normals = [(x, y), *([(x + _STEP, y), (x, y + _STEP)] if slopes else [])]
-    level, *turned = (normals_from_slopes(*each) for each in normals)
+    rough = torch.sigmoid(parameters[ROUGH : ROUGH + 1])
+    normal = normals_from_slopes(*parameters[SLOPES].split(1))
     for light in lights:
-        lit = light.onto(level)
+        lit, lobe, slanted = light.linearised(normal, f0, rough)
         diffuse = lit.matte(matte)
-        same, changed = diffuse + lit.mirrored(brighter, rough)
-        moved = [(changed, lit), (diffuse + lit.mirrored(f0, rougher), lit)]
-        for normal in turned:
-            other = light.onto(normal)
-            moved.append((diffuse + other.mirrored(f0, rough), other))
-        log = logarithm(same * lit.irradiance)
-        gained = log.new_empty(len(moved), *log.shape)
-        for place, (each, at) in zip(gained, moved, strict=True):
-            torch.sub(logarithm(each * at.irradiance), log, out=place)
-        yield log, (diffuse / same).flatten(1), gained.mul_(1.0 / _STEP).flatten(2)
+        same = diffuse + lit.mirrored(f0, rough)
+        share = diffuse / same
+        gained = (1.0 - share) * lobe[:, None]
+        gained[-2:] += slanted[:, None]
+        yield logarithm(same * lit.irradiance), share.flatten(1), gained.flatten(2)
 
 
 def jacobian(share: Tensor, gained: Tensor) -> Tensor:

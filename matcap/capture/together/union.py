@@ -259,24 +259,21 @@ def rounded_off(maps: MapSet, known: Tensor, slow: float) -> MapSet:
     return MapSet.from_stacked(torch.from_numpy(planes), maps.texel_size)
 
 
-def tint_over(
-    tint: Tensor | None, readings: Sequence[ReadView | None] | None, reach: Reach
-) -> Tensor | None:
+def tint_over(tint: Tensor | None, readings: Sequence[ReadView], reach: Reach) -> Tensor | None:
     """Specular tint (3, H, W) over the mosaic, from the other predictions beyond the first's.
 
     Args:
         tint: (3, H, W) from the first prediction, extrapolated; None without metal.
-        readings: predictions of each photograph, the first one first; or None.
+        readings: predictions of photographs, the first one first.
         reach: of the mosaic.
     """
-    if tint is None or readings is None or not reach.margins.any:
+    if tint is None:
         return tint
     total, weights = torch.zeros(3, 1, 1), torch.zeros(1, 1)
     for read in readings[1:]:
-        if read is not None:
-            weight = (-2.0 * read.log_error[1]).exp()
-            total = total + weight * (torch.ones(3, 1, 1) if read.tint is None else read.tint)
-            weights = weights + weight
+        weight = (-2.0 * read.log_error[1]).exp()
+        total = total + weight * (torch.ones(3, 1, 1) if read.tint is None else read.tint)
+        weights = weights + weight
     if weights.shape == (1, 1):
         return tint
     beyond = on_grid(total / weights, (tint.shape[-1], tint.shape[-2]))

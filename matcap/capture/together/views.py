@@ -168,12 +168,13 @@ class PieceView:
         """
         photo = view.photo
         rows, columns = photo.pixels.shape[:2]
+        finer = FINER if columns >= FINER * across else 1
         shrink = min(1.0, FINER * across / columns)
         size = (round(columns * shrink), round(rows * shrink))
         pixels = area_averaged(photo.pixels, size)
         full = (photo.clipped[..., None] & (photo.pixels > FULL)).astype(np.float32)
         clipped = area_averaged(full, size)
-        fine = (across * FINER, down * FINER)
+        fine = (across * finer, down * finer)
         place = place or ViewPlace(np.eye(3), None, view.camera.place)
         x, y = _looked_up(view, place, fine, size)
         inside = (x > _BORDER) & (x < size[0] - _BORDER) & (y > _BORDER) & (y < size[1] - _BORDER)

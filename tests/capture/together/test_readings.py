@@ -13,11 +13,10 @@ from matcap.capture.together.readings import (
     OwnPlane,
     ReadView,
     brought_over,
-    fewer,
     joined,
     with_others,
 )
-from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
+from matcap.capture.together.texels import Estimate, parameters_of
 from matcap.capture.together.views import SetLight, ViewPlace
 from matcap.flash.geometry import camera_in_plane
 from matcap.flash.registration.camera import PosedCamera
@@ -120,7 +119,7 @@ def test_joined_readings_are_nearer_in_any_order_and_the_doubtful_count_less():
 
     assert off(read) < 0.4 * off(read[:1])
     assert off([*read, wild]) < 1.1 * off(read)
-    forth, back = joined([*read, None]).maps, joined([None, *read[::-1]]).maps
+    forth, back = joined(read).maps, joined(read[::-1]).maps
     torch.testing.assert_close(forth.stacked(), back.stacked(), atol=1e-4, rtol=0.0)
     # Three are surer than one, but not as if they erred each on their own.
     surer = float((joined(read).log_error - joined(read[:1]).log_error).mean())
@@ -143,18 +142,7 @@ def test_alone_the_first_stays_as_it_was_read_and_others_leave_it_its_fine_waves
     torch.testing.assert_close(same.log_error, doubt)
     darker = ReadView(first.parameters.clone(), first.log_error)
     darker.parameters[:3] -= 0.4
-    both = with_others(alone, [first, darker, None])
+    both = with_others(alone, [first, darker])
     log = both.maps.diffuse.log()
     torch.testing.assert_close(log, maps.diffuse.log() - 0.2, atol=0.01, rtol=0.0)
     assert (both.log_error < doubt).all()
-
-
-def test_fewer_texels_say_the_same():
-    maps = _waves(grid_points(SIZE[1], SIZE[0]), 2.0 / SIZE[1])
-    read = ReadView(parameters_of(maps), torch.full((4, *SIZE), -2.0))
-    (one, none) = fewer([read, None], (SIZE[0] // 2, SIZE[1] // 2))
-    assert none is None and one is not None
-    coarse = parameters_of(_waves(grid_points(SIZE[1] // 2, SIZE[0] // 2), 4.0 / SIZE[1]))
-    inner = (slice(None), slice(2, -2), slice(2, -2))
-    torch.testing.assert_close(one.parameters[inner], coarse[inner], atol=0.02, rtol=0.0)
-    assert one.parameters[SLOPES].abs().max() > 0.1

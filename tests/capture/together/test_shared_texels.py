@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
+from matcap.capture.together.ambient_light import AmbientLight
 from matcap.capture.together.shared import texels_solved
-from matcap.capture.together.texels import PARAMETERS, solved_in_place
+from matcap.capture.together.texels import (
+    PARAMETERS,
+    derivatives,
+    jacobian,
+    rendered,
+    solved_in_place,
+)
+from matcap.flash.light import FlashLight
 
 
 def test_sound_texels_are_solved() -> None:
@@ -41,3 +50,31 @@ def test_systems_side_by_side_are_solved_as_one_after_the_other() -> None:
     lower = factor[:PARAMETERS].movedim(-1, 0).tril()[sound]
     assert torch.allclose(lower, torch.linalg.cholesky(within[sound]), rtol=1e-3, atol=1e-4)
     assert bool(found[:, 4].isnan().all())
+
+
+_POINTS = torch.cat(
+    [torch.rand(2, 6, 7, generator=torch.Generator().manual_seed(2)), torch.zeros(1, 6, 7)]
+)
+_LIGHTS = (
+    FlashLight.between(
+        _POINTS.double(),
+        torch.tensor([0.1, 0.0, 2.0]),
+        torch.tensor([0.2, -0.1, 2.0]),
+        torch.tensor([1.0, 2.0, 3.0]),
+    ),
+    AmbientLight(torch.tensor([0.2, 0.3, 0.5]), torch.tensor([1.0, 2.0, 3.0])[:, None, None]),
+)
+
+
+@pytest.mark.parametrize("light", _LIGHTS)
+def test_derivatives_are_those_of_the_rendered_radiance(light) -> None:
+    draw = torch.randn(PARAMETERS, 6, 7, generator=torch.Generator().manual_seed(3)).double()
+    level = torch.tensor([-1.5, -1.5, -1.5, -3.0, 0.0, 0.0, 0.0])[:, None, None]
+    texels = level + 0.4 * draw
+    ((log, *shown),) = derivatives(texels, [light])
+    assert torch.equal(log, rendered(texels, [light])[0].log())
+    for number, found in enumerate(jacobian(*shown)):
+        step = torch.zeros(PARAMETERS, 1, 1).double()
+        step[number] = 1e-5
+        ahead, behind = (rendered(texels + s, [light])[0].log() for s in (step, -step))
+        torch.testing.assert_close(found, ((ahead - behind) / 2e-5).flatten(1), atol=1e-6, rtol=0)

@@ -184,11 +184,11 @@ def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():
     first = ReadView(numbers, doubt, extent)
     other = ReadView(numbers, torch.full((4, *whole), -2.0), extent, gold)
     grey = torch.ones(3, *whole)
-    found = tint_over(grey, [first, other, None], reach)
+    found = tint_over(grey, [first, other], reach)
     assert torch.equal(found[..., : SIZE[0]], grey[..., : SIZE[0]])
     torch.testing.assert_close(found[..., SIZE[0] :], gold[..., SIZE[0] :])
     assert tint_over(None, [first, other], reach) is None
-    assert torch.equal(tint_over(grey, [first, None], reach), grey)
+    assert torch.equal(tint_over(grey, [first], reach), grey)
 
 
 @pytest.fixture(scope="module")
