@@ -6,44 +6,35 @@ import io
 import tempfile
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
-from matcap.brdf.adjust import KEY, Adjustments, adjusted, parse_adjustments
+from matcap.brdf.adjust import KEY, adjusted, parse_adjustments
 from matcap.errors import UsageError
 from matcap.view.subject import Maps, Materials, Viewable
 
 _LARGEST = 4096  # texels a side
 
 
-@dataclass(frozen=True)
-class ExportRequest:
-    """An export that the page asks for."""
+def exported(subject: Viewable, values: Mapping[str, str]) -> tuple[str, bytes]:
+    """Export a subject as the page asks for; return the target and the bytes of a zip file.
 
-    target: str
-    """Target of `matcap export`: a document or a preset."""
-    size: int
-    """Sides in texels; ignored for a map set."""
-    seed: int
-    """Seed of the realisation."""
-    share: float
-    """Share of the second material, in [0, 1]."""
-    adjust: Adjustments
-
-
-def export_request(values: Mapping[str, str]) -> ExportRequest:
-    """Parse query parameters.
+    Args:
+        subject: a material or map set.
+        values: of the query: `target` of `matcap export`, `size` of a material's square in texels,
+            `seed`, `share` of the second material, `adjust`.
 
     Raises:
         UsageError: a parameter is missing or invalid.
+        MatcapError: as write_export.
     """
-    from matcap.export.targets import check_targets
+    from matcap.export.job import ExportJob, known_scale
+    from matcap.export.targets import check_target, write_export
 
     try:
         size, seed, share = (
             int(values["size"]), int(values.get("seed", "0")), float(values.get("share", "0"))
         )  # fmt: skip
-        target = values["target"]
+        wanted = values["target"]
     except (KeyError, ValueError) as error:
         raise UsageError(
             "the request is not that of an export", remedy="give target, size and seed"
@@ -58,37 +49,25 @@ def export_request(values: Mapping[str, str]) -> ExportRequest:
     text = values.get("adjust", "")
     if text.lower().endswith(".json"):
         raise UsageError("adjustments cannot be a file here", remedy="give relief=1.3 or the like")
-    return ExportRequest(check_targets([target])[0], size, seed, share, parse_adjustments(text))
-
-
-def zipped(subject: Viewable, wish: ExportRequest) -> bytes:
-    """Export a subject; return the bytes of a zip file.
-
-    Raises:
-        MatcapError: as write_export.
-    """
-    from matcap.export.job import ExportJob, known_scale
-    from matcap.export.targets import write_export
-
+    target, adjust = check_target(wanted, "--export"), parse_adjustments(text)
     if isinstance(subject, Materials):
-        material = subject.at(wish.share)
-        side = wish.size
-        period = None if side % material.alignment else (side, side)
-        maps = material.maps(side, side, seed=wish.seed, period=period)
+        material = subject.at(share)
+        period = None if size % material.alignment else (size, size)
+        maps = material.maps(size, size, seed=seed, period=period)
         provenance = dict(material.provenance)
     else:
         assert isinstance(subject, Maps)
         maps, provenance = subject.maps, {}
-    if wish.adjust.changes:
-        maps = adjusted(maps, wish.adjust)
-        provenance[KEY] = wish.adjust.text
+    if adjust.changes:
+        maps = adjusted(maps, adjust)
+        provenance[KEY] = adjust.text
     name = subject.facts.name
     job = ExportJob(maps, name, known_scale(provenance), provenance=provenance)
     packed = io.BytesIO()
     with tempfile.TemporaryDirectory() as place:
-        folder = Path(place) / f"{name}_{wish.target}"
-        done = write_export(job, wish.target, folder)
+        folder = Path(place) / f"{name}_{target}"
+        done = write_export(job, target, folder)
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
             for file in done.files:
                 archive.write(folder / file, f"{folder.name}/{file}")
-    return packed.getvalue()
+    return target, packed.getvalue()

@@ -7,7 +7,6 @@ LEVEL, of the exemplar or, without one, of the field.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -21,18 +20,6 @@ from matcap.view.subject import Materials
 
 SIDE, LEVEL = 240, 2
 _OPENED = 8  # materials cached, of some 50 MB each
-
-
-@dataclass(frozen=True)
-class LibraryEntry:
-    """A material's entry on the library's page."""
-
-    name: str
-    """Name of the file."""
-    rating: str = ""
-    """Rating of the capture's verdict, or ""."""
-    sentence: str = ""
-    """Sentence of the verdict, or ""."""
 
 
 class Library:
@@ -49,8 +36,8 @@ class Library:
         self._kept = lru_cache(_OPENED)(self._open)
 
     def shelf(self) -> list[dict[str, str]]:
-        """A LibraryEntry of each material as JSON, in their order."""
-        return [asdict(_entry(file)) for file in self.files]
+        """Name of each file, rating and sentence of its verdict or "", in their order."""
+        return [_entry(file) for file in self.files]
 
     def subject(self, first: int, second: int | None = None) -> Materials:
         """Open a material, or two to compare; the last _OPENED are cached.
@@ -105,9 +92,9 @@ def find_library(path: Path) -> list[Path]:
     return [*own, *sorted(path.glob("*/*.matcap"))]
 
 
-def _entry(file: Path) -> LibraryEntry:
+def _entry(file: Path) -> dict[str, str]:
     rating, sentence = read_verdict(file.parent) or ("", "")
-    return LibraryEntry(file.stem, rating, sentence)
+    return {"name": file.stem, "rating": rating, "sentence": sentence}
 
 
 def numbers(name: str, count: int) -> tuple[int, int | None] | None:

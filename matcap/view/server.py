@@ -25,7 +25,7 @@ from matcap.view.document import (
     page_file,
     served_page,
 )
-from matcap.view.exporting import export_request, zipped
+from matcap.view.exporting import exported
 from matcap.view.library import Library, numbers
 from matcap.view.pages import Page, Pages, Place
 from matcap.view.references import References
@@ -203,10 +203,9 @@ def _subject_routes(
     async def alive(_: Request) -> Response:
         return Response(status_code=204)
 
-    async def exported(request: Request) -> Response:
-        wish = export_request(request.query_params)
-        data = await asyncio.to_thread(zipped, subject, wish)
-        name = f"{quote(subject.facts.name, safe='')}_{wish.target}.zip"
+    async def zipped(request: Request) -> Response:
+        target, data = await asyncio.to_thread(exported, subject, request.query_params)
+        name = f"{quote(subject.facts.name, safe='')}_{target}.zip"
         headers = {"Content-Disposition": f"attachment; filename*=UTF-8''{name}"}
         return Response(data, media_type="application/zip", headers=headers)
 
@@ -233,7 +232,7 @@ def _subject_routes(
         Route("/", whole),
         *(Route(f"/{name}", picture) for name in pictures),
         Route("/alive", alive),
-        Route("/export", exported),
+        Route("/export", zipped),
         Route("/page", piece),
         Route("/surroundings", surroundings, methods=["POST"]),
         Route("/{name}", _parts(SCRIPTS)),

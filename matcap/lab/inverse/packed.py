@@ -89,10 +89,9 @@ def read_set(folder: Path) -> tuple[Picture, Picture]:
 
     Its sides are multiples of 2^(LEVELS - 1).
     """
-    maps = read_surface(folder)
-    surface = np.concatenate([maps.diffuse, maps.specular, maps.roughness, maps.metallic])
-    steepness = np.sqrt(np.square(maps.slopes).sum(0, keepdims=True))
-    slopes = maps.slopes * np.minimum(1.0, _STEEPEST / np.maximum(steepness, 1e-6))
+    surface, slopes = read_surface(folder)
+    steepness = np.sqrt(np.square(slopes).sum(0, keepdims=True))
+    slopes = slopes * np.minimum(1.0, _STEEPEST / np.maximum(steepness, 1e-6))
     return surface.astype(np.float32), integrate_periodic(slopes)
 
 

@@ -76,34 +76,18 @@ def read_map_set(folder: Path) -> MapSetMaterial:
     Raises:
         MatcapError: a map is missing, or cannot be read.
     """
-    maps = read_surface(folder)
-    specular = maps.specular if maps.metallic.any() else maps.specular[:1]
-    height = integrate_periodic(maps.slopes)
-    stacked = np.concatenate([maps.diffuse, specular, maps.roughness, height])
+    surface, slopes = read_surface(folder)
+    diffuse, specular, roughness, metallic = np.split(surface, (3, 6, 7))
+    specular = specular if metallic.any() else specular[:1]
+    stacked = np.concatenate([diffuse, specular, roughness, integrate_periodic(slopes)])
     return MapSetMaterial(folder.name, stacked.astype(np.float32), _SPAN / stacked.shape[2])
 
 
-@dataclass(frozen=True)
-class SurfaceMaps:
-    """The maps of a set, all of one size.
+def read_surface(folder: Path) -> tuple[Floats, Floats]:
+    """(8, H, W) diffuse albedo, F0, roughness and share that is metal of a folder; its slopes.
 
-    Attributes:
-        diffuse: (3, H, W) albedo, linear.
-        specular: (3, H, W) F0, linear.
-        roughness: (1, H, W) perceptual.
-        metallic: (1, H, W) share that is metal.
-        slopes: (2, H, W) of the normals, y upwards.
-    """
-
-    diffuse: Floats
-    specular: Floats
-    roughness: Floats
-    metallic: Floats
-    slopes: Floats
-
-
-def read_surface(folder: Path) -> SurfaceMaps:
-    """The maps of a folder; without a metallic map, all of a bare metal is metal.
+    The slopes (2, H, W) are those of the normals, y upwards. Without a metallic map, all of a bare
+    metal is metal.
 
     Raises:
         MatcapError: base colour, normal or roughness is missing, or cannot be read.
@@ -122,7 +106,7 @@ def read_surface(folder: Path) -> SurfaceMaps:
         bare = folder.name in bare_metals(folder.parent / "manifest.json")
         metallic = np.full_like(channels.roughness, float(bare))
     both = metallic_of(channels.base, metallic)
-    return SurfaceMaps(both[:3], both[3:], channels.roughness, metallic, channels.slopes)
+    return np.concatenate([both, channels.roughness, metallic]), channels.slopes
 
 
 def map_set_folders(folder: Path) -> list[Path]:
