@@ -4,7 +4,7 @@ import pytest
 import torch
 from plain_decoder import decoded
 
-from matcap.field.field import BLOCK, Field
+from matcap.field.field import Field
 from matcap.field.plane import COORDINATE_LIMIT, Rectangle
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import (
@@ -16,7 +16,7 @@ from matcap.space.decoder import (
     maps_from_raw,
 )
 from matcap.space.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE, Encoder, EncoderConfig
-from matcap.space.freeze import fold, freeze, reference_field
+from matcap.space.freeze import fold, freeze
 from matcap.space.patch import Patch
 from matcap.space.random_field import random_field
 from matcap.space.tuned import TunedDecoder
@@ -89,15 +89,6 @@ def test_bfloat16_is_float32_to_two_digits():
     assert error.max() < 0.05
 
 
-def test_frozen_and_unfrozen_agree_on_the_field_they_were_frozen_on():
-    decoder = a_decoder()
-    field = reference_field(CONFIG, WAVES)
-    with torch.no_grad():
-        free = decoder(field, CODE)
-        frozen = decoder(field, CODE, freeze(decoder, CODE, WAVES))
-    assert torch.allclose(free, frozen, atol=1e-4)
-
-
 def test_folding_changes_nothing_whatever_the_weights():
     for gain in (1e-3, 1.0, 30.0):
         decoder = a_decoder(gain)
@@ -108,23 +99,6 @@ def test_folding_changes_nothing_whatever_the_weights():
             other = decoder(a_field(256), CODE, moments, periodic=False)[..., 96:-96, 96:-96]
         scale = other.abs().max()
         assert torch.allclose(one, other, atol=1e-4 * float(scale.clamp_min(1.0)))
-
-
-def test_rectangles_of_every_shape_are_cut_from_the_same_field():
-    field = Field(a_material(a_decoder()), seed=1)
-    whole = field.read(BLOCK - 40, BLOCK - 30, 80, 60).stacked()
-    for x, y, width, height in [(39, 29, 2, 2), (0, 59, 80, 1)]:
-        part = field.read(BLOCK - 40 + x, BLOCK - 30 + y, width, height).stacked()
-        assert torch.equal(part, whole[:, y : y + height, x : x + width])
-
-
-@pytest.mark.usefixtures("two_threads")
-def test_the_number_of_threads_changes_no_bit_of_a_field():
-    material = a_material(a_decoder())
-    two = Field(material, 4).read(0, 0, 96, 96, workers=2).stacked()
-    torch.set_num_threads(1)
-    one = Field(material, 4).read(0, 0, 96, 96, workers=1).stacked()
-    assert torch.equal(one, two)
 
 
 @pytest.mark.usefixtures("two_threads")
