@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcap.errors import MatcapError
+from matcap.files.maker import MAKER_VERSION as __version__
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
-from matcap.version import __version__
 
 if TYPE_CHECKING:
     import numpy as np

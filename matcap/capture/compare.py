@@ -46,7 +46,7 @@ class Compared:
             MatcapError: the path holds no material, or several.
         """
         file, material = open_material(path)
-        report = read_report(file.parent / REPORT)
+        report = read_document(file.parent / REPORT, "matcap report") or {}
         tone = ToneCurve.of_report(report)
         return Compared(file.stem, material, _verdict(report), _photograph(report), tone)
 
@@ -94,11 +94,6 @@ def _panels(material: Material, photo: Photo | None) -> Iterator[Panel]:
 
 def _rows(linear: torch.Tensor) -> np.ndarray[Any, np.dtype[np.float32]]:
     return np.ascontiguousarray(linear.movedim(0, -1).numpy())
-
-
-def read_report(file: Path) -> dict[str, Any]:
-    """Read a report.json; an empty dict if it is missing or no report of matcap."""
-    return read_document(file, "matcap report") or {}
 
 
 def _verdict(report: dict[str, Any]) -> dict[str, Any] | None:

@@ -144,11 +144,11 @@ def _strengths(measured: dict[str, Any] | None) -> list[tuple[str, str]]:
 
 def _material(path: Path) -> tuple[dict[str, Any], str]:
     """Summary of a material, for JSON and as text."""
-    from matcap.capture.compare import read_report
     from matcap.capture.outputs import REPORT
     from matcap.example.stored import read_exemplified
     from matcap.example.summary import summary
     from matcap.export.job import known_scale
+    from matcap.files.document import read_document
 
     exemplified, made = read_exemplified(path), "by example"
     if exemplified is None:
@@ -160,7 +160,7 @@ def _material(path: Path) -> tuple[dict[str, Any], str]:
         f"     {name:<13} {says}" for name, says in about.lines(known_scale(exemplified.provenance))
     ]
     document: dict[str, Any] = {"exemplar": about.document()}
-    report = read_report(path.parent / REPORT)
+    report = read_document(path.parent / REPORT, "matcap report") or {}
     verdict, photographed = report.get("verdict"), report.get("photograph", {}).get("name")
     own = photographed == exemplified.provenance.get("photograph")
     if own and isinstance(verdict, dict) and "sentence" in verdict:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from matcap.version import __version__
-
-MAKER_VERSION = __version__
+MAKER_VERSION = "0.1.0"  # of matcap
 MAKER = f"matcap {MAKER_VERSION}"
 SOFTWARE = "Software"  # name of the entry in PNG and EXR files

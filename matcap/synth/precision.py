@@ -19,6 +19,7 @@ from matcap.field.plane import Rectangle
 from matcap.field.single import single_threaded
 from matcap.field.source import Network, Source
 from matcap.files.srgb import srgb_picture
+from matcap.statistics.precision import multiplies_bfloat16
 from matcap.synth.pictures import kind_planes
 
 Precision = Literal["fp32", "bf16", "auto"]
@@ -75,15 +76,6 @@ def choose(source: Network, precision: Precision) -> ChosenPrecision:
         if max(steps.values()) < HALF_STEP:
             return ChosenPrecision(cheaper, name, steps)
     return ChosenPrecision(source, "fp32", {})
-
-
-def multiplies_bfloat16(device: torch.device) -> bool:
-    """Whether a device has bfloat16 instructions; emulated ones are slower than float32."""
-    if device.type == "cpu":
-        if not torch.backends.mkldnn.is_available():
-            return False
-        return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
-    return device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
 
 
 def _samples(source: Network) -> Iterator[Tensor]:

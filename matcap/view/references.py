@@ -63,14 +63,14 @@ def find_references(
     Raises:
         MatcapError: the photograph cannot be read.
     """
-    from matcap.capture.compare import read_report
     from matcap.photo.tone import ToneCurve
 
     folder = path if path.is_dir() else path.parent
     file = photo or find_photograph(path, name) or reported_photograph(folder)
     example = material.part(Example) if material else None
     setup = material.setup if material and example else None
-    tone = ToneCurve.of_report(read_report(folder / "report.json"))
+    report = read_document(folder / "report.json", "matcap report") or {}
+    tone = ToneCurve.of_report(report)
     return References(
         browser_picture(file, setup, tone) if file else None,
         doubt_picture(example.exemplar) if example else None,

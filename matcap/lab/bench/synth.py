@@ -51,7 +51,7 @@ from matcap.space.patch import Patch
 from matcap.space.random_field import noise_of
 from matcap.space.source import BlockSpans, DecoderSource, spans_of_block
 from matcap.space.tuned import TunedDecoder
-from matcap.synth.precision import multiplies_bfloat16
+from matcap.statistics.precision import multiplies_bfloat16
 
 ABOUT = (
     "Seconds: wall time; processor: time of all cores; paper: of the paper's form of the network; "
