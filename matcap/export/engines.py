@@ -7,6 +7,7 @@ the smaller residual is written.
 from __future__ import annotations
 
 import math
+from functools import partial
 from importlib.resources import files as resources
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,8 @@ from matcap.export.shading import TargetShading
 from matcap.export.textures import BASE, Workflow
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from matcap.export.job import ExportJob
 
 _LARGEST_F0 = 0.16  # of Godot: F0 = 0.16 metallic_specular^2
@@ -147,7 +150,23 @@ def _below(label: str, meaning: str = BASE) -> PresetTexture:
     return PresetTexture(label, "8", lambda material: material.base, meaning, srgb=True)
 
 
-_UNREAL_NAMES = ("Normal_GL", "Normal_DX")
+def _level(label: str) -> PresetTexture:
+    """Unreal's Specular."""
+    return PresetTexture(label, "8", _specular_level, "F0 / 0.08 of the dielectric")
+
+
+def _unity_mask(made: Callable[[PackedMaterial], Picture]) -> PresetTexture:
+    """HDRP's mask map."""
+    return PresetTexture(
+        "MaskMap", "8", made, "R: metallic, G: occlusion, B: detail, A: smoothness"
+    )
+
+
+_NORMALS = ("Normal_GL", "Normal_DX")
+_unreal = partial(
+    Preset, "T_{stem}_{map}", normal="dx", normal_labels=_NORMALS, documents=_unreal_import
+)
+_unity = partial(Preset, "{stem}_{map}", normal_labels=_NORMALS)
 _UNREAL = ("run T_*_import.py in Unreal to import them with the right settings",)
 _UNITY_NORMAL = "set the Texture Type of Normal_GL to Normal map"
 _UNITY = ("switch sRGB off for MaskMap, BentNormalMap and HeightMap", _UNITY_NORMAL)
@@ -157,27 +176,20 @@ PLAIN: dict[str, Workflow] = {"unreal": "metallic"}
 
 ENGINES: dict[str, dict[Workflow, Preset]] = {
     "unreal": {
-        "metallic": Preset(
-            "T_{stem}_{map}",
+        "metallic": _unreal(
             {
                 "base": _colour("BaseColor"),
                 "orm": PresetTexture("ORM", "8", _orm, _ORM),
-                "specular": PresetTexture(
-                    "Specular", "8", _specular_level, "F0 / 0.08 of the dielectric"
-                ),
+                "specular": _level("Specular"),
                 "height": height("Height"),
                 "normal": normal(),
             },
-            normal="dx",
-            normal_labels=_UNREAL_NAMES,
             model=EngineModel(
                 TargetShading(masking="hammon", fading=True), "metallic", (0.0, _UNREAL_F0)
             ),
             notes=("--workflow specular is closer, if the project uses Substrate", *_UNREAL),
-            documents=_unreal_import,
         ),
-        "specular": Preset(
-            "T_{stem}_{map}",
+        "specular": _unreal(
             {
                 "base": _below("DiffuseAlbedo", "diffuse albedo of a Substrate slab"),
                 "specular": PresetTexture("F0", "8", _f0, _F0, srgb=True),
@@ -185,8 +197,6 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "height": height("Height"),
                 "normal": normal(),
             },
-            normal="dx",
-            normal_labels=_UNREAL_NAMES,
             model=EngineModel(
                 TargetShading(masking="hammon", layer="albedo", compensated=True), "specular"
             ),
@@ -194,48 +204,35 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "needs Substrate, in Unreal's project settings; --workflow metallic does not",
                 *_UNREAL,
             ),
-            documents=_unreal_import,
         ),
     },
     "unity-hdrp": {
-        "metallic": Preset(
-            "{stem}_{map}",
+        "metallic": _unity(
             {
                 "base": _colour("BaseMap"),
-                "mask": PresetTexture(
-                    "MaskMap", "8", _mask, "R: metallic, G: occlusion, B: detail, A: smoothness"
-                ),
+                "mask": _unity_mask(_mask),
                 "bent": bent("BentNormalMap"),
                 "height": height("HeightMap"),
                 "normal": normal(),
             },
-            normal_labels=_UNREAL_NAMES,
             model=EngineModel(_HDRP, "metallic", (_UNITY_F0, _UNITY_F0)),
             notes=_UNITY,
         ),
-        "specular": Preset(
-            "{stem}_{map}",
+        "specular": _unity(
             {
                 "base": _below("BaseMap"),
                 "specular": PresetTexture("SpecularColorMap", "8", _f0, _F0, srgb=True),
-                "mask": PresetTexture(
-                    "MaskMap",
-                    "8",
-                    _no_metal_mask,
-                    "R: metallic, G: occlusion, B: detail, A: smoothness",
-                ),
+                "mask": _unity_mask(_no_metal_mask),
                 "bent": bent("BentNormalMap"),
                 "height": height("HeightMap"),
                 "normal": normal(),
             },
-            normal_labels=_UNREAL_NAMES,
             model=EngineModel(_HDRP, "specular", conserving=True),
             notes=("set Material Type to Specular Color", *_UNITY),
         ),
     },
     "unity-urp": {
-        "metallic": Preset(
-            "{stem}_{map}",
+        "metallic": _unity(
             {
                 "base": _colour("BaseMap"),
                 "smooth": PresetTexture(
@@ -245,15 +242,13 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "height": height("HeightMap"),
                 "normal": normal(),
             },
-            normal_labels=_UNREAL_NAMES,
             model=EngineModel(_MOBILE, "metallic", (_UNITY_F0, _UNITY_F0), 1.0 - _UNITY_F0),
             notes=(
                 "switch sRGB off for MetallicSmoothness, OcclusionMap and HeightMap",
                 _UNITY_NORMAL,
             ),
         ),
-        "specular": Preset(
-            "{stem}_{map}",
+        "specular": _unity(
             {
                 "base": _below("BaseMap"),
                 "specular": PresetTexture(
@@ -267,7 +262,6 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "height": height("HeightMap"),
                 "normal": normal(),
             },
-            normal_labels=_UNREAL_NAMES,
             model=EngineModel(_MOBILE, "specular", conserving=True),
             notes=(
                 "set Workflow Mode to Specular",
@@ -314,9 +308,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "base": _colour("basecolor"),
                 "roughness": PresetTexture("roughness", "8", _rough, "roughness"),
                 "mask": PresetTexture("metallic", "8", _metal, "metallic"),
-                "specular": PresetTexture(
-                    "specularlevel", "8", _specular_level, "F0 / 0.08 of the dielectric"
-                ),
+                "specular": _level("specularlevel"),
                 "occlusion": occlusion("ambientocclusion"),
                 "height": height("height"),
                 "normal": normal(),
