@@ -33,6 +33,7 @@ POLYHAVEN = {
     "height": "rock_wall_08_disp_1k.png",
     "metal": "rock_wall_08_metal_1k.png",
 }
+PLAIN = {"a_Color": "base", "a_NormalGL": "gl", "a_Roughness": "rough"}
 
 
 @pytest.fixture
@@ -40,28 +41,38 @@ def maps() -> MapSet:
     return bumpy(64, 64, seed=7, relief=0.05)
 
 
-def write(path, values):
-    """(C, H, W) in [0, 1] as a 16-bit PNG."""
-    stored = np.rint(np.moveaxis(values, 0, -1) * 65535).astype(np.uint16)
-    cv2.imwrite(str(path), np.ascontiguousarray(stored[..., ::-1]))
-
-
-def publish(maps, folder, names, kinds, metal=0.0):
-    """Write maps the way such sites do."""
+def pictures_of(maps):
+    """By map (H, W, C) in [0, 1], as stored."""
     height = maps.height.numpy()
-    low, high = height.min(), height.max()
+    coded = (height - height.min()) / np.ptp(height)
+    metal = np.broadcast_to(np.linspace(0.0, 1.0, 64, dtype=np.float32), height.shape)
     normal = 0.5 + 0.5 * maps.normal.numpy()
-    flipped = normal * [[[1.0]], [[-1.0]], [[1.0]]] + [[[0.0]], [[1.0]], [[0.0]]]
-    pictures = {
+    stored = {
         "base": srgb_picture(maps.diffuse.numpy()),
         "gl": normal,
-        "dx": flipped,
+        "dx": np.stack([normal[0], 1.0 - normal[1], normal[2]]),
         "rough": maps.roughness.numpy(),
-        "height": (height - low) / (high - low),
-        "metal": np.full_like(height, metal),
+        "height": coded,
+        "metal": metal,
     }
+    return {kind: np.moveaxis(one, 0, -1).astype(np.float32) for kind, one in stored.items()}
+
+
+def code(picture, bits=8):
+    return np.rint(picture * (2**bits - 1)).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def png(path, picture, bits=16):
+    stored = code(picture, bits)
+    turned = stored[..., [2, 1, 0, 3][: stored.shape[2]]] if stored.shape[2] > 1 else stored
+    cv2.imwrite(str(path), turned)
+
+
+def publish(maps, folder, names, kinds):
+    """Write maps the way such sites do."""
+    pictures = pictures_of(maps)
     for kind in kinds:
-        write(folder / names.get(kind, kind), pictures[kind.split("/")[-1]])
+        png(folder / names[kind], pictures[kind])
 
 
 @pytest.mark.parametrize("names", [AMBIENTCG, POLYHAVEN])
@@ -80,7 +91,8 @@ def test_the_usual_names(tmp_path, maps, names, normal):
 
 
 def test_metal_reflects_its_colour(tmp_path, maps):
-    publish(maps, tmp_path, AMBIENTCG, ["base", "gl", "rough", "metal"], metal=1.0)
+    publish(maps, tmp_path, AMBIENTCG, ["base", "gl", "rough"])
+    png(tmp_path / AMBIENTCG["metal"], np.ones((64, 64, 1), np.float32))
     found = read_foreign(tmp_path).texture
     np.testing.assert_allclose(found.diffuse, 0.0, atol=1e-6)
     np.testing.assert_allclose(found.specular, maps.diffuse, atol=1e-3)
@@ -110,8 +122,8 @@ def test_the_direction_of_green_is_guessed_with_a_warning(tmp_path, maps, way, h
 
 def test_packed_maps_and_smaller_ones(tmp_path, maps):
     publish(maps, tmp_path, POLYHAVEN, ["base", "gl"])
-    half = torch.nn.functional.avg_pool2d(maps.roughness[None], 2)[0].numpy()
-    write(tmp_path / "rock_wall_08_arm_1k.png", np.concatenate([half, half, 0 * half]))
+    half = torch.nn.functional.avg_pool2d(maps.roughness, 2).movedim(0, -1).numpy()
+    packed(tmp_path, "rock_wall_08_arm_1k.png", half, half, 0 * half)
     found = read_foreign(tmp_path).texture
     assert found.roughness.shape == (1, 64, 64)
     np.testing.assert_allclose(found.roughness, maps.roughness, atol=0.03)
@@ -144,36 +156,11 @@ def test_folders_that_are_no_map_sets(tmp_path, maps):
 # Kinds of files, each against the same maps as plain PNGs of 16 bits.
 
 
-def pictures_of(maps):
-    """By map (H, W, C) in [0, 1], as stored."""
-    height = maps.height.numpy()
-    coded = (height - height.min()) / np.ptp(height)
-    metal = np.broadcast_to(np.linspace(0.0, 1.0, 64, dtype=np.float32), height.shape)
-    stored = {
-        "base": srgb_picture(maps.diffuse.numpy()),
-        "normal": 0.5 + 0.5 * maps.normal.numpy(),
-        "rough": maps.roughness.numpy(),
-        "height": coded,
-        "metal": metal,
-    }
-    return {kind: np.moveaxis(one, 0, -1).astype(np.float32) for kind, one in stored.items()}
-
-
-def code(picture, bits=8):
-    return np.rint(picture * (2**bits - 1)).astype(np.uint8 if bits == 8 else np.uint16)
-
-
-def png(path, picture, bits=16):
-    stored = code(picture, bits)
-    turned = stored[..., [2, 1, 0, 3][: stored.shape[2]]] if stored.shape[2] > 1 else stored
-    cv2.imwrite(str(path), turned)
-
-
 @pytest.fixture
 def plain(tmp_path, maps):
     """A folder of PNGs, the pictures in it, and what comes of them."""
     pictures = pictures_of(maps)
-    for name, kind in (("a_Color", "base"), ("a_NormalGL", "normal"), ("a_Roughness", "rough")):
+    for name, kind in PLAIN.items():
         png(tmp_path / f"{name}.png", pictures[kind])
     return tmp_path, pictures, read_foreign(tmp_path).texture
 
@@ -183,7 +170,7 @@ def same(found, expected, atol=2e-3):
         np.testing.assert_allclose(getattr(found, map_), getattr(expected, map_), atol=atol)
 
 
-@pytest.mark.parametrize(("name", "kind"), [("a_Color", "base"), ("a_NormalGL", "normal")])
+@pytest.mark.parametrize(("name", "kind"), [("a_Color", "base"), ("a_NormalGL", "gl")])
 @pytest.mark.parametrize("form", ["png", "tif", "tga", "webp"])
 def test_data_in_alpha_is_not_multiplied_in(plain, name, kind, form):
     folder, pictures, expected = plain
@@ -203,7 +190,7 @@ def test_data_in_alpha_is_not_multiplied_in(plain, name, kind, form):
 @pytest.mark.parametrize("form", ["tga", "webp", "bmp", "tif"])
 def test_other_kinds_of_files(plain, form):
     folder, pictures, expected = plain
-    for name, kind in (("a_Color", "base"), ("a_NormalGL", "normal"), ("a_Roughness", "rough")):
+    for name, kind in PLAIN.items():
         (folder / f"{name}.png").unlink()
         colour = np.repeat(code(pictures[kind]), 3 // pictures[kind].shape[2], axis=-1)
         lossless = {"lossless": True} if form == "webp" else {}
@@ -237,7 +224,7 @@ def exr_normals(folder, normal, names=("R", "G", "B")):
 def test_normals_in_floats_are_judged_by_most_of_them(plain, signed, channels, stray):
     """One texel below 0 or far above 1, of resampling or compression, changes nothing else."""
     folder, pictures, expected = plain
-    normal = pictures["normal"].copy()
+    normal = pictures["gl"].copy()
     normal = 2.0 * normal - 1.0 if signed else normal
     if stray is not None:
         normal[3, 5, 0] = stray
@@ -250,14 +237,14 @@ def test_normals_in_floats_are_judged_by_most_of_them(plain, signed, channels, s
 
 def test_normals_named_as_vectors(plain):
     folder, pictures, expected = plain
-    exr_normals(folder, 2.0 * pictures["normal"] - 1.0, ("Normal.X", "Normal.Y", "Normal.Z"))
+    exr_normals(folder, 2.0 * pictures["gl"] - 1.0, ("Normal.X", "Normal.Y", "Normal.Z"))
     same(read_foreign(folder).texture, expected)
 
 
 def test_normals_of_which_two_channels_are_stored(plain):
     """Blue empty, or x in alpha beside a constant red (DXT5)."""
     folder, pictures, expected = plain
-    x, y, _ = np.moveaxis(pictures["normal"], -1, 0)
+    x, y, _ = np.moveaxis(pictures["gl"], -1, 0)
     full, none = np.ones_like(x), np.zeros_like(x)
     for stored in ((x, y, none), (full, y, y, x)):
         png(folder / "a_NormalGL.png", np.stack(stored, axis=-1))
@@ -289,7 +276,7 @@ def test_what_is_no_normal_map_is_refused(plain):
     png(folder / "a_NormalGL.png", pictures["rough"])
     with pytest.raises(MatcapError, match="one channel"):
         read_foreign(folder)
-    below = pictures["normal"] * [1.0, 1.0, -1.0] + [0.0, 0.0, 1.0]
+    below = pictures["gl"] * [1.0, 1.0, -1.0] + [0.0, 0.0, 1.0]
     png(folder / "a_NormalGL.png", below)
     with pytest.raises(MatcapError, match="point away"):
         read_foreign(folder)
