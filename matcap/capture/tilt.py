@@ -11,10 +11,6 @@ from matcap.flash.coarse.hypotheses import TiltPrior
 from matcap.photo.photo import Photo
 from matcap.space.alignment import tilt_measurement
 
-# Radians: standard deviation of the branch's bias on developed photographs of phones, which the
-# simulated training pictures lack: means of +3.8 and -1.2 degrees about x on two real series.
-_DEVELOPED_BIAS = math.radians(5.0)
-
 
 def fitted(photo: Photo, *, measured: bool = True) -> CoarseFit:
     """Coarse fit of a photograph, with the alignment branch's two tilt angles as Gaussian prior.
@@ -28,9 +24,7 @@ def fitted(photo: Photo, *, measured: bool = True) -> CoarseFit:
     prior = None
     if measured:
         seen = tilt_measurement(photo)
-        bias = 0.0 if photo.radiometric else _DEVELOPED_BIAS
-        std = (math.hypot(seen.std_x, bias), math.hypot(seen.std_y, bias))
-        prior = TiltPrior((seen.x, seen.y), std)
+        prior = TiltPrior((seen.x, seen.y), (seen.std_x, seen.std_y))
     return under_flash(fit_coarse(photo, tilt_prior=prior), photo.flash_intensity)
 
 

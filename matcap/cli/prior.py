@@ -124,13 +124,13 @@ def align(
 ) -> None:
     """Train the alignment branch, which predicts a photograph's tilt, on simulated ones."""
     from matcap.files.staging import check_writable
-    from matcap.lab.train.align import make, report_alignment, train_alignment
+    from matcap.lab.train.align import report_alignment
+    from matcap.lab.train.fusion import train_branch
     from matcap.space.alignment import load_alignment, save_alignment
 
     check_writable(out.parent, 2_000_000)
     begun = None if start is None else load_alignment(start)
-    pool = make(range(materials))
-    branch = train_alignment(pool, steps, start=begun, on_progress=_printer(quiet))
+    branch = train_branch(materials, steps, start=begun, on_progress=_printer(quiet))
     save_alignment(out, branch)
     typer.echo(report_alignment(branch))
 

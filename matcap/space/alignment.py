@@ -4,7 +4,9 @@ The paper's encoder has a branch for two rotation angles [henzler2021, section "
 is a separate network, because every capture needs the tilt and most need no latent vector. Cues are
 the light's falloff, the highlight's position and the texture's foreshortening. The first two depend
 on image position, so features are pooled on a grid, and a blurred image is an input of the last
-layers. Trained on simulated photographs of known tilt (lab/train/align.py).
+layers. The foreshortening of fine texture is measured apart (convergence.py), and a second, small
+network weighs the three estimates of each angle. Trained on simulated photographs of known tilt
+(lab/train/align.py, fusion.py).
 
 Angles are those of FlashSetup, in radians: positive tilt_x turns the plane's upper edge towards the
 camera, positive tilt_y its left edge.
@@ -26,6 +28,7 @@ from torch import Tensor, nn
 from matcap.errors import MatcapError
 from matcap.files.tensors import StoredTensors, write_tensors
 from matcap.photo.photo import Photo
+from matcap.space.convergence import ESTIMATES, convergence
 from matcap.space.picture import PICTURE_CHANNELS, picture
 from matcap.space.residual import ResidualBlock
 
@@ -34,7 +37,7 @@ CONDITIONS = 3  # scalar inputs
 UNKNOWN_FOV = 45.0  # degrees: input of a photograph whose field of view is not known
 SHIPPED = Path(__file__).parent / "prior" / "weights" / "alignment.safetensors"
 
-_FORMAT = "matcap-alignment-1"
+_FORMAT = "matcap-alignment-2"
 _REMEDY = "install matcap again, or train the branch with `matcap prior align`"
 _GRID = (3, 4)  # rows and columns of the pooled features
 _BLURRED = (12, 16)  # rows and columns of the pooled picture
@@ -57,8 +60,58 @@ class TiltMeasurement(NamedTuple):
     std_y: float
 
 
-class Alignment(nn.Module):
-    """The network: image and scalar inputs to two tilt angles."""
+class Evidence(NamedTuple):
+    """What a photograph says of its tilt: the branch's inputs.
+
+    Attributes:
+        picture: (PICTURE_CHANNELS, h, WIDTH) of picture.picture().
+        conditions: (CONDITIONS,) of conditions().
+        slopes: (ESTIMATES, 4) of convergence(), times the camera's distance: tangents.
+    """
+
+    picture: Tensor
+    conditions: Tensor
+    slopes: Tensor
+
+
+class Fusion(nn.Module):
+    """Weighs the picture's angles and those of convergence, both axes by the same weights."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        sources = 1 + ESTIMATES
+        inputs = 4 * sources + 2 + CONDITIONS + 1
+        self.layers = nn.Sequential(
+            *(nn.Linear(inputs, 48), nn.Tanh(), nn.Linear(48, 24), nn.Tanh()),
+            nn.Linear(24, sources + 2),
+        )
+
+    def forward(
+        self, mean: Tensor, log_std: Tensor, conditions: Tensor, slopes: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Means and log standard deviations of (tilt_x, tilt_y), (B, 2) each, in radians.
+
+        Args:
+            mean, log_std: (B, 2) of the picture.
+            conditions: (B, CONDITIONS).
+            slopes: (B, ESTIMATES, 4) as in Evidence.
+        """
+        angles = torch.stack([slopes[..., 1], -slopes[..., 0]], dim=-1).atan().clamp(-0.35, 0.35)
+        own = torch.cat([mean[:, None], angles], dim=1) / _UNIT
+        certain = torch.cat([log_std[:, None], slopes[..., 2:].flip(-1).log()], dim=1) + 3.5
+        gap = (own[:, 1:2] - own[:, 2:3]).abs()
+        each = torch.cat([own, certain, gap], dim=1)
+        other = torch.cat([own.abs(), certain, gap], dim=1).flip(-1)
+        axis = torch.tensor([[0.0, 1.0]]).expand(len(mean), 1, 2)
+        shared = conditions[..., None].expand(-1, -1, 2)
+        out = self.layers(torch.cat([each, other, shared, axis], dim=1).transpose(1, 2))
+        weights = (out[..., :-2] + torch.tensor([1.0] + [0.0] * ESTIMATES)).softmax(-1)
+        fused = (weights * own.transpose(1, 2)).sum(-1) + 0.3 * out[..., -2]
+        return _UNIT * fused, (out[..., -1] + math.log(0.1)).clamp(*_LOG_STD)
+
+
+class PictureTilt(nn.Module):
+    """The network of pictures: image and scalar inputs to two tilt angles."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -91,6 +144,21 @@ class Alignment(nn.Module):
         return _UNIT * mean, (log_std + math.log(0.1)).clamp(*_LOG_STD)
 
 
+class Alignment(nn.Module):
+    """The branch: a network of pictures, and the fusion of its angles with convergence."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.picture, self.fusion = PictureTilt(), Fusion()
+
+    def forward(self, seen: Evidence) -> tuple[Tensor, Tensor]:
+        """Means and log standard deviations of (tilt_x, tilt_y), (1, 2) each, in radians."""
+        stated = seen.conditions[None]
+        mean, log_std = self.picture(seen.picture[None], stated)
+        fused: tuple[Tensor, Tensor] = self.fusion(mean, log_std, stated, seen.slopes[None])
+        return fused
+
+
 def conditions(fov: Tensor, known: Tensor, radiometric: Tensor) -> Tensor:
     """(B, CONDITIONS) scalar inputs.
 
@@ -102,30 +170,34 @@ def conditions(fov: Tensor, known: Tensor, radiometric: Tensor) -> Tensor:
     return torch.stack([(fov - 60.0) / 15.0, known.float(), radiometric.float()], dim=1)
 
 
-def tilt_measurement(photo: Photo, branch: Alignment | None = None) -> TiltMeasurement:
-    """Measure a photograph's tilt with its standard deviation, in radians.
-
-    Args:
-        photo: any size; pixels of its left_out mask are replaced by the median colour.
-        branch: the network; None is the one shipped with matcap.
-
-    Raises:
-        MatcapError: the shipped network is missing or damaged.
-    """
+def evidence(photo: Photo) -> Evidence:
+    """The branch's inputs of a photograph; pixels of its left_out mask become the median colour."""
     pixels = photo.pixels
     if photo.left_out is not None and not photo.left_out.all():
         out = photo.left_out[..., None]
         pixels = np.where(out, np.median(pixels[~photo.left_out], axis=0), pixels)
     known = photo.fov_source != "assumed"
-    known_conditions = conditions(
+    stated = conditions(
         torch.tensor([photo.fov if known else UNKNOWN_FOV]),
         torch.tensor([known]),
         torch.tensor([photo.radiometric]),
     )
+    slopes = convergence(pixels) / math.tan(math.radians(photo.fov / 2.0))
+    return Evidence(picture(pixels, WIDTH), stated[0].float(), slopes)
+
+
+def tilt_measurement(photo: Photo, branch: Alignment | None = None) -> TiltMeasurement:
+    """Measure a photograph's tilt with its standard deviation, in radians.
+
+    Args:
+        photo: any size.
+        branch: the networks; None is those shipped with matcap.
+
+    Raises:
+        MatcapError: the shipped networks are missing or damaged.
+    """
     with torch.inference_mode():
-        mean, log_std = (branch or _shipped())(
-            picture(pixels, WIDTH)[None], known_conditions.float()
-        )
+        mean, log_std = (branch or _shipped())(evidence(photo))
     (x, y), (std_x, std_y) = mean[0].tolist(), log_std[0].exp().tolist()
     return TiltMeasurement(x, y, std_x, std_y)
 

@@ -33,7 +33,6 @@ def asked(monkeypatch):
         return SAID
 
     monkeypatch.setattr(tilt, "tilt_measurement", measure)
-    monkeypatch.setattr(tilt, "_DEVELOPED_BIAS", 0.0)  # the photographs are JPEGs
     return names
 
 
@@ -79,15 +78,6 @@ def test_the_real_branch_brings_fits_nearer_to_the_truth():
         for fit, errors in ((fit_coarse(photo), alone), (fitted(photo), measured)):
             errors += [abs(a - b) for a, b in zip(fit.setup.tilt, truth, strict=True)]
     assert sum(measured) < 0.75 * sum(alone)  # 0.60; with a sign turned at least 1.4
-
-
-def test_a_developed_picture_moves_a_fit_less_than_a_raw_one(monkeypatch):
-    """On phones' own pictures the branch is biased by some degrees."""
-    monkeypatch.setattr(tilt, "tilt_measurement", lambda photo: SAID)
-    photo, _ = tilted_photo(UNSEEN + 700, 160, radiometric=True)
-    fits = [fitted(replace(photo, radiometric=raw)) for raw in (True, False)]
-    used, developed = (tilt_document(fit)["branch_std"] for fit in fits)
-    assert min(developed) >= 5.0 > max(used)
 
 
 def test_without_a_measurement_nothing_is_told(photos):

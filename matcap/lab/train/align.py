@@ -34,12 +34,21 @@ from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
 from matcap.lab.simulate.photograph import PhoneCamera, take
 from matcap.lab.train.pack import decode
 from matcap.lab.train.trainer import RateSchedule, Reporting, Training, fit, mixed
+from matcap.photo.exif import phone_fov
 from matcap.photo.photo import Photo
-from matcap.space.alignment import UNKNOWN_FOV, WIDTH, Alignment, conditions, tilt_measurement
+from matcap.space.alignment import (
+    UNKNOWN_FOV,
+    WIDTH,
+    Alignment,
+    PictureTilt,
+    conditions,
+    tilt_measurement,
+)
 from matcap.space.picture import log_colour, picture_coordinates
 
 # Kinds and patterns excluded from training: the branch is evaluated on them.
 HELD_OUT_KINDS = ("gravel", "weave", "planks", "hammered", "plates")
+EVALUATED = 1024  # pixels across a photograph that the branch is measured by
 UNSEEN = 1_000_000  # seeds from here on show what is held out
 SHOTS = 8  # of a material: making it takes longer than a shot
 _MOST_TILT = math.radians(15.0)
@@ -252,27 +261,34 @@ def tilted_photo(
     One that is developed goes through a JPEG.
     """
     taken = take_tilted(seed, width, 1)
-    done = develop(taken, np.random.default_rng([20261128, seed]), radiometric)
+    photo = written(taken, np.random.default_rng([20261128, seed]), f"tilted_{seed}", radiometric)
+    tilt_x, tilt_y = taken.tilt[0].tolist()
+    return photo, (tilt_x, tilt_y)
+
+
+def written(taken: Tilted, rng: np.random.Generator, name: str, radiometric: bool) -> Photo:
+    """The photograph of one shot, developed; a JPEG is encoded and read again."""
+    done = develop(taken, rng, radiometric)
+    height, width = done.linear.shape[-2:]
     pixels = np.ascontiguousarray(done.linear[0].permute(1, 2, 0).numpy())
     if not radiometric:
         coded = np.round(srgb_encode(pixels) * 255.0).astype(np.uint8)
-        written = cv2.imencode(
+        encoded = cv2.imencode(
             ".jpg", np.ascontiguousarray(coded[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
         )[1]
-        photo = decode(written.tobytes(), f"tilted_{seed}", float(done.fov[0]))
-        photo = replace(photo, fov_source="exif" if bool(done.known[0]) else "assumed")
-    else:
-        photo = Photo(
-            pixels=pixels,
-            clipped=np.asarray((pixels >= 1.0).any(axis=-1)),
-            fov=float(done.fov[0]),
-            fov_source="exif",
-            radiometric=True,
-            name=f"tilted_{seed}",
-            original_size=(width, width * 3 // 4),
-        )
-    tilt_x, tilt_y = taken.tilt[0].tolist()
-    return photo, (tilt_x, tilt_y)
+        photo = decode(encoded.tobytes(), name, float(done.fov[0]))
+        if bool(done.known[0]):
+            return replace(photo, fov_source="exif")
+        return replace(photo, fov=phone_fov(width, height), fov_source="assumed")
+    return Photo(
+        pixels=pixels,
+        clipped=np.asarray((pixels >= 1.0).any(axis=-1)),
+        fov=float(done.fov[0]),
+        fov_source="exif",
+        radiometric=True,
+        name=name,
+        original_size=(width, height),
+    )
 
 
 def train_alignment(
@@ -280,19 +296,19 @@ def train_alignment(
     steps: int,
     *,
     batch: int = 24,
-    start: Alignment | None = None,
+    start: PictureTilt | None = None,
     on_progress: Callable[[str], None] = lambda line: None,
-) -> Alignment:
+) -> PictureTilt:
     """Train: AdamW on the negative log-likelihood, the rate falling from the first step on.
 
     Args:
         pool: photographs.
         steps: of `batch` photographs each.
-        start: a branch to train on, in place; None for random weights.
+        start: a network to train on, in place; None for random weights.
         on_progress: called with a line every 50 steps.
     """
     torch.manual_seed(0)
-    network = (start or Alignment()).requires_grad_(True).train()
+    network = (start or PictureTilt()).requires_grad_(True).train()
     network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     rate = _RATE_ON if start else _RATE
     training = Training(network, {"": rate}, decay=0.0, weight_decay=0.02)
@@ -351,7 +367,7 @@ def evaluate_alignment(branch: Alignment, seeds: Sequence[int], *, radiometric: 
     """Errors on photographs of materials of seeds, from UNSEEN on never trained on."""
     errors, scores = [], []
     for seed in seeds:
-        photo, tilt = tilted_photo(seed, WIDTH, radiometric=radiometric)
+        photo, tilt = tilted_photo(seed, EVALUATED, radiometric=radiometric)
         measurement = tilt_measurement(photo, branch)
         error = torch.tensor([measurement.x - tilt[0], measurement.y - tilt[1]])
         errors.append(torch.rad2deg(error))

@@ -3,7 +3,8 @@
 Corpus, training, finishing, alignment branch, card; what an earlier run has done is not done again,
 and a training that was killed goes on from its checkpoint. A recipe is the TOML of a training
 (settings.py) with two tables more: `[corpus]` (`simulated` photographs and their `seed`) and
-`[alignment]` (`materials` and `steps`; without it no branch is trained).
+`[alignment]` (`materials` and `steps`, and the `fused` materials of its fusion; without it no
+branch is trained).
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from typing import Any
 
 from matcap.errors import UsageError
 from matcap.files.staging import staged_file
-from matcap.lab.train.align import make, report_alignment, train_alignment
+from matcap.lab.train.align import report_alignment
 from matcap.lab.train.corpus import build
 from matcap.lab.train.finish import finish
+from matcap.lab.train.fusion import MATERIALS, train_branch
 from matcap.lab.train.pack import Pack
 from matcap.lab.train.settings import configured, read_toml
 from matcap.lab.train.train import train
@@ -27,7 +29,7 @@ from matcap.space.prior.store import Prior
 
 _TABLES: Mapping[str, Mapping[str, int]] = {
     "corpus": {"simulated": 0, "seed": 0},
-    "alignment": {"materials": 0, "steps": 2000},
+    "alignment": {"materials": 0, "steps": 2000, "fused": MATERIALS},
 }
 
 
@@ -64,10 +66,13 @@ def make_prior(
     prior.save(out)
     branch = place / "alignment.safetensors"
     if tables["alignment"]["materials"] and not branch.exists():
-        pool = make(range(tables["alignment"]["materials"]))
-        save_alignment(
-            branch, train_alignment(pool, tables["alignment"]["steps"], on_progress=on_progress)
+        made = train_branch(
+            tables["alignment"]["materials"],
+            tables["alignment"]["steps"],
+            fused=tables["alignment"]["fused"],
+            on_progress=on_progress,
         )
+        save_alignment(branch, made)
     count = min(24, tables["alignment"]["materials"])
     card = _card(prior, pack, recipe, place, branch if count else None, count)
     with staged_file(out.with_suffix(".md")) as file:

@@ -25,6 +25,7 @@ simulated = 1
 [alignment]
 materials = 1
 steps = 1
+fused = 1
 """
 
 
@@ -48,7 +49,7 @@ def test_it_goes_from_photographs_to_a_prior_and_is_not_done_twice(tmp_path, rec
     card = out.with_suffix(".md").read_text()
     assert "1 photographs and 1 simulated ones; 2 held out" in card and "steps = 2" in card
     bits = out.read_bytes()
-    for done in ("build", "train_alignment"):
+    for done in ("build", "train_branch"):
         monkeypatch.setattr(recipe_room, done, None)
     make_prior(photographs, recipe, out)
     assert out.read_bytes() == bits
