@@ -60,7 +60,7 @@ class TiltMeasurement(NamedTuple):
     std_y: float
 
 
-class Evidence(NamedTuple):
+class TiltEvidence(NamedTuple):
     """What a photograph says of its tilt: the branch's inputs.
 
     Attributes:
@@ -94,7 +94,7 @@ class Fusion(nn.Module):
         Args:
             mean, log_std: (B, 2) of the picture.
             conditions: (B, CONDITIONS).
-            slopes: (B, ESTIMATES, 4) as in Evidence.
+            slopes: (B, ESTIMATES, 4) as in TiltEvidence.
         """
         angles = torch.stack([slopes[..., 1], -slopes[..., 0]], dim=-1).atan().clamp(-0.35, 0.35)
         own = torch.cat([mean[:, None], angles], dim=1) / _UNIT
@@ -151,7 +151,7 @@ class Alignment(nn.Module):
         super().__init__()
         self.picture, self.fusion = PictureTilt(), Fusion()
 
-    def forward(self, seen: Evidence) -> tuple[Tensor, Tensor]:
+    def forward(self, seen: TiltEvidence) -> tuple[Tensor, Tensor]:
         """Means and log standard deviations of (tilt_x, tilt_y), (1, 2) each, in radians."""
         stated = seen.conditions[None]
         mean, log_std = self.picture(seen.picture[None], stated)
@@ -170,7 +170,7 @@ def conditions(fov: Tensor, known: Tensor, radiometric: Tensor) -> Tensor:
     return torch.stack([(fov - 60.0) / 15.0, known.float(), radiometric.float()], dim=1)
 
 
-def evidence(photo: Photo) -> Evidence:
+def evidence(photo: Photo) -> TiltEvidence:
     """The branch's inputs of a photograph; pixels of its left_out mask become the median colour."""
     pixels = photo.pixels
     if photo.left_out is not None and not photo.left_out.all():
@@ -183,7 +183,7 @@ def evidence(photo: Photo) -> Evidence:
         torch.tensor([photo.radiometric]),
     )
     slopes = convergence(pixels) / math.tan(math.radians(photo.fov / 2.0))
-    return Evidence(picture(pixels, WIDTH), stated[0].float(), slopes)
+    return TiltEvidence(picture(pixels, WIDTH), stated[0].float(), slopes)
 
 
 def tilt_measurement(photo: Photo, branch: Alignment | None = None) -> TiltMeasurement:

@@ -29,26 +29,26 @@ _BLURS = ((2.5, 1.5, 0.8), (0.8, 0.8))
 _MOST = 0.35  # of a slope: 28 degrees at a field of view of 66
 _TOE = 0.03  # added inside the logarithm, as a share of the median radiance
 
-Picture = NDArray[np.float32]
+Grey = NDArray[np.float32]
 
 
-def convergence(pixels: Picture) -> Tensor:
+def convergence(pixels: Grey) -> Tensor:
     """(ESTIMATES, 4) slopes t_x and t_y, in 1 / plane units, and their standard deviations.
 
     Args:
         pixels: (H, W, 3), linear.
     """
     texture = _texture(pixels)
-    slope, found = np.zeros(2), []
+    slope, estimates = np.zeros(2), []
     for oriented, blurs in enumerate(_BLURS):
         for blur in blurs:
             step, std = _step(_warped(texture, slope), bool(oriented), blur)
             slope = (slope + step).clip(-_MOST, _MOST)
-        found.append([*slope, *std])
-    return torch.tensor(found, dtype=torch.float32)
+        estimates.append([*slope, *std])
+    return torch.tensor(estimates, dtype=torch.float32)
 
 
-def _texture(pixels: Picture) -> Picture:
+def _texture(pixels: Grey) -> Grey:
     """Log luminance without its local mean, over its local deviation."""
     width = int(np.clip(pixels.shape[1], *_WIDTHS))
     size = (width, round(width * pixels.shape[0] / pixels.shape[1]))
@@ -59,7 +59,7 @@ def _texture(pixels: Picture) -> Picture:
     return np.asarray(np.clip(log / (deviation + 1e-3), -3.0, 3.0), np.float32)
 
 
-def _warped(texture: Picture, slope: NDArray[np.float64]) -> Picture:
+def _warped(texture: Grey, slope: NDArray[np.float64]) -> Grey:
     """The texture as an untilted plane shows it, if it is tilted by `slope`."""
     height, width = texture.shape
     x, y = _places(np.arange(width), np.arange(height)[:, None], height, width)
@@ -78,7 +78,7 @@ def _places(
 
 
 def _step(
-    texture: Picture, oriented: bool, blur: float
+    texture: Grey, oriented: bool, blur: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """One step of least squares: the slopes' change and standard deviation."""
     height, width = texture.shape
@@ -111,7 +111,7 @@ def _step(
     return step, np.sqrt(np.diagonal(covariance))
 
 
-def _periodograms(windows: Picture, blur: float) -> Picture:
+def _periodograms(windows: Grey, blur: float) -> Grey:
     """Of windows, blurred, with frequency 0 in the middle."""
     taper = np.hanning(windows.shape[-1]).astype(np.float32)
     windows = (windows - windows.mean(axis=(1, 2), keepdims=True)) * np.outer(taper, taper)
@@ -121,7 +121,7 @@ def _periodograms(windows: Picture, blur: float) -> Picture:
     return np.asarray(power + (1e-4 * power.mean() + 1e-12), np.float32)
 
 
-def _free(kx: NDArray[np.float64], ky: NDArray[np.float64], side: int, oriented: bool) -> Picture:
+def _free(kx: NDArray[np.float64], ky: NDArray[np.float64], side: int, oriented: bool) -> Grey:
     """Orthonormal columns of what is free in each window: octaves, and local orientation."""
     octave = np.floor(np.log2(np.hypot(kx, ky) * side))
     columns = [octave == each for each in np.unique(octave)]

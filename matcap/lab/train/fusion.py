@@ -26,7 +26,7 @@ from matcap.lab.train.trainer import RateSchedule, Reporting, Training, fit
 from matcap.photo.photo import Photo
 from matcap.space.alignment import Alignment, Fusion, PictureTilt, evidence
 
-MATERIALS = 240  # of a pool
+MATERIALS = 290  # of a pool
 _SHOTS = 4  # of a material
 _STEPS, _BATCH, _RATE = 3000, 128, 3e-3
 _JITTER = 0.05  # standard deviation of noise on the inputs' logarithms
@@ -112,14 +112,14 @@ def train_fusion(
         chosen = torch.randint(0, len(tilts), (_BATCH,))
         sign = torch.ones(_BATCH, 2)
         sign[:, 1] -= 2.0 * (torch.rand(_BATCH) < 0.5)
-        mean, log_std, known, slopes = (each[chosen] for each in inputs)
+        given, given_std, known, slopes = (each[chosen] for each in inputs)
         # A mirrored picture turns tilt_y's sign, and the slope's along x.
         across = torch.cat([sign.flip(-1), torch.ones(_BATCH, 2)], dim=1)[:, None]
         noise = (_JITTER * torch.randn(slopes.shape)).exp()
-        found, found_std = training.model(mean * sign, log_std, known, slopes * across * noise)
+        mean, std = training.model(given * sign, given_std, known, slopes * across * noise)
         true = tilts[chosen] * sign
-        error = torch.rad2deg((found - true).abs().mean())
-        return likelihood_loss(found, found_std, true), {"degrees": error}
+        error = torch.rad2deg((mean - true).abs().mean())
+        return likelihood_loss(mean, std, true), {"degrees": error}
 
     reporting = Reporting(500, float("inf"), on_progress=on_progress)
     fit(training, loss_of, RateSchedule(steps, 30, steps), None, reporting)
