@@ -51,8 +51,9 @@ from matcap.flash.light import strips
 ROUNDS: tuple[int, ...] = (2, 2, 1)
 # Least standard deviation of the prior of slopes, until the photographs measure the prediction's
 # error; then the factor on that for each photograph: each octave's gain is estimated later
-# (octaves.py), but noise of slopes from two photographs is in all of them.
-_SLOPE, _WIDER = 1.0, 0.5
+# (octaves.py), but noise of slopes from two photographs is in all of them. One without flash, which
+# measures albedo alone, counts as five.
+_SLOPE, _WIDER, _UNLIT = 1.0, 0.5, 5
 # Standard deviation of the blur that interpolates F0 and roughness, as a share of the first
 # photograph's long side.
 _AROUND = 0.02
@@ -112,13 +113,14 @@ def solve(
     total, done, interrupted = sum(rounds) + 2, 0, False
     light, unit = with_lean(views, prior.mean, light), views[0].extent.unit(parameters.shape[-1])
     lit, expected, step = list(views), prior, Stepped.none(parameters)
+    wider = _WIDER * sum(1 if view.ambient is None else _UNLIT for view in views)
     try:
         for index, steps in enumerate(rounds):
             lit, before = under_fitted_ambient(views, parameters, light), light.gloss
             light, _ = shared_step(lit, parameters, prior, light, sampled)
             parameters[GLOSS] += (light.gloss - before)[:, None, None]
             measures = fresh and index == 0
-            wide = _SLOPE if measures else _WIDER * len(views) * off
+            wide = _SLOPE if measures else wider * off
             expected = prior.with_least_slope(wide).with_gloss_of(light)
             for turn in range(1, steps + 1):
                 each = turn == steps and (measures or not rounds[index + 1 :])
