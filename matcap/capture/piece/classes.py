@@ -1,8 +1,8 @@
 """Material classes: dielectric, metal, or a mixture of both, each with mean parameters.
 
-F0 and roughness are constant in a class: under one flash, those of a texel cannot be separated from
-its albedo and slope, and a network predicts noise with rings around the mirror point. Texels of a
-class differ in albedo (of metal: F0) and relief.
+F0 is constant in a class, and roughness follows albedo and height: under one flash, those of a
+texel cannot be separated from its albedo and slope, and a network predicts noise with rings around
+the mirror point. Texels of a class differ in albedo (of metal: F0) and relief.
 
 The coarse fit decides whether all is metal. Metal and a dielectric in one sample (rust, chipped
 paint) are two classes, fitted by expectation maximisation [dempster1977] from the network's
@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.parameters import ALBEDO, F0, REFLECTANCE, SurfaceParameters
@@ -29,6 +30,8 @@ from matcap.capture.piece.smooth import smoothed
 
 # Classification; docs/notes/gloss.md.
 _AROUND = 10.0  # the long side over the standard deviation of the blur that the high-pass subtracts
+# Slope of logit roughness on height, true over predicted, of 17 materials; on albedo it is 1.
+_BY_HEIGHT = 2.5
 # Logit of metal per standard deviation of goes_with_metal. Larger values follow the network's
 # borders more, and the photograph less.
 _BY_NETWORK = 2.0
@@ -91,19 +94,42 @@ class Classes:
         total = self.shares.sum((1, 2)).clamp_min(1e-6)
         return torch.einsum("chw,khw->kc", planes, self.shares) / total[:, None]
 
-    def settled(self, departures: SurfaceParameters) -> SurfaceParameters:
-        """Residuals that vary only in albedo (dielectric) or F0 (metal) and relief.
+    def settled(self, departures: SurfaceParameters, gloss: Tensor) -> SurfaceParameters:
+        """Residuals that vary only in albedo (dielectric) or F0 (metal), relief, and roughness with
+        these.
 
         Other parameters become their mean over the class.
+
+        Args:
+            departures: predicted, from the coarse fit.
+            gloss: (H, W) weight of the predicted roughness.
         """
         metal = self.metal_share
-        own = SurfaceParameters(
-            (1.0 - metal) * departures.diffuse,
-            metal * departures.specular,
-            torch.zeros_like(departures.roughness),
-            departures.height,
+        own = replace(
+            departures,
+            diffuse=(1.0 - metal) * departures.diffuse,
+            specular=metal * departures.specular,
         )
-        return own - self.flat(self.means(own)) + self.flat()
+        varying = own - self.flat(self.means(own))
+        return replace(varying, roughness=self._following(varying, gloss)) + self.flat()
+
+    def _following(self, varying: SurfaceParameters, gloss: Tensor) -> Tensor:
+        """(1, H, W) logit roughness that follows albedo (of metal: F0) and height.
+
+        Of each class, k_a a + _BY_HEIGHT k_h h, with the weighted least-squares slopes k of the
+        predicted roughness on log albedo a and height h, all high-passed: pits are rougher than
+        worn ridges, and stains than what is around them. All texels measure a slope.
+        """
+        tone = varying.diffuse.mean(0, keepdim=True) + varying.specular
+        local = _high_passed(torch.cat([tone, varying.height, varying.roughness]))
+        *columns, rough = torch.from_numpy(local).flatten(1)
+        planes = torch.stack(columns)
+        total = torch.zeros_like(rough)
+        for share in self.shares.flatten(1):
+            weighted = planes * (share * gloss.flatten())
+            slopes = torch.linalg.pinv(weighted @ planes.T, hermitian=True) @ (weighted @ rough)
+            total += share * (slopes * torch.tensor([1.0, _BY_HEIGHT]) @ planes)
+        return total.reshape(tone.shape)
 
 
 @dataclass(frozen=True)
@@ -210,13 +236,18 @@ def goes_with_metal(departures: SurfaceParameters, logit: Tensor) -> Tensor:
     lightness = albedo.mean(0, keepdim=True)
     colour = (albedo - lightness)[::2]
     maps = [logit, lightness, colour, departures.roughness, departures.specular]
-    around = max(logit.shape) / _AROUND
-    local = np.stack([plane - smoothed(plane, around) for plane in torch.cat(maps).numpy()])
+    local = _high_passed(torch.cat(maps))
     local /= local.std((1, 2), keepdims=True) + np.float32(1e-6)
     together = (local * local[0]).mean((1, 2))
     score = np.tensordot(together * np.abs(together), local, 1)
     scaled = torch.from_numpy((score / (score.std() + np.float32(1e-6))).astype(np.float32))[None]
     return scaled - _two_means(scaled)
+
+
+def _high_passed(planes: Tensor) -> NDArray[np.float32]:
+    """Planes (C, H, W) less their low frequencies."""
+    around = max(planes.shape) / _AROUND
+    return np.stack([plane - smoothed(plane, around) for plane in planes.numpy()])
 
 
 def _nearer(target: RingTarget, levels: Tensor) -> Tensor:

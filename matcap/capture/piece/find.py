@@ -271,7 +271,7 @@ def strengthened(
 def classified(
     observed: Observation, prediction: NetworkPrediction
 ) -> tuple[Observation, NetworkPrediction]:
-    """Classify texels; within a class only albedo (of metal: F0) and relief vary."""
+    """Classify texels; within a class roughness varies with albedo (of metal: F0) and relief."""
     classes = prediction.classes
     if prediction.logit is not None:
         target = observed.ring_target(prediction.departures, (False,))
@@ -280,7 +280,8 @@ def classified(
         if mixture.likely(observed.light.uniform):
             classes = mixture.classes
             observed = observed.tinted(classes.metal_share)
-    settled = classes.settled(prediction.departures)
+    gloss = torch.from_numpy(observed.specular_fraction) * observed.plane.valid
+    settled = classes.settled(prediction.departures, gloss)
     return observed, replace(prediction, departures=settled, classes=classes)
 
 
