@@ -31,7 +31,7 @@ from matcap.capture.piece.smooth import smoothed
 # Classification; docs/notes/gloss.md.
 _AROUND = 10.0  # the long side over the standard deviation of the blur that the high-pass subtracts
 # Slope of logit roughness on height, true over predicted, of 17 materials; on albedo it is 1.
-_BY_HEIGHT = 2.5
+BY_HEIGHT = 2.5
 # Logit of metal per standard deviation of goes_with_metal. Larger values follow the network's
 # borders more, and the photograph less.
 _BY_NETWORK = 2.0
@@ -116,7 +116,7 @@ class Classes:
     def _following(self, varying: SurfaceParameters, gloss: Tensor) -> Tensor:
         """(1, H, W) logit roughness that follows albedo (of metal: F0) and height.
 
-        Of each class, k_a a + _BY_HEIGHT k_h h, with the weighted least-squares slopes k of the
+        Of each class, k_a a + BY_HEIGHT k_h h, with the weighted least-squares slopes k of the
         predicted roughness on log albedo a and height h, all high-passed: pits are rougher than
         worn ridges, and stains than what is around them. All texels measure a slope.
         """
@@ -128,7 +128,7 @@ class Classes:
         for share in self.shares.flatten(1):
             weighted = planes * (share * gloss.flatten())
             slopes = torch.linalg.pinv(weighted @ planes.T, hermitian=True) @ (weighted @ rough)
-            total += share * (slopes * torch.tensor([1.0, _BY_HEIGHT]) @ planes)
+            total += share * (slopes * torch.tensor([1.0, BY_HEIGHT]) @ planes)
         return total.reshape(tone.shape)
 
 

@@ -9,7 +9,14 @@ import torch
 from photographed import photographed
 
 from matcap.brdf.metals import METAL_F0
-from matcap.capture.piece.classes import Classes, Mixture, find_mixture, goes_with_metal
+from matcap.brdf.parameters import SurfaceParameters
+from matcap.capture.piece.classes import (
+    BY_HEIGHT,
+    Classes,
+    Mixture,
+    find_mixture,
+    goes_with_metal,
+)
 from matcap.capture.piece.levels import RingTarget
 from matcap.capture.piece.refine import PieceLight
 from matcap.flash.geometry import flash_mirror_point
@@ -101,27 +108,49 @@ def test_one_class_is_not_taken_for_two(share: float) -> None:
     assert not mixture.likely(shown.surface)
 
 
+EVEN_GLOSS = torch.ones(HEIGHT, WIDTH)
+
+
 def test_texels_own_are_albedo_of_a_dielectric_and_f0_of_metal() -> None:
     metal = patches()
     _, truth, _ = photograph(metal)
     levels = torch.tensor([[0.1] * 5, [-0.2] * 5])
     classes = Classes(torch.cat([metal, 1.0 - metal]), (True, False), levels)
     grain = 0.1 * torch.sin(torch.arange(WIDTH) * 1.7).expand(1, HEIGHT, WIDTH)
-    noisy = replace(
-        truth,
-        diffuse=truth.diffuse + grain,
-        specular=truth.specular + grain,
-        roughness=truth.roughness + grain,
-    )
-    settled, plain = classes.settled(noisy), classes.settled(truth)
-    assert torch.allclose(classes.means(settled), levels, atol=1e-5)
+    noisy = replace(truth, diffuse=truth.diffuse + grain, specular=truth.specular + grain)
+    settled, plain = (classes.settled(each, EVEN_GLOSS) for each in (noisy, truth))
+    assert torch.allclose(classes.means(settled), levels, atol=1e-4)
     assert torch.equal(settled.height, truth.height)
     bare = metal[0] > 0.5
     off = settled.specular - plain.specular - grain
     assert float(off[:, bare].std()) < 1e-3
     assert float(settled.specular[:, ~bare].std()) < 1e-5
     assert float(settled.diffuse[:, bare].std()) < 1e-5
-    assert sorted(settled.roughness.unique().tolist()) == pytest.approx([-0.2, 0.1])
+
+
+@pytest.mark.parametrize(("by_albedo", "by_height"), [(0.5, 0.0), (-0.3, 0.2), (0.0, -0.4)])
+def test_roughness_follows_albedo_and_height(by_albedo: float, by_height: float) -> None:
+    torch.manual_seed(5)
+    tone, height, noise = torch.randn(3, 1, HEIGHT, WIDTH)
+    predicted = SurfaceParameters(
+        diffuse=0.2 * tone.expand(3, -1, -1),
+        specular=torch.zeros_like(tone),
+        roughness=by_albedo * 0.2 * tone + by_height * height + 0.2 * noise,
+        height=height,
+    )
+    settled = Classes.whole((HEIGHT, WIDTH), metal=False).settled(predicted, EVEN_GLOSS)
+    columns = torch.stack([0.2 * tone.flatten(), height.flatten(), torch.ones(HEIGHT * WIDTH)], 1)
+    solution = torch.linalg.lstsq(columns, settled.roughness.flatten()[:, None])
+    found, left = solution.solution[:2, 0], columns @ solution.solution[:, 0]
+    assert found.tolist() == pytest.approx([by_albedo, BY_HEIGHT * by_height], abs=0.05)
+    assert float((left - settled.roughness.flatten()).std()) < 0.05
+
+
+def test_flat_and_even_texels_have_one_roughness() -> None:
+    even = torch.zeros(1, HEIGHT, WIDTH)
+    predicted = SurfaceParameters(even.expand(3, -1, -1), even, torch.randn_like(even), even)
+    settled = Classes.whole((HEIGHT, WIDTH), metal=False).settled(predicted, EVEN_GLOSS)
+    assert settled.roughness.abs().max() < 1e-5
 
 
 def test_what_goes_with_metal_is_told_beside_a_drift() -> None:

@@ -217,7 +217,7 @@ def test_relief_is_no_wider_than_the_highlight(
     plane = plane_of(linear, torch.ones(linear.shape[1:], dtype=torch.bool))
     observed, prediction = read_piece(Observation.of(plane, coarse), load_inverse())
     guess = replace(
-        prediction.classes.settled(prediction.departures),
+        prediction.classes.settled(prediction.departures, torch.ones(linear.shape[1:])),
         height=steeper * shot.maps.height / shot.maps.texel_size,
     )
     found = narrowed(observed, prediction, guess)
