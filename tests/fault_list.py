@@ -302,7 +302,7 @@ FAULTS = (
           "scaled - _two_means(scaled)", "scaled - scaled.median()",
           "capture/piece/test_classes.py -k own_levels"),
     Fault("classes: pits are smoother than ridges", "capture Classes._following",
-          "[1.0, BY_HEIGHT]", "[1.0, -BY_HEIGHT]",
+          "BY_HEIGHT * slope", "-BY_HEIGHT * slope",
           "capture/piece/test_classes.py -k follows"),
     Fault("flatten: what drifts stays", "capture flatten",
           "smoothed(c, unit / _STATIONARY)", "0.0 * c",

@@ -1,8 +1,8 @@
 """Material classes: dielectric, metal, or a mixture of both, each with mean parameters.
 
-F0 is constant in a class, and roughness follows albedo and height: under one flash, those of a
-texel cannot be separated from its albedo and slope, and a network predicts noise with rings around
-the mirror point. Texels of a class differ in albedo (of metal: F0) and relief.
+F0 is constant in a class, and roughness follows height: under one flash, those of a texel cannot be
+separated from its albedo and slope, and a network predicts noise with rings around the mirror
+point. Texels of a class differ in albedo (of metal: F0) and relief.
 
 The coarse fit decides whether all is metal. Metal and a dielectric in one sample (rust, chipped
 paint) are two classes, fitted by expectation maximisation [dempster1977] from the network's
@@ -30,7 +30,7 @@ from matcap.capture.piece.smooth import smoothed
 
 # Classification; docs/notes/gloss.md.
 _AROUND = 10.0  # the long side over the standard deviation of the blur that the high-pass subtracts
-# Slope of logit roughness on height, true over predicted, of 17 materials; on albedo it is 1.
+# Slope of logit roughness on height, true over predicted (docs/notes/gloss.md).
 BY_HEIGHT = 2.5
 # Logit of metal per standard deviation of goes_with_metal. Larger values follow the network's
 # borders more, and the photograph less.
@@ -95,8 +95,8 @@ class Classes:
         return torch.einsum("chw,khw->kc", planes, self.shares) / total[:, None]
 
     def settled(self, departures: SurfaceParameters, gloss: Tensor) -> SurfaceParameters:
-        """Residuals that vary only in albedo (dielectric) or F0 (metal), relief, and roughness with
-        these.
+        """Residuals that vary only in albedo (dielectric) or F0 (metal), in relief, and in roughness
+        with it.
 
         Other parameters become their mean over the class.
 
@@ -114,22 +114,19 @@ class Classes:
         return replace(varying, roughness=self._following(varying, gloss)) + self.flat()
 
     def _following(self, varying: SurfaceParameters, gloss: Tensor) -> Tensor:
-        """(1, H, W) logit roughness that follows albedo (of metal: F0) and height.
+        """(1, H, W) logit roughness that follows height: pits are rougher than worn ridges.
 
-        Of each class, k_a a + BY_HEIGHT k_h h, with the weighted least-squares slopes k of the
-        predicted roughness on log albedo a and height h, all high-passed: pits are rougher than
-        worn ridges, and stains than what is around them. All texels measure a slope.
+        Of each class, BY_HEIGHT k h, with the weighted least-squares slope k of the predicted
+        roughness on height h, both high-passed. All texels measure the slope.
         """
-        tone = varying.diffuse.mean(0, keepdim=True) + varying.specular
-        local = _high_passed(torch.cat([tone, varying.height, varying.roughness]))
-        *columns, rough = torch.from_numpy(local).flatten(1)
-        planes = torch.stack(columns)
+        local = _high_passed(torch.cat([varying.height, varying.roughness]))
+        height, rough = torch.from_numpy(local)
         total = torch.zeros_like(rough)
-        for share in self.shares.flatten(1):
-            weighted = planes * (share * gloss.flatten())
-            slopes = torch.linalg.pinv(weighted @ planes.T, hermitian=True) @ (weighted @ rough)
-            total += share * (slopes * torch.tensor([1.0, BY_HEIGHT]) @ planes)
-        return total.reshape(tone.shape)
+        for share in self.shares:
+            weighted = share * gloss * height
+            slope = (weighted * rough).sum() / (weighted * height).sum().clamp_min(1e-12)
+            total += BY_HEIGHT * slope * share * height
+        return total[None]
 
 
 @dataclass(frozen=True)

@@ -271,7 +271,7 @@ def strengthened(
 def classified(
     observed: Observation, prediction: NetworkPrediction
 ) -> tuple[Observation, NetworkPrediction]:
-    """Classify texels; within a class roughness varies with albedo (of metal: F0) and relief."""
+    """Classify texels; a class varies in albedo (of metal: F0) and relief, roughness with it."""
     classes = prediction.classes
     if prediction.logit is not None:
         target = observed.ring_target(prediction.departures, (False,))
