@@ -302,7 +302,7 @@ FAULTS = (
           "scaled - _two_means(scaled)", "scaled - scaled.median()",
           "capture/piece/test_classes.py -k own_levels"),
     Fault("classes: pits are smoother than ridges", "capture Classes._following",
-          "BY_HEIGHT * slope", "-BY_HEIGHT * slope",
+          "BY_HEIGHT * slope * share * height", "-BY_HEIGHT * slope * share * height",
           "capture/piece/test_classes.py -k follows"),
     Fault("flatten: what drifts stays", "capture flatten",
           "smoothed(c, unit / _STATIONARY)", "0.0 * c",

@@ -95,8 +95,7 @@ class Classes:
         return torch.einsum("chw,khw->kc", planes, self.shares) / total[:, None]
 
     def settled(self, departures: SurfaceParameters, gloss: Tensor) -> SurfaceParameters:
-        """Residuals that vary only in albedo (dielectric) or F0 (metal), in relief, and in roughness
-        with it.
+        """Residuals varying only in albedo (dielectric) or F0 (metal), relief, and roughness by it.
 
         Other parameters become their mean over the class.
 
