@@ -267,7 +267,7 @@ _TABLE = (
         "part of the highlight was taken for colour or gloss of the material", "{more}",
     ),
     QualityCheck(
-        "flash_offset", "distance of the flash from the lens", "plane units", (0.33, 0.35, 0.6),
+        "flash_offset", "distance of the flash from the lens", "plane units", (0.25, 0.35, 0.6),
         "the light seems to be {off:.0f} % of the picture's long side away from the lens, farther "
         "than a phone's flash",
         "other light, or a wrong field of view",

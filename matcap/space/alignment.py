@@ -4,7 +4,7 @@ The paper's encoder has a branch for two rotation angles [henzler2021, section "
 is a separate network, because every capture needs the tilt and most need no latent vector. Cues are
 the light's falloff, the highlight's position and the texture's foreshortening. The first two depend
 on image position, so features are pooled on a grid, and a blurred image is an input of the last
-layers. The foreshortening of fine texture is measured apart (convergence.py), and a second, small
+layers. The foreshortening of fine texture is measured separately (convergence.py); a second, small
 network weighs the three estimates of each angle. Trained on simulated photographs of known tilt
 (lab/train/align.py, fusion.py).
 
