@@ -83,7 +83,11 @@ class Example:
         Raises:
             ValueError: it is too small.
         """
-        exemplar = exemplar.rounded()
+        return Example.of_rounded(exemplar.rounded(), waves)
+
+    @staticmethod
+    def of_rounded(exemplar: Exemplar, waves: tuple[Frequency, ...] = ()) -> Example:
+        """Index an exemplar that is rounded as in a file; arguments and errors of `of`."""
         bits = detail_bits(exemplar)
         coarse = coarsened(exemplar, bits)
         if not level_count(*coarse.size):

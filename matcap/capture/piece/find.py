@@ -31,7 +31,7 @@ from matcap.capture.piece.metal import has_metal
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse, NetworkAnswer
 from matcap.capture.piece.observation import Observation, seen_share
 from matcap.capture.piece.refine import (
-    PieceLight,
+    PlaneLight,
     Refined,
     flatten,
     refine,
@@ -196,13 +196,13 @@ def find_piece(
         prediction = levelled(observed, prediction)
     with clock.stage("inpaint"):
         exemplar = inpainted(observed, prediction)
-        light = observed.light
+        light = PlaneLight(coarse, whole.size)
         if whole.size != rectified.read.size:
-            light = PieceLight.over(coarse, whole)
             exemplar = finest(exemplar, whole, light)
         scale = 1.0 if absolute else most_probable_scale(exemplar, prediction.metal)
+        exemplar = scaled(exemplar, scale).rounded()
     with clock.stage("index"):
-        example = indexed(scaled(exemplar, scale), rectified.waves, turned=turned)
+        example = indexed(exemplar, rectified.waves, turned=turned)
     left = remaining_of(observed, prediction)
     estimate = ExemplarEstimate(
         example,
@@ -219,14 +219,14 @@ def indexed(exemplar: Exemplar, waves: tuple[Wave, ...], *, turned: bool) -> Exa
     """Index an exemplar for synthesis, with the smallest patches that keep its long structures.
 
     Args:
-        exemplar: the maps.
+        exemplar: the maps, rounded as in a file.
         waves: frequency vectors of the lattice, cycles per texel.
         turned: whether to rotate both upright first, 90 degrees clockwise.
     """
     if turned:
         # Columns of the upright picture are rows of the landscape one from below, rows its columns.
         exemplar, waves = exemplar.turned(), tuple(Wave(-wave.fy, wave.fx) for wave in waves)
-    return with_chosen_variety(Example.of(exemplar, waves))
+    return with_chosen_variety(Example.of_rounded(exemplar, waves))
 
 
 def remaining_of(observed: Observation, prediction: NetworkPrediction) -> Refined:

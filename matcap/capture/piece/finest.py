@@ -22,7 +22,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS, Reflectance
 from matcap.capture.piece.noise import AROUND, DARKEST
-from matcap.capture.piece.refine import PieceLight
+from matcap.capture.piece.refine import PlaneLight
 from matcap.capture.piece.smooth import smoothed, split
 from matcap.example.exemplar import Exemplar
 from matcap.flash.plane import Plane
@@ -42,7 +42,7 @@ Floats = NDArray[np.float32]
 
 
 @torch.no_grad()
-def finest(exemplar: Exemplar, plane: Plane, light: PieceLight) -> Exemplar:
+def finest(exemplar: Exemplar, plane: Plane, light: PlaneLight) -> Exemplar:
     """Enlarge an exemplar to the photograph's plane and add its finest bands.
 
     Args:
@@ -67,18 +67,19 @@ def finest(exemplar: Exemplar, plane: Plane, light: PieceLight) -> Exemplar:
         maps = replace(maps, diffuse=diffuse)
     # Contrast added to log albedo raises the mean; an area's albedo is the mean of its texels'.
     mean = torch.from_numpy(exemplar.diffuse.mean((1, 2), keepdims=True))
-    diffuse = maps.diffuse * (mean / maps.diffuse.mean((1, 2), keepdim=True))
+    diffuse = maps.diffuse.mul_(mean / maps.diffuse.mean((1, 2), keepdim=True))
+    confidence = _resized(exemplar.confidence, plane.size, cv2.INTER_LINEAR)
     return Exemplar(
-        diffuse=diffuse.clamp(*ALBEDO_LIMITS).numpy(),
+        diffuse=diffuse.clamp_(*ALBEDO_LIMITS).numpy(),
         specular=maps.specular.numpy(),
         roughness=maps.roughness.numpy(),
         height=maps.height.numpy(),
-        confidence=_resized(exemplar.confidence, plane.size, cv2.INTER_LINEAR).clip(0.0, 1.0),
+        confidence=confidence.clip(0.0, 1.0, out=confidence),
         texel_size=plane.texel_size,
     )
 
 
-def sharpness(maps: MapSet, plane: Plane, light: PieceLight) -> float:
+def sharpness(maps: MapSet, plane: Plane, light: PlaneLight) -> float:
     """Amplitude of the finest octave of log radiance, re-rendering over photograph.
 
     1 is as sharp as the photograph. Over valid texels; 1 without any.
@@ -104,9 +105,9 @@ def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
         return torch.from_numpy(_resized(values, plane.size, cv2.INTER_CUBIC))
 
     return MapSet(
-        diffuse=larger(np.log(exemplar.diffuse.clip(1e-4))).exp().clamp(*ALBEDO_LIMITS),
-        specular=larger(exemplar.specular).clamp(*F0_LIMITS),
-        roughness=larger(exemplar.roughness).clamp(*ROUGHNESS_LIMITS),
+        diffuse=larger(np.log(exemplar.diffuse.clip(1e-4))).exp_().clamp_(*ALBEDO_LIMITS),
+        specular=larger(exemplar.specular).clamp_(*F0_LIMITS),
+        roughness=larger(exemplar.roughness).clamp_(*ROUGHNESS_LIMITS),
         height=larger(exemplar.height),
         texel_size=plane.texel_size,
     )
@@ -119,11 +120,13 @@ def _unshown(
 
     It has only frequencies above those of a grid of `coarse` = (width, height) texels.
     """
-    left = plane.linear.clamp_min(DARKEST).log() - rendered
-    left = torch.where(plane.measured, left, left.clamp_min(0.0)).clamp(
-        -_MOST_RESIDUAL, _MOST_RESIDUAL
-    )
-    grain = _beyond(left, coarse)
+    grain = torch.empty_like(rendered)
+    for channel, whole, known, shown in zip(
+        grain, plane.linear, plane.measured, rendered, strict=True
+    ):
+        left = whole.clamp_min(DARKEST).log_().sub_(shown).clamp_(-_MOST_RESIDUAL, _MOST_RESIDUAL)
+        left = torch.where(known, left, left.clamp_min(0.0))
+        channel.copy_(_beyond(left[None], coarse)[0])
     return grain if noise is None else noise.left_out(grain)
 
 
@@ -171,10 +174,10 @@ def _beyond(picture: Tensor, coarse: tuple[int, int]) -> Tensor:
     whole = picture.numpy()
     size = (whole.shape[-1], whole.shape[-2])
     coarse_part = _resized(_resized(whole, coarse, cv2.INTER_AREA), size, cv2.INTER_CUBIC)
-    return torch.from_numpy(whole - coarse_part)
+    return torch.from_numpy(np.subtract(whole, coarse_part, out=coarse_part))
 
 
-def _relief(exemplar: Exemplar, grain: Floats, maps: MapSet, light: PieceLight) -> Floats:
+def _relief(exemplar: Exemplar, grain: Floats, maps: MapSet, light: PlaneLight) -> Floats:
     """(H, W) height in texels of the finest bands: `grain`, times a signed factor.
 
     The factor gives it the extrapolated slope energy, limited by the energy of `grain`, the
@@ -215,4 +218,7 @@ def _sign(exemplar: Exemplar, bands: list[Floats]) -> np.float32:
 
 def _resized(planes: Floats, size: tuple[int, int], how: int) -> Floats:
     """Resize planes (C, H, W) to (width, height) with an OpenCV interpolation."""
-    return np.stack([cv2.resize(plane, size, interpolation=how) for plane in planes])
+    resized = np.empty((len(planes), size[1], size[0]), np.float32)
+    for plane, into in zip(planes, resized, strict=True):
+        cv2.resize(plane, size, dst=into, interpolation=how)
+    return resized

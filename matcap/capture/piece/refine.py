@@ -9,7 +9,7 @@ residuals are errors of coarse fit and tone curve, and are left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +26,6 @@ from matcap.capture.piece.noise import DARKEST, channel_weights
 from matcap.capture.piece.smooth import WIDE, smoothed
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import FlashLight, Incidence, cached_rows, strips
-from matcap.flash.plane import Plane
 from matcap.flash.uniform import Uniform
 
 # Refinement; docs/notes/capture.md. NSD is the normalised style distance.
@@ -89,13 +88,6 @@ class PieceLight:
         """Light and uniform material of a coarse fit, at plane points (3, H, W)."""
         return PieceLight(FlashLight.of(coarse.setup, points), coarse.parameters().to(points))
 
-    @staticmethod
-    def over(coarse: Uniform, plane: Plane) -> PieceLight:
-        """Light and uniform material of a coarse fit, at the texels of a photograph's plane."""
-        width, height = plane.size
-        points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-        return PieceLight.of(coarse, points)
-
     def cut(self, rows: slice, columns: slice) -> PieceLight:
         """The light at a rectangle of texels."""
         hue = None if self.hue is None else self.hue[..., rows, columns]
@@ -123,17 +115,7 @@ class PieceLight:
 
     def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
         """logs() of maps on their own relief, strip by strip."""
-        normal = maps.normal
-
-        def some(rows: slice) -> tuple[Tensor, Tensor]:
-            cut = (m[..., rows, :] for m in (maps.diffuse, maps.specular, maps.roughness))
-            incidence = self.flash.cut(rows, slice(None)).onto(normal[..., rows, :])
-            return self.logs(Reflectance(*cut), incidence)
-
-        height, width = normal.shape[-2:]
-        parts = [some(rows) for rows in strips(height, cached_rows(width))]
-        log, share = (torch.cat(each, dim=-2) for each in zip(*parts, strict=True))
-        return log, share
+        return _by_strips(self.cut, maps)
 
     def slope_sensitivity(self, maps: MapSet | Reflectance) -> Tensor:
         """(2, H, W) d log L / d slope along x and y on a flat surface, L averaged over channels."""
@@ -146,6 +128,42 @@ class PieceLight:
         across = tilted(STEP, 0.0) - tilted(-STEP, 0.0)
         up = tilted(0.0, STEP) - tilted(0.0, -STEP)
         return torch.stack([across, up]) / (2.0 * STEP)
+
+
+@dataclass(frozen=True)
+class PlaneLight:
+    """A photograph's light at the texels of its plane, computed for each rectangle that is cut.
+
+    Attributes:
+        coarse: the fit whose light it is.
+        size: (width, height) of the plane.
+    """
+
+    coarse: Uniform
+    size: tuple[int, int]
+
+    def cut(self, rows: slice, columns: slice) -> PieceLight:
+        """The light at a rectangle of texels."""
+        width, height = self.size
+        top, bottom, step = rows.indices(height)
+        points = plane_points(0, top, width, bottom - top, self.size, dtype=torch.float32)
+        return PieceLight.of(self.coarse, points[:, ::step, columns])
+
+    def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
+        """PieceLight.logs() of maps on their own relief, strip by strip."""
+        return _by_strips(self.cut, maps)
+
+
+def _by_strips(light: Callable[[slice, slice], PieceLight], maps: MapSet) -> tuple[Tensor, Tensor]:
+    """PieceLight.logs() of maps on their own relief, under the light of each strip of rows."""
+    log, share = torch.empty_like(maps.diffuse), torch.empty_like(maps.diffuse)
+    normal, (height, width) = maps.normal, maps.diffuse.shape[-2:]
+    for rows in strips(height, cached_rows(width)):
+        cut = (m[..., rows, :] for m in (maps.diffuse, maps.specular, maps.roughness))
+        lit = light(rows, slice(None))
+        incidence = lit.flash.onto(normal[..., rows, :])
+        log[..., rows, :], share[..., rows, :] = lit.logs(Reflectance(*cut), incidence)
+    return log, share
 
 
 def flatten(

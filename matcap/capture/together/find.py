@@ -39,7 +39,7 @@ from matcap.capture.piece.find import (
 from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse
 from matcap.capture.piece.observation import Observation
-from matcap.capture.piece.refine import PieceLight
+from matcap.capture.piece.refine import PlaneLight
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.progress import CaptureClock
 from matcap.capture.together.align import Aligned, aligned, reframed
@@ -148,7 +148,8 @@ def estimate_together(
     estimate = ExemplarEstimate(
         example, strengths, error, 0.0, 1.0, interrupted, report, scale, first.turned
     )
-    sharp = sharpness(estimate.lying, rectified.whole, PieceLight.over(coarse, rectified.whole))
+    light = PlaneLight(coarse, rectified.whole.size)
+    sharp = sharpness(estimate.lying, rectified.whole, light)
     return PhotographEstimate(replace(estimate, sharpness=sharp), coarse, rectified, first)
 
 
@@ -205,7 +206,7 @@ def read_alone(
         prediction = levelled(observed, prediction)
         exemplar = exemplar_of(observed, prediction)
         if plane.size != read.size:
-            exemplar = finest(exemplar, plane, PieceLight.over(coarse, plane))
+            exemplar = finest(exemplar, plane, PlaneLight(coarse, plane.size))
     errors = prediction.errors.stacked()
     wide = F.interpolate(errors[None], size=plane.size[::-1], mode="bilinear")[0]
     return SinglePrediction(Estimate(piece_maps(exemplar), wide), strengths, prediction.metal)
@@ -328,4 +329,4 @@ def _indexed(
     known = photo.flash_intensity is not None
     own = exemplar.cut(*reach.margins.inside(reach.size)) if reach.margins.any else exemplar
     scale = 1.0 if known else most_probable_scale(own, metal)
-    return indexed(scaled(exemplar, scale), waves, turned=photo.turned), scale
+    return indexed(scaled(exemplar, scale).rounded(), waves, turned=photo.turned), scale

@@ -14,7 +14,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.detail import Rectified
 from matcap.capture.piece.find import piece_maps
 from matcap.capture.piece.finest import finest, sharpness
-from matcap.capture.piece.refine import PieceLight
+from matcap.capture.piece.refine import PlaneLight
 from matcap.capture.settings import DETAIL
 from matcap.example.exemplar import Exemplar
 from matcap.flash.plane import Plane, plane_of
@@ -45,8 +45,8 @@ def _halved(maps: MapSet) -> Exemplar:
     )
 
 
-def _light(shot: Photographed) -> PieceLight:
-    return PieceLight.of(shot.uniform, shot.points)
+def _light(shot: Photographed) -> PlaneLight:
+    return PlaneLight(shot.uniform, shot.maps.size)
 
 
 def test_the_piece_is_as_sharp_as_its_photograph(shot) -> None:
