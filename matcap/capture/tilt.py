@@ -6,12 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from matcap.field.single import one_thread
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse, under_flash
 from matcap.flash.coarse.hypotheses import TiltPrior
 from matcap.photo.photo import Photo
 from matcap.space.alignment import tilt_measurement
 
 
+@one_thread()
 def fitted(photo: Photo, *, measured: bool = True) -> CoarseFit:
     """Coarse fit of a photograph, with the alignment branch's two tilt angles as Gaussian prior.
 

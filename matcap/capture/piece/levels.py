@@ -22,6 +22,7 @@ from torch import Tensor
 from matcap.brdf.parameters import F0, SurfaceParameters
 from matcap.capture.piece.network.inputs import STEP
 from matcap.capture.piece.noise import DARKEST
+from matcap.field.single import one_thread
 from matcap.flash.light import FlashLight, Incidence
 
 _INNERMOST = 0.02  # r0, plane units; the ring of radius r is _PER_OCTAVE log2(1 + r / r0)
@@ -141,6 +142,7 @@ class _Rings:
         )
 
 
+@one_thread()
 def fit_levels(
     target: RingTarget,
     shares: Tensor,

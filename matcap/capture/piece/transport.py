@@ -27,6 +27,7 @@ from matcap.capture.piece.gradient_blend import composed
 from matcap.capture.piece.noise import DARKEST
 from matcap.capture.piece.refine import PieceLight
 from matcap.example.exemplar import Exemplar
+from matcap.field.single import one_thread
 
 # Inpainting under the highlight; docs/notes/capture.md. NSD is the normalised style distance.
 _TRIED = 1000  # random candidate blocks per place
@@ -68,6 +69,7 @@ class _Drawn:
     """(H, W, 3) channel mean of log albedo, and slopes (x, down), each over its deviation."""
 
 
+@one_thread()
 @torch.no_grad()
 def transport(
     exemplar: Exemplar,

@@ -65,6 +65,7 @@ from matcap.capture.together.views import PieceView, SetLight
 from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
+from matcap.field.single import one_thread
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse, under_flash
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.plane import Plane, read_plane
@@ -167,7 +168,8 @@ def registered(
             raise _none_fits(registration)
     with clock.stage("coarse fit"):
         first, setup = without_ambient(registration.views)[0][0].photo, registration.setup
-        coarse = fit_coarse(replace(first, fov=setup.fov), tilt=setup.tilt)
+        with one_thread():
+            coarse = fit_coarse(replace(first, fov=setup.fov), tilt=setup.tilt)
         coarse = under_flash(coarse, first.flash_intensity)
         linear = tuple(
             replace(view, photo=view.photo.linearised(coarse.tone)) for view in registration.views
