@@ -7,6 +7,8 @@ re-rendering is clipped at the photograph's level, so that both peaks are flatte
 
 from __future__ import annotations
 
+import cmath
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -34,6 +36,9 @@ _ROUNDS = 8  # iterations of the centre
 # Standard deviations of blurs, plane units, tried until the spot is the only bright one.
 _TEXTURES = (0.0, 0.015, 0.03, 0.06, 0.12)
 _OTHERS = 0.25  # area of other bright spots, over the spot's own, from which it is texture
+
+# Most standard deviation of the blur that removes texture from the elongation, plane units.
+_ELONGATION_BLUR = 0.03
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,28 @@ def find_highlight(light: Luminance) -> Highlight | None:
         if spot is None or _others(blurred, spot) < _OTHERS:
             break
     return spot
+
+
+def elongation(light: Luminance, highlight: Highlight) -> complex:
+    """log(length / width) exp(2 i angle) of a highlight above half of its peak, angle from u to v.
+
+    Args:
+        light: (h, w) the linear picture.
+        highlight: found in it.
+    """
+    blur = min(_ELONGATION_BLUR, 0.3 * highlight.width)
+    blurred = _blur(light, blur * light.shape[1] / 2.0)
+    u, v = (c - at for c, at in zip(_coordinates(light), highlight.centre, strict=True))
+    half = 0.5 * (highlight.peak + highlight.surroundings)
+    over = np.clip(blurred - half, 0.0, highlight.peak - half)
+    over = over * (np.hypot(u, v) < 3.0 * highlight.width)
+    if over.sum() <= 0.0:
+        return 0.0
+    offsets = np.stack([each.ravel() for each in np.broadcast_arrays(u, v)])
+    spread = np.cov(offsets, aweights=over.ravel())
+    small, large = np.linalg.eigvalsh(spread).clip(1e-9)
+    angle = math.atan2(2.0 * spread[0, 1], spread[0, 0] - spread[1, 1])
+    return 0.5 * math.log(large / small) * cmath.exp(1j * angle)
 
 
 def _others(light: Luminance, spot: Highlight) -> float:

@@ -24,6 +24,8 @@ ESTIMATES = 2
 _WIDTHS = (256, 1024)  # columns of the picture that is read, at least and at most
 _WINDOWS = 8  # windows across the picture, beside each other; they overlap by half
 _LONGEST, _SHORTEST = 4.0, 0.35  # frequencies: cycles a window, cycles a pixel
+# Rows or columns below which a window holds no such frequency; the slopes are unknown, then.
+_LEAST_SIDE = 16
 # Standard deviations of the spectra's blur in frequency bins, step by step, of each estimate.
 _BLURS = ((2.5, 1.5, 0.8), (0.8, 0.8))
 _MOST = 0.35  # of a slope: 28 degrees at a field of view of 66
@@ -39,6 +41,8 @@ def convergence(pixels: Grey) -> Tensor:
         pixels: (H, W, 3), linear.
     """
     texture = _texture(pixels)
+    if min(texture.shape) < _LEAST_SIDE:
+        return torch.tensor(ESTIMATES * [[0.0, 0.0, _MOST, _MOST]])
     slope, estimates = np.zeros(2), []
     for oriented, blurs in enumerate(_BLURS):
         for blur in blurs:
@@ -51,7 +55,7 @@ def convergence(pixels: Grey) -> Tensor:
 def _texture(pixels: Grey) -> Grey:
     """Log luminance without its local mean, over its local deviation."""
     width = int(np.clip(pixels.shape[1], *_WIDTHS))
-    size = (width, round(width * pixels.shape[0] / pixels.shape[1]))
+    size = (width, max(1, round(width * pixels.shape[0] / pixels.shape[1])))
     luminance = cv2.resize(pixels.mean(axis=-1), size, interpolation=cv2.INTER_AREA)
     log = np.log(luminance / max(float(np.median(luminance)), 1e-6) + _TOE).astype(np.float32)
     log -= cv2.GaussianBlur(log, (0, 0), width / 51)

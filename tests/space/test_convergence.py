@@ -51,3 +51,10 @@ def test_one_of_uneven_brightness_alone_is_square():
     """A flash beside the lens: tilt would be its only sign in a texture's brightness."""
     picture = plane((0.0, 0.0), check) * np.linspace(0.3, 1.0, 512, dtype=np.float32)[:, None]
     assert np.abs(convergence(picture).numpy()[:, :2]).max() < 0.01
+
+
+@pytest.mark.parametrize("rows", [1, 2, 8, 15])
+def test_a_strip_says_nothing(rows):
+    strip = np.random.default_rng(0).random((rows, 4096 if rows < 3 else 256, 3), np.float32)
+    assert convergence(strip)[:, :2].abs().max() == 0.0
+    assert convergence(strip)[:, 2:].min() > 0.3

@@ -10,11 +10,10 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.flash.highlight import Highlight, light_of
+from matcap.flash.highlight import Highlight, elongation, light_of
 
 Picture = NDArray[np.float32]
 SmoothLight = NDArray[np.float64]
@@ -51,8 +50,6 @@ _BRIGHTEST = 0.7
 _STRIP = 0.06  # width of the border that represents a side, as a share of the picture's
 # Inner and outer radius, plane units, of the ring that represents the centre.
 _CENTRE_RING = (0.25, 0.5)
-# Standard deviation, plane units, of the blur that removes texture from a highlight.
-_STREAK_BLUR = 0.03
 _CLIP = 0.995  # pixel value from which a channel counts as clipped
 
 
@@ -262,31 +259,12 @@ def _streak(
     pictures: tuple[Picture, Picture], highlights: tuple[Highlight | None, Highlight | None]
 ) -> float:
     """Length over width of the highlight over that re-rendered; 1 without one in the photograph."""
-    first, second = (
-        None if highlight is None else _elongation(light_of(picture), highlight)
+    logs = (
+        0.0 if highlight is None else abs(elongation(light_of(picture), highlight))
         for picture, highlight in zip(pictures, highlights, strict=True)
     )
-    if first is None:
-        return 1.0
-    return max(first / (second or 1.0), 1.0)
-
-
-def _elongation(light: SmoothLight, highlight: Highlight) -> float | None:
-    """A highlight's length over its width, above half of its peak; None if that is empty."""
-    height, width = light.shape
-    blurred = cv2.GaussianBlur(light, (0, 0), _STREAK_BLUR * width / 2.0)
-    v, u = np.mgrid[:height, :width].astype(np.float64)
-    u, v = (u + 0.5) * 2.0 / width - 1.0, (height - 2.0 * (v + 0.5)) / width
-    u, v = u - highlight.centre[0], v - highlight.centre[1]
-    half = 0.5 * (highlight.peak + highlight.surroundings)
-    over = np.clip(blurred - half, 0.0, highlight.peak - half) * (
-        np.hypot(u, v) < 3.0 * highlight.width
-    )
-    if over.sum() <= 0.0:
-        return None
-    spread = np.cov(np.stack([u.ravel(), v.ravel()]), aweights=over.ravel())
-    small, large = np.linalg.eigvalsh(spread)
-    return float(np.sqrt(large / max(small, 1e-9)))
+    photographed, rendered = logs
+    return math.exp(max(photographed - rendered, 0.0))
 
 
 def _plane(shape: Sequence[int]) -> SmoothLight:
