@@ -21,8 +21,8 @@ _PATTERNLESS = (
 
 @with_settings
 def blend(
-    first: Annotated[Path, typer.Argument(metavar="A", help="A .matcap file.")],
-    second: Annotated[Path, typer.Argument(metavar="B", help="A .matcap file.")],
+    first: Annotated[Path, typer.Argument(metavar="A", help="A .matcap file or its folder.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="A .matcap file or its folder.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for materials and strip.")] = (
         Path("blend")
     ),
@@ -38,7 +38,7 @@ def blend(
     from functools import partial
 
     from matcap.field.header import provenance_says
-    from matcap.field.material import Material
+    from matcap.field.opened import open_material
     from matcap.files.mark import check_replaceable
     from matcap.files.names import usable_name
     from matcap.files.picture import write_picture
@@ -46,6 +46,7 @@ def blend(
     from matcap.space import between
 
     asked = chosen(BlendOptions, given)
+    (first, one), (second, other) = open_material(first), open_material(second)
     stems = "_".join(usable_name(path.stem)[:60] for path in (first, second))
     places = 3 if len({round(t, 3) for t in asked.shares}) == len(asked.shares) else 6
     names = [f"{stems}_{t:.{places}f}.matcap" for t in asked.shares]
@@ -56,15 +57,14 @@ def blend(
         overwrite=overwrite,
         own=partial(provenance_says, "blend"),
     )
-    ends = Material.load(first), Material.load(second)
     check_writable(out, max(path.stat().st_size for path in (first, second)) * len(asked.shares))
-    materials = [between.blend(*ends, t) for t in asked.shares]
+    materials = [between.blend(one, other, t) for t in asked.shares]
     with staged(out) as stage:
         for name, material in zip(names, materials, strict=True):
             material.save(stage / name)
         write_picture(between.strip(materials, seed=asked.seed), stage / _STRIP, _MARK)
     if not quiet:
-        if between.loses_patterns(*ends):
+        if between.loses_patterns(one, other):
             typer.echo(_PATTERNLESS, err=True)
         for name in (*names, _STRIP):
             typer.echo(f"wrote {out / name}", err=True)

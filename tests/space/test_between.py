@@ -87,10 +87,12 @@ def test_what_cannot_be_blended_is_refused(prior):
 
 
 def test_the_command_writes_materials_and_a_strip(prior, tmp_path, capsys):
-    for seed, name in ((1, "a"), (2, "b")):
-        prior.draw(seed).save(tmp_path / f"{name}.matcap")
-    a, b, out = tmp_path / "a.matcap", tmp_path / "b.matcap", tmp_path / "out"
-    assert main(["blend", str(a), str(b), "-t", "0:1:3", "-o", str(out)]) == 0
+    folder, out = tmp_path / "a", tmp_path / "out"
+    folder.mkdir()
+    a, b = folder / "a.matcap", tmp_path / "b.matcap"
+    for seed, path in ((1, a), (2, b)):
+        prior.draw(seed).save(path)
+    assert main(["blend", str(folder), str(b), "-t", "0:1:3", "-o", str(out)]) == 0
     assert sorted(p.name for p in out.iterdir()) == [
         "a_b_0.000.matcap",
         "a_b_0.500.matcap",
