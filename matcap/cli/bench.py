@@ -549,31 +549,42 @@ def paper(
 ) -> None:
     """The tables of Henzler et al. 2021 for their generator and for the default.
 
-    Photographs map sets, captures each by the default, by the decoder, and by the decoder without
-    one part each; compares style under the flash and ten other lights, diversity, colour and time.
-    Writes paper.csv and paper.md, with the paper's own figures, and prints the page.
+    Photographs map sets, captures each by the default, by the decoder, by the decoder without
+    one part each, and as in the paper (PAPER, which takes half an hour each); compares style under
+    the flash and ten other lights, diversity, colour and time. Interpolates each material and the
+    next one, and compares draws of the prior with all map sets of the folder. Writes paper.csv and
+    paper.md, with the paper's own figures, and prints the page.
     """
     from matcap.files.staging import staged_file
-    from matcap.lab.bench.paper_tables import PaperSettings, paper_experiment, paper_page
+    from matcap.lab.bench.paper_tables import paper_experiments, paper_page
     from matcap.lab.experiment.runner import choose
     from matcap.lab.simulate.specimen import subjects
 
-    experiment = paper_experiment(subjects(material or (), sets), out, PaperSettings(steps, vgg16))
-    chosen = choose(experiment.configurations, configuration or ())
-    rows = _measured(replace(experiment, configurations=chosen), out)
+    captured, every = subjects(material or (), sets), subjects((), sets)
+    experiments = paper_experiments(captured, every, out, steps, vgg16)
+    known = {name: name for each in experiments for name in each.configurations}
+    chosen = choose(known, configuration or ())
+    rows = []
+    for each in experiments:
+        some = {name: each.configurations[name] for name in chosen if name in each.configurations}
+        if some and each.subjects:
+            rows += _measured(replace(each, configurations=some), out, "paper")
     page = paper_page(rows, shlex.join(["matcap", *sys.argv[1:]]))
     with staged_file(out / "paper.md") as file:
         file.write_text(page, encoding="utf-8")
     typer.echo(page)
 
 
-def _measured(experiment: Experiment[Any, Any], out: Path) -> list[Trial]:
-    """Measure the trials that the table in a folder lacks; returns the experiment's rows."""
+def _measured(experiment: Experiment[Any, Any], out: Path, name: str = "") -> list[Trial]:
+    """Measure the trials that the table NAME.csv in a folder lacks; returns the experiment's rows.
+
+    The table's name is the experiment's by default.
+    """
     from matcap.files.staging import check_writable
     from matcap.lab.experiment.runner import run
 
     check_writable(out, 200_000_000)
-    table = out / f"{experiment.name}.csv"
+    table = out / f"{name or experiment.name}.csv"
     return run(experiment, table, lambda line: typer.echo(line, err=True))
 
 

@@ -51,8 +51,7 @@ def choose_basis(features: FeatureMap, step: int) -> Basis:
     rows, columns = np.divmod(chosen, features.shape[2])
     samples = np.concatenate([tap[:, rows, columns] for tap in taps]).astype(np.float64)
     weight = np.repeat(_tap_weights(), PLANES)
-    centred = samples - samples.mean(axis=1, keepdims=True)
-    centred *= weight[:, None]
+    centred = (samples - samples.mean(axis=1, keepdims=True)) * weight[:, None]
     _, components = np.linalg.eigh(centred @ centred.T)
     components = components[:, : -DIMENSIONS - 1 : -1].T * weight
     weights = np.rint(components * (LIMIT / np.abs(components).max())).astype(np.int8)

@@ -43,7 +43,6 @@ from matcap.lab.simulate.phone_photographs import PhonePhotographs
 from matcap.lab.simulate.photograph import PhoneCamera
 from matcap.lab.simulate.specimen import EXAMPLES, Specimen, subjects
 
-PAPER = "paper's form"  # no command line: bench/paper.py
 BASE = "1024 texels"  # that others are paired with
 # Map sets excluded from training (inverse/packed.py), of six kinds.
 HELD_OUT = (
@@ -63,7 +62,6 @@ _CAMERA = PhoneCamera(1200, 900, supersampling=1)
 _SHOWN = (1, 3)  # of the lights, on sheets
 _INSPECTED = 1024  # texels
 _CAPTURE = "from matcap.cli.start import run; run()"
-_PAPER = "import sys; from matcap.lab.bench.paper import main; main(sys.argv[1:])"
 
 
 @dataclass(frozen=True)
@@ -100,14 +98,12 @@ def _ways() -> dict[str, Way]:
     for detail in (512, 1024, 2048, 4096):
         options = ("--detail", f"{detail}")
         ways[f"12 megapixels, {detail} texels"] = Way("detail", options, pixels=_LARGE)
-    ways[PAPER] = Way("paper")
     return ways
 
 
 WAYS: Mapping[str, Way] = MappingProxyType(_ways())
-# The default leaves out the paper's form, which takes an hour a subject, and configurations that
-# need large photographs.
-USUAL = tuple(name for name, way in WAYS.items() if way.group not in ("paper", "detail"))
+# The default leaves out configurations that need large photographs.
+USUAL = tuple(name for name, way in WAYS.items() if way.group != "detail")
 
 
 def preset_ways(pixels: int = _CAMERA.width) -> Mapping[str, str]:
@@ -325,9 +321,7 @@ def _capture(name: str, way: Way, out: Path, at: At, seed: int) -> CommandOutcom
 
 def command_of(name: str, photographs: Sequence[Path], folder: Path, seed: int) -> list[str]:
     """Command line of a configuration that writes into a folder."""
-    way, first = WAYS[name], str(photographs[0])
-    if name == PAPER:
-        return [sys.executable, "-c", _PAPER, first, str(folder / "paper.matcap"), str(seed)]
+    way = WAYS[name]
     given = [str(path) for path in photographs[: way.photographs]]
     common = ["--quiet", "--seed", str(seed), "--out", str(folder)]
     return [sys.executable, "-c", _CAPTURE, "capture", *given, *way.options, *common]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import itertools
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -63,7 +62,8 @@ def write_pairs(fronts: Path, out: Path, count: int, seed: int) -> Path:
 def agreement(table: Path) -> list[str]:
     """Share of judged pairs in which each measure agrees, as Markdown; empty without judgements.
 
-    Over all pairs judged left or right, and over those whose measures differ by 10 % or more.
+    Over all pairs judged left or right, over those whose measures differ by 10 % or more, and over
+    those of which one is a decoder's.
     Rows of configurations that `matcap` has no more are in compared.csv next to the table.
     """
     path = table.with_name("pairs.csv")
@@ -86,13 +86,16 @@ def agreement(table: Path) -> list[str]:
     ]
     if not looked:
         return []
+    decoders = [
+        any(row.configuration.startswith("decoder") for row in (a, b)) for a, b, _ in looked
+    ]
     lines = []
     for name in _MEASURES:
         both = [(a.number(name), b.number(name), nearer) for a, b, nearer in looked]
-        both = [(a, b, nearer) for a, b, nearer in both if not math.isnan(a + b)]
         separate = [(a, b, nearer) for a, b, nearer in both if max(a, b) >= _SEPARATION * min(a, b)]
-        lines.append([name, _agreed(both), _agreed(separate)])
-    head = ["measure", "agrees", f"{_SEPARATION - 1.0:.0%} apart, agrees"]
+        drawn = [pair for pair, decoder in zip(both, decoders, strict=True) if decoder]
+        lines.append([name, _agreed(both), _agreed(separate), _agreed(drawn)])
+    head = ["measure", "agrees", f"{_SEPARATION - 1.0:.0%} apart, agrees", "one a decoder, agrees"]
     about = (
         f"Blind comparison of pairs ({path.name}): in {len(looked)} one was nearer to the truth."
     )

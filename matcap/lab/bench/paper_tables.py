@@ -4,32 +4,44 @@ Map sets are photographed under a flash near the lens, as the paper does with Mi
 configuration captures the photograph; its maps are compared with true samples of the material under
 the photograph's own flash (the paper's column *Flash*, which it measures on real photographs) and
 under ten other lights (*Relit*), by Gram matrices. Diversity is the mean pairwise distance of
-realisations, pixel by pixel; XYZ the difference of colour histograms; seconds those of capture and
-synthesis.
+realisations, pixel by pixel; XYZ the difference of colour histograms; seconds those of the
+processor, for the capture.
 
-FULL is the paper's method: its decoder reads no drawing, nor do those of the ablations. SINGLE
-starts from no prior. NONTUNED does not fine-tune. FOURIER's loss lacks the power spectrum. GRAM's
-loss is the Gram matrices alone. LIGHT has no alignment branch. The paper's DECODERONLY needs a
-training without an encoder; `matcap prior ablate` has the nearest equivalent.
+PAPER is the paper's system (paper.py), FULL matcap's form of it: the decoder reads no drawing, nor
+do those of the ablations. SINGLE starts from no prior. NONTUNED does not fine-tune. FOURIER's loss
+lacks the power spectrum. GRAM's loss is the Gram matrices alone. LIGHT has no alignment branch. The
+paper's DECODERONLY needs a training without an encoder; `matcap prior ablate` has the nearest
+equivalent. Interpolation and generation: paper_space.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
+from time import process_time
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from matcap.capture.method import Method
 from matcap.capture.pipeline import capture_photo, read_photograph
-from matcap.capture.result import CaptureResult
-from matcap.capture.settings import CaptureSettings
-from matcap.lab.experiment.results import Trial, Value, markdown, means, shown
+from matcap.capture.settings import QUICK_DETAIL, CaptureSettings
+from matcap.field.material import Material
+from matcap.lab.bench.paper import STEPS, ImageFeatures, finetuned_as_in_paper, random_features
+from matcap.lab.bench.paper_space import (
+    LINEAR,
+    PaperCapture,
+    PaperSubject,
+    generation,
+    interpolation,
+)
+from matcap.lab.experiment.results import Mean, Trial, Value, columns_of, markdown, means, shown
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
-from matcap.lab.measures.lights import BenchScene
 from matcap.lab.measures.nsd import style_distance
 from matcap.lab.measures.paper_metrics import diversity, xyz_difference
 from matcap.lab.measures.style import RandomFilters, Style
@@ -37,199 +49,195 @@ from matcap.lab.measures.vgg16 import Vgg16Style
 from matcap.lab.simulate.specimen import Specimen, photograph
 from matcap.statistics.compare import Weights
 
-DEFAULT, DECODER, FULL = "default", "decoder", "FULL"
+DEFAULT, DECODER, FULL, SINGLE = "default", "decoder", "FULL", "SINGLE"
+PAPER_FILTERS, PAPER_VGG = "PAPER by filters", "PAPER by VGG-16"
+_WHOLE = (DEFAULT, DECODER, FULL, PAPER_FILTERS, PAPER_VGG)
+_ABOUT = """\
+*style*: relative L1 difference of statistics of random filters that no capture optimises; *VGG-16*:
+that of Gram matrices of VGG-16 (0: the same, at most 2; the paper leaves open which VGG, layers and
+scale); *NSD*: by SqueezeNet, over that of two true samples. *flash*: under the photograph's own
+flash; *relit*: under ten other lights. *diversity*: mean pairwise distance of realisations, at most
+2. *XYZ*: share of the picture whose colour the truth does not have. *processor*: seconds. *of*:
+number of materials, pairs or sets; a generator measured on fewer is given by its ratio to FULL on
+the same. *middle*, *longest step*: style distance of the middle to the farther end, and of the
+longest of four steps, over that of the ends. *nearest*: of a draw to the nearest map set, over that
+of a map set to the nearest other one; *spread*: mean of two draws, over that of two map sets."""
 # The paper's tables 2 and 3: style under the flash, relit, diversity; and errors beside FULL's.
 PAPER: Mapping[str, tuple[str, str, str]] = {
     "the paper's own": ("0.597", "0.439", "2.08"),
     "its rivals, best": ("0.545", "0.512", "0.00"),
 }
 PAPER_ABLATIONS: Mapping[str, str] = {
-    "SINGLE": "-0.5 %", "NONTUNED": "+24.0 %", "FOURIER": "+0.9 %", "LIGHT": "+1.7 %",
+    SINGLE: "-0.5 %", "NONTUNED": "+24.0 %", "FOURIER": "+0.9 %", "LIGHT": "+1.7 %",
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class PaperSettings:
-    """Steps, styles and sizes of the tables."""
-
-    steps: int | None = None
-    """Fine-tuning steps; None for those of the preset `standard`."""
-
-    vgg16: Path | None = None
-    """Weights of VGG-16; None leaves its columns out."""
-
-    realisations: int = 3
-    """Number of realisations for diversity."""
-
-    evaluation: EvaluationSettings = field(
-        default_factory=lambda: EvaluationSettings(every=1, truths=2)
-    )
-    """Sizes and lights: the middle of the plane, under all ten lights."""
+EVALUATION = EvaluationSettings(every=1, truths=2)  # the plane's middle, all ten lights
+REALISATIONS = 3  # for diversity
 
 
-@dataclass(frozen=True)
-class PaperSubject:
-    """A material, its photograph and true samples (evaluator)."""
+def paper_experiments(
+    subjects: Sequence[Specimen],
+    sets: Sequence[Specimen],
+    out: Path,
+    steps: int | None = None,
+    weights: Path | None = None,
+) -> list[Experiment[Any, Any]]:
+    """The tables, interpolation and generation.
 
-    name: str
-    path: Path
-    evaluator: Evaluator
-    styles: Mapping[str, Style]
-
-
-@dataclass(frozen=True)
-class PaperPictures:
-    """Pictures of a configuration's maps, (L, 3, H, W) each."""
-
-    flash: Tensor
-    """Each realisation under the photograph's own flash."""
-
-    lights: Tensor
-    """The first realisation under ten lights."""
-
-
-def paper_experiment(
-    subjects: Sequence[Specimen], out: Path, settings: PaperSettings
-) -> Experiment[PaperSubject, PaperPictures]:
-    """The default, the paper's generator and its ablations on each subject.
+    Args:
+        subjects: materials captured.
+        sets: map sets that draws are compared with.
+        out: folder for photographs.
+        steps: of fine-tuning; None for those of the preset `standard`, and the paper's.
+        weights: of VGG-16; None leaves it out.
 
     Raises:
         MatcapError: the weights of VGG-16 cannot be read.
     """
-    styles: dict[str, Style] = {"style": RandomFilters()}
-    if settings.vgg16 is not None:
-        styles["VGG-16"] = Vgg16Style(settings.vgg16)
+    styles: dict[str, Style] = {"style": RandomFilters(), "NSD": EVALUATION.squeezenet}
+    papers = {PAPER_FILTERS: random_features()}
+    if weights is not None:
+        styles["VGG-16"] = vgg16 = Vgg16Style(weights)
+        papers[PAPER_VGG] = vgg16.features
 
-    def prepare(subject: Specimen) -> Callable[[], PaperSubject]:
-        def prepared() -> PaperSubject:
-            path, shot = photograph(subject, settings.evaluation.camera, out)
-            evaluator = Evaluator(subject, shot.setup, settings.evaluation, styles)
-            return PaperSubject(subject.name, path, evaluator, styles)
+    def prepare(subject: Specimen) -> PaperSubject:
+        path, shot = photograph(subject, EVALUATION.camera, out)
+        return PaperSubject(path, Evaluator(subject, shot.setup, EVALUATION, styles))
 
-        return prepared
-
-    asked = CaptureSettings("standard", settings.steps)
-    decoder = replace(asked, generator="decoder")
+    decoder = CaptureSettings("standard", steps, generator="decoder")
     full = replace(decoder, drawing=False)
+    untuned = replace(full, steps=0)
     ways: dict[str, tuple[CaptureSettings, Method]] = {
         DEFAULT: (CaptureSettings("standard"), Method()),
         DECODER: (decoder, Method()),
         FULL: (full, Method()),
-        "SINGLE": (replace(full, prior="none"), Method()),
-        "NONTUNED": (replace(full, steps=0), Method()),
+        SINGLE: (replace(full, prior="none"), Method()),
+        "NONTUNED": (untuned, Method()),
         "FOURIER": (full, Method(weights=Weights(spectrum=0.0))),
         "GRAM": (full, Method(weights=Weights(cross=0.0, spectrum=0.0, histogram=0.0))),
         "LIGHT": (full, Method(measured_tilt=False)),
+        **dict.fromkeys(papers, (replace(untuned, detail=QUICK_DETAIL), Method())),
     }
-    return Experiment(
+    captures = {
+        name: _capture(asked, method, papers.get(name), steps or STEPS)
+        for name, (asked, method) in ways.items()
+    }
+    prepared = {subject.name: cache(partial(prepare, subject)) for subject in subjects}
+    settings = (steps, weights, EVALUATION, REALISATIONS)
+    tables = Experiment(
         "paper",
-        {subject.name: prepare(subject) for subject in subjects},
+        prepared,
         {
-            name: Configuration(_captured(asked, method, settings), group=asked.generator)
-            for name, (asked, method) in ways.items()
+            name: Configuration(partial(_compared, captures[name]), asked.generator)
+            for name, (asked, _) in ways.items()
         },
-        (_styles, _diversity_and_colour),
+        (lambda _, values: values,),
         settings=settings,
     )
+    walked = {name: captures[name] for name in (DEFAULT, DECODER, FULL, SINGLE)}
+    walked[LINEAR] = captures[DEFAULT]
+    return [
+        tables,
+        interpolation(prepared, walked, settings),
+        generation(sets, styles, settings),
+    ]
 
 
-def _captured(
-    asked: CaptureSettings, method: Method, settings: PaperSettings
-) -> Callable[[PaperSubject, int], PaperPictures]:
-    def run(subject: PaperSubject, seed: int) -> PaperPictures:
-        chosen = replace(asked, seed=seed)
+def _capture(
+    asked: CaptureSettings, method: Method, features: ImageFeatures | None, steps: int
+) -> PaperCapture:
+    """A configuration's captures, each made once; with features, fine-tuned as in the paper."""
+
+    @cache
+    def captured(subject: PaperSubject, seed: int) -> tuple[Material, float]:
+        chosen, began = replace(asked, seed=seed), process_time()
         result = capture_photo(read_photograph(subject.path, chosen), chosen, method=method)
-        return _relit(result, subject.evaluator, settings.realisations)
+        material = result.material
+        if features is not None:
+            material = finetuned_as_in_paper(result, features, seed, steps)
+        return material, process_time() - began
 
-    return run
+    return captured
 
 
-def _relit(result: CaptureResult, evaluator: Evaluator, count: int) -> PaperPictures:
-    material = result.material
+def _compared(capture: PaperCapture, subject: PaperSubject, seed: int) -> Mapping[str, Value]:
+    """Distances of a capture to true samples; by SqueezeNet, over those between true samples."""
+    (material, spent), evaluator = capture(subject, seed), subject.evaluator
     side, intensity = evaluator.side(material.texel_size), material.setup.intensity
-    maps = [material.maps(side, side, seed=seed) for seed in range(count)]
-    own = evaluator.own_scene
-    return PaperPictures(
-        torch.cat([evaluator.relit(each, intensity, own) for each in maps]),
-        evaluator.relit(maps[0], intensity),
-    )
-
-
-def _styles(subject: PaperSubject, made: PaperPictures) -> Mapping[str, Value]:
-    """Style distances to true samples, and the same normalised by those between true samples."""
-    evaluator, own = subject.evaluator, subject.evaluator.own_scene
+    maps = [material.maps(side, side, seed=seed) for seed in range(REALISATIONS)]
+    scene = evaluator.own_scene
+    flash = torch.cat([evaluator.relit(each, intensity, scene) for each in maps])
+    lights, true = evaluator.relit(maps[0], intensity), evaluator.relit_truths(scene)
     values: dict[str, Value] = {}
-    for name, style in subject.styles.items():
-        values[f"{name}, flash"] = _distance(style, made.flash[:1], evaluator, own)
-        values[f"{name}, relit"] = _distance(style, made.lights, evaluator, evaluator.scene)
-    first = next(iter(subject.styles))
-    values["style ratio, relit"] = evaluator.style_ratio(made.lights, first)
-    return values
+    for name, style in evaluator.styles.items():
+        if name != "NSD":
+            values[f"{name}, flash"] = _distance(style, flash[:1], true)
+            values[f"{name}, relit"] = _distance(style, lights, evaluator.pictures)
+    return {
+        **values,
+        "NSD, relit": evaluator.style_ratio(lights, "NSD"),
+        "diversity": diversity(flash),
+        "XYZ": xyz_difference(flash[0], true[0][0]),
+        "processor": spent,
+    }
 
 
-def _distance(style: Style, pictures: Tensor, evaluator: Evaluator, scene: BenchScene) -> float:
+def _distance(style: Style, pictures: Tensor, truths: Sequence[Tensor]) -> float:
     """Mean style distance to the true samples."""
-    truths = evaluator.pictures if scene == evaluator.scene else evaluator.relit_truths(scene)
-    each = [style_distance(style, pictures, truth) for truth in truths]
-    return sum(each) / len(each)
-
-
-def _diversity_and_colour(subject: PaperSubject, made: PaperPictures) -> Mapping[str, Value]:
-    true = subject.evaluator.relit_truths(subject.evaluator.own_scene)[0][0]
-    return {"diversity": diversity(made.flash), "XYZ": xyz_difference(made.flash[0], true)}
+    return sum(style_distance(style, pictures, truth) for truth in truths) / len(truths)
 
 
 def paper_page(rows: Sequence[Trial], command: str) -> str:
-    """The paper's two tables in Markdown, with the paper's own figures."""
-    by_name = {mean.configuration: mean for mean in means(rows)}
-    columns = list(dict.fromkeys(name for row in rows for name in row.values))
-    subjects = len({row.subject for row in rows})
-    head = ["generator", *columns]
+    """The paper's two tables in Markdown, with the paper's own figures, and those of its space."""
+    captured, walked, drawn = (
+        [row for row in rows if row.experiment == name]
+        for name in ("paper", "interpolation", "generation")
+    )
+    averages = means(captured, FULL)
+    whole = [mean for mean in averages if mean.configuration in _WHOLE]
+    style = "VGG-16, relit" if "VGG-16, relit" in columns_of(captured) else "style, relit"
+    published = [[name, *values] for name, values in PAPER.items()]
+    parts = (
+        "# The paper's tables",
+        f"Measured by `{command}`.",
+        _ABOUT,
+        _table("generator", whole, columns_of(captured)),
+        "The paper's table 2, for its own method and for the best of its five rivals:",
+        "\n".join(markdown(["", "style, flash", "style, relit", "diversity"], published)),
+        "**Another metric, other materials: not comparable** with the figures above.",
+        f"## Ablations, by {style}",
+        _ablations([mean for mean in averages if mean not in whole], whole, style),
+        "## Interpolation",
+        _table("between two materials", means(walked), columns_of(walked)),
+        "## Generation",
+        _table("materials", means(drawn), columns_of(drawn)),
+    )
+    return "\n\n".join(parts) + "\n"
+
+
+def _table(head: str, averages: Sequence[Mean], columns: Sequence[str]) -> str:
+    """Means with the number of subjects, in the columns that have any, without wall time."""
+    given = {name for name in columns for mean in averages if not math.isnan(mean[name])}
+    columns = [name for name in columns if name in given - {"seconds"}]
     lines = [
-        [name, *(shown(by_name[name][column]) for column in columns)]
-        for name in (DEFAULT, DECODER, FULL)
-        if name in by_name
+        [mean.configuration, f"{mean.subjects}", *(shown(mean[column]) for column in columns)]
+        for mean in averages
     ]
-    style = (
-        "VGG-16, relit" if any("VGG-16, relit" in row.values for row in rows) else "style, relit"
-    )
-    ablations = []
-    if FULL in by_name:
-        full = by_name[FULL][style]
-        for name, mean in by_name.items():
-            if name not in (DEFAULT, DECODER, FULL):
-                change = 100.0 * (mean[style] / full - 1.0)
-                published = PAPER_ABLATIONS.get(name, "not measured")
-                ablations.append([name, shown(mean[style]), f"{change:+.1f} %", published])
-    return "\n".join(
+    return "\n".join(markdown([head, "of", *columns], lines))
+
+
+def _ablations(ablated: Sequence[Mean], whole: Sequence[Mean], style: str) -> str:
+    """Changes against FULL, beside the paper's."""
+    full = {mean.configuration: mean[style] for mean in whole}.get(FULL, math.nan)
+    lines = [
         [
-            "# The paper's tables",
-            "",
-            f"Measured by `{command}` on {subjects} materials, means over them.",
-            "",
-            "*style* is the relative L1 difference of statistics of random filters that no",
-            "capture optimises, *VGG-16* that of Gram matrices of VGG-16 (0: the same, at most 2;",
-            "the paper leaves open which VGG, layers and scale). *style ratio*: *style* over that",
-            "of two true samples. *diversity*: mean pairwise distance of realisations, at most 2.",
-            "*XYZ*: share of the picture whose colour the truth does not have. *flash*: under the",
-            "photograph's own flash; *relit*: under ten other lights.",
-            "",
-            *markdown(head, lines),
-            "",
-            "The paper's table 2, for its own method and for the best of its five rivals:",
-            "",
-            *markdown(
-                ["", "style, flash", "style, relit", "diversity"],
-                [[name, *values] for name, values in PAPER.items()],
-            ),
-            "",
-            "**Another metric, other materials: not comparable** with the figures above.",
-            "",
-            f"## Ablations, by {style}",
-            "",
-            *markdown(
-                ["ablation of the decoder", style, "against FULL", "in the paper"], ablations
-            ),
-            "",
+            mean.configuration,
+            shown(mean[style]),
+            f"{100.0 * (mean[style] / full - 1.0):+.1f} %",
+            PAPER_ABLATIONS.get(mean.configuration, "not measured"),
         ]
-    )
+        for mean in ablated
+    ]
+    head = ["ablation of the decoder", style, "against FULL", "in the paper"]
+    return "\n".join(markdown(head, lines))

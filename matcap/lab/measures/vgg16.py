@@ -50,7 +50,6 @@ class Vgg16Style:
                 f"the weights of VGG-16 cannot be read ({error})", where=str(path), remedy=_REMEDY
             ) from error
 
-    @torch.no_grad()
     def features(self, pictures: Tensor) -> list[Tensor]:
         """Responses (B, C, h, w) of each block to sRGB pictures (B, 3, H, W) in [0, 1]."""
         features = 255.0 * pictures - torch.tensor(_MEAN)[:, None, None]
@@ -63,6 +62,7 @@ class Vgg16Style:
             activations.append(features)
         return activations
 
+    @torch.no_grad()
     def __call__(self, pictures: Tensor) -> StyleStatistics:
         """Gram matrices of each block, of sRGB pictures (B, 3, H, W) in [0, 1]."""
         return {

@@ -10,38 +10,43 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from matcap.brdf.maps import MapSet
 from matcap.field.material import Material
 from matcap.files.srgb import srgb_encode_tensor
 from matcap.files.staging import staged_file
-from matcap.flash.geometry import plane_points
+from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import render_flash
 from matcap.lab.train.corpus import LONG_SIDE, simulated_code
 from matcap.lab.train.pack import Entry, linear_of
 
-_SIZE = 256  # texels a side of what is compared
+SIZE = 256  # texels a side of what is compared
 _MEAN = 0.25  # radiance that every picture is brought to
 _SHOWN = 192  # texels a side of a picture on a sheet
 _QUALITY = 85
 
 
 def middle(entry: Entry) -> Tensor:
-    """(3, _SIZE, _SIZE) sRGB, the middle of a photograph of the pack."""
+    """(3, SIZE, SIZE) sRGB, the middle of a photograph of the pack."""
     return _exposed(_cut(torch.from_numpy(entry.photo().pixels.transpose(2, 0, 1).copy())))
 
 
 def simulated_middle(seed: int) -> Tensor:
-    """(3, _SIZE, _SIZE) sRGB, the middle of a simulated photograph."""
+    """(3, SIZE, SIZE) sRGB, the middle of a simulated photograph."""
     return _exposed(_cut(linear_of(simulated_code(seed)[0])))
 
 
 def lit(material: Material) -> Tensor:
-    """(3, _SIZE, _SIZE) sRGB of a material lying in the middle of a photograph, under its flash."""
-    maps = material.maps(_SIZE, _SIZE)
+    """lit_maps() of a material, under its own flash."""
+    return lit_maps(material.maps(SIZE, SIZE), material.setup)
+
+
+def lit_maps(maps: MapSet, setup: FlashSetup) -> Tensor:
+    """(3, SIZE, SIZE) sRGB of maps lying in the middle of a photograph, under a flash."""
     width, height = LONG_SIDE, LONG_SIDE * 3 // 4
-    x, y = (width - _SIZE) // 2, (height - _SIZE) // 2
-    points = plane_points(x, y, _SIZE, _SIZE, (width, height), dtype=torch.float32)
+    x, y = (width - SIZE) // 2, (height - SIZE) // 2
+    points = plane_points(x, y, SIZE, SIZE, (width, height), dtype=torch.float32)
     with torch.inference_mode():
-        return _exposed(render_flash(maps, material.setup, points))
+        return _exposed(render_flash(maps, setup, points))
 
 
 def write_grid(pictures: Sequence[Tensor], columns: int, path: Path) -> None:
@@ -63,9 +68,9 @@ def write_grid(pictures: Sequence[Tensor], columns: int, path: Path) -> None:
 
 
 def _cut(linear: Tensor) -> Tensor:
-    """Central crop of (3, H, W), of at most _SIZE texels a side."""
-    y, x = (max(0, side - _SIZE) // 2 for side in linear.shape[-2:])
-    return linear[:, y : y + _SIZE, x : x + _SIZE]
+    """Central crop of (3, H, W), of at most SIZE texels a side."""
+    y, x = (max(0, side - SIZE) // 2 for side in linear.shape[-2:])
+    return linear[:, y : y + SIZE, x : x + SIZE]
 
 
 def _exposed(linear: Tensor) -> Tensor:

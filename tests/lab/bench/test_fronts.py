@@ -9,11 +9,9 @@ from PIL import Image
 from matcap.capture.settings import PRESETS
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
-from matcap.field.material import Material
 from matcap.lab.bench import fronts
 from matcap.lab.bench.fronts import (
     BASE,
-    PAPER,
     USUAL,
     WAYS,
     Fronts,
@@ -23,14 +21,11 @@ from matcap.lab.bench.fronts import (
     preset_ways,
 )
 from matcap.lab.bench.pairs import agreement, write_pairs
-from matcap.lab.bench.paper import capture_as_in_paper
 from matcap.lab.bench.presentations import presentation_of
 from matcap.lab.experiment import clocked
 from matcap.lab.experiment.page import BY_HAND, write_page
 from matcap.lab.experiment.results import Trial, append, read
 from matcap.lab.experiment.runner import run
-from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import EXAMPLES, photograph
 
 
 @pytest.fixture
@@ -62,7 +57,6 @@ def test_every_preset_is_a_way_and_the_default_is_what_others_are_paired_with():
     assert set(", ".join(ways.values()).split(", ")) == set(PRESETS)
     assert set(ways) <= set(USUAL)
     assert ways[BASE] == "draft, standard"
-    assert PAPER in WAYS and PAPER not in USUAL
 
 
 def test_a_sweep_goes_on_where_it_was_stopped_whatever_version_measured(captures, tmp_path):
@@ -102,15 +96,6 @@ def test_memory_is_the_command_s_and_not_the_bench_s(capfd):
     assert clocked.main([sys.executable, "-c", "raise SystemExit(3)"]) == 3
 
 
-def test_the_paper_s_form_is_a_decoder_from_nothing(tmp_path):
-    specimen, camera = EXAMPLES["plaster"], PhoneCamera(160, 120, supersampling=1)
-    photo, _ = photograph(specimen, camera, tmp_path)
-    capture_as_in_paper(photo, tmp_path / "paper.matcap", 0, steps=1, detail=160)
-    found = Material.load(tmp_path / "paper.matcap")
-    assert set(found.generators) == {"decoder"}
-    assert found.provenance["settings"]["prior"] == "none"
-
-
 def some(path):
     best, worst = "1024 texels, 5 photographs", "decoder, 160 steps"
     for name, seconds, error in ((BASE, 30.0, 2.0), (best, 90.0, 1.2), (worst, 45.0, 3.0)):
@@ -145,7 +130,7 @@ def test_the_page_says_what_is_on_the_front_and_keeps_what_is_by_hand(tmp_path):
     assert f"| * | {BASE} | draft, standard | 2 | 30.0 |" in text
     assert "|  | decoder, 160 steps |" in text
     assert "| asphalt10 | 3.00 | 1.80 | doubtful: dark | good |" in text
-    assert "| field | 1 of 1, 100% | 1 of 1, 100% |" in text
+    assert "| field | 1 of 1, 100% | 1 of 1, 100% | 1 of 1, 100% |" in text
     assert "| filters | 0 of 1, 0% | 0 of 1, 0% |" in text
     assert "| flash | 0 of 1, 0% | 0 of 0, 0% |" in text
     with Image.open(table.with_suffix(".png")) as picture:

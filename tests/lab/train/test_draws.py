@@ -10,7 +10,7 @@ from matcap.lab.train.prior_variety import VarietySettings, middles, run_variety
 
 def test_the_page_tells_what_was_measured(prior, pack, tmp_path, monkeypatch):
     pack = Pack((*pack.entries, *(entry(f"simulated{i}", i, simulated=True) for i in range(4))))
-    monkeypatch.setattr(pictures, "_SIZE", 64)
+    monkeypatch.setattr(pictures, "SIZE", 64)
     monkeypatch.setattr("matcap.lab.train.corpus.LONG_SIDE", 256)
     monkeypatch.setattr("matcap.lab.train.prior_variety.PAIRS", 2)
     said = []
@@ -36,7 +36,7 @@ def test_a_photograph_itself_is_no_distance_away(prior, pack, monkeypatch):
     """Ends that are among the photographs leave the middle to be told alone."""
     from matcap.lab.measures.variety import describe_pictures
 
-    monkeypatch.setattr(pictures, "_SIZE", 64)
+    monkeypatch.setattr(pictures, "SIZE", 64)
     entries = first_of_each(pack.reporting)[:2]
     ends = [prior.draw(0, near=prior.place(e.photo()), spread=0.0) for e in entries]
     (found,) = middles(prior, entries, describe_pictures([pictures.lit(end) for end in ends]))
