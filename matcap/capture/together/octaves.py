@@ -20,14 +20,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.piece.smooth import smoothed, split_all
+from matcap.capture.piece.smooth import smoothed, split, split_all
 from matcap.capture.piece.strengths import BANDS
+from matcap.capture.together.surface import texel_slopes
 
 Floats = NDArray[np.float32]
 
 _OCTAVES = ((256.0, 128.0), (128.0, 64.0), *BANDS)
 _AROUND = 2.0  # wavelengths over which noise is averaged
 _LEAST = 1e-12  # lower limit of variances
+_SCALED = 0.6, 1.5  # limits of the factor of an octave that is brought to its expected energy
 
 
 @dataclass(frozen=True)
@@ -65,15 +67,18 @@ class _Octave:
         kept = np.sqrt(self.error / (self.error + self.noise), dtype=np.float32)
         return gain * self.read + kept * (self.measured - self.gain * self.read)
 
-    def drawn(self) -> np.float32:
-        """Gain of the network's prediction at which the octave has its expected energy.
-
-        That energy is a mean of the measured and the predicted one, by their uncertainties.
-        """
+    @property
+    def energy(self) -> float:
+        """Mean of the measured and the predicted energy, by their uncertainties."""
         read, noise = float(np.square(self.read).mean()), float(self.noise.mean())
         seen = float(self.gain) ** 2 * read + float(self.error)
         sure = read**2 / (read**2 + noise**2 + _LEAST**2)
-        more = (sure * seen + (1.0 - sure) * read - float(self.error)) / max(read, _LEAST)
+        return sure * seen + (1.0 - sure) * read
+
+    def drawn(self) -> np.float32:
+        """Gain of the network's prediction at which the octave has its expected energy."""
+        read = max(float(np.square(self.read).mean()), _LEAST)
+        more = (self.energy - float(self.error)) / read
         return np.float32(max(abs(float(self.gain)), np.sqrt(max(more, 0.0))))
 
 
@@ -92,15 +97,29 @@ def denoised(
     return np.asarray(np.sum(bands, axis=0), np.float32)
 
 
-def read_error(measured: Floats, read: Floats, changes: Sequence[Floats] | Floats) -> float:
-    """Error variance of the prediction: sum over octaves of T + max(g - 1, 0)^2 E[m^2].
+def read_error(
+    measured: Floats, read: Floats, changes: Sequence[Floats] | Floats
+) -> tuple[float, NDArray[np.float64]]:
+    """Error variance of the prediction, and expected energies of the octaves above 4 texels.
 
-    Arguments as of denoised.
+    The former is the sum over octaves of T + max(g - 1, 0)^2 E[m^2]. Arguments as of denoised.
     """
-    return sum(
-        float(o.error) + max(float(o.gain) - 1.0, 0.0) ** 2 * float(np.square(o.read).mean())
-        for o in _octaves(measured, read, changes)
-    )
+    octaves = list(_octaves(measured, read, changes))
+    more = (max(float(o.gain) - 1.0, 0.0) ** 2 * float(np.square(o.read).mean()) for o in octaves)
+    error = sum(float(o.error) for o in octaves) + sum(more)
+    energies = [
+        o.energy for o, (_, shortest) in zip(octaves, _OCTAVES, strict=False) if shortest >= 4
+    ]
+    return error, np.array(energies)
+
+
+def with_energies(height: Floats, texel_size: float, energies: Sequence[float]) -> Floats:
+    """(H, W) height whose slopes have given mean energies in the longest of its octaves."""
+    bands = split(height, _OCTAVES)
+    for band, energy in zip(bands, energies, strict=False):
+        now = float(np.square(texel_slopes(band)).mean()) / texel_size**2
+        band *= np.float32(np.sqrt(energy / max(now, _LEAST)).clip(*_SCALED))
+    return np.asarray(np.sum(bands, axis=0), np.float32)
 
 
 def _octaves(

@@ -24,7 +24,7 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.together.ambient_light import SLOW
-from matcap.capture.together.octaves import denoised, read_error
+from matcap.capture.together.octaves import denoised, read_error, with_energies
 from matcap.capture.together.pair import as_steep, with_lean
 from matcap.capture.together.shared import SAMPLED, shared_step
 from matcap.capture.together.surface import surface_of
@@ -70,6 +70,7 @@ class Solved:
         measured: share of the posterior precision of log albedo, log F0, roughness and slopes that
             photographs contribute rather than the prior, in [0, 1]; medians over texels.
         read_off: standard deviation of the network's slopes, measured by the photographs.
+        steep: mean energy of slopes in each octave above 4 texels, measured by the photographs.
         interrupted: whether Ctrl-C ended the solve, with the best result so far.
     """
 
@@ -78,12 +79,17 @@ class Solved:
     residual: tuple[float, ...]
     measured: tuple[float, float, float, float]
     read_off: float
+    steep: tuple[float, ...]
     interrupted: bool = False
 
     @property
     def maps(self) -> MapSet:
         """The estimated maps."""
         return self.estimate.maps
+
+    def slopes_on(self, maps: MapSet) -> tuple[float, tuple[float, ...]]:
+        """`read_off` and `steep` on the grid of `maps`, as fine or finer by whole octaves."""
+        return self.read_off, self.steep[round(math.log2(maps.size[0] / self.maps.size[0])) :]
 
 
 @torch.no_grad()
@@ -107,7 +113,7 @@ def solve(
         on_progress: called with the completed share, in [0, 1].
         rounds, sampled: see ROUNDS and shared.SAMPLED.
     """
-    fresh, off = begun is None, begun.read_off if begun else 0.0
+    fresh, (off, steep) = begun is None, begun.slopes_on(read.maps) if begun else (0.0, ())
     prior = ParameterPrior.of(read).with_least_slope(off)
     parameters = prior.mean.clone() if begun is None else _continued(prior.mean, read.maps, begun)
     total, done, interrupted = sum(rounds) + 2, 0, False
@@ -129,7 +135,7 @@ def solve(
                 on_progress(done / total)
             parameters[SLOPES] = _without_slow(parameters[SLOPES], unit)
             if measures:
-                off = _read_off(parameters, prior.mean, step.changes)
+                off, steep = _read_off(parameters, prior.mean, step.changes)
                 prior = prior.with_least_slope(off)
             if index == 0:
                 change = parameters - expected.mean
@@ -138,7 +144,7 @@ def solve(
         interrupted = True
     height = surface_of(parameters[SLOPES], read.maps.texel_size, step.relief)
     if not interrupted:
-        height = _denoised(height, lit, step.changes, prior)
+        height = _denoised(height, lit, step.changes, prior, steep)
         height = as_steep(height, lit, parameters, light)
         parameters[SLOPES] = slopes_of(height, read.maps.texel_size)
         parameters = _step_at_fixed_slopes(lit, parameters, expected, light)
@@ -146,7 +152,7 @@ def solve(
     maps = maps_of(parameters, height, read.maps.texel_size)
     estimate = Estimate(maps, _log_errors(step.precision, expected))
     left, shares = _residuals(lit, parameters, light), _shares(step.precision, expected)
-    return Solved(estimate, light, left, shares, off, interrupted)
+    return Solved(estimate, light, left, shares, off, steep, interrupted)
 
 
 def _denoised(
@@ -154,14 +160,20 @@ def _denoised(
     views: Sequence[PieceView],
     changes: Tensor,
     prior: ParameterPrior,
+    steep: Sequence[float],
 ) -> Tensor:
     """(1, H, W) height denoised octave by octave (octaves.py), plane units.
+
+    Two photographs measure slopes along their baseline only, and across it those of the prior do
+    not change when either is left out. The octaves' energies are then those that were measured with
+    a wide prior (`steep`).
 
     Args:
         height: (1, H, W), estimated from all photographs.
         views: the photographs.
         changes: (photographs, 2, H, W) change of slopes when each is left out (jackknife).
         prior: whose mean slopes are the network's.
+        steep: as Solved.steep.
     """
     extent, across = views[0].extent, height.shape[-1]
     read, *others = (
@@ -170,6 +182,8 @@ def _denoised(
     )
     jackknife = [other[0].numpy() for other in others]
     calm = denoised(height[0].numpy(), read[0].numpy(), jackknife, drawn=True)
+    if len(views) == 2 and views[1].ambient is None:
+        calm = with_energies(calm, extent.texel(across), steep)
     return torch.from_numpy(calm)[None]
 
 
@@ -259,11 +273,14 @@ def _step_at_fixed_slopes(
     return step.parameters
 
 
-def _read_off(parameters: Tensor, prior_mean: Tensor, changes: Tensor) -> float:
-    """Standard deviation of the network's slopes, measured by the photographs (octaves.py)."""
+def _read_off(
+    parameters: Tensor, prior_mean: Tensor, changes: Tensor
+) -> tuple[float, tuple[float, ...]]:
+    """Solved.read_off and Solved.steep, means over both slopes (octaves.py)."""
     both = (parameters[SLOPES], prior_mean[SLOPES], changes.movedim(1, 0))
-    squares = [read_error(*(x.numpy() for x in each)) for each in zip(*both, strict=True)]
-    return math.sqrt(sum(squares) / len(squares))
+    of_each = (read_error(*(x.numpy() for x in each)) for each in zip(*both, strict=True))
+    squares, energies = zip(*of_each, strict=True)
+    return math.sqrt(np.mean(squares)), tuple(np.mean(energies, axis=0).tolist())
 
 
 def _log_errors(precision: Tensor, prior: ParameterPrior) -> Tensor:

@@ -232,3 +232,27 @@ def test_a_hand_holds_the_phone_as_it_is_told():
     for camera in cameras[1:]:
         assert np.hypot(*camera.place[:2]) == pytest.approx(0.3 * distance, rel=1e-6)
         assert 5.0 < math.degrees(camera.tilt) < 25.0
+
+
+@pytest.mark.parametrize("steep", [1.0, 1.5])
+def test_two_photographs_tell_how_strong_relief_is_of_which_half_was_read(steep):
+    """Nothing is measured across their baseline: a mean of both reliefs is weaker than either."""
+    one, two = (replace(maps, height=steep * maps.height) for maps in (_true(7), _true(8)))
+    views, light = seen([one] * 2, 0.005)
+    read = replace(_flat(one), height=0.5 * (one.height + two.height))
+    found = _solved(views, read, light)
+    true, before, after = (
+        float(parameters_of(maps)[SLOPES].square().mean()) for maps in (one, read, found.maps)
+    )
+    assert before < 0.5 * true
+    assert 0.85 * true < after < 1.15 * true
+
+
+def test_energies_of_octaves_belong_to_wavelengths_not_to_texels():
+    maps = _true(7)
+    views, light = seen([maps] * 2, 0.005)
+    found = _solved(views, _flat(maps), light)
+    finer = maps.map(lambda m: m.repeat_interleave(2, -1).repeat_interleave(2, -2))
+    assert len(found.steep) == 6  # from 256 to 4 texels
+    assert found.slopes_on(maps) == (found.read_off, found.steep)
+    assert found.slopes_on(finer) == (found.read_off, found.steep[1:])
