@@ -78,6 +78,8 @@ def _elongation(linear: Tensor) -> complex | None:
 
 def _grain(photograph: Plane) -> complex:
     """Coherence times exp(2 i angle) of the gradients of a photograph's texture."""
+    if not photograph.valid.any():
+        return 0.0
     plane = photograph.linear.clamp_min(DARKEST).log().mean(0).numpy()
     plane = cv2.GaussianBlur(plane, (0, 0), _FINE) - cv2.GaussianBlur(plane, (0, 0), _COARSE)
     down, right = (slope[photograph.valid.numpy()] for slope in np.gradient(plane))

@@ -78,6 +78,13 @@ def test_a_grain_across_the_wrong_direction_gets_no_grooves() -> None:
     assert found(relief, grain / grain.std()) is None
 
 
+def test_a_photograph_without_valid_texels_gets_no_grooves() -> None:
+    relief = 3.0 * grooves((HEIGHT, WIDTH), 0.3)
+    seen, drawn = photograph(relief, 0.0 * relief), photograph(0.0 * relief, 0.0 * relief)
+    nowhere = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
+    assert across_grain(Plane(seen, nowhere, None, Encoding(1.0, torch.eye(3))), drawn) is None
+
+
 def test_a_round_highlight_gets_no_grooves() -> None:
     grain = grooves((HEIGHT, WIDTH), 0.3)
     assert found(0.0 * grain, 0.1 * grain / grain.std()) is None
