@@ -51,17 +51,18 @@ from matcap.statistics.compare import Weights
 
 DEFAULT, DECODER, FULL, SINGLE = "default", "decoder", "FULL", "SINGLE"
 PAPER_FILTERS, PAPER_VGG = "PAPER by filters", "PAPER by VGG-16"
-_WHOLE = (DEFAULT, DECODER, FULL, PAPER_FILTERS, PAPER_VGG)
+_WHOLE = (DEFAULT, DECODER, FULL)
+_PAPERS = (PAPER_FILTERS, PAPER_VGG)  # of few materials, as one takes twenty minutes
 _ABOUT = """\
 *style*: relative L1 difference of statistics of random filters that no capture optimises; *VGG-16*:
 that of Gram matrices of VGG-16 (0: the same, at most 2; the paper leaves open which VGG, layers and
 scale); *NSD*: by SqueezeNet, over that of two true samples. *flash*: under the photograph's own
 flash; *relit*: under ten other lights. *diversity*: mean pairwise distance of realisations, at most
 2. *XYZ*: share of the picture whose colour the truth does not have. *processor*: seconds. *of*:
-number of materials, pairs or sets; a generator measured on fewer is given by its ratio to FULL on
-the same. *middle*, *longest step*: style distance of the middle to the farther end, and of the
-longest of four steps, over that of the ends. *nearest*: of a draw to the nearest map set, over that
-of a map set to the nearest other one; *spread*: mean of two draws, over that of two map sets."""
+number of materials, pairs or sets. *middle*, *longest step*: style distance of the middle to the
+farther end, and of the longest of four steps, over that of the ends. *nearest*: of a draw to the
+nearest map set, over that of a map set to the nearest other one; *spread*: mean of two draws, over
+that of two map sets."""
 # The paper's tables 2 and 3: style under the flash, relit, diversity; and errors beside FULL's.
 PAPER: Mapping[str, tuple[str, str, str]] = {
     "the paper's own": ("0.597", "0.439", "2.08"),
@@ -194,8 +195,11 @@ def paper_page(rows: Sequence[Trial], command: str) -> str:
         [row for row in rows if row.experiment == name]
         for name in ("paper", "interpolation", "generation")
     )
-    averages = means(captured, FULL)
+    averages = means([row for row in captured if row.configuration not in _PAPERS], FULL)
     whole = [mean for mean in averages if mean.configuration in _WHOLE]
+    subjects = {row.subject for row in captured if row.configuration in _PAPERS}
+    beside = [row for row in captured if row.configuration in (*_WHOLE, *_PAPERS)]
+    beside = [row for row in beside if row.subject in subjects]
     style = "VGG-16, relit" if "VGG-16, relit" in columns_of(captured) else "style, relit"
     published = [[name, *values] for name, values in PAPER.items()]
     parts = (
@@ -203,6 +207,10 @@ def paper_page(rows: Sequence[Trial], command: str) -> str:
         f"Measured by `{command}`.",
         _ABOUT,
         _table("generator", whole, columns_of(captured)),
+        f"On {', '.join(sorted(subjects))} alone, where the paper's system was measured:"
+        if subjects
+        else "The paper's system was not measured.",
+        _table("generator", means(beside, FULL), columns_of(captured)) if subjects else "",
         "The paper's table 2, for its own method and for the best of its five rivals:",
         "\n".join(markdown(["", "style, flash", "style, relit", "diversity"], published)),
         "**Another metric, other materials: not comparable** with the figures above.",
