@@ -198,8 +198,8 @@ def paper_page(rows: Sequence[Trial], command: str) -> str:
     averages = means([row for row in captured if row.configuration not in _PAPERS], FULL)
     whole = [mean for mean in averages if mean.configuration in _WHOLE]
     subjects = {row.subject for row in captured if row.configuration in _PAPERS}
-    beside = [row for row in captured if row.configuration in (*_WHOLE, *_PAPERS)]
-    beside = [row for row in beside if row.subject in subjects]
+    compared = [row for row in captured if row.configuration in (*_WHOLE, *_PAPERS)]
+    compared = [row for row in compared if row.subject in subjects]
     style = "VGG-16, relit" if "VGG-16, relit" in columns_of(captured) else "style, relit"
     published = [[name, *values] for name, values in PAPER.items()]
     parts = (
@@ -210,7 +210,7 @@ def paper_page(rows: Sequence[Trial], command: str) -> str:
         f"On {', '.join(sorted(subjects))} alone, where the paper's system was measured:"
         if subjects
         else "The paper's system was not measured.",
-        _table("generator", means(beside, FULL), columns_of(captured)) if subjects else "",
+        _table("generator", means(compared, FULL), columns_of(captured)) if subjects else "",
         "The paper's table 2, for its own method and for the best of its five rivals:",
         "\n".join(markdown(["", "style, flash", "style, relit", "diversity"], published)),
         "**Another metric, other materials: not comparable** with the figures above.",
