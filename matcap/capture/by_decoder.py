@@ -67,10 +67,10 @@ def capture_by_decoder(
         if drawing is not None:  # it has the lattice, at phases of its own
             target = replace(target, waves=())
         own = self_difference(target.windows, target.weights)
-        tune = _tune(settings, effort, method, own, photo.name)
+        tune = _tune(settings, effort, own, photo.name)
 
     on_step = _on_step(clock, own)
-    start = _start(shot, settings, method, target, tune, clock)
+    start = _start(shot, settings, target, tune, clock)
     target = replace(target, drawing=drawing)
     decoder, tuned = _tuned_decoder(shot, start, target, tune, clock, on_step)
     about = provenance(photo, settings, coarse, effort, joined)
@@ -95,7 +95,6 @@ def capture_by_decoder(
 def _start(
     shot: CaptureStart,
     settings: CaptureSettings,
-    method: Method,
     target: PhotographTarget,
     tune: TuneSettings,
     clock: CaptureClock,
@@ -109,7 +108,7 @@ def _start(
             target,
             tune,
             settings.prior,
-            method.decoder or DecoderConfig(),
+            DecoderConfig(),
             search=settings.time_limit is None,
         )
 
@@ -146,15 +145,12 @@ def _upright(material: Material) -> Material:
     return tuned.material(material.name, setup, material.provenance)
 
 
-def _tune(
-    settings: CaptureSettings, effort: Effort, method: Method, own: float, name: str
-) -> TuneSettings:
+def _tune(settings: CaptureSettings, effort: Effort, own: float, name: str) -> TuneSettings:
     """Settings of fine-tuning, except learning rate and time limit."""
     return TuneSettings(
         steps=effort.steps,
         target=_target(settings, own, name),
         places=effort.places,
-        half_precision=method.half_precision,
         seed=settings.seed,
     )
 

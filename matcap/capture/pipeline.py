@@ -13,7 +13,7 @@ from pathlib import Path
 
 from matcap.capture.detail import Rectified
 from matcap.capture.ending import judged, provenance
-from matcap.capture.method import Method
+from matcap.capture.method import WINDOW, Method
 from matcap.capture.outputs import write_outputs
 from matcap.capture.piece.find import PhotographEstimate, find_piece
 from matcap.capture.piece.network.store import load_inverse
@@ -193,7 +193,7 @@ def capture_under(
 ) -> CaptureResult:
     """Run all stages between `read` and `write`; arguments as of capture_photo."""
     check_photographs(settings, 1 + len(others))
-    effort = resolve(settings, method)
+    effort = resolve(settings)
     if settings.generator == "decoder":
         from matcap.capture.by_decoder import capture_by_decoder
 
@@ -229,7 +229,7 @@ def _begun(
         photo = photo.linearised(coarse.tone)
         detail = settings.detail_of(max(photo.pixels.shape))
         rectified = Rectified.of_photo(photo, coarse, detail)
-        window = _window(rectified.read, method.window, photo.name)
+        window = _window(rectified.read, WINDOW, photo.name)
     return CaptureStart(photo, coarse, rectified, window, others)
 
 

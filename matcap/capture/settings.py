@@ -19,7 +19,6 @@ from matcap.files.settings import check_settings, setting, typed_settings
 
 if TYPE_CHECKING:
     from matcap.brdf.stated import NormalStyle
-    from matcap.capture.method import Method
     from matcap.field.source import Generator
     from matcap.files.values import Region
 
@@ -306,12 +305,8 @@ def check_photographs(settings: CaptureSettings, photographs: int) -> None:
         )
 
 
-def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:
+def resolve(settings: CaptureSettings) -> Effort:
     """Effort of a capture with these settings.
-
-    Args:
-        settings: of the user.
-        method: its variant, whose numbers override the preset's.
 
     Raises:
         UsageError: the preset is unknown, or `steps`, `target` or `union` contradicts the
@@ -346,8 +341,4 @@ def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:
         limit = settings.time_limit or math.inf
         detail = next(texels for least, texels in TIME_FOR_DETAIL if limit >= least)
         effort = replace(UNLIMITED, detail=detail)
-    if method is not None and method.places is not None:
-        effort = replace(effort, places=method.places)
-    if method is not None and method.matched is not None:
-        effort = replace(effort, matched=method.matched)
     return effort if settings.generator == "decoder" else replace(effort, steps=0)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from matcap.capture.method import Method
+from matcap.capture.method import FEATURES, Method
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.start import CaptureStart
 from matcap.capture.tilt import fitted
@@ -26,11 +26,11 @@ def photograph_target(
     Args:
         shot: the photograph, with others.
         settings: names the statistics.
-        method: has window size, filter bank and weights.
+        method: has the weights.
         most: largest number of windows, or None.
     """
     plane, coarse = shot.plane, shot.coarse
-    bank = _features(settings, method)
+    bank = _features(settings)
     target = PhotographTarget(
         cut_windows(plane, bank, shot.window, most=most),
         coarse.setup,
@@ -48,18 +48,18 @@ def photograph_target(
     return join(target, coarse, others, plane.size[0]) if others else (target, [])
 
 
-def _features(settings: CaptureSettings, method: Method) -> Features:
+def _features(settings: CaptureSettings) -> Features:
     """Features whose statistics are compared."""
-    return _STATISTICS[settings.statistics.name](method, settings.statistics.weights)
+    return _STATISTICS[settings.statistics.name](settings.statistics.weights)
 
 
-def _vgg19(_: Method, weights: Path | None) -> Features:
+def _vgg19(weights: Path | None) -> Features:
     assert weights is not None
     return load_vgg19(weights)
 
 
 # Constructors for the keys of settings.STATISTICS.
-_STATISTICS: Mapping[str, Callable[[Method, Path | None], Features]] = {
-    "filterbank": lambda method, _: FilterBank(method.features),
+_STATISTICS: Mapping[str, Callable[[Path | None], Features]] = {
+    "filterbank": lambda _: FilterBank(FEATURES),
     "vgg19": _vgg19,
 }

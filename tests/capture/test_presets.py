@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 
-from matcap.capture.method import Method
 from matcap.capture.settings import (
     PRESETS,
     UNLIMITED,
@@ -60,11 +59,6 @@ def test_the_piece_has_the_finest_texels_where_there_is_time_for_them(asked, wan
 def test_a_target_is_the_decoders():
     with pytest.raises(UsageError, match="--generator decoder"):
         resolve(CaptureSettings(target=1.3))
-
-
-def test_a_method_has_the_last_word():
-    effort = resolve(CaptureSettings(preset="draft"), Method(places=5, matched=True))
-    assert (effort.places, effort.matched) == (5, True)
 
 
 def test_presets_cost_more_and_more():

@@ -4,7 +4,6 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from matcap.capture.method import Method
 from matcap.capture.settings import CaptureSettings, Statistics
 from matcap.capture.target import _features
 from matcap.capture.vgg_weights import load_vgg19
@@ -58,7 +57,7 @@ def test_weights_are_read_by_name_and_anything_else_is_refused(network, tmp_path
     path = tmp_path / "vgg19.safetensors"
     extra = {"classifier.0.weight": torch.zeros(2, 2)}  # the published file holds more
     save_file({**network.state_dict(), **extra}, path)
-    read = _features(CaptureSettings(statistics=Statistics.parse(f"vgg19={path}")), Method())
+    read = _features(CaptureSettings(statistics=Statistics.parse(f"vgg19={path}")))
     assert all(
         torch.equal(a, b)
         for a, b in zip(read.state_dict().values(), network.state_dict().values(), strict=True)

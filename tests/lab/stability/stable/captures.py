@@ -16,7 +16,6 @@ import torch
 from arrays import photo_from_array
 from numpy.typing import NDArray
 
-from matcap.capture.method import Method
 from matcap.capture.piece.find import ExemplarEstimate
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.result import CaptureResult
@@ -55,7 +54,7 @@ def capture_array(
         within, beyond = np.minimum(photo.pixels, 1.0), np.maximum(photo.pixels, 1.0)
         pixels = _PHONE.developed(within) * beyond
         photo = replace(photo, radiometric=False, tone=None, pixels=pixels)
-    return capture_photo(photo, settings, method=Method(matched=True))
+    return capture_photo(photo, settings)
 
 
 def finite(result: CaptureResult) -> bool:
