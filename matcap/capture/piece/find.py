@@ -355,8 +355,9 @@ def glinting(observed: Observation, prediction: NetworkPrediction) -> SurfacePar
 
     grooved = None
     if not any(prediction.classes.metal):  # whose grain is visible, as its F0 is its texture
-        rendered, _ = observed.light.rendered(observed.light.maps(departures))
-        across = across_grain(plane, rendered.exp())
+        across = across_grain(
+            plane, lambda: observed.light.rendered(observed.light.maps(departures))[0].exp()
+        )
         if across is not None:
             relief = grooves(plane.size[::-1], across)
             grooved = scaled(replace(departures, height=departures.height + relief))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -23,7 +24,9 @@ from matcap.capture.piece.noise import DARKEST
 from matcap.flash.highlight import elongation, find_highlight, light_of
 from matcap.flash.plane import Plane
 
-_LEAST_ELONGATION = 0.15  # least |e_photograph - e_rendered|: a length 16 % too short
+# Least |e_photograph| and |e_photograph - e_rendered|: the length is 16 % over the width, or too
+# short.
+_LEAST_ELONGATION = 0.15
 # Least coherence of the texture's gradients in that direction. Leathers have 0.2, woods and
 # brushed paints 0.3 to 0.6.
 _LEAST_COHERENCE = 0.25
@@ -34,15 +37,18 @@ _PERIOD, _OCTAVES = 3.0, 0.8  # texels, period of grooves, and its standard devi
 _LENGTH = 12.0  # texels, standard deviation of a groove's length
 
 
-def across_grain(photograph: Plane, rendered: Tensor) -> float | None:
+def across_grain(photograph: Plane, rendered: Callable[[], Tensor]) -> float | None:
     """Angle across grooves that the maps lack, from right to up, radians; None without any.
 
     Args:
         photograph: on the plane.
-        rendered: (3, H, W) radiance of its re-rendered maps.
+        rendered: radiance (3, H, W) of its maps; called if the photographed highlight is long.
     """
-    seen, drawn = (_elongation(picture) for picture in (photograph.linear, rendered))
-    if seen is None or drawn is None or abs(missing := seen - drawn) < _LEAST_ELONGATION:
+    seen = _elongation(photograph.linear)
+    if seen is None or abs(seen) < _LEAST_ELONGATION:
+        return None
+    drawn = _elongation(rendered())
+    if drawn is None or abs(missing := seen - drawn) < _LEAST_ELONGATION:
         return None
     grain = _grain(photograph)
     aligned = (grain * missing.conjugate()).real / abs(missing)

@@ -19,7 +19,7 @@ HEIGHT, WIDTH = 192, 256
 ANGLES = [0.0, 0.5, 1.4, -0.9]
 
 
-def apart(first: float, second: float) -> float:
+def angle_between(first: float, second: float) -> float:
     """Difference of two directions, radians."""
     return abs(math.remainder(first - second, math.pi))
 
@@ -44,7 +44,7 @@ def found(relief: torch.Tensor, grain: torch.Tensor) -> float | None:
     nothing = torch.zeros(1, HEIGHT, WIDTH)
     seen, drawn = photograph(relief, grain), photograph(nothing, nothing)
     valid = torch.ones(HEIGHT, WIDTH, dtype=torch.bool)
-    return across_grain(Plane(seen, valid, None, Encoding(1.0, torch.eye(3))), drawn)
+    return across_grain(Plane(seen, valid, None, Encoding(1.0, torch.eye(3))), lambda: drawn)
 
 
 @pytest.mark.parametrize("across", ANGLES)
@@ -62,7 +62,7 @@ def test_the_direction_of_a_grain_is_found(across: float) -> None:
     relief = 3.0 * grooves((HEIGHT, WIDTH), across)
     direction = found(relief, relief / relief.std() * 0.1)
     assert direction is not None
-    assert apart(direction, across) < 0.1
+    assert angle_between(direction, across) < 0.1
 
 
 def test_a_long_highlight_without_a_grain_gets_no_grooves() -> None:
@@ -82,7 +82,9 @@ def test_a_photograph_without_valid_texels_gets_no_grooves() -> None:
     relief = 3.0 * grooves((HEIGHT, WIDTH), 0.3)
     seen, drawn = photograph(relief, 0.0 * relief), photograph(0.0 * relief, 0.0 * relief)
     nowhere = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
-    assert across_grain(Plane(seen, nowhere, None, Encoding(1.0, torch.eye(3))), drawn) is None
+    assert (
+        across_grain(Plane(seen, nowhere, None, Encoding(1.0, torch.eye(3))), lambda: drawn) is None
+    )
 
 
 def test_a_round_highlight_gets_no_grooves() -> None:
