@@ -197,9 +197,6 @@ def paper_page(rows: Sequence[Trial], command: str) -> str:
     )
     averages = means([row for row in captured if row.configuration not in _PAPERS], FULL)
     whole = [mean for mean in averages if mean.configuration in _WHOLE]
-    subjects = {row.subject for row in captured if row.configuration in _PAPERS}
-    compared = [row for row in captured if row.configuration in (*_WHOLE, *_PAPERS)]
-    compared = [row for row in compared if row.subject in subjects]
     style = "VGG-16, relit" if "VGG-16, relit" in columns_of(captured) else "style, relit"
     published = [[name, *values] for name, values in PAPER.items()]
     parts = (
@@ -207,10 +204,7 @@ def paper_page(rows: Sequence[Trial], command: str) -> str:
         f"Measured by `{command}`.",
         _ABOUT,
         _table("generator", whole, columns_of(captured)),
-        f"On {', '.join(sorted(subjects))} alone, where the paper's system was measured:"
-        if subjects
-        else "The paper's system was not measured.",
-        _table("generator", means(compared, FULL), columns_of(captured)) if subjects else "",
+        *_paper_system(captured),
         "The paper's table 2, for its own method and for the best of its five rivals:",
         "\n".join(markdown(["", "style, flash", "style, relit", "diversity"], published)),
         "**Another metric, other materials: not comparable** with the figures above.",
@@ -222,6 +216,19 @@ def paper_page(rows: Sequence[Trial], command: str) -> str:
         _table("materials", means(drawn), columns_of(drawn)),
     )
     return "\n\n".join(parts) + "\n"
+
+
+def _paper_system(captured: Sequence[Trial]) -> list[str]:
+    """The paper's system and matcap's generators, on the materials that it was measured on."""
+    subjects = {row.subject for row in captured if row.configuration in _PAPERS}
+    if not subjects:
+        return []
+    names = (*_WHOLE, *_PAPERS)
+    rows = [row for row in captured if row.subject in subjects and row.configuration in names]
+    return [
+        f"On {', '.join(sorted(subjects))} alone, where the paper's system was measured:",
+        _table("generator", means(rows, FULL), columns_of(captured)),
+    ]
 
 
 def _table(head: str, averages: Sequence[Mean], columns: Sequence[str]) -> str:
