@@ -236,8 +236,6 @@ FAULTS = (
     Fault("relief is as steep as predicted", "capture narrowed",
           "cost(scale * math.sqrt(0.5))", "least",
           "capture/piece/test_find.py -k wider"),
-    Fault("grain: grooves across a round highlight", "capture across_grain",
-          "seen - drawn", "seen + drawn + 1.0j", "capture/piece/test_grain.py"),
     Fault("glints: photograph and re-rendering swapped", "capture scaled_by_glints",
           "excess / relief.clip(1e-12)", "relief / excess.clip(1e-12)",
           "capture/piece/test_glints.py"),

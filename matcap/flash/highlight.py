@@ -7,8 +7,6 @@ re-rendering is clipped at the photograph's level, so that both peaks are flatte
 
 from __future__ import annotations
 
-import cmath
-import math
 from dataclasses import dataclass
 
 import cv2
@@ -84,8 +82,8 @@ def find_highlight(light: Luminance) -> Highlight | None:
     return spot
 
 
-def elongation(light: Luminance, highlight: Highlight) -> complex:
-    """log(length / width) exp(2 i angle) of a highlight above half of its peak, angle from u to v.
+def elongation(light: Luminance, highlight: Highlight) -> float:
+    """Length over width of a highlight, above half of its peak.
 
     Args:
         light: (h, w) the linear picture.
@@ -98,12 +96,11 @@ def elongation(light: Luminance, highlight: Highlight) -> complex:
     over = np.clip(blurred - half, 0.0, highlight.peak - half)
     over = over * (np.hypot(u, v) < 3.0 * highlight.width)
     if over.sum() <= 0.0:
-        return 0.0
+        return 1.0
     offsets = np.stack([each.ravel() for each in np.broadcast_arrays(u, v)])
     spread = np.cov(offsets, aweights=over.ravel())
     small, large = np.linalg.eigvalsh(spread).clip(1e-9)
-    angle = math.atan2(2.0 * spread[0, 1], spread[0, 0] - spread[1, 1])
-    return 0.5 * math.log(large / small) * cmath.exp(1j * angle)
+    return float(np.sqrt(large / small))
 
 
 def _others(light: Luminance, spot: Highlight) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cmath
 import math
 
 import numpy as np
@@ -22,10 +21,9 @@ def ellipse(ratio: float, angle: float, width: float) -> np.ndarray:
 
 @pytest.mark.parametrize("width", [0.015, 0.08, 0.15])
 @pytest.mark.parametrize(("ratio", "angle"), [(1.0, 0.0), (1.5, 0.4), (1.5, -1.2), (2.0, 1.5)])
-def test_length_over_width_and_direction(ratio: float, angle: float, width: float) -> None:
+def test_length_over_width(ratio: float, angle: float, width: float) -> None:
     light = ellipse(ratio, angle, width)
     highlight = find_highlight(light)
     assert highlight is not None
-    truth = math.log(ratio) * cmath.exp(2.0j * angle)
     # A blur of 0.3 widths makes it a little rounder.
-    assert abs(elongation(light, highlight) - truth) < 0.04 + 0.15 * math.log(ratio)
+    assert 0.9 * ratio < elongation(light, highlight) < 1.05 * ratio

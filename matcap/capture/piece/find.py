@@ -25,7 +25,6 @@ from matcap.capture.piece.classes import Classes, find_mixture
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.glints import scaled_by_glints
-from matcap.capture.piece.grain import across_grain, grooves
 from matcap.capture.piece.highlight_remainder import remaining_highlight
 from matcap.capture.piece.levels import LevelPrior, fit_levels
 from matcap.capture.piece.metal import has_metal
@@ -340,30 +339,6 @@ def narrowed(
     return replace(departures, height=departures.height * scale)
 
 
-def glinting(observed: Observation, prediction: NetworkPrediction) -> SurfaceParameters:
-    """Departures whose relief makes glints as strong as photographed (glints.py).
-
-    If the highlight is more elongated than re-rendered, across a grain, grooves are added before
-    (grain.py): a fine relief of the grain's direction takes the place of one without direction.
-    """
-    plane, departures = observed.plane, prediction.departures
-
-    def scaled(departures: SurfaceParameters) -> SurfaceParameters | None:
-        return scaled_by_glints(
-            departures, plane.linear, plane.measured, observed.light, observed.noise
-        )
-
-    grooved = None
-    if not any(prediction.classes.metal):  # whose grain is visible, as its F0 is its texture
-        across = across_grain(
-            plane, lambda: observed.light.rendered(observed.light.maps(departures))[0].exp()
-        )
-        if across is not None:
-            relief = grooves(plane.size[::-1], across)
-            grooved = scaled(replace(departures, height=departures.height + relief))
-    return grooved or scaled(departures) or departures
-
-
 LEVEL_TEXELS = 384  # short side of the grid of the fit
 # Standard deviations of the mean residual of rings, and of the log scale of relief (`narrowed`).
 _RING_ERROR, _SCALE_LOG = 0.025, 0.5
@@ -377,7 +352,11 @@ def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPre
     """Fit mean parameters of the classes, then albedo of every texel, to the photograph."""
     flat = evened(observed, prediction, prediction.departures)
     prediction = with_levels(observed, prediction, narrowed(observed, prediction, flat))
-    prediction = with_levels(observed, prediction, glinting(observed, prediction))
+    plane = observed.plane
+    steep = scaled_by_glints(
+        prediction.departures, plane.linear, plane.measured, observed.light, observed.noise
+    )
+    prediction = with_levels(observed, prediction, steep)
     return _rerendered(observed, prediction, prediction.departures)
 
 

@@ -39,10 +39,8 @@ def scaled_by_glints(
     measured: Tensor,
     light: PieceLight,
     noise: Tensor,
-) -> SurfaceParameters | None:
+) -> SurfaceParameters:
     """Scale each octave of relief by its factor g_b, measured in the glints (module equation).
-
-    None without a region that is glossy enough.
 
     Args:
         departures: of the exemplar from the coarse fit.
@@ -58,7 +56,7 @@ def scaled_by_glints(
     seen = measured.all(0).numpy()
     region = (glare > MIRRORED) & seen
     if float(region.mean()) < LEAST_SHARE:
-        return None
+        return departures
     mean = departures.diffuse.mean((1, 2), keepdim=True)
     maps = light.maps(replace(departures, diffuse=mean.expand_as(linear)))
     rendered = light.rendered(maps)[0].mean(0).numpy()

@@ -259,12 +259,11 @@ def _streak(
     pictures: tuple[Picture, Picture], highlights: tuple[Highlight | None, Highlight | None]
 ) -> float:
     """Length over width of the highlight over that re-rendered; 1 without one in the photograph."""
-    logs = (
-        0.0 if highlight is None else abs(elongation(light_of(picture), highlight))
+    photographed, rendered = (
+        1.0 if highlight is None else elongation(light_of(picture), highlight)
         for picture, highlight in zip(pictures, highlights, strict=True)
     )
-    photographed, rendered = logs
-    return math.exp(max(photographed - rendered, 0.0))
+    return max(photographed / rendered, 1.0)
 
 
 def _plane(shape: Sequence[int]) -> SmoothLight:
