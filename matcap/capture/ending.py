@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.brdf.maps import MapSet
 from matcap.capture.detail import Rectified
 from matcap.capture.piece.find import ExemplarEstimate, piece_maps
 from matcap.capture.progress import CaptureClock
@@ -19,6 +21,7 @@ from matcap.capture.tilt import tilt_document
 from matcap.capture.verdict.judge import judge
 from matcap.capture.verdict.measurements import PieceMeasurements, measured
 from matcap.capture.verdict.residue import highlight_residue
+from matcap.capture.verdict.steepness import steepness
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
 from matcap.flash.coarse.fit import CoarseFit
@@ -63,7 +66,10 @@ def judged(
             left_out = plane.left_out.numpy()[..., None]
             compared = np.where(left_out, lying, seen)  # a difference of zero
             seen = np.where(left_out, np.float32(0.0), seen)
-        about = None if estimate is None else _piece_measurements(estimate, photo, material, waves)
+        drawn = None if tuning is None else maps
+        about = None
+        if estimate is not None:
+            about = _piece_measurements(estimate, photo, material, waves, drawn)
         valid = plane.valid.numpy()
         setup = replace(material.setup, turned=False)
         measurements = measured(photo, setup, compared, lying, valid, waves, about)
@@ -111,14 +117,19 @@ def provenance(
 
 
 def _piece_measurements(
-    estimate: ExemplarEstimate, photo: Photo, material: Material, waves: tuple[Wave, ...]
+    estimate: ExemplarEstimate,
+    photo: Photo,
+    material: Material,
+    waves: tuple[Wave, ...],
+    drawn: MapSet | None,
 ) -> PieceMeasurements:
-    """Measurements on an exemplar for its verdict."""
+    """Measurements on an exemplar for its verdict; `drawn` are a decoder's maps."""
     confidence = estimate.mean_confidence(photo.kept_share)
     return PieceMeasurements(
         maps={"error": estimate.error, "slow": estimate.slow, **confidence},
         residue=highlight_residue(estimate.framed, material.setup),
         tilt=_mean_tilt(estimate),
+        steepness=math.nan if drawn is None else steepness(drawn, piece_maps(estimate.framed)),
         # Of a lattice, whole periods are rearranged, however small they are.
         variety=1.0 if waves else estimate.example.variety,
         photographs=1 if estimate.several is None else len(estimate.several.views),

@@ -267,6 +267,13 @@ _TABLE = (
         "part of the highlight was taken for colour or gloss of the material", "{more}",
     ),
     QualityCheck(
+        "steepness", "slopes of waves of 8 to 64 texels, a decoder's field over the exemplar",
+        "times", (1.3, 2.0, 3.0),
+        "slow relief is {value:.2g} times as steep as in the maps of the photographed rectangle",
+        "the decoder takes stains for relief, or relief for stains",
+        "capture with --generator example", factor=True,
+    ),
+    QualityCheck(
         "flash_offset", "distance of the flash from the lens", "plane units", (0.25, 0.35, 0.6),
         "the light seems to be {off:.0f} % of the picture's long side away from the lens, farther "
         "than a phone's flash",

@@ -63,6 +63,7 @@ def test_a_decoder_s_field_is_the_lying_one_turned(photographs, drawing, tmp_pat
     )
     done = {name: capture_file(path, settings) for name, path in photographs.items()}
     lying, standing = done["lying"], done["standing"]
+    assert lying.verdict.document()["checks"]["steepness"]["value"] > 0.0
     assert standing.maps.size == (144, 192) == standing.rectified.shape[1::-1]
     np.testing.assert_array_equal(
         standing.estimate.exemplar.diffuse, np.rot90(lying.estimate.exemplar.diffuse, -1, (1, 2))

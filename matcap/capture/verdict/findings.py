@@ -50,6 +50,8 @@ def findings(seen: Measurements) -> Iterator[Finding]:
     yield from _piece(seen, more)
     if seen.residue is not None:
         yield _residue(seen.residue, more)
+    if math.isfinite(seen.steepness):
+        yield CHECKS["steepness"].finding(seen.steepness)
     yield CHECKS["flash_offset"].finding(seen.offset, off=50.0 * seen.offset)
 
 

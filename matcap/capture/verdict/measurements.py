@@ -59,6 +59,8 @@ class PieceMeasurements:
     """Radial variation by map about the mirror point, for Measurements.residue."""
     tilt: float = 0.0
     """Mean angle of the normals to the plane's, degrees."""
+    steepness: float = math.nan
+    """Slopes of a decoder's field over the exemplar's (steepness.py); NaN of the default."""
     variety: float = 1.0
     """Patch size of the field, from 0 (the whole exemplar) to 1 (small patches)."""
     photographs: int = 1
@@ -96,6 +98,8 @@ class Measurements:
     """`error`, `slow` (log radiance) and confidence by map of the exemplar; None without one."""
     residue: Mapping[str, float] | None = None
     """Radial variation of the exemplar's maps about the mirror point (residue.py)."""
+    steepness: float = math.nan
+    """Slopes of a decoder's field over the exemplar's (steepness.py); NaN of the default."""
     causes: CauseMeasurements = CauseMeasurements()
     """Measurements of possible causes."""
 
@@ -151,6 +155,7 @@ def measured(
         ),
         piece=piece.maps,
         residue=piece.residue,
+        steepness=piece.steepness,
         causes=causes.with_photograph(photo.pixels, smooth, pictures, highlights),
     )
 

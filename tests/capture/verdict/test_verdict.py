@@ -64,6 +64,7 @@ FINE = Measurements(
     order=(0.5, 0.5),
     offset=0.1,
     connectivity=(3.0, 2.5),
+    steepness=1.1,
     piece={
         "error": 0.05, "slow": 0.04, "diffuse": 0.9, "specular": 0.8, "roughness": 0.7,
         "height": 0.7,
@@ -102,7 +103,9 @@ def test_every_row_of_the_table_is_said_of_something(leather):
 
 def test_what_is_not_known_is_not_held_against_a_capture():
     unknown = {"texture": math.nan, "connectivity": None}
-    seen = replace(FINE, **unknown, profile=None, highlights=(None, None), order=None)
+    seen = replace(
+        FINE, **unknown, profile=None, highlights=(None, None), order=None, steepness=math.nan
+    )
     assert judge(seen).rating is Rating.GOOD
     assert {named(seen)[name].rating for name in unknown} == {Rating.NOT_JUDGED}
 
@@ -142,6 +145,8 @@ BAD = [
     ({"connectivity": (3.5, 0.2)}, "connectivity", "doubtful"),
     ({"connectivity": (-2.0, 3.0)}, "connectivity", "failed"),
     ({"order": (0.5, 0.05)}, "order", "failed"),
+    ({"steepness": 2.6}, "steepness", "doubtful"),
+    ({"steepness": 0.2}, "steepness", "failed"),
     (shot_with("stationarity", 4.0), "stationarity", "doubtful"),
     (shot_with("tilt", 20.0), "tilt", "doubtful"),
     ({"offset": 0.5}, "flash_offset", "doubtful"),
