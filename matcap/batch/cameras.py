@@ -106,8 +106,8 @@ def estimated_profile(
         photos: each of another material, in any order.
         settings: field of view, crop and mask.
     """
+    from matcap.capture.camera_profile import camera_profile
     from matcap.capture.tilt import fitted
-    from matcap.flash.camera_profile import camera_profile
     from matcap.photo.left_out import leave_out
     from matcap.photo.load import load_photo
 

@@ -8,17 +8,21 @@ photograph (piece/finest.py). Figures in docs/notes/capture.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import torch
+import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.settings import DETAIL
-from matcap.flash.mirror import lit_mirror
+from matcap.flash.geometry import plane_points
+from matcap.flash.light import FlashLight
 from matcap.flash.plane import Plane, read_plane
-from matcap.flash.uniform import Uniform
+from matcap.flash.uniform import Uniform, uniform_radiance
+from matcap.photo.left_out import mirrored
 from matcap.photo.photo import Photo
 from matcap.photo.shrink import area_averaged
 from matcap.statistics.lattice import Wave, find_lattice
@@ -134,3 +138,31 @@ class Rectified:
     def as_read(self) -> Rectified:
         """The same photograph with an exemplar at the network's resolution."""
         return Rectified(self.read, self.read_waves, self.read)
+
+
+_THIN = 8  # subsampling, texels, of the uniform material's radiance, which is smooth
+
+
+@torch.no_grad()
+def lit_mirror(plane: Plane, uniform: Uniform) -> Plane:
+    """Fill masked texels by mirrored ones, times the ratio of the uniform material's radiance.
+
+    With another place's shading they would bias networks and filters whose support includes them.
+
+    Args:
+        plane: the photograph; returned unchanged without masked texels.
+        uniform: its coarse fit.
+    """
+    if plane.left_out is None:
+        return plane
+    width, height = plane.size
+    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    size = [max(2, -(-side // _THIN)) for side in (height, width)]
+    thin = F.interpolate(points[None], size=size, mode="bilinear", align_corners=True)[0]
+    radiance = uniform_radiance(uniform, FlashLight.of(uniform.setup, thin))[0]
+    flat = F.interpolate(radiance[None], size=[height, width], mode="bilinear", align_corners=True)[
+        0
+    ].clamp_min(1e-6)
+    rows, columns = (torch.from_numpy(at) for at in mirrored(plane.left_out.numpy()))
+    shown = plane.linear[:, rows, columns] * (flat / flat[:, rows, columns])
+    return replace(plane, linear=torch.where(plane.left_out, shown, plane.linear))

@@ -25,6 +25,7 @@ from matcap.capture.progress import (
     CaptureClock,
     CaptureProgress,
 )
+from matcap.capture.registration.keypoints import LONG_SIDE
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import (
     DETAIL,
@@ -40,7 +41,6 @@ from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
 from matcap.flash.plane import Plane
-from matcap.flash.registration.keypoints import LONG_SIDE
 from matcap.photo.camera import read_camera_profile
 from matcap.photo.left_out import leave_out
 from matcap.photo.load import load_photo

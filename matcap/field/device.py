@@ -1,4 +1,4 @@
-"""The device that computes blocks: the processor or CUDA.
+"""The device that computes blocks: the processor or CUDA, and its support of bfloat16.
 
 Their results differ by about 1e-6. An output that was begun on one is therefore never continued on
 the other (synth/request.py).
@@ -58,3 +58,17 @@ def repeatable(device: torch.device) -> Iterator[None]:
             yield
         finally:
             settings.conv.fp32_precision, settings.deterministic, settings.benchmark = before
+
+
+def computes_bfloat16() -> bool:
+    """Whether the processor has bfloat16 instructions; emulated ones are slower than float32."""
+    return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
+
+
+def multiplies_bfloat16(device: torch.device) -> bool:
+    """Whether a device has bfloat16 instructions; emulated ones are slower than float32."""
+    if device.type == "cpu":
+        if not torch.backends.mkldnn.is_available():
+            return False
+        return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
+    return device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)

@@ -1,7 +1,7 @@
 """Camera profile: the falloff towards the corners, estimated from several photographs.
 
 The falloff of an LED's cone and the lens's vignetting are properties of the camera. They are
-estimated together by flash/camera_profile.py.
+estimated together by capture/camera_profile.py.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ UNSEEN = 1e-3
 
 
 class Features(Protocol):
-    """Feature extractor: a FilterBank or a trained network (vgg.py)."""
+    """Feature extractor: a FilterBank or a trained network (VGG-19)."""
 
     @property
     def levels(self) -> int:

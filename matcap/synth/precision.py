@@ -15,11 +15,11 @@ import torch
 from torch import Tensor
 
 from matcap.errors import MatcapError
+from matcap.field.device import multiplies_bfloat16
 from matcap.field.plane import Rectangle
 from matcap.field.single import single_threaded
 from matcap.field.source import Network, Source
 from matcap.files.srgb import srgb_picture
-from matcap.statistics.precision import multiplies_bfloat16
 from matcap.synth.pictures import kind_planes
 
 Precision = Literal["fp32", "bf16", "auto"]

@@ -10,10 +10,15 @@ from __future__ import annotations
 import asyncio
 import json
 import secrets
+import tempfile
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
 
 from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import MatcapError, UsageError
@@ -30,7 +35,6 @@ from matcap.view.library import Library, numbers
 from matcap.view.pages import Page, Pages, Place
 from matcap.view.references import References
 from matcap.view.subject import Viewable
-from matcap.view.surroundings import LARGEST_FILE, decoded
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -38,6 +42,7 @@ if TYPE_CHECKING:
     from starlette.responses import Response
     from starlette.routing import BaseRoute, Router
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
 
 PagesOf = Callable[[Viewable], Pages]
 
@@ -216,7 +221,7 @@ def _subject_routes(
             if size > LARGEST_FILE:
                 return PlainTextResponse("This picture is too large.", 413)
             parts.append(part)
-        picture = await asyncio.to_thread(decoded, b"".join(parts))
+        picture = await asyncio.to_thread(decoded_exr, b"".join(parts))
         height, width = picture.shape[:2]
         headers = {"X-Size": json.dumps([width, height])}
         data = picture.astype("<f4").tobytes()
@@ -317,3 +322,32 @@ class _RequestFilter:
             await PlainTextResponse(refusal, 403)(scope, receive, sealed)
         else:
             await self._app({**scope, "path": f"/{rest}"}, receive, sealed)
+
+
+LARGEST_FILE = 2**29  # bytes; more than 16384 x 8192 half floats take
+_WIDEST = 2048  # texels; wider maps are downsampled, as in relight
+
+
+def decoded_exr(data: bytes) -> NDArray[np.float32]:
+    """(H, W, 3) linear radiance, equirectangular, of an EXR file's bytes.
+
+    Raises:
+        MatcapError: the data are not an EXR file, damaged, or have invalid values.
+    """
+    import cv2
+
+    from matcap.relight.environment_file import read_picture
+
+    with tempfile.TemporaryDirectory() as place:
+        file = Path(place) / "surroundings.exr"
+        file.write_bytes(data)
+        try:
+            picture = read_picture(file)
+        except MatcapError as error:
+            # Without the temporary path.
+            raise MatcapError(error.what, where="the picture", remedy=error.remedy) from error
+    height, width = picture.shape[:2]
+    if width > _WIDEST:
+        size = (_WIDEST, max(2, round(height * _WIDEST / width)))
+        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
+    return picture

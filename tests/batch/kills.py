@@ -6,7 +6,7 @@ A small shoot of simulated photographs is made into materials once undisturbed. 
 started and killed: the whole of it, the main process alone, or one worker; and started again on
 the same output until it is complete, then on a new one. At every kill each file under a final name
 must be whole, and every complete output must be the undisturbed one, bit for bit, but for times.
-test_kills.py runs a shorter form.
+test_run.py runs a shorter form.
 """
 
 from __future__ import annotations

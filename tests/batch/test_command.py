@@ -1,4 +1,4 @@
-"""The batch command: what it refuses, predicts and prints. test_kills.py runs it for real."""
+"""The batch command: what it refuses, predicts and prints. test_run.py runs it for real."""
 
 import io
 import json

@@ -3,9 +3,14 @@
 import errno
 import json
 import os
+import sys
 
+import cv2
+import numpy as np
 import pytest
+from kills import torture
 
+import matcap.batch.whole
 from matcap.batch.entries import Policy, make_plan
 from matcap.batch.input_folder import find_samples
 from matcap.batch.record import write_record
@@ -15,6 +20,7 @@ from matcap.batch.work import Failure, do_job
 from matcap.batch.worker_pool import Event
 from matcap.batch.workspace import open_run
 from matcap.capture import pipeline
+from matcap.cli.main import main
 from matcap.files.progress import Progress
 
 SETTINGS = BatchSettings.of({"detail": 512, "size": (64, 64)})
@@ -287,3 +293,25 @@ def test_a_shorter_capture_replaces_a_longer_one_only_if_asked(shoot, tmp_path):
     assert "one of 3 photographs" in plan()["b"].reason
     assert plan(force=True)["a"].state == "failed"
     assert plan(overwrite=True)["a"].state == "todo"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
+def test_two_kills_leave_nothing_torn_and_the_same_result(tmp_path):
+    tally = torture(tmp_path, kills=2, photographs=2, jobs=1, seed=2)
+    assert tally.kills == 2 and tally.complete >= 1
+
+
+def test_an_interrupt_after_the_last_material_is_said(tmp_path, monkeypatch, capsys):
+    shoot = tmp_path / "shoot"
+    shoot.mkdir()
+    cv2.imwrite(str(shoot / "a.jpg"), np.full((96, 128, 3), 128, np.uint8))
+
+    def done(prepared, policy, shown, scheduler):
+        for entry in prepared.entries:
+            entry.state = "made"
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(matcap.batch.whole, "work_off", done)
+    assert main(["batch", str(shoot), "-o", str(tmp_path / "out")]) == 130
+    said = capsys.readouterr().err
+    assert "1 made" in said and "matcap: interrupted after the last sample was finished." in said

@@ -1,4 +1,6 @@
-"""A normal file that was edited is told of, not silently left."""
+"""Heights of slopes in closed form, and normal files that were edited."""
+
+from __future__ import annotations
 
 import json
 import warnings
@@ -9,6 +11,7 @@ import torch
 
 from matcap.brdf.adjust import Adjustments, adjusted
 from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
+from matcap.brdf.integrate import integrate, integrate_periodic
 from matcap.errors import MatcapError
 from matcap.files.exr import read_exr, write_exr
 from matcap.files.note import Note
@@ -100,3 +103,54 @@ def test_what_is_no_normal_is_refused_where_it_is_asked_for(tmp_path, maps, chan
     write_exr(file, change(read_exr(file).pixels).astype(np.float32), half=False)
     with pytest.raises(MatcapError, match=f"moss_normal.exr.*{said}"):
         read_mapset(tmp_path, normals="file")
+
+
+def waves(rows, columns, texel):
+    """(H, W) height and its (2, H, W) slopes, y upwards, of a few waves that repeat."""
+    y, x = np.mgrid[:rows, :columns].astype(np.float64)
+    height, slopes = np.zeros((rows, columns)), np.zeros((2, rows, columns))
+    for size, across, down, phase in ((1.0, 2, 0, 0.1), (0.5, 3, -2, 1.0), (0.3, 0, 5, 2.0)):
+        wx, wy = 2.0 * np.pi * across / columns, 2.0 * np.pi * down / rows
+        angle = wx * x + wy * y + phase
+        height += size * np.sin(angle)
+        slopes += size * np.cos(angle) * np.array([wx, -wy])[:, None, None] / texel
+    return height, slopes
+
+
+@pytest.mark.parametrize(("rows", "columns", "texel"), [(32, 48, 1.0), (33, 25, 0.01)])
+def test_a_surface_comes_back_from_its_slopes(rows, columns, texel):
+    height, slopes = waves(rows, columns, texel)
+    found = integrate_periodic(slopes, texel)
+    np.testing.assert_allclose(found[0], height, atol=1e-5)
+    assert found.dtype == np.float32
+
+
+def test_means_and_curl_that_no_repeating_surface_has_are_left_out():
+    height, slopes = waves(32, 32, 1.0)
+    tilted = slopes + np.array([0.3, -0.2])[:, None, None]
+    rolling = np.stack([slopes[1], -slopes[0]])  # the slopes' field turned: all curl
+    np.testing.assert_allclose(integrate_periodic(tilted)[0], height, atol=1e-5)
+    np.testing.assert_allclose(integrate_periodic(rolling), 0.0, atol=1e-5)
+
+
+@pytest.mark.parametrize(("height", "width"), [(64, 96), (63, 97)])
+def test_steps_of_a_height_give_it_back_to_the_finest_wave(height: int, width: int) -> None:
+    noise = np.random.default_rng(0).standard_normal((height, width)).astype(np.float32)
+    found = integrate(np.diff(noise, axis=1), np.diff(noise, axis=0))
+    expected = noise - noise.mean()
+    inner = (slice(4, -4), slice(4, -4)) if height % 2 else (slice(None), slice(None))
+    assert np.abs((found - expected)[inner]).max() < (0.2 if height % 2 else 1e-3)
+
+
+def test_what_no_height_has_is_left_out() -> None:
+    """A slope field that turns in circles belongs to no surface."""
+    y, x = np.meshgrid(np.linspace(-4, 4, 64), np.linspace(-4, 4, 64), indexing="ij")
+    swirl = np.exp(-(np.square(x) + np.square(y))).astype(np.float32)
+
+    def between(across: np.ndarray, down: np.ndarray) -> np.ndarray:
+        columns, rows = across[:, 1:] + across[:, :-1], down[1:] + down[:-1]
+        return integrate(columns.astype(np.float32), rows.astype(np.float32))
+
+    turned = between(-y * swirl, x * swirl)
+    downhill = between(-x * swirl, -y * swirl)
+    assert np.abs(turned).max() < 0.05 * np.abs(downhill).max()

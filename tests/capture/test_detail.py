@@ -1,12 +1,15 @@
-"""Coarse textures are captured with half the texels, so that the network holds what is large."""
+"""Coarse textures are captured with half the texels; previews render some of large maps."""
 
 import cv2
 import numpy as np
 import pytest
 import torch
 
+from matcap.brdf.maps import MapSet
+from matcap.capture import preview
 from matcap.capture.detail import coarse_share, detail_for
 from matcap.capture.settings import DETAIL
+from matcap.flash.geometry import FlashSetup
 
 HEIGHT = 768
 
@@ -53,3 +56,22 @@ def test_what_was_not_seen_does_not_count():
     assert coarse_share(picture, seen) == pytest.approx(coarse_share(noise(2), SEEN), abs=0.02)
     assert coarse_share(picture, torch.zeros_like(seen)) == 0.0
     assert coarse_share(torch.full((3, HEIGHT, DETAIL), 0.2), SEEN) == 0.0
+
+
+def test_a_large_panel_looks_like_all_its_texels(monkeypatch):
+    torch.manual_seed(0)
+    one = torch.ones(1, 320, 640)
+    bumps = torch.nn.functional.interpolate(
+        torch.rand(1, 1, 40, 80), size=(320, 640), mode="bicubic"
+    )
+    maps = MapSet(one.expand(3, -1, -1) * 0.3, 0.04 * one, 0.5 * one, 0.01 * bumps[0], 2 / 640)
+    panels = []
+    for texels in (160, 640):
+        monkeypatch.setattr(preview, "_LIT", texels)
+        panels.append(preview.relit("left", maps, np.ones((2, 2, 3), np.float32), FlashSetup()))
+    some, every = panels
+    assert some.values.shape == (80, 160, 3) and every.values.shape == (320, 640, 3)
+    codes = [np.asarray(panel.resized((32, 16)), float) for panel in panels]
+    assert np.abs(codes[0] - codes[1]).mean() < 2.0 < codes[1].std()
+    crops = [np.asarray(panel.crop(), float) for panel in panels]
+    assert np.abs(crops[0] - crops[1]).max() <= 2.0

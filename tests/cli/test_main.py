@@ -1,11 +1,14 @@
 """The command line as a process: fast to start, honest exit codes, nothing but sentences."""
 
+import random
 import resource
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import signals
 
 import matcap as package
 from matcap.cli import main as main_module
@@ -117,3 +120,21 @@ def test_tracebacks_on_request(failing, monkeypatch, capsys, way):
     failing(RuntimeError("oh"))
     assert main_module.main(["--debug", "bench"] if way == "option" else ["bench"]) == 1
     assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "number", "between"),
+    [
+        ("capture", signal.SIGTERM, (2.0, 12.0)),
+        ("synth", signal.SIGTERM, (0.5, 5.0)),
+        ("synth", signal.SIGINT, (0.5, 5.0)),
+        ("batch", signal.SIGTERM, (1.0, 8.0)),
+        ("relight", signal.SIGTERM, (0.5, 5.0)),
+        ("export", signal.SIGINT, (0.5, 5.0)),
+        ("view", signal.SIGTERM, (0.5, 4.0)),
+    ],
+)
+def test_a_signal_leaves_nothing_torn_and_no_traceback(tmp_path, command, number, between):
+    signals.prepare(tmp_path)
+    struck = signals.strike(command, tmp_path, number, random.uniform(*between))
+    assert signals.faults(command, tmp_path, struck) == [], struck.said

@@ -1,15 +1,21 @@
-"""What all exports have in common: nothing half-written, and what is lost is told."""
+"""What all exports have in common, and every command of docs/guide/export.md."""
 
 import filecmp
 import json
+import re
+import shlex
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from exported import MATERIALS, METALS
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
+from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
+from matcap.export.engines import ENGINES
 from matcap.export.job import ExportJob, material_reach
+from matcap.export.libraries import LIBRARIES
 from matcap.export.targets import DOCUMENTS, export_mapset, write_export
 
 # What is exported to the others is read again for all materials, in the tests of each.
@@ -79,3 +85,56 @@ def test_a_material_fixes_the_range_of_its_heights(tmp_path, made, monkeypatch):
 def test_a_broken_material_beside_the_maps_has_no_say(tmp_path):
     (tmp_path / "tiny.matcap").write_bytes(b"no material")
     assert material_reach(tmp_path, "tiny") is None
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "export.md").read_text(encoding="utf-8")
+SHELL = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)).splitlines()
+# Of a map set; what needs a material (--udim) is tried in tests/cli.
+EXPORTS = [line for line in SHELL if line.startswith("matcap export") and "--udim" not in line]
+
+
+LEATHER = MapSetInfo("leather", provenance={"made": "up"})
+
+
+@pytest.fixture
+def captured(tmp_path, monkeypatch, made):
+    """What a capture leaves, but for its size."""
+    write_mapset(made["leather"], tmp_path / "out" / "leather", LEATHER)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("line", EXPORTS)
+def test_commands_run(captured, line):
+    assert main(shlex.split(line)[1:]) == 0
+
+
+ENDS = {"materialx": ".mtlx", "gltf": ".glb", "usd": ".usd", "blender": ".py", "mitsuba": ".xml"}
+
+
+@pytest.mark.parametrize("target", ENDS)
+def test_files_are_called_as_the_page_says_and_residuals_are_told(captured, target, capsys):
+    assert any(f"--to {target}" in line for line in EXPORTS)
+    assert main(["export", "out/leather", "--to", target]) == 0
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith(f"wrote leather_{target} (")
+    assert "residual" in said.err
+    there = {file.name for file in (captured / f"leather_{target}").iterdir()}
+    named = re.findall(r"`(leather[\w.]*\.(?:mtlx|glb|usd[az]|py|xml))`", PAGE)
+    mine = {name for name in named if ENDS[target] in name}
+    assert mine and mine <= there
+    sidecar = json.loads((captured / f"leather_{target}/leather_{target}.json").read_text())
+    assert sidecar["provenance"] == {"made": "up"}
+
+
+@pytest.mark.parametrize("preset", [*LIBRARIES, *ENGINES])
+def test_files_of_presets_are_called_as_the_table_says(captured, preset):
+    (row,) = re.findall(rf"^\| `{preset}` \| (.*?) \|", PAGE, re.MULTILINE)
+    forms = ENGINES.get(preset, {None: None})
+    for form in forms:
+        asked = ["--workflow", form] if form else []
+        assert main(["export", "out/leather", "--to", preset, *asked, "-q", "--overwrite"]) == 0
+    there = " ".join(file.name for file in (captured / f"leather_{preset}").iterdir())
+    for part in re.findall(r"`([^`]+)`", row):
+        wanted = re.sub("1k", "48", part, flags=re.IGNORECASE)  # 48 texels here, 1024 there
+        assert wanted.split(".")[0] in there

@@ -1,4 +1,4 @@
-"""Names that come from files: nothing is written anywhere but where it was asked for."""
+"""Sizes, rectangles, times and names as typed or found in files."""
 
 import random
 
@@ -7,6 +7,7 @@ import pytest
 from matcap.errors import MatcapError, UsageError
 from matcap.files.names import StagedFolder, name_fault, plain_name, sanitised_name, usable_name
 from matcap.files.staging import staged
+from matcap.files.values import Region, Size, duration, region, size
 
 NASTY = (
     "", " ", ".", "..", ".hidden", "../keep", "../../victim/keep", "/etc/passwd", "a/b", "a\\b",
@@ -55,3 +56,39 @@ def test_ten_thousand_names_are_plain_once_made_so(tmp_path):
         assert name_fault(plain) == "" and (stage / plain).parent == tmp_path
         if name_fault(name) == "":
             assert (stage / name).parent == tmp_path
+
+
+def test_sizes():
+    assert size("4096x256") == Size(4096, 256)
+    assert size("512") == Size(512, 512)
+    assert size(str(Size(3, 4))) == Size(3, 4)
+
+
+@pytest.mark.parametrize("text", ["", "x", "4x", "x4", "4x0", "0", "-4x4", "4.5x4", "4x4x4", "1e3"])
+def test_wrong_sizes(text):
+    with pytest.raises(ValueError, match=r"^'.*' "):
+        size(text)
+
+
+def test_regions():
+    assert region("-100,0,512,256") == Region(-100, 0, 512, 256)
+    assert region(f"{2**40 - 8},{-(2**40)},8,8") == Region(2**40 - 8, -(2**40), 8, 8)
+
+
+@pytest.mark.parametrize("text", ["", "1,2,3", "1,2,3,x", "0,0,0,5", "0,0,5,-5", f"{2**40},0,1,1"])
+def test_wrong_regions(text):
+    with pytest.raises(ValueError, match=r"^'.*' "):
+        region(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("90", 90), ("20s", 20), ("1.5m", 90), ("2h", 7200), (".5", 0.5)]
+)
+def test_durations(text, seconds):
+    assert duration(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1", "s", "1d", "nan", "inf", "1e3", "9" * 400])
+def test_wrong_durations(text):
+    with pytest.raises(ValueError, match=r"^'.*' "):
+        duration(text)

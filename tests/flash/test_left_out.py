@@ -8,11 +8,11 @@ import pytest
 from uniform import a_setup, photograph
 
 from matcap.batch.settings import read_settings
+from matcap.capture.detail import lit_mirror
 from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError, UsageError
 from matcap.files.values import Region
 from matcap.flash.coarse.fit import fit_coarse
-from matcap.flash.mirror import lit_mirror
 from matcap.flash.plane import read_plane
 from matcap.photo.border import border_crop
 from matcap.photo.inspect import inspect_photo

@@ -1,4 +1,4 @@
-"""Rectifying undoes a tilt, and says what was not seen."""
+"""A photograph on its plane: a tilt is undone, colours are compared, gaps are known."""
 
 import math
 
@@ -8,6 +8,7 @@ import torch
 from uniform import a_setup, photograph
 
 from matcap.flash.geometry import project, unproject
+from matcap.flash.plane import plane_of
 from matcap.flash.rectify import rectify
 from matcap.photo.photo import Photo
 
@@ -110,3 +111,33 @@ def test_the_finest_texture_is_kept(pixels):
     linear, _ = rectify(photo_of(picture), setup, detail)
     kept = float(linear[0, 32:-32, 32:-32].std()) / float(0.5 / 2.0**0.5)
     assert kept > 0.85 * np.sinc(waves / detail) * np.sinc(waves / pixels)
+
+
+def photographed(burnt: bool):
+    """Faint texture; with a burnt half whose texels flicker far above the rest."""
+    generator = torch.Generator().manual_seed(0)
+    linear = 0.1 * torch.exp(0.05 * torch.randn(3, 96, 256, generator=generator))
+    valid = torch.ones(96, 256, dtype=torch.bool)
+    if burnt:
+        checks = (torch.arange(96)[:, None] + torch.arange(128)) % 2
+        linear[:, :, 128:] = 0.5 + 0.5 * checks
+        valid[:, 128:] = False
+    return linear, valid
+
+
+def test_burnt_texels_say_nothing_of_the_encoding():
+    """Neither of what middle grey is, nor of how much the texture varies."""
+    sound, burnt = (plane_of(*photographed(with_burnt)) for with_burnt in (False, True))
+    left = sound.linear[:, :, :128]
+    assert burnt.encoding.median == float(left.mean(0).median())
+    # Away from the border, where shading's means reach over it.
+    for plane in (sound, burnt):
+        deviation = plane.encoded()[:, :, :64].std()
+        assert 0.5 < float(deviation) < 1.5
+
+
+def test_where_hardly_anything_was_seen_all_is_looked_at():
+    linear, valid = photographed(burnt=True)
+    assert plane_of(linear, torch.zeros_like(valid)).encoding.median == float(
+        linear.mean(0).median()
+    )

@@ -5,12 +5,10 @@ import torch
 from safetensors.torch import save_file
 
 from matcap.capture.settings import CaptureSettings, Statistics
-from matcap.capture.target import _features
-from matcap.capture.vgg_weights import load_vgg19
+from matcap.capture.target import Vgg19, _features, load_vgg19
 from matcap.errors import MatcapError, UsageError
 from matcap.statistics.compare import Weights, describe, distance
 from matcap.statistics.encoding import fit_encoding
-from matcap.statistics.vgg import Vgg19
 
 
 @pytest.fixture(scope="module")

@@ -21,6 +21,10 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import smoothed
+from matcap.capture.registration.adjust import Pair, adjust
+from matcap.capture.registration.camera import Doubles, PosedCamera
+from matcap.capture.registration.grid import grid_points
+from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.shared import shared_step
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
@@ -34,10 +38,6 @@ from matcap.capture.together.tint import achromatic
 from matcap.capture.together.views import PieceView, SetLight, ViewPlace
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.registration.adjust import Pair, adjust
-from matcap.flash.registration.camera import Doubles, PosedCamera
-from matcap.flash.registration.grid import grid_points
-from matcap.flash.registration.register import RegisteredView
 
 # Settings of the registration by rendering; larger grids are more accurate and slower.
 

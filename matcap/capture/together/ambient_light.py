@@ -17,8 +17,8 @@ from torch import Tensor
 
 from matcap.brdf.normals import by_slopes
 from matcap.capture.piece.smooth import smoothed
-from matcap.flash.registration.grid import to_pixels
-from matcap.flash.registration.register import RegisteredView
+from matcap.capture.registration.grid import to_pixels
+from matcap.capture.registration.register import RegisteredView
 from matcap.photo.photo import FULL, Photo
 from matcap.photo.shrink import area_averaged
 

@@ -42,6 +42,8 @@ from matcap.capture.piece.observation import Observation
 from matcap.capture.piece.refine import PlaneLight
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.progress import CaptureClock
+from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.register import Registration, register_in_any_order
 from matcap.capture.together.align import Aligned, aligned, reframed
 from matcap.capture.together.ambient_light import SLOW, without_ambient
 from matcap.capture.together.pair import on_albedo
@@ -69,8 +71,6 @@ from matcap.field.single import one_thread
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse, under_flash
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.plane import Plane, read_plane
-from matcap.flash.registration.camera import PosedCamera
-from matcap.flash.registration.register import Registration, register_in_any_order
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 

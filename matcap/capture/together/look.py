@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.capture.registration.doubt import DOUBTED
+from matcap.capture.registration.grid import grid_points
+from matcap.capture.registration.keypoints import LONG_SIDE
+from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order
 from matcap.capture.together.union import reach_of
 from matcap.errors import MatcapError
-from matcap.flash.registration.doubt import DOUBTED
-from matcap.flash.registration.grid import grid_points
-from matcap.flash.registration.keypoints import LONG_SIDE
-from matcap.flash.registration.register import RegisteredView, Registration, register_in_any_order
 from matcap.photo.checks import Finding, Rating
 from matcap.photo.inspect import Inspection
 from matcap.photo.load import load_photo

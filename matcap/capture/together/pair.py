@@ -28,13 +28,13 @@ from matcap.brdf.parameters import ALBEDO
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.smooth import smoothed, split
 from matcap.capture.piece.strengths import BANDS, RESPONSE_AROUND, measure_strengths
+from matcap.capture.registration.camera import Lens, PosedCamera
+from matcap.capture.registration.grid import grid_points, to_pixels
+from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.ambient_light import LEAN, LEANING, Views
 from matcap.capture.together.texels import SLOPES, derivatives, points_of
 from matcap.capture.together.views import PieceView, SetLight, light_at
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.registration.camera import Lens, PosedCamera
-from matcap.flash.registration.grid import grid_points, to_pixels
-from matcap.flash.registration.register import RegisteredView
 from matcap.photo.shrink import area_averaged
 
 Floats = NDArray[np.float32]

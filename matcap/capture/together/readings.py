@@ -23,6 +23,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO, F0, ROUGH
+from matcap.capture.registration.camera import Doubles, PosedCamera
 from matcap.capture.together.align import Aligned
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import SLOPES, Estimate, maps_of, parameters_of
@@ -32,7 +33,6 @@ from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import Plane, read_plane
-from matcap.flash.registration.camera import Doubles, PosedCamera
 
 UNREAD = 4.0  # log error of a prediction outside of its photograph
 _NOTHING = 1e-8  # weight of a prediction at its border, whose log error then exceeds UNREAD

@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from matcap.capture.registration.doubt import DOUBTED
+from matcap.capture.registration.register import LeftOut, RegisteredView, Registration
 from matcap.capture.together.align import Aligned
 from matcap.capture.together.predict import Predictions
 from matcap.capture.together.solve import Solved
 from matcap.capture.together.union import Reach
-from matcap.flash.registration.doubt import DOUBTED
-from matcap.flash.registration.register import LeftOut, RegisteredView, Registration
 
 
 @dataclass(frozen=True)

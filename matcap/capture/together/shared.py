@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from matcap.capture.registration.camera import Doubles
 from matcap.capture.together.ambient_light import AmbientLight
 from matcap.capture.together.texels import (
     GLOSS,
@@ -30,7 +31,6 @@ from matcap.capture.together.texels import (
 from matcap.capture.together.views import PieceView, SetLight, light_at
 from matcap.flash.extent import OWN
 from matcap.flash.light import FlashLight
-from matcap.flash.registration.camera import Doubles
 
 _OFFSET, _VIGNETTING, _GLOSS = slice(0, 2), slice(2, 4), slice(4, 6)
 _LIGHT = slice(0, 4)  # offset and vignetting

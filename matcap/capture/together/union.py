@@ -21,14 +21,14 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.detail import UNION_TIMES
 from matcap.capture.piece.smooth import filled, smoothed
+from matcap.capture.registration.camera import Doubles, Lens, PosedCamera
+from matcap.capture.registration.grid import grid_points
+from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.readings import UNREAD, ReadView
 from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
 from matcap.capture.together.tint import on_grid
 from matcap.flash.extent import NO_MARGINS, Extent, Margins
 from matcap.flash.light import cached_rows, strips
-from matcap.flash.registration.camera import Doubles, Lens, PosedCamera
-from matcap.flash.registration.grid import grid_points
-from matcap.flash.registration.register import RegisteredView
 
 Marks = NDArray[np.bool_]
 

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.piece.noise import DARKEST
+from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.grid import grid_points, to_pixels
+from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.ambient_light import AMBIENT_NOISE, LEAN, AmbientLight
 from matcap.capture.together.tint import on_grid
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import FlashLight, cached_rows, log_vignette, strips
 from matcap.flash.rectify import FINER
-from matcap.flash.registration.camera import PosedCamera
-from matcap.flash.registration.grid import grid_points, to_pixels
-from matcap.flash.registration.register import RegisteredView
 from matcap.photo.camera import CameraProfile
 from matcap.photo.photo import FULL
 from matcap.photo.shrink import CLIPPED_SHARE, area_averaged

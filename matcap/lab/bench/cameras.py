@@ -13,9 +13,9 @@ from functools import cache, partial
 from pathlib import Path
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.camera_profile import camera_profile
 from matcap.capture.tilt import fitted
 from matcap.errors import MatcapError
-from matcap.flash.camera_profile import camera_profile
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment

@@ -37,8 +37,7 @@ from matcap.lab.experiment.page import Presentation
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment, choose
 from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
-from matcap.lab.measures.patches import Patches
-from matcap.lab.measures.style import RandomFilters, Style
+from matcap.lab.measures.style import Patches, RandomFilters, Style
 from matcap.lab.simulate.phone_photographs import PhonePhotographs
 from matcap.lab.simulate.photograph import PhoneCamera
 from matcap.lab.simulate.specimen import EXAMPLES, Specimen, subjects

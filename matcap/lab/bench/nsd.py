@@ -21,8 +21,7 @@ from matcap.lab.bench.methods import CapturedMaps, exemplar_maps, field_maps, ph
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
-from matcap.lab.measures.gloss import highlight_contrast, imprint
-from matcap.lab.measures.lights import mirrored_scene
+from matcap.lab.measures.lights import highlight_contrast, imprint, mirrored_scene
 from matcap.lab.measures.maps import compared_numbers
 from matcap.lab.simulate.photograph import Shot, as_photo
 from matcap.lab.simulate.specimen import Specimen, photograph
@@ -32,7 +31,7 @@ ABOUT = (
     "another sample (matcap/lab/measures/nsd.py). Tilt: mean, degrees; albedo: standard deviation "
     "of its logarithm; roughness: mean; each with that of true samples. NSD mirrored: under five "
     "lights whose mirror images are in the picture; highlight: contrast under them, estimated over "
-    "true; imprint: of the flash, by map, 0 is none (matcap/lab/measures/gloss.py)."
+    "true; imprint: of the flash, by map, 0 is none (matcap/lab/measures/lights.py)."
 )
 ALBEDO, EXEMPLAR, FIELD = "photograph as albedo", "exemplar", "field"
 
@@ -120,7 +119,7 @@ def under_mirrored_lights(captured: CapturedSubject, maps: CapturedMaps) -> Mapp
 
 
 def flash_imprint(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, Value]:
-    """Highlight residue of each map, in [-1, 1]; 0 is none (measures/gloss.py)."""
+    """Highlight residue of each map, in [-1, 1]; 0 is none (measures/lights.py)."""
     whole = maps.maps
     if (
         captured.result.estimate is None

@@ -19,6 +19,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.capture.result import CaptureResult
+from matcap.field.device import computes_bfloat16
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
 from matcap.files.srgb import srgb_encode_tensor
@@ -31,7 +32,6 @@ from matcap.space.random_field import random_field
 from matcap.space.tuned import TunedDecoder
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
 from matcap.statistics.gram import gram
-from matcap.statistics.precision import computes_bfloat16
 
 STEPS = 1000
 RATE, DECAY = 1e-3, 1e-5  # ten times the rate of its training, and its weight decay

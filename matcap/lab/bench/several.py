@@ -13,10 +13,10 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.find import piece_maps
 from matcap.capture.pipeline import capture_file
+from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.grid import grid_points
 from matcap.capture.result import CaptureResult
 from matcap.capture.together.union import STEEPEST, sees
-from matcap.flash.registration.camera import PosedCamera
-from matcap.flash.registration.grid import grid_points
 from matcap.lab.bench.nsd import PhotographSettings
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment

@@ -30,6 +30,7 @@ from torch import Tensor
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.field.blocks import Grid
+from matcap.field.device import multiplies_bfloat16
 from matcap.field.field import read_source
 from matcap.field.plane import Rectangle, Span
 from matcap.field.single import single_threaded
@@ -51,7 +52,6 @@ from matcap.space.patch import Patch
 from matcap.space.random_field import noise_of
 from matcap.space.source import BlockSpans, DecoderSource, spans_of_block
 from matcap.space.tuned import TunedDecoder
-from matcap.statistics.precision import multiplies_bfloat16
 
 ABOUT = (
     "Seconds: wall time; processor: time of all cores; paper: of the paper's form of the network; "

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.registration.camera import Lens, PosedCamera
+from matcap.capture.registration.grid import grid_points
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import CORNER_SQUARED
-from matcap.flash.registration.camera import Lens, PosedCamera
-from matcap.flash.registration.grid import grid_points
 from matcap.flash.render import shade
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, in_strips, sensor_exposure
 

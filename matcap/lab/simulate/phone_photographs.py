@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.registration.camera import PosedCamera
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.registration.camera import PosedCamera
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import PhoneCamera, RealiseAt
 from matcap.lab.simulate.specimen import Specimen

@@ -32,7 +32,7 @@ class TrainConfig:
         kl: weight of the KL term, per dimension of the code.
         kl_warmup: steps until it counts in full.
         slope: weight of the mean squared slope, and of slopes too steep or too fine (step.py).
-        relit: weight of the second teacher (second_teacher.py); 0 leaves it out.
+        relit: weight of the second teacher (step.py); 0 leaves it out.
         average: decay of the running mean of the weights, which is what is shipped.
         seed: of everything random.
         checkpoint_minutes: between checkpoints.

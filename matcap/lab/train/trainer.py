@@ -22,9 +22,9 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from matcap.errors import MatcapError
+from matcap.field.device import computes_bfloat16
 from matcap.files.staging import staged_file
 from matcap.files.tensors import write_tensors
-from matcap.statistics.precision import computes_bfloat16
 
 Trained = TypeVar("Trained", bound=nn.Module)
 

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.field.device import computes_bfloat16
 from matcap.field.plane import Rectangle
 from matcap.space.decoder import DEPTH, Decoder, DecoderConfig, Moments, maps_from_raw
 from matcap.space.freeze import freeze
@@ -32,7 +33,6 @@ from matcap.space.tuning.renormalise import Renormalisation
 from matcap.space.tuning.rollback import Rollback
 from matcap.space.tuning.schedule import Schedule
 from matcap.space.tuning.teacher import MARGIN, Lesson, Teacher
-from matcap.statistics.precision import computes_bfloat16
 
 # Learning rates. At a higher rate 100 steps lose colours that the prior has (docs/notes/prior.md).
 RATE_FROM_NOTHING, RATE_FROM_PRIOR, RATE_WITH_DRAWING = 2e-2, 2.5e-3, 5e-3

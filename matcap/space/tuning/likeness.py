@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.field.device import computes_bfloat16
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_flash
 from matcap.space.drawing import Drawing
@@ -19,7 +20,6 @@ from matcap.space.tuning.windows import Windows, shot_deviation
 from matcap.statistics.compare import Features, Weights, describe, distance
 from matcap.statistics.encoding import Encoding
 from matcap.statistics.lattice import Wave
-from matcap.statistics.precision import computes_bfloat16
 
 
 @dataclass(frozen=True)

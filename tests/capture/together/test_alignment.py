@@ -8,6 +8,7 @@ import torch
 from seen_views import DOUBT, PHONE, SIZE, seen
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.registration.register import register
 from matcap.capture.together import align
 from matcap.capture.together.align import Aligned, aligned
 from matcap.capture.together.shared import shared_step
@@ -19,7 +20,6 @@ from matcap.capture.together.texels import (
 )
 from matcap.capture.together.views import RAW_FALLOFF, SetLight
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.registration.register import register
 
 RIBS = 4.7  # texels
 

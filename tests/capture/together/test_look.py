@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from matcap.capture.registration.register import register
 from matcap.capture.together.look import SAME_PLACE, look_at_files, set_quality
 from matcap.capture.together.set_report import SetReport
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.files.names import are_a_series
 from matcap.flash.coarse.fit import fit_coarse
-from matcap.flash.registration.register import register
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import PhoneCamera
 from matcap.lab.simulate.specimen import EXAMPLES

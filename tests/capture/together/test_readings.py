@@ -9,6 +9,8 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import F0
+from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.grid import grid_points
 from matcap.capture.together.readings import (
     OwnPlane,
     ReadView,
@@ -19,8 +21,6 @@ from matcap.capture.together.readings import (
 from matcap.capture.together.texels import Estimate, parameters_of
 from matcap.capture.together.views import SetLight, ViewPlace
 from matcap.flash.geometry import camera_in_plane
-from matcap.flash.registration.camera import PosedCamera
-from matcap.flash.registration.grid import grid_points
 from matcap.lab.simulate.hand_held import Hand, hold
 from matcap.lab.simulate.photograph import PhoneCamera
 

@@ -11,6 +11,9 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_slopes
 from matcap.capture.piece.strengths import slope_strengths
 from matcap.capture.pipeline import capture_into, capture_photo
+from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.grid import grid_points
+from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together.ambient_light import AmbientLight, evenly_lit, without_ambient
 from matcap.capture.together.look import set_quality
@@ -26,9 +29,6 @@ from matcap.capture.together.texels import (
 from matcap.capture.together.views import RAW_FALLOFF, PieceView, SetLight, light_at
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.registration.camera import PosedCamera
-from matcap.flash.registration.grid import grid_points
-from matcap.flash.registration.register import RegisteredView, Registration, register_in_any_order
 from matcap.lab.simulate.hand_held import (
     Hand,
     Room,

@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.register import LeftOut
 from matcap.capture.together.picture import draw_set, set_report_lines
 from matcap.capture.together.set_report import SetReport
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.registration.camera import PosedCamera
-from matcap.flash.registration.register import LeftOut
 
 PIECE = np.full((48, 64, 3), 0.5, np.float32)
 BLUE, GREEN, SPARK = (120, 200, 255), (140, 230, 150), (255, 214, 90)

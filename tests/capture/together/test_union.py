@@ -13,6 +13,9 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.outputs import write_outputs
 from matcap.capture.piece.find import piece_maps
 from matcap.capture.pipeline import capture_photo
+from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.grid import grid_points
+from matcap.capture.registration.register import RegisteredView
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together import union
 from matcap.capture.together.readings import ReadView, with_others
@@ -34,9 +37,6 @@ from matcap.cli.main import main
 from matcap.field.opened import open_photographed
 from matcap.flash.extent import NO_MARGINS, OWN, Margins
 from matcap.flash.geometry import FlashSetup, plane_points
-from matcap.flash.registration.camera import PosedCamera
-from matcap.flash.registration.grid import grid_points
-from matcap.flash.registration.register import RegisteredView
 from matcap.lab.measures.maps import MapsOff
 from matcap.lab.simulate.hand_held import downward, hold, take_several, true_maps_along
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo

@@ -1,11 +1,15 @@
-"""What `matcap bench fields` measures beside floors."""
+"""What `matcap bench fields` and `repetition` measure."""
 
 import math
 
 import numpy as np
+import pytest
 
+from matcap.cli.main import main
 from matcap.lab.bench import fields
 from matcap.lab.bench.fields import fields_experiment, grating, joint_length, phase_off
+from matcap.lab.bench.repetition import SIZES, copies, correlation, repetition_experiment
+from matcap.lab.experiment.results import read
 from matcap.lab.experiment.runner import run
 from matcap.lab.measures.evaluator import EvaluationSettings
 from matcap.lab.simulate.photograph import PhoneCamera
@@ -39,3 +43,55 @@ def test_true_maps_are_near_themselves_and_only_fields_have_joints(tmp_path, mon
     assert 0.3 < field.number("seam albedo") < 2.0 and 0.3 < field.number("seam slope 99 %") < 2.0
     assert math.isnan(exemplar.number("seam albedo"))
     assert math.isnan(exemplar.number("variety")) and math.isnan(exemplar.number("joints"))
+
+
+def noise(seed, size=512):
+    return np.random.default_rng(seed).standard_normal((size, size)).astype(np.float32)
+
+
+def test_a_repeat_is_found_and_chance_is_not():
+    tiled = np.tile(noise(1, 256), (2, 2))
+    assert correlation(tiled, tiled) == pytest.approx(1.0, abs=1e-3)
+    assert correlation(noise(1), noise(1)) < 0.02
+    assert correlation(noise(1), noise(2)) < 0.02
+    # A copy of a quarter, 200 texels on.
+    partly = noise(3)
+    partly[:256, 200:456] = partly[:256, :256]
+    assert 0.05 < correlation(partly, partly) < 0.5
+
+
+def test_copies_are_counted_by_their_texels():
+    y, x = np.mgrid[0:64, 0:64]
+    places = np.stack([x, y], axis=-1).astype(np.int16)
+    assert copies(places) == (0, 0, 0, 0, 1, 0, 0)  # 64 x 64 is not below 4096
+    places[10:20, 30:50] += 200  # 200 texels
+    found = copies(places)
+    assert found[1] == pytest.approx(200 / 4096) and found[3] == pytest.approx(3896 / 4096)
+    scattered = np.random.default_rng(1).integers(0, 1000, (64, 64, 2)).astype(np.int16)
+    assert copies(scattered)[0] > 0.99
+    assert len(found) == len(SIZES) + 1 and sum(found) == pytest.approx(1.0)
+
+
+def test_a_small_field_is_measured(monkeypatch, tmp_path):
+    monkeypatch.setattr("matcap.lab.bench.repetition._COPIED", 256)
+    monkeypatch.setattr("matcap.lab.bench.repetition._EXEMPLAR", (192, 160))
+    (row,) = run(repetition_experiment(["leather"], 512), tmp_path / "repetition.csv")
+    assert row.number("with itself") < row.number("of two seeds") + 0.15
+    assert 0.8 < row.number("diversity") < 1.2
+    shares = [value for name, value in row.values.items() if name.startswith(("below", "larger"))]
+    assert sum(shares) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_material_without_an_exemplar_is_refused(tmp_path, capsys):
+    asked = [str(tmp_path / "none.matcap"), "--size", "512", "-o", str(tmp_path)]
+    assert main(["bench", "repetition", *asked]) == 3
+    assert "no such file" in capsys.readouterr().err
+
+
+def test_the_command_keeps_the_lattice_of_a_simulated_material(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr("matcap.lab.bench.repetition._EXEMPLAR", (320, 288))
+    assert main(["bench", "repetition", "tile", "--size", "512", "-o", str(tmp_path)]) == 0
+    assert "| tile | 512 x 512 texels |" in capsys.readouterr().out
+    (row,) = read(tmp_path / "repetition.csv")
+    # What a lattice repeats by right is in both.
+    assert 0.3 < row.number("with itself") < row.number("of two seeds") + 0.1

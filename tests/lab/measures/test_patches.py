@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from matcap.lab.measures.patches import Patches
-from matcap.lab.measures.style import difference
+from matcap.lab.measures.style import Patches, difference
 
 
 def apart(first, second):

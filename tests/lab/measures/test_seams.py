@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from matcap.lab.measures.seams import seam_contrast
+from matcap.lab.bench.fields import seam_contrast
 
 TEXEL = 0.002
 

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, plane_points, project
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
+from matcap.lab.simulate.phone_photographs import PhonePhotographs
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, expose, take, true_maps
 from matcap.lab.simulate.specimen import EXAMPLES
+from matcap.photo.load import load_photo
 
 CAMERA = PhoneCamera(width=128, height=96)
 
@@ -125,3 +128,53 @@ def test_true_maps_are_of_the_piece_that_was_photographed():
     true = render_rectified(example.truth(camera).map(lambda m: m.float()), shot.setup)
     pictures = torch.stack([p.clamp_min(1e-3).log().mean(0).flatten() for p in (seen, true)])
     assert float(torch.corrcoef(pictures)[0, 1]) > 0.8  # the lens blurs; another piece has 0.74
+
+
+SMALL = PhoneCamera(96, 72, supersampling=1)
+
+
+def test_a_material_is_photographed_in_the_same_way_at_every_time_and_others_otherwise():
+    rust, tile = (PhonePhotographs.of(EXAMPLES[name], SMALL) for name in ("rust", "tile"))
+    again = PhonePhotographs.of(EXAMPLES["rust"], SMALL)
+    assert (rust.phone, rust.hand, rust.tilt) == (again.phone, again.hand, again.tilt)
+    assert rust.phone != tile.phone and rust.tilt != tile.tilt
+
+
+def named(name, material=EXAMPLES["plaster"].material):
+    return replace(EXAMPLES["plaster"], name=name, material=material)
+
+
+def test_exposures_are_those_of_real_photographs():
+    phones = [PhonePhotographs.of(named(f"plaster {number}"), SMALL).phone for number in range(400)]
+    brightness = np.quantile([phone.brightness for phone in phones], (0.05, 0.5, 0.95))
+    assert brightness == pytest.approx([0.075, 0.133, 0.236], rel=0.15)
+    clipped = [phone.clipped for phone in phones]
+    assert np.median(clipped) == pytest.approx(0.0, abs=1e-4) and max(clipped) <= 0.02
+
+
+def test_from_further_away_slopes_stay_and_more_is_seen():
+    pieces, asked = named("").pieces, []
+
+    def spy(width, height, seed, texel_size):
+        asked.append(texel_size)
+        return pieces(seed)(width, height, texel_size)
+
+    maps = PhonePhotographs.of(named("far", spy), SMALL).specimen.pieces(3)(32, 32, 0.01)
+    (texel,) = asked
+    assert 0.5**0.5 <= texel / 0.01 <= 2.0**0.5 and texel != 0.01
+    assert maps.texel_size == 0.01
+    assert torch.allclose(maps.normal, pieces(3)(32, 32, texel).normal, atol=1e-6)
+
+
+def test_photographs_are_taken_once_and_their_truth_is_kept(tmp_path):
+    held = PhonePhotographs.of(EXAMPLES["plaster"], SMALL)
+    paths, setup = held.take(2, tmp_path)
+    assert [path.name for path in paths] == ["plaster_0.dng", "plaster_1.dng"]
+    written = paths[0].stat().st_mtime_ns
+    again, same = held.take(2, tmp_path)
+    assert again == paths and same == setup and paths[0].stat().st_mtime_ns == written
+    more, _ = held.take(3, tmp_path)
+    assert len(more) == 3 and all(path.exists() for path in more)
+    mean = float(load_photo(paths[0], noise=False).pixels.mean())
+    assert mean <= held.phone.brightness * 1.1
+    assert setup.tilt == held.tilt and setup.intensity[0] > 0.0

@@ -12,8 +12,8 @@ from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.lab.train.corpus import simulate, true_piece
-from matcap.lab.train.second_teacher import comb, relief_distance, relit_distance, side_light
 from matcap.lab.train.state import TrainConfig
+from matcap.lab.train.step import comb, relief_distance, relit_distance, side_light
 from matcap.lab.train.train import train
 from matcap.lab.train.training_windows import Turn, cut, prepare
 from matcap.space.prior.encoder_input import FEATURES

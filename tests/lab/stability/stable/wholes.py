@@ -1,7 +1,7 @@
 """Sets of photographs that go wrong, and parts of photographs: the rest of the whole product.
 
 Sets are views of one picture, for what is looked for is NaN and bugs, and not how right a piece is;
-lights that move along are in tests/flash/registration.
+lights that move along are in tests/capture/registration.
 """
 
 from __future__ import annotations

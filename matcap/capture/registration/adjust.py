@@ -1,0 +1,261 @@
+"""Bundle adjustment of all cameras and their common lens over all feature matches.
+
+Matches are between the first photograph, which defines the plane frame up to its tilt, and every
+other one. The Huber cost of reprojection errors is minimised (flash/least_squares.py); the
+residuals of a photograph depend on its six pose parameters and the common ones only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.capture.registration.camera import Lens, PosedCamera
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.least_squares import minimised
+
+Doubles = NDArray[np.float64]
+
+
+_HUBER = 1.0  # threshold of the Huber loss, pixels
+# Largest effective number of a photograph's matches, as the parallax of relief is correlated
+# between neighbours.
+_COUNTED = 40.0
+_STEPS = 30  # most iterations of Levenberg-Marquardt
+STEP = 1e-6  # of finite differences
+# Prior standard deviations: of log d, if EXIF gives the field of view and if not; of the first
+# camera's tilt, radians; of a feature's height, plane units; of the lens distortion, k1 and k2.
+_KNOWN_FOCAL, _ASSUMED_FOCAL, TILT = 0.01, 0.1, 0.15
+RELIEF, BENT = 0.01, (0.03, 0.01)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Feature matches of a photograph with the first."""
+
+    first: Doubles
+    """(2, n) image coordinates in the first."""
+    second: Doubles
+    """(2, n) image coordinates in the photograph."""
+    pixel: float
+    """Size of the photograph's pixel in image coordinates."""
+    focal: float = 1.0
+    """Focal length of the photograph over the first's, by metadata or assumed."""
+
+
+class _Common(NamedTuple):
+    """Parameters of all photographs: camera distance, lens, and the first camera's tilt."""
+
+    log_distance: float  # over the setup's
+    k1: float
+    k2: float
+    tilt_x: float
+    tilt_y: float
+
+    def first_camera(self, setup: FlashSetup) -> PosedCamera:
+        """The first photograph's."""
+        return PosedCamera.of(self.adjusted(setup), (self.k1, self.k2))
+
+    def adjusted(self, setup: FlashSetup) -> FlashSetup:
+        """The setup with the estimated field of view and tilt."""
+        distance = setup.distance * math.exp(self.log_distance)
+        fov = 2.0 * math.degrees(math.atan(1.0 / distance))
+        return replace(setup, fov=fov, tilt=(self.tilt_x, self.tilt_y))
+
+    def camera(self, setup: FlashSetup, pose: Doubles, focal: float) -> PosedCamera:
+        """Another photograph's, by its pose (6,) and its focal length over the first's."""
+        turn = np.asarray(cv2.Rodrigues(pose[_TURN])[0], np.float64)
+        distance = setup.distance * math.exp(self.log_distance)
+        return PosedCamera(turn, pose[_PLACE], Lens(distance * focal, (self.k1, self.k2)))
+
+
+_COMMON = len(_Common._fields)
+_OWN, _TURN, _PLACE = 6, slice(0, 3), slice(3, 6)  # a pose: rotation vector and position
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """Result of the bundle adjustment."""
+
+    first: FlashSetup
+    """Setup of the first photograph with the estimated tilt and field of view."""
+    cameras: tuple[PosedCamera, ...]
+    """Cameras of all photographs, the first one's first."""
+    off: tuple[float, ...]
+    """(photographs - 1,) median reprojection error of each, pixels."""
+
+
+def adjust(
+    setup: FlashSetup,
+    pairs: Sequence[Pair],
+    *,
+    known: bool,
+    relief: float = RELIEF,
+    bent: tuple[float, float] = BENT,
+) -> Adjusted:
+    """Estimate the cameras of photographs from their matches with the first.
+
+    Args:
+        setup: of the first, from its coarse fit.
+        pairs: matches of every other photograph.
+        known: whether the field of view is known from EXIF.
+        relief: prior standard deviation of a feature's height, plane units.
+        bent: prior standard deviations of the lens distortion, k1 and k2.
+    """
+    focal = _KNOWN_FOCAL if known else _ASSUMED_FOCAL
+    begun = _Common(0.0, 0.0, 0.0, *setup.tilt)
+    bundle = _Bundle(setup, pairs, np.array(begun), np.array([focal, *bent, TILT, TILT]), relief)
+    poses = [_first_guess(begun.first_camera(setup), pair) for pair in pairs]
+    start = torch.from_numpy(np.concatenate([bundle.prior, *poses]))
+    _, whole = minimised(bundle.cost, bundle.quadratic, start, _STEPS, tolerance=1e-7)
+    common, poses = bundle.parts(whole)
+    fitted = _Common(*common.tolist())
+    cameras = [fitted.first_camera(setup)]
+    cameras += [
+        fitted.camera(setup, pose, pair.focal) for pose, pair in zip(poses, pairs, strict=True)
+    ]
+    each = (bundle.residuals(*one) for one in bundle.by_photograph(common, poses))
+    off = tuple(float(np.median(np.hypot(*residuals))) for residuals in each)
+    return Adjusted(fitted.adjusted(setup), tuple(cameras), off)
+
+
+class MatchedPoints(NamedTuple):
+    """(3, n) features on the plane, and at a height above it, plane units."""
+
+    points: Doubles
+    raised: Doubles
+
+    @staticmethod
+    def of(first: PosedCamera, pair: Pair, height: float) -> MatchedPoints:
+        """Raised along the first camera's rays, so that it sees both at the same coordinates."""
+        points = first.on_plane(pair.first)
+        return MatchedPoints(
+            points, points + height * (first.place[:, None] - points) / first.place[2]
+        )
+
+    def reprojected(self, camera: PosedCamera, pair: Pair) -> tuple[Doubles, Doubles]:
+        """(2, n) reprojection errors in the other photograph, pixels, and the height's parallax."""
+        seen = camera.sees(self.points)
+        parallax = (camera.sees(self.raised) - seen) / pair.pixel
+        return (seen - pair.second) / pair.pixel, parallax
+
+
+@dataclass(frozen=True)
+class _Bundle:
+    """Huber cost of reprojection errors in the common parameters and every photograph's pose.
+
+    Attributes:
+        setup: of the first photograph, from its coarse fit.
+        pairs: matches of every other photograph.
+        prior, deviation: (5,) Gaussian prior of the common parameters.
+        relief: prior standard deviation of a feature's height, plane units.
+    """
+
+    setup: FlashSetup
+    pairs: Sequence[Pair]
+    prior: Doubles
+    deviation: Doubles
+    relief: float
+
+    @staticmethod
+    def parts(parameters: Tensor) -> tuple[Doubles, list[Doubles]]:
+        """Common parameters (5,) and each photograph's pose (6,)."""
+        values = parameters.numpy()
+        return values[:_COMMON], list(values[_COMMON:].reshape(-1, _OWN))
+
+    def features(self, pair: Pair, common: Doubles) -> MatchedPoints:
+        """MatchedPoints of a pair where the first camera of `common` sees them."""
+        first = _Common(*common.tolist()).first_camera(self.setup)
+        return MatchedPoints.of(first, pair, self.relief)
+
+    def residuals(
+        self,
+        pair: Pair,
+        common: Doubles,
+        pose: Doubles,
+        features: MatchedPoints | None = None,
+    ) -> Doubles:
+        """(2, n) reprojection errors of matches, pixels, less the part explained by relief.
+
+        `features` are those of `common` if known.
+        """
+        camera = _Common(*common.tolist()).camera(self.setup, pose, pair.focal)
+        features = features or self.features(pair, common)
+        return less_relief(*features.reprojected(camera, pair))
+
+    def cost(self, parameters: Tensor) -> float:
+        """Cost of parameters (5 + 6 photographs,)."""
+        common, poses = self.parts(parameters)
+        each = (self.residuals(*one) for one in self.by_photograph(common, poses))
+        prior = float(np.square((common - self.prior) / self.deviation).sum()) / 2.0
+        return prior + sum(_huber(residuals)[0] for residuals in each)
+
+    def quadratic(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
+        """Its Gauss-Newton Hessian and gradient; a photograph's errors depend on its pose only."""
+        common, poses = self.parts(parameters)
+        normal, gradient = 1e-12 * np.eye(len(parameters)), np.zeros(len(parameters))
+        normal[range(_COMMON), range(_COMMON)] += self.deviation**-2
+        gradient[:_COMMON] = (common - self.prior) / self.deviation**2
+        for number, (pair, _, pose) in enumerate(self.by_photograph(common, poses)):
+            features = self.features(pair, common)
+            here = self.residuals(pair, common, pose, features)
+            there = [self.residuals(pair, common + d, pose) for d in STEP * np.eye(_COMMON)]
+            there += [self.residuals(pair, common, pose + d, features) for d in STEP * np.eye(_OWN)]
+            jacobian = np.stack([((moved - here) / STEP).ravel() for moved in there], 1)
+            weighted = jacobian * np.tile(_huber(here)[1], 2)[:, None]
+            own = _COMMON + _OWN * number
+            places = np.r_[0:_COMMON, own : own + _OWN]
+            normal[np.ix_(places, places)] += weighted.T @ jacobian
+            gradient[places] += weighted.T @ here.ravel()
+        return torch.from_numpy(normal), torch.from_numpy(gradient)
+
+    def by_photograph(
+        self, common: Doubles, poses: Sequence[Doubles]
+    ) -> Iterator[tuple[Pair, Doubles, Doubles]]:
+        """Arguments of `residuals` for each."""
+        return ((pair, common, pose) for pair, pose in zip(self.pairs, poses, strict=True))
+
+
+def less_relief(residual: Doubles, parallax: Doubles) -> Doubles:
+    """Residuals (2, n) with heights eliminated, which have unit variance in units of `parallax`.
+
+    The squared length of the result is the minimum over x of |residual - x parallax|^2 + x^2.
+    """
+    squared = np.square(parallax).sum(0)
+    along = (1.0 - 1.0 / np.sqrt(1.0 + squared)) / np.maximum(squared, 1e-12)
+    left = residual - along * (residual * parallax).sum(0) * parallax
+    return np.nan_to_num(left, nan=1e3)
+
+
+def _huber(residuals: Doubles) -> tuple[float, Doubles]:
+    """Huber cost of residuals (2, n), pixels, and the weight of each."""
+    size, threshold = np.hypot(*residuals), _HUBER
+    each = min(1.0, _COUNTED / max(1, len(size)))
+    cost = np.where(size < threshold, size**2 / 2.0, threshold * (size - threshold / 2.0))
+    return each * float(cost.sum()), each * threshold / np.maximum(size, threshold)
+
+
+def _first_guess(first: PosedCamera, pair: Pair) -> Doubles:
+    """(6,) initial pose of a camera from its homography to the first [collins2014]."""
+    points = first.on_plane(pair.first)
+    focal = first.lens.focal * pair.focal
+    # OpenCV's camera looks along +z with y downwards.
+    seen = np.stack([pair.second[0], -pair.second[1]]).T.copy()
+    matrix = np.diag([focal, focal, 1.0])
+    flip = np.diag([1.0, -1.0, -1.0])
+    _, turns, shifts, errors = cv2.solvePnPGeneric(
+        points.T.copy(), seen, matrix, None, flags=cv2.SOLVEPNP_IPPE
+    )
+    best = int(np.argmin(np.ravel(errors)))
+    turn = cv2.Rodrigues(turns[best])[0]
+    place = -turn.T @ shifts[best].ravel()
+    vector = np.asarray(cv2.Rodrigues(flip @ turn)[0], np.float64).ravel()
+    return np.concatenate([vector, place])

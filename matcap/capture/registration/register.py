@@ -1,0 +1,310 @@
+"""Register photographs of one sample: a camera for each, and those that do not fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.capture.registration.adjust import BENT, Adjusted, Pair, adjust
+from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.doubt import doubts
+from matcap.capture.registration.grid import grid_points, to_pixels
+from matcap.capture.registration.keypoints import KeypointFinder
+from matcap.capture.registration.period import repeats_itself
+from matcap.capture.registration.sharp import BLURRED, blurring
+from matcap.errors import MatcapError
+from matcap.flash.geometry import FlashSetup
+from matcap.photo.inspect import hot_spot
+from matcap.photo.photo import Photo
+from matcap.photo.shrink import area_averaged
+
+# Limits beyond which a photograph is left out.
+MATCHES = 18  # least number of inliers; by chance there are 6 to 13 (docs/notes/several.md)
+_OFF = 2.0  # largest median reprojection error, pixels
+_STEEPEST = 65.0  # largest tilt of a camera, degrees
+# Least correlation of fine texture with the first photograph after registration; it is 0 by
+# chance, and 0.2 to 0.9 for the same sample.
+_ALIKE = 0.12
+_COMPARED = 384  # texels across the grid of the correlation
+_SHIFTED = 5  # shift in texels at which the correlation must be lower
+# Prior of distortion, k1 and k2, if only one photograph has flash, as the displacement of
+# its shading looks like it.
+_STRAIGHT = (0.003, 0.001)
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A photograph that could not be registered."""
+
+    name: str
+    """Name of its file."""
+    why: str
+    """Reason, as the end of a sentence."""
+
+
+@dataclass(frozen=True)
+class RegisteredView:
+    """A photograph and its camera."""
+
+    photo: Photo
+    """The photograph."""
+    camera: PosedCamera
+    """Its camera in the plane frame."""
+    matches: int = 0
+    """Number of inlier matches with the first photograph; 0 for the first."""
+    off: float = 0.0
+    """Median reprojection error of these, pixels."""
+    alike: float = 1.0
+    """Correlation of fine texture with the first photograph."""
+    flash: bool = True
+    """Whether it is lit by flash, not by ambient light alone."""
+    doubt: float = 0.0
+    """Standard deviation of the camera's position relative to the first, over its distance
+    (doubt.py)."""
+    astray: float = 0.0
+    """Standard deviation of its registration to the first, plane units (doubt.py)."""
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Result of registering photographs of one sample."""
+
+    setup: FlashSetup
+    """Setup of the first one, with field of view and tilt estimated from all."""
+    views: tuple[RegisteredView, ...]
+    """Registered photographs, the first one first; at most one without flash, last."""
+    left_out: tuple[LeftOut, ...]
+    """Photographs that could not be registered."""
+    blurred: bool = False
+    """Whether the first one is blurred compared with the others."""
+
+
+def register_in_any_order(photos: Sequence[Photo]) -> Registration:
+    """Register photographs; the first with flash defines the frame, or the next if that is blurred.
+
+    The initial tilt of the first camera is 0; the result hardly depends on it
+    (docs/notes/several.md).
+
+    Args:
+        photos: two or more, in any order.
+    """
+    photos = flash_first(photos)
+    registration = register(photos, FlashSetup(fov=photos[0].fov))
+    if registration.blurred and len(registration.views) > 2:
+        photos = flash_first([*photos[1:], photos[0]])
+        registration = register(photos, FlashSetup(fov=photos[0].fov))
+    return registration
+
+
+def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
+    """Estimate the camera of every photograph in the first one's plane frame.
+
+    Args:
+        photos: two or more; any exposure, white balance and orientation.
+        setup: of the first, by its coarse fit.
+
+    Raises:
+        MatcapError: the first was taken without the flash that the others show.
+    """
+    finder = KeypointFinder()
+    pairs, left_out = dict[int, Pair](), dict[int, str]()
+    dark = without_flash(photos)
+    if 0 in dark:
+        raise MatcapError(
+            f"it was photographed without the flash ({dark[0]})",
+            where=photos[0].name,
+            remedy="name a photograph with flash first, from the middle",
+        )
+    for index in range(1, len(photos)):
+        first, second, pixel = finder.matched(photos[0], photos[index])
+        if first.shape[1] < MATCHES:
+            why = (
+                f"only {first.shape[1]} of its features match {photos[0].name}, "
+                f"at least {MATCHES} are needed"
+            )
+            if repeats_itself(photos[0]):
+                why += "; its pattern repeats: show a border or a mark in all photographs"
+            left_out[index] = why
+            continue
+        ratio = FlashSetup(fov=photos[index].fov).distance / FlashSetup(fov=photos[0].fov).distance
+        pairs[index] = Pair(first, second, pixel, ratio)
+    known = photos[0].fov_source != "assumed"
+    blurred = False
+    while True:
+        bent = _STRAIGHT if all(index in dark for index in pairs) else BENT
+        adjusted = adjust(setup, list(pairs.values()), known=known, bent=bent)
+        wrong = _wrong(photos, dict(zip(pairs, range(len(pairs)), strict=True)), adjusted)
+        if not wrong:
+            blurred, wrong = _blurred(photos, list(pairs), dark, adjusted)
+        if not wrong:
+            break
+        # Remove the worst and fit again, as it affects the others.
+        index, why = wrong[0]
+        left_out[index] = why
+        del pairs[index]
+    views, worse = _views(photos, pairs, dark, adjusted)
+    left_out |= worse
+    names = tuple(
+        LeftOut(photos[index].name, "; ".join([*([dark[index]] if index in dark else []), why]))
+        for index, why in sorted(left_out.items())
+    )
+    return Registration(adjusted.first, views, names, blurred)
+
+
+def _views(
+    photos: Sequence[Photo],
+    pairs: dict[int, Pair],
+    dark: Container[int],
+    adjusted: Adjusted,
+) -> tuple[tuple[RegisteredView, ...], dict[int, str]]:
+    """Views with flash, then the best one without; and reasons by index for the others without."""
+    lit, unlit = [RegisteredView(photos[0], adjusted.cameras[0])], dict[int, RegisteredView]()
+    unsure = doubts(adjusted, list(pairs.values()))
+    for number, (index, pair) in enumerate(pairs.items()):
+        view = RegisteredView(photos[index], adjusted.cameras[number + 1])
+        view = replace(
+            view,
+            matches=pair.first.shape[1],
+            off=adjusted.off[number],
+            alike=likeness(lit[0], view),
+            flash=index not in dark,
+            doubt=float(unsure.places[number]),
+            astray=float(unsure.astray[number]),
+        )
+        if view.flash:
+            lit.append(view)
+        else:
+            unlit[index] = view
+    best = sorted(unlit, key=lambda index: -unlit[index].matches)
+    better = f"{unlit[best[0]].photo.name} shows the ambient light better" if best else ""
+    worse = {index: better for index in best[1:]}
+    return (*lit, *(unlit[index] for index in best[:1])), worse
+
+
+def _blurred(
+    photos: Sequence[Photo], others: Sequence[int], dark: Container[int], adjusted: Adjusted
+) -> tuple[bool, list[tuple[int, str]]]:
+    """Whether the first is blurred; and (index, reason) of blurred others, the worst first."""
+    lit = [(0, 0), *((index, n) for n, index in enumerate(others, 1) if index not in dark)]
+    blur = blurring([photos[index] for index, _ in lit], [adjusted.cameras[n] for _, n in lit])
+    ranked = sorted(zip(blur, lit, strict=True), reverse=True)
+    return blur[0] > BLURRED, [
+        (index, f"it is blurred: its finest detail is {math.exp(-amount):.0%} of the others'")
+        for amount, (index, _) in ranked
+        if index and amount > BLURRED
+    ]
+
+
+def _wrong(
+    photos: Sequence[Photo], numbers: dict[int, int], adjusted: Adjusted
+) -> list[tuple[int, str]]:
+    """(index, reason) of photographs with an implausible camera, the worst first."""
+    wrong = []
+    first = RegisteredView(photos[0], adjusted.cameras[0])
+    for index, number in numbers.items():
+        camera, off = adjusted.cameras[number + 1], adjusted.off[number]
+        if not np.isfinite(camera.place).all() or camera.place[2] <= 0.05:
+            wrong.append((math.inf, index, "its matches fit no camera above a flat sample"))
+        elif off > _OFF:
+            why = f"its matches are {off:.1f} pixels off: the sample moved or is not flat"
+            wrong.append((off / _OFF, index, why))
+        elif math.degrees(camera.tilt) > _STEEPEST:
+            why = (
+                f"its camera is {math.degrees(camera.tilt):.0f} degrees off vertical, at most "
+                f"{_STEEPEST:.0f} are allowed"
+            )
+            wrong.append((1.0, index, why))
+        else:
+            alike = likeness(first, RegisteredView(photos[index], camera))
+            if alike < _ALIKE:
+                why = f"it differs from {photos[0].name} at the same place, or is blurred"
+                wrong.append((1.0 + _ALIKE - alike, index, why))
+    return [(index, why) for _, index, why in sorted(wrong, reverse=True)]
+
+
+def likeness(first: RegisteredView, second: RegisteredView) -> float:
+    """Correlation of the fine texture of two registered photographs over their overlap.
+
+    In [-1, 1]; -1 without overlap, or if a shift by a few texels correlates better.
+    """
+    across = _COMPARED
+    down = round(across * first.photo.pixels.shape[0] / first.photo.pixels.shape[1])
+    seen = [_texture(view, across, down) for view in (first, second)]
+    both = seen[0][1] & seen[1][1]
+    if both.mean() < 0.05:
+        return -1.0
+
+    def correlation(x: int, y: int) -> float:
+        moved = np.roll(seen[1][0], (y, x), (0, 1))
+        a, b = seen[0][0][both], moved[both]
+        return float((a * b).mean() / max(float(np.sqrt((a * a).mean() * (b * b).mean())), 1e-9))
+
+    here = correlation(0, 0)
+    far = _SHIFTED
+    shifted = max(correlation(x, y) for x, y in ((far, 0), (-far, 0), (0, far), (0, -far)))
+    return here if here > shifted else -1.0
+
+
+def _texture(
+    view: RegisteredView, across: int, down: int
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """(H, W) high-passed log radiance over its local contrast on the plane's grid, and its mask."""
+    rows, columns = view.photo.pixels.shape[:2]
+    size = (across, round(across * rows / columns))
+    grey = area_averaged(view.photo.pixels, size).mean(2)
+    log = np.log(np.maximum(grey, 1e-5)).astype(np.float32)
+    image = view.camera.sees(grid_points(across, down))
+    x, y = to_pixels(image, size[0], size[1])
+    inside = (x > 1) & (x < size[0] - 2) & (y > 1) & (y < size[1] - 2)
+    there = cv2.remap(log, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
+    fine = cv2.GaussianBlur(there, (0, 0), 1.0) - cv2.GaussianBlur(there, (0, 0), 6.0)
+    around = np.sqrt(cv2.GaussianBlur(fine * fine, (0, 0), 12.0)) + 1e-4
+    return (fine / around).astype(np.float32), np.asarray(inside)
+
+
+# Limits of the falloff.
+
+# Largest ratio of centre to border of a photograph without flash; larger values reject more
+# flash photographs, smaller ones accept more ambient ones.
+_FAINT = 1.15
+_SHOWN = 1.3  # least ratio that proves a flash; without such a photograph none counts as ambient
+
+
+def flash_first(photos: Sequence[Photo]) -> list[Photo]:
+    """Move photographs without flash to the end, otherwise keeping the order."""
+    dark = without_flash(photos)
+    lit = [photo for number, photo in enumerate(photos) if number not in dark]
+    return lit + [photos[number] for number in dark]
+
+
+def without_flash(photos: Sequence[Photo]) -> dict[int, str]:
+    """Indices of photographs taken without flash, each with its reason (end of a sentence).
+
+    By metadata, or without them by the falloff from the mirror point that a flash has. Empty if no
+    photograph seems to have flash, as EXIF does not record external flashes and ring lights.
+
+    Args:
+        photos: of one sample.
+    """
+    falloff = [hot_spot(photo)[1] for photo in photos]
+    lit = [
+        photo.flash_fired is True or (photo.flash_fired is None and bright >= _SHOWN)
+        for photo, bright in zip(photos, falloff, strict=True)
+    ]
+    if not any(lit):
+        return {}
+    reasons = {}
+    for number, (photo, bright) in enumerate(zip(photos, falloff, strict=True)):
+        if photo.flash_fired is False:
+            reasons[number] = "the flash did not fire by its metadata"
+        elif photo.flash_fired is None and bright < _FAINT:
+            reasons[number] = (
+                "it shows no flash: its middle is hardly brighter than its border "
+                f"({bright:.2f} times)"
+            )
+    return reasons

@@ -1,0 +1,279 @@
+"""Sets of hand-held photographs, easy and hard, and how right their cameras are found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal, get_args
+
+import cv2
+import numpy as np
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.piece.network.store import load_inverse
+from matcap.capture.progress import TOGETHER_STAGES, CaptureClock
+from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.doubt import DOUBTED
+from matcap.capture.registration.register import Registration, register
+from matcap.capture.together.align import aligned
+from matcap.capture.together.find import by_features, read_alone, registered
+from matcap.errors import MatcapError
+from matcap.flash.coarse.fit import fit_coarse
+from matcap.lab.experiment.results import Value
+from matcap.lab.experiment.runner import Configuration, Experiment
+from matcap.lab.simulate.hand_held import Hand, hold, take_several
+from matcap.lab.simulate.materials import MATERIALS
+from matcap.lab.simulate.photograph import PhoneCamera, Realise, as_photo
+from matcap.lab.simulate.specimen import EXAMPLES
+from matcap.photo.photo import Photo
+
+EASY = ("leather", "granite", "rust", "plaster")
+# What a set is made hard by; one of each in turn.
+HARD = ("weave", "plain", "blurred", "foreign", "exposed", "apart", "steep")
+
+_WRONG = 0.02  # of the distance: nobody would call that camera right
+
+Verdict = Literal["right", "near", "refused", "wrong"]
+
+
+@dataclass(frozen=True)
+class MadeSet:
+    """Photographs of one piece, and what is true of them.
+
+    Attributes:
+        name: for tables.
+        kind: "easy" or one of HARD.
+        photos: the first one's frame is the piece's.
+        cameras: true ones.
+        foreign: numbers of photographs that do not belong.
+    """
+
+    name: str
+    kind: str
+    photos: tuple[Photo, ...]
+    cameras: tuple[PosedCamera, ...]
+    foreign: frozenset[int] = frozenset()
+
+
+@dataclass(frozen=True)
+class SetOutcome:
+    """What was found of a set.
+
+    Attributes:
+        name, kind: of the set.
+        errors: by photograph that was used, but the first, camera's error over its distance.
+        kept_out: belonging photographs that were left out, with why.
+        taken_in: foreign photographs that were used.
+        tilt: degrees the first camera's tilt is off.
+        doubts: by photograph as of errors, what was said that it may be off by.
+    """
+
+    name: str
+    kind: str
+    errors: tuple[float, ...]
+    kept_out: tuple[str, ...]
+    taken_in: int
+    tilt: float
+    doubts: tuple[float, ...] = ()
+
+
+def make_set(number: int, *, hard: str | None, width: int = 800) -> MadeSet:
+    """A set of three to five photographs by a seed; `hard` is one of HARD or None."""
+    rng = np.random.default_rng(number)
+    phone = PhoneCamera(width=width, height=width * 3 // 4, supersampling=1)
+    hand = Hand(
+        aside=float(rng.uniform(0.2, 0.4)),
+        shaken=float(rng.uniform(0.01, 0.05)),
+        bent=(float(rng.normal(0.0, 0.01)), 0.0),
+        vignetting=float(rng.uniform(0.0, 0.4)),
+    )
+    material = EASY[int(rng.integers(len(EASY)))]
+    if hard == "weave":
+        material = "cloth"
+    elif hard is None and rng.random() < 0.2:
+        material = sorted(MATERIALS)[int(rng.integers(len(MATERIALS)))]
+    realise = _plain(number) if hard == "plain" else EXAMPLES[material].pieces(number)
+    if hard == "apart":
+        hand = replace(hand, aside=0.75)
+    elif hard == "steep":
+        hand = replace(hand, aside=float(rng.uniform(0.6, 1.2)))
+    cameras = hold(phone, hand, int(rng.integers(3, 6)), number)
+    if hard == "apart":
+        cameras = [cameras[0], *(_squared(camera) for camera in cameras[1:])]
+    shots = take_several(realise, phone, cameras, hand, number)
+    photos = [as_photo(one.shot, number + n, f"p{n}") for n, one in enumerate(shots)]
+    foreign = frozenset[int]()
+    if hard == "foreign":
+        other = EASY[(EASY.index(material) + 1) % 4] if number % 2 else material
+        piece = EXAMPLES[other].pieces(99991)
+        stranger = take_several(piece, phone, cameras[1:2], hand, number)[0]
+        photos[-1] = as_photo(stranger.shot, number, "foreign")
+        foreign = frozenset({len(photos) - 1})
+    elif hard == "blurred":
+        photos[-1] = replace(photos[-1], pixels=_smeared(photos[-1].pixels, width / 100.0))
+    elif hard == "exposed":
+        photos = [photos[0], *(_otherwise(photo, rng) for photo in photos[1:])]
+        cameras = [cameras[0], *(_turned_round(c) for c in cameras[1:])]
+    name = f"{number} {'plain' if hard == 'plain' else material}"
+    return MadeSet(name, hard or "easy", tuple(photos), tuple(cameras), foreign)
+
+
+def outcome_of(made: MadeSet) -> SetOutcome:
+    """Register a set and compare."""
+    found = register(made.photos, fit_coarse(made.photos[0]).setup)
+    return compared(made, found)
+
+
+def outcome_of_capture(made: MadeSet, detail: int) -> SetOutcome:
+    """The same, after photographs were moved by what no texel explains, as a capture does it."""
+    network, clock = load_inverse(), CaptureClock(None, TOGETHER_STAGES)
+    found, coarse, plane = registered(made.photos, detail, clock)
+    read = read_alone(plane, coarse, network, clock).estimate
+    placed = aligned(by_features(found, coarse), read)
+    return compared(made, replace(found, views=placed.views))
+
+
+def compared(made: MadeSet, found: Registration) -> SetOutcome:
+    """Cameras against truth, in the first camera's frame: its own tilt is told apart."""
+    names = [photo.name for photo in made.photos]
+    first, true_first = found.views[0].camera, made.cameras[0]
+    errors, doubts, taken_in = [], [], 0
+    for view in found.views[1:]:
+        number = names.index(view.photo.name)
+        if number in made.foreign:
+            taken_in += 1
+            continue
+        true = made.cameras[number]
+        apart = first.turn @ (view.camera.place - first.place)
+        expected = true_first.turn @ (true.place - true_first.place)
+        off = np.linalg.norm(apart - expected) / np.linalg.norm(true.place)
+        errors.append(float(off))
+        doubts.append(view.doubt)
+    wrong = [one for one in found.left_out if names.index(one.name) not in made.foreign]
+    turned = first.turn[2] @ true_first.turn[2]
+    return SetOutcome(
+        made.name,
+        made.kind,
+        tuple(errors),
+        tuple(f"{one.name}: {one.why}" for one in wrong),
+        taken_in,
+        math.degrees(math.acos(min(1.0, float(turned)))),
+        tuple(doubts),
+    )
+
+
+def failed(made: MadeSet, error: MatcapError) -> SetOutcome:
+    """Of a set that was refused in a sentence."""
+    return SetOutcome(made.name, made.kind, (), (str(error),), 0, math.nan)
+
+
+def verdict(outcome: SetOutcome) -> Verdict:
+    """Of a set by its worst camera; refused where no camera is told and that was said."""
+    worst = max(outcome.errors, default=0.0)
+    if outcome.taken_in or worst > _WRONG:
+        return "wrong"
+    if not outcome.errors:
+        return "refused" if outcome.kept_out else "wrong"
+    return "right" if worst <= DOUBTED else "near"
+
+
+def unsaid(outcome: SetOutcome) -> bool:
+    """Whether a camera is off by more than is aimed at, and that was said of none of the set."""
+    return max(outcome.errors, default=0.0) > DOUBTED >= max(outcome.doubts, default=0.0)
+
+
+def kinds(sets: int) -> list[str | None]:
+    """Of so many sets: every third is hard, its ways in turn."""
+    return [HARD[(n // 3) % len(HARD)] if n % 3 == 2 else None for n in range(sets)]
+
+
+def columns(_made: MadeSet, outcome: SetOutcome) -> Mapping[str, Value]:
+    """Of a set, as a row of a table: shares are 0 or 1, tilt in degrees."""
+    errors, of = outcome.errors or (math.nan,), verdict(outcome)
+    return {
+        "cameras": float(len(outcome.errors)),
+        "median": float(np.median(errors)),
+        "worst": max(errors),
+        "said": max(outcome.doubts, default=math.nan),
+        "tilt": outcome.tilt,
+        **{name: float(of == name) for name in get_args(Verdict)},
+        "unsaid": float(unsaid(outcome)),
+        "taken in": float(outcome.taken_in),
+        "left out": float(len(outcome.kept_out)),
+        "why": "; ".join(outcome.kept_out),
+    }
+
+
+def sets_experiment(
+    count: int, seed: int, width: int, detail: int | None
+) -> Experiment[MadeSet, SetOutcome]:
+    """Cameras of so many sets, every third hard, each kind a configuration.
+
+    Args:
+        count: of sets.
+        seed: of the first.
+        width: pixels across.
+        detail: after a capture of so many texels across has moved photographs; None before.
+    """
+    kind_of = {f"{number}": kind for number, kind in enumerate(kinds(count), seed)}
+
+    def found(made: MadeSet, _seed: int) -> SetOutcome:
+        try:
+            return outcome_of(made) if detail is None else outcome_of_capture(made, detail)
+        except MatcapError as error:
+            return failed(made, error)
+
+    return Experiment(
+        "registration",
+        {
+            name: partial(make_set, int(name), hard=kind, width=width)
+            for name, kind in kind_of.items()
+        },
+        {kind or "easy": Configuration(found) for kind in kind_of.values()},
+        (columns,),
+        skips=lambda name, kind: kind != (kind_of[name] or "easy"),
+        settings=(width, detail),
+        any_version=True,
+    )
+
+
+def _plain(seed: int) -> Realise:
+    """Plastic with nothing on it but the faintest grain."""
+
+    def piece(width: int, height: int, texel_size: float) -> MapSet:
+        grain = torch.randn(1, height, width, generator=torch.Generator().manual_seed(seed))
+        return MapSet(
+            diffuse=torch.full((3, height, width), 0.2),
+            specular=torch.full((1, height, width), 0.04),
+            roughness=torch.full((1, height, width), 0.35),
+            height=2e-3 * texel_size * grain,
+            texel_size=texel_size,
+        )
+
+    return piece
+
+
+def _squared(camera: PosedCamera) -> PosedCamera:
+    """From the same place straight down: about a third of the first's view is seen."""
+    return replace(camera, turn=np.eye(3))
+
+
+def _smeared(pixels: np.ndarray, length: float) -> np.ndarray:
+    """By a hand that moves sideways, pixels."""
+    kernel = np.ones((1, max(3, round(length) | 1)), np.float32)
+    return cv2.filter2D(pixels, -1, kernel / kernel.size)
+
+
+def _otherwise(photo: Photo, rng: np.random.Generator) -> Photo:
+    """Two stops darker or one lighter, another white balance, and upside down."""
+    stops, balance = rng.uniform(-2.0, 1.0), np.exp(rng.normal(0.0, 0.25, 3))
+    pixels = (photo.pixels * 2.0**stops * balance).clip(0.0, 1.0).astype(np.float32)
+    pixels = np.ascontiguousarray(pixels[::-1, ::-1])
+    return replace(photo, pixels=pixels, clipped=(pixels >= 1.0).any(-1))
+
+
+def _turned_round(camera: PosedCamera) -> PosedCamera:
+    return replace(camera, turn=np.diag([-1.0, -1.0, 1.0]) @ camera.turn)
