@@ -91,15 +91,10 @@ def settings_of(source: Path, flags: Mapping[str, Any]) -> BatchSettings:
     Raises:
         UsageError: as read_settings.
     """
-    file = settings_file(source)
+    places = (source / FILE, source.resolve().parent / FILE)
+    file = next((file for file in places if file.is_file()), None)
     read = read_settings(file) if file else {}
     return BatchSettings.of(read | {name: v for name, v in flags.items() if v is not None})
-
-
-def settings_file(source: Path) -> Path | None:
-    """The matcap.toml of an input folder: in it, or in its parent; None without one."""
-    places = (source / FILE, source.resolve().parent / FILE)
-    return next((file for file in places if file.is_file()), None)
 
 
 def read_settings(file: Path) -> dict[str, Any]:

@@ -49,7 +49,12 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
     from matcap.capture.report import write_report
 
     name = folder.name
-    older = [*mapset_files(name), preview_name(name), *_piece_files(name)]
+    older = [
+        *mapset_files(name),
+        preview_name(name),
+        *mapset_files(name + PIECE),
+        _confidence_file(name),
+    ]
     # Drawing the preview takes as long as writing the rest, mostly on one thread: do both at once.
     # The pool exits first, then `staged` publishes all files.
     with staged(folder, replacing=older) as stage, ThreadPoolExecutor(1) as pool:
@@ -108,11 +113,6 @@ def _write_piece(
     write_mapset(piece_maps(exemplar), stage, info, png=settings.png, normal=settings.normal)
     trusted = dict(zip(CHANNELS, exemplar.confidence, strict=True))
     write_exr_channels(stage / _confidence_file(name), trusted)
-
-
-def _piece_files(name: str) -> list[str]:
-    """Names of the files of an exemplar's maps."""
-    return [*mapset_files(name + PIECE), _confidence_file(name)]
 
 
 def _confidence_file(name: str) -> str:

@@ -84,7 +84,7 @@ def quality(
     """
     from matcap.capture import pipeline
     from matcap.lab.bench.methods import field_maps
-    from matcap.lab.bench.quality import ABOUT, METHODS, quality_experiment
+    from matcap.lab.bench.nsd import METHODS, QUALITY, quality_experiment
     from matcap.lab.measures.evaluator import EvaluationSettings
 
     captured = CaptureSettings(**given, detail=detail, generator="decoder")
@@ -97,7 +97,7 @@ def quality(
         settings=evaluation,
         captured=captured,
     )
-    _print(experiment, out, ABOUT)
+    _print(experiment, out, QUALITY)
 
 
 @app.command()

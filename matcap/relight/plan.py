@@ -76,8 +76,9 @@ class Plan:
         lines = [f"{'effect':<16}{'':<5}{'tiles':>6}{'bound':>9}{'ms':>10}  reason"]
         for step in self.steps:
             state = "on" if step.on else "off"
+            share = "-" if step.share is None else f"{100.0 * step.share:.0f} %"
             lines.append(
-                f"{step.effect:<16}{state:<5}{_percent(step.share):>6}{step.bound:>9.2g}"
+                f"{step.effect:<16}{state:<5}{share:>6}{step.bound:>9.2g}"
                 f"{step.milliseconds:>10.1f}  {step.reason}"
             )
         lines.append(f"tolerance {self.tolerance:.2g} in radiance; milliseconds of all cores")
@@ -96,10 +97,6 @@ class Plan:
             }
             for step in self.steps
         ]
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{100.0 * share:.0f} %"
 
 
 # Shares of the budget. That of area lights is the measured error of their quadrature. Hardly a

@@ -105,7 +105,10 @@ def sealed_page(
         f'<meta http-equiv="Content-Security-Policy" content="{_SEALED}">'
         f"<style>\n{page_file(STYLE)}</style>"
     )
-    scripts = f'<script type="module">\n{_joined_scripts()}</script>'
+    joined = "\n".join(page_file(name) for name in SCRIPTS)  # without imports and exports
+    exports = r"^export |^import \{[^}]*\}\s+from [^;]*;\n"
+    joined = re.sub(exports, "", joined, flags=re.MULTILINE)
+    scripts = f'<script type="module">\n{joined}</script>'
     references = references or References()
     about = _about(facts, adjust, references) | {
         "photo": references.photo and _data_url(references.photo),
@@ -178,12 +181,6 @@ def _tile(subject: Viewable, size: int) -> MapSet:
 def _about(facts: ViewFacts, adjust: Adjustments, references: References) -> dict[str, Any]:
     form = {"width": WIDTH, "height": PAGE_HEIGHT, "apron": APRON, "mips": MIPS}
     return asdict(facts) | {"page": form, "adjust": adjust.text, "verdict": references.verdict}
-
-
-def _joined_scripts() -> str:
-    """All scripts concatenated, without imports and exports."""
-    text = "\n".join(page_file(name) for name in SCRIPTS)
-    return re.sub(r"^export |^import \{[^}]*\}\s+from [^;]*;\n", "", text, flags=re.MULTILINE)
 
 
 def library_page(name: str, library: Library) -> str:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from matcap.errors import UsageError
 from matcap.example.example import Example
@@ -119,13 +118,15 @@ class Materials:
     @property
     def facts(self) -> ViewFacts:
         """Description for the page."""
+        from matcap.export.job import known_scale
+
         second = self.second.name if self.second else ""
         size = self.first.texel_size
         piece = self.first.generator.piece_size
         return ViewFacts(
             self.first.name, second, size, None, self.seed, self._mean,
             piece, _flashed(self.first.setup) if piece else None,
-            _millimetres(self.first.provenance),
+            known_scale(self.first.provenance) or 0.0,
         )  # fmt: skip
 
     def at(self, share: float) -> Material:
@@ -246,12 +247,6 @@ def _flashed(setup: FlashSetup) -> Flashed:
     scale = setup.distance**2 / CORNER_SQUARED
     lost = (setup.vignetting * scale, setup.vignetting_quartic * scale**2)
     return Flashed(camera, light, axis, setup.intensity, lost)
-
-
-def _millimetres(provenance: Mapping[str, Any]) -> float:
-    from matcap.export.job import known_scale
-
-    return known_scale(provenance) or 0.0
 
 
 def open_subject(

@@ -2,7 +2,7 @@
 
 import pytest
 
-from matcap.lab.bench import fields, highlight, nsd, quality
+from matcap.lab.bench import fields, highlight, nsd
 from matcap.lab.experiment.runner import Configuration, Experiment
 
 
@@ -20,8 +20,12 @@ def asked(monkeypatch):
             (lambda number, _outcome: {"NSD": number, "seconds": 1.0},),
         )
 
-    for module in (fields, highlight, nsd, quality):
-        name = module.__name__.rpartition(".")[2]
+    for module, name in (
+        (fields, "fields"),
+        (highlight, "highlight"),
+        (nsd, "nsd"),
+        (nsd, "quality"),
+    ):
         monkeypatch.setattr(module, f"{name}_experiment", made)
     return calls
 

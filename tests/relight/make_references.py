@@ -31,6 +31,8 @@ from reference_scenes import (  # noqa: E402
 )
 
 from matcap.files.exr import write_exr  # noqa: E402
+from matcap.lab.bench.relight import mitsuba_light, mitsuba_sensor  # noqa: E402
+from matcap.relight.scene import Camera  # noqa: E402
 
 FOLDER = Path(__file__).parent / "references"
 SAMPLES = {"point": 1, "directional": 1, "sphere": 8192, "rectangle": 8192, "sky": 16384}
@@ -111,43 +113,6 @@ class Matcap(mi.BSDF):
 
 
 mi.register_bsdf("matcap", lambda props: Matcap(props))
-
-
-def emitter(light):
-    """Mitsuba's description of a light."""
-    kind = type(light).__name__
-
-    def rgb(colour):
-        return {"type": "rgb", "value": list(colour)}
-
-    transform = mi.ScalarTransform4f
-    if kind == "PointLight":
-        return {
-            "type": "point",
-            "position": list(light.position),
-            "intensity": rgb(light.intensity),
-        }
-    if kind == "DirectionalLight":
-        return {
-            "type": "directional",
-            "direction": [-c for c in light.direction],
-            "irradiance": rgb(light.irradiance),
-        }
-    if kind == "SphereLight":
-        return {
-            "type": "sphere",
-            "center": list(light.position),
-            "radius": light.radius,
-            "emitter": {"type": "area", "radiance": rgb(light.radiance)},
-        }
-    target = [p + n for p, n in zip(light.position, light.normal, strict=True)]
-    place = transform().look_at(list(light.position), target, list(light.up))
-    size = transform().scale([light.size[0] / 2, light.size[1] / 2, 1])
-    return {
-        "type": "rectangle",
-        "to_world": place @ size,
-        "emitter": {"type": "area", "radiance": rgb(light.radiance)},
-    }
 
 
 def hammersley(count):
@@ -262,22 +227,9 @@ def embossed(depth, samples):
         {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": depth, "rr_depth": 99},
-            "sensor": {
-                "type": "perspective",
-                "fov": 45.0,
-                "fov_axis": "larger",
-                "to_world": mi.ScalarTransform4f().look_at([0, 0, DISTANCE], [0, 0, 0], [0, 1, 0]),
-                "film": {
-                    "type": "hdrfilm",
-                    "width": FILM.width,
-                    "height": FILM.height,
-                    "rfilter": {"type": "box"},
-                    "pixel_format": "rgb",
-                },
-                "sampler": {"type": "multijitter"},
-            },
+            "sensor": mitsuba_sensor(mi, Camera(), FILM) | {"sampler": {"type": "multijitter"}},
             "relief": mesh,
-            "light": emitter(LOW),
+            "light": mitsuba_light(mi, LOW),
         }
     )
     return np.array(mi.render(scene, spp=samples))
@@ -294,7 +246,7 @@ def main():
     chosen = sys.argv[1:] or [*LIGHTS, "sky", "embossed"]
     for name, light in LIGHTS.items():
         if name in chosen:
-            save(name, direct(emitter(light), SAMPLES[name]))
+            save(name, direct(mitsuba_light(mi, light), SAMPLES[name]))
     if "sky" in chosen:
         save("sky", direct(sky_emitter(corners()), SAMPLES["sky"]))
     if "embossed" in chosen:

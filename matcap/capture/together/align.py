@@ -9,7 +9,7 @@ a few texels: a photograph with a smaller error by features is not moved on that
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -144,16 +144,10 @@ def aligned(
                 break
         if unsure:
             setup, views, places = _posed(begun.setup, views, places)
-    return Aligned(setup, _less_doubted(views, moved), tuple(places), light)
-
-
-def _less_doubted(
-    views: Sequence[RegisteredView], moved: Container[int]
-) -> tuple[RegisteredView, ...]:
-    """Scale the standard deviations of the cameras that were registered by rendering."""
-    return tuple(
+    views = [
         replace(v, doubt=_DOUBTFUL * v.doubt) if n in moved else v for n, v in enumerate(views)
-    )
+    ]
+    return Aligned(setup, tuple(views), tuple(places), light)
 
 
 def _farthest(moves: Sequence[Doubles]) -> float:

@@ -7,15 +7,12 @@ to estimate. Exemplar and field need no decoder: coarse fit, inverse network, re
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.find import piece_maps
-from matcap.capture.pipeline import capture_file
 from matcap.capture.result import CaptureResult
-from matcap.capture.settings import CaptureSettings
 from matcap.example.exemplar import Exemplar
 from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
@@ -55,11 +52,6 @@ def photo_as_albedo(photo: Photo, setup: FlashSetup, detail: int) -> CapturedMap
     again = render_rectified(maps, setup.with_intensity((1.0, 1.0, 1.0))).clamp_min(0.0)
     gain = float(linear.mean() / again.mean())
     return CapturedMaps(maps, setup.with_intensity((gain, gain, gain)))
-
-
-def capture_exemplar(path: Path, detail: int) -> CaptureResult:
-    """Capture a photograph's file by example, without a decoder."""
-    return capture_file(path, CaptureSettings(detail=detail))
 
 
 def exemplar_maps(result: CaptureResult) -> CapturedMaps:

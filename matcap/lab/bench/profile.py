@@ -106,7 +106,8 @@ class StageCosts:
         """Progress callback: the first of a stage is its begin, the last its end."""
         if now.stage not in self.began:
             self.began[now.stage] = time.process_time()
-            _forget_peak()
+            with suppress(OSError):  # forget the peak so far
+                Path("/proc/self/clear_refs").write_text("5")
         self.ended[now.stage] = time.process_time()
         self.megabytes[now.stage] = _peak()
 
@@ -117,17 +118,12 @@ class StageCosts:
 
 
 def _peak() -> float:
-    """Peak memory since _forget_peak, MB; of the process so far where that does nothing."""
+    """Peak memory since the stage began, MB; of the process where the kernel has no such reset."""
     with suppress(OSError, StopIteration):
         lines = Path("/proc/self/status").read_text().splitlines()
         return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1e3
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1e6 if sys.platform == "darwin" else 1e3)
-
-
-def _forget_peak() -> None:
-    with suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")
 
 
 def main(arguments: Sequence[str]) -> None:

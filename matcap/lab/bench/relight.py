@@ -43,6 +43,7 @@ from matcap.relight.scene import (
     PointLight,
     RectangleLight,
     Scene,
+    SphereLight,
     scene_from_light,
 )
 from matcap.relight.scenefile import read_scene
@@ -309,17 +310,8 @@ def _described(mitsuba: Any, scene: Scene, texture: Texture) -> Any:  # noqa: AN
             "type": "cylinder", "p0": [0, -radius, 0], "p1": [0, radius, 0], "radius": radius,
         },
     }  # fmt: skip
-    sensor = {
-        "type": "perspective",
-        "fov": camera.fov,
-        "fov_axis": "larger",
-        "to_world": transform().look_at(list(camera.position), list(camera.target), [0, 1, 0]),
-        "film": {
-            "type": "hdrfilm", "width": film.width, "height": film.height,
-            "rfilter": {"type": "box"}, "pixel_format": "rgb",
-        },
-    }  # fmt: skip
-    lights = {f"light{i}": _light(mitsuba, light) for i, light in enumerate(scene.lights)}
+    sensor = mitsuba_sensor(mitsuba, camera, film)
+    lights = {f"light{i}": mitsuba_light(mitsuba, light) for i, light in enumerate(scene.lights)}
     return mitsuba.load_dict(
         {
             "type": "scene",
@@ -331,7 +323,24 @@ def _described(mitsuba: Any, scene: Scene, texture: Texture) -> Any:  # noqa: AN
     )
 
 
-def _light(mitsuba: Any, light: Light) -> dict[str, Any]:  # noqa: ANN401
+def mitsuba_sensor(mitsuba: Any, camera: Camera, film: Film) -> dict[str, Any]:  # noqa: ANN401
+    """Mitsuba's description of a perspective camera; pixels are averages."""
+    look_at = mitsuba.ScalarTransform4f().look_at
+    return {
+        "type": "perspective",
+        "fov": camera.fov,
+        "fov_axis": "larger",
+        "to_world": look_at(list(camera.position), list(camera.target), [0, 1, 0]),
+        "film": {
+            "type": "hdrfilm", "width": film.width, "height": film.height,
+            "rfilter": {"type": "box"}, "pixel_format": "rgb",
+        },
+    }  # fmt: skip
+
+
+def mitsuba_light(mitsuba: Any, light: Light) -> dict[str, Any]:  # noqa: ANN401
+    """Mitsuba's description of a light; surroundings are those of one radiance."""
+
     def rgb(colour: Colour) -> dict[str, Any]:
         return {"type": "rgb", "value": list(colour)}
 
@@ -343,6 +352,10 @@ def _light(mitsuba: Any, light: Light) -> dict[str, Any]:  # noqa: ANN401
         return {"type": "directional", "direction": direction, "irradiance": rgb(light.irradiance)}
     if isinstance(light, EnvironmentLight):
         return {"type": "constant", "radiance": rgb(light.radiance)}
+    shining = {"type": "area", "radiance": rgb(light.radiance)}
+    if isinstance(light, SphereLight):
+        centre = list(light.position)
+        return {"type": "sphere", "center": centre, "radius": light.radius, "emitter": shining}
     assert isinstance(light, RectangleLight)
     transform = mitsuba.ScalarTransform4f
     target = [p + n for p, n in zip(light.position, light.normal, strict=True)]
@@ -350,5 +363,5 @@ def _light(mitsuba: Any, light: Light) -> dict[str, Any]:  # noqa: ANN401
     return {
         "type": "rectangle",
         "to_world": place @ transform().scale([light.size[0] / 2.0, light.size[1] / 2.0, 1.0]),
-        "emitter": {"type": "area", "radiance": rgb(light.radiance)},
+        "emitter": shining,
     }

@@ -143,7 +143,8 @@ def draw_sample(
         whole, texel = _piece(turn, width, material)
         cut = _cut(_turned(whole, rng), width + pad, height + pad, rng)
         maps = replace(cut, height=cut.height * (size / texel), texel_size=size)
-        maps = _strengthened(maps, rng)
+        factor = math.exp(rng.normal(0.0, 0.35)) * (-1.0 if rng.random() < 0.06 else 1.0)
+        maps = replace(maps, height=(maps.height - maps.height.mean()) * factor)
         maps, metal = _with_metal(maps, np.random.default_rng([number, 79]))
     setup = draw_setup(rng)
     around = plane_points(
@@ -197,12 +198,6 @@ def _with_metal(maps: MapSet, rng: np.random.Generator) -> tuple[MapSet, Tensor]
     metal = ((maps.specular.mean(0, keepdim=True) - least) / (whole - least)).clamp(0.0, 1.0)
     specular = coloured_metal(maps.specular.expand(3, -1, -1).numpy(), metal.numpy(), rng)
     return replace(maps, specular=torch.from_numpy(specular)), metal
-
-
-def _strengthened(maps: MapSet, rng: np.random.Generator) -> MapSet:
-    """Maps with the height scaled at random, at times by a negative factor."""
-    factor = math.exp(rng.normal(0.0, 0.35)) * (-1.0 if rng.random() < 0.06 else 1.0)
-    return replace(maps, height=(maps.height - maps.height.mean()) * factor)
 
 
 def _blurred(radiance: Tensor, deviation: float) -> Tensor:

@@ -52,7 +52,9 @@ class DecoderOnly(Decoder):
         """Inputs of the upsampling path, full resolution first: each level's noise."""
         groups = noise.chunk(DEPTH + 1, dim=1)
         return [
-            step(layer)(_every(2**level, group))
+            step(layer)(
+                group[..., :: 2**level, :: 2**level].contiguous(memory_format=torch.channels_last)
+            )
             for level, (group, (layer,)) in enumerate(zip(groups, self.down_layers(), strict=True))
         ]
 
@@ -86,8 +88,3 @@ class Unfolded:
         with torch.inference_mode():
             raw = self.decoder(field, self.code, self.moments, periodic=False)[0]
         return maps_from_raw(raw[..., HALO:-HALO, HALO:-HALO], self.texel_size)
-
-
-def _every(stride: int, noise: Tensor) -> Tensor:
-    """Every `stride`-th texel of (B, C, H, W) along x and y."""
-    return noise[..., ::stride, ::stride].contiguous(memory_format=torch.channels_last)

@@ -21,7 +21,6 @@ from matcap.space.decoder import DEPTH, Decoder, DecoderConfig, maps_from_raw
 from matcap.space.lattice_channels import WAVE_CHANNELS, wave_field
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
-from matcap.space.prior.base import Base
 from matcap.space.prior.encoder_input import texture
 from matcap.space.random_field import RandomField
 from matcap.space.structured_noise import structured_field
@@ -92,7 +91,7 @@ def decode_windows(
         one = RandomField(field.noise[index, None], tuple(w[index, None] for w in field.waves))
         with mixed(device):
             output = decoder(one, code[index])[..., inside, inside]
-        maps.append(read_maps(output, sample.base, sample.texel_size))
+        maps.append(maps_from_raw(sample.base.apply(output), sample.texel_size))
     return maps
 
 
@@ -129,11 +128,6 @@ def taught(
             relief = relief_distance(one, sample.truth)
             losses.append((torch.log1p(relit) + _RELIEF * relief)[0])
     return torch.stack(losses) if losses else None
-
-
-def read_maps(output: Tensor, base: Base, texel_size: float) -> MapSet:
-    """Maps of decoder outputs (B, OUTPUTS, H, W), which are relative to a base."""
-    return maps_from_raw(base.apply(output), texel_size)
 
 
 def slope_penalty(maps: MapSet) -> Tensor:

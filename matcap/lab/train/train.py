@@ -134,7 +134,8 @@ def held_out_loss(
     rng = np.random.default_rng(_SEED)
 
     def window(entry: Entry, places: int) -> TrainingSample:
-        return cut_plain(source(entry), config.window, places, rng).to(device)
+        size = config.window  # at random positions, without augmentation
+        return cut(source(entry), size, places, 1, Turn(), rng, augment=False).to(device)
 
     samples = [window(entry, config.places) for entry in first_of_each(pack.reporting)]
     losses = []
@@ -149,13 +150,6 @@ def held_out_loss(
     if pictures:
         cv2.imwrite(str(sheet), np.hstack(pictures))
     return mean(losses)
-
-
-def cut_plain(
-    source: PreparedPhotograph, size: int, places: int, rng: np.random.Generator
-) -> TrainingSample:
-    """Windows at random positions, without augmentation."""
-    return cut(source, size, places, 1, Turn(), rng, augment=False)
 
 
 def encode(model: Model, sample: TrainingSample, wanted: Descriptor, device: str) -> Tensor:

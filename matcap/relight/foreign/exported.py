@@ -158,16 +158,16 @@ def _named(folder: Path, name: str, entry: Mapping[str, str]) -> NamedFile:
     wrong = name_fault(name.replace(TOKEN, "1001"))
     if wrong:
         raise ValueError(f"the file {name!r} {wrong}")
-    fits = [packing for start, packing in _MEANINGS if meaning == start or _goes_on(meaning, start)]
+    fits = [
+        packing
+        for start, packing in _MEANINGS
+        if meaning == start or meaning.startswith((f"{start},", f"{start} ", f"{start};"))
+    ]
     channels = fits[0] if fits else {}
     style = "dx" if "-Y" in meaning or "+Y down" in meaning else "gl"
     rank = 0 if meaning.startswith(("diffuse albedo", "specular albedo")) else 1
     style = style if "normal" in channels else ""
     return NamedFile(folder / name, channels, style, rank, light=entry["colour_space"] == "linear")
-
-
-def _goes_on(meaning: str, start: str) -> bool:
-    return meaning.startswith((f"{start},", f"{start} ", f"{start};"))
 
 
 _SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp"}

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 
 from matcap.errors import MatcapError, UsageError
 from matcap.lab.bench.methods import CapturedMaps, photo_as_albedo
-from matcap.lab.bench.quality import quality_experiment
+from matcap.lab.bench.nsd import quality_experiment
 from matcap.lab.experiment.runner import run
 from matcap.lab.measures.evaluator import Evaluator
 from matcap.lab.measures.lights import relight_all
@@ -134,9 +134,9 @@ def test_run_measures_every_method_and_writes_what_it_saw(tmp_path, settings):
 
 @needs_plenoptic
 @pytest.mark.parametrize("wrong", [{"materials": ["velvet"]}, {"methods": ["magic"]}])
-def test_unknown_names_are_usage_errors(tmp_path, wrong):
+def test_unknown_names_are_usage_errors(tmp_path, settings, wrong):
     with pytest.raises(UsageError, match="choose from"):
-        quality_experiment(None, tmp_path, **wrong)
+        quality_experiment(None, tmp_path, settings=settings, **wrong)
 
 
 def test_plenoptic_missing_says_what_to_install(monkeypatch):
