@@ -6,8 +6,6 @@ import os
 import platform
 import re
 import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from time import perf_counter
@@ -24,145 +22,69 @@ _MISSING = "not built, it cannot run; install matcap again where there is a C co
 _SIDE = 256  # texels of the self-test's maps
 
 
-@dataclass(frozen=True)
-class Package:
-    """A package that matcap needs or can use."""
+def diagnose(*, self_test: bool = True) -> dict[str, Any]:
+    """Versions, devices, packages and checks of the installation for JSON, without raising.
 
-    name: str
-    """Name on PyPI."""
-    version: str | None
-    """Installed version, or None."""
-
-
-@dataclass(frozen=True)
-class Extra:
-    """An optional part of matcap."""
-
-    name: str
-    """Name in brackets after `matcap`."""
-    packages: tuple[Package, ...]
-    """Packages that it installs."""
-
-    @property
-    def installed(self) -> bool:
-        """Whether all its packages are installed."""
-        return all(package.version for package in self.packages)
-
-    @property
-    def command(self) -> str:
-        """Command that installs it."""
-        return f'pip install "matcap[{self.name}]"'
-
-
-@dataclass(frozen=True)
-class Check:
-    """One step of the self-test."""
-
-    name: str
-    """What it tests."""
-    seconds: float
-    """Duration, seconds."""
-    fault: str | None
-    """Error message, or None."""
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """Packages, extras, devices and checks of the installation."""
-
-    matcap: str
-    """Version of matcap."""
-    python: str
-    """Version of Python."""
-    system: str
-    """Operating system and processor."""
-    place: str
-    """Folder of the installed package."""
-    cores: int
-    """Number of cores that this process may use."""
-    devices: tuple[str, ...]
-    """Devices of torch."""
-    compiled: bool
-    """Whether the compiled loops of the field by example exist; it cannot run without."""
-    compiled_relighting: bool
-    """Whether the compiled loops of relighting exist; it cannot run without."""
-    prior: int | None
-    """Bytes of the shipped prior, or None if it is missing."""
-    packages: tuple[Package, ...]
-    """Required packages."""
-    extras: tuple[Extra, ...]
-    """Optional packages."""
-    checks: tuple[Check, ...]
-    """Steps of the self-test, in order, up to the first fault."""
-
-    @property
-    def healthy(self) -> bool:
-        """Whether all required packages are installed and all checks passed."""
-        whole = self.prior is not None and all(one.version for one in self.packages)
-        return whole and all(check.fault is None for check in self.checks)
-
-    def as_json(self) -> dict[str, Any]:
-        """The diagnosis as JSON values."""
-        report = asdict(self)
-        for extra, entry in zip(self.extras, report["extras"], strict=True):
-            entry |= {"installed": extra.installed, "command": extra.command}
-        return report | {"healthy": self.healthy}
-
-    def text(self) -> str:
-        """The diagnosis as text."""
-        lines = [
-            f"matcap {self.matcap} in {self.place}",
-            f"Python {self.python}, {self.system}",
-            f"{self.cores} cores; devices: {', '.join(self.devices) or 'unknown'}",
-            "field by example: " + (_COMPILED if self.compiled else _MISSING),
-            "relighting: " + (_COMPILED if self.compiled_relighting else _MISSING),
-            "prior " + ("MISSING" if self.prior is None else f"{self.prior / 1e6:.1f} MB"),
-            "",
-            "Needed",
-            *(f"  {one.name:<32} {one.version or 'MISSING'}" for one in self.packages),
-            "",
-            "Extras",
-        ]
-        for extra in self.extras:
-            parts = ", ".join(f"{one.name} {one.version or '-'}" for one in extra.packages)
-            lines.append(f"  {extra.name:<10} {parts}")
-            if not extra.installed:
-                lines.append(f"  {'':<10} not installed: {extra.command}")
-        lines += ["", "Self-test"] if self.checks else []
-        for check in self.checks:
-            lines.append(f"  {check.name:<32} {check.fault or 'ok'}, {check.seconds:.1f} s")
-        lines += ["", "All is well." if self.healthy else "Something is wrong; see above."]
-        return "\n".join(lines)
-
-
-def diagnose(*, self_test: bool = True) -> Diagnosis:
-    """Diagnose the installation, without raising.
+    `compiled` and `compiled_relighting`: whether the loops of the field by example and of
+    relighting are built, without which these cannot run. `prior`: bytes of the shipped one, or
+    None. `checks`: steps of the self-test, in order, up to the first fault. `healthy`: whether all
+    that is needed is installed and all checks passed.
 
     Args:
         self_test: also run a small material from the prior to a picture, which takes seconds.
     """
     packages, extras = _requirements()
-    missing = [package.name for package in packages if package.version is None]
-    return Diagnosis(
-        matcap=MAKER_VERSION,
-        python=platform.python_version(),
-        system=f"{platform.system()} {platform.machine()}",
-        place=str(_PLACE),
-        cores=_cores(),
-        devices=_devices(),
-        compiled=example_loops.built() is not None,
-        compiled_relighting=relighting_loops.built() is not None,
-        prior=_prior(),
-        packages=packages,
-        extras=extras,
-        checks=_self_test() if self_test and not missing else (),
-    )
+    whole = all(package["version"] for package in packages)
+    checks = _self_test() if self_test and whole else []
+    prior = _PLACE / "space" / "prior" / "weights" / "prior.safetensors"
+    return {
+        "matcap": MAKER_VERSION,
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "place": str(_PLACE),
+        "cores": _cores(),
+        "devices": _devices(),
+        "compiled": example_loops.built() is not None,
+        "compiled_relighting": relighting_loops.built() is not None,
+        "prior": prior.stat().st_size if prior.is_file() else None,
+        "packages": packages,
+        "extras": extras,
+        "checks": checks,
+        "healthy": whole and prior.is_file() and all(one["fault"] is None for one in checks),
+    }
 
 
-def _requirements() -> tuple[tuple[Package, ...], tuple[Extra, ...]]:
+def as_text(report: dict[str, Any]) -> str:
+    """A diagnosis as text."""
+    lines = [
+        f"matcap {report['matcap']} in {report['place']}",
+        f"Python {report['python']}, {report['system']}",
+        f"{report['cores']} cores; devices: {', '.join(report['devices']) or 'unknown'}",
+        "field by example: " + (_COMPILED if report["compiled"] else _MISSING),
+        "relighting: " + (_COMPILED if report["compiled_relighting"] else _MISSING),
+        "prior " + ("MISSING" if report["prior"] is None else f"{report['prior'] / 1e6:.1f} MB"),
+        "",
+        "Needed",
+        *(f"  {one['name']:<32} {one['version'] or 'MISSING'}" for one in report["packages"]),
+        "",
+        "Extras",
+    ]
+    for extra in report["extras"]:
+        parts = ", ".join(f"{one['name']} {one['version'] or '-'}" for one in extra["packages"])
+        lines.append(f"  {extra['name']:<10} {parts}")
+        if not extra["installed"]:
+            lines.append(f"  {'':<10} not installed: {extra['command']}")
+    lines += ["", "Self-test"] if report["checks"] else []
+    for check in report["checks"]:
+        lines.append(f"  {check['name']:<32} {check['fault'] or 'ok'}, {check['seconds']:.1f} s")
+    lines += ["", "All is well." if report["healthy"] else "Something is wrong; see above."]
+    return "\n".join(lines)
+
+
+def _requirements() -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Packages needed, and extras, as the installed metadata state them."""
-    needed: list[Package] = []
-    extras: dict[str, list[Package]] = {}
+    needed: list[dict[str, Any]] = []
+    extras: dict[str, list[dict[str, Any]]] = {}
     try:
         stated = requires("matcap") or []
     except PackageNotFoundError:
@@ -172,12 +94,20 @@ def _requirements() -> tuple[tuple[Package, ...], tuple[Extra, ...]]:
         belongs = re.search(r"extra\s*==\s*['\"]([^'\"]+)", requirement)
         if named is None:
             continue
-        package = Package(named[0], _version(named[0]))
+        package = {"name": named[0], "version": _version(named[0])}
         if belongs is None:
             needed.append(package)
         elif belongs[1] != "dev":
             extras.setdefault(belongs[1], []).append(package)
-    return tuple(needed), tuple(Extra(name, tuple(parts)) for name, parts in extras.items())
+    return needed, [
+        {
+            "name": name,
+            "packages": parts,
+            "installed": all(one["version"] for one in parts),
+            "command": f'pip install "matcap[{name}]"',
+        }
+        for name, parts in extras.items()
+    ]
 
 
 def _version(name: str) -> str | None:
@@ -193,23 +123,17 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-def _devices() -> tuple[str, ...]:
+def _devices() -> list[str]:
     """Devices that torch can use; empty where torch cannot be loaded."""
     try:
         import torch
     except (ImportError, OSError):
-        return ()
-    graphics = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
-    return ("cpu", *graphics)
+        return []
+    return ["cpu", *(torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count()))]
 
 
-def _prior() -> int | None:
-    file = _PLACE / "space" / "prior" / "weights" / "prior.safetensors"
-    return file.stat().st_size if file.is_file() else None
-
-
-def _self_test() -> tuple[Check, ...]:
-    """Run each step on a small material: packaged prior, synthesis, picture, files."""
+def _self_test() -> list[dict[str, Any]]:
+    """Run each step on a small material, in order, up to the first failure."""
     from matcap.brdf.folder import read_mapset
     from matcap.export.targets import export_mapset
     from matcap.field.plane import Rectangle
@@ -246,20 +170,14 @@ def _self_test() -> tuple[Check, ...]:
             write(folder)
             export_mapset(Path(folder), "gltf")
 
-    return _checked(
-        {
-            "draw a material from the prior": draw,
-            f"read {_SIDE} x {_SIDE} texels of it": field,
-            "light them": light,
-            "write them and read them back": disk,
-            "export them as glTF": export,
-        }
-    )
-
-
-def _checked(steps: Mapping[str, Callable[[], None]]) -> tuple[Check, ...]:
-    """Run steps in order, up to the first failure."""
-    checks: list[Check] = []
+    steps = {
+        "draw a material from the prior": draw,
+        f"read {_SIDE} x {_SIDE} texels of it": field,
+        "light them": light,
+        "write them and read them back": disk,
+        "export them as glTF": export,
+    }
+    checks: list[dict[str, Any]] = []
     for name, step in steps.items():
         start = perf_counter()
         try:
@@ -267,7 +185,7 @@ def _checked(steps: Mapping[str, Callable[[], None]]) -> tuple[Check, ...]:
             fault = None
         except Exception as error:  # any failure is a finding
             fault = f"{type(error).__name__}: {error}"
-        checks.append(Check(name, perf_counter() - start, fault))
+        checks.append({"name": name, "seconds": perf_counter() - start, "fault": fault})
         if fault is not None:
             break
-    return tuple(checks)
+    return checks

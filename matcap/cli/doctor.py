@@ -20,14 +20,14 @@ def doctor(
 
     Exits with 3 if something is missing or broken.
     """
-    from matcap.cli.diagnosis import diagnose
+    from matcap.cli.diagnosis import as_text, diagnose
     from matcap.errors import ExitCode
 
     diagnosis = diagnose(self_test=self_test)
     if json:
         from json import dumps
 
-        typer.echo(dumps(diagnosis.as_json(), indent=2))
+        typer.echo(dumps(diagnosis, indent=2))
     else:
-        typer.echo(diagnosis.text())
-    raise typer.Exit(ExitCode.DONE if diagnosis.healthy else ExitCode.NOTHING_SUCCEEDED)
+        typer.echo(as_text(diagnosis))
+    raise typer.Exit(ExitCode.DONE if diagnosis["healthy"] else ExitCode.NOTHING_SUCCEEDED)
