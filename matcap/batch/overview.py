@@ -9,12 +9,12 @@ import json
 import math
 import shlex
 from collections.abc import Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from matcap.batch.entries import BatchEntry
-from matcap.batch.index_page import PAGE
 from matcap.batch.record import read_record
 from matcap.files.staging import staged
 from matcap.files.values import spoken_duration
@@ -62,7 +62,8 @@ def page(rows: Sequence[dict[str, Any]], pictures: Sequence[dict[str, str]]) -> 
     counts = [f"{done} of {len(rows)} done", f"{doubtful} doubtful", f"{failed} failed"]
     counts.append(f"{spoken_duration(seconds)} of work")
     body = "\n".join(_row(row, shown) for row, shown in zip(rows, pictures, strict=True))
-    return PAGE.replace("@SUMMARY@", html.escape(" · ".join(counts))).replace("@ROWS@", body)
+    template = (files("matcap.batch") / "index.html").read_text(encoding="utf-8")
+    return template.replace("@SUMMARY@", html.escape(" · ".join(counts))).replace("@ROWS@", body)
 
 
 def _rows(
