@@ -129,13 +129,13 @@ def check_target(name: str, where: str = "--to") -> str:
     return known(name, TARGETS, where)
 
 
-def check_targets(names: Sequence[str], where: str = "--export") -> tuple[str, ...]:
+def check_targets(names: Sequence[str]) -> tuple[str, ...]:
     """Return names of targets without repetitions, in order.
 
     Raises:
         UsageError: an unknown name.
     """
-    return tuple(dict.fromkeys(check_target(name, where) for name in names))
+    return tuple(dict.fromkeys(check_target(name, "--export") for name in names))
 
 
 def export_mapset(folder: Path, target: str) -> Exported:

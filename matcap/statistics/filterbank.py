@@ -32,14 +32,14 @@ class FilterBankConfig:
 
 
 class FilterBank:
-    """Random filters for images with a number of channels; implements compare.Features."""
+    """Random filters for images of three channels; implements compare.Features."""
 
-    def __init__(self, config: FilterBankConfig, *, channels: int = 3) -> None:
+    def __init__(self, config: FilterBankConfig) -> None:
         self.config = config
         generator = torch.Generator().manual_seed(config.seed)
         self.weights = []
         for size in config.sizes:
-            weight = torch.randn(config.filters, channels, size, size, generator=generator)
+            weight = torch.randn(config.filters, 3, size, size, generator=generator)
             weight = weight - weight.mean(dim=(2, 3), keepdim=True)
             weight = weight / weight.flatten(1).norm(dim=1)[:, None, None, None]
             self.weights.append(weight.contiguous(memory_format=torch.channels_last))
@@ -114,9 +114,9 @@ class _Rectified(torch.autograd.Function):
         return back, None
 
 
-def pyramid(image: Tensor, levels: int, smallest: int = 16) -> list[Tensor]:
-    """Levels of (B, C, H, W), each half the size; stops before a side falls under `smallest`."""
+def pyramid(image: Tensor, levels: int) -> list[Tensor]:
+    """Levels of (B, C, H, W), each half the size; stops before a side falls under 16."""
     stack = [image]
-    while len(stack) < levels and min(stack[-1].shape[-2:]) // 2 >= smallest:
+    while len(stack) < levels and min(stack[-1].shape[-2:]) // 2 >= 16:
         stack.append(F.avg_pool2d(stack[-1], 2))
     return stack

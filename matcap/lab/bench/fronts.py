@@ -105,11 +105,11 @@ WAYS: Mapping[str, Way] = MappingProxyType(_ways())
 USUAL = tuple(name for name, way in WAYS.items() if way.group != "detail")
 
 
-def preset_ways(pixels: int = _CAMERA.width) -> Mapping[str, str]:
-    """Names of the presets by equivalent configuration, for photographs `pixels` wide."""
+def preset_ways() -> Mapping[str, str]:
+    """Names of the presets by equivalent configuration, for the bench's photographs."""
     named: dict[str, str] = {}
     for name in PRESETS:
-        way = f"{CaptureSettings(preset=name).detail_of(pixels)} texels"
+        way = f"{CaptureSettings(preset=name).detail_of(_CAMERA.width)} texels"
         named[way] = f"{named[way]}, {name}" if way in named else name
     return named
 

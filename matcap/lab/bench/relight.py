@@ -170,12 +170,8 @@ def tolerance_experiment(
     )
 
 
-def mitsuba_experiment(*, width: int = 320, texels: int = 512) -> Experiment[LitScene, Timed]:
+def mitsuba_experiment() -> Experiment[LitScene, Timed]:
     """The named scenes, and a megapixel of a flat material, by matcap and by Mitsuba.
-
-    Args:
-        width: of the named scenes' pictures, which are 4:3.
-        texels: across the leather.
 
     Raises:
         MatcapError: Mitsuba is not installed.
@@ -196,7 +192,7 @@ def mitsuba_experiment(*, width: int = 320, texels: int = 512) -> Experiment[Lit
         return Timed({"seconds": seconds, "noise": noise})
 
     chosen = {
-        name: replace(given, film=replace(given.film or Film(), width=width, height=width * 3 // 4))
+        name: replace(given, film=replace(given.film or Film(), width=320, height=240))
         for name, given in SCENES.items()
     }
     above = scene_from_light("top")
@@ -204,10 +200,9 @@ def mitsuba_experiment(*, width: int = 320, texels: int = 512) -> Experiment[Lit
     chosen[MEGAPIXEL] = replace(above, camera=Camera(), film=Film(1024, 1024), surface=flat)
     return Experiment(
         "mitsuba",
-        {name: partial(_lit, scene, texels) for name, scene in chosen.items()},
+        {name: partial(_lit, scene, 512) for name, scene in chosen.items()},
         {"matcap": Configuration(ours), "Mitsuba to 1 % of noise": Configuration(theirs)},
         (lambda _lit, timing: timing.values,),
-        settings=(width, texels),
     )
 
 
