@@ -7,14 +7,15 @@ the smaller residual is written.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from importlib.resources import files as resources
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from matcap.export.formats import Picture, rgb
 from matcap.export.gltf import SHADING as GLTF
+from matcap.export.job import ExportJob
 from matcap.export.presets import (
     EngineModel,
     PackedMaterial,
@@ -27,11 +28,6 @@ from matcap.export.presets import (
 )
 from matcap.export.shading import TargetShading
 from matcap.export.textures import BASE, Workflow
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from matcap.export.job import ExportJob
 
 _LARGEST_F0 = 0.16  # of Godot: F0 = 0.16 metallic_specular^2
 _LAMBERT = 1

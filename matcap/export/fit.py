@@ -13,17 +13,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from matcap.export.formats import Picture, brightest_channel, mean_channel
 from matcap.export.shading import MATCAP, Geometry, TargetShading, diffuse_lobe, specular_lobe
 from matcap.export.surface import DIRECTIONS
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 _ROUGH, _F0 = 64, 33
 # Factors on roughness that are tried where the target's lobe has another shape ("mobile").

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from string import Formatter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from torch import Tensor
 
 from matcap.errors import UsageError
 from matcap.export.fit import fitted_tables
@@ -50,9 +51,6 @@ from matcap.export.textures import (
 )
 from matcap.files.names import is_portable, plain_name, shown
 from matcap.files.settings import known
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 _FIELDS = ("stem", "map", "res", "format")
 _MARGIN = 0.25  # share of the plain form's residual that another form must gain

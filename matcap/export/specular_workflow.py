@@ -6,15 +6,10 @@ above 1 are clipped, with a note.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from matcap.export.fit import fitted_tables
-from matcap.export.formats import bands
+from matcap.export.formats import Picture, bands
+from matcap.export.job import ExportJob, MapRows
 from matcap.export.shading import TargetShading
-
-if TYPE_CHECKING:
-    from matcap.export.formats import Picture
-    from matcap.export.job import ExportJob, MapRows
 
 
 def base_colour(piece: MapRows, shading: TargetShading) -> Picture:

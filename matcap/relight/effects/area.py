@@ -21,19 +21,16 @@ import math
 from ctypes import byref
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from matcap.relight.block import Block
 from matcap.relight.effects.bound import Bound
 from matcap.relight.loops.library import LANES, KeptArrays, Whole, address, loops
 from matcap.relight.loops.structures import CAreaLight, CRule, directions
 from matcap.relight.scene import RectangleLight, SphereLight
 from matcap.relight.scene_bounds import SceneBounds
 from matcap.relight.vectors import Array, unit3
-
-if TYPE_CHECKING:
-    from matcap.relight.block import Block
 
 AreaLight = RectangleLight | SphereLight
 SAMPLES = 144

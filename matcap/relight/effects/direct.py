@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import math
 from ctypes import byref
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from matcap.relight.block import Block
 from matcap.relight.effects.bound import Bound
 from matcap.relight.loops.library import address, loops
 from matcap.relight.loops.structures import (
@@ -30,9 +30,6 @@ from matcap.relight.loops.structures import (
 from matcap.relight.scene import DirectionalLight, PointLight, RectangleLight, SphereLight
 from matcap.relight.scene_bounds import LARGEST_ALBEDO, SceneBounds
 from matcap.relight.vectors import Array, unit3
-
-if TYPE_CHECKING:
-    from matcap.relight.block import Block
 
 
 def diffuse_bound(limits: SceneBounds) -> Bound:

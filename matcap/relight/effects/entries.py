@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from matcap.relight.block import Block
 from matcap.relight.effects import (
     area,
     direct,
@@ -26,9 +26,6 @@ from matcap.relight.relief import Relief
 from matcap.relight.scene_bounds import SceneBounds
 from matcap.relight.surfaces.hits import Hits
 from matcap.relight.vectors import Array
-
-if TYPE_CHECKING:
-    from matcap.relight.block import Block
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,11 @@ from __future__ import annotations
 
 import math
 from ctypes import byref, c_int64
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from matcap.relight.block import Block
 from matcap.relight.effects import direct
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
 from matcap.relight.environment_map import Environment
@@ -33,9 +34,6 @@ from matcap.relight.scene_bounds import LARGEST_ALBEDO, SceneBounds
 from matcap.relight.surfaces.hits import Hits, to_frame, to_scene
 from matcap.relight.tables import albedo
 from matcap.relight.vectors import Array, Vec, dot, vec
-
-if TYPE_CHECKING:
-    from matcap.relight.block import Block
 
 SAMPLES = 144  # at the default tolerance
 _MOST = 4181

@@ -13,18 +13,16 @@ from __future__ import annotations
 
 import math
 from ctypes import byref, c_int64
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from matcap.relight.block import Block
 from matcap.relight.effects.bound import Bound
 from matcap.relight.horizons import COARSENESS
 from matcap.relight.loops.library import Whole, address, loops
 from matcap.relight.scene_bounds import SceneBounds
 from matcap.relight.vectors import Array
-
-if TYPE_CHECKING:
-    from matcap.relight.block import Block
 
 # Radiance that stands for a tolerance of 0, in a denominator.
 _TINY: Any = np.float32(1e-30)
