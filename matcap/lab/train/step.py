@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.brdf.slopes import energy_between, relief_difference, shown_energy
 from matcap.field.plane import Rectangle
 from matcap.flash.light import FlashLight
 from matcap.lab.train.state import Model, TrainConfig
@@ -177,7 +177,6 @@ def fits(window: int) -> bool:
 
 
 _LOWEST, _HIGHEST = math.radians(30.0), math.radians(70.0)  # of the light, from the normal
-_OCTAVES = 5  # in which relief is compared, the finest one texel's
 _UNSEEN = 0.02  # root-mean-square slope below which a surface is flat to the eye
 
 
@@ -213,11 +212,7 @@ def relit_distance(
 
 def relief_distance(estimate: MapSet, truth: MapSet) -> Tensor:
     """(B,) mean over octaves of the absolute difference of log slope variance."""
-    differences = [
-        ((ours + _UNSEEN**2) / (theirs + _UNSEEN**2)).log().abs()
-        for ours, theirs in zip(_octaves(estimate), _octaves(truth), strict=True)
-    ]
-    return torch.stack(differences).mean(0)
+    return relief_difference(estimate, truth, _UNSEEN)
 
 
 def comb(maps: MapSet) -> Tensor:
@@ -226,28 +221,8 @@ def comb(maps: MapSet) -> Tensor:
     Normals are central differences, to which heights alternating from texel to texel are invisible.
     Above 0 if most of the slopes' variance is finer than four texels, 1 for pure alternation.
     """
-    between, shown = _between(maps.height / maps.texel_size), _shown(maps)
+    between, shown = energy_between(maps.height / maps.texel_size), shown_energy(maps)
     return torch.relu(between - 2.0 * shown) / (between + _UNSEEN**2)
-
-
-def _octaves(maps: MapSet) -> list[Tensor]:
-    """(B,) mean squared slopes: as normals show them, between texels, and octave by octave."""
-    height = maps.height / maps.texel_size
-    octaves = [_shown(maps)]
-    for octave in range(_OCTAVES):
-        octaves.append(_between(height) / 4.0**octave)
-        height = F.avg_pool2d(height, 2)
-    return octaves
-
-
-def _shown(maps: MapSet) -> Tensor:
-    normal = maps.normal
-    return (normal[..., :2, :, :] / normal[..., 2:, :, :]).square().sum(-3).mean((-2, -1))
-
-
-def _between(height: Tensor) -> Tensor:
-    across, down = height.diff(dim=-1), height.diff(dim=-2)
-    return across.square().mean((-3, -2, -1)) + down.square().mean((-3, -2, -1))
 
 
 def _exposed(maps: MapSet, light: Tensor, encoding: Encoding) -> Tensor:

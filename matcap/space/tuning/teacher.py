@@ -3,10 +3,11 @@
 In every step of fine-tuning a window of one field of the exemplar is drawn, and the decoder's maps
 m are compared with the field's own, m', besides the texture distance to the photograph:
 
-    w (3 mean |log R_l - log R'_l| + mean |logit m - logit m'|),
+    3 mean |log R_l - log R'_l| + mean |logit m - logit m'| + 0.1 mean |log S_k / S'_k|,
 
 m the diffuse albedo, F0 and roughness, R_l the radiance under a far light l 53 degrees off the
-normal, of which every step takes two. Figures in docs/notes/prior.md.
+normal, of which every step takes two, S_k the mean squared slope in octave k. Without the last term
+stains become slow relief, which a flash hardly tells from them. Figures in docs/notes/prior.md.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.brdf.slopes import relief_difference
 from matcap.field.plane import Rectangle
 from matcap.flash.light import FlashLight
 from matcap.space.decoder import ALIGNMENT
 from matcap.space.drawing import AROUND, Drawing
 
-_WEIGHT, _LIT = 1.0, 3.0  # w, and that of radiance; docs/notes/prior.md
+_LIT, _RELIEF = 3.0, 0.1  # weights of radiance and of slopes; docs/notes/prior.md
+_FLAT = 0.005  # root-mean-square slope of an octave that is added to both
 _LIGHTS = (
     (-0.8, 0.0, 0.6), (0.8, 0.0, 0.6), (0.0, 0.8, 0.6),
     (0.0, -0.8, 0.6), (0.57, 0.57, 0.6), (-0.57, 0.57, 0.6),
@@ -52,8 +55,10 @@ class Lesson:
             (_log_radiance(maps, _LIGHTS[n]) - _log_radiance(self.maps, _LIGHTS[n])).abs().mean()
             for n in chosen
         ]
-        return _WEIGHT * (
-            _LIT * torch.stack(lit).mean() + (_logits(maps) - _logits(self.maps)).abs().mean()
+        return (
+            _LIT * torch.stack(lit).mean()
+            + (_logits(maps) - _logits(self.maps)).abs().mean()
+            + _RELIEF * relief_difference(maps, self.maps, _FLAT).mean()
         )
 
 

@@ -1,5 +1,6 @@
 """A decoder that reads a drawing: every seed's own, and untrained it is the prior's decoder."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -128,6 +129,17 @@ def test_fine_tuned_it_draws(drawing):
     before = difference(with_drawing(start()), None)
     tuned = tune(steps=30, decoder=with_drawing(start()), seen=target, learning_rate=2e-2)
     assert difference(tuned.decoder, list(tuned.moments)) < 0.85 * before
+
+
+def test_relief_that_lights_hardly_show_is_seen_by_its_octave(drawing):
+    """Dents of half a degree, 32 texels apart, in place of nothing."""
+    lesson = Teacher.of(drawing, 64, 99).lesson(3)
+    flat = replace(lesson.maps, height=torch.zeros_like(lesson.maps.height))
+    waves = torch.sin(math.tau * torch.arange(64.0) / 32.0).expand(1, 1, 64, 64)
+    dents = replace(flat, height=0.07 * waves * flat.texel_size)
+    taught = replace(lesson, maps=flat)
+    assert float(taught.loss(flat)) == pytest.approx(0.0, abs=1e-5)
+    assert float(taught.loss(dents)) > 0.1  # 0.03 by radiance alone
 
 
 def test_clouds_larger_than_a_window_are_seen_in_fine_tuning(drawn, drawing):
