@@ -108,12 +108,16 @@ def initial_places(
         place_y = best_y + (y % side - side // 2)[:, None]
     else:
         along_x, along_y = period or (None, None)
-        across, down = (
-            Axis.of(x, lookup.sizes.width, along_x),
-            Axis.of(y, lookup.sizes.height, along_y),
-        )
-        best_x, best_y = lay_patches(level, depth, seed, across, down)
-        place_x, place_y = best_x + across.offset, best_y + down.offset[:, None]
+        frame, sizes = lookup.joined, lookup.sizes
+        wide, high = frame.right - frame.left + 1, frame.bottom - frame.top + 1
+        if sizes.whole:
+            axes = Axis.of(x, wide, along_x).alike(), Axis.of(y, high, along_y).alike()
+        else:
+            axes = (
+                Axis.of(x, min(sizes.width, wide), along_x),
+                Axis.of(y, min(sizes.height, high), along_y),
+            )
+        place_x, place_y = lay_patches(level, depth, seed, frame, axes)
     return _clamped(np.stack([place_x, place_y], axis=-1), level.frame)
 
 

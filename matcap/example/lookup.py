@@ -25,6 +25,7 @@ _ORDERED = 1  # first level at which phase errors have a cost
 # Placement cost is penalty^2 * 2^cost_bits: 1.3e8 at the penalty 255, more than any seam; 4e5 at
 # 14, as much as a common seam.
 PENALTY_BITS = 11
+_SPARED = 16  # at most 1 / 16 of the frame is left out at either end, so that opposite borders fit
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,8 @@ class Lookup:
     lattice: PhasedLattice | None
     sizes: PatchSizes
     """Sizes of the coarsest level's patches."""
+    joined: Frame
+    """The part of its frame of which opposite borders adjoin."""
 
 
 def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
@@ -88,7 +91,31 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
         for level, (appearance, similar) in enumerate(zip(appearances, index.similar, strict=True))
     )
     sizes = PatchSizes.of(levels[-1].frame, levels[-1].spacing, index.lattice, variety)
-    return Lookup(levels, index.lattice, sizes)
+    return Lookup(levels, index.lattice, sizes, _joined_frame(levels[-1]))
+
+
+def _joined_frame(level: Level) -> Frame:
+    """The part of a level's frame of which opposite borders differ least in appearance."""
+    frame, bits = level.frame, level.bits
+    rows = slice(frame.top >> bits, (frame.bottom >> bits) + 1)
+    inside = level.appearance[rows, frame.left >> bits : (frame.right >> bits) + 1].astype(np.int64)
+    top, bottom = _least_step(inside)
+    left, right = _least_step(inside[top:bottom].swapaxes(0, 1))
+    return Frame(
+        frame.left + (left << bits),
+        frame.top + (top << bits),
+        frame.left + (right << bits) - 1,
+        frame.top + (bottom << bits) - 1,
+    )
+
+
+def _least_step(rows: NDArray[np.int64]) -> tuple[int, int]:
+    """First row, and the one after the last, of which the second continues the last best."""
+    spared = len(rows) // _SPARED
+    first, after = rows[: spared + 1, None], rows[None, len(rows) - 1 - spared :]
+    differences = np.square(first - after).sum(axis=(2, 3))
+    begin, end = np.unravel_index(int(np.argmin(differences)), differences.shape)
+    return int(begin), len(rows) - 1 - spared + int(end)
 
 
 def _phases(lattice: PhasedLattice | None, level: int, appearance: Appearance) -> Phases | None:

@@ -5,11 +5,15 @@ random places the one with the least border mismatch is taken. Patches of even r
 are random; those between two of these along a row or a column are fitted to them; those of odd row
 and odd column are fitted to all four neighbours. A patch thus depends on its neighbours' neighbours
 at most, whatever else has been synthesised.
+
+Patches may begin anywhere in the exemplar and continue across its borders on the opposite side, so
+that all of it is shown equally often: patches inside it show its middle most, and a stain there in
+nearly every patch.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,20 +53,25 @@ class Axis:
         whole = -(-period // count)
         return Axis(number, at - begins - whole // 2, whole, count)
 
+    def alike(self) -> Axis:
+        """The same axis with one patch in place of all."""
+        return replace(self, number=np.zeros_like(self.number))
+
 
 def lay_patches(
-    level: Level, depth: int, seed: int, across: Axis, down: Axis
+    level: Level, depth: int, seed: int, frame: Frame, axes: tuple[Axis, Axis]
 ) -> tuple[Integers, Integers]:
-    """(rows, columns) x, y of the exemplar at the centre of each position's patch.
+    """(rows, columns) x, y of the exemplar that each position shows.
 
     Args:
         level: the coarsest.
         depth: its number.
         seed: in [-2^63, 2^63).
-        across, down: patches along columns and rows.
+        frame: of the places, whose opposite borders adjoin (Lookup.joined).
+        axes: patches along columns and rows.
     """
+    across, down = axes
     columns, rows = _with_neighbours(across), _with_neighbours(down)
-    frame = inset(level.frame, across.side // 2, down.side // 2)
     hashes = hash_places(seed, depth, columns[None, :], rows[:, None])
     x, y = cheapest(level, hashes, frame)
     odd_columns, odd_rows = np.flatnonzero(columns % 2), np.flatnonzero(rows % 2)
@@ -90,7 +99,13 @@ def lay_patches(
     fit(odd_rows, even_columns)
     fit(odd_rows, odd_columns)
     chosen = np.ix_(np.searchsorted(rows, down.number), np.searchsorted(columns, across.number))
-    return x[chosen], y[chosen]
+    x, y = x[chosen] + across.offset, y[chosen] + down.offset[:, None]
+    return _within(x, frame.left, frame.right), _within(y, frame.top, frame.bottom)
+
+
+def _within(at: Integers, first: int, last: int) -> Integers:
+    """Positions modulo the length of [first, last], in it."""
+    return first + (at - first) % (last - first + 1)
 
 
 def cheapest(level: Level, hashes: Hashes, frame: Frame) -> tuple[Integers, Integers]:
@@ -141,7 +156,7 @@ def _fitting(
         x, y = _drawn(hashes, attempt, frame)
         cost = _placement_cost(level, x, y).astype(np.int64)
         for other in neighbours:
-            cost += _border_mismatch(level, x, y, other, width, height)
+            cost += _border_mismatch(level, frame, (x, y), other, width, height)
         better = cost < best
         best_x, best_y = np.where(better, x, best_x), np.where(better, y, best_y)
         best = np.where(better, cost, best)
@@ -149,7 +164,12 @@ def _fitting(
 
 
 def _border_mismatch(
-    level: Level, x: Integers, y: Integers, other: _Neighbour, width: int, height: int
+    level: Level,
+    frame: Frame,
+    centre: tuple[Integers, Integers],
+    other: _Neighbour,
+    width: int,
+    height: int,
 ) -> Integers:
     """32 times the mean squared difference of both sides' appearance along the common border."""
     long, short = (height, width) if other.along_x else (width, height)
@@ -161,11 +181,11 @@ def _border_mismatch(
     back_x, back_y = (-edge, along) if other.along_x else (along, -edge)
 
     def appearance_at(x: Integers, y: Integers) -> NDArray[np.int32]:
-        x = x.clip(level.frame.left, level.frame.right) >> level.bits
-        y = y.clip(level.frame.top, level.frame.bottom) >> level.bits
+        x = _within(x, frame.left, frame.right) >> level.bits
+        y = _within(y, frame.top, frame.bottom) >> level.bits
         return level.appearance[y, x].astype(np.int32)
 
-    here = appearance_at(x[..., None] + dx, y[..., None] + dy)
+    here = appearance_at(centre[0][..., None] + dx, centre[1][..., None] + dy)
     there = appearance_at(other.x[..., None] + back_x, other.y[..., None] + back_y)
     squares = np.square(here - there).sum(axis=-1, dtype=np.int64)
     return squares.sum(axis=-1) * 32 // len(along)

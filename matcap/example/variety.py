@@ -28,7 +28,6 @@ _BLOCKS = 2  # samples of each variety; one where the exemplar has fewer levels
 _STEP = 4  # texels that are averaged before the correlation
 _NEAR = 64.0  # shortest shift of the correlation, texels; shorter structure fits any patch
 _LOST = 0.035  # largest RMS loss of correlation
-_CHANCE = 0.02  # RMS loss that random differences give
 _SHARE = 0.5  # largest loss as a share of the exemplar's RMS correlation, if that is more
 # Largest share of texels at seams. Textures without long structure have up to 0.0175, others
 # from 0.021 on.
@@ -58,8 +57,8 @@ class VarietyTrial:
 def with_chosen_variety(example: Example) -> Example:
     """A copy of the example with the highest variety whose measures are within limits.
 
-    If there is none, the limits are the least measures of all, plus what chance adds; with a
-    lattice the lowest variety is taken, as its seams do not follow the patches' size.
+    If there is none, the limits are the least loss of all and about the least seams; with a lattice
+    the lowest variety is taken, as its seams do not follow the patches' size.
     """
     long, trials = variety_trials(example)
     limit, tried = max(_LOST, _SHARE * long), []
@@ -69,7 +68,7 @@ def with_chosen_variety(example: Example) -> Example:
         tried.append(one)
     if example.lookup.lattice is not None:
         return example.varied(_TRIED[-1])
-    limit = max(limit, min((one.lost for one in tried), default=0.0) + _CHANCE)
+    limit = max(limit, min((one.lost for one in tried), default=0.0))
     seams = max(_SEAMS, _MORE_SEAMS * min((one.seams for one in tried), default=0.0))
     within = (one.variety for one in tried if one.lost <= limit and one.seams <= seams)
     return example.varied(next(within, _TRIED[-1]))

@@ -61,6 +61,25 @@ def test_pieces_shrink_from_the_whole_frame_to_those_of_full_variety():
     assert lookup.sizes == sizes[-1]
 
 
+def test_large_patches_show_all_of_the_exemplar_equally_often():
+    example = Example.of(blobs(512, 384)).varied(0.3)
+    frame = example.lookup.joined
+    x, y = example.places(2, Rectangle(0, 0, 2048, 2048), None)[::4, ::4].reshape(-1, 2).T
+    sides = (np.linspace(frame.left, frame.right, 5), np.linspace(frame.top, frame.bottom, 5))
+    shown = np.histogram2d(x, y, bins=sides)[0]
+    assert shown.min() > 0.5 * shown.mean() and shown.max() < 1.5 * shown.mean()
+
+
+def test_the_least_variety_repeats_the_exemplar():
+    example = Example.of(blobs(512, 384)).varied(0.0)
+    frame = example.lookup.joined
+    wide, high = frame.right - frame.left + 1, frame.bottom - frame.top + 1
+    one, other = (example.places(2, Rectangle(x, 300, 256, 256), None) for x in (50, 50 + wide))
+    above = example.places(2, Rectangle(50, 300 - high, 256, 256), None)
+    # Blocks begin elsewhere in the second copy, so that corrections may differ.
+    assert (one == other).all(-1).mean() > 0.95 and (one == above).all(-1).mean() > 0.95
+
+
 @pytest.mark.parametrize("variety", [0.0, 0.5])
 @pytest.mark.parametrize("period", [(80, 48), (416, 304), (None, 304)])
 def test_larger_pieces_repeat_exactly_too(variety, period):
