@@ -380,6 +380,13 @@ FAULTS = (
     Fault("strengths: y downwards", "capture _kinds", "-frequency", "frequency",
           "capture/piece/test_strengths.py -k slopes_are"),
     # Field.
+    Fault("patches: they end at the exemplar's borders", "example _within",
+          "(at - first) % (last - first + 1)", "np.clip(at - first, 0, last - first)",
+          "example/test_variety.py -k equally"),
+    Fault("patches: variety 0 begins each elsewhere", "example Axis.alike",
+          "np.zeros_like(self.number)", "self.number", "example/test_variety.py -k least_variety"),
+    Fault("lattices: long checks are not looked for", "capture lattice_of",
+          "coarse.share >= _MOST_REGULAR", "False", "capture/test_detail.py -k half_the_picture"),
     Fault("index: doubt is no reason", "example build_index", "_low_confidence(exemplar)",
           "0.0 * _low_confidence(exemplar)", "example/test_example_field.py"),
     Fault("index: single marks are no reason", "example build_index",

@@ -37,6 +37,7 @@ _SCALES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 # Share of variance in the last band (wavelengths of 100 to 200 texels) above which a texture is
 # coarse.
 _MOST_COARSE = 0.08
+_MOST_REGULAR = 0.5  # share of the power on a lattice from which no other is looked for
 _FAINTEST = 1e-4  # linear radiance below which the logarithm is clamped
 _STRONGEST = 3.0  # log radiance: differences from the median are clamped to +-this
 
@@ -88,6 +89,21 @@ def detail_for(linear: Tensor, valid: Tensor) -> int:
     return DETAIL // 2 if coarse_share(linear, valid) > _MOST_COARSE else DETAIL
 
 
+def lattice_of(plane: Plane) -> tuple[Wave, ...]:
+    """Frequency vectors of a plane's lattice, cycles per texel; of the halved plane if it has one.
+
+    Halved, a plane shows what is too long for find_lattice, such as checks of 90 texels.
+    """
+    lattice, half = find_lattice(plane.encoded(), plane.valid), plane
+    while lattice.share < _MOST_REGULAR and half.size[0] >= DETAIL:
+        half = half.shrunk(half.size[0] // 2)
+        coarse = find_lattice(half.encoded(), half.valid)
+        if coarse.share >= _MOST_REGULAR:
+            shorter = half.size[0] / plane.size[0]
+            return tuple(Wave(shorter * wave.fx, shorter * wave.fy) for wave in coarse.waves)
+    return lattice.waves
+
+
 @dataclass(frozen=True)
 class Rectified:
     """A photograph rectified to the plane of its sample, and its lattice.
@@ -126,8 +142,7 @@ class Rectified:
             detail: texels across.
         """
         plane = read_plane(photo, fit.setup, detail)
-        lattice = find_lattice(plane.encoded(), plane.valid)
-        return Rectified.of(lit_mirror(plane, fit), lattice.waves)
+        return Rectified.of(lit_mirror(plane, fit), lattice_of(plane))
 
     @property
     def read_waves(self) -> tuple[Wave, ...]:

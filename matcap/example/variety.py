@@ -2,7 +2,7 @@
 
 Samples of the field are synthesised at several varieties. Two measures are compared with limits:
 the loss of the exemplar's autocorrelation at long shifts, and the share of texels at seams. Where
-none is within both, small patches that do no worse than larger ones are preferred.
+none is within both, the least loss counts.
 """
 
 from __future__ import annotations

@@ -6,10 +6,12 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture import preview
-from matcap.capture.detail import coarse_share, detail_for
+from matcap.capture import detail, preview
+from matcap.capture.detail import coarse_share, detail_for, lattice_of
 from matcap.capture.settings import DETAIL
 from matcap.flash.geometry import FlashSetup
+from matcap.flash.plane import plane_of
+from matcap.statistics.lattice import Lattice, Wave
 
 HEIGHT = 768
 
@@ -47,6 +49,15 @@ def test_the_flash_alone_is_not_a_coarse_texture():
     squared = x.square() + y.square()
     lit = noise(2) * (1.2**2 / (1.2**2 + squared)) ** 2 + 0.3 * torch.exp(-squared / 0.08)
     assert detail_for(lit, SEEN) == DETAIL
+
+
+@pytest.mark.parametrize(("share", "period"), [(0.7, 88.0), (0.4, 173.0)])
+def test_a_lattice_of_half_the_picture_is_used_if_most_lies_on_it(monkeypatch, share, period):
+    """As of gingham 0264_0869, of which the whole picture shows 173 texels for 88."""
+    found = {DETAIL: Lattice((Wave(0.0, 1 / 173),), 0.1), 512: Lattice((Wave(0.0, 1 / 44),), share)}
+    monkeypatch.setattr(detail, "find_lattice", lambda colour, _valid: found[colour.shape[2]])
+    (wave,) = lattice_of(plane_of(noise(2), SEEN, None))
+    assert wave == pytest.approx((0.0, 1 / period))
 
 
 def test_what_was_not_seen_does_not_count():
