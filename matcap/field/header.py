@@ -143,5 +143,8 @@ def stated_setup(stated: Mapping[str, Any]) -> dict[str, Any]:
         "vignetting_quartic": bounded(
             stated["vignetting_quartic"], "vignetting_quartic", -20.0, 20.0
         ),
+        "vignetting_centre": several("vignetting_centre", 2, -10.0, 10.0)
+        if "vignetting_centre" in stated
+        else (0.0, 0.0),
         "turned": stated.get("turned", False) is True,
     }

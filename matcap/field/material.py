@@ -19,8 +19,8 @@ Metadata:
     name: of the photograph.
     texel_size: in plane units.
     setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`,
-        `vignetting_quartic`, and `turned`: true where setup is of the photograph in landscape
-        orientation and the maps are in portrait.
+        `vignetting_quartic`, `vignetting_centre`, and `turned`: true where setup is of the
+        photograph in landscape orientation and the maps are in portrait.
     provenance: how it was made.
     example: `exemplar` and `index`, descriptions of their tensors; absent without an exemplar.
     drawing: as example, of that exemplar.

@@ -37,6 +37,8 @@ class FlashSetup:
     May be negative, as tone mapping changes it."""
     vignetting_quartic: float = 0.0
     """b of the falloff; large for a flash that lights a cone."""
+    vignetting_centre: tuple[float, float] = (0.0, 0.0)
+    """Image coordinates from which r is measured: a flash need not light along the lens's axis."""
     turned: bool = False
     """The photograph is a portrait: both frames are those of the picture rotated 90 degrees
     anticlockwise, to landscape, but maps are upright."""

@@ -163,13 +163,15 @@ def cached_rows(width: int) -> int:
 
 def vignette(points: Tensor, setup: FlashSetup) -> Tensor:
     """(..., 1, H, W) share of light that reaches the sensor from plane points (..., 3, H, W)."""
-    image = project(points.movedim(-3, 0), setup)
-    return log_vignette(image, setup.vignetting, setup.vignetting_quartic).exp().unsqueeze(-3)
+    x, y = project(points.movedim(-3, 0), setup)
+    across, up = setup.vignetting_centre
+    from_centre = torch.stack([x - across, y - up])
+    return log_vignette(from_centre, setup.vignetting, setup.vignetting_quartic).exp().unsqueeze(-3)
 
 
-def log_vignette(image: Tensor, vignetting: float | Tensor, quartic: float | Tensor) -> Tensor:
-    """(...) logarithm of that share at image coordinates (2, ...): -a s - b s^2 (FlashSetup)."""
-    squared = image.square().sum(0) / CORNER_SQUARED
+def log_vignette(place: Tensor, vignetting: float | Tensor, quartic: float | Tensor) -> Tensor:
+    """(...) logarithm of that share, -a s - b s^2 (FlashSetup), (2, ...) from its centre."""
+    squared = place.square().sum(0) / CORNER_SQUARED
     return -squared * (vignetting + quartic * squared)
 
 

@@ -33,6 +33,8 @@ class View:
     vignetting: float = 0.0
     vignetting_quartic: float = 0.0
     """Exponents at r = 1, see Camera."""
+    vignetting_centre: tuple[float, float] = (0.0, 0.0)
+    """See Camera."""
 
     @property
     def across(self) -> tuple[int, int]:
@@ -61,7 +63,9 @@ class View:
 
     def share(self, top: int, bottom: int) -> Array:
         """(bottom - top, W) vignetting: exp(-(v r^2 + q r^4)), r = 1 in a 4:3 picture's corner."""
-        across, down = (c / self.reach for c in self.screen(top, bottom))
+        centre = self.vignetting_centre
+        offsets = zip(self.screen(top, bottom), centre, strict=True)
+        across, down = (place / self.reach - middle for place, middle in offsets)
         squared = (across * across + down * down) / _CORNER_SQUARED
         exponent = squared * (self.vignetting + self.vignetting_quartic * squared)
         share: Array = np.exp(-exponent).astype(np.float32)
@@ -75,8 +79,9 @@ class View:
     @property
     def brightest(self) -> float:
         """Largest factor of the vignetting in the picture, above 1 where the lens brightens."""
-        width, height = self.size
-        corner = (1.0 + (min(width, height) / max(width, height)) ** 2) / _CORNER_SQUARED
+        sides = zip(self.size, self.vignetting_centre, strict=True)
+        farthest = (side / max(self.size) + abs(centre) for side, centre in sides)
+        corner = sum(side * side for side in farthest) / _CORNER_SQUARED
         first, second = self.vignetting, self.vignetting_quartic
         # The exponent is a parabola in r^2: extreme at centre, corner, or its vertex.
         turn = -0.5 * first / second if second else 0.0
@@ -130,4 +135,5 @@ def view_of(camera: Camera | None, film: Film, long_side: float) -> View:
         perspective,
         vignetting=camera.vignetting,
         vignetting_quartic=camera.vignetting_quartic,
+        vignetting_centre=camera.vignetting_centre,
     )

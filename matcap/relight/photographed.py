@@ -24,6 +24,7 @@ def photographed_scene(setup: FlashSetup, film: Film, *, endless: bool) -> Scene
     # `turned`: the photograph is a portrait, so its up is the landscape's left.
     above = [-1.0, 0.0, 0.0] if setup.turned else [0.0, 1.0, 0.0]
     up = _vector(stood(setup, setup_rotation(setup).T @ torch.tensor(above, dtype=torch.float64)))
+    middle = _vector(stood(setup, torch.tensor([*setup.vignetting_centre, 0.0])))
     camera = Camera(
         "perspective",
         place,
@@ -31,6 +32,7 @@ def photographed_scene(setup: FlashSetup, film: Film, *, endless: bool) -> Scene
         up=up,
         vignetting=setup.vignetting,
         vignetting_quartic=setup.vignetting_quartic,
+        vignetting_centre=(middle[0], middle[1]),
     )
     surface = Surface(size=_seen(setup, film) if endless else None)
     return Scene(film, camera, surface, (PointLight(light, setup.intensity),))

@@ -60,6 +60,8 @@ class Camera:
     picture. May be negative."""
     vignetting_quartic: float = 0.0
     """Vignetting q, see `vignetting`."""
+    vignetting_centre: tuple[float, float] = (0.0, 0.0)
+    """Where r is 0, image coordinates: x right, y up, the long side from -1 to 1."""
 
 
 @dataclass(frozen=True)

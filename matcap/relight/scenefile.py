@@ -204,6 +204,12 @@ def _vector(value: Any, folder: Path) -> tuple[float, ...]:  # noqa: ANN401
     return tuple(_number(v, folder) for v in value)
 
 
+def _place(value: Any, folder: Path) -> tuple[float, float]:  # noqa: ANN401
+    if not isinstance(value, list) or len(value) != 2:
+        raise _Fault("two numbers such as [0.0, 0.2]")
+    return _number(value[0], folder), _number(value[1], folder)
+
+
 def _direction(value: Any, folder: Path) -> tuple[float, ...]:  # noqa: ANN401
     vector = _vector(value, folder)
     if not any(vector):
@@ -253,6 +259,7 @@ _CAMERA: dict[str, Checked] = {
     "up": _direction,
     "vignetting": _exponent,
     "vignetting_quartic": _exponent,
+    "vignetting_centre": _place,
 }
 _SURFACE: dict[str, Checked] = {
     "type": _one_of("plane", "sphere", "cylinder", "mesh"),

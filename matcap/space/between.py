@@ -181,6 +181,7 @@ def _blend_setups(first: FlashSetup, second: FlashSetup, share: float) -> FlashS
         return (second if share > 0.5 else first).with_intensity((red, green, blue))
     x, y, z = mix(first.offset, second.offset)
     tilt_x, tilt_y = mix(first.tilt, second.tilt)
+    across, up = mix(first.vignetting_centre, second.vignetting_centre)
     return FlashSetup(
         fov=_between(first.fov, second.fov, share),
         offset=(x, y, z),
@@ -188,6 +189,7 @@ def _blend_setups(first: FlashSetup, second: FlashSetup, share: float) -> FlashS
         intensity=(red, green, blue),
         vignetting=_between(first.vignetting, second.vignetting, share),
         vignetting_quartic=_between(first.vignetting_quartic, second.vignetting_quartic, share),
+        vignetting_centre=(across, up),
         turned=first.turned,
     )
 

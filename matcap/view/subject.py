@@ -40,10 +40,13 @@ class Flashed:
     """Position of the flash, plane units."""
     axis: tuple[float, ...]
     """Unit vector along the optical axis, towards the plane."""
+    cone: tuple[float, ...]
+    """Vector to the centre of the attenuation, at distance 1 along the axis."""
     intensity: tuple[float, float, float]
     """Radiant intensity of the flash, by channel."""
     vignetting: tuple[float, float]
-    """(a, b) of the attenuation exp(-a tan^2 t - b tan^4 t) at angle t from the axis."""
+    """(a, b) of the attenuation exp(-a s - b s^2), s the squared distance from `cone` at
+    distance 1 along the axis."""
 
 
 @dataclass(frozen=True)
@@ -238,15 +241,22 @@ def _no_piece() -> UsageError:
 
 
 def _flashed(setup: FlashSetup) -> Flashed:
+    import torch
+
     from matcap.flash.geometry import camera_in_plane, setup_rotation, stood
     from matcap.flash.light import CORNER_SQUARED
 
     camera, light = (tuple(stood(setup, place).tolist()) for place in camera_in_plane(setup))
-    axis = tuple(stood(setup, -setup_rotation(setup)[2]).tolist())
-    # The setup's coefficients are of image coordinates, distance times tan t.
+    turn = setup_rotation(setup)
+    across, up = (each / setup.distance for each in setup.vignetting_centre)
+    axis, cone = (
+        tuple(stood(setup, turn.T @ torch.tensor(way, dtype=turn.dtype)).tolist())
+        for way in ((0.0, 0.0, -1.0), (across, up, -1.0))
+    )
+    # The setup's coefficients are of image coordinates, distance times those at distance 1.
     scale = setup.distance**2 / CORNER_SQUARED
     lost = (setup.vignetting * scale, setup.vignetting_quartic * scale**2)
-    return Flashed(camera, light, axis, setup.intensity, lost)
+    return Flashed(camera, light, axis, cone, setup.intensity, lost)
 
 
 def open_subject(

@@ -158,6 +158,18 @@ def test_a_cone_of_flash_light_is_the_cameras_and_not_the_materials(lost, respon
     )
 
 
+def test_a_cone_that_points_aside_does_not_move_the_flash():
+    """The light of a phone is brightest above the middle, by 0.25 in the picture."""
+    straight = replace(a_setup(offset=(0.02, 0.06, 0.0)), vignetting=0.4, vignetting_quartic=0.6)
+    aside = replace(straight, vignetting_centre=(0.0, 0.25))
+    fit = fit_coarse(photograph(aside, roughness=0.7, radiometric=False))
+    assert fit.setup.vignetting_centre == pytest.approx((0.0, 0.25), abs=0.08)
+    assert fit.setup.offset[:2] == pytest.approx((0.02, 0.06), abs=0.04)
+    assert fit.residual < 0.03
+    fit = fit_coarse(photograph(straight, roughness=0.7, radiometric=False))
+    assert fit.setup.vignetting_centre == pytest.approx((0.0, 0.0), abs=0.05)
+
+
 def test_a_raw_shows_the_cone_as_well():
     """The LED lights a cone in every format: gloss is as without."""
     plain = plain_fit(radiometric=True)

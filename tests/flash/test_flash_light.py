@@ -9,14 +9,20 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.coarse.model import Unknowns, log_radiance
-from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points, unproject
+from matcap.flash.geometry import (
+    FlashSetup,
+    camera_in_plane,
+    plane_points,
+    setup_rotation,
+    unproject,
+)
 from matcap.flash.light import FlashLight, log_vignette, vignette
 from matcap.flash.render import render_flash
 from matcap.flash.uniform import Uniform, uniform_radiance
 
 SETUP = FlashSetup(
     fov=65.0, offset=(0.08, 0.04, 0.0), tilt=(0.05, -0.03), intensity=(6.0, 5.0, 4.0),
-    vignetting=0.3, vignetting_quartic=0.2,
+    vignetting=0.3, vignetting_quartic=0.2, vignetting_centre=(0.1, -0.2),
 )  # fmt: skip
 WIDTH, HEIGHT = 24, 18
 ALL = slice(None)
@@ -65,8 +71,10 @@ def _written_out(maps: MapSet, setup: FlashSetup, row: int, column: int) -> list
     lobe = ggx * shadowing * fresnel / (4.0 * n_l * n_v)
     axis = [a / math.sqrt(dot(camera, camera)) for a in camera]
     depth = math.sqrt(dot(camera, camera)) - dot(axis, point)
-    aside = dot(point, point) - dot(axis, point) ** 2
-    squared = aside * (setup.distance / depth) ** 2 / 1.25**2
+    turn = setup_rotation(setup).tolist()
+    image = [setup.distance * dot(row, point) / depth for row in turn[:2]]
+    off = [place - centre for place, centre in zip(image, setup.vignetting_centre, strict=True)]
+    squared = dot(off, off) / 1.25**2
     lens = math.exp(-setup.vignetting * squared - setup.vignetting_quartic * squared**2)
     return [
         (float(maps.diffuse[channel, row, column]) / math.pi + lobe)
@@ -147,7 +155,8 @@ def test_a_coarse_fit_and_a_uniform_material_look_as_their_flat_maps_do() -> Non
     parameters = (
         *(math.log(value) for value in (*fit.diffuse, 0.04)), math.log(0.37 / 0.63),
         math.log(6.0), 0.0, 0.0,
-        *grey.offset[:2], *grey.tilt, grey.vignetting, grey.vignetting_quartic, 0.0,
+        *grey.offset[:2], *grey.tilt, grey.vignetting, grey.vignetting_quartic,
+        *grey.vignetting_centre, 0.0,
     )  # fmt: skip
     unknowns = Unknowns.of(torch.tensor(parameters).double())
     coarse = log_radiance(unknowns, image.flatten(1), grey.distance).exp()

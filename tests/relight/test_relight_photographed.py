@@ -23,8 +23,9 @@ from matcap.relight.render import Renderer
 from matcap.relight.scene import Film
 
 SETUP_OF_A_PHONE = FlashSetup(
-    fov=64.0, offset=(0.1, -0.04, 0.02), intensity=(5.0, 4.0, 3.0), vignetting=0.4
-)
+    fov=64.0, offset=(0.1, -0.04, 0.02), intensity=(5.0, 4.0, 3.0), vignetting=0.4,
+    vignetting_centre=(0.05, -0.2),
+)  # fmt: skip
 # What the flash renderer has, too.
 SAME = "none,+diffuse,+specular,+falloff"
 

@@ -392,7 +392,7 @@ def evened(
     levels = prediction.classes.flat()
     trusted = prediction.confidence["diffuse"]
     texel = observed.plane.texel_size
-    points = [(d / texel).numpy() for d in (observed.from_mirror_point, observed.from_axis)]
+    points = [(d / texel).numpy() for d in (observed.from_mirror_point, observed.from_cone)]
     return flatten(departures - levels, trusted, points, across=across) + levels
 
 

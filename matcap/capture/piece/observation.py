@@ -85,9 +85,11 @@ class Observation:
         return torch.hypot(self.points[0] - x, self.points[1] - y)
 
     @property
-    def from_axis(self) -> Tensor:
-        """(H, W) distance from the lens's axis in the photograph, in half widths."""
-        return torch.hypot(*project(self.points, self.coarse.setup))
+    def from_cone(self) -> Tensor:
+        """(H, W) distance from the vignetting's centre in the photograph, in half widths."""
+        (x, y), setup = project(self.points, self.coarse.setup), self.coarse.setup
+        across, up = setup.vignetting_centre
+        return torch.hypot(x - across, y - up)
 
     def strengths(self, read: Tensor | None = None) -> Strengths | None:
         """Relief spectrum measured in the photograph; None if too few texels are valid.

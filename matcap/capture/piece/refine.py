@@ -174,7 +174,7 @@ def flatten(
     across: float | None = None,
 ) -> SurfaceParameters:
     """Remove from albedo (of metal: F0) low frequencies, and rings around given points: the
-    flash's mirror point, and the lens's axis.
+    flash's mirror point, and the vignetting's centre.
 
     A stationary sample has neither. The mean, weighted by squared confidence, is kept.
 

@@ -39,6 +39,7 @@ class SetLight:
     Attributes:
         offset: (2,) x, y of the flash from the lens, camera frame, plane units.
         vignetting: (2,) coefficients of r^2 and r^4 in its exponent (flash/geometry.py).
+        centre: from which r is measured, image coordinates, as the coarse fit has it.
         gain: (photographs, 3) log of each channel's exposure over the first photograph's.
         intensity: (3,) of the first photograph's flash.
         gloss: (2,) change of mean log F0 and mean logit roughness from the prediction; their error
@@ -56,6 +57,7 @@ class SetLight:
     lost: tuple[float, float] = (0.4, 0.6)
     lean: Tensor = field(default_factory=lambda: torch.tensor(LEAN))
     coarse_offset: Tensor = field(default_factory=lambda: torch.zeros(2))
+    centre: tuple[float, float] = (0.0, 0.0)
 
     @staticmethod
     def of(
@@ -74,6 +76,7 @@ class SetLight:
             torch.tensor(setup.intensity).float(),
             lost=RAW_FALLOFF if radiometric else lost,
             coarse_offset=torch.tensor(setup.offset[:2]).float(),
+            centre=setup.vignetting_centre,
         )
 
     def onto(self, setup: FlashSetup) -> FlashSetup:
@@ -220,6 +223,7 @@ def light_at(
     flash = place + turn.T @ torch.cat([light.offset, light.offset.new_zeros(1)]).to(points)
     seen = torch.tensordot(turn, points - place[:, None, None], dims=1)
     image = camera.lens.focal * seen[:2] / -seen[2:]
+    image = image - image.new_tensor(light.centre)[:, None, None]
     lost = log_vignette(image, light.vignetting[0], light.vignetting[1])
     strength = (light.intensity.log() + light.gain[number]).to(points)
     return FlashLight.between(points, place, flash, (strength[:, None, None] + lost).exp())

@@ -164,9 +164,8 @@ def _fitted(photo: Photo, begun: _Begun) -> tuple[CoarseFit, float, float]:
     single = _single(last, [start for _, start in tried])
     # Two lobes locate the highlight better; then one lobe is fitted there.
     both = Unknowns.of(last.with_two_lobes().minimised(two_lobes(single), _MANY)[1])
-    start = replace(
-        Unknowns.of(single), offset=both.offset, tilt=both.tilt, vignetting=both.vignetting
-    )
+    light = ("offset", "tilt", "vignetting", "centre")
+    start = replace(Unknowns.of(single), **{name: getattr(both, name) for name in light})
     placed = last.at(both)
     cost, best = placed.minimised(start.vector(), _MANY)
     rest = placed.differences(best)[placed.cells.above == 1.0]
@@ -215,6 +214,7 @@ def _uniform(
     across, up = best.offset.tolist()
     tilt_x, tilt_y = best.tilt.tolist()
     squared, quartic = best.vignetting.tolist()
+    right, above = best.centre.tolist()
     setup = FlashSetup(
         fov=fov,
         offset=(across, up, 0.0),
@@ -222,6 +222,7 @@ def _uniform(
         intensity=(flash_red, flash_green, flash_blue),
         vignetting=squared,
         vignetting_quartic=quartic,
+        vignetting_centre=(right, above),
     )
     roughness = 1.0 / (1.0 + math.exp(-float(best.roughness)))
     return (red, green, blue), math.exp(specular - excess), roughness, setup

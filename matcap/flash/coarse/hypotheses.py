@@ -29,6 +29,7 @@ _MEAN = Unknowns(
     offset=numbers(0.0, 0.0),
     tilt=numbers(0.0, 0.0),
     vignetting=numbers(0.0, 0.0),
+    centre=numbers(0.0, 0.0),
     tone=numbers(0.12),
 )
 _DEVIATION = Unknowns(
@@ -40,6 +41,7 @@ _DEVIATION = Unknowns(
     offset=numbers(0.12, 0.12),
     tilt=numbers(0.05, 0.05),
     vignetting=numbers(1.0, 1.0),
+    centre=numbers(0.2, 0.2),
     tone=numbers(0.08),
 )
 CONDUCTOR_F0 = (math.log(0.5), 0.5)  # mean and standard deviation of log F0
@@ -70,7 +72,7 @@ class Hypothesis:
 
     Attributes:
         mean: of the prior.
-        precision: (15, 15) inverse covariance.
+        precision: (17, 17) inverse covariance.
         conductor: whether `albedo` is F0 and nothing is diffuse.
         tilt_known: whether the tilt is held.
         tilt_alone: mean and deviation of the tilt without a measurement of it; None without one.

@@ -33,6 +33,7 @@ class Unknowns:
         offset: (2,) of the flash from the camera, plane units.
         tilt: (2,) radians.
         vignetting: (2,) with r^2 and with r^4, as FlashSetup has them.
+        centre: (2,) of the vignetting, image coordinates.
         tone: (1,) log of the tone curve's exponent.
         share: (1,) logit of the narrow lobe's, or None.
         wider: (1,) log of how much further the other's logit of roughness is, or None.
@@ -46,19 +47,20 @@ class Unknowns:
     offset: Tensor
     tilt: Tensor
     vignetting: Tensor
+    centre: Tensor
     tone: Tensor
     share: Tensor | None = None
     wider: Tensor | None = None
 
     def vector(self) -> Tensor:
-        """(15,), or (17,) of two lobes."""
+        """(17,), or (19,) of two lobes."""
         parts = (getattr(self, f.name) for f in fields(self))
         return torch.cat([part for part in parts if part is not None])
 
     @staticmethod
     def of(vector: Tensor) -> Unknowns:
         """The inverse of vector()."""
-        one_lobe = (3, 1, 1, 1, 2, 2, 2, 2, 1)
+        one_lobe = (3, 1, 1, 1, 2, 2, 2, 2, 2, 1)
         return Unknowns(
             *vector.split(one_lobe if len(vector) == sum(one_lobe) else (*one_lobe, 1, 1))
         )
@@ -79,7 +81,7 @@ class Unknowns:
         return [(share, narrow), (1.0 - share, torch.sigmoid(self.roughness + self.wider.exp()))]
 
 
-INDEX = Unknowns.of(torch.arange(15))  # of each unknown in vector(), of two lobes as well
+INDEX = Unknowns.of(torch.arange(17))  # of each unknown in vector(), of two lobes as well
 
 
 def numbers(*values: float) -> Tensor:
@@ -111,7 +113,8 @@ def log_radiance(
     specular = colour if conductor else unknowns.specular.exp()[:, None, None]
     for share, roughness in unknowns.lobes:
         radiance = radiance + share * incidence.specular(specular, roughness[:, None, None])
-    return ((radiance + _DARKEST).log() + log_vignette(image, *unknowns.vignetting)).flatten(1)
+    lost = log_vignette(image - unknowns.centre[:, None, None], *unknowns.vignetting)
+    return ((radiance + _DARKEST).log() + lost).flatten(1)
 
 
 def mirror_point(unknowns: Unknowns, distance: float) -> Tensor:

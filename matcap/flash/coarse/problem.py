@@ -57,7 +57,7 @@ class Problem:
         cells: observations.
         distance: of the camera.
         evidence: measurements of the highlight, or None.
-        prior: (n,) the prior's mean, of 15 or 17 parameters.
+        prior: (n,) the prior's mean, of 17 or 19 parameters.
         precision: (n, n) Hessian of the prior's cost.
         unit: cost of a nat of the prior.
         shoulder: of the tone curve; 0 without one.

@@ -64,6 +64,7 @@ def join(
                 "flash_offset": list(fit.setup.offset),
                 "vignetting": fit.setup.vignetting,
                 "vignetting_quartic": fit.setup.vignetting_quartic,
+                "vignetting_centre": list(fit.setup.vignetting_centre),
                 "gain": gain,
             }
         )

@@ -35,6 +35,7 @@ class Shelf {
     gl.uniform1i(places.shape, 1);
     gl.uniform1i(places.map, 0);
     gl.uniform3f(places.lens, 0, 0, -1);
+    gl.uniform3f(places.cone, 0, 0, -1);
     gl.uniform2f(places.lost, 0, 0);
     gl.uniform1i(places.room, 0);
     gl.uniform1f(places.gain, 1);

@@ -35,7 +35,8 @@ uniform int map;              // 0 lit, then diffuse, specular, roughness, heigh
 uniform bool room;            // surroundings, not the point light
 uniform vec3 viewPlace;       // of the camera over a plane
 uniform vec3 lens;            // its axis
-uniform vec2 lost;            // what it loses with the tangent from there, squared and to the fourth
+uniform vec3 cone;            // centre of the attenuation, at distance 1 along that axis
+uniform vec2 lost;            // with the squared distance from there, and that squared
 uniform vec3 lightPlace;
 uniform vec3 intensity;
 uniform bool photographed;    // the photograph itself
@@ -233,11 +234,9 @@ void main() {
           vec2 lobe = ggxSmith(n, v, l, nv, nl, a2);
           vec3 fresnel = texel.f0 + (1.0 - texel.f0) * schlickWeight(lobe.y);
           radiance = (texel.diffuse / PI + fresnel * lobe.x) * intensity * (nl / squared);
-          // 1 along the optical axis of a lens without falloff.
-          vec3 ray = point - eye;
-          float axial = dot(ray, lens);
-          float tangent = max(dot(ray, ray) / (axial * axial) - 1.0, 0.0);
-          radiance *= exp(-tangent * (lost.x + lost.y * tangent));
+          vec3 ray = point - eye, off = ray / dot(ray, lens) - cone;
+          float squaredOff = dot(off, off);
+          radiance *= exp(-squaredOff * (lost.x + lost.y * squaredOff));
         }
       }
     }

@@ -17,7 +17,7 @@ export const MAPS = ["lit", "diffuse", "specular", "roughness", "height", "norma
 // Framing as in the shader: a sphere as in matcap relight, a cylinder with its full height.
 const ROOM_AROUND = { sphere: 1.25, cylinder: 1.6 };
 export const FLASH = 1 / Math.tan(Math.PI / 8);
-const CAMERA = { place: [0, 0, FLASH], lens: [0, 0, -1], lost: [0, 0] };
+const CAMERA = { place: [0, 0, FLASH], lens: [0, 0, -1], cone: [0, 0, -1], lost: [0, 0] };
 const ORDINARY = 0.35; // mean radiance of surroundings that need no other exposure
 const NEAREST = 4, FARTHEST = 2 ** 30; // texels across
 const FARTHEST_LEVEL = 21;
@@ -273,7 +273,7 @@ export class View {
     const { gl, places, state, about } = this;
     gl.uniform1i(places.room, side !== "flash" && state.light !== "point" ? 1 : 0);
     gl.uniform1i(places.photographed, side === "photo" ? 1 : 0);
-    let { place: from, lens, lost } = CAMERA, { place, intensity } = this.lamp();
+    let { place: from, lens, cone, lost } = CAMERA, { place, intensity } = this.lamp();
     intensity = [intensity, intensity, intensity];
     if (side === "flash") {
       // The photograph's long side is two plane units, its middle the origin.
@@ -283,10 +283,12 @@ export class View {
       const middle = [(where.x - wide / 2) * plane, (tall / 2 - where.y) * plane, 0];
       const seen = (point) => point.map((value, k) => (value - middle[k]) / unit);
       [from, place, lens, lost] = [seen(camera), seen(light), axis, vignetting];
+      cone = about.flash.cone;
       intensity = power.map((value) => value / unit ** 2);
     }
     gl.uniform3f(places.viewPlace, ...from);
     gl.uniform3f(places.lens, ...lens);
+    gl.uniform3f(places.cone, ...cone);
     gl.uniform2f(places.lost, ...lost);
     gl.uniform3f(places.lightPlace, ...place);
     gl.uniform3f(places.intensity, ...intensity);
