@@ -170,6 +170,14 @@ def test_a_cone_that_points_aside_does_not_move_the_flash():
     assert fit.setup.vignetting_centre == pytest.approx((0.0, 0.0), abs=0.05)
 
 
+def test_a_faint_highlight_does_not_make_a_surface_whiter_than_white():
+    """F0 of dielectrics is 0.04: of a white surface with less, albedo would be 2."""
+    white = _even((0.8, 0.75, 0.6), (0.015,) * 3, 0.3)
+    for taken in (white, replace(white, radiometric=False)):
+        fit = fit_coarse(taken)
+        assert fit.specular > 0.03, fit
+
+
 def test_a_raw_shows_the_cone_as_well():
     """The LED lights a cone in every format: gloss is as without."""
     plain = plain_fit(radiometric=True)

@@ -26,7 +26,7 @@ from matcap.flash.coarse.cells import CoarseCells, cells_of
 from matcap.flash.coarse.evidence import WEIGHT_BETWEEN, Evidence
 from matcap.flash.coarse.hypotheses import Hypothesis, TiltPrior, hypothesis
 from matcap.flash.coarse.model import BLACK, Unknowns
-from matcap.flash.coarse.problem import HUBER, FalloffEvidence, Problem
+from matcap.flash.coarse.problem import HUBER, WHITE, FalloffEvidence, Problem
 from matcap.flash.coarse.starts import distinct, matte, mattest, starts, two_lobes
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
@@ -48,7 +48,6 @@ _PRIOR_SHARE = 0.15
 _CONDUCTOR_ODDS = 12.0
 _BLUEST = 0.1  # largest log ratio of a metal's F0 in blue to red
 _DULLEST = 0.8  # largest roughness of a metal, as a photograph without highlight shows none
-_BRIGHTEST = 0.8  # upper limit of mean albedo or F0
 _MOST_ALBEDO = 0.98  # upper limit of albedo and F0 under a known flash intensity
 
 
@@ -208,7 +207,7 @@ def _uniform(
         specular = float(best.albedo.exp().mean().log())
         albedo = [value + math.log(BLACK) for value in albedo]
     # Only the product with the flash's intensity is measured: limit albedo, raise the intensity.
-    excess = max(0.0, max(*albedo, specular) - math.log(_BRIGHTEST))
+    excess = max(0.0, max(*albedo, specular) - math.log(WHITE))
     red, green, blue = (math.exp(value - excess) for value in albedo)
     flash_red, flash_green, flash_blue = (best.flash + excess).exp().tolist()
     across, up = best.offset.tolist()

@@ -10,6 +10,7 @@ Minimised by Levenberg-Marquardt steps, with weights of the Huber loss renewed a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -27,6 +28,8 @@ HUBER = 0.1  # threshold of the Huber loss, log radiance
 # whose whitened channels are independent.
 _CELLS_THAT_COUNT = 600.0
 _BRIGHTENING = 0.02  # prior deviation of negative falloff, which ambient light imitates
+# Albedo of a white surface, and prior deviation of the logarithm beyond it.
+WHITE, _WHITER = 0.8, 0.1
 _COLOUR_NOISE = 0.01  # log radiance, least standard deviation of differences of channels
 _MOST_TEXTURE = 0.5  # log radiance; residuals are clipped to +-this before whitening
 _LEAST_WHOLE_CELLS = 30  # least number of unclipped cells for whitening
@@ -163,7 +166,7 @@ class Problem:
         return torch.cat([difference, HUBER * evidence.residuals(mirror, seen)])
 
     def quadratic(self, parameters: Tensor, r: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """(n, n) Gauss-Newton Hessian of the cost and (n,) its gradient, without brightening.
+        """(n, n) Gauss-Newton Hessian of the cost and (n,) its gradient, without bounds.
 
         `r` are the residuals there, if they are known.
         """
@@ -189,13 +192,21 @@ class Problem:
         (own, both), (_, other) = (posterior - prior).tolist()
         return FalloffEvidence((first, second), (own, both, other))
 
-    def brightening(self, parameters: Tensor) -> Tensor:
-        """(n,) precision of the prior at 0 of negative falloff coefficients."""
-        vignetting = Unknowns.of(parameters).vignetting
-        precision_there = torch.where(vignetting < 0.0, self.unit / _BRIGHTENING**2, 0.0)
-        return replace(
-            Unknowns.of(torch.zeros_like(parameters)), vignetting=precision_there
+    def beyond(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
+        """(n,) each: how far parameters are beyond their bounds, and the prior's precision there.
+
+        Falloff is positive, and no albedo, nor F0 of a conductor, is above WHITE.
+        """
+        unknowns, none = Unknowns.of(parameters), Unknowns.of(torch.zeros_like(parameters))
+        whiter = (unknowns.albedo - math.log(WHITE)).clamp_min(0.0)
+        brighter = unknowns.vignetting.clamp_max(0.0)
+        excess = replace(none, albedo=whiter, vignetting=brighter).vector()
+        precision = replace(
+            none,
+            albedo=torch.full_like(whiter, self.unit / _WHITER**2),
+            vignetting=torch.full_like(brighter, self.unit / _BRIGHTENING**2),
         ).vector()
+        return excess, torch.where(excess == 0.0, 0.0, precision)
 
     def cost(self, parameters: Tensor, r: Tensor | None = None) -> float:
         """Cost at the parameters; `r` are the residuals there, if they are known."""
@@ -203,7 +214,8 @@ class Problem:
         huber = torch.where(r < HUBER, 0.5 * r.square(), HUBER * (r - 0.5 * HUBER))
         deviation = parameters - self.prior
         prior = 0.5 * deviation @ self.precision @ deviation
-        prior = prior + 0.5 * (parameters.square() * self.brightening(parameters)).sum()
+        excess, precision = self.beyond(parameters)
+        prior = prior + 0.5 * (excess.square() * precision).sum()
         return float((self.weight * huber).sum() + prior)
 
     def minimised(self, start: Tensor, iterations: int) -> tuple[float, Tensor]:
@@ -218,8 +230,8 @@ class Problem:
         def quadratic(parameters: Tensor) -> tuple[Tensor, Tensor]:
             known = last[1] if last[0] is parameters else None
             normal, gradient = self.quadratic(parameters, known)
-            extra = self.brightening(parameters)
-            return normal + torch.diag(extra), gradient + extra * parameters
+            excess, precision = self.beyond(parameters)
+            return normal + torch.diag(precision), gradient + precision * excess
 
         return minimised(cost, quadratic, start, iterations, farthest=1.0)
 
