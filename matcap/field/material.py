@@ -19,8 +19,8 @@ Metadata:
     name: of the photograph.
     texel_size: in plane units.
     setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`,
-        `vignetting_quartic`, `vignetting_centre`, and `turned`: true where setup is of the
-        photograph in landscape orientation and the maps are in portrait.
+        `vignetting_quartic`, `vignetting_centre` (absent: the picture's middle), and `turned`:
+        true where setup is of the photograph in landscape orientation and the maps are in portrait.
     provenance: how it was made.
     example: `exemplar` and `index`, descriptions of their tensors; absent without an exemplar.
     drawing: as example, of that exemplar.
@@ -161,7 +161,12 @@ class Material:
             "version": VERSION,
             "name": self.name,
             "texel_size": self.texel_size,
-            "setup": asdict(self.setup),
+            "setup": {
+                key: value
+                for key, value in asdict(self.setup).items()
+                # Absent where it is the picture's middle, as in files of before it was fitted.
+                if key != "vignetting_centre" or any(value)
+            },
             "provenance": dict(self.provenance),
         }
         for part in self.generators.values():
