@@ -163,10 +163,15 @@ def cached_rows(width: int) -> int:
 
 def vignette(points: Tensor, setup: FlashSetup) -> Tensor:
     """(..., 1, H, W) share of light that reaches the sensor from plane points (..., 3, H, W)."""
-    x, y = project(points.movedim(-3, 0), setup)
+    place = from_vignetting_centre(points.movedim(-3, 0), setup)
+    return log_vignette(place, setup.vignetting, setup.vignetting_quartic).exp().unsqueeze(-3)
+
+
+def from_vignetting_centre(points: Tensor, setup: FlashSetup) -> Tensor:
+    """(2, ...) image coordinates of plane points (3, ...), from the vignetting's centre."""
+    x, y = project(points, setup)
     across, up = setup.vignetting_centre
-    from_centre = torch.stack([x - across, y - up])
-    return log_vignette(from_centre, setup.vignetting, setup.vignetting_quartic).exp().unsqueeze(-3)
+    return torch.stack([x - across, y - up])
 
 
 def log_vignette(place: Tensor, vignetting: float | Tensor, quartic: float | Tensor) -> Tensor:

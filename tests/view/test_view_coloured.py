@@ -33,7 +33,9 @@ testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' no
 server = pytest.importorskip("matcap.view.server")
 
 ADDRESS = server.Address(8123, "secret-token")
-SETUP = FlashSetup(60.0, (0.1, 0.05, 0.0), (0.03, -0.04), (5.0, 4.5, 4.0), 0.3)
+SETUP = FlashSetup(
+    60.0, (0.1, 0.05, 0.0), (0.03, -0.04), (5.0, 4.5, 4.0), 0.3, vignetting_centre=(0.1, -0.3)
+)
 HIGH, GRAZING = (-0.25, 0.2, 1.0), (-0.9, 0.3, 0.15)
 
 

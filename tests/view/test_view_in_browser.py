@@ -554,7 +554,9 @@ def test_light_and_dark(tab, address):
     page.loaded()
 
 
-SETUP = FlashSetup(60.0, (0.1, 0.05, 0.0), (0.03, -0.04), (5.0, 4.5, 4.0), 0.3)
+SETUP = FlashSetup(
+    60.0, (0.1, 0.05, 0.0), (0.03, -0.04), (5.0, 4.5, 4.0), 0.3, vignetting_centre=(0.1, -0.3)
+)
 
 
 def photographed():

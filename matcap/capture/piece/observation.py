@@ -20,7 +20,8 @@ from matcap.capture.piece.refine import PieceLight
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.piece.strengths import RESPONSE_AROUND, Strengths, measure_strengths
 from matcap.flash.coarse.fit import CoarseFit
-from matcap.flash.geometry import flash_mirror_point, plane_points, project
+from matcap.flash.geometry import flash_mirror_point, plane_points
+from matcap.flash.light import from_vignetting_centre
 from matcap.flash.plane import Plane
 from matcap.flash.rectify import inside
 
@@ -87,9 +88,7 @@ class Observation:
     @property
     def from_cone(self) -> Tensor:
         """(H, W) distance from the vignetting's centre in the photograph, in half widths."""
-        (x, y), setup = project(self.points, self.coarse.setup), self.coarse.setup
-        across, up = setup.vignetting_centre
-        return torch.hypot(x - across, y - up)
+        return torch.hypot(*from_vignetting_centre(self.points, self.coarse.setup))
 
     def strengths(self, read: Tensor | None = None) -> Strengths | None:
         """Relief spectrum measured in the photograph; None if too few texels are valid.

@@ -1,4 +1,4 @@
-"""Steepness: relief of a decoder's field beside that of the exemplar which it was fine-tuned by.
+"""Steepness: relief of a decoder's field over that of the exemplar which it was fine-tuned by.
 
 Under a flash near the lens a dent and a stain look alike, so that statistics of the photograph let
 a decoder draw stains as relief. Slopes of waves of 8 to 64 texels are compared: finer ones would
