@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from matcap.batch.settings import BatchSettings
+from matcap.capture.settings import prior_file
 from matcap.errors import MatcapError
 from matcap.files.maker import MAKER_VERSION
 from matcap.photo.camera import CameraProfile
@@ -72,13 +73,8 @@ def prior_hash(prior: str) -> str:
     Raises:
         MatcapError: the file is no prior.
     """
-    from matcap.space.prior.store import SHIPPED, load_prior
-
-    if prior == "none":
-        return prior
-    if prior != "auto":
-        load_prior(Path(prior))  # a broken one would fail for every photograph
-    return file_hash(SHIPPED if prior == "auto" else Path(prior))
+    file = prior_file(prior)
+    return prior if file is None else file_hash(file)
 
 
 def file_hash(path: Path) -> str:

@@ -291,6 +291,22 @@ class OutputSettings:
         return room
 
 
+def prior_file(prior: str) -> Path | None:
+    """File of a prior named "auto" (the shipped one) or by its path; None for "none".
+
+    Raises:
+        MatcapError: the named file is no prior.
+    """
+    from matcap.space.prior.store import SHIPPED, load_prior
+
+    if prior == "none":
+        return None
+    if prior == "auto":
+        return SHIPPED
+    load_prior(Path(prior))  # a broken one would fail for every photograph of a batch
+    return Path(prior)
+
+
 def check_photographs(settings: CaptureSettings, photographs: int) -> None:
     """Check settings against the number of photographs of a sample.
 

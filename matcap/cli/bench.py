@@ -195,12 +195,12 @@ def metals(
     Photographs known metals, captures them, and compares F0 where the truth is metal and where it
     is dielectric, texel by texel. Prints the table.
     """
-    from matcap.brdf.metals import METAL_F0
     from matcap.lab.bench.metals import ABOUT, metals_experiment
+    from matcap.lab.simulate.materials.kinds.metal import SHEETS
     from matcap.lab.simulate.photograph import PhoneCamera
     from matcap.lab.simulate.specimen import subjects
 
-    chosen = subjects(material or tuple(METAL_F0), sets)
+    chosen = subjects(material or tuple(SHEETS), sets)
     camera = PhoneCamera(width=pixels, height=pixels // 8 * 6)
     settings = CaptureSettings(preset, detail=detail)
     _print(metals_experiment(chosen, out, settings, camera, known=known), out, ABOUT)

@@ -134,8 +134,8 @@ def _devices() -> list[str]:
 
 def _self_test() -> list[dict[str, Any]]:
     """Run each step on a small material, in order, up to the first failure."""
-    from matcap.brdf.folder import read_mapset
     from matcap.export.targets import export_mapset
+    from matcap.field.opened import open_tile
     from matcap.field.plane import Rectangle
     from matcap.relight.render import relight
     from matcap.space.prior.store import load_prior
@@ -162,7 +162,7 @@ def _self_test() -> list[dict[str, Any]]:
     def disk() -> None:
         with tempfile.TemporaryDirectory() as folder:
             write(folder)
-            if (read_mapset(Path(folder))[0].height != results["maps"].height).any():
+            if (open_tile(Path(folder)).maps.height != results["maps"].height).any():
                 raise MatcapError("a map set changed when written and read again")
 
     def export() -> None:

@@ -16,9 +16,6 @@ from matcap.field.options import ReadOptions
 from matcap.relight.options import RelightOptions
 
 if TYPE_CHECKING:
-    from matcap.brdf.maps import MapSet
-    from matcap.field.material import Material
-    from matcap.field.opened import AdjustedMaterial
     from matcap.files import values
     from matcap.relight.plan import Plan
     from matcap.relight.render import Renderer
@@ -49,11 +46,9 @@ def relight(
     quiet: QuietOption = False,
 ) -> None:
     """Show a material under another light."""
-    from functools import partial
     from itertools import chain
 
     from matcap.errors import UsageError
-    from matcap.field.opened import open_source
     from matcap.files.mark import check_replaceable
     from matcap.files.memory import check_memory
     from matcap.files.staging import check_writable
@@ -102,8 +97,7 @@ def relight(
     if list(light) == ["flash"] and maps_from is None:
         wanted = _photographed(path, size) or wanted
     limit, effects = asked.tolerance, asked.effects
-    source = partial(open_source, path, read)
-    renderer = _renderer(source, asked, wanted, quiet=quiet)
+    renderer = _renderer(path, read, asked, wanted, quiet=quiet)
     film = renderer.film
     pictures = asked.frames if animate else sheet.width * sheet.height if sheet else 1
     check_writable(out.parent, 16 * film.width * film.height * pictures)
@@ -166,17 +160,14 @@ def _photographed(path: Path, size: values.Size | None) -> Scene | None:
 
 
 def _renderer(
-    source: Callable[[], MapSet | Material | AdjustedMaterial],
-    asked: RelightOptions,
-    scene: Scene,
-    *,
-    quiet: bool,
+    path: Path, read: ReadOptions, asked: RelightOptions, scene: Scene, *, quiet: bool
 ) -> Renderer:
+    from matcap.field.opened import open_source
     from matcap.relight.foreign.read import read_foreign
     from matcap.relight.render import Renderer
 
     if asked.maps_from is None:
-        return Renderer(source(), scene, seed=asked.seed)
+        return Renderer(open_source(path, read), scene, seed=asked.seed)
     foreign = read_foreign(asked.maps_from, normal=asked.normal)
     if not quiet:
         for note in foreign.notes:

@@ -14,6 +14,7 @@ _SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
 _KILO = 1024  # texels: 2K is 2048
 COORDINATE_LIMIT = 2**40  # texels, largest magnitude of coordinates of the endless field
 SEED_LIMIT = 2**63  # seeds are in [-SEED_LIMIT, SEED_LIMIT)
+BRIGHTEST = 1e18  # radiance: squares of more overflow float32; the sun has 2e9 cd/m2
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcap.relight.environment_file import read_picture
+from matcap.files.environment import read_picture
 from matcap.relight.octahedron import Octahedra, octahedra
 from matcap.relight.scene import EnvironmentLight
 from matcap.relight.vectors import Array, Vec

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from matcap.errors import MatcapError, UsageError
+from matcap.files.values import BRIGHTEST
 
 Vector = tuple[float, float, float]
 Colour = tuple[float, float, float]
@@ -232,10 +233,6 @@ def _parse_light(text: str) -> tuple[Vector, float]:
             f"the plane, and an intensity up to {_STRONGEST:g}",
         )
     return (x, y, z), strength if len(numbers) == 4 else exposing_intensity((x, y, z))
-
-
-# Squares of larger numbers overflow float32. The sun's luminance is 2e9 cd/m2.
-BRIGHTEST = 1e18
 
 
 def check_lights(lights: Sequence[Light]) -> None:

@@ -336,7 +336,7 @@ def decoded_exr(data: bytes) -> NDArray[np.float32]:
     """
     import cv2
 
-    from matcap.relight.environment_file import read_picture
+    from matcap.files.environment import read_picture
 
     with tempfile.TemporaryDirectory() as place:
         file = Path(place) / "surroundings.exr"

@@ -119,7 +119,7 @@ def _exr(path: Path) -> None:
 
 
 def _picture(path: Path) -> None:
-    from matcap.relight.environment_file import read_picture
+    from matcap.files.environment import read_picture
 
     picture = read_picture(path)
     assert picture.shape[2] == 3 and np.isfinite(picture).all() and picture.min() >= 0.0

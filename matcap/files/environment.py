@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError
 from matcap.files.note import note
 from matcap.files.pixels import linear_colours, read_pixels
-from matcap.relight.scene import BRIGHTEST
+from matcap.files.values import BRIGHTEST
 
 _REMEDY = "give a latitude-longitude EXR or HDR picture"
 _CUBE = "CubeFace Environment"

@@ -8,10 +8,10 @@ import pytest
 from PIL import Image
 
 from matcap.errors import MatcapError
+from matcap.files.environment import read_picture
 from matcap.files.exr import write_exr
 from matcap.files.note import Note
 from matcap.files.srgb import srgb_decode
-from matcap.relight.environment_file import read_picture
 
 ROWS, COLUMNS = 8, 16
 PICTURE = np.random.default_rng(0).uniform(0.1, 4.0, (ROWS, COLUMNS, 3)).astype(np.float32)
