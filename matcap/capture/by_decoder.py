@@ -2,7 +2,7 @@
 [henzler2021, sec. 4.6].
 
 Beyond the paper the decoder reads a drawing (space/drawing.py) of the exemplar, which is estimated
-first, as by default. Stages: those of find_piece, statistics, start, fine-tuning,
+first, as by default. Stages: those of estimate_exemplar, statistics, start, fine-tuning,
 matching, verdict.
 """
 
@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from matcap.capture.ending import judged, provenance
 from matcap.capture.method import Method
-from matcap.capture.piece.find import ExemplarEstimate, find_piece
+from matcap.capture.piece.find import ExemplarEstimate, estimate_exemplar
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning
@@ -163,7 +163,7 @@ def _on_step(clock: CaptureClock, own: float) -> OnStep:
 
 def _piece(shot: CaptureStart, clock: CaptureClock) -> ExemplarEstimate:
     """Estimate the exemplar of the (first) photograph, at the coarse fit's exposure."""
-    return find_piece(shot.rectified, shot.coarse, load_inverse(), clock, absolute=True)
+    return estimate_exemplar(shot.rectified, shot.coarse, load_inverse(), clock, absolute=True)
 
 
 def _target(settings: CaptureSettings, own: float, name: str) -> float | None:

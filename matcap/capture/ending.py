@@ -13,13 +13,13 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.detail import Rectified
-from matcap.capture.piece.find import ExemplarEstimate, piece_maps
+from matcap.capture.piece.find import ExemplarEstimate, map_set_of
 from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import CaptureSettings, Effort
 from matcap.capture.tilt import tilt_document
 from matcap.capture.verdict.judge import judge
-from matcap.capture.verdict.measurements import PieceMeasurements, measured
+from matcap.capture.verdict.measurements import ExemplarMeasurements, measured
 from matcap.capture.verdict.residue import highlight_residue
 from matcap.capture.verdict.steepness import steepness
 from matcap.field.material import Material
@@ -69,7 +69,7 @@ def judged(
         drawn = None if tuning is None else maps
         about = None
         if estimate is not None:
-            about = _piece_measurements(estimate, photo, material, waves, drawn)
+            about = _exemplar_measurements(estimate, photo, material, waves, drawn)
         valid = plane.valid.numpy()
         setup = replace(material.setup, turned=False)
         measurements = measured(photo, setup, compared, lying, valid, waves, about)
@@ -116,20 +116,20 @@ def provenance(
     return document | ({"others": joined} if joined else {})
 
 
-def _piece_measurements(
+def _exemplar_measurements(
     estimate: ExemplarEstimate,
     photo: Photo,
     material: Material,
     waves: tuple[Wave, ...],
     drawn: MapSet | None,
-) -> PieceMeasurements:
+) -> ExemplarMeasurements:
     """Measurements on an exemplar for its verdict; `drawn` are a decoder's maps."""
     confidence = estimate.mean_confidence(photo.kept_share)
-    return PieceMeasurements(
+    return ExemplarMeasurements(
         maps={"error": estimate.error, "slow": estimate.slow, **confidence},
         residue=highlight_residue(estimate.framed, material.setup),
         tilt=_mean_tilt(estimate),
-        steepness=math.nan if drawn is None else steepness(drawn, piece_maps(estimate.framed)),
+        steepness=math.nan if drawn is None else steepness(drawn, map_set_of(estimate.framed)),
         # Of a lattice, whole periods are rearranged, however small they are.
         variety=1.0 if waves else estimate.example.variety,
         photographs=1 if estimate.several is None else len(estimate.several.views),
@@ -138,7 +138,7 @@ def _piece_measurements(
 
 def _mean_tilt(estimate: ExemplarEstimate) -> float:
     """Mean angle between the exemplar's normals and the plane's, degrees."""
-    upright = piece_maps(estimate.exemplar).normal[2].clamp(-1.0, 1.0)
+    upright = map_set_of(estimate.exemplar).normal[2].clamp(-1.0, 1.0)
     return float(upright.acos().rad2deg().mean())
 
 

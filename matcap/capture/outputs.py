@@ -103,14 +103,14 @@ def _write_piece(
     estimate: ExemplarEstimate, setup: FlashSetup, stage: Path, name: str, settings: OutputSettings
 ) -> None:
     """Write the exemplar's maps and their confidence, in [0, 1] per map and texel."""
-    from matcap.capture.piece.find import piece_maps
+    from matcap.capture.piece.find import map_set_of
 
     exemplar = estimate.exemplar
     about: dict[str, Any] = {"of": "the photographed piece", "error": estimate.error}
     if estimate.framed is exemplar:  # else the setup's origin, the photograph's centre, is not its
         about[SETUP] = asdict(setup)
     info = MapSetInfo(name + PIECE, None, provenance=about)
-    write_mapset(piece_maps(exemplar), stage, info, png=settings.png, normal=settings.normal)
+    write_mapset(map_set_of(exemplar), stage, info, png=settings.png, normal=settings.normal)
     trusted = dict(zip(CHANNELS, exemplar.confidence, strict=True))
     write_exr_channels(stage / _confidence_file(name), trusted)
 

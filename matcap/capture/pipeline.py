@@ -15,7 +15,7 @@ from matcap.capture.detail import Rectified
 from matcap.capture.ending import judged, provenance
 from matcap.capture.method import WINDOW, Method
 from matcap.capture.outputs import write_outputs
-from matcap.capture.piece.find import PhotographEstimate, find_piece
+from matcap.capture.piece.find import PhotographEstimate, estimate_exemplar
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import (
     DECODER_STAGES,
@@ -239,7 +239,7 @@ def _of_one(
     """Estimate the exemplar of one photograph."""
     shot = _begun(photo, settings, method, clock)
     absolute = photo.flash_intensity is not None
-    estimate = find_piece(
+    estimate = estimate_exemplar(
         shot.rectified,
         shot.coarse,
         load_inverse(),

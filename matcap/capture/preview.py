@@ -113,11 +113,11 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
     """Draw the sheet of a capture, RGB."""
     blocks = [block(list(panels(result)))]
     if result.estimate is not None:
-        from matcap.capture.piece.find import piece_maps
+        from matcap.capture.piece.find import map_set_of
 
         made = result.material.generators
         generator = "by example" if "example" in made else "by the decoder"
-        piece = block(list(piece_panels(result, result.estimate)))
+        piece = block(list(exemplar_panels(result, result.estimate)))
         blocks = [
             titled(blocks[0], f"The material, {generator}"),
             titled(piece, "The photographed rectangle itself"),
@@ -125,7 +125,7 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
         if result.estimate.several is not None:
             from matcap.capture.together.picture import draw_set
 
-            seen = srgb_picture(_picture(piece_maps(result.estimate.exemplar), "diffuse"))
+            seen = srgb_picture(_picture(map_set_of(result.estimate.exemplar), "diffuse"))
             several = result.estimate.several
             # Cameras are in landscape coordinates; so must be the picture below them.
             lying = np.ascontiguousarray(np.rot90(seen)) if result.estimate.turned else seen
@@ -172,14 +172,14 @@ def panels(result: CaptureResult) -> Iterable[Panel]:
     yield Panel("normal", _picture(result.maps, "normal"), lambda some: 0.5 + 0.5 * some)
 
 
-def piece_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[Panel]:
+def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[Panel]:
     """Panels of an exemplar: photograph, re-rendering, light from two sides, maps without normals.
 
     The normals are the height's gradient; the renderings show them.
     """
-    from matcap.capture.piece.find import piece_maps
+    from matcap.capture.piece.find import map_set_of
 
-    maps, setup = piece_maps(estimate.framed), result.material.setup
+    maps, setup = map_set_of(estimate.framed), result.material.setup
     maps = replace(maps, painted=maps.normal)
     rerendered = _under_flash(maps, setup)
     yield _developed("photograph", result, result.rectified)
@@ -192,9 +192,9 @@ def piece_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[
 
 def whole_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[Panel]:
     """Panels of an exemplar that extends beyond the first photograph: two lights, and maps."""
-    from matcap.capture.piece.find import piece_maps
+    from matcap.capture.piece.find import map_set_of
 
-    maps = piece_maps(estimate.exemplar)
+    maps = map_set_of(estimate.exemplar)
     for side in _LIGHTS:
         yield relit(side, maps, result.rerendered, result.material.setup)
     yield from each_map(maps)

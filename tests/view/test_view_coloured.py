@@ -13,7 +13,7 @@ from materials import a_material
 from shown import HEIGHT, STEP, WIDTH, around, expected, inner, picture, room_light
 
 from matcap.brdf.adjust import adjusted, parse_adjustments
-from matcap.capture.piece.find import piece_maps
+from matcap.capture.piece.find import map_set_of
 from matcap.example.example import Example
 from matcap.field.plane import Rectangle
 from matcap.flash.geometry import FlashSetup
@@ -282,7 +282,7 @@ def test_the_piece_under_its_own_flash_as_the_capture_renders_it(tab, served):
         middle = {"span": WIDTH, "x": home["x"], "y": home["y"]}
         shown = picture(page, left="flash", right="piece", wipe=1, **middle)
         relit = picture(page, left="flash", right="piece", wipe=0, lamp=HIGH, **middle)
-    flash = render_rectified(piece_maps(exemplar), SETUP).movedim(0, -1).numpy()
+    flash = render_rectified(map_set_of(exemplar), SETUP).movedim(0, -1).numpy()
     off = np.abs(of_the_piece(shown, exemplar) - encode(flash, Film()))[2:-2, 2:-2]
     assert off.max() <= 2 * STEP
     assert np.ptp(of_the_piece(relit, exemplar), axis=2).max() > 20 * STEP
@@ -315,7 +315,7 @@ def test_the_enclosed_piece_has_its_colour(tab, tmp_path):
     exemplar = golden_exemplar()
     home = page.ask("matcap.view.initial()")
     shown = picture(page, left="flash", right="piece", wipe=1, span=WIDTH, x=home["x"], y=home["y"])
-    flash = render_rectified(piece_maps(exemplar), SETUP).movedim(0, -1).numpy()
+    flash = render_rectified(map_set_of(exemplar), SETUP).movedim(0, -1).numpy()
     off = np.abs(of_the_piece(shown, exemplar) - encode(flash, Film()))[2:-2, 2:-2]
     assert np.quantile(off, 0.99) <= 6 * STEP  # a JPEG, and steps
 

@@ -31,7 +31,7 @@ from shown import (
 
 from matcap.brdf.adjust import adjusted, parse_adjustments
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
-from matcap.capture.piece.find import piece_maps
+from matcap.capture.piece.find import map_set_of
 from matcap.example.example import Example
 from matcap.files.exr import write_exr
 from matcap.files.srgb import srgb_decode, srgb_picture
@@ -612,7 +612,7 @@ def test_the_wipe_between_photograph_own_flash_relit_piece_and_field(tab, served
     wanted = encode(field.diffuse.movedim(0, -1).numpy(), Film())
     assert np.abs(relit[:, WIDTH // 2 :] - wanted).max() <= 2 * STEP
     # On the right what the flash renderer makes of the piece, on the left the photograph.
-    flash = render_rectified(piece_maps(exemplar), SETUP).movedim(0, -1).numpy()
+    flash = render_rectified(map_set_of(exemplar), SETUP).movedim(0, -1).numpy()
     assert 0.1 < flash.mean() < 0.9
     off = np.abs(of_the_piece(both, exemplar) - encode(flash, Film()))[2:-2, half:-2]
     assert off.max() <= 2 * STEP
@@ -709,7 +709,7 @@ def test_enclosed_page_plays_as_well(tab, tmp_path):
     page.loaded()
     assert page.shown() == []
     exemplar = material.part(Example).exemplar
-    flash = render_rectified(piece_maps(exemplar), SETUP).movedim(0, -1).numpy()
+    flash = render_rectified(map_set_of(exemplar), SETUP).movedim(0, -1).numpy()
     half = exemplar.size[0] // 2
     off = np.abs(of_the_piece(shown, exemplar) - encode(flash, Film()))[2:-2, half:-2]
     assert np.quantile(off, 0.99) <= 6 * STEP  # a JPEG, and steps

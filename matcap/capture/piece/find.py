@@ -103,7 +103,7 @@ class ExemplarEstimate:
     @property
     def lying(self) -> MapSet:
         """Maps of `framed` in landscape orientation, in which photographs are measured."""
-        maps = piece_maps(self.framed)
+        maps = map_set_of(self.framed)
         return maps.turned(1) if self.turned else maps
 
     def upright(self, waves: tuple[Wave, ...]) -> ExemplarEstimate:
@@ -167,7 +167,7 @@ class NetworkPrediction:
 
 
 @torch.no_grad()
-def find_piece(
+def estimate_exemplar(
     rectified: Rectified,
     coarse: CoarseFit,
     network: Inverse,
@@ -188,7 +188,7 @@ def find_piece(
     """
     whole = rectified.whole
     with clock.stage("piece"):
-        observed, prediction = read_piece(Observation.of(rectified.read, coarse), network)
+        observed, prediction = predict_maps(Observation.of(rectified.read, coarse), network)
     with clock.stage("strengths"):
         strengths = measured_relief(observed, prediction)
         observed, prediction = classified(observed, strengthened(observed, prediction, strengths))
@@ -241,7 +241,7 @@ def _median(left: Refined, observed: Observation) -> float:
     return float(seen.abs().median()) if seen.numel() else 0.0
 
 
-def read_piece(observed: Observation, network: Inverse) -> tuple[Observation, NetworkPrediction]:
+def predict_maps(observed: Observation, network: Inverse) -> tuple[Observation, NetworkPrediction]:
     """Predict the maps; the observation's light gets the specular tint of metal."""
     answer = NetworkAnswer.from_stacked(_read(network, observed.inputs.stacked()))
     trusted = confidence(answer.errors, seen_share(observed.plane.measured))
@@ -416,7 +416,7 @@ def _rerendered(
     return replace(prediction, departures=departures)
 
 
-def piece_maps(exemplar: Exemplar) -> MapSet:
+def map_set_of(exemplar: Exemplar) -> MapSet:
     """An exemplar's maps as a map set."""
     stacked = torch.from_numpy(exemplar.stacked())
     return MapSet.from_stacked(stacked, exemplar.texel_size)

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.piece.noise import DARKEST
-from matcap.capture.piece.refine import PieceLight
+from matcap.capture.piece.refine import PhotographLight
 from matcap.capture.piece.smooth import WIDE, filled, smoothed, split
 
 # Specular fraction of the radiance that bounds the glossiest region, where slopes dominate.
@@ -37,7 +37,7 @@ def scaled_by_glints(
     departures: SurfaceParameters,
     linear: Tensor,
     measured: Tensor,
-    light: PieceLight,
+    light: PhotographLight,
     noise: Tensor,
 ) -> SurfaceParameters:
     """Scale each octave of relief by its factor g_b, measured in the glints (module equation).

@@ -16,7 +16,7 @@ from matcap.capture.piece.metal import seen_colour, tint
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import NetworkInputs
 from matcap.capture.piece.noise import AROUND, channel_noise, channel_weights
-from matcap.capture.piece.refine import PieceLight
+from matcap.capture.piece.refine import PhotographLight
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.piece.strengths import RESPONSE_AROUND, Strengths, measure_strengths
 from matcap.flash.coarse.fit import CoarseFit
@@ -51,7 +51,7 @@ class Observation:
     shown: Tensor
     within: Tensor
     inputs: NetworkInputs
-    light: PieceLight
+    light: PhotographLight
     noise: Tensor
 
     @staticmethod
@@ -69,7 +69,7 @@ class Observation:
         bright = lit(plane.linear)
         shown = (plane.measured | mirrors) & bright
         plane = replace(plane, valid=plane.valid & bright, channels=plane.measured & bright)
-        light = PieceLight.of(coarse, points)
+        light = PhotographLight.of(coarse, points)
         return Observation(
             plane, coarse, points, shown, ~mirrors, inputs, light, channel_noise(plane)
         )

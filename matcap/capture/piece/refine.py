@@ -68,7 +68,7 @@ class Refined:
 
 
 @dataclass(frozen=True)
-class PieceLight:
+class PhotographLight:
     """The photograph's light at every texel, precomputed.
 
     Attributes:
@@ -84,11 +84,11 @@ class PieceLight:
     hue: Tensor | None = None
 
     @staticmethod
-    def of(coarse: Uniform, points: Tensor) -> PieceLight:
+    def of(coarse: Uniform, points: Tensor) -> PhotographLight:
         """Light and uniform material of a coarse fit, at plane points (3, H, W)."""
-        return PieceLight(FlashLight.of(coarse.setup, points), coarse.parameters().to(points))
+        return PhotographLight(FlashLight.of(coarse.setup, points), coarse.parameters().to(points))
 
-    def cut(self, rows: slice, columns: slice) -> PieceLight:
+    def cut(self, rows: slice, columns: slice) -> PhotographLight:
         """The light at a rectangle of texels."""
         hue = None if self.hue is None else self.hue[..., rows, columns]
         return replace(self, flash=self.flash.cut(rows, columns), hue=hue)
@@ -142,20 +142,22 @@ class PlaneLight:
     coarse: Uniform
     size: tuple[int, int]
 
-    def cut(self, rows: slice, columns: slice) -> PieceLight:
+    def cut(self, rows: slice, columns: slice) -> PhotographLight:
         """The light at a rectangle of texels."""
         width, height = self.size
         top, bottom, step = rows.indices(height)
         points = plane_points(0, top, width, bottom - top, self.size, dtype=torch.float32)
-        return PieceLight.of(self.coarse, points[:, ::step, columns])
+        return PhotographLight.of(self.coarse, points[:, ::step, columns])
 
     def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
-        """PieceLight.logs() of maps on their own relief, strip by strip."""
+        """PhotographLight.logs() of maps on their own relief, strip by strip."""
         return _by_strips(self.cut, maps)
 
 
-def _by_strips(light: Callable[[slice, slice], PieceLight], maps: MapSet) -> tuple[Tensor, Tensor]:
-    """PieceLight.logs() of maps on their own relief, under the light of each strip of rows."""
+def _by_strips(
+    light: Callable[[slice, slice], PhotographLight], maps: MapSet
+) -> tuple[Tensor, Tensor]:
+    """PhotographLight.logs() of maps on their own relief, under the light of each strip of rows."""
     log, share = torch.empty_like(maps.diffuse), torch.empty_like(maps.diffuse)
     normal, (height, width) = maps.normal, maps.diffuse.shape[-2:]
     for rows in strips(height, cached_rows(width)):
@@ -247,7 +249,7 @@ def refine(
     errors: ExpectedErrors,
     linear: Tensor,
     valid: Tensor,
-    light: PieceLight,
+    light: PhotographLight,
     *,
     metal: Tensor | None = None,
     noise: Tensor | float = 0.02,
@@ -306,7 +308,7 @@ def with_photographed_mean(
     departures: SurfaceParameters,
     linear: Tensor,
     valid: Tensor,
-    light: PieceLight,
+    light: PhotographLight,
     metal: Tensor | None = None,
 ) -> SurfaceParameters:
     """Shift log albedo, and F0 of metal, so that the mean radiance is the photograph's.
@@ -338,7 +340,7 @@ def with_photographed_mean(
 
 
 def remaining(
-    departures: SurfaceParameters, linear: Tensor, valid: Tensor, light: PieceLight
+    departures: SurfaceParameters, linear: Tensor, valid: Tensor, light: PhotographLight
 ) -> Refined:
     """Departures with the residuals of their re-rendering; arguments as of refine."""
     maps = light.maps(departures)

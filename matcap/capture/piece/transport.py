@@ -25,7 +25,7 @@ from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
 from matcap.brdf.parameters import Reflectance
 from matcap.capture.piece.gradient_blend import composed
 from matcap.capture.piece.noise import DARKEST
-from matcap.capture.piece.refine import PieceLight
+from matcap.capture.piece.refine import PhotographLight
 from matcap.example.exemplar import Exemplar
 from matcap.field.single import one_thread
 
@@ -75,7 +75,7 @@ def transport(
     exemplar: Exemplar,
     linear: Tensor,
     valid: Tensor,
-    light: PieceLight,
+    light: PhotographLight,
     *,
     left_out: NDArray[np.bool_] | None = None,
 ) -> Exemplar:
@@ -147,7 +147,7 @@ class _Photograph:
     """The photograph and its light, for comparing rendered blocks with it."""
 
     def __init__(
-        self, exemplar: Exemplar, linear: Tensor, valid: Tensor, light: PieceLight
+        self, exemplar: Exemplar, linear: Tensor, valid: Tensor, light: PhotographLight
     ) -> None:
         self._log = linear.clamp_min(DARKEST).log()
         # Log radiance is steep where it begins to clip.

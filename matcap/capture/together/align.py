@@ -35,7 +35,7 @@ from matcap.capture.together.texels import (
     under_fitted_ambient,
 )
 from matcap.capture.together.tint import achromatic
-from matcap.capture.together.views import PieceView, SetLight, ViewPlace
+from matcap.capture.together.views import ResampledView, SetLight, ViewWarp
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 
@@ -65,13 +65,13 @@ class Aligned:
     Attributes:
         setup: of the first, with the estimated tilt and field of view.
         views: photographs with their cameras, the first one first.
-        places: for each, the map from texels to the plane points at which it is sampled.
+        warps: for each, the map from texels to the plane points at which it is sampled.
         light: of all photographs.
     """
 
     setup: FlashSetup
     views: tuple[RegisteredView, ...]
-    places: tuple[ViewPlace, ...]
+    warps: tuple[ViewWarp, ...]
     light: SetLight
 
     @staticmethod
@@ -79,23 +79,23 @@ class Aligned:
         views: tuple[RegisteredView, ...], setup: FlashSetup, light: SetLight, extent: Extent = OWN
     ) -> Aligned:
         """Registration by features alone: identity homographies, no parallax."""
-        place = ViewPlace(np.eye(3), None, views[0].camera.place, extent)
-        return Aligned(setup, views, (place,) * len(views), light)
+        warp = ViewWarp(np.eye(3), None, views[0].camera.place, extent)
+        return Aligned(setup, views, (warp,) * len(views), light)
 
     @property
     def extent(self) -> Extent:
         """Extent of the exemplar on the plane."""
-        return self.places[0].extent
+        return self.warps[0].extent
 
-    def on_grid(self, across: int, down: int, tint: Tensor | None) -> list[PieceView]:
+    def on_grid(self, across: int, down: int, tint: Tensor | None) -> list[ResampledView]:
         """Resample every photograph to a grid of (down, across) texels, divided by `tint`."""
-        both = zip(self.views, self.places, strict=True)
-        return [PieceView.of(view, across, down, place, tint) for view, place in both]
+        both = zip(self.views, self.warps, strict=True)
+        return [ResampledView.of(view, across, down, warp, tint) for view, warp in both]
 
     def with_relief(self, height: Tensor) -> Aligned:
         """The same with the parallax of a height (1, h, w) on any grid, plane units."""
         relief = np.asarray(height[0].numpy(), np.float32)
-        return replace(self, places=tuple(replace(p, relief=relief) for p in self.places))
+        return replace(self, warps=tuple(replace(p, relief=relief) for p in self.warps))
 
 
 @torch.no_grad()
@@ -115,7 +115,7 @@ def aligned(
     views, setup, light, extent = list(begun.views), begun.setup, begun.light, begun.extent
     # The prediction is on the plane of a lens without distortion.
     start = PosedCamera.of(setup)
-    places = [ViewPlace(np.eye(3), None, start.place, extent) for _ in views]
+    warps = [ViewWarp(np.eye(3), None, start.place, extent) for _ in views]
     (width, height), finest = prior.size, min(extent.unit(prior.size[0]), _FINEST)
     parameters, relief, moved = None, None, set[int]()
     done, effort = 0, len(_LEVELS) * (1 + max(_ROUNDS))
@@ -129,25 +129,26 @@ def aligned(
         moved |= unsure
         for turn in range(rounds if unsure or steps else 0):
             seen = [
-                PieceView.of(v, across, down, p, tint) for v, p in zip(views, places, strict=True)
+                ResampledView.of(v, across, down, p, tint)
+                for v, p in zip(views, warps, strict=True)
             ]
             if turn == 0 or parameters is None:
                 parameters = _begun(seen, parameters, begin, light, steps)
                 relief = _relief(parameters, texel, extent.unit(across))
             seen = under_fitted_ambient(seen, parameters, light)
             light, moves = shared_step(seen, parameters, begin, light, moved=unsure)
-            first, both = views[0].camera.place, zip(places, moves, strict=True)
-            places = [ViewPlace(p.nudge @ m, relief, first, extent) for p, m in both]
+            first, both = views[0].camera.place, zip(warps, moves, strict=True)
+            warps = [ViewWarp(p.nudge @ m, relief, first, extent) for p, m in both]
             done += 1
             on_progress(done / effort)
             if _farthest(moves) < _SETTLED * texel:
                 break
         if unsure:
-            setup, views, places = _posed(begun.setup, views, places)
+            setup, views, warps = _posed(begun.setup, views, warps)
     views = [
         replace(v, doubt=_DOUBTFUL * v.doubt) if n in moved else v for n, v in enumerate(views)
     ]
-    return Aligned(setup, tuple(views), tuple(places), light)
+    return Aligned(setup, tuple(views), tuple(warps), light)
 
 
 def _farthest(moves: Sequence[Doubles]) -> float:
@@ -163,7 +164,7 @@ def _relief(parameters: Tensor, texel_size: float, unit: float) -> NDArray[np.fl
 
 
 def _begun(
-    seen: Sequence[PieceView],
+    seen: Sequence[ResampledView],
     parameters: Tensor | None,
     prior: ParameterPrior,
     light: SetLight,
@@ -186,15 +187,15 @@ def _begun(
 def _posed(
     setup: FlashSetup,
     views: Sequence[RegisteredView],
-    places: Sequence[ViewPlace],
-) -> tuple[FlashSetup, list[RegisteredView], list[ViewPlace]]:
+    warps: Sequence[ViewWarp],
+) -> tuple[FlashSetup, list[RegisteredView], list[ViewWarp]]:
     """Refit the cameras to the homographies of the photographs by bundle adjustment."""
     points = grid_points(24, 18).reshape(3, -1)
     first = views[0].camera.sees(points)
     inside = np.abs(first).max(0) < 1.0
     pairs = []
-    for view, place in zip(views[1:], places[1:], strict=True):
-        seen = view.camera.sees(_moved(place.nudge, points))
+    for view, warp in zip(views[1:], warps[1:], strict=True):
+        seen = view.camera.sees(_moved(warp.nudge, points))
         both = inside & (np.abs(seen).max(0) < 1.0)
         ratio = view.camera.lens.focal / views[0].camera.lens.focal
         pairs.append(Pair(first[:, both], seen[:, both], _PIXEL, ratio))
@@ -203,7 +204,7 @@ def _posed(
     return (
         adjusted.first,
         cameras,
-        [replace(p, nudge=np.eye(3), first=cameras[0].camera.place) for p in places],
+        [replace(p, nudge=np.eye(3), first=cameras[0].camera.place) for p in warps],
     )
 
 

@@ -31,9 +31,9 @@ from matcap.capture.piece.find import (
     indexed,
     inpainted,
     levelled,
+    map_set_of,
     measured_relief,
-    piece_maps,
-    read_piece,
+    predict_maps,
     strengthened,
 )
 from matcap.capture.piece.finest import finest, sharpness
@@ -63,7 +63,7 @@ from matcap.capture.together.union import (
     tint_over,
     unread,
 )
-from matcap.capture.together.views import PieceView, SetLight
+from matcap.capture.together.views import ResampledView, SetLight
 from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
@@ -200,7 +200,7 @@ def read_alone(
     """Estimate from one photograph alone, on its plane's texels: prediction, relief, classes."""
     with clock.stage("piece"):
         read = Rectified.of(plane).read
-        observed, prediction = read_piece(Observation.of(read, coarse), network)
+        observed, prediction = predict_maps(Observation.of(read, coarse), network)
     with clock.stage("strengths"):
         strengths = measured_relief(observed, prediction)
         observed, prediction = classified(observed, strengthened(observed, prediction, strengths))
@@ -211,7 +211,7 @@ def read_alone(
             exemplar = finest(exemplar, plane, PlaneLight(coarse, plane.size))
     errors = prediction.errors.stacked()
     wide = F.interpolate(errors[None], size=plane.size[::-1], mode="bilinear")[0]
-    return SinglePrediction(Estimate(piece_maps(exemplar), wide), strengths, prediction.metal)
+    return SinglePrediction(Estimate(map_set_of(exemplar), wide), strengths, prediction.metal)
 
 
 def by_features(registration: Registration, coarse: CoarseFit, extent: Extent = OWN) -> Aligned:
@@ -261,7 +261,7 @@ def _solved(
     read: Estimate,
     tint: Tensor | None,
     clock: CaptureClock,
-) -> tuple[Aligned, list[PieceView], Solved]:
+) -> tuple[Aligned, list[ResampledView], Solved]:
     """Joint estimation on a grid of half the texels across, then on all.
 
     Photographs were registered with the parallax of predicted relief, which is too flat; on the
@@ -299,7 +299,7 @@ def _whole(
 
 
 def _inpainted(
-    observed: Observation, solved: Solved, tint: Tensor | None, views: Sequence[PieceView]
+    observed: Observation, solved: Solved, tint: Tensor | None, views: Sequence[ResampledView]
 ) -> Exemplar:
     """The solved maps with the specular tint of metal, inpainted under the highlight."""
     if tint is not None:

@@ -33,7 +33,7 @@ from matcap.capture.registration.grid import grid_points, to_pixels
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.ambient_light import LEAN, LEANING, Views
 from matcap.capture.together.texels import SLOPES, derivatives, points_of
-from matcap.capture.together.views import PieceView, SetLight, light_at
+from matcap.capture.together.views import ResampledView, SetLight, light_at
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.shrink import area_averaged
 
@@ -171,7 +171,7 @@ class Ratio:
     use: Floats
 
     @staticmethod
-    def of(views: Sequence[PieceView], parameters: Tensor, light: SetLight) -> Ratio:
+    def of(views: Sequence[ResampledView], parameters: Tensor, light: SetLight) -> Ratio:
         """Ratio of the first to the last photograph, linearised about a flat surface.
 
         Args:
@@ -204,7 +204,7 @@ class Ratio:
         return Ratio(left, np.stack(along), shares[0].mean(0).numpy(), use)
 
 
-def with_lean(views: Sequence[PieceView], parameters: Tensor, light: SetLight) -> SetLight:
+def with_lean(views: Sequence[ResampledView], parameters: Tensor, light: SetLight) -> SetLight:
     """Estimate the direction of ambient light (SetLight.lean) from the contrast of the ratio.
 
     Isotropic relief of slope energy S has the energy A + S |g - l|^2 / 2 in the ratio, with its
@@ -247,7 +247,7 @@ def with_lean(views: Sequence[PieceView], parameters: Tensor, light: SetLight) -
 
 
 def as_steep(
-    height: Tensor, views: Sequence[PieceView], parameters: Tensor, light: SetLight
+    height: Tensor, views: Sequence[ResampledView], parameters: Tensor, light: SetLight
 ) -> Tensor:
     """Scale a height's slope energies by octave and direction to those measured in the ratio.
 

@@ -28,7 +28,7 @@ from matcap.capture.together.align import Aligned
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import SLOPES, Estimate, maps_of, parameters_of
 from matcap.capture.together.tint import achromatic
-from matcap.capture.together.views import SetLight, ViewPlace
+from matcap.capture.together.views import SetLight, ViewWarp
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
@@ -133,8 +133,8 @@ def read_views(
             own = OwnPlane.of(view.camera, alignment.light, number)
             plane = read_plane(view.photo, own.setup, own_across)
             theirs = read(plane, replace(coarse, setup=own.setup))
-            place = alignment.places[number]
-            readings.append(brought_over(theirs, own, view.camera, place, (across, down)))
+            warp = alignment.warps[number]
+            readings.append(brought_over(theirs, own, view.camera, warp, (across, down)))
     return readings
 
 
@@ -142,7 +142,7 @@ def brought_over(
     read: Estimate,
     own: OwnPlane,
     camera: PosedCamera,
-    place: ViewPlace,
+    warp: ViewWarp,
     size: tuple[int, int],
 ) -> ReadView:
     """Resample a prediction from its photograph's own plane to the first one's.
@@ -151,11 +151,11 @@ def brought_over(
         read: the prediction.
         own: frame of its plane.
         camera: of its photograph.
-        place: of its photograph, by registration.
+        warp: of its photograph, by registration.
         size: (across, down) texels of the first one's grid.
     """
     width, height = read.maps.size
-    whole = np.concatenate([*place.points(*size)], axis=1)
+    whole = np.concatenate([*warp.points(*size)], axis=1)
     points = own.here(camera.on_plane(camera.sees(whole)))
     x = ((points[0] + 1.0) * width / 2.0 - 0.5).astype(np.float32)
     y = ((height - points[1] * width) / 2.0 - 0.5).astype(np.float32)
@@ -169,11 +169,11 @@ def brought_over(
     stacked = torch.stack([there(c) for c in torch.cat([logs, maps.roughness, maps.height])])
     logs, rough, relief = stacked.split([4, 1, 1])
     matte, f0 = logs.exp().split([3, 1])
-    over = MapSet(matte, f0, rough, own.scale * relief, place.extent.texel(size[0]))
+    over = MapSet(matte, f0, rough, own.scale * relief, warp.extent.texel(size[0]))
     unsure = torch.stack([there(channel, cv2.INTER_LINEAR) for channel in read.log_error])
     unsure = (unsure + torch.from_numpy(_fading(x, y, (width, height)))).clamp_max(UNREAD)
     tint = None if tint is None else torch.stack([there(c, cv2.INTER_LINEAR) for c in tint])
-    return ReadView(parameters_of(over), unsure, place.extent, tint)
+    return ReadView(parameters_of(over), unsure, warp.extent, tint)
 
 
 def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:

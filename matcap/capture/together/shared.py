@@ -28,7 +28,7 @@ from matcap.capture.together.texels import (
     solved_in_place,
     weights,
 )
-from matcap.capture.together.views import PieceView, SetLight, light_at
+from matcap.capture.together.views import ResampledView, SetLight, light_at
 from matcap.flash.extent import OWN
 from matcap.flash.light import FlashLight
 
@@ -68,7 +68,7 @@ class _Samples:
 
 
 def shared_step(
-    views: Sequence[PieceView],
+    views: Sequence[ResampledView],
     parameters: Tensor,
     prior: ParameterPrior,
     light: SetLight,
@@ -184,7 +184,7 @@ class _Layout:
         return step
 
 
-def _chosen(views: Sequence[PieceView], count: int) -> tuple[Tensor, bool]:
+def _chosen(views: Sequence[ResampledView], count: int) -> tuple[Tensor, bool]:
     """(1, count) random texel indices, and whether two photographs show a common texel.
 
     In a mosaic, only texels that two photographs show are drawn, if there are any.
@@ -199,7 +199,7 @@ def _chosen(views: Sequence[PieceView], count: int) -> tuple[Tensor, bool]:
     return (places[chosen % len(places)], True) if len(places) else (chosen, False)
 
 
-def _sampled(views: Sequence[PieceView], chosen: Tensor, moving: bool) -> _Samples:
+def _sampled(views: Sequence[ResampledView], chosen: Tensor, moving: bool) -> _Samples:
     """All photographs at the `chosen` texels, with image gradients if `moving`."""
     size = views[0].log.shape[-2:]
     texel = views[0].extent.texel(size[-1])
@@ -270,7 +270,7 @@ class _SharedFit:
         layout: of the shared parameters.
     """
 
-    views: Sequence[PieceView]
+    views: Sequence[ResampledView]
     samples: _Samples
     prior: ParameterPrior
     light: SetLight

@@ -44,7 +44,7 @@ from matcap.capture.together.texels import (
     stepped,
     under_fitted_ambient,
 )
-from matcap.capture.together.views import PieceView, SetLight, light_at
+from matcap.capture.together.views import ResampledView, SetLight, light_at
 from matcap.flash.light import strips
 
 # Per-texel steps in each round; each begins with a fit of the shared parameters.
@@ -94,7 +94,7 @@ class Solved:
 
 @torch.no_grad()
 def solve(
-    views: Sequence[PieceView],
+    views: Sequence[ResampledView],
     read: Estimate,
     light: SetLight,
     begun: Solved | None = None,
@@ -157,7 +157,7 @@ def solve(
 
 def _denoised(
     height: Tensor,
-    views: Sequence[PieceView],
+    views: Sequence[ResampledView],
     changes: Tensor,
     prior: ParameterPrior,
     steep: Sequence[float],
@@ -197,7 +197,7 @@ def _continued(prior_mean: Tensor, prior: MapSet, begun: Solved) -> Tensor:
     return prior_mean + F.interpolate(change[None], size=prior_mean.shape[1:], mode="bilinear")[0]
 
 
-def predicted(view: PieceView, solved: Solved) -> float:
+def predicted(view: ResampledView, solved: Solved) -> float:
     """Median absolute residual of log radiance of a photograph not used for the maps.
 
     Each channel's gain is fitted to it first. NaN without valid texels.
@@ -257,7 +257,7 @@ def _gloss_prior(
 
 
 def _step_at_fixed_slopes(
-    views: Sequence[PieceView],
+    views: Sequence[ResampledView],
     parameters: Tensor,
     prior: ParameterPrior,
     light: SetLight,
@@ -297,7 +297,7 @@ def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, float, flo
 
 
 def _residuals(
-    views: Sequence[PieceView], parameters: Tensor, light: SetLight
+    views: Sequence[ResampledView], parameters: Tensor, light: SetLight
 ) -> tuple[float, ...]:
     """Median absolute residual of log radiance of each photograph, from a quarter of the rows."""
     off: list[list[Tensor]] = [[] for _ in views]

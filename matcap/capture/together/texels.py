@@ -17,7 +17,7 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_height, normals_from_slopes
 from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.together.ambient_light import AmbientLight, evenly_lit
-from matcap.capture.together.views import PieceView, SetLight, light_at, logarithm, radiance
+from matcap.capture.together.views import ResampledView, SetLight, light_at, logarithm, radiance
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import FlashLight, strips
@@ -185,11 +185,11 @@ def rendered(parameters: Tensor, lights: Sequence[FlashLight | AmbientLight]) ->
 
 
 def under_fitted_ambient(
-    views: Sequence[PieceView], parameters: Tensor, light: SetLight
-) -> list[PieceView]:
+    views: Sequence[ResampledView], parameters: Tensor, light: SetLight
+) -> list[ResampledView]:
     """Replace the ambient photograph's low frequencies by those of the rendered parameters."""
 
-    def even(view: PieceView) -> PieceView:
+    def even(view: ResampledView) -> ResampledView:
         shown = rendered(parameters, [AmbientLight(light.lean)])[0].log()
         return replace(view, log=evenly_lit(view.log, view.seen, shown))
 
@@ -203,7 +203,7 @@ def weights(residual: Tensor, seen: Tensor, noise: float) -> Tensor:
 
 
 def stepped(
-    views: Sequence[PieceView],
+    views: Sequence[ResampledView],
     parameters: Tensor,
     prior: ParameterPrior,
     light: SetLight,
@@ -242,7 +242,7 @@ def stepped(
 
 
 def _systems(
-    views: Sequence[PieceView],
+    views: Sequence[ResampledView],
     rows: slice,
     parameters: Tensor,
     light: SetLight,

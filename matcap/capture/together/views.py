@@ -94,7 +94,7 @@ class SetLight:
 
 
 @dataclass(frozen=True)
-class ViewPlace:
+class ViewWarp:
     """Map from texels to the plane points at which a photograph is sampled.
 
     Attributes:
@@ -132,7 +132,7 @@ class ViewPlace:
 
 
 @dataclass(frozen=True)
-class PieceView:
+class ResampledView:
     """A photograph resampled on the exemplar's grid.
 
     Attributes:
@@ -158,15 +158,15 @@ class PieceView:
         view: RegisteredView,
         across: int,
         down: int,
-        place: ViewPlace | None = None,
+        warp: ViewWarp | None = None,
         tint: Tensor | None = None,
-    ) -> PieceView:
+    ) -> ResampledView:
         """Resample a registered photograph to a grid of (down, across) texels.
 
         Args:
             view: the photograph.
             across, down: texels.
-            place: map to plane points; None for the registration by features alone.
+            warp: map to plane points; None for the registration by features alone.
             tint: (3, h, w) specular tint of metal on any grid, divided out (tint.py).
         """
         photo = view.photo
@@ -178,8 +178,8 @@ class PieceView:
         full = (photo.clipped[..., None] & (photo.pixels > FULL)).astype(np.float32)
         clipped = area_averaged(full, size)
         fine = (across * finer, down * finer)
-        place = place or ViewPlace(np.eye(3), None, view.camera.place)
-        x, y = _looked_up(view, place, fine, size)
+        warp = warp or ViewWarp(np.eye(3), None, view.camera.place)
+        x, y = _looked_up(view, warp, fine, size)
         inside = (x > _BORDER) & (x < size[0] - _BORDER) & (y > _BORDER) & (y < size[1] - _BORDER)
 
         def gridded(picture: NDArray[np.float32], how: int) -> NDArray[np.float32]:
@@ -192,27 +192,27 @@ class PieceView:
         seen = ~hidden & (whole[..., None] > 0.99)
         log = np.log(linear)
         shown = torch.from_numpy(np.ascontiguousarray(log.transpose(2, 0, 1)))
-        return PieceView(
+        return ResampledView(
             photo.name,
             shown if tint is None else shown - on_grid(tint, (across, down)).log(),
             torch.from_numpy(np.ascontiguousarray(seen.transpose(2, 0, 1))),
             view.camera,
             None if view.flash else AmbientLight(),
             0.0 if view.flash else AMBIENT_NOISE,
-            place.extent,
+            warp.extent,
         )
 
 
 def _looked_up(
-    view: RegisteredView, place: ViewPlace, fine: tuple[int, int], size: tuple[int, int]
+    view: RegisteredView, warp: ViewWarp, fine: tuple[int, int], size: tuple[int, int]
 ) -> list[NDArray[np.float32]]:
     """Columns and rows in a photograph of `size` pixels of the texels of a grid `fine`."""
-    parts = [to_pixels(view.camera.sees(points), *size) for points in place.points(*fine)]
+    parts = [to_pixels(view.camera.sees(points), *size) for points in warp.points(*fine)]
     return [np.concatenate(each) for each in zip(*parts, strict=True)]
 
 
 def light_at(
-    number: int, view: PieceView, light: SetLight, points: Tensor
+    number: int, view: ResampledView, light: SetLight, points: Tensor
 ) -> FlashLight | AmbientLight:
     """Light of photograph `number` at plane points (3, h, w)."""
     if view.ambient is not None:

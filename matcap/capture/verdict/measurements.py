@@ -50,7 +50,7 @@ _LEAST_SEEN = 0.5  # least valid share of a window
 
 
 @dataclass(frozen=True)
-class PieceMeasurements:
+class ExemplarMeasurements:
     """Measurements on the exemplar itself, without the photograph."""
 
     maps: Mapping[str, float] | None = None
@@ -111,7 +111,7 @@ def measured(
     rerendered: Picture,
     valid: TexelMask,
     waves: tuple[Wave, ...] = (),
-    piece: PieceMeasurements | None = None,
+    piece: ExemplarMeasurements | None = None,
 ) -> Measurements:
     """Measure the differences between a photograph and its re-rendering.
 
@@ -124,7 +124,7 @@ def measured(
         waves: frequency vectors of its lattice, cycles per texel.
         piece: measurements on the exemplar.
     """
-    piece = piece or PieceMeasurements()
+    piece = piece or ExemplarMeasurements()
     # Both are clipped at the camera's limit.
     pictures = np.minimum(rectified, 1.0), np.minimum(rerendered, 1.0)
     smooth = _smooth(pictures[0]), _smooth(pictures[1])

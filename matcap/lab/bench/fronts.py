@@ -25,7 +25,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.inspection import inspect_file
-from matcap.capture.piece.find import piece_maps
+from matcap.capture.piece.find import map_set_of
 from matcap.capture.settings import PRESETS, CaptureSettings
 from matcap.errors import MatcapError
 from matcap.example.example import Example
@@ -247,7 +247,7 @@ def errors(_at: At, outcome: CommandOutcome) -> Mapping[str, Value]:
     evaluator, fine = outcome.photographed.evaluator, outcome.photographed.fine
     endless, own = outcome.endless, outcome.material.setup.intensity
     example, scene = outcome.material.part(Example), evaluator.own_scene
-    exemplar = None if example is None else piece_maps(example.exemplar)
+    exemplar = None if example is None else map_set_of(example.exemplar)
     return {
         "field": evaluator.style_ratio(outcome.pictures),
         "exemplar": math.nan if exemplar is None else evaluator.style_ratio_of(exemplar, own),

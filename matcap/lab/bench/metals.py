@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.find import piece_maps
+from matcap.capture.piece.find import map_set_of
 from matcap.capture.pipeline import capture_photo, read_photograph
 from matcap.capture.settings import CaptureSettings
 from matcap.lab.experiment.results import Value
@@ -74,7 +74,7 @@ def metals_experiment(
             photo = replace(photo, flash_intensity=metal.shot.setup.intensity[1])
         result = capture_photo(photo, settings)
         assert result.estimate is not None
-        return piece_maps(result.estimate.exemplar)
+        return map_set_of(result.estimate.exemplar)
 
     return Experiment(
         "metals",

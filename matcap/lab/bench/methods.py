@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.find import piece_maps
+from matcap.capture.piece.find import map_set_of
 from matcap.capture.result import CaptureResult
 from matcap.example.exemplar import Exemplar
 from matcap.field.material import Material
@@ -57,7 +57,7 @@ def photo_as_albedo(photo: Photo, setup: FlashSetup, detail: int) -> CapturedMap
 def exemplar_maps(result: CaptureResult) -> CapturedMaps:
     """The exemplar of a capture by example."""
     assert result.estimate is not None
-    return CapturedMaps(piece_maps(result.estimate.exemplar), result.material.setup)
+    return CapturedMaps(map_set_of(result.estimate.exemplar), result.material.setup)
 
 
 def field_maps(material: Material, width: float, seed: int = 0) -> CapturedMaps:

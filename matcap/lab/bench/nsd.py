@@ -17,7 +17,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from matcap.capture.piece.find import piece_maps
+from matcap.capture.piece.find import map_set_of
 from matcap.capture.pipeline import capture_file
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
@@ -227,7 +227,7 @@ def flash_imprint(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str,
     whole = maps.maps
     if (
         captured.result.estimate is None
-        or whole.size != piece_maps(captured.result.estimate.exemplar).size
+        or whole.size != map_set_of(captured.result.estimate.exemplar).size
     ):
         return {}
     towards = flash_mirror_point(captured.result.material.setup)

@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.find import piece_maps
+from matcap.capture.piece.find import map_set_of
 from matcap.capture.pipeline import capture_file
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.grid import grid_points
@@ -141,7 +141,7 @@ def several_experiment(
 def nsd(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """Normalised style distance of the exemplar, tilts, and seconds of the capture."""
     assert result.estimate is not None
-    maps, evaluator = piece_maps(result.estimate.framed), taken.evaluator
+    maps, evaluator = map_set_of(result.estimate.framed), taken.evaluator
     middle = evaluator.middle(maps)
     numbers = compared_numbers(middle, evaluator.truths)
     return {
@@ -155,7 +155,7 @@ def nsd(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
 def off(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """Errors of maps over the first photograph's rectangle."""
     assert result.estimate is not None
-    maps = piece_maps(result.estimate.framed)
+    maps = map_set_of(result.estimate.framed)
     return asdict(MapsOff.of(maps, taken.true_on(result)(*maps.size)))
 
 
@@ -182,7 +182,7 @@ def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     reach = None if piece is None or piece.several is None else piece.several.reach
     if piece is None or piece.several is None or reach is None:
         return {}
-    exemplar, views = piece_maps(piece.exemplar), piece.several.views
+    exemplar, views = map_set_of(piece.exemplar), piece.several.views
     points = grid_points(*exemplar.size, reach.extent)
     left = ~reach.margins.own(reach.size)
     planes, known = torch.zeros(9, *exemplar.size[::-1]), torch.zeros_like(left)

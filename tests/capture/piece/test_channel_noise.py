@@ -9,11 +9,11 @@ from photographed import Photographed, photographed
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.detail import Rectified
-from matcap.capture.piece.find import find_piece, piece_maps
+from matcap.capture.piece.find import estimate_exemplar, map_set_of
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.piece.noise import channel_noise, channel_weights, code_step
-from matcap.capture.piece.refine import PieceLight, refine
+from matcap.capture.piece.refine import PhotographLight, refine
 from matcap.capture.progress import CaptureClock
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import plane_of
@@ -63,7 +63,7 @@ def test_channels_alike_weigh_alike_and_all_weights_add_up_to_one():
 
 def test_a_channel_that_is_noise_moves_no_map():
     shot = photographed(0.1, 0.1, width=192, height=144)
-    light = PieceLight.of(shot.uniform, shot.points)
+    light = PhotographLight.of(shot.uniform, shot.points)
     truth = light.departures(shot.maps)
     errors = ExpectedErrors.from_stacked(torch.log(torch.full((4, 1, 1), 0.2)))
     draw = torch.Generator().manual_seed(6)
@@ -91,8 +91,8 @@ def _found(shot: Photographed, noise: float) -> MapSet:
     coarse = CoarseFit(
         uniform.diffuse, uniform.specular, uniform.roughness, uniform.setup, residual=0.0
     )
-    return piece_maps(
-        find_piece(Rectified.of(plane), coarse, load_inverse(), CaptureClock(None)).exemplar
+    return map_set_of(
+        estimate_exemplar(Rectified.of(plane), coarse, load_inverse(), CaptureClock(None)).exemplar
     )
 
 

@@ -15,10 +15,10 @@ from matcap.capture.piece.find import (
     ExemplarEstimate,
     _read,
     confidence,
-    find_piece,
+    estimate_exemplar,
+    map_set_of,
     narrowed,
-    piece_maps,
-    read_piece,
+    predict_maps,
 )
 from matcap.capture.piece.network.network import (
     ERRORS,
@@ -50,14 +50,14 @@ def _plane(clip: float = 1e9):
 
 def _found(plane: Plane, coarse: CoarseFit, network: Inverse | None = None) -> ExemplarEstimate:
     clock = CaptureClock(None)
-    return find_piece(Rectified.of(plane), coarse, network or load_inverse(), clock)
+    return estimate_exemplar(Rectified.of(plane), coarse, network or load_inverse(), clock)
 
 
 def test_the_piece_re_renders_to_its_photograph() -> None:
     plane, coarse, shot = _plane()
     found = _found(plane, coarse)
     assert found.error < 0.05
-    maps = piece_maps(found.exemplar)
+    maps = map_set_of(found.exemplar)
     assert maps.size == plane.size
     assert bool(torch.isfinite(maps.stacked()).all())
     # Brightness is the truth's, whatever the network has learnt yet.
@@ -76,7 +76,7 @@ def test_a_black_and_white_weave_is_as_bright_as_photographed() -> None:
     mean = tuple(maps.diffuse.mean((1, 2)).tolist())
     coarse = CoarseFit(mean, 0.04, 0.7, shot.uniform.setup, residual=0.0)
     found = _found(plane_of(linear, torch.ones(192, 256, dtype=torch.bool)), coarse)
-    again = render_flash(piece_maps(found.exemplar), shot.uniform.setup, shot.points)
+    again = render_flash(map_set_of(found.exemplar), shot.uniform.setup, shot.points)
     ratio = again.mean((1, 2)) / linear.mean((1, 2)) / found.scale
     assert float(ratio.log().abs().max()) < 0.03
 
@@ -215,7 +215,7 @@ def test_relief_is_no_wider_than_the_highlight(
     linear = render_flash(maps, uniform.setup, shot.points)
     coarse = CoarseFit(uniform.diffuse, uniform.specular, roughness, uniform.setup, residual=0.0)
     plane = plane_of(linear, torch.ones(linear.shape[1:], dtype=torch.bool))
-    observed, prediction = read_piece(Observation.of(plane, coarse), load_inverse())
+    observed, prediction = predict_maps(Observation.of(plane, coarse), load_inverse())
     guess = replace(
         prediction.classes.settled(prediction.departures, torch.ones(linear.shape[1:])),
         height=steeper * shot.maps.height / shot.maps.texel_size,

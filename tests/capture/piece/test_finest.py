@@ -12,7 +12,7 @@ from photographed import Photographed, photographed
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.detail import Rectified
-from matcap.capture.piece.find import piece_maps
+from matcap.capture.piece.find import map_set_of
 from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.refine import PlaneLight
 from matcap.capture.settings import DETAIL
@@ -55,8 +55,8 @@ def test_the_piece_is_as_sharp_as_its_photograph(shot) -> None:
     found = finest(half, plane, _light(shot))
     assert found.size == plane.size
     assert found.texel_size == plane.texel_size
-    assert sharpness(piece_maps(found), plane, _light(shot)) == pytest.approx(1.0, abs=0.1)
-    enlarged = piece_maps(half).map(lambda m: F.interpolate(m[None], scale_factor=2.0)[0])
+    assert sharpness(map_set_of(found), plane, _light(shot)) == pytest.approx(1.0, abs=0.1)
+    enlarged = map_set_of(half).map(lambda m: F.interpolate(m[None], scale_factor=2.0)[0])
     blurred = replace(enlarged, texel_size=plane.texel_size)
     assert sharpness(blurred, plane, _light(shot)) < 0.5
 
@@ -73,7 +73,7 @@ def test_grain_does_not_make_albedo_paler(shot) -> None:
 
 def test_grain_of_albedo_comes_back_and_what_is_coarser_stays(shot) -> None:
     half = _halved(shot.maps)
-    found = piece_maps(finest(half, _plane(shot.linear), _light(shot)))
+    found = map_set_of(finest(half, _plane(shot.linear), _light(shot)))
     fine, true = _fine(found), _fine(shot.maps)
     assert float(torch.corrcoef(torch.stack([fine, true]))[0, 1]) > 0.9
     coarse = F.avg_pool2d(found.diffuse[None], 4)[0] / F.avg_pool2d(shot.maps.diffuse[None], 4)[0]
@@ -95,7 +95,7 @@ def test_the_sensors_noise_is_not_drawn_for_grain(shot) -> None:
         plane = _plane((linear + noisy).clamp_min(0.0))
         for noise in (None, result):
             found = finest(_halved(maps), replace(plane, noise=noise), _light(shot))
-            drawn[name, noise is not None] = _fine(piece_maps(found))
+            drawn[name, noise is not None] = _fine(map_set_of(found))
     kept = drawn["smooth", True].std() / drawn["smooth", False].std()
     assert float(kept) < 0.3
     off = [float((drawn["grain", result] - true).square().mean()) for result in (False, True)]
@@ -121,7 +121,7 @@ def test_what_clips_is_not_drawn_darker(shot) -> None:
     clipped = shot.linear.clamp_max(clip)
     measured = shot.linear < clip
     plane = replace(plane_of(clipped, measured.all(0)), channels=measured)
-    found = piece_maps(finest(_halved(shot.maps), plane, _light(shot)))
+    found = map_set_of(finest(_halved(shot.maps), plane, _light(shot)))
     ratio = (found.diffuse / shot.maps.diffuse)[~measured]
     assert float(ratio.log().mean()) > -0.1
 

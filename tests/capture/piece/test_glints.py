@@ -11,7 +11,7 @@ import torch
 from photographed import photographed
 
 from matcap.capture.piece.glints import scaled_by_glints
-from matcap.capture.piece.refine import PieceLight
+from matcap.capture.piece.refine import PhotographLight
 from matcap.flash.render import render_flash
 
 HEIGHT, WIDTH = 192, 256
@@ -27,7 +27,7 @@ def scene(albedo: float, roughness: float):
         specular=0.04 * one,
         roughness=roughness * one,
     )
-    light = PieceLight.of(shot.uniform, shot.points)
+    light = PhotographLight.of(shot.uniform, shot.points)
     linear = render_flash(maps, shot.uniform.setup, shot.points)
     return linear / float(linear.quantile(0.99)), light, light.departures(maps)
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 from photographed import photographed
 
-from matcap.capture.piece.find import inpainted, levelled, read_piece
+from matcap.capture.piece.find import inpainted, levelled, predict_maps
 from matcap.capture.piece.highlight_remainder import remaining_highlight
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.piece.observation import Observation
@@ -113,7 +113,7 @@ def test_a_spot_in_albedo_is_inpainted():
         uniform.diffuse, uniform.specular, uniform.roughness, uniform.setup, residual=0.0
     )
     plane = plane_of(shot.linear, torch.ones(shot.linear.shape[1:], dtype=torch.bool))
-    observed, prediction = read_piece(Observation.of(plane, coarse), load_inverse())
+    observed, prediction = predict_maps(Observation.of(plane, coarse), load_inverse())
     prediction = levelled(observed, prediction)
     departures = prediction.departures
     disc = (observed.from_mirror_point / plane.texel_size).numpy() < 20.0

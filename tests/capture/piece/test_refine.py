@@ -11,13 +11,13 @@ from photographed import photographed
 
 from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.piece.network.network import ExpectedErrors
-from matcap.capture.piece.refine import PieceLight, flatten, refine, with_photographed_mean
+from matcap.capture.piece.refine import PhotographLight, flatten, refine, with_photographed_mean
 
 ERRORS = ExpectedErrors.from_stacked(torch.log(torch.tensor([0.2, 0.1, 0.1, 0.1]))[:, None, None])
 
 
 def _departures(shot) -> SurfaceParameters:
-    return PieceLight.of(shot.uniform, shot.points).departures(shot.maps)
+    return PhotographLight.of(shot.uniform, shot.points).departures(shot.maps)
 
 
 def _nowhere(like: SurfaceParameters) -> SurfaceParameters:
@@ -40,7 +40,9 @@ def _setting(slope: float = 0.1, contrast: float = 0.1):
 
 def test_the_truth_is_left_alone() -> None:
     shot, valid, truth, errors = _setting()
-    refined = refine(truth, errors, shot.linear, valid, PieceLight.of(shot.uniform, shot.points))
+    refined = refine(
+        truth, errors, shot.linear, valid, PhotographLight.of(shot.uniform, shot.points)
+    )
     assert float(refined.residual.abs().median()) < 1e-3
     assert _largest(refined.departures - truth) < 0.05
 
@@ -48,7 +50,9 @@ def test_the_truth_is_left_alone() -> None:
 def test_a_flat_guess_is_moved_until_it_re_renders() -> None:
     shot, valid, truth, errors = _setting()
     guess = _nowhere(truth)
-    refined = refine(guess, errors, shot.linear, valid, PieceLight.of(shot.uniform, shot.points))
+    refined = refine(
+        guess, errors, shot.linear, valid, PhotographLight.of(shot.uniform, shot.points)
+    )
     texture = refined.residual - refined.slow
     assert float(texture.abs().median()) < 0.01
 
@@ -57,7 +61,7 @@ def test_slow_drift_is_not_the_materials() -> None:
     shot, valid, truth, errors = _setting()
     drift = torch.linspace(-0.15, 0.15, 192).exp()
     refined = refine(
-        truth, errors, shot.linear * drift, valid, PieceLight.of(shot.uniform, shot.points)
+        truth, errors, shot.linear * drift, valid, PhotographLight.of(shot.uniform, shot.points)
     )
     assert float((refined.departures - truth).diffuse.mean((0, 1)).diff().abs().mean()) < 1e-3
     assert float(refined.slow.abs().mean()) > 0.04
@@ -66,7 +70,7 @@ def test_slow_drift_is_not_the_materials() -> None:
 def test_the_mean_radiance_is_the_photographs_in_every_channel() -> None:
     """Whatever the texture's contrast; a few clipped texels do not count."""
     shot, valid, truth, _ = _setting(contrast=0.5)
-    light = PieceLight.of(shot.uniform, shot.points)
+    light = PhotographLight.of(shot.uniform, shot.points)
     off = _paler(truth, torch.tensor([-0.4, -0.3, 0.1])[:, None, None])
     clipped = shot.linear.clone()
     clipped[:, :20] = 9.0
@@ -83,7 +87,7 @@ def test_the_mean_radiance_is_the_photographs_in_every_channel() -> None:
 
 def test_the_mean_of_a_metals_radiance_is_its_f0() -> None:
     shot, valid, truth, _ = _setting()
-    light = PieceLight.of(shot.uniform, shot.points)
+    light = PhotographLight.of(shot.uniform, shot.points)
     metal = replace(truth, diffuse=truth.diffuse - 9.0, specular=truth.specular + 2.0)
     linear = light.rendered(light.maps(metal))[0].exp()
     off = replace(metal, specular=metal.specular - 0.3)
@@ -99,7 +103,9 @@ def test_clipped_texels_are_lower_bounds() -> None:
     clip = float(shot.linear.quantile(0.3))
     clipped = shot.linear.clamp_max(clip)
     unclipped = (shot.linear < clip).all(0)
-    refined = refine(truth, errors, clipped, unclipped, PieceLight.of(shot.uniform, shot.points))
+    refined = refine(
+        truth, errors, clipped, unclipped, PhotographLight.of(shot.uniform, shot.points)
+    )
     assert _largest(refined.departures - truth) < 1e-3
 
 
@@ -109,7 +115,7 @@ def test_a_texel_whose_red_clips_is_told_by_the_others() -> None:
     clip = float(clipped[0].quantile(0.3))
     clipped[0] = clipped[0].clamp_max(clip)
     measured[0] = shot.linear[0] < clip
-    light = PieceLight.of(shot.uniform, shot.points)
+    light = PhotographLight.of(shot.uniform, shot.points)
 
     def off(seen: torch.Tensor) -> float:
         refined = refine(_nowhere(truth), errors, clipped, seen, light)
@@ -123,7 +129,7 @@ def test_a_texel_whose_red_clips_is_told_by_the_others() -> None:
 def test_gloss_is_not_touched() -> None:
     """F0 and roughness are a class's: texels explain the photograph by albedo alone."""
     shot, valid, truth, errors = _setting()
-    light = PieceLight.of(shot.uniform, shot.points)
+    light = PhotographLight.of(shot.uniform, shot.points)
     found = refine(_nowhere(truth), errors, shot.linear, valid, light).departures
     assert not found.specular.any() and not found.roughness.any()
 
@@ -131,7 +137,9 @@ def test_gloss_is_not_touched() -> None:
 def test_relief_is_not_touched() -> None:
     shot, valid, truth, errors = _setting()
     guess = _nowhere(truth)
-    refined = refine(guess, errors, shot.linear, valid, PieceLight.of(shot.uniform, shot.points))
+    refined = refine(
+        guess, errors, shot.linear, valid, PhotographLight.of(shot.uniform, shot.points)
+    )
     assert float(refined.departures.height.abs().max()) == 0.0
 
 
@@ -142,7 +150,7 @@ def _log_radiance(departures, light):
 
 def test_what_is_clipped_must_be_as_bright_as_the_clip_level() -> None:
     shot, _, truth, errors = _setting()
-    light = PieceLight.of(shot.uniform, shot.points)
+    light = PhotographLight.of(shot.uniform, shot.points)
     clip = float(shot.linear.quantile(0.7))
     valid = (shot.linear < clip).all(0)
     guess = _paler(truth, -0.6 * (~valid))

@@ -9,7 +9,7 @@ import pytest
 import torch
 from photographed import SETUP, Photographed, photographed
 
-from matcap.capture.piece.refine import PieceLight
+from matcap.capture.piece.refine import PhotographLight
 from matcap.capture.piece.transport import transport
 from matcap.example.exemplar import Exemplar
 from matcap.flash.render import render_flash
@@ -31,7 +31,7 @@ def _hidden(shot: Photographed, confidence: float = 1e-3) -> Exemplar:
 
 
 def _lent(shot: Photographed, exemplar: Exemplar, valid: torch.Tensor) -> Exemplar:
-    light = PieceLight.of(shot.uniform, shot.points)
+    light = PhotographLight.of(shot.uniform, shot.points)
     return transport(exemplar, shot.linear, valid, light)
 
 

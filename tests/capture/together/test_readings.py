@@ -19,7 +19,7 @@ from matcap.capture.together.readings import (
     with_others,
 )
 from matcap.capture.together.texels import Estimate, parameters_of
-from matcap.capture.together.views import SetLight, ViewPlace
+from matcap.capture.together.views import SetLight, ViewWarp
 from matcap.flash.geometry import camera_in_plane
 from matcap.lab.simulate.hand_held import Hand, hold
 from matcap.lab.simulate.photograph import PhoneCamera
@@ -74,7 +74,7 @@ def test_a_reading_is_brought_over_the_first(cameras):
     theirs = PosedCamera.of(own.setup).sees(grid_points(across, down))
     maps = _waves(cameras[1].on_plane(theirs), 2.0 / across)
     maps = replace(maps, height=maps.height / own.scale)
-    place = ViewPlace(np.eye(3), None, cameras[0].place)
+    place = ViewWarp(np.eye(3), None, cameras[0].place)
     doubt = torch.full((4, down, across), -2.0)
     read = brought_over(Estimate(maps, doubt), own, cameras[1], place, (SIZE[1], SIZE[0]))
     true = parameters_of(_waves(grid_points(SIZE[1], SIZE[0]), 2.0 / SIZE[1]))
@@ -87,7 +87,7 @@ def test_a_reading_is_brought_over_the_first(cameras):
 def test_no_border_of_a_reading_is_seen(cameras):
     own = OwnPlane.of(cameras[1], _light(3), 1)
     even = _waves(np.zeros((2, 192, 256)), 2.0 / 256)
-    place = ViewPlace(np.eye(3), None, cameras[0].place)
+    place = ViewWarp(np.eye(3), None, cameras[0].place)
     doubt = torch.full((4, 192, 256), -2.0)
     theirs = brought_over(Estimate(even, doubt), own, cameras[1], place, (SIZE[1], SIZE[0]))
     otherwise = parameters_of(_waves(np.zeros((2, *SIZE)), 2.0 / SIZE[1]))

@@ -26,7 +26,7 @@ from matcap.capture.together.texels import (
     points_of,
     rendered,
 )
-from matcap.capture.together.views import RAW_FALLOFF, PieceView, SetLight, light_at
+from matcap.capture.together.views import RAW_FALLOFF, ResampledView, SetLight, light_at
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.hand_held import (
@@ -178,7 +178,7 @@ def _maps(seed=0, size=SIZE):
 def _view(maps, camera, light, number, room=None):
     size = maps.size[::-1]
     empty = torch.zeros(3, *size)
-    view = PieceView("made", empty, empty == 0.0, camera, room, 0.0)
+    view = ResampledView("made", empty, empty == 0.0, camera, room, 0.0)
     lit = light_at(number, view, light, points_of(size))
     return replace(view, log=rendered(parameters_of(maps), [lit])[0].log())
 

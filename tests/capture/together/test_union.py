@@ -11,7 +11,7 @@ import torch
 from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
 from matcap.capture.outputs import write_outputs
-from matcap.capture.piece.find import piece_maps
+from matcap.capture.piece.find import map_set_of
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.grid import grid_points
@@ -206,7 +206,7 @@ def test_two_photographs_that_share_a_half_are_one_larger_piece(captured):
     cameras, leather, result = captured
     reach = result.estimate.several.reach
     assert 1.35 < reach.times < 1.75
-    piece = piece_maps(result.estimate.exemplar)
+    piece = map_set_of(result.estimate.exemplar)
     assert piece.size == reach.margins.around((192, 144))
     assert piece.texel_size == pytest.approx(2.0 / 192)
     assert result.estimate.framed.size == (192, 144)
