@@ -111,12 +111,12 @@ class Rectified:
     Attributes:
         whole: the plane at the resolution of the exemplar.
         waves: frequency vectors of its lattice, cycles per texel of `whole`; empty without one.
-        read: the plane at the resolution that the network takes.
+        network_input: the plane at the resolution that the network takes.
     """
 
     whole: Plane
     waves: tuple[Wave, ...]
-    read: Plane
+    network_input: Plane
 
     @staticmethod
     def of(plane: Plane, waves: tuple[Wave, ...] = ()) -> Rectified:
@@ -145,14 +145,14 @@ class Rectified:
         return Rectified.of(lit_mirror(plane, fit), lattice_of(plane))
 
     @property
-    def read_waves(self) -> tuple[Wave, ...]:
-        """Frequency vectors of the lattice, cycles per texel of `read`."""
-        longer = self.whole.size[0] / self.read.size[0]
+    def input_waves(self) -> tuple[Wave, ...]:
+        """Frequency vectors of the lattice, cycles per texel of `network_input`."""
+        longer = self.whole.size[0] / self.network_input.size[0]
         return tuple(Wave(longer * wave.fx, longer * wave.fy) for wave in self.waves)
 
-    def as_read(self) -> Rectified:
+    def at_input_resolution(self) -> Rectified:
         """The same photograph with an exemplar at the network's resolution."""
-        return Rectified(self.read, self.read_waves, self.read)
+        return Rectified(self.network_input, self.input_waves, self.network_input)
 
 
 _THIN = 8  # subsampling, texels, of the uniform material's radiance, which is smooth

@@ -198,7 +198,7 @@ def capture_under(
         from matcap.capture.by_decoder import capture_by_decoder
 
         shot = _begun(photo, settings, method, clock, others)
-        shot = replace(shot, rectified=shot.rectified.as_read())
+        shot = replace(shot, rectified=shot.rectified.at_input_resolution())
         return capture_by_decoder(shot, settings, effort, method, clock)
     if others:
         captured = _of_several([photo, *others], settings, effort, method, clock)
@@ -229,7 +229,7 @@ def _begun(
         photo = photo.linearised(coarse.tone)
         detail = settings.detail_of(max(photo.pixels.shape))
         rectified = Rectified.of_photo(photo, coarse, detail)
-        window = _window(rectified.read, WINDOW, photo.name)
+        window = _window(rectified.network_input, WINDOW, photo.name)
     return CaptureStart(photo, coarse, rectified, window, others)
 
 

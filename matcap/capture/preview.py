@@ -21,6 +21,7 @@ from PIL import Image, ImageDraw, ImageFont
 from matcap.capture.tilt import tilt_line
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged_file
+from matcap.photo.checks import Rating
 from matcap.photo.orient import standing
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from matcap.capture.piece.find import ExemplarEstimate
     from matcap.capture.result import CaptureResult
     from matcap.flash.geometry import FlashSetup
-from matcap.photo.checks import Rating
 
 _COLUMNS = 4  # panels side by side
 _CROP, _GAP, _LABEL = 256, 12, 26  # pixels

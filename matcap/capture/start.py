@@ -33,9 +33,9 @@ class CaptureStart:
     @property
     def plane(self) -> Plane:
         """The photograph at the network's resolution."""
-        return self.rectified.read
+        return self.rectified.network_input
 
     @property
     def waves(self) -> tuple[Wave, ...]:
         """Frequency vectors of its lattice, cycles per texel of `plane`."""
-        return self.rectified.read_waves
+        return self.rectified.input_waves

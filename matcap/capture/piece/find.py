@@ -188,7 +188,9 @@ def estimate_exemplar(
     """
     whole = rectified.whole
     with clock.stage("piece"):
-        observed, prediction = predict_maps(Observation.of(rectified.read, coarse), network)
+        observed, prediction = predict_maps(
+            Observation.of(rectified.network_input, coarse), network
+        )
     with clock.stage("strengths"):
         strengths = measured_relief(observed, prediction)
         observed, prediction = classified(observed, strengthened(observed, prediction, strengths))
@@ -197,7 +199,7 @@ def estimate_exemplar(
     with clock.stage("inpaint"):
         exemplar = inpainted(observed, prediction)
         light = PlaneLight(coarse, whole.size)
-        if whole.size != rectified.read.size:
+        if whole.size != rectified.network_input.size:
             exemplar = finest(exemplar, whole, light)
         scale = 1.0 if absolute else most_probable_scale(exemplar, prediction.metal)
         exemplar = scaled(exemplar, scale).rounded()

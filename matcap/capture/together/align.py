@@ -101,17 +101,17 @@ class Aligned:
 @torch.no_grad()
 def aligned(
     begun: Aligned,
-    read: Estimate,
+    prediction: Estimate,
     on_progress: Callable[[float], None] = lambda _share: None,
 ) -> Aligned:
     """Register all photographs to the first by rendering, and refit their cameras.
 
     Args:
         begun: registration by features (Aligned.of).
-        read: the network's prediction of the first photograph, on the plane of `begun`.
+        prediction: the network's, of the first photograph, on the plane of `begun`.
         on_progress: called with the completed share, in [0, 1].
     """
-    prior, tint = achromatic(read.maps)
+    prior, tint = achromatic(prediction.maps)
     views, setup, light, extent = list(begun.views), begun.setup, begun.light, begun.extent
     # The prediction is on the plane of a lens without distortion.
     start = PosedCamera.of(setup)
@@ -122,7 +122,7 @@ def aligned(
     for level, rounds, steps in zip(_LEVELS, _ROUNDS, _STEPS, strict=True):
         across = extent.across(max(64, round(level * finest)))
         down = max(8, round(height * across / width))
-        small = replace(read, maps=prior).resized((down, across), extent)
+        small = replace(prediction, maps=prior).resized((down, across), extent)
         small = replace(small, maps=reframed(small.maps, start, views[0].camera, extent))
         texel, begin = small.maps.texel_size, ParameterPrior.of(small)
         unsure = {n for n, v in enumerate(views) if v.astray >= _SURER * texel}

@@ -116,29 +116,30 @@ def estimate_together(
         MatcapError: no other photograph can be registered to the first.
     """
     registration, coarse, plane = registered(photos, detail, clock)
-    single = read_alone(plane, coarse, network, clock)
+    single = predict_alone(plane, coarse, network, clock)
     reach = reach_of(registration.views, plane.size) if union else Reach.own(plane.size)
-    read = spread_over(single.estimate, reach.margins)
+    prediction = spread_over(single.estimate, reach.margins)
     begun = by_features(registration, coarse, reach.extent)
-    poses, interrupted = _aligned(begun, single.estimate.maps, read, clock)
+    poses, interrupted = _aligned(begun, single.estimate.maps, prediction, clock)
     first = poses.views[0].photo
     rectified = Rectified.of_photo(first, replace(coarse, setup=poses.setup), detail)
     posed = PosedCamera.of(registration.setup), poses.views[0].camera
-    maps, tint = achromatic(reframed(read.maps, *posed, reach.extent))
-    read = Estimate(maps, unread(read.log_error, reach))
+    maps, tint = achromatic(reframed(prediction.maps, *posed, reach.extent))
+    prediction = Estimate(maps, unread(prediction.log_error, reach))
     if reach.margins.any:
-        readings = None if interrupted else _readings(poses, read, coarse, network)
+        readings = None if interrupted else _readings(poses, prediction, coarse, network)
         interrupted |= readings is None
         if readings is not None:
-            read, tint = with_others(read, readings), tint_over(tint, readings, reach)
+            prediction = with_others(prediction, readings)
+            tint = tint_over(tint, readings, reach)
         most = scatter(single.estimate)[:, None, None]
-        read = replace(read, log_error=torch.minimum(read.log_error, most))
+        prediction = replace(prediction, log_error=torch.minimum(prediction.log_error, most))
     with clock.stage("solve"):
-        poses, views, solved = _solved(poses, read, tint, clock)
+        poses, views, solved = _solved(poses, prediction, tint, clock)
     interrupted |= solved.interrupted
     coarse = replace(coarse, setup=solved.light.onto(poses.setup))
     with clock.stage("predict"):
-        ahead = None if interrupted else predictions(poses, read, solved, tint)
+        ahead = None if interrupted else predictions(poses, prediction, solved, tint)
     with clock.stage("inpaint"):
         reach, whole, solved = _whole(rectified.whole, poses, reach, solved)
         exemplar = _inpainted(Observation.of(whole, coarse), solved, tint, views)
@@ -194,20 +195,20 @@ def _none_fits(registration: Registration) -> MatcapError:
 
 
 @torch.no_grad()
-def read_alone(
+def predict_alone(
     plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock
 ) -> SinglePrediction:
     """Estimate from one photograph alone, on its plane's texels: prediction, relief, classes."""
     with clock.stage("piece"):
-        read = Rectified.of(plane).read
-        observed, prediction = predict_maps(Observation.of(read, coarse), network)
+        seen = Rectified.of(plane).network_input
+        observed, prediction = predict_maps(Observation.of(seen, coarse), network)
     with clock.stage("strengths"):
         strengths = measured_relief(observed, prediction)
         observed, prediction = classified(observed, strengthened(observed, prediction, strengths))
     with clock.stage("refine"):
         prediction = levelled(observed, prediction)
         exemplar = exemplar_of(observed, prediction)
-        if plane.size != read.size:
+        if plane.size != seen.size:
             exemplar = finest(exemplar, plane, PlaneLight(coarse, plane.size))
     errors = prediction.errors.stacked()
     wide = F.interpolate(errors[None], size=plane.size[::-1], mode="bilinear")[0]
@@ -223,21 +224,21 @@ def by_features(registration: Registration, coarse: CoarseFit, extent: Extent = 
 
 
 def _aligned(
-    begun: Aligned, own: MapSet, read: Estimate, clock: CaptureClock
+    begun: Aligned, own: MapSet, prediction: Estimate, clock: CaptureClock
 ) -> tuple[Aligned, bool]:
     """Register photographs by rendering; (`begun` or its refinement, whether interrupted).
 
     Args:
         begun: registration by features.
         own: predicted maps of the first photograph's rectangle.
-        read: prediction over the exemplar's extent.
+        prediction: the network's, over the exemplar's extent.
         clock: of the stages.
     """
     try:
         with clock.stage("align"):
             views, _ = without_ambient(on_albedo(begun.views, begun.setup, own))
             begun, on_progress = replace(begun, views=views), clock.callback("align")
-            return aligned(begun, read, on_progress=on_progress), False
+            return aligned(begun, prediction, on_progress=on_progress), False
     except KeyboardInterrupt:
         return begun, True
 
@@ -248,7 +249,7 @@ def _readings(
     """The network's prediction of each photograph of a mosaic; None if interrupted."""
 
     def read(plane: Plane, fit: CoarseFit) -> Estimate:
-        return read_alone(plane, fit, network, CaptureClock(None)).estimate
+        return predict_alone(plane, fit, network, CaptureClock(None)).estimate
 
     try:
         return read_views(poses, first, coarse, read)
@@ -258,7 +259,7 @@ def _readings(
 
 def _solved(
     poses: Aligned,
-    read: Estimate,
+    prediction: Estimate,
     tint: Tensor | None,
     clock: CaptureClock,
 ) -> tuple[Aligned, list[ResampledView], Solved]:
@@ -269,18 +270,18 @@ def _solved(
     """
     begun: Solved | None = None
     light, done, rounds = poses.light, 0.0, ROUNDS
-    across, down = read.maps.size
+    across, down = prediction.maps.size
     if poses.extent.unit(across) >= 2 * _COARSE:
         done = 0.4
         half = (round(down / 2), round(across / 2))
         views = poses.on_grid(half[1], half[0], tint)
-        small = read.resized(half, poses.extent)
+        small = prediction.resized(half, poses.extent)
         begun = solve(views, small, light, on_progress=clock.callback("solve", 0.0, done))
         light, rounds = begun.light, _FINER
         poses = poses.with_relief(begun.maps.height)
     views = poses.on_grid(across, down, tint)
     on_progress = clock.callback("solve", done, 1.0)
-    return poses, views, solve(views, read, light, begun, on_progress, rounds=rounds)
+    return poses, views, solve(views, prediction, light, begun, on_progress, rounds=rounds)
 
 
 def _whole(

@@ -37,75 +37,84 @@ class _Octave:
     """An octave band of a map, in the module's symbols.
 
     Attributes:
-        measured, read: (H, W) y and m.
+        measured, predicted: (H, W) y and m.
         noise: (H, W) nu.
         gain, error: g and T.
     """
 
     measured: Floats
-    read: Floats
+    predicted: Floats
     noise: Floats
     gain: np.float32
     error: np.float32
 
     @staticmethod
-    def of(measured: Floats, others: Floats, read: Floats, noise: Floats, wave: float) -> _Octave:
+    def of(
+        measured: Floats, others: Floats, predicted: Floats, noise: Floats, wave: float
+    ) -> _Octave:
         """Estimate g and T; `others`: without the first photograph, `wave`: longest, texels."""
         weight = 1.0 / noise
         # g has the prior 1 +- 1, and is never negative.
         count = measured.size / wave**2
         few = float((weight * noise).mean()) / count
-        gain = max(float((weight * others * read).mean()) + few, 0.0) / (
-            float((weight * read * read).mean()) + few
+        gain = max(float((weight * others * predicted).mean()) + few, 0.0) / (
+            float((weight * predicted * predicted).mean()) + few
         )
-        left = np.square(measured - np.float32(gain) * read) - noise
+        left = np.square(measured - np.float32(gain) * predicted) - noise
         error = max(float((weight * left).sum() / weight.sum()), _LEAST)
-        return _Octave(measured, read, noise, np.float32(gain), np.float32(error))
+        return _Octave(measured, predicted, noise, np.float32(gain), np.float32(error))
 
     def posterior(self, gain: np.float32) -> Floats:
         """(H, W) gain m + sqrt(T / (T + nu)) (y - g m)."""
         kept = np.sqrt(self.error / (self.error + self.noise), dtype=np.float32)
-        return gain * self.read + kept * (self.measured - self.gain * self.read)
+        return gain * self.predicted + kept * (self.measured - self.gain * self.predicted)
 
     @property
     def energy(self) -> float:
         """Mean of the measured and the predicted energy, by their uncertainties."""
-        read, noise = float(np.square(self.read).mean()), float(self.noise.mean())
-        seen = float(self.gain) ** 2 * read + float(self.error)
-        sure = read**2 / (read**2 + noise**2 + _LEAST**2)
-        return sure * seen + (1.0 - sure) * read
+        predicted, noise = float(np.square(self.predicted).mean()), float(self.noise.mean())
+        seen = float(self.gain) ** 2 * predicted + float(self.error)
+        share = predicted**2 / (predicted**2 + noise**2 + _LEAST**2)
+        return share * seen + (1.0 - share) * predicted
 
-    def drawn(self) -> np.float32:
+    def gain_by_energy(self) -> np.float32:
         """Gain of the network's prediction at which the octave has its expected energy."""
-        read = max(float(np.square(self.read).mean()), _LEAST)
-        more = (self.energy - float(self.error)) / read
+        predicted = max(float(np.square(self.predicted).mean()), _LEAST)
+        more = (self.energy - float(self.error)) / predicted
         return np.float32(max(abs(float(self.gain)), np.sqrt(max(more, 0.0))))
 
 
 def denoised(
-    measured: Floats, read: Floats, changes: Sequence[Floats] | Floats, *, drawn: bool = False
+    measured: Floats,
+    predicted: Floats,
+    changes: Sequence[Floats] | Floats,
+    *,
+    keep_energy: bool = False,
 ) -> Floats:
     """(H, W) denoised map, each octave with its expected energy.
 
     Args:
         measured: (H, W) estimate from all photographs.
-        read: (H, W) the network's prediction.
+        predicted: (H, W) the network's prediction.
         changes: (H, W) each, change of `measured` when one photograph is left out.
-        drawn: use _Octave.drawn as the gain of `read`, not g: energy that noise hides is then kept.
+        keep_energy: use _Octave.gain_by_energy, not g, so that energy hidden by noise is kept.
     """
-    bands = [o.posterior(o.drawn() if drawn else o.gain) for o in _octaves(measured, read, changes)]
+    octaves = _octaves(measured, predicted, changes)
+    bands = [o.posterior(o.gain_by_energy() if keep_energy else o.gain) for o in octaves]
     return np.asarray(np.sum(bands, axis=0), np.float32)
 
 
-def read_error(
-    measured: Floats, read: Floats, changes: Sequence[Floats] | Floats
+def prediction_error(
+    measured: Floats, predicted: Floats, changes: Sequence[Floats] | Floats
 ) -> tuple[float, NDArray[np.float64]]:
     """Error variance of the prediction, and expected energies of the octaves above 4 texels.
 
     The former is the sum over octaves of T + max(g - 1, 0)^2 E[m^2]. Arguments as of denoised.
     """
-    octaves = list(_octaves(measured, read, changes))
-    more = (max(float(o.gain) - 1.0, 0.0) ** 2 * float(np.square(o.read).mean()) for o in octaves)
+    octaves = list(_octaves(measured, predicted, changes))
+    more = (
+        max(float(o.gain) - 1.0, 0.0) ** 2 * float(np.square(o.predicted).mean()) for o in octaves
+    )
     error = sum(float(o.error) for o in octaves) + sum(more)
     energies = [
         o.energy for o, (_, shortest) in zip(octaves, _OCTAVES, strict=False) if shortest >= 4
@@ -123,13 +132,13 @@ def with_energies(height: Floats, texel_size: float, energies: Sequence[float]) 
 
 
 def _octaves(
-    measured: Floats, read: Floats, changes: Sequence[Floats] | Floats
+    measured: Floats, predicted: Floats, changes: Sequence[Floats] | Floats
 ) -> Iterator[_Octave]:
     """Octave bands of both maps, and the low-pass remainder."""
     # (n - 1) / n of the jackknife, but not 0 for one photograph
     share = np.float32(max(0.5, 1.0 - 1.0 / len(changes)))
     waves = [*(longest for longest, _ in _OCTAVES), 2.0 * _OCTAVES[0][0]]
-    bands = split_all([measured, read, *changes], _OCTAVES)
+    bands = split_all([measured, predicted, *changes], _OCTAVES)
     for wave, (y, m, *changed) in zip(waves, bands, strict=True):
         noise = np.full_like(measured, _LEAST)
         for change in changed:

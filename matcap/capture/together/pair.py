@@ -58,13 +58,13 @@ _FINEST = 4.0  # wavelength, texels, below which bands keep their predicted ener
 _SLOW = 16.0
 
 
-def on_albedo(views: Views, setup: FlashSetup, read: MapSet) -> Views:
+def on_albedo(views: Views, setup: FlashSetup, prediction: MapSet) -> Views:
     """Refit the camera of the photograph without flash on predicted albedo.
 
     Args:
         views: registered by features.
         setup: coarse fit of the first photograph.
-        read: prediction of the first photograph, on its plane in that setup.
+        prediction: the network's maps of the first photograph, on its plane in that setup.
 
     Returns:
         `views`, unchanged if none is without flash, or its correlation is too small.
@@ -72,17 +72,17 @@ def on_albedo(views: Views, setup: FlashSetup, read: MapSet) -> Views:
     first, room = views[0], views[-1]
     if room.flash:
         return views
-    if room.astray < _SURER * read.texel_size:
+    if room.astray < _SURER * prediction.texel_size:
         return (*views[:-1], replace(room, astray=_PIXEL))
-    grid = grid_points(*read.size)
+    grid = grid_points(*prediction.size)
     there = _seen(views, setup, grid)
-    albedo = _evened(read.diffuse.clamp_min(1e-3).log().mean(0).numpy())
+    albedo = _evened(prediction.diffuse.clamp_min(1e-3).log().mean(0).numpy())
     moved = _correlated(albedo, _evened(_looked_up(room, there)))
     if moved is None:
         return views
     thin = slice(None, None, _THINNED)
     points = grid[:, thin, thin].reshape(3, -1)
-    second = _seen(views, setup, _moved(points, moved, read.size))
+    second = _seen(views, setup, _moved(points, moved, prediction.size))
     plane = first.camera.on_plane(PosedCamera.of(setup).sees(points))
     camera = _camera(plane, second, room.camera.lens)
     refitted = replace(room, camera=camera, astray=_PIXEL)

@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from matcap.capture.together.align import Aligned
-from matcap.capture.together.solve import Solved, predicted, solve
-from matcap.capture.together.texels import Estimate
+from matcap.capture.together.solve import Solved, solve
+from matcap.capture.together.texels import Estimate, parameters_of, points_of, rendered
+from matcap.capture.together.views import ResampledView, light_at
 
 # Settings of the leave-one-out solves; docs/notes/several.md.
 _ACROSS = 224  # texels across the grid, enough for errors of shading and gloss
@@ -42,7 +43,7 @@ class Predictions:
 @torch.no_grad()
 def predictions(
     alignment: Aligned,
-    read: Estimate,
+    prediction: Estimate,
     solved: Solved,
     tint: Tensor | None = None,
 ) -> Predictions | None:
@@ -53,14 +54,14 @@ def predictions(
 
     Args:
         alignment: registration of the photographs.
-        read: the network's prediction.
+        prediction: the network's.
         solved: solution by all, whose light is the initial value.
         tint: (3, H, W) specular tint of metal (tint.py), or None.
     """
-    width, height = read.maps.size
+    width, height = prediction.maps.size
     across = min(alignment.extent.across(_ACROSS), width)
     down = max(8, round(height * across / width))
-    small = read.resized((down, across), alignment.extent)
+    small = prediction.resized((down, across), alignment.extent)
     views = alignment.on_grid(across, down, tint)
     if sum(view.ambient is None for view in views) < 2:
         return None
@@ -76,7 +77,24 @@ def predictions(
     ahead, own = [], []
     for index, view in enumerate(views):
         lit = view.ambient is None
-        own.append(predicted(view, whole) if lit else math.nan)
+        own.append(left_out_residual(view, whole) if lit else math.nan)
         others = [k for k in every if k != index]
-        ahead.append(predicted(view, by(others, whole)) if lit else math.nan)
+        ahead.append(left_out_residual(view, by(others, whole)) if lit else math.nan)
     return Predictions(tuple(ahead), tuple(own))
+
+
+def left_out_residual(view: ResampledView, solved: Solved) -> float:
+    """Median absolute residual of log radiance of a photograph not used for the maps.
+
+    Each channel's gain is fitted to it first. NaN without valid texels.
+    """
+    points = points_of(view.log.shape[-2:], extent=view.extent)
+    light = light_at(0, view, replace(solved.light, gain=torch.zeros(1, 3)), points)
+    (shown,) = rendered(parameters_of(solved.maps), [light])
+    off = view.log - shown.log()
+    for channel in range(3):
+        residual = off[channel][view.seen[channel]]
+        if residual.numel():
+            off[channel] -= residual.median()
+    residual = off[view.seen]
+    return float(residual.abs().median()) if residual.numel() else math.nan

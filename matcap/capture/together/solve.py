@@ -24,7 +24,7 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.together.ambient_light import SLOW
-from matcap.capture.together.octaves import denoised, read_error, with_energies
+from matcap.capture.together.octaves import denoised, prediction_error, with_energies
 from matcap.capture.together.pair import as_steep, with_lean
 from matcap.capture.together.shared import SAMPLED, shared_step
 from matcap.capture.together.surface import surface_of
@@ -69,8 +69,8 @@ class Solved:
         residual: (photographs,) median absolute residual of log radiance of each.
         measured: share of the posterior precision of log albedo, log F0, roughness and slopes that
             photographs contribute rather than the prior, in [0, 1]; medians over texels.
-        read_off: standard deviation of the network's slopes, measured by the photographs.
-        steep: mean energy of slopes in each octave above 4 texels, measured by the photographs.
+        prediction_error: standard deviation of the network's slopes, measured by the photographs.
+        slope_energies: mean energies of slopes in the octaves above 4 texels, measured by them.
         interrupted: whether Ctrl-C ended the solve, with the best result so far.
     """
 
@@ -78,8 +78,8 @@ class Solved:
     light: SetLight
     residual: tuple[float, ...]
     measured: tuple[float, float, float, float]
-    read_off: float
-    steep: tuple[float, ...]
+    prediction_error: float
+    slope_energies: tuple[float, ...]
     interrupted: bool = False
 
     @property
@@ -87,15 +87,16 @@ class Solved:
         """The estimated maps."""
         return self.estimate.maps
 
-    def slopes_on(self, maps: MapSet) -> tuple[float, tuple[float, ...]]:
-        """`read_off` and `steep` on the grid of `maps`, as fine or finer by whole octaves."""
-        return self.read_off, self.steep[round(math.log2(maps.size[0] / self.maps.size[0])) :]
+    def slope_statistics_on(self, maps: MapSet) -> tuple[float, tuple[float, ...]]:
+        """prediction_error and slope_energies on a grid as fine, or finer by whole octaves."""
+        octaves = round(math.log2(maps.size[0] / self.maps.size[0]))
+        return self.prediction_error, self.slope_energies[octaves:]
 
 
 @torch.no_grad()
 def solve(
     views: Sequence[ResampledView],
-    read: Estimate,
+    prediction: Estimate,
     light: SetLight,
     begun: Solved | None = None,
     on_progress: Callable[[float], None] = lambda _share: None,
@@ -106,16 +107,17 @@ def solve(
     """Estimate the maps; an interrupt ends with the best so far.
 
     Args:
-        views: photographs on the maps' grid, the first photograph first.
-        read: the network's prediction, fused over photographs: mean and deviation of the prior.
+        views: photographs on the maps' grid, the first one first.
+        prediction: the network's: mean and deviation of the prior.
         light: initial value.
-        begun: solution on a coarser grid, to start from; None to start from `read`.
+        begun: solution on a coarser grid, to start from; None to start from the prediction.
         on_progress: called with the completed share, in [0, 1].
         rounds, sampled: see ROUNDS and shared.SAMPLED.
     """
-    fresh, (off, steep) = begun is None, begun.slopes_on(read.maps) if begun else (0.0, ())
-    prior = ParameterPrior.of(read).with_least_slope(off)
-    parameters = prior.mean.clone() if begun is None else _continued(prior.mean, read.maps, begun)
+    maps, texel_size = prediction.maps, prediction.maps.texel_size
+    off, energies = begun.slope_statistics_on(maps) if begun else (0.0, ())
+    prior = ParameterPrior.of(prediction).with_least_slope(off)
+    parameters = prior.mean.clone() if begun is None else _continued(prior.mean, maps, begun)
     total, done, interrupted = sum(rounds) + 2, 0, False
     light, unit = with_lean(views, prior.mean, light), views[0].extent.unit(parameters.shape[-1])
     lit, expected, step = list(views), prior, Stepped.none(parameters)
@@ -125,9 +127,9 @@ def solve(
             lit, before = under_fitted_ambient(views, parameters, light), light.gloss
             light, _ = shared_step(lit, parameters, prior, light, sampled)
             parameters[GLOSS] += (light.gloss - before)[:, None, None]
-            measures = fresh and index == 0
-            wide = _SLOPE if measures else wider * off
-            expected = prior.with_least_slope(wide).with_gloss_of(light)
+            measures = begun is None and index == 0
+            expected = prior.with_least_slope(_SLOPE if measures else wider * off)
+            expected = expected.with_gloss_of(light)
             for turn in range(1, steps + 1):
                 each = turn == steps and (measures or not rounds[index + 1 :])
                 step = stepped(lit, parameters, expected, light, changed=SLOPES if each else None)
@@ -135,24 +137,23 @@ def solve(
                 on_progress(done / total)
             parameters[SLOPES] = _without_slow(parameters[SLOPES], unit)
             if measures:
-                off, steep = _read_off(parameters, prior.mean, step.changes)
+                off, energies = _slope_statistics(parameters, prior.mean, step.changes)
                 prior = prior.with_least_slope(off)
             if index == 0:
                 change = parameters - expected.mean
                 prior = replace(prior, mean=_gloss_prior(prior.mean, change, step.precision, unit))
     except KeyboardInterrupt:
         interrupted = True
-    height = surface_of(parameters[SLOPES], read.maps.texel_size, step.relief)
+    height = surface_of(parameters[SLOPES], texel_size, step.relief)
     if not interrupted:
-        height = _denoised(height, lit, step.changes, prior, steep)
+        height = _denoised(height, lit, step.changes, prior, energies)
         height = as_steep(height, lit, parameters, light)
-        parameters[SLOPES] = slopes_of(height, read.maps.texel_size)
+    parameters[SLOPES] = slopes_of(height, texel_size)
+    if not interrupted:
         parameters = _step_at_fixed_slopes(lit, parameters, expected, light)
-    parameters[SLOPES] = slopes_of(height, read.maps.texel_size)
-    maps = maps_of(parameters, height, read.maps.texel_size)
-    estimate = Estimate(maps, _log_errors(step.precision, expected))
-    left, shares = _residuals(lit, parameters, light), _shares(step.precision, expected)
-    return Solved(estimate, light, left, shares, off, steep, interrupted)
+    maps, errors = maps_of(parameters, height, texel_size), _log_errors(step.precision, expected)
+    residuals, shares = _residuals(lit, parameters, light), _shares(step.precision, expected)
+    return Solved(Estimate(maps, errors), light, residuals, shares, off, energies, interrupted)
 
 
 def _denoised(
@@ -160,31 +161,31 @@ def _denoised(
     views: Sequence[ResampledView],
     changes: Tensor,
     prior: ParameterPrior,
-    steep: Sequence[float],
+    slope_energies: Sequence[float],
 ) -> Tensor:
     """(1, H, W) height denoised octave by octave (octaves.py), plane units.
 
     Two photographs measure slopes along their baseline only, and across it those of the prior do
     not change when either is left out. The octaves' energies are then those that were measured with
-    a wide prior (`steep`).
+    a wide prior (`slope_energies`).
 
     Args:
         height: (1, H, W), estimated from all photographs.
         views: the photographs.
         changes: (photographs, 2, H, W) change of slopes when each is left out (jackknife).
         prior: whose mean slopes are the network's.
-        steep: as Solved.steep.
+        slope_energies: as Solved.slope_energies.
     """
     extent, across = views[0].extent, height.shape[-1]
-    read, *others = (
+    prediction, *others = (
         surface_of(_without_slow(slopes, extent.unit(across)), extent.texel(across))
         for slopes in (prior.mean[SLOPES], *changes)
     )
     jackknife = [other[0].numpy() for other in others]
-    calm = denoised(height[0].numpy(), read[0].numpy(), jackknife, drawn=True)
+    height_map = denoised(height[0].numpy(), prediction[0].numpy(), jackknife, keep_energy=True)
     if len(views) == 2 and views[1].ambient is None:
-        calm = with_energies(calm, extent.texel(across), steep)
-    return torch.from_numpy(calm)[None]
+        height_map = with_energies(height_map, extent.texel(across), slope_energies)
+    return torch.from_numpy(height_map)[None]
 
 
 def _continued(prior_mean: Tensor, prior: MapSet, begun: Solved) -> Tensor:
@@ -195,26 +196,6 @@ def _continued(prior_mean: Tensor, prior: MapSet, begun: Solved) -> Tensor:
         MapSet.from_stacked(small, begun.maps.texel_size)
     )
     return prior_mean + F.interpolate(change[None], size=prior_mean.shape[1:], mode="bilinear")[0]
-
-
-def predicted(view: ResampledView, solved: Solved) -> float:
-    """Median absolute residual of log radiance of a photograph not used for the maps.
-
-    Each channel's gain is fitted to it first. NaN without valid texels.
-    """
-    parameters = parameters_of(solved.maps)
-    size = view.log.shape[-2:]
-    light = replace(solved.light, gain=torch.zeros(1, 3))
-    shown = rendered(parameters, [light_at(0, view, light, points_of(size, extent=view.extent))])[
-        0
-    ].log()
-    off = view.log - shown
-    for channel in range(3):
-        residual = off[channel][view.seen[channel]]
-        if residual.numel():
-            off[channel] -= residual.median()
-    residual = off[view.seen]
-    return float(residual.abs().median()) if residual.numel() else math.nan
 
 
 def _without_slow(slopes: Tensor, unit: float) -> Tensor:
@@ -265,20 +246,20 @@ def _step_at_fixed_slopes(
     """Parameters after a step with slopes fixed, albedo denoised (octaves.py)."""
     step = stepped(views, parameters, prior, light, slopes=False, changed=ALBEDO)
     for channel in range(3):
-        measured, read, changes = (
+        measured, prediction, changes = (
             each.numpy()
             for each in (step.parameters[channel], prior.mean[channel], step.changes[:, channel])
         )
-        step.parameters[channel] = torch.from_numpy(denoised(measured, read, changes))
+        step.parameters[channel] = torch.from_numpy(denoised(measured, prediction, changes))
     return step.parameters
 
 
-def _read_off(
+def _slope_statistics(
     parameters: Tensor, prior_mean: Tensor, changes: Tensor
 ) -> tuple[float, tuple[float, ...]]:
-    """Solved.read_off and Solved.steep, means over both slopes (octaves.py)."""
+    """Solved.prediction_error and Solved.slope_energies, means over both slopes (octaves.py)."""
     both = (parameters[SLOPES], prior_mean[SLOPES], changes.movedim(1, 0))
-    of_each = (read_error(*(x.numpy() for x in each)) for each in zip(*both, strict=True))
+    of_each = (prediction_error(*(x.numpy() for x in each)) for each in zip(*both, strict=True))
     squares, energies = zip(*of_each, strict=True)
     return math.sqrt(np.mean(squares)), tuple(np.mean(energies, axis=0).tolist())
 

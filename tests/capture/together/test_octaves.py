@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from matcap.capture.together.octaves import denoised, read_error
+from matcap.capture.together.octaves import denoised, prediction_error
 
 SIZE = (192, 256)
 PHOTOGRAPHS = 5
@@ -47,7 +47,7 @@ def test_what_was_read_is_calibrated_whatever_its_strength(strength):
     assert _energy(found - true) < 0.03
     # What was read too strong holds nothing back.
     weak = max(1.0 - strength, 0.0) ** 2
-    assert read_error(result, strength * true, changes)[0] == pytest.approx(
+    assert prediction_error(result, strength * true, changes)[0] == pytest.approx(
         weak, rel=0.15, abs=0.02
     )
 
@@ -56,7 +56,7 @@ def test_what_is_flat_stays_flat():
     result, changes, _ = _estimate(np.zeros(SIZE, np.float32), 0.5)
     nothing = np.zeros(SIZE, np.float32)
     assert _energy(denoised(result, nothing, changes)) < 0.1 * _energy(result)
-    assert read_error(result, nothing, changes)[0] < 0.1 * _energy(result)
+    assert prediction_error(result, nothing, changes)[0] < 0.1 * _energy(result)
 
 
 def test_noise_of_the_first_photograph_is_not_taken_for_what_was_read():
@@ -69,6 +69,6 @@ def test_noise_of_the_first_photograph_is_not_taken_for_what_was_read():
 def test_what_noise_hides_is_drawn_as_it_was_read():
     true, fine = _waves(3, 6.0), 0.3 * _waves(4, 0.0)
     result, changes, _ = _estimate(true, 2.0)
-    plain, drawn = (denoised(result, true + fine, changes, drawn=d) for d in (False, True))
+    plain, drawn = (denoised(result, true + fine, changes, keep_energy=d) for d in (False, True))
     assert _energy(drawn) > _energy(plain) + 0.2 * _energy(fine)
     assert _energy(drawn) < 1.0 + 2.0 * _energy(fine)

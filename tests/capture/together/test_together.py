@@ -15,8 +15,9 @@ from matcap.capture.pipeline import capture_photo
 from matcap.capture.progress import TOGETHER_STAGES
 from matcap.capture.report import warnings
 from matcap.capture.settings import CaptureSettings, OutputSettings
+from matcap.capture.together.predict import left_out_residual
 from matcap.capture.together.shared import shared_step
-from matcap.capture.together.solve import predicted, solve
+from matcap.capture.together.solve import solve
 from matcap.capture.together.texels import (
     SLOPES,
     Estimate,
@@ -96,9 +97,9 @@ def test_a_photograph_is_predicted_from_the_others():
     some = light.of_some([0, 1, 2, 4])
     kept = [views[k] for k in (0, 1, 2, 4)]
     found = _solved(kept, _flat(maps), some)
-    assert predicted(views[3], found) < 3.0 * max(found.residual)
+    assert left_out_residual(views[3], found) < 3.0 * max(found.residual)
     flat = replace(found, estimate=replace(found.estimate, maps=_flat(maps)))
-    assert predicted(views[3], flat) > 3.0 * predicted(views[3], found)
+    assert left_out_residual(views[3], flat) > 3.0 * left_out_residual(views[3], found)
 
 
 def test_the_flash_is_found_beside_the_lens():
@@ -150,7 +151,7 @@ def test_gloss_that_was_read_wrong_does_not_scale_relief():
     assert found.light.gloss[1] > 0.4
     before, after = (parameters_of(each)[SLOPES].square().mean() for each in (maps, found.maps))
     assert 0.75 < float(after / before) < 1.15
-    assert found.read_off > 0.3 * float(before.sqrt())
+    assert found.prediction_error > 0.3 * float(before.sqrt())
 
 
 def test_a_photograph_beside_its_place_is_brought_back_though_texels_explain_it():
@@ -253,6 +254,6 @@ def test_energies_of_octaves_belong_to_wavelengths_not_to_texels():
     views, light = seen([maps] * 2, 0.005)
     found = _solved(views, _flat(maps), light)
     finer = maps.map(lambda m: m.repeat_interleave(2, -1).repeat_interleave(2, -2))
-    assert len(found.steep) == 6  # from 256 to 4 texels
-    assert found.slopes_on(maps) == (found.read_off, found.steep)
-    assert found.slopes_on(finer) == (found.read_off, found.steep[1:])
+    assert len(found.slope_energies) == 6  # from 256 to 4 texels
+    assert found.slope_statistics_on(maps) == (found.prediction_error, found.slope_energies)
+    assert found.slope_statistics_on(finer) == (found.prediction_error, found.slope_energies[1:])
