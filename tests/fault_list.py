@@ -205,7 +205,7 @@ FAULTS = (
           "tuple(freeze(decoder, code, scene.waves, scene.drawing))",
           "tuple(freeze(decoder, 0.0 * code, scene.waves, scene.drawing))",
           "space/tuning/test_final_freeze.py"),
-    Fault("coarse fit: a highlight counts as little as its cells", "flash.coarse.fit _single",
+    Fault("coarse fit: a highlight counts as little as its cells", "flash.coarse.fit _best",
           "strict.cost(each)", "problem.cost(each)", "flash/test_coarse.py -k laminate"),
     Fault("relight: a lone pixel is a grid of texels", "relight Sampler._aligned",
           "column.ndim != 2", "False", "relight/test_relight_loops.py -k lone"),

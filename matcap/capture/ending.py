@@ -108,7 +108,6 @@ def provenance(
             "specular": coarse.specular,
             "roughness": coarse.roughness,
             "residual": coarse.residual,
-            "lobes": [list(lobe) for lobe in coarse.lobes],
             "tone_exponent": coarse.tone.exponent,
             "tilt_degrees": tilt_document(coarse),
         },

@@ -109,16 +109,12 @@ def test_a_sharp_clipped_spot_on_black_stone_is_kept(radiometric):
     assert math.dist(fit.setup.offset[:2], (0.1, 0.05)) < (0.05 if radiometric else 0.08)
 
 
-def test_a_spike_in_a_haze_is_kept_and_told_apart():
+def test_a_spike_in_a_haze_is_kept():
     spike = polished(roughness=0.16, specular=0.02, diffuse=(0.05,) * 3)
     haze = polished(roughness=0.5, specular=0.04, diffuse=(0.05,) * 3)
     pixels = np.minimum(0.5 * (spike.pixels + haze.pixels), 1.0)
     photo = replace(spike, pixels=pixels, clipped=(pixels >= 1.0).any(axis=2), radiometric=False)
-    fit = fit_coarse(photo)
-    assert_kept(photo, fit)
-    (narrow_share, narrow), (wide_share, wide) = fit.lobes
-    assert narrow_share + wide_share == pytest.approx(1.0)
-    assert wide > narrow + 0.1
+    assert_kept(photo, fit_coarse(photo))
 
 
 @pytest.mark.parametrize("tilt", [(0.17, 0.05), (-0.1, 0.2)])

@@ -27,7 +27,7 @@ from matcap.flash.coarse.evidence import WEIGHT_BETWEEN, Evidence
 from matcap.flash.coarse.hypotheses import Hypothesis, TiltPrior, hypothesis
 from matcap.flash.coarse.model import BLACK, Unknowns
 from matcap.flash.coarse.problem import HUBER, WHITE, FalloffEvidence, Problem
-from matcap.flash.coarse.starts import distinct, matte, mattest, starts, two_lobes
+from matcap.flash.coarse.starts import distinct, matte, mattest, starts
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.uniform import Uniform
@@ -58,8 +58,6 @@ class CoarseFit(Uniform):
     Attributes:
         residual: root-mean-square of the log residual over unclipped cells.
         conductor: whether fitted as bare metal; `specular` is then the mean of its coloured F0.
-        lobes: (share, roughness) of the best two-lobe fit of the highlight, the narrow lobe
-            first; `roughness` is of the best single lobe.
         tilt_prior: measurement of the tilt given as a prior, if any.
         picture_tilt: (tilt_x, tilt_y) fitted without that prior, radians; None without one.
         tone: the picture's tone curve; the identity where it has none.
@@ -67,7 +65,6 @@ class CoarseFit(Uniform):
     """
 
     residual: float
-    lobes: tuple[tuple[float, float], ...] = ()
     conductor: bool = False
     tilt_prior: TiltPrior | None = None
     picture_tilt: tuple[float, float] | None = None
@@ -160,14 +157,8 @@ def _fitted(photo: Photo, begun: _Begun) -> tuple[CoarseFit, float, float]:
     if photo.radiometric:
         last = last.whitened(tried[0][1])
         last = last.trusting(tried[0][1])
-    single = _single(last, [start for _, start in tried])
-    # Two lobes locate the highlight better; then one lobe is fitted there.
-    both = Unknowns.of(last.with_two_lobes().minimised(two_lobes(single), _MANY)[1])
-    light = ("offset", "tilt", "vignetting", "centre")
-    start = replace(Unknowns.of(single), **{name: getattr(both, name) for name in light})
-    placed = last.at(both)
-    cost, best = placed.minimised(start.vector(), _MANY)
-    rest = placed.differences(best)[placed.cells.above == 1.0]
+    best = _best(last, [start for _, start in tried])
+    rest = last.differences(best)[last.cells.above == 1.0]
     own = None
     if prior.tilt_alone is not None:
         without = last.with_tilt(*prior.tilt_alone)
@@ -176,18 +167,17 @@ def _fitted(photo: Photo, begun: _Begun) -> tuple[CoarseFit, float, float]:
     exponent = math.exp(float(Unknowns.of(best).tone))
     fit = CoarseFit(
         *_uniform(Unknowns.of(best), photo.fov, conductor=prior.conductor),
-        lobes=tuple((float(share), float(wide)) for share, wide in both.lobes),
         residual=float(rest.square().mean().sqrt()) if rest.numel() else 0.0,
         conductor=prior.conductor,
         picture_tilt=own,
-        tone=ToneCurve(exponent, placed.shoulder) if placed.shoulder > 0.0 else ToneCurve(),
-        falloff=placed.falloff_evidence(best),
+        tone=ToneCurve(exponent, last.shoulder) if last.shoulder > 0.0 else ToneCurve(),
+        falloff=last.falloff_evidence(best),
     )
-    return fit, cost, placed.unit
+    return fit, last.cost(best), last.unit
 
 
-def _single(problem: Problem, tried: Sequence[Tensor]) -> Tensor:
-    """The best parameters of one lobe from several starts, the best start first."""
+def _best(problem: Problem, tried: Sequence[Tensor]) -> Tensor:
+    """The best parameters from several starts, the best start first."""
     worth = distinct(tried)[:_KEPT]
     if problem.cells.hidden:
         worth.append(matte(tried[0]))

@@ -1,9 +1,9 @@
 """The coarse fit's model: parameters, and log radiance of a uniform material in the camera frame.
 
-With the diffuse albedo a (0.005 F0 of a conductor), the specular lobes j of share w_j and roughness
-r_j, and E the irradiance of flash/light.py,
+With the diffuse albedo a (0.005 F0 of a conductor), roughness r, and E the irradiance of
+flash/light.py,
 
-    log L = log(a E / pi + sum_j w_j specular(F0, r_j) E) - vignetting.
+    log L = log(a E / pi + specular(F0, r) E) - vignetting.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ BLACK = 0.005  # diffuse albedo of a conductor over its F0
 
 @dataclass(frozen=True)
 class Unknowns:
-    """The fitted parameters, scaled to order 1; of one specular lobe or, with `share`, of two.
+    """The fitted parameters, scaled to order 1.
 
     Attributes:
         albedo: (3,) log of diffuse albedo; of a conductor, log of F0.
         specular: (1,) log of a dielectric's F0.
-        roughness: (1,) logit; of the narrow lobe, if there are two.
+        roughness: (1,) logit.
         intensity: (1,) log of the flash's, in green.
         hue: (2,) log of the flash's intensity in red and in blue over that.
         offset: (2,) of the flash from the camera, plane units.
@@ -36,7 +36,6 @@ class Unknowns:
         centre: (2,) of the vignetting, image coordinates.
         tone: (1,) log of the tone curve's exponent.
         share: (1,) logit of the narrow lobe's, or None.
-        wider: (1,) log of how much further the other's logit of roughness is, or None.
     """
 
     albedo: Tensor
@@ -49,21 +48,15 @@ class Unknowns:
     vignetting: Tensor
     centre: Tensor
     tone: Tensor
-    share: Tensor | None = None
-    wider: Tensor | None = None
 
     def vector(self) -> Tensor:
-        """(17,), or (19,) of two lobes."""
-        parts = (getattr(self, f.name) for f in fields(self))
-        return torch.cat([part for part in parts if part is not None])
+        """(17,) all of them."""
+        return torch.cat([getattr(self, f.name) for f in fields(self)])
 
     @staticmethod
     def of(vector: Tensor) -> Unknowns:
         """The inverse of vector()."""
-        one_lobe = (3, 1, 1, 1, 2, 2, 2, 2, 2, 1)
-        return Unknowns(
-            *vector.split(one_lobe if len(vector) == sum(one_lobe) else (*one_lobe, 1, 1))
-        )
+        return Unknowns(*vector.split((3, 1, 1, 1, 2, 2, 2, 2, 2, 1)))
 
     @property
     def flash(self) -> Tensor:
@@ -71,17 +64,8 @@ class Unknowns:
         red, blue = (self.intensity + self.hue).split(1)
         return torch.cat([red, self.intensity, blue])
 
-    @property
-    def lobes(self) -> list[tuple[Tensor | float, Tensor]]:
-        """Share and roughness of each lobe, the narrow one first."""
-        narrow = torch.sigmoid(self.roughness)
-        if self.share is None or self.wider is None:
-            return [(1.0, narrow)]
-        share = torch.sigmoid(self.share)
-        return [(share, narrow), (1.0 - share, torch.sigmoid(self.roughness + self.wider.exp()))]
 
-
-INDEX = Unknowns.of(torch.arange(17))  # of each unknown in vector(), of two lobes as well
+INDEX = Unknowns.of(torch.arange(17))  # of each unknown in vector()
 
 
 def numbers(*values: float) -> Tensor:
@@ -111,8 +95,8 @@ def log_radiance(
     colour = unknowns.albedo.exp()[:, None, None]
     radiance = incidence.diffuse(colour * (BLACK if conductor else 1.0))
     specular = colour if conductor else unknowns.specular.exp()[:, None, None]
-    for share, roughness in unknowns.lobes:
-        radiance = radiance + share * incidence.specular(specular, roughness[:, None, None])
+    roughness = torch.sigmoid(unknowns.roughness)[:, None, None]
+    radiance = radiance + incidence.specular(specular, roughness)
     lost = log_vignette(image - unknowns.centre[:, None, None], *unknowns.vignetting)
     return ((radiance + _DARKEST).log() + lost).flatten(1)
 

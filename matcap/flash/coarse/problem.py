@@ -20,7 +20,7 @@ from torch import Tensor
 
 from matcap.flash.coarse.cells import CoarseCells
 from matcap.flash.coarse.evidence import Evidence
-from matcap.flash.coarse.model import INDEX, Unknowns, log_radiance, mirror_point, numbers
+from matcap.flash.coarse.model import INDEX, Unknowns, log_radiance, mirror_point
 from matcap.flash.least_squares import minimised
 
 HUBER = 0.1  # threshold of the Huber loss, log radiance
@@ -34,9 +34,6 @@ _COLOUR_NOISE = 0.01  # log radiance, least standard deviation of differences of
 _MOST_TEXTURE = 0.5  # log radiance; residuals are clipped to +-this before whitening
 _LEAST_WHOLE_CELLS = 30  # least number of unclipped cells for whitening
 _STEP = 1e-5  # of finite differences in parameters, all of which are of order 1
-# Prior of two lobes: logit of the narrow one's share, log of how much rougher the other is.
-TWO_LOBES = {"share": numbers(0.0), "wider": numbers(0.0)}
-_TWO_LOBES_DEVIATION = {"share": numbers(1.5), "wider": numbers(0.7)}
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,7 @@ class Problem:
         cells: observations.
         distance: of the camera.
         evidence: measurements of the highlight, or None.
-        prior: (n,) the prior's mean, of 17 or 19 parameters.
+        prior: (n,) the prior's mean.
         precision: (n, n) Hessian of the prior's cost.
         unit: cost of a nat of the prior.
         shoulder: of the tone curve; 0 without one.
@@ -110,13 +107,6 @@ class Problem:
         nat = float(variance) / _CELLS_THAT_COUNT
         return replace(self, precision=self.precision * (nat / self.unit), unit=nat)
 
-    def with_two_lobes(self) -> Problem:
-        """The problem with two specular lobes: a share of the narrow one, and a wider one."""
-        mean = replace(Unknowns.of(self.prior), **TWO_LOBES).vector()
-        added = torch.cat([each.pow(-2) for each in _TWO_LOBES_DEVIATION.values()])
-        precision = torch.block_diag(self.precision, self.unit * torch.diag(added))
-        return replace(self, prior=mean, precision=precision)
-
     def with_tilt(self, mean: Tensor, std: Tensor) -> Problem:
         """The problem with another Gaussian prior of the tilt, (2,) each."""
         precision = self.precision.clone()
@@ -124,13 +114,6 @@ class Problem:
         return replace(
             self, prior=replace(Unknowns.of(self.prior), tilt=mean).vector(), precision=precision
         )
-
-    def at(self, place: Unknowns) -> Problem:
-        """The same with offset and tilt held."""
-        fixed, precision = torch.cat([INDEX.offset, INDEX.tilt]), self.precision.clone()
-        precision[fixed, fixed] = 1e6
-        prior = replace(Unknowns.of(self.prior), offset=place.offset, tilt=place.tilt)
-        return replace(self, prior=prior.vector(), precision=precision)
 
     @cached_property
     def weight(self) -> Tensor:

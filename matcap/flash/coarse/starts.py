@@ -15,7 +15,6 @@ from torch import Tensor
 
 from matcap.flash.coarse.hypotheses import Hypothesis
 from matcap.flash.coarse.model import Unknowns, numbers
-from matcap.flash.coarse.problem import TWO_LOBES
 from matcap.flash.highlight import Highlight
 
 # Logit of roughness: matte, satin, glossy, mirror-like.
@@ -87,12 +86,6 @@ def mattest(fits: Sequence[tuple[float, Tensor]]) -> Tensor:
     least = min(cost for cost, _ in fits)
     alike = [candidate for cost, candidate in fits if cost <= least + 0.5 * _ALIKE**2]
     return max(alike, key=_roughness)
-
-
-def two_lobes(single: Tensor) -> Tensor:
-    """Parameters of two lobes, a little narrower and wider than one."""
-    one = Unknowns.of(single)
-    return replace(one, roughness=one.roughness - 0.4, **TWO_LOBES).vector()
 
 
 def _roughness(parameters: Tensor) -> float:
