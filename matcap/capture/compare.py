@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from PIL import Image
 
@@ -16,7 +15,7 @@ from matcap.capture.preview import Panel, block, each_map, relit, stacked, title
 from matcap.field.material import Material
 from matcap.field.opened import open_material
 from matcap.files.document import read_document
-from matcap.flash.rectify import rectify
+from matcap.flash.rectify import picture_of, rectify
 from matcap.flash.render import render_rectified
 from matcap.photo.orient import standing
 from matcap.photo.photo import Photo
@@ -79,21 +78,17 @@ def _panels(material: Material, photo: Photo | None) -> Iterator[Panel]:
     height = round(width * 3 / 4)
     if photo is not None:
         height = round(width * photo.pixels.shape[0] / photo.pixels.shape[1])
-        linear = _rows(rectify(photo, setup, width)[0])
+        linear = picture_of(rectify(photo, setup, width)[0])
         yield Panel("photograph", standing(linear) if setup.turned else linear)
     if setup.turned:
         width, height = height, width
     maps = material.maps(width, height)
     with torch.inference_mode():
-        rendered = _rows(render_rectified(maps, setup))
+        rendered = picture_of(render_rectified(maps, setup))
     yield Panel("re-rendered", rendered)
     for side in ("left", "top"):
         yield relit(side, maps, rendered, setup)
     yield from each_map(maps)
-
-
-def _rows(linear: torch.Tensor) -> np.ndarray[Any, np.dtype[np.float32]]:
-    return np.ascontiguousarray(linear.movedim(0, -1).numpy())
 
 
 def _verdict(report: dict[str, Any]) -> dict[str, Any] | None:

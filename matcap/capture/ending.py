@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.detail import Rectified
@@ -25,6 +23,7 @@ from matcap.capture.verdict.steepness import steepness
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
 from matcap.flash.coarse.fit import CoarseFit
+from matcap.flash.rectify import picture_of
 from matcap.flash.render import render_rectified
 from matcap.photo.orient import quarter_turn, standing
 from matcap.photo.photo import Photo
@@ -58,10 +57,10 @@ def judged(
     with clock.stage("verdict"), postponed() as stopped:
         maps = material.maps(*(plane.size[::-1] if turned else plane.size), seed=settings.seed)
         with torch.inference_mode():
-            rerendered = _picture(render_rectified(maps, material.setup))
+            rerendered = picture_of(render_rectified(maps, material.setup))
         # Pictures are measured as the photograph lies.
         lying = np.ascontiguousarray(quarter_turn(rerendered)) if turned else rerendered
-        seen = compared = _picture(plane.linear)
+        seen = compared = picture_of(plane.linear)
         if plane.left_out is not None:
             left_out = plane.left_out.numpy()[..., None]
             compared = np.where(left_out, lying, seen)  # a difference of zero
@@ -139,9 +138,3 @@ def _mean_tilt(estimate: ExemplarEstimate) -> float:
     """Mean angle between the exemplar's normals and the plane's, degrees."""
     upright = map_set_of(estimate.exemplar).normal[2].clamp(-1.0, 1.0)
     return float(upright.acos().rad2deg().mean())
-
-
-def _picture(linear: Tensor) -> NDArray[np.float32]:
-    """(3, H, W) to (H, W, 3)."""
-    picture: NDArray[np.float32] = linear.permute(1, 2, 0).contiguous().numpy()
-    return picture

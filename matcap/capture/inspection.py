@@ -16,7 +16,7 @@ from matcap.capture.tilt import fitted, tilt_document
 from matcap.capture.verdict.highlight import highlight_profile
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane, read_plane
-from matcap.flash.rectify import CLIPPING
+from matcap.flash.rectify import CLIPPING, picture_of
 from matcap.photo.camera import CameraProfile
 from matcap.photo.checks import Finding, Rating
 from matcap.photo.inspect import Inspection, inspect_photo
@@ -85,7 +85,7 @@ def _gloss(coarse: CoarseFit, plane: Plane) -> tuple[Finding, ...]:
 
     A capture's re-rendering is compared with these two.
     """
-    picture, valid = np.minimum(plane.linear.movedim(0, -1).numpy(), 1.0), plane.valid.numpy()
+    picture, valid = np.minimum(picture_of(plane.linear), 1.0), plane.valid.numpy()
     inside = valid | (picture > CLIPPING).any(axis=2)
     profile = highlight_profile((picture, picture), inside, valid, coarse.setup)
     if profile is None or not profile.glossy:

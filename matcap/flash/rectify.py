@@ -7,6 +7,8 @@ half of the amplitude of the finest texture.
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import torch
@@ -37,7 +39,7 @@ def rectify(photo: Photo, setup: FlashSetup, detail: int) -> tuple[Tensor, Tenso
     clipped = _resampled(photo.clipped.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
     valid = inside(linear.shape[:2], setup) & (clipped < CLIPPED_SHARE)
     valid &= _kept(photo, setup, detail)
-    return _planes(linear), torch.from_numpy(valid)
+    return planes_of(linear), torch.from_numpy(valid)
 
 
 def measured(photo: Photo, setup: FlashSetup, detail: int) -> Tensor:
@@ -49,14 +51,14 @@ def measured(photo: Photo, setup: FlashSetup, detail: int) -> Tensor:
     clipped = _resampled(full.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
     seen = inside(clipped.shape[:2], setup)[..., None] & (clipped < CLIPPED_SHARE)
     seen &= _kept(photo, setup, detail)[..., None]
-    return torch.from_numpy(seen).permute(2, 0, 1).contiguous()
+    return planes_of(seen)
 
 
 def rectify_noise(photo: Photo, setup: FlashSetup, detail: int) -> Tensor | None:
     """(3, H, W) noise sample of a photograph, resampled as by `rectify`; None if unknown."""
     if photo.noise is None:
         return None
-    return _planes(_resampled(photo.noise, setup, detail, cv2.INTER_CUBIC))
+    return planes_of(_resampled(photo.noise, setup, detail, cv2.INTER_CUBIC))
 
 
 def kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_] | None:
@@ -135,6 +137,12 @@ def _centred(size: tuple[int, int]) -> NDArray[np.float64]:
     )
 
 
-def _planes(picture: NDArray[np.float32]) -> Tensor:
-    """(H, W, 3) to (3, H, W)."""
+def planes_of(picture: NDArray[Any]) -> Tensor:
+    """(H, W, C) to (C, H, W)."""
     return torch.from_numpy(picture).permute(2, 0, 1).contiguous()
+
+
+def picture_of(planes: Tensor) -> NDArray[np.float32]:
+    """(C, H, W) to (H, W, C)."""
+    picture: NDArray[np.float32] = planes.permute(1, 2, 0).contiguous().numpy()
+    return picture

@@ -128,9 +128,9 @@ def browser_picture(
     photo = photo if tone is None else photo.linearised(tone)
     linear = photo.pixels
     if setup is not None:
-        from matcap.flash.rectify import rectify
+        from matcap.flash.rectify import picture_of, rectify
 
-        linear = rectify(photo, setup, linear.shape[1])[0].movedim(0, -1).numpy()
+        linear = picture_of(rectify(photo, setup, linear.shape[1])[0])
     # Portrait photographs are read in landscape orientation; maps are upright if setup.turned.
     if photo.turned if setup is None else setup.turned:
         linear = np.ascontiguousarray(np.rot90(linear, -1))

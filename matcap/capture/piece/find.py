@@ -46,6 +46,7 @@ from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.variety import with_chosen_variety
 from matcap.flash.coarse.fit import CoarseFit
+from matcap.flash.plane import Plane
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 
@@ -187,15 +188,7 @@ def estimate_exemplar(
         turned: whether the photograph is a portrait.
     """
     whole = rectified.whole
-    with clock.stage("piece"):
-        observed, prediction = predict_maps(
-            Observation.of(rectified.network_input, coarse), network
-        )
-    with clock.stage("strengths"):
-        strengths = measured_relief(observed, prediction)
-        observed, prediction = classified(observed, strengthened(observed, prediction, strengths))
-    with clock.stage("refine"):
-        prediction = levelled(observed, prediction)
+    observed, prediction, strengths = refined(rectified.network_input, coarse, network, clock)
     with clock.stage("inpaint"):
         exemplar = inpainted(observed, prediction)
         light = PlaneLight(coarse, whole.size)
@@ -215,6 +208,25 @@ def estimate_exemplar(
         turned=turned,
     )
     return replace(estimate, sharpness=sharpness(estimate.lying, whole, light))
+
+
+def refined(
+    plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock
+) -> tuple[Observation, NetworkPrediction, Strengths | None]:
+    """Predict the maps of a plane and fit them to it: stages piece, strengths and refine.
+
+    Returns:
+        The photograph with the specular tint of its metal, the fitted maps, and the energies of
+        relief and albedo measured in the photograph.
+    """
+    with clock.stage("piece"):
+        observed, prediction = predict_maps(Observation.of(plane, coarse), network)
+    with clock.stage("strengths"):
+        strengths = measured_relief(observed, prediction)
+        observed, prediction = classified(observed, strengthened(observed, prediction, strengths))
+    with clock.stage("refine"):
+        prediction = levelled(observed, prediction)
+    return observed, prediction, strengths
 
 
 def indexed(exemplar: Exemplar, waves: tuple[Wave, ...], *, turned: bool) -> Example:

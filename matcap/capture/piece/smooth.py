@@ -27,6 +27,12 @@ def smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
     return enlarged(coarse_smoothed(plane, deviation), plane.shape)
 
 
+def local_mean(plane: ChannelPlane, weight: ChannelPlane, deviation: float) -> ChannelPlane:
+    """Local mean of a plane (H, W), by a Gaussian times weights (H, W) of the texels."""
+    whole = np.maximum(smoothed(weight, deviation), np.float32(1e-3))
+    return np.asarray(smoothed(plane * weight, deviation) / whole, np.float32)
+
+
 def coarse_smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
     """Gaussian blur of a plane (H, W), on a grid coarser by COARSER."""
     rows, columns = plane.shape

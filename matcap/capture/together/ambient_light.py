@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.normals import by_slopes
-from matcap.capture.piece.smooth import smoothed
+from matcap.capture.piece.smooth import local_mean
 from matcap.capture.registration.grid import to_pixels
 from matcap.capture.registration.register import RegisteredView
 from matcap.photo.photo import FULL, Photo
@@ -99,13 +99,8 @@ def evenly_lit(log: Tensor, seen: Tensor, rendered: Tensor) -> Tensor:
     off = (log - rendered).numpy()
     mask = seen.float().numpy()
     deviation = SLOW * max(log.shape[1:])
-
-    def fast(plane: Picture, weight: Picture) -> Picture:
-        whole = smoothed(weight, deviation)
-        left = plane - smoothed(plane * weight, deviation) / np.maximum(whole, np.float32(1e-3))
-        return np.asarray(left, np.float32)
-
-    left = np.stack([fast(each, weight) for each, weight in zip(off, mask, strict=True)])
+    both = zip(off, mask, strict=True)
+    left = np.stack([plane - local_mean(plane, weight, deviation) for plane, weight in both])
     return rendered + torch.from_numpy(left)
 
 

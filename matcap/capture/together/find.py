@@ -24,17 +24,13 @@ from matcap.capture.piece.find import (
     ExemplarEstimate,
     NetworkPrediction,
     PhotographEstimate,
-    classified,
     confidence,
     evened,
     exemplar_of,
     indexed,
     inpainted,
-    levelled,
     map_set_of,
-    measured_relief,
-    predict_maps,
-    strengthened,
+    refined,
 )
 from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse
@@ -48,7 +44,6 @@ from matcap.capture.together.align import Aligned, aligned, reframed
 from matcap.capture.together.ambient_light import SLOW, without_ambient
 from matcap.capture.together.pair import on_albedo
 from matcap.capture.together.predict import predictions
-from matcap.capture.together.readings import ReadView, read_views, with_others
 from matcap.capture.together.set_report import SetReport
 from matcap.capture.together.solve import ROUNDS, Solved, solve
 from matcap.capture.together.texels import Estimate
@@ -61,8 +56,9 @@ from matcap.capture.together.union import (
     seen_by_any,
     spread_over,
     tint_over,
-    unread,
+    unpredicted,
 )
+from matcap.capture.together.view_predictions import ViewPrediction, predict_views, with_others
 from matcap.capture.together.views import ResampledView, SetLight
 from matcap.errors import MatcapError
 from matcap.example.example import Example
@@ -125,13 +121,13 @@ def estimate_together(
     rectified = Rectified.of_photo(first, replace(coarse, setup=poses.setup), detail)
     posed = PosedCamera.of(registration.setup), poses.views[0].camera
     maps, tint = achromatic(reframed(prediction.maps, *posed, reach.extent))
-    prediction = Estimate(maps, unread(prediction.log_error, reach))
+    prediction = Estimate(maps, unpredicted(prediction.log_error, reach))
     if reach.margins.any:
-        readings = None if interrupted else _readings(poses, prediction, coarse, network)
-        interrupted |= readings is None
-        if readings is not None:
-            prediction = with_others(prediction, readings)
-            tint = tint_over(tint, readings, reach)
+        others = None if interrupted else _predictions(poses, prediction, coarse, network)
+        interrupted |= others is None
+        if others is not None:
+            prediction = with_others(prediction, others)
+            tint = tint_over(tint, others, reach)
         most = scatter(single.estimate)[:, None, None]
         prediction = replace(prediction, log_error=torch.minimum(prediction.log_error, most))
     with clock.stage("solve"):
@@ -199,17 +195,11 @@ def predict_alone(
     plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock
 ) -> SinglePrediction:
     """Estimate from one photograph alone, on its plane's texels: prediction, relief, classes."""
-    with clock.stage("piece"):
-        seen = Rectified.of(plane).network_input
-        observed, prediction = predict_maps(Observation.of(seen, coarse), network)
-    with clock.stage("strengths"):
-        strengths = measured_relief(observed, prediction)
-        observed, prediction = classified(observed, strengthened(observed, prediction, strengths))
-    with clock.stage("refine"):
-        prediction = levelled(observed, prediction)
-        exemplar = exemplar_of(observed, prediction)
-        if plane.size != seen.size:
-            exemplar = finest(exemplar, plane, PlaneLight(coarse, plane.size))
+    seen = Rectified.of(plane).network_input
+    observed, prediction, strengths = refined(seen, coarse, network, clock)
+    exemplar = exemplar_of(observed, prediction)
+    if plane.size != seen.size:
+        exemplar = finest(exemplar, plane, PlaneLight(coarse, plane.size))
     errors = prediction.errors.stacked()
     wide = F.interpolate(errors[None], size=plane.size[::-1], mode="bilinear")[0]
     return SinglePrediction(Estimate(map_set_of(exemplar), wide), strengths, prediction.metal)
@@ -243,16 +233,16 @@ def _aligned(
         return begun, True
 
 
-def _readings(
+def _predictions(
     poses: Aligned, first: Estimate, coarse: CoarseFit, network: Inverse
-) -> list[ReadView] | None:
+) -> list[ViewPrediction] | None:
     """The network's prediction of each photograph of a mosaic; None if interrupted."""
 
-    def read(plane: Plane, fit: CoarseFit) -> Estimate:
+    def predict(plane: Plane, fit: CoarseFit) -> Estimate:
         return predict_alone(plane, fit, network, CaptureClock(None)).estimate
 
     try:
-        return read_views(poses, first, coarse, read)
+        return predict_views(poses, first, coarse, predict)
     except KeyboardInterrupt:
         return None
 

@@ -17,7 +17,7 @@ from matcap.capture.registration.doubt import DOUBTED
 from matcap.capture.registration.grid import grid_points
 from matcap.capture.registration.keypoints import LONG_SIDE
 from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order
-from matcap.capture.together.union import reach_of
+from matcap.capture.together.union import reach_of, sees
 from matcap.errors import MatcapError
 from matcap.photo.checks import Finding, Rating
 from matcap.photo.inspect import Inspection
@@ -209,11 +209,8 @@ def _union(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
 
 def _seen(view: RegisteredView, first: RegisteredView) -> NDArray[np.bool_]:
     """(h, w) bool, whether a photograph shows points of the first one's rectangle."""
-    rows, columns = first.photo.pixels.shape[:2]
-    image = view.camera.sees(grid_points(_GRID, round(_GRID * rows / columns)))
-    rows, columns = view.photo.pixels.shape[:2]
-    inside = (np.abs(image[0]) < 1.0) & (np.abs(image[1]) < rows / columns)
-    return np.asarray(inside)
+    aspects = [one.photo.pixels.shape[0] / one.photo.pixels.shape[1] for one in (view, first)]
+    return sees(view.camera, grid_points(_GRID, round(_GRID * aspects[1])), aspects[0], 90.0)
 
 
 def _listed(words: Sequence[str], joint: str) -> str:

@@ -26,7 +26,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO
 from matcap.capture.piece.equalise import equalise
-from matcap.capture.piece.smooth import smoothed, split
+from matcap.capture.piece.smooth import local_mean, smoothed, split
 from matcap.capture.piece.strengths import BANDS, RESPONSE_AROUND, measure_strengths
 from matcap.capture.registration.camera import Lens, PosedCamera
 from matcap.capture.registration.grid import grid_points, to_pixels
@@ -200,7 +200,7 @@ class Ratio:
         along = [smoothed(ratio(*both), RESPONSE_AROUND) for both in zip(*slopes, strict=True)]
         use = (views[0].seen & views[-1].seen).all(0).numpy().astype(np.float32)
         left = ratio(*logs)
-        left = (left - _mean(left, use, max(use.shape) / _SLOW)) * use
+        left = (left - local_mean(left, use, max(use.shape) / _SLOW)) * use
         return Ratio(left, np.stack(along), shares[0].mean(0).numpy(), use)
 
 
@@ -217,7 +217,7 @@ def with_lean(views: Sequence[ResampledView], parameters: Tensor, light: SetLigh
     ratio = Ratio.of(views, parameters, light)
     around = max(ratio.use.shape) / _WINDOWS
     band = np.sum(split(ratio.log)[:4], axis=0)
-    energy = _mean(np.square(band), ratio.use, around)
+    energy = local_mean(np.square(band), ratio.use, around)
     x, y = (smoothed(each, around) for each in ratio.sensitivity)
     seen = smoothed(ratio.use, around) > 0.8
     seen_share = float(seen.mean())
@@ -270,9 +270,3 @@ def as_steep(
     )
     even = equalise(texels, strengths, ratio.sensitivity)
     return texel * torch.from_numpy(split(texels)[-1] + even)[None]
-
-
-def _mean(plane: Floats, use: Floats, around: float) -> Floats:
-    """(H, W) local mean of a plane, weighted by `use`; `around`: standard deviation, texels."""
-    weight = np.maximum(smoothed(use, around), np.float32(1e-3))
-    return np.asarray(smoothed(plane * use, around) / weight, np.float32)

@@ -24,9 +24,9 @@ from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.registration.camera import Doubles, Lens, PosedCamera
 from matcap.capture.registration.grid import grid_points
 from matcap.capture.registration.register import RegisteredView
-from matcap.capture.together.readings import UNREAD, ReadView
 from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
 from matcap.capture.together.tint import on_grid
+from matcap.capture.together.view_predictions import UNPREDICTED, ViewPrediction
 from matcap.flash.extent import NO_MARGINS, Extent, Margins
 from matcap.flash.light import cached_rows, strips
 
@@ -214,32 +214,32 @@ def _box(
             high[axis] -= 1
 
 
-def spread_over(read: Estimate, margins: Margins) -> Estimate:
+def spread_over(prediction: Estimate, margins: Margins) -> Estimate:
     """Extrapolate the first photograph's estimate smoothly over the margins.
 
     Its error there is the standard deviation of the parameters within the first photograph.
 
     Args:
-        read: on the first photograph's grid.
+        prediction: on the first photograph's grid.
         margins: of the mosaic.
     """
     if not margins.any:
-        return read
-    own = margins.own(read.maps.size)
+        return prediction
+    own = margins.own(prediction.maps.size)
     known = own.numpy()
-    padded = margins.padded(read.maps.stacked().float())
+    padded = margins.padded(prediction.maps.stacked().float())
     wide = torch.from_numpy(np.stack([filled(plane.numpy(), known) for plane in padded]))
-    beyond = scatter(read)[:, None, None]
-    log_error = torch.where(own, margins.padded(read.log_error), beyond)
-    return Estimate(MapSet.from_stacked(wide, read.maps.texel_size), log_error)
+    beyond = scatter(prediction)[:, None, None]
+    log_error = torch.where(own, margins.padded(prediction.log_error), beyond)
+    return Estimate(MapSet.from_stacked(wide, prediction.maps.texel_size), log_error)
 
 
-def scatter(read: Estimate) -> Tensor:
+def scatter(prediction: Estimate) -> Tensor:
     """(4,) log standard deviation over the exemplar of each map's parameter, errors included."""
-    parameters = parameters_of(read.maps)
+    parameters = parameters_of(prediction.maps)
     parts = (parameters[ALBEDO].mean(0), parameters[F0], parameters[ROUGH], parameters[SLOPES])
     own = torch.stack([part.std() for part in parts]).square()
-    off = (2.0 * read.log_error.clamp(-8.0, 2.0)).exp().mean((1, 2))
+    off = (2.0 * prediction.log_error.clamp(-8.0, 2.0)).exp().mean((1, 2))
     return 0.5 * (own + off).log()
 
 
@@ -259,30 +259,32 @@ def rounded_off(maps: MapSet, known: Tensor, slow: float) -> MapSet:
     return MapSet.from_stacked(torch.from_numpy(planes), maps.texel_size)
 
 
-def tint_over(tint: Tensor | None, readings: Sequence[ReadView], reach: Reach) -> Tensor | None:
+def tint_over(
+    tint: Tensor | None, predictions: Sequence[ViewPrediction], reach: Reach
+) -> Tensor | None:
     """Specular tint (3, H, W) over the mosaic, from the other predictions beyond the first's.
 
     Args:
         tint: (3, H, W) from the first prediction, extrapolated; None without metal.
-        readings: predictions of photographs, the first one first.
+        predictions: of photographs, the first one first.
         reach: of the mosaic.
     """
     if tint is None:
         return tint
     total, weights = torch.zeros(3, 1, 1), torch.zeros(1, 1)
-    for read in readings[1:]:
-        weight = (-2.0 * read.log_error[1]).exp()
-        total = total + weight * (torch.ones(3, 1, 1) if read.tint is None else read.tint)
+    for one in predictions[1:]:
+        weight = (-2.0 * one.log_error[1]).exp()
+        total = total + weight * (torch.ones(3, 1, 1) if one.tint is None else one.tint)
         weights = weights + weight
     if weights.shape == (1, 1):
         return tint
     beyond = on_grid(total / weights, (tint.shape[-1], tint.shape[-2]))
-    counted = on_grid(weights[None], (tint.shape[-1], tint.shape[-2])) > math.exp(-UNREAD)
+    counted = on_grid(weights[None], (tint.shape[-1], tint.shape[-2])) > math.exp(-UNPREDICTED)
     return torch.where(counted & ~reach.margins.own(reach.size), beyond, tint)
 
 
-def unread(log_error: Tensor, reach: Reach) -> Tensor:
-    """Log errors (4, H, W) set to UNREAD beyond the first photograph."""
+def unpredicted(log_error: Tensor, reach: Reach) -> Tensor:
+    """Log errors (4, H, W) set to UNPREDICTED beyond the first photograph."""
     if not reach.margins.any:
         return log_error
-    return torch.where(reach.margins.own(reach.size), log_error, torch.tensor(UNREAD))
+    return torch.where(reach.margins.own(reach.size), log_error, torch.tensor(UNPREDICTED))

@@ -20,7 +20,7 @@ from matcap.capture.together.tint import on_grid
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import FlashLight, cached_rows, log_vignette, strips
-from matcap.flash.rectify import FINER
+from matcap.flash.rectify import FINER, planes_of
 from matcap.photo.camera import CameraProfile
 from matcap.photo.photo import FULL
 from matcap.photo.shrink import CLIPPED_SHARE, area_averaged
@@ -191,11 +191,11 @@ class ResampledView:
         whole = area_averaged(inside.astype(np.float32), (across, down))
         seen = ~hidden & (whole[..., None] > 0.99)
         log = np.log(linear)
-        shown = torch.from_numpy(np.ascontiguousarray(log.transpose(2, 0, 1)))
+        shown = planes_of(log)
         return ResampledView(
             photo.name,
             shown if tint is None else shown - on_grid(tint, (across, down)).log(),
-            torch.from_numpy(np.ascontiguousarray(seen.transpose(2, 0, 1))),
+            planes_of(seen),
             view.camera,
             None if view.flash else AmbientLight(),
             0.0 if view.flash else AMBIENT_NOISE,

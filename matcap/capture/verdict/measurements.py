@@ -23,7 +23,7 @@ from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.plane import Plane, plane_of
-from matcap.flash.rectify import CLIPPING
+from matcap.flash.rectify import CLIPPING, planes_of
 from matcap.photo.inspect import Inspection, blurred, channel_mean, inspect_photo
 from matcap.photo.photo import Photo
 from matcap.photo.shrink import area_averaged
@@ -131,8 +131,8 @@ def measured(
     colour, light = smooth_difference(*smooth)
     highlights = find_highlight(light_of(pictures[0])), find_highlight(light_of(pictures[1]))
     inside = valid | (rectified > CLIPPING).any(axis=2)
-    plane = plane_of(_planes(pictures[0]), torch.from_numpy(valid))
-    rendering = _planes(pictures[1])
+    plane = plane_of(planes_of(pictures[0]), torch.from_numpy(valid))
+    rendering = planes_of(pictures[1])
     causes = CauseMeasurements(
         tilt=piece.tilt,
         variety=piece.variety,
@@ -294,11 +294,6 @@ def texture_difference(plane: Plane, rendering: Tensor) -> float:
 def _spread(room: int, count: int) -> list[int]:
     """`count` evenly spaced integers from 0 to `room`; none if that is negative."""
     return [round(i * room / (count - 1)) for i in range(count)] if room >= 0 else []
-
-
-def _planes(picture: Picture) -> Tensor:
-    """(H, W, 3) to (3, H, W)."""
-    return torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))
 
 
 def _order(plane: Plane, rendering: Tensor, waves: tuple[Wave, ...]) -> tuple[float, float]:

@@ -16,10 +16,6 @@ from matcap.capture.piece.refine import PhotographLight, flatten, refine, with_p
 ERRORS = ExpectedErrors.from_stacked(torch.log(torch.tensor([0.2, 0.1, 0.1, 0.1]))[:, None, None])
 
 
-def _departures(shot) -> SurfaceParameters:
-    return PhotographLight.of(shot.uniform, shot.points).departures(shot.maps)
-
-
 def _nowhere(like: SurfaceParameters) -> SurfaceParameters:
     return like - like
 
@@ -32,45 +28,38 @@ def _paler(parameters: SurfaceParameters, by) -> SurfaceParameters:
     return replace(parameters, diffuse=parameters.diffuse + by)
 
 
-def _setting(slope: float = 0.1, contrast: float = 0.1):
-    shot = photographed(slope, contrast, width=192, height=144)
-    valid = torch.ones(144, 192, dtype=torch.bool)
-    return shot, valid, _departures(shot), ERRORS
+def _setting(contrast: float = 0.1):
+    shot = photographed(0.1, contrast, width=192, height=144)
+    light = PhotographLight.of(shot.uniform, shot.points)
+    return shot, light, torch.ones(144, 192, dtype=torch.bool), light.departures(shot.maps)
 
 
 def test_the_truth_is_left_alone() -> None:
-    shot, valid, truth, errors = _setting()
-    refined = refine(
-        truth, errors, shot.linear, valid, PhotographLight.of(shot.uniform, shot.points)
-    )
+    shot, light, valid, truth = _setting()
+    refined = refine(truth, ERRORS, shot.linear, valid, light)
     assert float(refined.residual.abs().median()) < 1e-3
     assert _largest(refined.departures - truth) < 0.05
 
 
 def test_a_flat_guess_is_moved_until_it_re_renders() -> None:
-    shot, valid, truth, errors = _setting()
+    shot, light, valid, truth = _setting()
     guess = _nowhere(truth)
-    refined = refine(
-        guess, errors, shot.linear, valid, PhotographLight.of(shot.uniform, shot.points)
-    )
+    refined = refine(guess, ERRORS, shot.linear, valid, light)
     texture = refined.residual - refined.slow
     assert float(texture.abs().median()) < 0.01
 
 
 def test_slow_drift_is_not_the_materials() -> None:
-    shot, valid, truth, errors = _setting()
+    shot, light, valid, truth = _setting()
     drift = torch.linspace(-0.15, 0.15, 192).exp()
-    refined = refine(
-        truth, errors, shot.linear * drift, valid, PhotographLight.of(shot.uniform, shot.points)
-    )
+    refined = refine(truth, ERRORS, shot.linear * drift, valid, light)
     assert float((refined.departures - truth).diffuse.mean((0, 1)).diff().abs().mean()) < 1e-3
     assert float(refined.slow.abs().mean()) > 0.04
 
 
 def test_the_mean_radiance_is_the_photographs_in_every_channel() -> None:
     """Whatever the texture's contrast; a few clipped texels do not count."""
-    shot, valid, truth, _ = _setting(contrast=0.5)
-    light = PhotographLight.of(shot.uniform, shot.points)
+    shot, light, valid, truth = _setting(contrast=0.5)
     off = _paler(truth, torch.tensor([-0.4, -0.3, 0.1])[:, None, None])
     clipped = shot.linear.clone()
     clipped[:, :20] = 9.0
@@ -86,8 +75,7 @@ def test_the_mean_radiance_is_the_photographs_in_every_channel() -> None:
 
 
 def test_the_mean_of_a_metals_radiance_is_its_f0() -> None:
-    shot, valid, truth, _ = _setting()
-    light = PhotographLight.of(shot.uniform, shot.points)
+    shot, light, valid, truth = _setting()
     metal = replace(truth, diffuse=truth.diffuse - 9.0, specular=truth.specular + 2.0)
     linear = light.rendered(light.maps(metal))[0].exp()
     off = replace(metal, specular=metal.specular - 0.3)
@@ -99,26 +87,23 @@ def test_the_mean_of_a_metals_radiance_is_its_f0() -> None:
 
 def test_clipped_texels_are_lower_bounds() -> None:
     """Brighter than the clip level is as good as at it; darker is not."""
-    shot, valid, truth, errors = _setting()
+    shot, light, valid, truth = _setting()
     clip = float(shot.linear.quantile(0.3))
     clipped = shot.linear.clamp_max(clip)
     unclipped = (shot.linear < clip).all(0)
-    refined = refine(
-        truth, errors, clipped, unclipped, PhotographLight.of(shot.uniform, shot.points)
-    )
+    refined = refine(truth, ERRORS, clipped, unclipped, light)
     assert _largest(refined.departures - truth) < 1e-3
 
 
 def test_a_texel_whose_red_clips_is_told_by_the_others() -> None:
-    shot, valid, truth, errors = _setting()
+    shot, light, valid, truth = _setting()
     clipped, measured = shot.linear.clone(), torch.ones(3, 144, 192, dtype=torch.bool)
     clip = float(clipped[0].quantile(0.3))
     clipped[0] = clipped[0].clamp_max(clip)
     measured[0] = shot.linear[0] < clip
-    light = PhotographLight.of(shot.uniform, shot.points)
 
     def off(seen: torch.Tensor) -> float:
-        refined = refine(_nowhere(truth), errors, clipped, seen, light)
+        refined = refine(_nowhere(truth), ERRORS, clipped, seen, light)
         result = measured[1:].all(0) & ~measured[0]
         apart = (refined.departures - truth).diffuse[1:, result]
         return float((apart - apart.mean(1, keepdim=True)).abs().mean())
@@ -128,18 +113,15 @@ def test_a_texel_whose_red_clips_is_told_by_the_others() -> None:
 
 def test_gloss_is_not_touched() -> None:
     """F0 and roughness are a class's: texels explain the photograph by albedo alone."""
-    shot, valid, truth, errors = _setting()
-    light = PhotographLight.of(shot.uniform, shot.points)
-    found = refine(_nowhere(truth), errors, shot.linear, valid, light).departures
+    shot, light, valid, truth = _setting()
+    found = refine(_nowhere(truth), ERRORS, shot.linear, valid, light).departures
     assert not found.specular.any() and not found.roughness.any()
 
 
 def test_relief_is_not_touched() -> None:
-    shot, valid, truth, errors = _setting()
+    shot, light, valid, truth = _setting()
     guess = _nowhere(truth)
-    refined = refine(
-        guess, errors, shot.linear, valid, PhotographLight.of(shot.uniform, shot.points)
-    )
+    refined = refine(guess, ERRORS, shot.linear, valid, light)
     assert float(refined.departures.height.abs().max()) == 0.0
 
 
@@ -149,12 +131,11 @@ def _log_radiance(departures, light):
 
 
 def test_what_is_clipped_must_be_as_bright_as_the_clip_level() -> None:
-    shot, _, truth, errors = _setting()
-    light = PhotographLight.of(shot.uniform, shot.points)
+    shot, light, _, truth = _setting()
     clip = float(shot.linear.quantile(0.7))
     valid = (shot.linear < clip).all(0)
     guess = _paler(truth, -0.6 * (~valid))
-    refined = refine(guess, errors, shot.linear.clamp_max(clip), valid, light)
+    refined = refine(guess, ERRORS, shot.linear.clamp_max(clip), valid, light)
     too_dark = [
         (shot.linear.clamp_max(clip).log() - _log_radiance(o, light)).clamp_min(0.0)[:, ~valid]
         for o in (guess, refined.departures)

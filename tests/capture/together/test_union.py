@@ -18,7 +18,6 @@ from matcap.capture.registration.grid import grid_points
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together import union
-from matcap.capture.together.readings import ReadView, with_others
 from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
 from matcap.capture.together.union import (
     LEAST,
@@ -31,8 +30,9 @@ from matcap.capture.together.union import (
     sees,
     spread_over,
     tint_over,
-    unread,
+    unpredicted,
 )
+from matcap.capture.together.view_predictions import ViewPrediction, with_others
 from matcap.cli.main import main
 from matcap.field.opened import open_photographed
 from matcap.flash.extent import NO_MARGINS, OWN, Margins
@@ -134,7 +134,7 @@ def test_the_first_reading_goes_on_smoothly_and_is_doubted_by_its_own_scatter():
     maps, doubt = _drawn(SIZE), torch.full((4, *SIZE[::-1]), -2.0)
     read = Estimate(maps, doubt)
     assert spread_over(read, NO_MARGINS) is read
-    assert unread(doubt, Reach.own(SIZE)) is doubt
+    assert unpredicted(doubt, Reach.own(SIZE)) is doubt
 
     margins = Margins(right=64, bottom=20)
     spread = spread_over(read, margins)
@@ -146,7 +146,7 @@ def test_the_first_reading_goes_on_smoothly_and_is_doubted_by_its_own_scatter():
     assert float(beyond.log().std()) < 0.5 * float(maps.diffuse.log().std())
     assert float(beyond.mean()) == pytest.approx(0.3, rel=0.1)
     torch.testing.assert_close(unsure[:, -1, -1], scatter(read))
-    nowhere = unread(unsure, Reach(margins, SIZE))
+    nowhere = unpredicted(unsure, Reach(margins, SIZE))
     assert (nowhere[:, :, SIZE[0] :] > 3.0).all() and torch.equal(nowhere[:, *inside], doubt)
 
 
@@ -158,11 +158,11 @@ def test_beyond_the_first_photograph_the_others_reading_holds():
     true = MapSet.from_stacked(smooth, 2.0 / SIZE[0])
     first = true.crop(0, 0, *SIZE)
     over = spread_over(Estimate(first, torch.full((4, *SIZE[::-1]), -3.0)), margins)
-    unsure = unread(over.log_error, Reach(margins, SIZE))
+    unsure = unpredicted(over.log_error, Reach(margins, SIZE))
     over = replace(over, log_error=unsure)
     read = [
-        ReadView(parameters_of(over.maps), unsure, extent),
-        ReadView(parameters_of(true), torch.full_like(unsure, -3.0), extent),
+        ViewPrediction(parameters_of(over.maps), unsure, extent),
+        ViewPrediction(parameters_of(true), torch.full_like(unsure, -3.0), extent),
     ]
     found = with_others(over, read)
     off = (parameters_of(found.maps) - parameters_of(true))[:, 2:-2, 2:-2]
@@ -179,10 +179,10 @@ def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():
     reach, extent = Reach(margins, SIZE), margins.extent(SIZE[0])
     whole = margins.around(SIZE)[::-1]
     gold = torch.tensor([1.3, 1.0, 0.7])[:, None, None].expand(3, *whole)
-    doubt = unread(torch.full((4, *whole), -2.0), reach)
+    doubt = unpredicted(torch.full((4, *whole), -2.0), reach)
     numbers = torch.zeros(7, *whole)
-    first = ReadView(numbers, doubt, extent)
-    other = ReadView(numbers, torch.full((4, *whole), -2.0), extent, gold)
+    first = ViewPrediction(numbers, doubt, extent)
+    other = ViewPrediction(numbers, torch.full((4, *whole), -2.0), extent, gold)
     grey = torch.ones(3, *whole)
     found = tint_over(grey, [first, other], reach)
     assert torch.equal(found[..., : SIZE[0]], grey[..., : SIZE[0]])

@@ -34,11 +34,11 @@ from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import Plane, read_plane
 
-UNREAD = 4.0  # log error of a prediction outside of its photograph
-_NOTHING = 1e-8  # weight of a prediction at its border, whose log error then exceeds UNREAD
+UNPREDICTED = 4.0  # log error of a prediction outside of its photograph
+_NOTHING = 1e-8  # weight of a prediction at its border, whose log error then exceeds UNPREDICTED
 
 Floats = NDArray[np.float32]
-ReadAlone = Callable[[Plane, CoarseFit], Estimate]  # predicts a photograph on its own plane
+PredictAlone = Callable[[Plane, CoarseFit], Estimate]  # predicts a photograph on its own plane
 
 
 # How predictions are fused; docs/notes/several.md.
@@ -83,6 +83,7 @@ class OwnPlane:
             (red, green, blue),
             lost,
             more,
+            light.centre,
         )
         return OwnPlane(setup, origin, scale, roll)
 
@@ -94,7 +95,7 @@ class OwnPlane:
 
 
 @dataclass(frozen=True)
-class ReadView:
+class ViewPrediction:
     """The network's prediction of a photograph, on the first one's texels."""
 
     parameters: Tensor
@@ -107,19 +108,19 @@ class ReadView:
     """(3, H, W) specular tint that was divided out (tint.py); None without metal."""
 
 
-def read_views(
+def predict_views(
     alignment: Aligned,
     first: Estimate,
     coarse: CoarseFit,
-    read: ReadAlone,
-) -> list[ReadView]:
+    predict: PredictAlone,
+) -> list[ViewPrediction]:
     """The network's predictions of the photographs with flash and without too large a tilt.
 
     Args:
         alignment: registration and light of the photographs.
         first: prediction of the first, in the estimated frame.
         coarse: fit of the first, whose mean material all share.
-        read: predicts the maps of one photograph.
+        predict: predicts the maps of one photograph.
     """
     extent = alignment.extent
     width, height = first.maps.size
@@ -127,34 +128,34 @@ def read_views(
     across = extent.across(own_across)
     down = max(8, round(height * across / width))
     small = first.resized((down, across), extent)
-    readings = [ReadView(parameters_of(small.maps), small.log_error, extent)]
+    predictions = [ViewPrediction(parameters_of(small.maps), small.log_error, extent)]
     for number, view in enumerate(alignment.views[1:], 1):
         if view.flash and math.degrees(view.camera.tilt) < _STEEPEST:
             own = OwnPlane.of(view.camera, alignment.light, number)
             plane = read_plane(view.photo, own.setup, own_across)
-            theirs = read(plane, replace(coarse, setup=own.setup))
+            theirs = predict(plane, replace(coarse, setup=own.setup))
             warp = alignment.warps[number]
-            readings.append(brought_over(theirs, own, view.camera, warp, (across, down)))
-    return readings
+            predictions.append(resampled_over(theirs, own, view.camera, warp, (across, down)))
+    return predictions
 
 
-def brought_over(
-    read: Estimate,
+def resampled_over(
+    prediction: Estimate,
     own: OwnPlane,
     camera: PosedCamera,
     warp: ViewWarp,
     size: tuple[int, int],
-) -> ReadView:
+) -> ViewPrediction:
     """Resample a prediction from its photograph's own plane to the first one's.
 
     Args:
-        read: the prediction.
+        prediction: the network's, on its photograph's plane.
         own: frame of its plane.
         camera: of its photograph.
         warp: of its photograph, by registration.
         size: (across, down) texels of the first one's grid.
     """
-    width, height = read.maps.size
+    width, height = prediction.maps.size
     whole = np.concatenate([*warp.points(*size)], axis=1)
     points = own.here(camera.on_plane(camera.sees(whole)))
     x = ((points[0] + 1.0) * width / 2.0 - 0.5).astype(np.float32)
@@ -164,16 +165,16 @@ def brought_over(
         resampled = cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
         return torch.from_numpy(resampled)
 
-    maps, tint = achromatic(read.maps)
+    maps, tint = achromatic(prediction.maps)
     logs = torch.cat([maps.diffuse.clamp_min(1e-3).log(), maps.specular.clamp_min(5e-3).log()])
     stacked = torch.stack([there(c) for c in torch.cat([logs, maps.roughness, maps.height])])
     logs, rough, relief = stacked.split([4, 1, 1])
     matte, f0 = logs.exp().split([3, 1])
     over = MapSet(matte, f0, rough, own.scale * relief, warp.extent.texel(size[0]))
-    unsure = torch.stack([there(channel, cv2.INTER_LINEAR) for channel in read.log_error])
-    unsure = (unsure + torch.from_numpy(_fading(x, y, (width, height)))).clamp_max(UNREAD)
+    errors = torch.stack([there(channel, cv2.INTER_LINEAR) for channel in prediction.log_error])
+    errors = (errors + torch.from_numpy(_fading(x, y, (width, height)))).clamp_max(UNPREDICTED)
     tint = None if tint is None else torch.stack([there(c, cv2.INTER_LINEAR) for c in tint])
-    return ReadView(parameters_of(over), unsure, warp.extent, tint)
+    return ViewPrediction(parameters_of(over), errors, warp.extent, tint)
 
 
 def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
@@ -185,18 +186,18 @@ def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
     return np.asarray(-0.5 * np.log(np.maximum(weight, _NOTHING)), np.float32)
 
 
-def joined(every: Sequence[ReadView]) -> Estimate:
+def fused(every: Sequence[ViewPrediction]) -> Estimate:
     """Precision-weighted mean of predictions and its standard deviations (module equation).
 
     Args:
         every: predictions in any order.
     """
-    weights = torch.stack([(-2.0 * read.log_error.clamp(-8.0, 8.0)).exp() for read in every])
+    weights = torch.stack([(-2.0 * one.log_error.clamp(-8.0, 8.0)).exp() for one in every])
     whole = weights.sum(0)
     parameters = torch.zeros_like(every[0].parameters)
     for part, kind in ((ALBEDO, 0), (F0, 1), (ROUGH, 2), (SLOPES, 3)):
-        for read, weight in zip(every, weights, strict=True):
-            parameters[part] += weight[kind] / whole[kind] * read.parameters[part]
+        for one, weight in zip(every, weights, strict=True):
+            parameters[part] += weight[kind] / whole[kind] * one.parameters[part]
     # The common part of the error variance is that of the best prediction.
     alike = weights.amax(0).reciprocal()
     log_error = 0.5 * (_SHARED * alike + (1.0 - _SHARED) / whole).log()
@@ -207,18 +208,18 @@ def joined(every: Sequence[ReadView]) -> Estimate:
     return Estimate(maps_of(parameters, height, texel_size), log_error)
 
 
-def with_others(first: Estimate, readings: Sequence[ReadView]) -> Estimate:
+def with_others(first: Estimate, predictions: Sequence[ViewPrediction]) -> Estimate:
     """The first photograph's prediction plus the upsampled change by fusion with the others.
 
     Detail finer than the grid of fusion stays the first photograph's. Its predicted height does not
     extend beyond it: slopes are integrated.
     """
-    alone, together = joined(readings[:1]), joined(readings)
+    alone, together = fused(predictions[:1]), fused(predictions)
 
     def wide(change: Tensor) -> Tensor:
         return F.interpolate(change[None], size=first.maps.size[::-1], mode="bilinear")[0]
 
-    change = parameters_of(together.maps) - readings[0].parameters
+    change = parameters_of(together.maps) - predictions[0].parameters
     parameters, texel_size = parameters_of(first.maps) + wide(change), first.maps.texel_size
     raised = surface_of(parameters[SLOPES], texel_size)
     log_error = first.log_error + wide(together.log_error - alone.log_error)

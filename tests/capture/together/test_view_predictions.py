@@ -1,4 +1,4 @@
-"""What is read from each photograph, joined in the first one's frame."""
+"""What is read from each photograph, fused in the first one's frame."""
 
 import math
 from dataclasses import replace
@@ -11,14 +11,14 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import F0
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.grid import grid_points
-from matcap.capture.together.readings import (
+from matcap.capture.together.texels import Estimate, parameters_of
+from matcap.capture.together.view_predictions import (
     OwnPlane,
-    ReadView,
-    brought_over,
-    joined,
+    ViewPrediction,
+    fused,
+    resampled_over,
     with_others,
 )
-from matcap.capture.together.texels import Estimate, parameters_of
 from matcap.capture.together.views import SetLight, ViewWarp
 from matcap.flash.geometry import camera_in_plane
 from matcap.lab.simulate.hand_held import Hand, hold
@@ -53,11 +53,12 @@ def _waves(points, texel_size):
 
 
 def test_a_camera_on_its_own_plane_stands_where_it_does(cameras):
-    own = OwnPlane.of(cameras[1], _light(3), 1)
+    own = OwnPlane.of(cameras[1], replace(_light(3), centre=(0.1, 0.2)), 1)
     points = grid_points(16, 12)
     here = np.concatenate([own.here(points), np.zeros((1, 12, 16))])
     seen = PosedCamera.of(own.setup).sees(here)
     np.testing.assert_allclose(seen, cameras[1].sees(points), atol=1e-9)
+    assert own.setup.vignetting_centre == (0.1, 0.2)  # of image coordinates, which are the same
     # And so does its flash, as strong at its own distance.
     _, flash = camera_in_plane(own.setup)
     away = np.linalg.norm(flash.numpy() - here.reshape(3, -1).T, axis=1)
@@ -76,7 +77,7 @@ def test_a_reading_is_brought_over_the_first(cameras):
     maps = replace(maps, height=maps.height / own.scale)
     place = ViewWarp(np.eye(3), None, cameras[0].place)
     doubt = torch.full((4, down, across), -2.0)
-    read = brought_over(Estimate(maps, doubt), own, cameras[1], place, (SIZE[1], SIZE[0]))
+    read = resampled_over(Estimate(maps, doubt), own, cameras[1], place, (SIZE[1], SIZE[0]))
     true = parameters_of(_waves(grid_points(SIZE[1], SIZE[0]), 2.0 / SIZE[1]))
     known = (read.log_error[3] < -1.9)[None].expand_as(true)
     known = known & (torch.nn.functional.avg_pool2d(known.float(), 5, 1, 2) > 0.999)
@@ -89,12 +90,12 @@ def test_no_border_of_a_reading_is_seen(cameras):
     even = _waves(np.zeros((2, 192, 256)), 2.0 / 256)
     place = ViewWarp(np.eye(3), None, cameras[0].place)
     doubt = torch.full((4, 192, 256), -2.0)
-    theirs = brought_over(Estimate(even, doubt), own, cameras[1], place, (SIZE[1], SIZE[0]))
+    theirs = resampled_over(Estimate(even, doubt), own, cameras[1], place, (SIZE[1], SIZE[0]))
     otherwise = parameters_of(_waves(np.zeros((2, *SIZE)), 2.0 / SIZE[1]))
     otherwise[F0] += 1.0
-    both = parameters_of(joined([ReadView(otherwise, torch.full((4, *SIZE), -2.0)), theirs]).maps)[
-        F0
-    ]
+    both = parameters_of(
+        fused([ViewPrediction(otherwise, torch.full((4, *SIZE), -2.0)), theirs]).maps
+    )[F0]
     assert float(both.max() - both.min()) > 0.4
     steps = torch.cat([both.diff(dim=0).abs().flatten(), both.diff(dim=1).abs().flatten()])
     assert float(steps.max()) < 0.1
@@ -103,7 +104,7 @@ def test_no_border_of_a_reading_is_seen(cameras):
 def _read(maps, off, generator, doubt):
     numbers = parameters_of(maps)
     noise = off * torch.randn(numbers.shape, generator=generator)
-    return ReadView(numbers + noise, torch.full((4, *SIZE), doubt))
+    return ViewPrediction(numbers + noise, torch.full((4, *SIZE), doubt))
 
 
 def test_joined_readings_are_nearer_in_any_order_and_the_doubtful_count_less():
@@ -114,15 +115,15 @@ def test_joined_readings_are_nearer_in_any_order_and_the_doubtful_count_less():
 
     def off(readings):
         return float(
-            (parameters_of(joined(readings).maps)[:5] - parameters_of(maps)[:5]).square().mean()
+            (parameters_of(fused(readings).maps)[:5] - parameters_of(maps)[:5]).square().mean()
         )
 
     assert off(read) < 0.4 * off(read[:1])
     assert off([*read, wild]) < 1.1 * off(read)
-    forth, back = joined(read).maps, joined(read[::-1]).maps
+    forth, back = fused(read).maps, fused(read[::-1]).maps
     torch.testing.assert_close(forth.stacked(), back.stacked(), atol=1e-4, rtol=0.0)
     # Three are surer than one, but not as if they erred each on their own.
-    surer = float((joined(read).log_error - joined(read[:1]).log_error).mean())
+    surer = float((fused(read).log_error - fused(read[:1]).log_error).mean())
     assert math.log(1.0 / math.sqrt(3.0)) < surer < -0.1
 
 
@@ -135,12 +136,12 @@ def test_alone_the_first_stays_as_it_was_read_and_others_leave_it_its_fine_waves
     small = MapSet.from_stacked(
         torch.nn.functional.avg_pool2d(maps.stacked()[None], 2)[0], 2.0 / SIZE[1]
     )
-    first = ReadView(parameters_of(small), torch.full((4, *SIZE), -2.0))
+    first = ViewPrediction(parameters_of(small), torch.full((4, *SIZE), -2.0))
     alone = Estimate(maps, doubt)
     same = with_others(alone, [first])
     torch.testing.assert_close(same.maps.stacked(), maps.stacked(), atol=1e-4, rtol=0.0)
     torch.testing.assert_close(same.log_error, doubt)
-    darker = ReadView(first.parameters.clone(), first.log_error)
+    darker = ViewPrediction(first.parameters.clone(), first.log_error)
     darker.parameters[:3] -= 0.4
     both = with_others(alone, [first, darker])
     log = both.maps.diffuse.log()
