@@ -351,7 +351,7 @@ FAULTS = (
     Fault("equalise: however little it is trusted", "capture.piece.equalise posterior_energies",
           "deviation[:, None] + _LEAST_ENERGY", "_LEAST_ENERGY",
           "capture/piece/test_equalise.py -k sure"),
-    Fault("equalise: weaker for stronger", "capture equalise", "wanted / drawn", "drawn / wanted",
+    Fault("equalise: weaker for stronger", "capture equalise", "wanted / here", "here / wanted",
           "capture/piece/test_equalise.py -k sure"),
     Fault("equalise: a bowl is relief", "capture equalise", "split(height)[:-1]",
           "[height, *split(height)[1:-1]]", "capture/piece/test_equalise.py -k bowl"),

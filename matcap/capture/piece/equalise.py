@@ -72,8 +72,8 @@ def equalise(
     factors: Doubles = np.ones(len(even))
     most = _MOST_FACTOR
     for _ in range(_ROUNDS):
-        drawn = _energies(_sum(factors, even))
-        factors = (factors * np.sqrt(wanted / drawn)).clip(1.0 / most, most)
+        here = _energies(_sum(factors, even))
+        factors = (factors * np.sqrt(wanted / here)).clip(1.0 / most, most)
     return _sum(factors, even)
 
 
@@ -142,13 +142,13 @@ def _energies(height: Height) -> Doubles:
 
 def _wanted(height: Height, strengths: Strengths | None) -> Doubles:
     """(len(BANDS),) posterior slope energies (posterior_energies)."""
-    drawn = _energies(height)
+    predicted = _energies(height)
     if strengths is None:
-        return drawn
-    return posterior_energies(drawn, np.square(strengths.slope).sum(1), strengths.deviation)
+        return predicted
+    return posterior_energies(predicted, np.square(strengths.slope).sum(1), strengths.deviation)
 
 
-def posterior_energies(drawn: Doubles, measured: Doubles, deviation: Doubles) -> Doubles:
+def posterior_energies(predicted: Doubles, measured: Doubles, deviation: Doubles) -> Doubles:
     """(bands,) squared slopes: MAP estimate from a prediction and a measurement of each band.
 
     With p_b the network's energy of band b, m_b and d_b the measured one and its deviation,
@@ -161,17 +161,17 @@ def posterior_energies(drawn: Doubles, measured: Doubles, deviation: Doubles) ->
     variance; bands without a measurement follow c.
 
     Args:
-        drawn: (bands,) squared slopes of the network's relief, positive.
+        predicted: (bands,) squared slopes of the network's relief, positive.
         measured: (bands,) by the photograph, not negative.
         deviation: (bands,) standard deviations of `measured`.
     """
     reach, step = _POSTERIOR_REACH, _POSTERIOR_STEP
     logs = np.arange(-reach, reach + step / 2.0, step)
     scatter = deviation[:, None] + _LEAST_ENERGY
-    off = np.square((drawn[:, None] * np.exp(logs) - measured[:, None]) / scatter)
+    off = np.square((predicted[:, None] * np.exp(logs) - measured[:, None]) / scatter)
     # (common, band, own): c, b and x_b of the docstring.
     own_cost = np.square((logs - logs[:, None]) / _BAND_LOG)[:, None, :]
     price = own_cost + off
     best = price.argmin(-1)
     total = price.min(-1).sum(1) + np.square(logs / _COMMON_LOG)
-    return np.asarray(drawn * np.exp(logs[best[total.argmin()]]))
+    return np.asarray(predicted * np.exp(logs[best[total.argmin()]]))

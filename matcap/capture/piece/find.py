@@ -257,7 +257,7 @@ def _median(left: Refined, observed: Observation) -> float:
 
 def predict_maps(observed: Observation, network: Inverse) -> tuple[Observation, NetworkPrediction]:
     """Predict the maps; the observation's light gets the specular tint of metal."""
-    answer = NetworkAnswer.from_stacked(_read(network, observed.inputs.stacked()))
+    answer = NetworkAnswer.from_stacked(_shift_averaged(network, observed.inputs.stacked()))
     trusted = confidence(answer.errors, seen_share(observed.plane.measured))
     trusted[0] *= 1.0 - observed.specular_fraction
     classes = Classes.whole(observed.specular_fraction.shape, metal=observed.coarse.conductor)
@@ -277,9 +277,9 @@ def strengthened(
     observed: Observation, prediction: NetworkPrediction, strengths: Strengths | None
 ) -> NetworkPrediction:
     """Scale relief to the measured energies, equally at all places and directions (equalise.py)."""
-    drawn, sensitivity = prediction.departures, observed.inputs.slope_sensitivity.numpy()
-    height = torch.from_numpy(equalise(drawn.height[0].numpy(), strengths, sensitivity))[None]
-    return replace(prediction, departures=replace(drawn, height=height))
+    predicted, sensitivity = prediction.departures, observed.inputs.slope_sensitivity.numpy()
+    height = torch.from_numpy(equalise(predicted.height[0].numpy(), strengths, sensitivity))[None]
+    return replace(prediction, departures=replace(predicted, height=height))
 
 
 def classified(
@@ -458,7 +458,7 @@ def confidence(
     return np.ascontiguousarray(certain * seen, dtype=np.float32)
 
 
-def _read(network: Inverse, inputs: Tensor) -> Tensor:
+def _shift_averaged(network: Inverse, inputs: Tensor) -> Tensor:
     """(ANSWERS, H, W) prediction for inputs (C, H, W) of any size.
 
     Averaged over the four shifts of the network's grid of 2 x 2 texels, against periodic artefacts.

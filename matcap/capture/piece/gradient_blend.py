@@ -52,9 +52,9 @@ def composed(maps: Floats, source: Sources, free: NDArray[np.bool_], reach: floa
         behind, has_behind = _at(maps, here[:, *last] - step, free)
         drawn = has_ahead * (ahead - before) + has_behind * (after - behind)
         known = has_ahead + has_behind
-        torn = np.where(known > 0.0, after - before - drawn / np.maximum(known, 1.0), 0.0)
-        wanted[:, *first] += torn
-        wanted[:, *last] -= torn
+        mismatch = np.where(known > 0.0, after - before - drawn / np.maximum(known, 1.0), 0.0)
+        wanted[:, *first] += mismatch
+        wanted[:, *last] -= mismatch
     result = maps.copy()
     shown = copied + _solved(wanted * inside, inside, reach)
     result[:, *box] = np.where(inside, shown, maps[:, *box])

@@ -90,15 +90,15 @@ class Observation:
         """(H, W) distance from the vignetting's centre in the photograph, in half widths."""
         return torch.hypot(*from_vignetting_centre(self.points, self.coarse.setup))
 
-    def strengths(self, read: Tensor | None = None) -> Strengths | None:
+    def strengths(self, predicted: Tensor | None = None) -> Strengths | None:
         """Relief spectrum measured in the photograph; None if too few texels are valid.
 
         The sensitivity to slope is the coarse fit's, which is nearer to the truth than that of the
         predicted maps (docs/notes/capture.md); the difference of both adds to the deviation.
 
         Args:
-            read: (2, H, W) d log L / d slope of the predicted maps. Bare metal between rust has
-                three times the sensitivity of both together.
+            predicted: (2, H, W) d log L / d slope of the predicted maps: bare metal between rust
+                has three times the sensitivity of both together.
         """
         plane, use = self.plane, self.plane.measured.numpy()
         # Interpolate clipped texels, to no less than the clipped value.
@@ -112,7 +112,7 @@ class Observation:
             use.mean(0, dtype=np.float32),
             float(variance.mean().sqrt()) if variance.numel() else 0.0,
             matte=(1.0 - self.inputs.gloss[0]).clamp(0.0, 1.0).numpy(),
-            also=None if read is None else _even(read),
+            also=None if predicted is None else _even(predicted),
         )
 
     def tinted(self, metal: Tensor) -> Observation:

@@ -58,14 +58,14 @@ BlockPlaces = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class _Drawn:
+class _MapPlanes:
     """Map planes in three forms: original, to be copied, and to be compared."""
 
     stacked: Floats
     """(6, H, W) the exemplar's maps."""
-    laid: Floats
+    high_passed: Floats
     """(6, H, W) these maps with height high-passed, as low frequencies are not copied."""
-    seen: Floats
+    features: Floats
     """(H, W, 3) channel mean of log albedo, and slopes (x, down), each over its deviation."""
 
 
@@ -102,21 +102,21 @@ def transport(
         hidden = (hidden & known) | (_between(known) & ~known)
     if hidden.mean() < _LEAST_HIDDEN or not len(donors):
         return exemplar
-    drawn = _drawn(exemplar, ~hidden)
+    planes = _map_planes(exemplar, ~hidden)
     places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > _WANTED_SHARE]
     # From visible surroundings inwards, so that patterns continue.
     places.sort(key=lambda p: -float(trusted[_block(p)].mean()))
     valid = valid & torch.from_numpy(confidence > 0.0)
     photograph = _Photograph(exemplar, linear, valid, light)
-    chosen = _choose(places, donors, drawn, ~hidden, photograph)
+    chosen = _choose(places, donors, planes, ~hidden, photograph)
     source, copied = _sources(chosen, hidden)
     # F0 and roughness are constant in a class and have steps between classes: no blending.
-    maps = drawn.laid[:, source[0], source[1]]
+    maps = planes.high_passed[:, source[0], source[1]]
     texel = exemplar.texel_size
-    log_albedo = np.log(drawn.laid[DIFFUSE].clip(DARKEST))
-    drawing = np.concatenate([log_albedo, drawn.laid[HEIGHT] / texel])
+    log_albedo = np.log(planes.high_passed[DIFFUSE].clip(DARKEST))
+    drawing = np.concatenate([log_albedo, planes.high_passed[HEIGHT] / texel])
     *albedo, fine = composed(drawing, source, copied, _SEAM_REACH)
-    slow = drawn.stacked[HEIGHT] - drawn.laid[HEIGHT]
+    slow = planes.stacked[HEIGHT] - planes.high_passed[HEIGHT]
     return replace(
         exemplar,
         diffuse=np.where(copied, np.exp(np.stack(albedo)), exemplar.diffuse).clip(0.0, 1.0),
@@ -203,13 +203,13 @@ def _detrended(log: Tensor, seen: Tensor) -> Tensor:
 def _choose(
     places: list[tuple[int, int]],
     donors: BlockPlaces,
-    drawn: _Drawn,
+    planes: _MapPlanes,
     known: NDArray[np.bool_],
     photograph: _Photograph,
 ) -> dict[tuple[int, int], tuple[int, int]]:
     """Corner of the donor block of every place; distinct places keep their maps, without entry."""
     rng = np.random.default_rng(0)
-    known, seen = known.copy(), drawn.seen.copy()
+    known, seen = known.copy(), planes.features.copy()
     allowed = np.zeros(known.shape, np.bool_)
     allowed[donors[:, 0], donors[:, 1]] = True
     chosen: dict[tuple[int, int], tuple[int, int]] = {}
@@ -218,19 +218,19 @@ def _choose(
         follow = [(y, x) for y, x in _continued(place, chosen) if min(y, x) >= 0 and allowed[y, x]]
         if follow:
             blocks = np.concatenate([blocks, np.array(follow)])
-        torn = _discontinuity(place, blocks, drawn.seen, seen, known)
-        nearest = np.argsort(torn, kind="stable")[:_RENDERED]
+        mismatch = _discontinuity(place, blocks, planes.features, seen, known)
+        nearest = np.argsort(mismatch, kind="stable")[:_RENDERED]
         nearest = np.concatenate([nearest, np.arange(min(_RENDERED, len(blocks)))])
-        blocks, torn = blocks[nearest], torn[nearest]
+        blocks, mismatch = blocks[nearest], mismatch[nearest]
         shown = photograph.likeness(place, blocks)
-        best = int((torn + _UNLIKENESS * shown.share * shown.unlike).argmin())
+        best = int((mismatch + _UNLIKENESS * shown.share * shown.unlike).argmin())
         source = (int(blocks[best][0]), int(blocks[best][1]))
         if shown.is_distinct:
             source = place
         else:
             chosen[place] = source
         here = _block(place)
-        seen[here] = np.where(known[here][..., None], seen[here], drawn.seen[_block(source)])
+        seen[here] = np.where(known[here][..., None], seen[here], planes.features[_block(source)])
         known[here] = True
     return chosen
 
@@ -291,19 +291,19 @@ def _sources(
     return source, deepest > 0
 
 
-def _drawn(exemplar: Exemplar, known: NDArray[np.bool_]) -> _Drawn:
+def _map_planes(exemplar: Exemplar, known: NDArray[np.bool_]) -> _MapPlanes:
     """Prepare an exemplar's planes; albedo is standardised over known texels."""
     stacked = exemplar.stacked().astype(np.float32)
     height = exemplar.height[0] / exemplar.texel_size
     fine = height - cv2.GaussianBlur(height, (0, 0), _BLOCK / 1.5)
-    laid = stacked.copy()
-    laid[HEIGHT] = fine * exemplar.texel_size
+    high_passed = stacked.copy()
+    high_passed[HEIGHT] = fine * exemplar.texel_size
     down, across = np.gradient(fine)
     lightness = np.log(exemplar.diffuse.clip(1e-3)).mean(0)
     steep = np.sqrt(np.mean(np.square(down) + np.square(across))) + 1e-6
     lightness /= lightness[known].std() + 1e-3
-    seen = np.stack([lightness, across / steep, down / steep], axis=-1)
-    return _Drawn(stacked, laid, seen.astype(np.float32))
+    features = np.stack([lightness, across / steep, down / steep], axis=-1)
+    return _MapPlanes(stacked, high_passed, features.astype(np.float32))
 
 
 def _around(texels: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -13,7 +13,7 @@ from photographed import photographed
 from matcap.capture.detail import Rectified
 from matcap.capture.piece.find import (
     ExemplarEstimate,
-    _read,
+    _shift_averaged,
     confidence,
     estimate_exemplar,
     map_set_of,
@@ -190,7 +190,7 @@ def test_what_is_read_has_no_mesh_of_two_texels():
     with torch.no_grad():
         network.head.bias.copy_(torch.randn(network.head.bias.shape, generator=_generator(1)))
         inputs = torch.full((INPUTS, 64, 96), 0.2)
-        read = _read(network, inputs)[3:6, 16:48, 16:80]
+        read = _shift_averaged(network, inputs)[3:6, 16:48, 16:80]
         alone = network(inputs[None])[0, 3:6, 16:48, 16:80]
     for along in (-1, -2):
         mesh, before = (float(p.diff(dim=along).abs().mean()) for p in (read, alone))
