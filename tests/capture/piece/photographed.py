@@ -9,9 +9,10 @@ import numpy as np
 import torch
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.piece.refine import PhotographLight
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import render_flash
-from matcap.flash.uniform import Uniform
 
 SETUP = FlashSetup(fov=65.0, offset=(0.08, 0.04, 0.0), intensity=(6.0,) * 3)
 
@@ -22,8 +23,13 @@ class Photographed:
 
     linear: torch.Tensor
     maps: MapSet
-    uniform: Uniform
+    uniform: CoarseFit
     points: torch.Tensor
+
+    @property
+    def light(self) -> PhotographLight:
+        """At every texel."""
+        return PhotographLight.of(self.uniform, self.points)
 
 
 def photographed(
@@ -42,7 +48,7 @@ def photographed(
     tone = clouds(2.0)
     tone *= contrast / max(float(tone.std()), 1e-9)
     one = torch.ones(1, height, width)
-    uniform = Uniform((0.3, 0.25, 0.2), 0.04, 0.7, SETUP)
+    uniform = CoarseFit((0.3, 0.25, 0.2), 0.04, 0.7, SETUP, residual=0.0)
     maps = MapSet(
         torch.tensor(uniform.diffuse)[:, None, None] * torch.from_numpy(np.exp(tone)),
         0.04 * one,

@@ -13,9 +13,8 @@ from matcap.capture.piece.find import estimate_exemplar, map_set_of
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.piece.noise import channel_noise, channel_weights, code_step
-from matcap.capture.piece.refine import PhotographLight, refine
+from matcap.capture.piece.refine import refine
 from matcap.capture.progress import CaptureClock
-from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import plane_of
 
 WHOLE = torch.ones(96, 128, dtype=torch.bool)
@@ -63,7 +62,7 @@ def test_channels_alike_weigh_alike_and_all_weights_add_up_to_one():
 
 def test_a_channel_that_is_noise_moves_no_map():
     shot = photographed(0.1, 0.1, width=192, height=144)
-    light = PhotographLight.of(shot.uniform, shot.points)
+    light = shot.light
     truth = light.departures(shot.maps)
     errors = ExpectedErrors.from_stacked(torch.log(torch.full((4, 1, 1), 0.2)))
     draw = torch.Generator().manual_seed(6)
@@ -87,13 +86,9 @@ def _found(shot: Photographed, noise: float) -> MapSet:
     )
     linear = (shot.linear + photographed).clamp_min(0.0)
     plane = plane_of(linear, torch.ones(linear.shape[1:], dtype=torch.bool), another)
-    uniform = shot.uniform
-    coarse = CoarseFit(
-        uniform.diffuse, uniform.specular, uniform.roughness, uniform.setup, residual=0.0
-    )
-    return map_set_of(
-        estimate_exemplar(Rectified.of(plane), coarse, load_inverse(), CaptureClock(None)).exemplar
-    )
+    clock = CaptureClock(None)
+    found = estimate_exemplar(Rectified.of(plane), shot.uniform, load_inverse(), clock)
+    return map_set_of(found.exemplar)
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03])

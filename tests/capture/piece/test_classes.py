@@ -18,7 +18,6 @@ from matcap.capture.piece.classes import (
     goes_with_metal,
 )
 from matcap.capture.piece.levels import RingTarget
-from matcap.capture.piece.refine import PhotographLight
 from matcap.flash.geometry import flash_mirror_point
 from matcap.flash.render import render_flash
 
@@ -44,7 +43,7 @@ def photograph(metal: torch.Tensor, brightness: float = 1.0):
         roughness=0.3 * metal + 0.7 * (1.0 - metal),
     )
     linear = brightness * render_flash(maps, shot.uniform.setup, shot.points)
-    light = PhotographLight.of(shot.uniform, shot.points)
+    light = shot.light
     grey = replace(maps, specular=maps.specular.mean(0, keepdim=True))
     truth = light.departures(grey)
     read = replace(

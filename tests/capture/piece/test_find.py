@@ -40,12 +40,8 @@ from matcap.lab.inverse.train import save_inverse
 
 def _plane(clip: float = 1e9):
     shot = photographed(0.15, 0.15, width=256, height=192)
-    uniform = shot.uniform
-    coarse = CoarseFit(
-        uniform.diffuse, uniform.specular, uniform.roughness, uniform.setup, residual=0.0
-    )
     clipped = shot.linear.clamp_max(clip)
-    return plane_of(clipped, (clipped < clip).all(0)), coarse, shot
+    return plane_of(clipped, (clipped < clip).all(0)), shot.uniform, shot
 
 
 def _found(plane: Plane, coarse: CoarseFit, network: Inverse | None = None) -> ExemplarEstimate:
@@ -74,7 +70,7 @@ def test_a_black_and_white_weave_is_as_bright_as_photographed() -> None:
     maps = replace(shot.maps, diffuse=shot.maps.diffuse * torch.from_numpy(tone).exp())
     linear = render_flash(maps, shot.uniform.setup, shot.points)
     mean = tuple(maps.diffuse.mean((1, 2)).tolist())
-    coarse = CoarseFit(mean, 0.04, 0.7, shot.uniform.setup, residual=0.0)
+    coarse = replace(shot.uniform, diffuse=mean)
     found = _found(plane_of(linear, torch.ones(192, 256, dtype=torch.bool)), coarse)
     again = render_flash(map_set_of(found.exemplar), shot.uniform.setup, shot.points)
     ratio = again.mean((1, 2)) / linear.mean((1, 2)) / found.scale
@@ -213,9 +209,8 @@ def test_relief_is_no_wider_than_the_highlight(
     uniform = replace(shot.uniform, roughness=roughness)
     maps = replace(shot.maps, roughness=torch.full_like(shot.maps.roughness, roughness))
     linear = render_flash(maps, uniform.setup, shot.points)
-    coarse = CoarseFit(uniform.diffuse, uniform.specular, roughness, uniform.setup, residual=0.0)
     plane = plane_of(linear, torch.ones(linear.shape[1:], dtype=torch.bool))
-    observed, prediction = predict_maps(Observation.of(plane, coarse), load_inverse())
+    observed, prediction = predict_maps(Observation.of(plane, uniform), load_inverse())
     guess = replace(
         prediction.classes.settled(prediction.departures, torch.ones(linear.shape[1:])),
         height=steeper * shot.maps.height / shot.maps.texel_size,

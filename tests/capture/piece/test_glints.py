@@ -11,7 +11,6 @@ import torch
 from photographed import photographed
 
 from matcap.capture.piece.glints import scaled_by_glints
-from matcap.capture.piece.refine import PhotographLight
 from matcap.flash.render import render_flash
 
 HEIGHT, WIDTH = 192, 256
@@ -27,7 +26,7 @@ def scene(albedo: float, roughness: float):
         specular=0.04 * one,
         roughness=roughness * one,
     )
-    light = PhotographLight.of(shot.uniform, shot.points)
+    light = shot.light
     linear = render_flash(maps, shot.uniform.setup, shot.points)
     return linear / float(linear.quantile(0.99)), light, light.departures(maps)
 

@@ -14,7 +14,6 @@ from matcap.capture.piece.find import inpainted, levelled, predict_maps
 from matcap.capture.piece.highlight_remainder import remaining_highlight
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.piece.observation import Observation
-from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import plane_of
 
 HEIGHT, WIDTH = 384, 512
@@ -108,12 +107,8 @@ def test_a_mirror_point_outside_of_the_picture_is_none():
 
 def test_a_spot_in_albedo_is_inpainted():
     shot = photographed(0.15, 0.15, width=512, height=384)
-    uniform = shot.uniform
-    coarse = CoarseFit(
-        uniform.diffuse, uniform.specular, uniform.roughness, uniform.setup, residual=0.0
-    )
     plane = plane_of(shot.linear, torch.ones(shot.linear.shape[1:], dtype=torch.bool))
-    observed, prediction = predict_maps(Observation.of(plane, coarse), load_inverse())
+    observed, prediction = predict_maps(Observation.of(plane, shot.uniform), load_inverse())
     prediction = levelled(observed, prediction)
     departures = prediction.departures
     disc = (observed.from_mirror_point / plane.texel_size).numpy() < 20.0

@@ -9,7 +9,7 @@ from photographed import photographed
 
 from matcap.capture.piece.metal import has_metal, seen_colour, tint
 from matcap.capture.piece.network.network import ExpectedErrors
-from matcap.capture.piece.refine import PhotographLight, refine
+from matcap.capture.piece.refine import refine
 from matcap.flash.render import render_flash
 
 GOLD = torch.tensor([1.0, 0.766, 0.336])[:, None, None]
@@ -56,7 +56,7 @@ def test_refining_keeps_hue_and_finds_how_bright_metal_is() -> None:
     shot, maps, linear, metal = half_gold()
     measured = torch.ones(3, 64, 96, dtype=torch.bool)
     hue = tint(metal, seen_colour(linear, metal))
-    light = replace(PhotographLight.of(shot.uniform, shot.points), hue=hue)
+    light = replace(shot.light, hue=hue)
     truth = light.departures(maps)
     off = light.maps(truth).specular / maps.specular
     assert float(off.log().abs().mean()) < 0.02

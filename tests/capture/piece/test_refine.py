@@ -11,7 +11,7 @@ from photographed import photographed
 
 from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.piece.network.network import ExpectedErrors
-from matcap.capture.piece.refine import PhotographLight, flatten, refine, with_photographed_mean
+from matcap.capture.piece.refine import flatten, refine, with_photographed_mean
 
 ERRORS = ExpectedErrors.from_stacked(torch.log(torch.tensor([0.2, 0.1, 0.1, 0.1]))[:, None, None])
 
@@ -30,7 +30,7 @@ def _paler(parameters: SurfaceParameters, by) -> SurfaceParameters:
 
 def _setting(contrast: float = 0.1):
     shot = photographed(0.1, contrast, width=192, height=144)
-    light = PhotographLight.of(shot.uniform, shot.points)
+    light = shot.light
     return shot, light, torch.ones(144, 192, dtype=torch.bool), light.departures(shot.maps)
 
 

@@ -9,7 +9,6 @@ import pytest
 import torch
 from photographed import SETUP, Photographed, photographed
 
-from matcap.capture.piece.refine import PhotographLight
 from matcap.capture.piece.transport import transport
 from matcap.example.exemplar import Exemplar
 from matcap.flash.render import render_flash
@@ -30,9 +29,12 @@ def _hidden(shot: Photographed, confidence: float = 1e-3) -> Exemplar:
     )  # fmt: skip
 
 
-def _lent(shot: Photographed, exemplar: Exemplar, valid: torch.Tensor) -> Exemplar:
-    light = PhotographLight.of(shot.uniform, shot.points)
-    return transport(exemplar, shot.linear, valid, light)
+def _lent(shot: Photographed, exemplar: Exemplar, hole: tuple[slice, ...] = ()) -> Exemplar:
+    """Inpainted; the photograph is clipped in a hole, if any."""
+    valid = torch.ones(shot.linear.shape[1:], dtype=torch.bool)
+    if hole:
+        valid[hole] = False
+    return transport(exemplar, shot.linear, valid, shot.light)
 
 
 def _likeness(found: Exemplar, shot: Photographed) -> float:
@@ -55,9 +57,7 @@ def shot() -> Photographed:
 
 def test_a_hole_looks_like_the_rest(shot: Photographed) -> None:
     exemplar = _hidden(shot)
-    valid = torch.ones(exemplar.height.shape[-2:], dtype=torch.bool)
-    valid[HOLE] = False
-    whole = _lent(shot, exemplar, valid)
+    whole = _lent(shot, exemplar, HOLE)
     hole = np.log(whole.diffuse)[:, *HOLE]
     truth = shot.maps.diffuse.log().numpy()[:, *HOLE]
     assert np.abs(hole.mean((1, 2)) - truth.mean((1, 2))).max() < 0.2
@@ -70,7 +70,7 @@ def test_a_hole_looks_like_the_rest(shot: Photographed) -> None:
 
 def test_what_is_far_from_the_hole_is_untouched(shot: Photographed) -> None:
     exemplar = _hidden(shot)
-    whole = _lent(shot, exemplar, torch.ones(exemplar.height.shape[-2:], dtype=torch.bool))
+    whole = _lent(shot, exemplar)
     for name in ("diffuse", "specular", "roughness", "height"):
         before, after = getattr(exemplar, name), getattr(whole, name)
         assert np.array_equal(before[:, :70], after[:, :70]), name
@@ -86,10 +86,9 @@ def test_the_drawing_is_what_the_photograph_shows_there(
     maps = replace(shot.maps, diffuse=0.2 * tone.exp().expand(3, -1, -1))
     shot = replace(shot, maps=maps, linear=render_flash(maps, SETUP, shot.points))
     exemplar = _hidden(shot)
-    seen = torch.ones(exemplar.height.shape[-2:], dtype=torch.bool)
-    likeness = _likeness(_lent(shot, exemplar, seen), shot)
+    likeness = _likeness(_lent(shot, exemplar), shot)
     monkeypatch.setattr("matcap.capture.piece.transport._UNLIKENESS", 0.0)
-    assert likeness > max(0.7, _likeness(_lent(shot, exemplar, seen), shot) + 0.1)
+    assert likeness > max(0.7, _likeness(_lent(shot, exemplar), shot) + 0.1)
 
 
 def test_what_nothing_looks_like_stays(shot: Photographed) -> None:
@@ -99,8 +98,7 @@ def test_what_nothing_looks_like_stays(shot: Photographed) -> None:
     maps = replace(shot.maps, diffuse=albedo)
     scratched = replace(shot, maps=maps, linear=render_flash(maps, SETUP, shot.points))
     exemplar = replace(_hidden(scratched), diffuse=albedo.clamp(0.0, 0.95).numpy())
-    seen = torch.ones(exemplar.height.shape[-2:], dtype=torch.bool)
-    whole = _lent(scratched, exemplar, seen)
+    whole = _lent(scratched, exemplar)
     inside = (slice(None), slice(120, 200), slice(250, 262))
     assert whole.diffuse[inside].mean() == pytest.approx(exemplar.diffuse[inside].mean(), rel=0.05)
 
@@ -109,43 +107,39 @@ def test_a_drawing_that_never_comes_again_is_lent_all_the_same(shot: Photographe
     """No two places of bumps are alike; glare over them must not stay a pale disc for that."""
     bumpy = photographed(0.1, 0.3)
     exemplar = _hidden(bumpy)
-    seen = torch.ones(exemplar.height.shape[-2:], dtype=torch.bool)
-    hole = np.log(_lent(bumpy, exemplar, seen).diffuse)[:, 120:200, 210:300]
+    hole = np.log(_lent(bumpy, exemplar).diffuse)[:, 120:200, 210:300]
     truth = bumpy.maps.diffuse.log().numpy()
     assert hole.std((1, 2)).mean() == pytest.approx(truth.std((1, 2)).mean(), rel=0.3)
 
 
 def test_it_is_the_same_every_time(shot: Photographed) -> None:
     exemplar = _hidden(shot)
-    seen = torch.ones(exemplar.height.shape[-2:], dtype=torch.bool)
-    first, again = (_lent(shot, exemplar, seen) for _ in range(2))
+    first, again = (_lent(shot, exemplar) for _ in range(2))
     assert np.array_equal(first.stacked(), again.stacked())
 
 
 def test_nothing_is_lent_where_nothing_hides_or_nobody_can(shot: Photographed) -> None:
     exemplar = _hidden(shot)
-    seen = torch.ones(exemplar.height.shape[-2:], dtype=torch.bool)
     trusted = replace(exemplar, confidence=np.ones_like(exemplar.confidence))
-    assert _lent(shot, trusted, seen) is trusted
+    assert _lent(shot, trusted) is trusted
     specks = exemplar.confidence.copy()
     specks[:, ::4, ::4] = 0.0
     scattered = replace(exemplar, confidence=specks)
-    assert _lent(shot, scattered, seen) is scattered
+    assert _lent(shot, scattered) is scattered
     small = photographed(0.1, 0.5, width=40, height=30)
     tiny = Exemplar(
         small.maps.diffuse.clamp(0.0, 0.95).numpy(), small.maps.specular.numpy(),
         small.maps.roughness.numpy(), small.maps.height.numpy(),
         np.eye(30, 40, dtype=np.float32)[None].repeat(4, 0), small.maps.texel_size,
     )  # fmt: skip
-    assert _lent(small, tiny, torch.ones(30, 40, dtype=torch.bool)) is tiny
+    assert _lent(small, tiny) is tiny
 
 
 def test_a_coloured_specular_albedo_is_copied_as_the_field_reads_it(shot: Photographed) -> None:
     """The field's kernel takes planes of one block of memory each."""
     exemplar = _hidden(shot)
     coloured = replace(exemplar, specular=np.repeat(exemplar.specular, 3, axis=0))
-    seen = torch.ones(exemplar.height.shape[-2:], dtype=torch.bool)
-    maps = _lent(shot, coloured, seen)
+    maps = _lent(shot, coloured)
     assert maps.specular.shape[0] == 3
     for name in ("diffuse", "specular", "roughness", "height"):
         assert getattr(maps, name).flags.c_contiguous, name
@@ -154,7 +148,6 @@ def test_a_coloured_specular_albedo_is_copied_as_the_field_reads_it(shot: Photog
 def test_a_wrong_slope_of_the_highlight_is_no_scratch(shot: Photographed) -> None:
     """An error of the fitted highlight, quadratic in place, neither keeps nor changes a drawing."""
     exemplar = _hidden(shot)
-    valid = torch.ones(exemplar.height.shape[-2:], dtype=torch.bool)
     y, x = torch.meshgrid(torch.linspace(-4, 4, 384), torch.linspace(-5, 5, 512), indexing="ij")
     brighter = replace(shot, linear=shot.linear * (0.3 * x + 0.2 * y - 0.1 * x * y).exp())
-    assert _likeness(_lent(brighter, exemplar, valid), shot) > 0.7
+    assert _likeness(_lent(brighter, exemplar), shot) > 0.7
