@@ -15,7 +15,8 @@ import torch
 from uniform import a_setup, photograph
 
 from matcap.flash.coarse.fit import fit_coarse
-from matcap.flash.coarse.hypotheses import TiltPrior
+from matcap.flash.coarse.hypotheses import TiltPrior, hypothesis
+from matcap.flash.coarse.model import INDEX
 from matcap.photo.camera import CameraProfile, Falloff
 from matcap.photo.tone import SHOULDER, ToneCurve
 
@@ -222,12 +223,13 @@ def test_a_measured_tilt_moves_the_fit_as_far_as_it_is_certain():
     assert alone.tilt_prior is None and alone.picture_tilt is None
 
 
-def test_measurement_and_prior_weigh_by_their_precisions():
-    mean, std = TiltPrior((0.3, 0.0), (0.1, 0.2)).times(
-        torch.tensor([0.0, 0.4], dtype=torch.float64), torch.tensor([0.2, 0.2]).double()
-    )
-    assert mean.tolist() == pytest.approx([0.24, 0.2])
-    assert std.tolist() == pytest.approx([(25.0 + 100.0) ** -0.5, 50.0**-0.5])
+def test_a_measurement_is_not_pulled_towards_no_tilt():
+    """The prior of 2.9 degrees about none is of fits without a measurement; it had halved tilts."""
+    photo = made(radiometric=False)[1]
+    far = TiltPrior((0.2, -0.15), (0.04, 0.03))
+    prior = hypothesis(photo, None, far, conductor=False)
+    assert prior.mean.tilt.tolist() == pytest.approx(far.mean)
+    assert prior.precision.diag()[INDEX.tilt].rsqrt().tolist() == pytest.approx(far.std)
 
 
 def test_the_tone_curve_is_fitted_and_undone_where_the_falloff_is_known():

@@ -51,6 +51,9 @@ CONDUCTOR_F0 = (math.log(0.5), 0.5)  # mean and standard deviation of log F0
 class TiltPrior:
     """A Gaussian measurement of both tilt angles from elsewhere (space/alignment.py).
 
+    It takes the place of the fit's own prior, which is as narrow as it is because errors of the
+    tone curve look like tilt, and not because tilts are small.
+
     Attributes:
         mean: (tilt_x, tilt_y) in radians.
         std: their standard deviations, radians.
@@ -58,12 +61,6 @@ class TiltPrior:
 
     mean: tuple[float, float]
     std: tuple[float, float]
-
-    def times(self, mean: Tensor, std: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and standard deviation of its product with another Gaussian, (2,) each."""
-        own, other = numbers(*self.std).pow(-2), std.pow(-2)
-        precision = own + other
-        return (own * numbers(*self.mean) + other * mean) / precision, precision.rsqrt()
 
 
 @dataclass(frozen=True)
@@ -111,8 +108,8 @@ def hypothesis(
         deviation = replace(deviation, tilt=numbers(_FIXED, _FIXED))
     elif tilt_prior is not None:
         alone = (mean.tilt, deviation.tilt)
-        place, std = tilt_prior.times(*alone)
-        mean, deviation = replace(mean, tilt=place), replace(deviation, tilt=std)
+        mean = replace(mean, tilt=numbers(*tilt_prior.mean))
+        deviation = replace(deviation, tilt=numbers(*tilt_prior.std))
     precision = torch.diag(deviation.vector().pow(-2))
     precision[INDEX.vignetting[:, None], INDEX.vignetting] = torch.from_numpy(falloff.precision)
     return Hypothesis(mean, precision, conductor, tilt is not None, alone)
