@@ -4,8 +4,10 @@ import importlib.util
 from pathlib import Path
 
 import guide
+import numpy as np
 import pytest
 from guide import ROOT
+from lattice_tilt import tilt_about_x
 
 from matcap.lab.bench.paper_tables import paper_page
 from matcap.lab.experiment.results import read
@@ -51,6 +53,18 @@ def test_the_page_has_the_tables_that_bench_paper_makes_of_the_measured_rows():
     tables = [line for line in paper_page(rows, "").splitlines() if line.startswith("|")]
     assert len(tables) > 22
     assert [line for line in tables if line not in PAGE.splitlines()] == []
+
+
+@pytest.mark.parametrize("degrees", [10.0, -6.0])
+def test_a_pattern_shows_its_tilt(degrees):
+    """Stripes whose upper end is turned towards the camera are wider there."""
+    distance, rows, columns = 1.54, 600, 800
+    y, x = np.mgrid[0:rows, 0:columns] * 2.0 / columns
+    slope = np.tan(np.radians(degrees)) / distance
+    at = (x - 1.0) * (1.0 - slope * (rows / columns - y))
+    texture = sum(np.cos(2.0 * np.pi * each * at) for each in (9.0, 13.0, 22.0))
+    texture += 0.1 * np.random.default_rng(0).standard_normal(texture.shape)
+    assert tilt_about_x(texture.astype(np.float32), distance)[0] == pytest.approx(degrees, abs=1.0)
 
 
 SCRIPT = Path(__file__).parents[2] / "docs" / "images" / "failing.py"
