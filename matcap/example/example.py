@@ -86,14 +86,19 @@ class Example:
         return Example.of_rounded(exemplar.rounded(), waves)
 
     @staticmethod
-    def of_rounded(exemplar: Exemplar, waves: tuple[Frequency, ...] = ()) -> Example:
-        """Index an exemplar that is rounded as in a file; arguments and errors of `of`."""
+    def of_rounded(
+        exemplar: Exemplar, waves: tuple[Frequency, ...] = (), *, straight: bool = False
+    ) -> Example:
+        """Index an exemplar that is rounded as in a file; arguments and errors of `of`.
+
+        With `straight`, waves are exact and the lattice has no bend.
+        """
         bits = detail_bits(exemplar)
         coarse = coarsened(exemplar, bits)
         if not level_count(*coarse.size):
             raise ValueError(f"an exemplar of {exemplar.size} texels")
         scaled = tuple((fx * 2**bits, fy * 2**bits) for fx, fy in waves)
-        return Example(exemplar, build_index(coarse, scaled))
+        return Example(exemplar, build_index(coarse, scaled, straight=straight))
 
     @property
     def alignment(self) -> int:

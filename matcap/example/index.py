@@ -132,19 +132,23 @@ class Index:
         )
 
 
-def build_index(exemplar: Exemplar, waves: tuple[Frequency, ...]) -> Index:
+def build_index(
+    exemplar: Exemplar, waves: tuple[Frequency, ...], *, straight: bool = False
+) -> Index:
     """Compute the index of an exemplar.
 
     Args:
         exemplar: on its grid of places, of at least 14 texels a side.
         waves: approximate frequency vectors of its lattice, cycles per texel; or none.
+        straight: whether they are exact, of a lattice without a bend.
     """
     width, height = exemplar.size
     planes = planes_of(exemplar)
     scale = choose_scale(planes)
     features = features_of(planes, scale)
     means = features.mean(axis=(1, 2), keepdims=True)
-    lattice = measure_lattice(np.subtract(features, means, dtype=np.float32), waves)
+    centred = np.subtract(features, means, dtype=np.float32)
+    lattice = measure_lattice(centred, waves, straight=straight)
     count = level_count(width, height)
     if lattice is not None:
         count = min(count, _ordered_levels(lattice))

@@ -250,7 +250,7 @@ def _two(lattice: PhasedLattice, cells: float) -> tuple[Frequency, Frequency]:
 
 
 def measure_lattice(
-    planes: NDArray[np.floating], waves: tuple[Frequency, ...]
+    planes: NDArray[np.floating], waves: tuple[Frequency, ...], *, straight: bool = False
 ) -> PhasedLattice | None:
     """Measure frequency vectors and phases of a lattice.
 
@@ -260,8 +260,9 @@ def measure_lattice(
     Args:
         planes: (C, H, W) of zero mean.
         waves: approximate frequency vectors.
+        straight: whether they are exact, of a lattice without a bend.
     """
-    measured = [_measured(planes, wave) for wave in waves]
+    measured = [_measured(planes, wave, straight) for wave in waves]
     if not measured or any(one is None for one in measured):
         return None
     fitted = [one for one in measured if one is not None]
@@ -271,7 +272,7 @@ def measure_lattice(
     repeats = [_repeats(planes, period) for period in lattice.periods().T / 256.0]
     if not all(repeats):
         kept = tuple(wave for wave, one in zip(waves, repeats, strict=True) if one)
-        return measure_lattice(planes, kept)
+        return measure_lattice(planes, kept, straight=straight)
     joints = _joints(np.delete(planes, _SLOPES, axis=0), lattice)
     return PhasedLattice(lattice.waves, lattice.phase_offsets - joints[:, None, None])
 
@@ -325,7 +326,7 @@ def _joints(planes: NDArray[np.floating], lattice: PhasedLattice) -> NDArray[np.
 
 
 def _measured(
-    planes: NDArray[np.floating], wave: Frequency
+    planes: NDArray[np.floating], wave: Frequency, straight: bool
 ) -> tuple[Frequency, NDArray[np.int32]] | None:
     """The mean frequency vector and phase offsets of a wave, by local demodulation.
 
@@ -340,14 +341,17 @@ def _measured(
     x, y = np.arange(wide)[None, :], np.arange(high)[:, None]
     side = 1 << GRID
     rows, columns = np.arange(0, high + side, side), np.arange(0, wide + side, side)
+    if straight:
+        return wave, np.zeros((len(rows), len(columns)), np.int32)
     down, across = (
-        _windows(n, at, deviation).astype(np.complex64) for n, at in ((high, rows), (wide, columns))
+        gaussian_windows(n, at, deviation).astype(np.complex64)
+        for n, at in ((high, rows), (wide, columns))
     )
-    straight = wave[0] * x + wave[1] * y
+    even = wave[0] * x + wave[1] * y
     lag = max(1, round(_LAG * deviation) >> GRID)
     bend = np.zeros((len(rows), len(columns)))
     for _ in range(_ROUNDS):
-        turns = straight + _bent(np.rint(bend * _TURN).astype(np.int64), x, y) / _TURN
+        turns = even + _bent(np.rint(bend * _TURN).astype(np.int64), x, y) / _TURN
         carrier = np.exp(-2j * np.pi * (turns - np.floor(turns))).astype(np.complex64)
         local = np.stack([(down @ (plane * carrier)) @ across.T for plane in planes])
         joined = _joined(local, lag)
@@ -376,7 +380,9 @@ def _joined(local: NDArray[np.complexfloating], lag: int) -> NDArray[np.complexf
     return (local * weights[:, None, None]).sum(axis=0)
 
 
-def _windows(length: int, centres: NDArray[np.int64], deviation: float) -> NDArray[np.float64]:
+def gaussian_windows(
+    length: int, centres: NDArray[np.int64], deviation: float
+) -> NDArray[np.float64]:
     """(len(centres), length) Gaussian windows of unit sum."""
     distance = np.arange(length)[None, :] - centres[:, None]
     windows = np.exp(-0.5 * (distance / deviation) ** 2)

@@ -44,6 +44,7 @@ from matcap.capture.piece.transport import transport
 from matcap.capture.progress import CaptureClock
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
+from matcap.example.straight import straightened
 from matcap.example.variety import with_chosen_variety
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane
@@ -63,7 +64,8 @@ class ExemplarEstimate:
     """The estimate of an exemplar: its maps, and how well they explain the photograph.
 
     Attributes:
-        example: its maps, indexed for synthesis.
+        exemplar: the estimated maps with their confidence.
+        example: these maps, a fine lattice straightened, indexed for synthesis.
         strengths: relief and albedo energies measured in the photograph, or None.
         error: median |log radiance of photograph - re-rendering| of valid texels.
         slow: mean |low-frequency residual| of log radiance, which is not the material's.
@@ -75,6 +77,7 @@ class ExemplarEstimate:
         turned: whether the maps are rotated to a portrait photograph's orientation.
     """
 
+    exemplar: Exemplar
     example: Example
     strengths: Strengths | None
     error: float
@@ -84,11 +87,6 @@ class ExemplarEstimate:
     several: SetReport | None = None
     scale: float = 1.0
     turned: bool = False
-
-    @property
-    def exemplar(self) -> Exemplar:
-        """The estimated maps with their confidence."""
-        return self.example.exemplar
 
     @property
     def framed(self) -> Exemplar:
@@ -109,7 +107,8 @@ class ExemplarEstimate:
 
     def upright(self, waves: tuple[Wave, ...]) -> ExemplarEstimate:
         """A lying portrait's estimate with its maps rotated; `waves` is their lattice."""
-        return replace(self, example=indexed(self.exemplar, waves, turned=True), turned=True)
+        exemplar, example = indexed(self.exemplar, waves, turned=True)
+        return replace(self, exemplar=exemplar, example=example, turned=True)
 
     def mean_confidence(self, kept: float = 1.0) -> dict[str, float]:
         """Mean confidence by map, in [0, 1], over the share `kept` of the photograph's texels."""
@@ -197,9 +196,10 @@ def estimate_exemplar(
         scale = 1.0 if absolute else most_probable_scale(exemplar, prediction.metal)
         exemplar = scaled(exemplar, scale).rounded()
     with clock.stage("index"):
-        example = indexed(exemplar, rectified.waves, turned=turned)
+        exemplar, example = indexed(exemplar, rectified.waves, turned=turned)
     left = remaining_of(observed, prediction)
     estimate = ExemplarEstimate(
+        exemplar,
         example,
         strengths,
         _median(left, observed),
@@ -229,8 +229,12 @@ def refined(
     return observed, prediction, strengths
 
 
-def indexed(exemplar: Exemplar, waves: tuple[Wave, ...], *, turned: bool) -> Example:
-    """Index an exemplar for synthesis, with the smallest patches that keep its long structures.
+def indexed(
+    exemplar: Exemplar, waves: tuple[Wave, ...], *, turned: bool
+) -> tuple[Exemplar, Example]:
+    """An exemplar, and its index with the smallest patches that keep its long structures.
+
+    A fine lattice is straightened in what is indexed, not in what is returned beside it.
 
     Args:
         exemplar: the maps, rounded as in a file.
@@ -240,7 +244,10 @@ def indexed(exemplar: Exemplar, waves: tuple[Wave, ...], *, turned: bool) -> Exa
     if turned:
         # Columns of the upright picture are rows of the landscape one from below, rows its columns.
         exemplar, waves = exemplar.turned(), tuple(Wave(-wave.fy, wave.fx) for wave in waves)
-    return with_chosen_variety(Example.of_rounded(exemplar, waves))
+    flat = straightened(exemplar, waves)
+    if flat is None:
+        return exemplar, with_chosen_variety(Example.of_rounded(exemplar, waves))
+    return exemplar, with_chosen_variety(Example.of_rounded(*flat, straight=True))
 
 
 def remaining_of(observed: Observation, prediction: NetworkPrediction) -> Refined:

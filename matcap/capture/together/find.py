@@ -140,11 +140,11 @@ def estimate_together(
         reach, whole, solved = _whole(rectified.whole, poses, reach, solved)
         exemplar = _inpainted(Observation.of(whole, coarse), solved, tint, views)
     with clock.stage("index"):
-        example, scale = _indexed(first, exemplar, single.metal, rectified.waves, reach)
+        exemplar, example, scale = _indexed(first, exemplar, single.metal, rectified.waves, reach)
     report = SetReport.of(registration, poses, solved, ahead, reach)
     strengths, error = single.strengths, solved.residual[0]
     estimate = ExemplarEstimate(
-        example, strengths, error, 0.0, 1.0, interrupted, report, scale, first.turned
+        exemplar, example, strengths, error, 0.0, 1.0, interrupted, report, scale, first.turned
     )
     light = PlaneLight(coarse, rectified.whole.size)
     sharp = sharpness(estimate.lying, rectified.whole, light)
@@ -317,9 +317,9 @@ def _indexed(
     metal: NDArray[np.float32] | None,
     waves: tuple[Wave, ...],
     reach: Reach,
-) -> tuple[Example, float]:
-    """The exemplar indexed for synthesis, and the factor on its albedo and F0 (absolute.py)."""
+) -> tuple[Exemplar, Example, float]:
+    """The exemplar, its index, and the factor on its albedo and F0 (absolute.py)."""
     known = photo.flash_intensity is not None
     own = exemplar.cut(*reach.margins.inside(reach.size)) if reach.margins.any else exemplar
     scale = 1.0 if known else most_probable_scale(own, metal)
-    return indexed(scaled(exemplar, scale).rounded(), waves, turned=photo.turned), scale
+    return *indexed(scaled(exemplar, scale).rounded(), waves, turned=photo.turned), scale

@@ -1,0 +1,248 @@
+"""Straightening of an exemplar with a fine lattice, such as a weave on a curved seat.
+
+Where cloth is bent, a lattice of a few texels differs in shape and in contrast from place to place,
+and so would patches of the field. The exemplar is resampled so that its lattice is straight; its
+contrast is made even, and modulation slower than some dozens of periods, such as folds, taken off.
+
+Offsets at every 16th texel (lattice.py) are ambiguous at such periods. Here a polynomial phase is
+fitted to local frequencies first. With z the maps demodulated by a wave f over a Gaussian window,
+the frequency is f + Im(conj(z) grad z) / (2 pi |z|^2). The degree rises round by round.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.example.example import coarsened, detail_bits
+from matcap.example.exemplar import Exemplar, Floats
+from matcap.example.features import choose_scale, features_of, planes_of
+from matcap.example.lattice import GRID, Frequency, gaussian_windows
+
+# Straightening; docs/notes/field.md.
+_FINE = 16.0  # texels, longest shorter period; offsets of longer ones are measured by lattice.py
+_LEAST = 4.0  # texels, least range of displacements
+# Degree of the polynomial and standard deviation of the windows, periods, of each round.
+_ROUNDS = ((1, 1.5), (2, 2.0), (3, 2.0), (5, 2.5), (7, 2.5), (9, 2.5))
+_LEFT = 0.25  # turns: 95 % of what the polynomial leaves is less, or there is no one lattice
+_SMOOTH = 1.5  # grid steps, standard deviation of that rest
+_ROBUST = 1.5  # robust standard deviations from which on a local frequency weighs less
+# Periods, standard deviations of the windows of slow modulation, contrast and the lattice's mean.
+_SLOW, _OUTER, _INNER = 12.0, 4.0, 1.5
+_GAIN = 2.0  # largest gain of contrast
+
+Doubles = NDArray[np.float64]
+
+
+def straightened(
+    exemplar: Exemplar, waves: tuple[Frequency, ...]
+) -> tuple[Exemplar, tuple[Frequency, ...]] | None:
+    """An exemplar with a straight lattice of even mean and contrast, and the lattice's waves.
+
+    None where it has no fine lattice of two waves, where that is straight already, or where the
+    waves cannot be followed all over the exemplar.
+
+    Args:
+        exemplar: rounded as in a file.
+        waves: approximate frequency vectors, cycles per texel.
+    """
+    bits = detail_bits(exemplar)
+    if len(waves) != 2:
+        return None
+    short = _shortest(*(tuple(2**bits * f for f in wave) for wave in waves))
+    if max(math.hypot(*wave) for wave in short) * _FINE < 1.0:
+        return None
+    planes = planes_of(coarsened(exemplar, bits))
+    features = features_of(planes, choose_scale(planes)).astype(np.float32)
+    features -= features.mean(axis=(1, 2), keepdims=True)
+    followed = [_followed(features, wave) for wave in short]
+    if any(one is None for one in followed):
+        return None
+    means, turns = zip(*(one for one in followed if one is not None), strict=True)
+    # The phase at p is that of the straight lattice at p + move.
+    move = np.einsum("dw,wyx->dyx", np.linalg.pinv(np.array(means)), np.stack(turns))
+    if np.ptp(move, axis=(1, 2)).max() < _LEAST:
+        return None
+    straight = _resampled(exemplar, move * 2.0**bits, 1 << (GRID + bits))
+    period = 2.0**bits / max(math.hypot(*wave) for wave in means)
+    at_full_size = tuple((float(fx) / 2**bits, float(fy) / 2**bits) for fx, fy in means)
+    return _evened(straight, period).rounded(), at_full_size
+
+
+def _shortest(first: tuple[float, ...], second: tuple[float, ...]) -> list[Frequency]:
+    """The shortest two waves of the same lattice (Gauss's reduction), which are strongest."""
+    a, b = np.array(first), np.array(second)
+    while True:
+        if a @ a > b @ b:
+            a, b = b, a
+        times = round(float(a @ b / (a @ a)))
+        if not times:
+            return [(float(a[0]), float(a[1])), (float(b[0]), float(b[1]))]
+        b = b - times * a
+
+
+@dataclass(frozen=True)
+class _Sites:
+    """A grid of 2^GRID texels over planes."""
+
+    columns: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    x: Doubles
+    """(rows, columns), in half widths from the centre."""
+    y: Doubles
+    half: float
+    """Half of the width, texels."""
+
+    @staticmethod
+    def of(height: int, width: int) -> _Sites:
+        side, half = 1 << GRID, 0.5 * width
+        columns, rows = np.arange(0, width, side), np.arange(0, height, side)
+        x, y = np.meshgrid((columns - half) / half, (rows - 0.5 * height) / half)
+        return _Sites(columns, rows, x, y, half)
+
+    def monomials(self, degree: int, along_x: int = 0, along_y: int = 0) -> Doubles:
+        """(rows * columns, terms) monomials of degrees 1 to `degree`, differentiated."""
+        terms = []
+        for a, b in itertools.product(range(degree + 1), repeat=2):
+            if 1 <= a + b <= degree:
+                factor = (a if along_x else 1) * (b if along_y else 1)
+                powers = self.x ** max(a - along_x, 0) * self.y ** max(b - along_y, 0)
+                terms.append((factor * powers / self.half ** (along_x + along_y)).ravel())
+        return np.stack(terms, axis=1)
+
+    def demodulated(
+        self, planes: Floats, wave: Frequency, turns: Doubles, deviation: float
+    ) -> tuple[NDArray[np.complex64], ...]:
+        """(C, rows, columns) of planes times exp(-2 pi i phase), and derivatives along x and y."""
+        height, width = planes.shape[1:]
+        y, x = np.mgrid[:height, :width].astype(np.float32)
+        bend = _read(turns, x / np.float32(1 << GRID), y / np.float32(1 << GRID))
+        phase = (wave[0] * x.astype(np.float64) + wave[1] * y + bend) % 1.0
+        carrier = np.exp(-2j * np.pi * phase).astype(np.complex64)
+        (down, down_by), (across, across_by) = (
+            (windows.astype(np.complex64), (windows * from_centre).astype(np.complex64))
+            for windows, from_centre in (
+                (gaussian_windows(n, at, deviation), (np.arange(n) - at[:, None]) / deviation**2)
+                for n, at in ((height, self.rows), (width, self.columns))
+            )
+        )
+        lines = [plane * carrier for plane in planes]
+        return tuple(
+            np.stack([(left @ line) @ right.T for line in lines])
+            for left, right in ((down, across), (down, across_by), (down_by, across))
+        )
+
+
+def _followed(planes: Floats, wave: Frequency) -> tuple[Frequency, Doubles] | None:
+    """A wave's mean frequency vector, and phase offsets from it in turns; None if it gets lost.
+
+    Args:
+        planes: (C, H, W) of zero mean.
+        wave: approximate.
+    """
+    sites, period = _Sites.of(*planes.shape[1:]), 1.0 / math.hypot(*wave)
+    turns = np.zeros_like(sites.x)
+    for degree, periods in _ROUNDS:
+        local, by_x, by_y = sites.demodulated(planes, wave, turns, periods * period)
+        power = _blurred(np.square(np.abs(local)).sum(axis=0), 1.0) + 1e-12
+        slopes = [
+            _blurred((local.conj() * by).imag.sum(axis=0), 1.0) / (2.0 * np.pi * power)
+            for by in (by_x, by_y)
+        ]
+        turns += _integral(sites, degree, slopes, power)
+    for attempt in range(2):
+        local, *_ = sites.demodulated(planes, wave, turns, 2.0 * period)
+        reference = local[np.argmax(np.square(np.abs(local)).sum(axis=(1, 2)))]
+        relation = (local * reference.conj()).sum(axis=(1, 2)).conj()
+        joined = (local * relation[:, None, None]).sum(axis=0)
+        joined = _blurred(joined.real, _SMOOTH) + 1j * _blurred(joined.imag, _SMOOTH)
+        rest = np.angle(joined * joined.sum().conj()) / (2.0 * np.pi)
+        if not attempt and np.quantile(np.abs(rest), 0.95) > _LEFT:
+            return None
+        turns = turns + rest
+    plane = np.stack([sites.x, sites.y, np.ones_like(sites.x)], axis=-1).reshape(-1, 3)
+    fit, *_ = np.linalg.lstsq(plane, turns.ravel(), rcond=None)
+    mean = (wave[0] + float(fit[0]) / sites.half, wave[1] + float(fit[1]) / sites.half)
+    return mean, turns - (plane @ fit).reshape(turns.shape)
+
+
+def _integral(sites: _Sites, degree: int, slopes: list[Floats], power: Floats) -> Doubles:
+    """The polynomial whose derivatives along x and y fit slopes best, by robust least squares."""
+    design = np.concatenate([sites.monomials(degree, 1, 0), sites.monomials(degree, 0, 1)])
+    wanted = np.concatenate([slope.ravel() for slope in slopes])
+    strength = np.sqrt(np.minimum(power, np.quantile(power, 0.9))).ravel()
+    weight = np.ones_like(strength)
+    for _ in range(8):
+        both = np.tile(strength * weight, 2)
+        fit, *_ = np.linalg.lstsq(design * both[:, None], wanted * both, rcond=None)
+        left = np.hypot(*np.split(wanted - design @ fit, 2))
+        weight = (1.0 + np.square(left / (_ROBUST * 1.48 * np.median(left) + 1e-9))) ** -0.5
+    return np.asarray((sites.monomials(degree) @ fit).reshape(power.shape))
+
+
+def _resampled(exemplar: Exemplar, move: Doubles, step: int) -> Exemplar:
+    """The exemplar read where p + move(p) is each texel; no confidence beyond its borders.
+
+    Args:
+        exemplar: at full size.
+        move: (2, rows, columns) x, y in texels, at every `step` texels.
+    """
+    width, height = exemplar.size
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    from_x, from_y = x, y
+    for _ in range(8):
+        moved = [_read(part, from_x / np.float32(step), from_y / np.float32(step)) for part in move]
+        from_x, from_y = x - moved[0], y - moved[1]
+    inside = (from_x >= 0) & (from_x <= width - 1) & (from_y >= 0) & (from_y <= height - 1)
+
+    def read(planes: Floats, how: int) -> Floats:
+        return np.stack(
+            [cv2.remap(p, from_x, from_y, how, borderMode=cv2.BORDER_REFLECT) for p in planes]
+        )
+
+    return Exemplar(
+        diffuse=read(exemplar.diffuse, cv2.INTER_CUBIC).clip(0.0, 1.0),
+        specular=read(exemplar.specular, cv2.INTER_CUBIC).clip(0.0, 1.0),
+        roughness=read(exemplar.roughness, cv2.INTER_CUBIC).clip(0.0, 1.0),
+        height=read(exemplar.height, cv2.INTER_CUBIC),
+        confidence=read(exemplar.confidence, cv2.INTER_LINEAR) * inside,
+        texel_size=exemplar.texel_size,
+    )
+
+
+def _read(plane: Doubles, x: Floats, y: Floats) -> Floats:
+    """Bilinear interpolation of a plane, whose borders are repeated."""
+    values = plane.astype(np.float32)
+    read = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(read, np.float32)
+
+
+def _evened(exemplar: Exemplar, period: float) -> Exemplar:
+    """Log albedo and height without slow modulation, of the same contrast everywhere."""
+    log = np.log(np.maximum(exemplar.diffuse, np.float32(1e-3)))
+    diffuse = np.exp(_even(log, period)).clip(0.0, 1.0)
+    return replace(exemplar, diffuse=diffuse, height=_even(exemplar.height, period))
+
+
+def _even(planes: Floats, period: float) -> Floats:
+    slow, mean = (
+        np.stack([_blurred(plane, times * period) for plane in planes]) for times in (_SLOW, _INNER)
+    )
+    fine = planes - mean
+    power = np.square(fine.mean(axis=0))
+    local = np.maximum(_blurred(power, _OUTER * period), 1e-12)
+    gain = np.sqrt(power.mean() / local).clip(1.0 / _GAIN, _GAIN)
+    level = planes.mean(axis=(1, 2), keepdims=True)
+    return np.asarray(level + mean - slow + fine * gain, np.float32)
+
+
+def _blurred(plane: NDArray[np.floating], deviation: float) -> Floats:
+    """Gaussian average of a plane whose borders are reflected."""
+    values = np.ascontiguousarray(plane, np.float32)
+    blurred = cv2.GaussianBlur(values, (0, 0), deviation, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(blurred, np.float32)
