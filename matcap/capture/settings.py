@@ -58,7 +58,7 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
         for effort in (
             Effort("instant", 0, detail=QUICK_DETAIL),
             Effort("draft", 32, matched=False, detail=DETAIL),
-            Effort("standard", 160, places=3),
+            Effort("standard", 112, places=3),
         )
     }
 )
@@ -112,7 +112,7 @@ class CaptureSettings:
 
     preset: str = setting("standard", words=tuple(PRESETS))
     """Texels along the photograph's long side: instant (512, a preview), draft (1024) or standard
-    (2048). A decoder has 1024, and 0, 32 or 160 steps of fine-tuning."""
+    (2048). A decoder has 1024, and 0, 32 or 112 steps of fine-tuning."""
     steps: int | None = setting(None, least=0, most=10_000_000)
     """With the decoder: steps of fine-tuning, instead of the preset's."""
     time_limit: float | None = setting(

@@ -179,6 +179,13 @@ class Decoder(nn.Module):
         blocks = [*self.down_layers(), *self.up_layers()]
         return [layer for block in blocks for layer in block] + [self.head]
 
+    def drawing_weights(self) -> list[Tensor]:
+        """Views of the weights that read the drawing, coarsest level first; none without one."""
+        end = -self.config.lattice_channels
+        read = slice(end - self.config.drawing, end)
+        firsts = [block[0].convolution.weight.detach() for block in self.up_layers()]
+        return [weight[:, read] for weight in firsts] if self.config.drawing else []
+
     def forward(
         self,
         field: RandomField,

@@ -91,7 +91,7 @@ def _ways() -> dict[str, Way]:
             ways[f"{detail} texels, {count} photographs"] = Way("several", options, count)
     for seconds in (10, 20, 40, 60):
         ways[f"--time {seconds}s"] = Way("time", ("--time", f"{seconds}s"))
-    for steps in (0, 32, 160):
+    for steps in (0, 32, 112, 160):
         options = ("--generator", "decoder", "--steps", f"{steps}")
         ways[f"decoder, {steps} steps"] = Way("decoder", options)
     for detail in (512, 1024, 2048, 4096):

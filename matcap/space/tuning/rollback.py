@@ -16,6 +16,8 @@ _SMOOTHING = 0.05  # weight of the newest step in the running error
 _EXPLODED = 4.0  # loss over running error beyond which a step diverges
 _LEAST_ERROR = 0.1  # lower limit of the running error in that ratio
 _SNAPSHOT_EVERY = 20  # steps between comparisons with the best decoder
+# Factor on the rate of the weights that read a drawing, which start at zero.
+_DRAWING_RATE = 9.0
 _LONGEST_GRADIENT = 1.0  # norm over all weights to which gradients are clipped
 
 
@@ -87,6 +89,7 @@ class Adam:
     def __init__(self, decoder: Decoder) -> None:
         """Start with zero moments; steps change the decoder's weights in place."""
         self._parameters = [p for p in decoder.parameters() if p.requires_grad]
+        self._drawing = decoder.drawing_weights()
         self._means = [torch.zeros_like(p) for p in self._parameters]
         self._squares = [torch.zeros_like(p) for p in self._parameters]
         self._steps = [torch.zeros(()) for _ in self._parameters]
@@ -94,6 +97,7 @@ class Adam:
     @torch.no_grad()
     def step(self, rate: float) -> None:
         """Take a step for all parameters that have a gradient; `rate` is the learning rate."""
+        before = [weights.clone() for weights in self._drawing]
         had = [i for i, p in enumerate(self._parameters) if p.grad is not None]
         adam(
             [self._parameters[i] for i in had],
@@ -111,3 +115,5 @@ class Adam:
             eps=1e-8,
             maximize=False,
         )
+        for weights, old in zip(self._drawing, before, strict=True):
+            weights.copy_(old.lerp(weights, _DRAWING_RATE))

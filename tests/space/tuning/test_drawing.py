@@ -25,6 +25,7 @@ from matcap.space.random_field import random_field
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.finetune import decode_window
 from matcap.space.tuning.renormalise import Renormalisation
+from matcap.space.tuning.rollback import Adam
 from matcap.space.tuning.teacher import MARGIN, Teacher
 
 AREA = Rectangle(-64, 32, 128, 96)
@@ -129,6 +130,23 @@ def test_fine_tuned_it_draws(drawing):
     before = difference(with_drawing(start()), None)
     tuned = tune(steps=30, decoder=with_drawing(start()), seen=target, learning_rate=2e-2)
     assert difference(tuned.decoder, list(tuned.moments)) < 0.85 * before
+
+
+def test_the_weights_that_read_a_drawing_move_farther():
+    """Adam's first step is the rate for every weight but these, which start at zero."""
+    decoder = with_drawing(start())
+    optimiser, rate = Adam(decoder), 1e-3
+    for parameter in decoder.parameters():
+        parameter.grad = torch.ones_like(parameter)
+    before = decoder.up[0][0].convolution.weight.detach().clone()
+    optimiser.step(rate)
+    after, of_lattice = decoder.up[0][0].convolution.weight, decoder.config.lattice_channels
+    moved = (before - after.detach()).mean((0, 2, 3)) / rate
+    features, drawn, lattice = moved.split(
+        [len(moved) - of_lattice - DRAWING_CHANNELS, DRAWING_CHANNELS, of_lattice]
+    )
+    assert drawn.tolist() == pytest.approx([9.0] * DRAWING_CHANNELS, rel=1e-3)
+    assert torch.cat([features, lattice]).sub(1.0).abs().max() < 1e-3
 
 
 def test_relief_that_lights_hardly_show_is_seen_by_its_octave(drawing):
