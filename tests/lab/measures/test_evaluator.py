@@ -1,5 +1,6 @@
 """Maps against relit true samples, and what is photographed for that."""
 
+import statistics
 from dataclasses import replace
 
 import pytest
@@ -13,7 +14,7 @@ from matcap.lab.measures.maps import MapNumbers
 from matcap.lab.measures.nsd import SqueezeNetStyle
 from matcap.lab.measures.squeezenet import SqueezeNet
 from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import USUAL, photograph, subjects
+from matcap.lab.simulate.specimen import USUAL, phone_cone, photograph, subjects
 from matcap.photo.load import load_photo
 
 SMALL = EvaluationSettings(detail=256, size=128, camera=PhoneCamera(160, 120))
@@ -41,10 +42,23 @@ def test_exposure_is_the_camera_s_and_its_offset(tmp_path):
     (subject,) = subjects(["plaster"])
     path, plain = photograph(subject, SMALL.camera, tmp_path)
     assert path.suffix == ".dng"
-    path, darker = photograph(subject, SMALL.camera, tmp_path, ev=-1.0, jpeg=True)
-    assert path.suffix == ".jpg" and load_photo(path).original_size == (160, 120)
+    path, darker = photograph(subject, SMALL.camera, tmp_path, ev=-1.0)
     assert darker.linear.mean() == pytest.approx(0.5 * plain.linear.mean())
     assert darker.setup.intensity[0] == pytest.approx(0.5 * plain.setup.intensity[0])
+
+
+def test_a_phone_s_jpeg_is_lit_by_a_cone_beside_the_lens_s_axis(tmp_path):
+    specimens = subjects(["plaster", "leather", "granite", "tile", "cloth", "rust"])
+    path, shot = photograph(specimens[0], SMALL.camera, tmp_path, jpeg=True)
+    assert path.suffix == ".jpg" and load_photo(path).original_size == (160, 120)
+    cones = [phone_cone(one.setup, one.name) for one in specimens]
+    assert shot.setup.vignetting_centre == cones[0].vignetting_centre
+    lost = [cone.vignetting + cone.vignetting_quartic for cone in cones]
+    assert min(lost) > 0.5 and max(lost) < 2.5
+    assert statistics.mean(cone.vignetting_centre[1] for cone in cones) == pytest.approx(
+        0.19, abs=0.15
+    )
+    assert len({cone.vignetting_centre for cone in cones}) == len(cones)
 
 
 def test_true_maps_are_nearer_than_flat_ones_in_any_detail(styles):
