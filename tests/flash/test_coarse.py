@@ -223,13 +223,14 @@ def test_a_measured_tilt_moves_the_fit_as_far_as_it_is_certain():
     assert alone.tilt_prior is None and alone.picture_tilt is None
 
 
-def test_a_measurement_is_not_pulled_towards_no_tilt():
-    """The prior of 2.9 degrees about none is of fits without a measurement; it had halved tilts."""
+def test_a_measurement_is_pulled_towards_no_tilt_as_far_as_it_is_uncertain():
+    """By tilts of 5 degrees; the fit's own prior of 2.9 had halved tilts."""
     photo = made(radiometric=False)[1]
-    far = TiltPrior((0.2, -0.15), (0.04, 0.03))
+    far = TiltPrior((0.2, -0.15), (0.087, 0.001))
     prior = hypothesis(photo, None, far, conductor=False)
-    assert prior.mean.tilt.tolist() == pytest.approx(far.mean)
-    assert prior.precision.diag()[INDEX.tilt].rsqrt().tolist() == pytest.approx(far.std)
+    assert prior.mean.tilt.tolist() == pytest.approx([0.1, -0.15], rel=1e-3)
+    std = prior.precision.diag()[INDEX.tilt].rsqrt().tolist()
+    assert std == pytest.approx([0.087 / math.sqrt(2.0), 0.001], rel=1e-3)
 
 
 def test_the_tone_curve_is_fitted_and_undone_where_the_falloff_is_known():

@@ -19,6 +19,9 @@ from matcap.photo.photo import Photo
 # Prior standard deviation of the tilt of a RAW, radians; larger than that of developed pictures,
 # whose tone curve looks like tilt.
 _TILT_RADIOMETRIC = 0.1
+# Standard deviation of hand-held tilts, radians: 5 degrees. Patterns of real photographs show 8
+# about x and 4 about y (root mean square; docs/guide/paper.md).
+_TILTS = 0.087
 _FIXED = 1e-4  # standard deviation of a parameter that is known
 _MEAN = Unknowns(
     albedo=numbers(*[math.log(0.2)] * 3),
@@ -51,8 +54,8 @@ CONDUCTOR_F0 = (math.log(0.5), 0.5)  # mean and standard deviation of log F0
 class TiltPrior:
     """A Gaussian measurement of both tilt angles from elsewhere (space/alignment.py).
 
-    It takes the place of the fit's own prior, which is as narrow as it is because errors of the
-    tone curve look like tilt, and not because tilts are small.
+    Times the distribution of tilts it takes the place of the fit's own prior, which is as narrow as
+    it is because errors of the tone curve look like tilt, and not because tilts are small.
 
     Attributes:
         mean: (tilt_x, tilt_y) in radians.
@@ -61,6 +64,13 @@ class TiltPrior:
 
     mean: tuple[float, float]
     std: tuple[float, float]
+
+    @property
+    def posterior(self) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation of its product with the distribution of tilts, (2,) each."""
+        measured = numbers(*self.std).pow(-2)
+        precision = measured + _TILTS**-2
+        return measured * numbers(*self.mean) / precision, precision.rsqrt()
 
 
 @dataclass(frozen=True)
@@ -108,8 +118,8 @@ def hypothesis(
         deviation = replace(deviation, tilt=numbers(_FIXED, _FIXED))
     elif tilt_prior is not None:
         alone = (mean.tilt, deviation.tilt)
-        mean = replace(mean, tilt=numbers(*tilt_prior.mean))
-        deviation = replace(deviation, tilt=numbers(*tilt_prior.std))
+        place, std = tilt_prior.posterior
+        mean, deviation = replace(mean, tilt=place), replace(deviation, tilt=std)
     precision = torch.diag(deviation.vector().pow(-2))
     precision[INDEX.vignetting[:, None], INDEX.vignetting] = torch.from_numpy(falloff.precision)
     return Hypothesis(mean, precision, conductor, tilt is not None, alone)

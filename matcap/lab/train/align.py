@@ -8,7 +8,7 @@ exposure and development are drawn anew in every step.
 
 The loss is the Gaussian negative log-likelihood of both angles under the predicted mean and
 standard deviation [nix1994; kendall2017]. Tilts are uniform, so that the
-prediction is a likelihood; a capture adds no prior, as real tilts are hardly narrower.
+prediction is a likelihood; a capture multiplies it by the distribution of real tilts.
 """
 
 from __future__ import annotations
