@@ -79,18 +79,18 @@ def measured(path: Path) -> list[tuple[int, float, dict[str, float]]]:
 
 
 def table(rows: Sequence[tuple[int, float, dict[str, float]]]) -> str:
-    """Markdown, a row a source."""
+    """Markdown, a row a source; of an axis without a clear angle, no numbers."""
     lines = ["| tilt | about x: mean | difference | about y: mean | difference |"]
     lines.append("| --- | ---: | ---: | ---: | ---: |")
     axes = [[row for row in rows if row[0] == axis] for axis in (0, 1)]
-    means = [np.mean([angle for _, angle, _ in of]) for of in axes]
-    lines.append("| by the pattern | " + " | | ".join(f"{mean:+.1f}" for mean in means) + " | |")
+    means = [f"{np.mean([angle for _, angle, _ in of]):+.1f}" if of else "" for of in axes]
+    lines.append(f"| by the pattern | {' | | '.join(means)} | |")
     for source in SOURCES:
         cells = []
         for of in axes:
             said = np.array([by[source] for _, _, by in of])
             off = np.abs(said - [angle for _, angle, _ in of])
-            cells.append(f"{said.mean():+.1f} | {off.mean():.1f}")
+            cells.append(f"{said.mean():+.1f} | {off.mean():.1f}" if of else " | ")
         lines.append(f"| {source} | {' | '.join(cells)} |")
     return "\n".join([*lines, "", f"{len(axes[0])} angles about x, {len(axes[1])} about y"])
 

@@ -44,7 +44,7 @@ from matcap.capture.piece.transport import transport
 from matcap.capture.progress import CaptureClock
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
-from matcap.example.straight import straightened
+from matcap.example.fine_lattice import straightened
 from matcap.example.variety import with_chosen_variety
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane

@@ -22,7 +22,7 @@ from matcap.example.repeat.cut import least_cut
 from matcap.example.repeat.flatten import flatten
 from matcap.example.repeat.join import TileTexels, is_cut, joined
 from matcap.example.repeat.shifts import LENGTH, STRETCH, Planes, Shift, best_shift, copies
-from matcap.example.repeat.straighten import straightened, unbent
+from matcap.example.repeat.straighten import sheared, unbent
 
 # The seamless tile; docs/notes/field.md.
 _DISORDERED = 1.15  # factor on the cost of shifts that do not keep the lattice
@@ -71,7 +71,7 @@ def repeated(
         *ordered, ordered_cost = _shifts(_seen(straight, texel_size), waves)
         if ordered_cost <= _DISORDERED * cost:
             level, (across, down) = straight, ordered
-    straight, along, below = straightened(level, across, down)
+    straight, along, below = sheared(level, across, down)
     seen = _seen(straight, texel_size)
     x, y = _places(seen, along, below)
     tile, cut = joined(straight, x, y), is_cut(x, y)

@@ -1,15 +1,16 @@
-"""Resampling of an exemplar so that its lattice and its tile's shifts are straight."""
+"""Resampling of maps so that a lattice and a tile's shifts are straight."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.exemplar import Floats
-from matcap.example.lattice import GRID, PhasedLattice
+from matcap.example.lattice import GRID, Frequency, PhasedLattice
 from matcap.example.repeat.shifts import Shift
 
 _TURN = 2.0**16
@@ -26,22 +27,52 @@ def unbent(maps: Floats, lattice: PhasedLattice, bits: int = 0) -> Floats:
         lattice: of the maps, in texels 2^bits as large.
         bits: see lattice.
     """
-    waves = np.array(lattice.waves)
     turns = lattice.phase_offsets / _TURN
     turns = turns - turns.mean(axis=(1, 2), keepdims=True)
-    # The phase at p is that of the straight lattice at p + move.
-    move = np.einsum("dw,wyx->dyx", np.linalg.pinv(waves), turns) * 2.0**bits
+    move = displacement(lattice.waves, turns) * 2.0**bits
     if np.abs(move).max() < _BENT:
         return maps
     height, width = maps.shape[1:]
-    x, y = np.meshgrid(np.arange(width), np.arange(height))
-    step = np.float32(1 << (GRID + bits))
-    grid = (x.astype(np.float32) / step, y.astype(np.float32) / step)
-    wide = [cv2.remap(part.astype(np.float32), *grid, cv2.INTER_LINEAR) for part in move]
-    return _read(maps, x - wide[0], y - wide[1])
+    return _read(maps, *sources(move, 1 << (GRID + bits), (width, height)))
 
 
-def straightened(maps: Floats, across: Shift, down: Shift) -> tuple[Floats, int, int]:
+def displacement(waves: Sequence[Frequency], turns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(2, rows, columns) the least move, x and y in texels, with phases straight at p + move(p).
+
+    Args:
+        waves: mean frequency vectors, cycles per texel.
+        turns: (waves, rows, columns) phase offsets from these.
+    """
+    return np.asarray(np.einsum("dw,wyx->dyx", np.linalg.pinv(np.array(waves)), turns))
+
+
+def sources(
+    move: NDArray[np.float64], step: int, size: tuple[int, int], rounds: int = 1
+) -> tuple[Floats, Floats]:
+    """(H, W) x and y of the points p whose p + move(p) is each texel.
+
+    Args:
+        move: (2, rows, columns) texels, at every `step` texels.
+        step: see move.
+        size: (width, height) of the maps.
+        rounds: of the fixed-point iteration from p = texel; more where the move is long.
+    """
+    width, height = size
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    from_x, from_y = x, y
+    for _ in range(rounds):
+        grid = from_x / np.float32(step), from_y / np.float32(step)
+        across, down = (
+            cv2.remap(
+                part.astype(np.float32), *grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
+            for part in move
+        )
+        from_x, from_y = x - across, y - down
+    return from_x, from_y
+
+
+def sheared(maps: Floats, across: Shift, down: Shift) -> tuple[Floats, int, int]:
     """Maps resampled so that two shifts are along the axes, and the shifts' lengths.
 
     Args:
@@ -63,8 +94,7 @@ def straightened(maps: Floats, across: Shift, down: Shift) -> tuple[Floats, int,
     # Borders are cropped, as corners lie outside the exemplar.
     inside = (from_x >= 0) & (from_x <= width - 1) & (from_y >= 0) & (from_y <= height - 1)
     rows, columns = _inside(inside)
-    sheared = _read(maps, from_x[rows, columns], from_y[rows, columns])
-    return sheared, along, below
+    return _read(maps, from_x[rows, columns], from_y[rows, columns]), along, below
 
 
 def _inside(inside: NDArray[np.bool_]) -> tuple[slice, slice]:

@@ -23,6 +23,7 @@ from matcap.example.example import coarsened, detail_bits
 from matcap.example.exemplar import Exemplar, Floats
 from matcap.example.features import choose_scale, features_of, planes_of
 from matcap.example.lattice import GRID, Frequency, gaussian_windows
+from matcap.example.repeat.straighten import displacement, sources
 
 # Straightening; docs/notes/field.md.
 _FINE = 16.0  # texels, longest shorter period; offsets of longer ones are measured by lattice.py
@@ -64,8 +65,7 @@ def straightened(
     if any(one is None for one in followed):
         return None
     means, turns = zip(*(one for one in followed if one is not None), strict=True)
-    # The phase at p is that of the straight lattice at p + move.
-    move = np.einsum("dw,wyx->dyx", np.linalg.pinv(np.array(means)), np.stack(turns))
+    move = displacement(means, np.stack(turns))
     if np.ptp(move, axis=(1, 2)).max() < _LEAST:
         return None
     straight = _resampled(exemplar, move * 2.0**bits, 1 << (GRID + bits))
@@ -193,11 +193,7 @@ def _resampled(exemplar: Exemplar, move: Doubles, step: int) -> Exemplar:
         move: (2, rows, columns) x, y in texels, at every `step` texels.
     """
     width, height = exemplar.size
-    y, x = np.mgrid[:height, :width].astype(np.float32)
-    from_x, from_y = x, y
-    for _ in range(8):
-        moved = [_read(part, from_x / np.float32(step), from_y / np.float32(step)) for part in move]
-        from_x, from_y = x - moved[0], y - moved[1]
+    from_x, from_y = sources(move, step, exemplar.size, rounds=8)
     inside = (from_x >= 0) & (from_x <= width - 1) & (from_y >= 0) & (from_y <= height - 1)
 
     def read(planes: Floats, how: int) -> Floats:
@@ -230,6 +226,7 @@ def _evened(exemplar: Exemplar, period: float) -> Exemplar:
 
 
 def _even(planes: Floats, period: float) -> Floats:
+    """Planes less what is slower than the pattern, its deviations scaled to one local power."""
     slow, mean = (
         np.stack([_blurred(plane, times * period) for plane in planes]) for times in (_SLOW, _INNER)
     )

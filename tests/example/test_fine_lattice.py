@@ -5,7 +5,7 @@ import pytest
 
 from matcap.capture.piece.find import indexed
 from matcap.example.exemplar import Exemplar
-from matcap.example.straight import straightened
+from matcap.example.fine_lattice import straightened
 
 WAVES = ((0.16, 0.02), (-0.03, 0.18))
 WIDTH, HEIGHT = 512, 384
