@@ -46,6 +46,6 @@ def photograph(
     )
 
 
-def a_setup(*, offset=(0.1, 0.05, 0.0), tilt=(0.0, 0.0), intensity=10.0, fov=65.0):
+def a_setup(*, offset=(0.1, 0.05, 0.0), tilt=(0.0, 0.0), intensity=10.0):
     """A flash beside a phone's lens."""
-    return FlashSetup(fov=fov, offset=offset, tilt=tilt, intensity=(intensity,) * 3)
+    return FlashSetup(fov=65.0, offset=offset, tilt=tilt, intensity=(intensity,) * 3)

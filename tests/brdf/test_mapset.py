@@ -5,6 +5,7 @@ import filecmp
 import json
 import os
 import subprocess
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -82,11 +83,8 @@ def test_directx_normals_have_green_turned_around(tmp_path, maps):
 
 def test_a_slope_that_rises_upwards_points_down_in_opengl(tmp_path, maps):
     # +y is up and row 0 is the top: height falling with the row index rises with y.
-    rising = maps.map(lambda m: m * 0.0)
     rows = torch.arange(20.0)[None, :, None].expand(1, 20, 31)
-    rising = type(maps)(
-        rising.diffuse, rising.specular, rising.roughness, -0.1 * rows * maps.texel_size, 2 / 512
-    )
+    rising = replace(maps, height=-0.1 * rows * maps.texel_size)
     write_mapset(rising, tmp_path, INFO)
     assert (pixels(tmp_path / "leather_normal.exr")[..., 1] < -0.05).all()
 
@@ -116,9 +114,7 @@ def test_pngs_have_16_bits_and_decode_to_the_maps(tmp_path, maps):
 
 
 def test_a_flat_height_becomes_middle_grey(tmp_path, maps):
-    flat = type(maps)(
-        maps.diffuse, maps.specular, maps.roughness, torch.full_like(maps.height, 3.25), 0.01
-    )
+    flat = replace(maps, height=torch.full_like(maps.height, 3.25), texel_size=0.01)
     document = json.loads(write_mapset(flat, tmp_path, INFO, png=True).read_text())
     stored = cv2.imread(str(tmp_path / "leather_height.png"), cv2.IMREAD_UNCHANGED)
     assert (stored == 32768).all()

@@ -118,13 +118,7 @@ def test_projection_is_undone_and_tilts_turn_as_documented():
 
 
 def test_brightness_follows_distance_squared_and_intensity():
-    maps = MapSet(
-        *(
-            torch.full((c, 1, 1), v, dtype=torch.float64)
-            for c, v in ((3, 0.4), (1, 0.04), (1, 0.5), (1, 0.0))
-        ),
-        1.0,
-    )
+    maps = MapSet(scalar(0.4).expand(3, 1, 1), scalar(0.04), scalar(0.5), scalar(0.0), 1.0)
     point = torch.zeros(3, 1, 1, dtype=torch.float64)
     near = FlashSetup(fov=60.0)
     far = FlashSetup(fov=math.degrees(2 * math.atan(math.tan(math.radians(30)) / 2)))
