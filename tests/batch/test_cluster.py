@@ -47,12 +47,6 @@ def test_jobs_are_done_and_losses_are_told(address):
         workers.close()
 
 
-def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
-    monkeypatch.setattr("matcap.files.cluster._PATIENCE", 0.2)
-    with pytest.raises(MatcapError, match="no dask scheduler answers"):
-        Machines("tcp://127.0.0.1:9", work, prepare)
-
-
 def test_without_the_extra_the_remedy_is_its_installation(monkeypatch):
     def missing(name):
         raise ImportError(name)
