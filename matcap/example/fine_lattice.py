@@ -1,8 +1,9 @@
-"""Straightening of an exemplar with a fine lattice, such as a weave on a curved seat.
+"""One cell all over an exemplar with a fine lattice, such as a weave on a curved seat.
 
-Where cloth is bent, a lattice of a few texels differs in shape and in contrast from place to place,
-and so would patches of the field. The exemplar is resampled so that its lattice is straight; its
-contrast is made even, and modulation slower than some dozens of periods, such as folds, taken off.
+Where cloth is bent, its lattice differs in shape and in contrast from place to place, and so would
+patches of the field. The exemplar is resampled so that its lattice is straight; the lattice gets
+the same cell everywhere and the rest even contrast, and modulation slower than some dozens of
+periods, such as folds, is taken off.
 
 Offsets at every 16th texel (lattice.py) are ambiguous at such periods. Here a polynomial phase is
 fitted to local frequencies first. With z the maps demodulated by a wave f over a Gaussian window,
@@ -33,9 +34,13 @@ _ROUNDS = ((1, 1.5), (2, 2.0), (3, 2.0), (5, 2.5), (7, 2.5), (9, 2.5))
 _LEFT = 0.25  # turns: 95 % of what the polynomial leaves is less, or there is no one lattice
 _SMOOTH = 1.5  # grid steps, standard deviation of that rest
 _ROBUST = 1.5  # robust standard deviations from which on a local frequency weighs less
-# Periods, standard deviations of the windows of slow modulation, contrast and the lattice's mean.
+# Periods, standard deviations of the windows of slow modulation, of harmonics and contrast, and of
+# the lattice's mean.
 _SLOW, _OUTER, _INNER = 12.0, 4.0, 1.5
 _GAIN = 2.0  # largest gain of contrast
+_HARMONICS, _FINEST = 3, 0.45  # largest order and frequency of a cell's harmonics
+_STEADY = 0.5  # least |mean| over RMS of a harmonic's local coefficients
+_COARSE = 8  # texels between these coefficients
 
 Doubles = NDArray[np.float64]
 
@@ -69,9 +74,8 @@ def straightened(
     if np.ptp(move, axis=(1, 2)).max() < _LEAST:
         return None
     straight = _resampled(exemplar, move * 2.0**bits, 1 << (GRID + bits))
-    period = 2.0**bits / max(math.hypot(*wave) for wave in means)
     at_full_size = tuple((float(fx) / 2**bits, float(fy) / 2**bits) for fx, fy in means)
-    return _evened(straight, period).rounded(), at_full_size
+    return _evened(straight, at_full_size).rounded(), at_full_size
 
 
 def _shortest(first: tuple[float, ...], second: tuple[float, ...]) -> list[Frequency]:
@@ -218,24 +222,73 @@ def _read(plane: Doubles, x: Floats, y: Floats) -> Floats:
     return np.asarray(read, np.float32)
 
 
-def _evened(exemplar: Exemplar, period: float) -> Exemplar:
-    """Log albedo and height without slow modulation, of the same contrast everywhere."""
+def _evened(exemplar: Exemplar, waves: tuple[Frequency, ...]) -> Exemplar:
+    """Log albedo and height without slow modulation, the lattice's cell the same everywhere."""
     log = np.log(np.maximum(exemplar.diffuse, np.float32(1e-3)))
-    diffuse = np.exp(_even(log, period)).clip(0.0, 1.0)
-    return replace(exemplar, diffuse=diffuse, height=_even(exemplar.height, period))
+    known = exemplar.confidence.max(axis=0)
+    diffuse = np.exp(_even(log, waves, known)).clip(0.0, 1.0)
+    return replace(exemplar, diffuse=diffuse, height=_even(exemplar.height, waves, known))
 
 
-def _even(planes: Floats, period: float) -> Floats:
-    """Planes less what is slower than the pattern, its deviations scaled to one local power."""
+def _even(planes: Floats, waves: tuple[Frequency, ...], known: Floats) -> Floats:
+    """Planes less what is slower than the lattice, with one cell, the rest of one local power."""
+    period = 1.0 / max(math.hypot(*wave) for wave in waves)
     slow, mean = (
         np.stack([_blurred(plane, times * period) for plane in planes]) for times in (_SLOW, _INNER)
     )
-    fine = planes - mean
+    local, cell = _cells(planes - mean, waves, known)
+    fine = planes - mean - local
     power = np.square(fine.mean(axis=0))
-    local = np.maximum(_blurred(power, _OUTER * period), 1e-12)
-    gain = np.sqrt(power.mean() / local).clip(1.0 / _GAIN, _GAIN)
+    powers = np.maximum(_blurred(power, _OUTER * period), 1e-12)
+    gain = np.sqrt(power.mean() / powers).clip(1.0 / _GAIN, _GAIN)
     level = planes.mean(axis=(1, 2), keepdims=True)
-    return np.asarray(level + mean - slow + fine * gain, np.float32)
+    return np.asarray(level + mean - slow + cell + fine * gain, np.float32)
+
+
+def _cells(planes: Floats, waves: tuple[Frequency, ...], known: Floats) -> tuple[Floats, Floats]:
+    """The lattice that planes have locally, and with the same cell everywhere.
+
+    Each harmonic of a plane is demodulated over _OUTER periods. In the second sum it has its mean
+    phase and its RMS amplitude. Harmonics whose phase changes from place to place are in neither.
+
+    Args:
+        planes: (C, H, W) of zero mean.
+        waves: exact frequency vectors of a straight lattice.
+        known: (H, W) weights of the mean.
+    """
+    height, width = planes.shape[1:]
+    size = (max(1, width // _COARSE), max(1, height // _COARSE))
+    deviation = _OUTER / max(math.hypot(*wave) for wave in waves) / _COARSE
+    weight = _resized(known, size, cv2.INTER_AREA)
+    weight /= max(float(weight.sum()), 1e-9)
+    local, cell = np.zeros_like(planes), np.zeros_like(planes)
+    for times in itertools.product(range(_HARMONICS + 1), range(-_HARMONICS, _HARMONICS + 1)):
+        wave = np.array(times) @ np.array(waves)
+        if times <= (0, 0) or np.abs(wave).max() > _FINEST:
+            continue
+        down, across = (
+            np.exp(2j * np.pi * f * np.arange(n)).astype(np.complex64)
+            for f, n in ((wave[1], height), (wave[0], width))
+        )
+        carrier = np.outer(down, across)
+        parts = [np.ascontiguousarray(part) for part in (carrier.real, carrier.imag)]
+        for plane, varying, constant in zip(planes, local, cell, strict=True):
+            near = [
+                _blurred(_resized(plane * part, size, cv2.INTER_AREA), deviation) for part in parts
+            ]
+            mean = [float((weight * one).sum()) for one in near]
+            rms = math.sqrt(float((weight * (near[0] ** 2 + near[1] ** 2)).sum()))
+            if math.hypot(*mean) <= _STEADY * rms:
+                continue
+            for part, here, everywhere in zip(parts, near, mean, strict=True):
+                varying += 2.0 * part * _resized(here, (width, height), cv2.INTER_LINEAR)
+                constant += np.float32(2.0 * everywhere * rms / math.hypot(*mean)) * part
+    return local, cell
+
+
+def _resized(plane: Floats, size: tuple[int, int], how: int) -> Floats:
+    """A plane at another size (width, height)."""
+    return np.asarray(cv2.resize(plane, size, interpolation=how), np.float32)
 
 
 def _blurred(plane: NDArray[np.floating], deviation: float) -> Floats:
