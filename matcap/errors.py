@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Self
 
 
 class ExitCode(IntEnum):
@@ -50,6 +51,11 @@ class MatcapError(Exception):
         self.remedy = remedy
         self.exit_code = exit_code
         super().__init__(self.sentence())
+
+    @classmethod
+    def at(cls, where: object, what: str, remedy: str) -> Self:
+        """The error in the order of its sentence; `where` may be a path."""
+        return cls(what, where=str(where), remedy=remedy)
 
     def sentence(self) -> str:
         """The error as one line: where, what, remedy."""

@@ -87,8 +87,6 @@ def file_hash(path: Path) -> str:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise MatcapError(
-            f"the file cannot be read ({error.strerror})",
-            where=str(path),
-            remedy="check its name and permissions",
+        raise MatcapError.at(
+            path, f"the file cannot be read ({error.strerror})", "check its name and permissions"
         ) from error

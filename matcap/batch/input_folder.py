@@ -107,10 +107,10 @@ def find_samples(
             label = usable_name("-".join((*inside.parts, run[0][0].stem)))
             grouped.append((inside / run[0][0].name, label, *_joined(run)))
     if not grouped:
-        raise MatcapError(
+        raise MatcapError.at(
+            source,
             "there are no photographs in this folder",
-            where=str(source),
-            remedy="give a folder of DNG, other RAW, JPEG, HEIC, AVIF, WebP, PNG or TIFF files",
+            "give a folder of DNG, other RAW, JPEG, HEIC, AVIF, WebP, PNG or TIFF files",
         )
     return _named(grouped)
 
@@ -134,8 +134,8 @@ _Shot = tuple[Path, tuple[Path, ...]]  # the photograph, and files of the same s
 def _folders(source: Path, passed_over: set[Path]) -> Iterator[tuple[Path, list[str]]]:
     def refuse(error: OSError) -> None:
         if Path(error.filename or "") == source:
-            raise MatcapError(
-                "the folder may not be read", where=str(source), remedy="change its permissions"
+            raise MatcapError.at(
+                source, "the folder may not be read", "change its permissions"
             ) from error
 
     for root, folders, names in os.walk(source, onerror=refuse):

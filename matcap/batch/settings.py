@@ -111,16 +111,14 @@ def read_settings(file: Path) -> dict[str, Any]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise UsageError(f"this is not TOML ({error})", where=str(file), remedy=remedy) from error
     except OSError as error:
-        raise MatcapError(
-            f"the settings cannot be read ({error.strerror})", where=str(file), remedy=remedy
+        raise MatcapError.at(
+            file, f"the settings cannot be read ({error.strerror})", remedy
         ) from error
     read = {}
     for key, value in table.items():
         name = key.replace("-", "_")
         if name not in SETTINGS:
-            raise UsageError(
-                f"there is no setting {key[:60]!r}", where=str(file), remedy=nearest(name, SETTINGS)
-            )
+            raise UsageError.at(file, f"there is no setting {key[:60]!r}", nearest(name, SETTINGS))
         one = SETTINGS[name]
         read[one.field] = one.typed(value, f"{file}: {name}")
     plainly: tuple[tuple[str, tuple[str, ...]], ...] = (

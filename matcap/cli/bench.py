@@ -472,9 +472,7 @@ def synth(
 
     for name in network or ():
         if name not in NETWORKS:
-            raise UsageError(
-                "there is no such network", where=name, remedy=f"use {' or '.join(NETWORKS)}"
-            )
+            raise UsageError.at(name, "there is no such network", f"use {' or '.join(NETWORKS)}")
     blocks = [typed(values.size)(one) for one in block or BLOCKS]
     for side in (side for one in (size, *blocks) for side in (one.width, one.height)):
         if side % ALIGNMENT:

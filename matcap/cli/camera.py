@@ -33,17 +33,17 @@ def camera(
     photos = [sample.photos[0] for sample in find_samples(source, group="name")]
     cameras = sorted({camera_of(photo, source) for photo in photos})
     if len(cameras) > 1:
-        raise MatcapError(
+        raise MatcapError.at(
+            source,
             f"these photographs are of {len(cameras)} cameras ({'; '.join(cameras[:4])})",
-            where=str(source),
-            remedy="give a folder of one camera, or run matcap batch, which separates cameras",
+            "give a folder of one camera, or run matcap batch, which separates cameras",
         )
     profile = estimated_profile(cameras[0], photos, CaptureSettings(**given))
     if profile is None:
-        raise MatcapError(
+        raise MatcapError.at(
+            source,
             f"{len(photos)} photographs are too few for a camera's profile",
-            where=str(source),
-            remedy="give five or more usable ones of different materials",
+            "give five or more usable ones of different materials",
         )
     write_camera_profile(out, profile)
     if not quiet:

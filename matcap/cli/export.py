@@ -71,30 +71,28 @@ def export(
     presets_alone = {"pattern": "--name", "maps": "--maps", "normal": "--normal"}
     for option in (option for name, option in presets_alone.items() if name in written):
         if target in DOCUMENTS:
-            raise UsageError(
+            raise UsageError.at(
+                option,
                 f"only presets have this option, and {target} is a scene format",
-                where=option,
-                remedy="leave it out",
+                "leave it out",
             )
     read, area = chosen(ReadOptions, reading), chosen(ExportArea, of)
     size, udim, seed, tile = area.size, area.udim, area.seed, area.tile
     changes = read.adjustments
     if udim is not None and read.normals is not None:
-        raise UsageError(
+        raise UsageError.at(
+            "--normals",
             "only a map set has normals of its own, and UDIM tiles are made from a material",
-            where="--normals",
-            remedy="leave it out",
+            "leave it out",
         )
     if udim is not None and changes.changes:
-        raise UsageError(
-            "UDIM tiles cannot be adjusted", where="--adjust", remedy="leave one of the two out"
-        )
+        raise UsageError.at("--adjust", "UDIM tiles cannot be adjusted", "leave one of the two out")
     given = {"--size": size, "--udim": udim, "--seed": seed, "--variety": read.variety}
     for option in (option for option, value in given.items() if value is not None and tile):
-        raise UsageError(
+        raise UsageError.at(
+            f"{option} with --tile piece",
             "the periodic exemplar is one map set of fixed size, without a seed",
-            where=f"{option} with --tile piece",
-            remedy="leave one of the two out",
+            "leave one of the two out",
         )
     largest, count = size or values.DEFAULT_SIZE, udim.width * udim.height if udim else 1
     if out is not None:
@@ -121,10 +119,10 @@ def export(
     folder = out or Path(f"{opened.name}_{target}{asked_for}")
     sidecar = folder / sidecar_name(opened.name, target)
     if sidecar.exists() and not overwrite:
-        raise MatcapError(
+        raise MatcapError.at(
+            sidecar,
             "the folder has an earlier export",
-            where=str(sidecar),
-            remedy="choose another folder with -o, or give --overwrite",
+            "choose another folder with -o, or give --overwrite",
         )
     check_writable(folder, count * export_bytes(*opened.maps.size))
     job = ExportJob(

@@ -70,8 +70,8 @@ def relight(
     if light and scene is not None:
         raise UsageError("a scene has its own lights", where="--light", remedy="leave it out")
     if animate is not None and sheet is not None:
-        raise UsageError(
-            "--animate writes frames, --sheet one picture", where="--sheet", remedy="leave one out"
+        raise UsageError.at(
+            "--sheet", "--animate writes frames, --sheet one picture", "leave one out"
         )
     read = chosen(ReadOptions, reading)
     if maps_from is not None and read != ReadOptions(read.generator):
@@ -80,10 +80,10 @@ def relight(
         why = refused.get(name, "have their own")
         raise UsageError(f"maps of other sources {why}", where=f"--{name}", remedy="leave it out")
     if explain_map is not None and (animate is not None or sheet is not None):
-        raise UsageError(
+        raise UsageError.at(
+            "--explain-map",
             "the map of effects describes a single picture, not --animate or --sheet",
-            where="--explain-map",
-            remedy="leave it out",
+            "leave it out",
         )
     check_path(out, moving=animate is not None)
     if explain_map is not None:

@@ -79,18 +79,18 @@ def synth(
     keep_memory()  # this process is matcap's own
     targets = exported.get("targets", ())
     if targets and (given.get("single") or given.get("udim")):
-        raise UsageError(
+        raise UsageError.at(
+            "--export",
             "only a map set with a file per map can be exported",
-            where="--export",
-            remedy="leave out --single or --udim",
+            "leave out --single or --udim",
         )
     asked_area = chosen(SynthArea, where)
     is_piece = given.get("tile") == "piece"
     if is_piece and {"size", "region"} & {*where}:
-        raise UsageError(
+        raise UsageError.at(
+            "--tile piece",
             "the periodic exemplar has a fixed size",
-            where="--tile piece",
-            remedy="leave out --size and --region, or give --tile alone for a periodic texture",
+            "leave out --size and --region, or give --tile alone for a periodic texture",
         )
     area = asked_area.rectangle
     subject, name = _subject(material, given.get("seed", 0), near)
@@ -161,10 +161,10 @@ def _subject(material: Path | None, seed: int, near: Given) -> tuple[Path | Mate
     """The material's file, or a material drawn from the prior; and the name of its maps."""
     if material is not None:
         if near:
-            raise UsageError(
+            raise UsageError.at(
+                "--like" if "like" in near else "-t",
                 "this applies only to a material drawn from the prior",
-                where="--like" if "like" in near else "-t",
-                remedy="leave the material out, or the option",
+                "leave the material out, or the option",
             )
         from matcap.field.opened import material_file
         from matcap.files.names import usable_name

@@ -57,10 +57,8 @@ def view(
     if files:
         for name in ("blend", "photo", "html", "seed"):
             if given.get(name):
-                raise UsageError(
-                    "this folder has several materials",
-                    where=f"--{name}",
-                    remedy="name one of them",
+                raise UsageError.at(
+                    f"--{name}", "this folder has several materials", "name one of them"
                 )
         library, name = Library(files, read), path.resolve().name
         serve(partial(make_library, library, name), announce=announce, port=port, opens=opens)

@@ -176,8 +176,8 @@ def _check(job: ExportJob) -> None:
     if job.depth in ("half", "float"):
         raise UsageError("glTF has no float textures", where="--bits", remedy="give 8 or 16")
     if job.container is not None and job.container not in _MIME:
-        raise UsageError(
-            f"glTF cannot hold {job.container}", where="--format", remedy="give png, jpg or webp"
+        raise UsageError.at(
+            "--format", f"glTF cannot hold {job.container}", "give png, jpg or webp"
         )
 
 

@@ -48,9 +48,7 @@ _LEAST_INDEX = 0.02  # least F0 of the dielectric in the metallic workflow
 def materialx(job: ExportJob) -> Export:
     """NAME.mtlx, NAME_openpbr.mtlx and NAME_standard_surface.mtlx and their textures."""
     if job.container == "webp":
-        raise UsageError(
-            "MaterialX cannot hold webp", where="--format", remedy="give png, jpg, exr or tx"
-        )
+        raise UsageError.at("--format", "MaterialX cannot hold webp", "give png, jpg, exr or tx")
     textures = Standard.of(job)
     standard = textures.files(job.name)
     layered = {shader: Layered.of(job, shader) for shader in INPUTS}

@@ -35,10 +35,8 @@ _VERSION = "3.6.0"
 def mitsuba(job: ExportJob) -> Export:
     """NAME.xml, NAME_exact.xml, matcap_bsdf.py and the textures."""
     if job.container in ("tx", "webp"):
-        raise UsageError(
-            f"Mitsuba cannot read {job.container}",
-            where="--format",
-            remedy="give png, jpg or exr",
+        raise UsageError.at(
+            "--format", f"Mitsuba cannot read {job.container}", "give png, jpg or exr"
         )
     textures = Standard.of(job)
     bare = float(job.diffuse.max()) < _NO_DIFFUSE

@@ -287,16 +287,14 @@ def _names(
         fields = {"stem": job.name, "map": label, "res": res, "format": made.container.upper()}
         name = plain_name(pattern.format(**fields), what="the file name", where="--name")
         if not is_portable(name):
-            raise UsageError(
+            raise UsageError.at(
+                "--name",
                 f"other programs may misread the file name {shown(name)}",
-                where="--name",
-                remedy="use letters, digits, spaces and _ . , ( ) + -",
+                "use letters, digits, spaces and _ . , ( ) + -",
             )
         file = name + made.suffix
         if file in names.values():
-            raise UsageError(
-                f"two maps are called {file}", where="--name", remedy="put {map} into the name"
-            )
+            raise UsageError.at("--name", f"two maps are called {file}", "put {map} into the name")
         names[kind] = file
     return names
 
@@ -408,10 +406,10 @@ def _checked(pattern: str) -> str:
             if width or conversion:
                 raise ValueError(f"'{field}' is put in as it is, without a width or a conversion")
     except ValueError as error:
-        raise UsageError(
+        raise UsageError.at(
+            "--name",
             f"'{pattern}' is not a pattern ({error})",
-            where="--name",
-            remedy="write it like '{stem}_{map}_{res}'",
+            "write it like '{stem}_{map}_{res}'",
         ) from error
     return pattern
 

@@ -255,20 +255,18 @@ def _form(forms: Forms, target: str, workflow: Workflow | None) -> Workflow | No
     """
     if workflow is not None and workflow not in forms:
         names = [name for name in forms if name]
-        raise UsageError(
+        raise UsageError.at(
+            "--workflow",
             f"{target} has no {workflow} workflow",
-            where="--workflow",
-            remedy=f"give {' or '.join(names)}" if names else "leave it out",
+            f"give {' or '.join(names)}" if names else "leave it out",
         )
     return workflow or PLAIN.get(target)
 
 
 def _check_tiles(job: ExportJob, target: str) -> None:
     if job.tiles is not None and target in _NO_TILES:
-        raise UsageError(
-            f"{target} does not read UDIM tiles",
-            where="--udim",
-            remedy="leave it out, or give --size",
+        raise UsageError.at(
+            "--udim", f"{target} does not read UDIM tiles", "leave it out, or give --size"
         )
 
 

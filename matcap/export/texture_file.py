@@ -81,10 +81,10 @@ class TextureFile:
         elif container is None:
             container = "png" if depth in CONTAINERS["png"] else "exr"
         if depth not in CONTAINERS[container]:
-            raise UsageError(
+            raise UsageError.at(
+                "--bits",
                 f"{container} has no depth {depth}",
-                where="--bits",
-                remedy=f"give {' or '.join(CONTAINERS[container])}",
+                f"give {' or '.join(CONTAINERS[container])}",
             )
         return TextureFile(make, depth, srgb, meaning, container, job.tiles is not None)
 

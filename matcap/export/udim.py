@@ -47,10 +47,10 @@ class TextureSet:
 
     def __post_init__(self) -> None:
         if not (1 <= self.columns <= MOST_COLUMNS and 1 <= self.rows <= MOST_ROWS):
-            raise UsageError(
+            raise UsageError.at(
+                "--udim",
                 f"a texture set cannot have {self.columns}x{self.rows} tiles",
-                where="--udim",
-                remedy=f"ask for at most {MOST_COLUMNS} columns and {MOST_ROWS} rows",
+                f"ask for at most {MOST_COLUMNS} columns and {MOST_ROWS} rows",
             )
 
     @property
@@ -114,10 +114,10 @@ def open_set(
         MatcapError: no material, several, or a damaged one.
     """
     if path.suffix.lower() != ".matcap" and not any(path.glob("*.matcap")):
-        raise UsageError(
+        raise UsageError.at(
+            "--udim",
             f"{path} is not a material: only a material has further tiles",
-            where="--udim",
-            remedy="give the material (.matcap), or leave out --udim",
+            "give the material (.matcap), or leave out --udim",
         )
     file, material = open_material(path)
     material = material.by(read.generator).varied(read.variety)

@@ -198,9 +198,7 @@ def _check(job: ExportJob) -> None:
     if job.depth in ("half", "float"):
         raise UsageError("a .usdz has no float textures", where="--bits", remedy="give 8 or 16")
     if job.container is not None and job.container not in _CONTAINERS:
-        raise UsageError(
-            f"a .usdz cannot hold {job.container}", where="--format", remedy="give png or jpg"
-        )
+        raise UsageError.at("--format", f"a .usdz cannot hold {job.container}", "give png or jpg")
 
 
 def _shared(job: ExportJob) -> dict[str, TextureFile]:

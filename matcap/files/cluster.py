@@ -37,19 +37,17 @@ class Cluster:
         try:
             client = distributed.Client(scheduler, timeout=_PATIENCE, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
-            raise MatcapError(
+            raise MatcapError.at(
+                scheduler,
                 "no dask scheduler answers there",
-                where=scheduler,
-                remedy=f"start one with `dask scheduler`, and workers with `{worker}`",
+                f"start one with `dask scheduler`, and workers with `{worker}`",
             ) from error
         try:
             client.wait_for_workers(1, timeout=_WORKERS_WITHIN)
         except TimeoutError as error:
             client.close()
-            raise MatcapError(
-                "the dask scheduler has no workers",
-                where=scheduler,
-                remedy=f"start some with `{worker}`",
+            raise MatcapError.at(
+                scheduler, "the dask scheduler has no workers", f"start some with `{worker}`"
             ) from error
         self._client = client
 

@@ -50,11 +50,11 @@ def read_picture(path: Path) -> EnvironmentPicture:
         return _from_cube(picture, where)
     height, width = picture.shape[:2]
     if max(width, height) > _SMALLEST and abs(width / (2.0 * height) - 1.0) > _SHAPE:
-        raise MatcapError(
+        raise MatcapError.at(
+            where,
             f"is {width} x {height} pixels{_looks_like(width, height)}, and a latitude-longitude "
             "picture is twice as wide as high",
-            where=where,
-            remedy=_REMEDY,
+            _REMEDY,
         )
     return picture
 
@@ -66,10 +66,10 @@ def _radiance(picture: EnvironmentPicture, where: str) -> EnvironmentPicture:
         MatcapError: values above BRIGHTEST, or negative ones that add up to half of the light.
     """
     if picture.max() > BRIGHTEST:
-        raise MatcapError(
+        raise MatcapError.at(
+            where,
             f"has a value of {picture.max():.2g}, too bright for single precision",
-            where=where,
-            remedy="clip its brightest pixels in a picture editor",
+            "clip its brightest pixels in a picture editor",
         )
     below = picture < 0.0
     if not below.any():
@@ -107,10 +107,10 @@ def _from_cube(cube: EnvironmentPicture, where: str) -> EnvironmentPicture:
 
     side = cube.shape[1]
     if side < 2 or cube.shape[0] != 6 * side:
-        raise MatcapError(
+        raise MatcapError.at(
+            where,
             f"calls itself a cube map and is {side} x {cube.shape[0]} pixels, not 1 : 6",
-            where=where,
-            remedy=_REMEDY,
+            _REMEDY,
         )
     polar = ((np.arange(2 * side) + 0.5) * math.pi / (2 * side))[:, None]
     azimuth = (((np.arange(4 * side) + 0.5) / (4 * side) - 0.5) * 2.0 * math.pi)[None, :]

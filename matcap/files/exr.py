@@ -66,15 +66,9 @@ def write_exr_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) 
 def check_representable(name: str, pixels: NDArray[np.float32], *, half: bool) -> None:
     """Raise MatcapError for values that the file cannot represent."""
     if not np.isfinite(pixels).all():
-        raise MatcapError(
-            "has values that are not finite", where=name, remedy="make the maps again"
-        )
+        raise MatcapError.at(name, "has values that are not finite", "make the maps again")
     if half and np.abs(pixels).max(initial=0.0) > LARGEST_HALF:
-        raise MatcapError(
-            "has values too large for half float (65504)",
-            where=name,
-            remedy="scale them down",
-        )
+        raise MatcapError.at(name, "has values too large for half float (65504)", "scale them down")
 
 
 def _write(path: Path, header: dict[str, Any], channels: dict[str, Any]) -> None:
@@ -126,30 +120,24 @@ def read_exr(
     try:
         spec = source.spec()
         if spec.deep:
-            raise MatcapError(
+            raise MatcapError.at(
+                path,
                 "this is a deep EXR file, which is not supported",
-                where=str(path),
-                remedy="flatten it, and save it with one sample a pixel",
+                "flatten it, and save it with one sample a pixel",
             )
         actual = (spec.width, spec.height)
         if size is not None and actual != size:
-            raise MatcapError(
-                f"is {actual[0]} x {actual[1]} texels, not {size[0]} x {size[1]}",
-                where=str(path),
-                remedy=remedy,
+            raise MatcapError.at(
+                path, f"is {actual[0]} x {actual[1]} texels, not {size[0]} x {size[1]}", remedy
             )
         missing = [name for name in channels or () if name not in spec.channelnames]
         if missing:
-            raise MatcapError(
-                f"has no channel {', '.join(missing)}", where=str(path), remedy=remedy
-            )
+            raise MatcapError.at(path, f"has no channel {', '.join(missing)}", remedy)
         pixels = source.read_image("float")
         forget_error(source.geterror)
     except MemoryError as error:
-        raise MatcapError(
-            "there is not enough memory to read it",
-            where=str(path),
-            remedy="free some memory, or write smaller maps",
+        raise MatcapError.at(
+            path, "there is not enough memory to read it", "free some memory, or write smaller maps"
         ) from error
     finally:
         source.close()

@@ -81,18 +81,16 @@ def check_replaceable(
     read = {file for given in inputs for file in _files(given)}
     for path in paths:
         if path.resolve() in read:
-            raise UsageError(
-                "the same command reads this file", where=str(path), remedy="choose another name"
-            )
+            raise UsageError.at(path, "the same command reads this file", "choose another name")
         if not path.exists() or overwrite:
             continue
         if path.is_dir():
             raise MatcapError("this is a folder", where=str(path), remedy=_ELSEWHERE)
         if mark_of(path) != mark and not own(path):
-            raise MatcapError(
+            raise MatcapError.at(
+                path,
                 f"a file exists here, which {mark} has not written",
-                where=str(path),
-                remedy=f"{_ELSEWHERE}, or give --overwrite",
+                f"{_ELSEWHERE}, or give --overwrite",
             )
 
 

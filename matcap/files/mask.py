@@ -37,19 +37,17 @@ def read_mask(path: Path) -> NDArray[np.float32]:
     )
     grey = np.asarray(grey, np.float32)
     if not pixels.whole and not 0.0 <= float(grey.min()) <= float(grey.max()) <= 1.0:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             f"has values from {grey.min():.3g} to {grey.max():.3g}, not from 0 to 1",
-            where=str(path),
-            remedy="save it as a PNG of 8 or 16 bits",
+            "save it as a PNG of 8 or 16 bits",
         )
     if "A" not in pixels.roles:
         return grey
     alpha = np.clip(pixels.channel("A"), 0.0, 1.0)
     seen = alpha > 0.0
     if not seen.any():
-        raise MatcapError(
-            "all of it is transparent", where=str(path), remedy="save it without transparency"
-        )
+        raise MatcapError.at(path, "all of it is transparent", "save it without transparency")
     if float(alpha.min()) >= 1.0 - 1e-6:
         return grey
     spread = np.maximum(np.abs(red - green), np.abs(green - blue))[seen]

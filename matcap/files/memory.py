@@ -44,10 +44,10 @@ def check_memory(need: int, where: str, remedy: str) -> None:
     """
     free = free_bytes()
     if need > free:
-        raise MatcapError(
+        raise MatcapError.at(
+            where,
             f"this takes {need / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB are free",
-            where=where,
-            remedy=remedy,
+            remedy,
         )
 
 

@@ -88,10 +88,8 @@ def plain_name(name: str, *, what: str = "the name", where: str = "") -> str:
     """
     wrong = name_fault(name)
     if wrong:
-        raise UsageError(
-            f"{what} {shown(name)} is not a plain file name: it {wrong}",
-            where=where,
-            remedy="choose another",
+        raise UsageError.at(
+            where, f"{what} {shown(name)} is not a plain file name: it {wrong}", "choose another"
         )
     return name
 

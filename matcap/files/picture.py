@@ -19,9 +19,7 @@ SUFFIXES = (".exr", ".png")
 def check_picture_path(path: Path) -> None:
     """Raise UsageError unless write_picture supports the suffix."""
     if path.suffix.lower() not in SUFFIXES:
-        raise UsageError(
-            f"unknown picture format '{path.suffix}'", where=str(path), remedy="use .exr or .png"
-        )
+        raise UsageError.at(path, f"unknown picture format '{path.suffix}'", "use .exr or .png")
 
 
 def write_picture(image: NDArray[np.float32], path: Path, mark: str = "") -> None:

@@ -110,10 +110,8 @@ def read_pixels(path: Path, *, outside: float | None = None) -> Pixels:
             head = file.read(16)
     except (OSError, ValueError) as error:  # ValueError: a name with a null character
         missing = isinstance(error, FileNotFoundError)
-        raise MatcapError(
-            "the file is missing" if missing else "the file cannot be read",
-            where=where,
-            remedy="check the path",
+        raise MatcapError.at(
+            where, "the file is missing" if missing else "the file cannot be read", "check the path"
         ) from error
     try:
         with quiet_decoders():
@@ -124,16 +122,14 @@ def read_pixels(path: Path, *, outside: float | None = None) -> Pixels:
             else:
                 decoded = _decoded(path, outside)
     except MemoryError as error:
-        raise MatcapError(
-            "there is not enough memory to read it",
-            where=where,
-            remedy="free some memory or reduce the picture",
+        raise MatcapError.at(
+            where, "there is not enough memory to read it", "free some memory or reduce the picture"
         ) from error
     if not decoded.whole and not np.isfinite(decoded.stored).all():
-        raise MatcapError(
+        raise MatcapError.at(
+            where,
             "has values that are not finite (NaN or infinity)",
-            where=where,
-            remedy="replace them in a picture editor",
+            "replace them in a picture editor",
         )
     return decoded
 
@@ -171,8 +167,8 @@ def _from_radiance(path: Path) -> Pixels:
             plain.write_bytes(header.plain() + path.read_bytes()[header.length :])
             stored = _decoded(plain, None).stored
     except (ValueError, OSError) as error:
-        raise MatcapError(
-            f"the Radiance file is damaged ({error})", where=str(path), remedy="download it again"
+        raise MatcapError.at(
+            path, f"the Radiance file is damaged ({error})", "download it again"
         ) from error
     except MatcapError as error:
         raise MatcapError(error.what, where=str(path), remedy=error.remedy) from error
@@ -187,18 +183,18 @@ def _decoded(path: Path, outside: float | None) -> Pixels:
     source = oiio.ImageInput.open(str(path), config)
     if source is None:
         forget_error(oiio.geterror)
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             "this is not a readable picture",
-            where=str(path),
-            remedy="give an EXR, TIFF, PNG, JPEG, TGA, BMP or WebP file",
+            "give an EXR, TIFF, PNG, JPEG, TGA, BMP or WebP file",
         )
     try:
         spec, exr = source.spec(), source.format_name() == "openexr"
         if spec.deep:
-            raise MatcapError(
+            raise MatcapError.at(
+                path,
                 "this is a deep EXR file, which is not supported",
-                where=str(path),
-                remedy="flatten it, and save it with one sample a pixel",
+                "flatten it, and save it with one sample a pixel",
             )
         _check_size(path, max(spec.width, spec.full_width), max(spec.height, spec.full_height))
         _check_colours(path, str(spec.getattribute("tiff:ColorSpace") or ""))
@@ -232,10 +228,10 @@ def _roles(path: Path, names: Sequence[str]) -> dict[str, int]:
         layer, _, tail = name.rpartition(".")
         layers.setdefault(layer, {}).setdefault(tail.lower(), place)
     if any({"ry", "by"} & set(tails) for tails in layers.values()):
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             "this EXR file holds luminance and chroma, which is not supported",
-            where=str(path),
-            remedy="save it as RGB",
+            "save it as RGB",
         )
     for tails in layers.values():
         known = _ROLES | (_AXES if {"x", "y"} <= set(tails) else {})
@@ -247,10 +243,8 @@ def _roles(path: Path, names: Sequence[str]) -> dict[str, int]:
     others = {tail: place for tail, place in tails.items() if tail != alpha} or tails
     named = [place for tail, place in others.items() if tail in _GREYS]
     if not named and len(others) > 1:
-        raise MatcapError(
-            f"none of its channels ({', '.join(names)[:80]}) is red or grey",
-            where=str(path),
-            remedy="save it as RGB",
+        raise MatcapError.at(
+            path, f"none of its channels ({', '.join(names)[:80]}) is red or grey", "save it as RGB"
         )
     grey = (named or list(others.values()))[0]
     return dict.fromkeys(_COLOURS, grey) | ({} if alpha is None else {"A": tails[alpha]})
@@ -270,11 +264,11 @@ def _in_display_window(
     right, bottom = left + spec.width, top + spec.height
     partial = left > 0 or top > 0 or right < width or bottom < height
     if outside is None and partial:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             f"holds {spec.width} x {spec.height} of its {width} x {height} pixels (its data window "
             "is smaller than its display window)",
-            where=str(path),
-            remedy="save it whole",
+            "save it whole",
         )
     whole = np.full((height, width, stored.shape[2]), outside or 0.0, stored.dtype)
     rows, columns = slice(max(top, 0), min(bottom, height)), slice(max(left, 0), min(right, width))
@@ -291,29 +285,23 @@ def _check_size(path: Path, width: int, height: int) -> None:
 
 def _check_colours(path: Path, space: str) -> None:
     if space in _NO_COLOURS:
-        raise MatcapError(
-            f"the picture's colours are {space}", where=str(path), remedy="save it as RGB"
-        )
+        raise MatcapError.at(path, f"the picture's colours are {space}", "save it as RGB")
 
 
 def _too_large(path: Path) -> MatcapError:
-    return MatcapError(
+    return MatcapError.at(
+        path,
         "the picture is larger than can be read",
-        where=str(path),
-        remedy=f"reduce it to under {MOST_PIXELS // 1_000_000} megapixels",
+        f"reduce it to under {MOST_PIXELS // 1_000_000} megapixels",
     )
 
 
 def _unsupported(path: Path, what: str) -> MatcapError:
-    return MatcapError(
-        f"{what} is not supported", where=str(path), remedy="save it in another coding"
-    )
+    return MatcapError.at(path, f"{what} is not supported", "save it in another coding")
 
 
 def _broken(path: Path) -> MatcapError:
-    return MatcapError(
-        "the file is truncated or corrupt", where=str(path), remedy="save or download it again"
-    )
+    return MatcapError.at(path, "the file is truncated or corrupt", "save or download it again")
 
 
 def linear_colours(
@@ -333,9 +321,7 @@ def linear_colours(
         MatcapError: there are only two channels.
     """
     if "G" not in pixels.roles or "B" not in pixels.roles:
-        raise MatcapError(
-            "has two channels, which are no colour", where=str(pixels.path), remedy="save it as RGB"
-        )
+        raise MatcapError.at(pixels.path, "has two channels, which are no colour", "save it as RGB")
     colours = pixels.colours()
     if light and pixels.whole:
         return colours.astype(np.float32) / np.float32(np.iinfo(colours.dtype).max), ()

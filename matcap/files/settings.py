@@ -88,10 +88,10 @@ class Setting:
         if isinstance(value, bool) or not isinstance(value, int | float):
             return
         if not (math.isfinite(value) and rule.least <= value <= rule.most):
-            raise UsageError(
+            raise UsageError.at(
+                where,
                 f"{_short(value)} is out of range",
-                where=where,
-                remedy=f"give between {rule.least:g} and {rule.most:g}",
+                f"give between {rule.least:g} and {rule.most:g}",
             )
 
     def typed(self, value: Any, where: str) -> Any:  # noqa: ANN401
@@ -110,9 +110,7 @@ class Setting:
             fits = isinstance(value, kinds) and isinstance(value, bool) == (self.kind is bool)
         if not fits:
             wanted = "a list" if self.rule.several else _WORDS.get(self.kind, "a text")
-            raise UsageError(
-                f"{self.name} is {_short(value)}", where=where, remedy=f"give {wanted}"
-            )
+            raise UsageError.at(where, f"{self.name} is {_short(value)}", f"give {wanted}")
         try:
             if self.rule.parse is not None:
                 value = self.rule.parse(value)

@@ -102,10 +102,10 @@ def check_writable(folder: Path, space: int, names: Iterable[str] = ()) -> None:
     except OSError as error:
         raise write_error(culprit(folder, error), error) from error
     if free < space:
-        raise MatcapError(
+        raise MatcapError.at(
+            folder,
             f"about {_size(space)} are needed but the disk has {_size(free)} left",
-            where=str(folder),
-            remedy=f"free some space or {_ELSEWHERE}",
+            f"free some space or {_ELSEWHERE}",
         )
 
 

@@ -36,10 +36,10 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[s
     """
     for name, tensor in tensors.items():
         if tensor.dtype == torch.float16 and not bool(torch.isfinite(tensor).all()):
-            raise MatcapError(
+            raise MatcapError.at(
+                path.name,
                 f"{name} has values too large for half float (65504), or none at all",
-                where=path.name,
-                remedy="train it again, at a lower rate",
+                "train it again, at a lower rate",
             )
     together = {name: tensor.contiguous() for name, tensor in tensors.items()}
     plain = save(together)

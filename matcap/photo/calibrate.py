@@ -103,10 +103,10 @@ def read_card(path: Path, *, fov: float | None = None) -> Calibration:
             residual=fit.residual,
         )
     if seen is None and fit is None:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             "no card is seen here, neither a ChArUco board nor, in a RAW, a ColorChecker",
-            where=str(path),
-            remedy="photograph the card whole and sharp, or remove this photograph from the folder",
+            "photograph the card whole and sharp, or remove this photograph from the folder",
         )
     digest = hashlib.sha256(repr(calibration).encode()).hexdigest()
     return replace(calibration, digest=digest)

@@ -84,9 +84,7 @@ def write_card(path: Path) -> None:
     forms = {".svg": _svg, ".pdf": _pdf}
     form = forms.get(path.suffix.lower())
     if form is None:
-        raise UsageError(
-            "a card is an SVG or a PDF", where=str(path), remedy="end the name in .svg or .pdf"
-        )
+        raise UsageError.at(path, "a card is an SVG or a PDF", "end the name in .svg or .pdf")
     with staged_file(path) as file:
         file.write_bytes(form())
 

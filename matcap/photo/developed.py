@@ -71,10 +71,10 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
     def read(top: int, bottom: int) -> Rows:
         codes = coded.rows(top, bottom)
         if not whole and not np.isfinite(codes).all():
-            raise MatcapError(
+            raise MatcapError.at(
+                where,
                 "the picture has values that are NaN or infinite",
-                where=where,
-                remedy="export it again without them",
+                "export it again without them",
             )
         light = linearise(codes)
         judged, limit = (codes, clip_code) if coded.other is None else (light, _WHITE)

@@ -70,10 +70,10 @@ def plain_copy(path: Path) -> Iterator[Path]:
             check_size(path, page.imagewidth, page.imagelength)
             samples = page.asarray()
             if file.is_bigtiff or samples.dtype.kind != "u" or samples.shape[2:] not in ((), (3,)):
-                raise MatcapError(
+                raise MatcapError.at(
+                    path,
                     "the DNG holds neither a mosaic nor linear colours of whole numbers",
-                    where=str(path),
-                    remedy="convert it with Adobe DNG Converter, without JPEG XL",
+                    "convert it with Adobe DNG Converter, without JPEG XL",
                 )
             order = file.byteorder
             with copy.open("wb") as out:

@@ -70,32 +70,24 @@ def file_kind(path: Path) -> FileKind:
 
 def _head(path: Path) -> bytes:
     if path.is_dir():
-        raise MatcapError(
-            "this is a directory", where=str(path), remedy="give one photograph inside it"
-        )
+        raise MatcapError.at(path, "this is a directory", "give one photograph inside it")
     try:
         if path.exists() and not path.is_file():
             raise MatcapError("this is not a file", where=str(path), remedy=READABLE)
         with path.open("rb") as file:
             head = file.read(_HEAD)
     except FileNotFoundError as error:
-        raise MatcapError(
-            "there is no such file", where=str(path), remedy="check the name"
-        ) from error
+        raise MatcapError.at(path, "there is no such file", "check the name") from error
     except PermissionError as error:
-        raise MatcapError(
-            "the file may not be read", where=str(path), remedy="change its permissions"
-        ) from error
+        raise MatcapError.at(path, "the file may not be read", "change its permissions") from error
     except (OSError, ValueError) as error:  # ValueError: a name with a null character
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             f"the file cannot be read ({getattr(error, 'strerror', None) or error})",
-            where=str(path),
-            remedy="check the disk and the name",
+            "check the disk and the name",
         ) from error
     if not head:
-        raise MatcapError(
-            "the file is empty", where=str(path), remedy="copy it from the camera again"
-        )
+        raise MatcapError.at(path, "the file is empty", "copy it from the camera again")
     return head
 
 

@@ -76,10 +76,10 @@ def _only(photo: Photo, share: NDArray[np.float32], what: str, where: str) -> Ph
     if photo.left_out is not None:
         left_out = left_out | photo.left_out
     if 1.0 - left_out.mean() < _LEAST:
-        raise MatcapError(
+        raise MatcapError.at(
+            where,
             f"{what} {100 * (1.0 - left_out.mean()):.2g} % of the photograph",
-            where=where,
-            remedy="paint the material white (or leave it opaque), and only the rest black",
+            "paint the material white (or leave it opaque), and only the rest black",
         )
     places = mirrored(left_out)
     return replace(
@@ -97,19 +97,19 @@ def _cropped(crop: Region, width: int, height: int) -> Kept:
     """(H, W) mask of a crop."""
     right, bottom = crop.x + crop.width, crop.y + crop.height
     if crop.x < 0 or crop.y < 0 or right > width or bottom > height:
-        raise UsageError(
+        raise UsageError.at(
+            "--crop",
             f"{crop.x},{crop.y},{crop.width},{crop.height} reaches beyond the photograph of "
             f"{width} x {height} pixels",
-            where="--crop",
-            remedy="give x,y,w,h within it, in pixels of the upright picture from its top left",
+            "give x,y,w,h within it, in pixels of the upright picture from its top left",
         )
     if min(crop.width, crop.height) < SHORTEST_SIDE or crop.width * crop.height < _LEAST * (
         width * height
     ):
-        raise UsageError(
+        raise UsageError.at(
+            "--crop",
             f"{crop.width} x {crop.height} pixels are too few to hold a texture",
-            where="--crop",
-            remedy=f"keep at least {SHORTEST_SIDE} a side and {100 * _LEAST:.0f} % of the picture",
+            f"keep at least {SHORTEST_SIDE} a side and {100 * _LEAST:.0f} % of the picture",
         )
     kept = np.zeros((height, width), np.bool_)
     kept[crop.y : bottom, crop.x : right] = True
@@ -122,11 +122,11 @@ def _masked(mask: Path, width: int, height: int) -> Kept:
         raise MatcapError("there is no such file", where=str(mask), remedy="give a PNG file")
     grey = read_mask(mask)
     if grey.shape != (height, width):
-        raise MatcapError(
+        raise MatcapError.at(
+            mask,
             f"the mask is {grey.shape[1]} x {grey.shape[0]} pixels, the photograph "
             f"{width} x {height}",
-            where=str(mask),
-            remedy="paint it over the upright photograph, at its full size",
+            "paint it over the upright photograph, at its full size",
         )
     return np.asarray(grey > _GREY)
 

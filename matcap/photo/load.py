@@ -119,27 +119,27 @@ def _photo(
 
 def _check_request(long_side: int | None, fov: float | None) -> None:
     if long_side is not None and long_side < SHORTEST_SIDE:
-        raise UsageError(
+        raise UsageError.at(
+            "long_side",
             f"{long_side} pixels along the long side are too few",
-            where="long_side",
-            remedy=f"ask for at least {SHORTEST_SIDE}",
+            f"ask for at least {SHORTEST_SIDE}",
         )
     if fov is not None and not 1.0 <= fov <= 170.0:
-        raise UsageError(
+        raise UsageError.at(
+            "fov",
             f"a field of view of {fov:g} degrees is out of range",
-            where="fov",
-            remedy="give between 1 and 170 degrees across the long side",
+            "give between 1 and 170 degrees across the long side",
         )
 
 
 def _check_light(picture: Decoded, where: str) -> None:
     if float(picture.pixels.max()) < _DARKEST:
-        raise MatcapError(
-            "the picture is all black", where=where, remedy="photograph again with the flash on"
+        raise MatcapError.at(
+            where, "the picture is all black", "photograph again with the flash on"
         )
     if float(picture.clipped.mean()) > _MOST_CLIPPED:
-        raise MatcapError(
+        raise MatcapError.at(
+            where,
             "the picture is all white, every pixel at the clip level",
-            where=where,
-            remedy="photograph again with less exposure",
+            "photograph again with less exposure",
         )

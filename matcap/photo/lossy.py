@@ -160,10 +160,10 @@ def inks(
     """
     lineariser = inks_lineariser_of(profile, dtype) if profile else None
     if lineariser is None:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             "the picture's colours are inks (CMYK), and no profile in it says how they look",
-            where=str(path),
-            remedy="export it as RGB",
+            "export it as RGB",
         )
     return lineariser
 

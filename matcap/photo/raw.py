@@ -77,10 +77,10 @@ def read_raw(
             raw.raw_image_visible[...] = noisy
             again, _ = _develop(raw, corrections, balance, half)
     if developed.shape != (*saturated.shape, 3):
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             "the camera's sensor is not laid out in rows and columns of square pixels",
-            where=str(path),
-            remedy="give a developed picture, a TIFF say",
+            "give a developed picture, a TIFF say",
         )
 
     scale = np.float32(headroom / _FULL)
@@ -153,19 +153,19 @@ def _opened(path: Path) -> Any:  # noqa: ANN401
     try:
         return rawpy.imread(str(path))
     except rawpy.LibRawFileUnsupportedError as error:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             "this RAW file is damaged, or of a kind that LibRaw does not know",
-            where=str(path),
-            remedy="copy it from the camera again, or convert it to DNG",
+            "copy it from the camera again, or convert it to DNG",
         ) from error
 
 
 def _check_levels(path: Path, raw: Any) -> None:  # noqa: ANN401
     if raw.num_colors != 3:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             f"the camera sees {raw.num_colors} colours, not red, green and blue",
-            where=str(path),
-            remedy="give a developed picture, a TIFF say",
+            "give a developed picture, a TIFF say",
         )
     if raw.white_level <= max(raw.black_level_per_channel):
         raise unreadable(path, "RAW")

@@ -23,16 +23,16 @@ def check_size(path: Path, width: int, height: int) -> None:
         MatcapError: the short side is less than SHORTEST_SIDE, or there are more than MOST_PIXELS.
     """
     if min(width, height) < SHORTEST_SIDE:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             f"the picture is {width} x {height} pixels, too small to hold a texture",
-            where=str(path),
-            remedy=f"give one of at least {SHORTEST_SIDE} pixels on its short side",
+            f"give one of at least {SHORTEST_SIDE} pixels on its short side",
         )
     if width * height > MOST_PIXELS:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             f"the picture is {width} x {height} pixels, more than can be read",
-            where=str(path),
-            remedy=f"reduce it to under {MOST_PIXELS // 1_000_000} megapixels",
+            f"reduce it to under {MOST_PIXELS // 1_000_000} megapixels",
         )
 
 
@@ -47,10 +47,10 @@ def decoding(path: Path, form: str) -> Iterator[None]:
     except MatcapError:
         raise
     except MemoryError as error:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             f"there is not enough memory to read this {form}",
-            where=str(path),
-            remedy="free some memory or reduce the picture",
+            "free some memory or reduce the picture",
         ) from error
     except Exception as error:
         if any(word in str(error).lower() for word in _UNSUPPORTED):
@@ -60,26 +60,20 @@ def decoding(path: Path, form: str) -> Iterator[None]:
 
 def unreadable(path: Path, form: str) -> MatcapError:
     """The error for a truncated or damaged file."""
-    return MatcapError(
-        f"the {form} file is truncated or damaged",
-        where=str(path),
-        remedy="copy it from the camera again",
+    return MatcapError.at(
+        path, f"the {form} file is truncated or damaged", "copy it from the camera again"
     )
 
 
 def unsupported(path: Path, what: str) -> MatcapError:
     """The error for a file whose coding is not supported."""
-    return MatcapError(
-        f"{what} is not supported",
-        where=str(path),
-        remedy="export it as a JPEG, PNG or TIFF of 8 or 16 bits in RGB",
+    return MatcapError.at(
+        path, f"{what} is not supported", "export it as a JPEG, PNG or TIFF of 8 or 16 bits in RGB"
     )
 
 
 def missing_extra(path: Path, form: str, extra: str) -> MatcapError:
     """The error for a format whose reader is not installed."""
-    return MatcapError(
-        f"{form} needs a package that is not installed",
-        where=str(path),
-        remedy=f'run: pip install "matcap[{extra}]"',
+    return MatcapError.at(
+        path, f"{form} needs a package that is not installed", f'run: pip install "matcap[{extra}]"'
     )

@@ -74,10 +74,8 @@ def preset(name: str) -> Scene:
     if name in NAMED_LIGHTS:
         return scene_from_light(name)
     if name not in SCENES:
-        raise UsageError(
-            "there is no such scene",
-            where=name,
-            remedy=f"give a .toml file or {', '.join(PRESETS)}",
+        raise UsageError.at(
+            name, "there is no such scene", f"give a .toml file or {', '.join(PRESETS)}"
         )
     return SCENES[name]
 

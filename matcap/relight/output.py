@@ -41,10 +41,10 @@ def check_path(path: Path, *, moving: bool) -> None:
     known = MOVIES if moving else STILLS
     if path.suffix.lower() not in known:
         kind = "animation" if moving else "picture"
-        raise UsageError(
+        raise UsageError.at(
+            path,
             f"unknown {kind} format '{path.suffix}'",
-            where=str(path),
-            remedy=f"use {', '.join(known[:-1])} or {known[-1]}",
+            f"use {', '.join(known[:-1])} or {known[-1]}",
         )
 
 
@@ -77,10 +77,10 @@ def write_still(radiance: Radiance, path: Path, film: Film) -> None:
             write_exr(file, radiance, half=False, mark=MARK)
         else:
             if not all(np.isfinite(part).all() for part in _strips(radiance)):
-                raise MatcapError(
+                raise MatcapError.at(
+                    path.name,
                     "the picture has values that are not finite",
-                    where=path.name,
-                    remedy="write it as .exr to see where",
+                    "write it as .exr to see where",
                 )
             file.write_bytes(png_bytes(_codes(radiance, film), MARK))
 

@@ -43,10 +43,10 @@ def parse_choice(text: str) -> EffectChoice:
         sign, name = part[:1], part[1:]
         if sign not in ("+", "-") or name not in EFFECTS:
             near = difflib.get_close_matches(part.lstrip("+-"), EFFECTS, n=1, cutoff=0.0)[0]
-            raise UsageError(
+            raise UsageError.at(
+                "--effects",
                 f"'{part}' is not an effect to switch",
-                where="--effects",
-                remedy=f"give all, none, or +{near} or -{near} (of {', '.join(EFFECTS)})",
+                f"give all, none, or +{near} or -{near} (of {', '.join(EFFECTS)})",
             )
         forced.append((name, sign == "+"))
     return EffectChoice(start, tuple(forced))

@@ -219,17 +219,17 @@ def _parse_light(text: str) -> tuple[Vector, float]:
         raise UsageError(f"'{text}' is not a light", where="--light", remedy=remedy)
     x, y, z = numbers[:3]
     if z <= 0.0:
-        raise UsageError(
-            f"a light at z = {z:g} is not above the plane", where="--light", remedy="choose z > 0"
+        raise UsageError.at(
+            "--light", f"a light at z = {z:g} is not above the plane", "choose z > 0"
         )
     strength = numbers[3] if len(numbers) == 4 else 0.0
     if strength < 0.0:
         raise UsageError("the intensity is negative", where="--light", remedy="choose 0 or more")
     if max(abs(x), abs(y), z) > _FARTHEST or z < 1.0 / _FARTHEST or strength > _STRONGEST:
-        raise UsageError(
+        raise UsageError.at(
+            "--light",
             f"the light '{text}' is out of range",
-            where="--light",
-            remedy=f"choose a place within {_FARTHEST:g} units, at least {1 / _FARTHEST:g} above "
+            f"choose a place within {_FARTHEST:g} units, at least {1 / _FARTHEST:g} above "
             f"the plane, and an intensity up to {_STRONGEST:g}",
         )
     return (x, y, z), strength if len(numbers) == 4 else exposing_intensity((x, y, z))
@@ -252,10 +252,10 @@ def too_bright(lights: Sequence[Light], index: int | None = None) -> MatcapError
         index = max(range(len(lights)), key=lambda i: max(_colour(lights[i])))
     light = lights[index]
     kind = type(light).__name__.removesuffix("Light").lower()
-    return MatcapError(
+    return MatcapError.at(
+        f"light {index + 1} ({kind})",
         f"{max(_colour(light)):.2g} is too bright for single precision",
-        where=f"light {index + 1} ({kind})",
-        remedy="give it less, or more distance, and let the film's exposure make up for it",
+        "give it less, or more distance, and let the film's exposure make up for it",
     )
 
 

@@ -56,8 +56,8 @@ def read_scene(path: str | Path) -> Scene:
     except FileNotFoundError as error:
         raise MatcapError("no such file", where=str(path), remedy="check the path") from error
     except (OSError, UnicodeDecodeError) as error:
-        raise MatcapError(
-            "this is not a readable text file", where=str(path), remedy="give a TOML scene file"
+        raise MatcapError.at(
+            path, "this is not a readable text file", "give a TOML scene file"
         ) from error
     return parse_scene(text, where=str(path), folder=path.parent)
 
@@ -71,8 +71,8 @@ def parse_scene(text: str, *, where: str = "scene", folder: Path = Path(".")) ->
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise MatcapError(
-            f"this is not TOML ({str(error).rstrip('.')})", where=where, remedy="correct the file"
+        raise MatcapError.at(
+            where, f"this is not TOML ({str(error).rstrip('.')})", "correct the file"
         ) from error
     read = _Reader(where, folder)
     read.only(document, ("film", "camera", "surface", "light"), "")

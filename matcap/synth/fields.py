@@ -83,10 +83,10 @@ def _refuse_networks_options(request: SynthRequest) -> None:
     """Raise UsageError for precision and device of an exemplar, which has neither choice."""
     given = {"--precision": request.precision != "fp32", "--device": request.device == "cuda"}
     for option in (option for option, holds in given.items() if holds):
-        raise UsageError(
+        raise UsageError.at(
+            option,
             "only the decoder (the paper's network) has a choice of precision and device",
-            where=option,
-            remedy="leave it out, or give --generator decoder",
+            "leave it out, or give --generator decoder",
         )
 
 
@@ -161,10 +161,10 @@ def _check_piece(request: SynthRequest) -> None:
         "--seed": request.seed != 0,
     }
     for option in (option for option, given in refused.items() if given):
-        raise UsageError(
+        raise UsageError.at(
+            f"{option} with --tile piece",
             "the periodic exemplar is one map set of fixed size, without a seed",
-            where=f"{option} with --tile piece",
-            remedy=f"leave out {option}, or give --tile alone for a periodic texture",
+            f"leave out {option}, or give --tile alone for a periodic texture",
         )
 
 

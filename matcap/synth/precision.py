@@ -64,9 +64,7 @@ def choose(source: Network, precision: Precision) -> ChosenPrecision:
     if not multiplies_bfloat16(source.device):
         if precision == "auto":
             return ChosenPrecision(source, "fp32", {})
-        raise MatcapError(
-            "this device does not multiply bfloat16", where="--precision", remedy="use fp32"
-        )
+        raise MatcapError.at("--precision", "this device does not multiply bfloat16", "use fp32")
     if precision == "bf16":
         return ChosenPrecision(source.lowered(0), "bf16", {})
     exact, kinds = list(_samples(source)), kind_planes(source.specular_channels)

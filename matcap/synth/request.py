@@ -58,17 +58,11 @@ class SynthArea:
     def __post_init__(self) -> None:
         for name, given in (("--mask", self.mask), ("--mask-over", self.mask_over)):
             if self.blend is None and given is not None:
-                raise UsageError(
-                    "there is nothing to blend with", where=name, remedy="give --blend"
-                )
+                raise UsageError.at(name, "there is nothing to blend with", "give --blend")
         if self.blend is not None and self.mask is None:
-            raise UsageError(
-                "there is no mask", where="--blend", remedy="give a picture with --mask"
-            )
+            raise UsageError.at("--blend", "there is no mask", "give a picture with --mask")
         if self.size is not None and self.region is not None:
-            raise UsageError(
-                "a rectangle already has a size", where="--region", remedy="leave --size out"
-            )
+            raise UsageError.at("--region", "a rectangle already has a size", "leave --size out")
 
     @property
     def rectangle(self) -> Rectangle:
@@ -184,14 +178,14 @@ class Work:
     def check(self, device_type: str) -> None:
         """Raise UsageError for an invalid scheduler address, or a scheduler with CUDA."""
         if self.scheduler is not None and not _ADDRESS.fullmatch(self.scheduler):
-            raise UsageError(
+            raise UsageError.at(
+                "--scheduler",
                 f"'{self.scheduler}' is not an address",
-                where="--scheduler",
-                remedy="give one such as tcp://192.168.1.7:8786",
+                "give one such as tcp://192.168.1.7:8786",
             )
         if self.scheduler is not None and device_type != "cpu":
-            raise UsageError(
+            raise UsageError.at(
+                "--scheduler",
                 "a dask cluster computes on CPUs only",
-                where="--scheduler",
-                remedy="leave --device out, or --scheduler",
+                "leave --device out, or --scheduler",
             )

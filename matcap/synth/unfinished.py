@@ -82,10 +82,10 @@ def _locked(stage: Path) -> Iterator[None]:
     try:
         lock.acquire()
     except Timeout as error:
-        raise MatcapError(
+        raise MatcapError.at(
+            stage.parent,
             "another matcap is writing these maps",
-            where=str(stage.parent),
-            remedy="wait for it, or choose another folder with -o",
+            "wait for it, or choose another folder with -o",
         ) from error
     try:
         yield
@@ -99,16 +99,16 @@ def _open(stage: Path, key: str, *, resume: bool) -> None:
     begun = file.read_text() if resume and file.exists() else key
     before, now = (one.partition(" ")[2] for one in (begun, key))
     if before not in ("", now):
-        raise MatcapError(
+        raise MatcapError.at(
+            stage,
             f"the unfinished maps here were begun on {before}; {now} rounds differently",
-            where=str(stage),
-            remedy=f"give --device {before}, or leave --resume out to begin anew",
+            f"give --device {before}, or leave --resume out to begin anew",
         )
     if begun != key:
-        raise MatcapError(
+        raise MatcapError.at(
+            stage,
             "the unfinished maps here were begun with another material or other settings",
-            where=str(stage),
-            remedy="repeat the command that began them, or leave --resume out to begin anew",
+            "repeat the command that began them, or leave --resume out to begin anew",
         )
     if not resume or not file.exists():
         for old in stage.iterdir():

@@ -154,26 +154,24 @@ def write_page(document: str, path: Path) -> None:
 def check_page_path(path: Path) -> None:
     """Raise UsageError unless the name ends in .html."""
     if path.suffix.lower() not in (".html", ".htm"):
-        raise UsageError(
-            f"'{path.suffix}' is not a page", where=str(path), remedy="choose a name in .html"
-        )
+        raise UsageError.at(path, f"'{path.suffix}' is not a page", "choose a name in .html")
 
 
 def _tile(subject: Viewable, size: int) -> MapSet:
     if isinstance(subject, Materials):
         if not 16 <= size <= _LARGEST_TILE or size % 16:
-            raise UsageError(
+            raise UsageError.at(
+                "--tile",
                 f"a tile of {size} texels is not possible",
-                where="--tile",
-                remedy=f"choose a multiple of 16 from 16 to {_LARGEST_TILE}",
+                f"choose a multiple of 16 from 16 to {_LARGEST_TILE}",
             )
         return subject.first.maps(size, size, seed=subject.seed, period=(size, size))
     assert isinstance(subject, Maps)
     if max(subject.maps.size) > _LARGEST_TILE:
-        raise UsageError(
+        raise UsageError.at(
+            subject.name,
             f"a map set of {subject.maps.size[0]}x{subject.maps.size[1]} is too large for one page",
-            where=subject.name,
-            remedy=f"make one of at most {_LARGEST_TILE} texels a side",
+            f"make one of at most {_LARGEST_TILE} texels a side",
         )
     return subject.maps
 

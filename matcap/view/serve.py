@@ -90,9 +90,9 @@ def listen(port: int) -> socket.socket:
         listening.listen(64)
     except OSError as error:
         listening.close()
-        raise MatcapError(
+        raise MatcapError.at(
+            "--port",
             f"the port {port} cannot be used ({error.strerror})",
-            where="--port",
-            remedy="choose another, or leave it out",
+            "choose another, or leave it out",
         ) from error
     return listening

@@ -295,17 +295,11 @@ def open_subject(
 
     maps, document = read_mapset(path)
     if second is not None:
-        raise UsageError(
-            "a map set cannot be blended", where=str(path), remedy="give the .matcap file"
-        )
+        raise UsageError.at(path, "a map set cannot be blended", "give the .matcap file")
     if read.variety is not None:
-        raise UsageError(
-            "a map set has no patches", where="--variety", remedy="give the .matcap file"
-        )
+        raise UsageError.at("--variety", "a map set has no patches", "give the .matcap file")
     if seed != 0:
-        raise UsageError(
-            "a map set has no other seed", where=str(path), remedy="give the .matcap file"
-        )
+        raise UsageError.at(path, "a map set has no other seed", "give the .matcap file")
     return Maps(maps, str(document.get("name", path.stem)))
 
 

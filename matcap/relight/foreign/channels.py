@@ -93,10 +93,10 @@ def _read_folder(folder: Path, stated: Stated | None, normal: NormalStyle | None
     assignment = stated.files if stated else assigned(folder)
     if "base" not in assignment.files:
         unused = f" (not used: {', '.join(assignment.left_out)})" if assignment.left_out else ""
-        raise MatcapError(
+        raise MatcapError.at(
+            folder,
             f"there is no map of base colour in this folder{unused}",
-            where=str(folder),
-            remedy="name one ..._Color, ..._diff, ..._albedo or ..._basecolor",
+            "name one ..._Color, ..._diff, ..._albedo or ..._basecolor",
         )
     set_ = _Set(dict(assignment.files), stated.grid if stated else None)
     channels = set_.channels(stated, normal)
@@ -281,11 +281,11 @@ class _Set:
         if (width, height) == size:
             return np.ascontiguousarray(values, dtype=np.float32)
         if min(width, height) > 1 and abs(width * size[1] / (height * size[0]) - 1.0) > _SHAPE:
-            raise MatcapError(
+            raise MatcapError.at(
+                pixels.path,
                 f"is {width} x {height} pixels, another aspect ratio than {size[0]} x {size[1]}, "
                 "the largest map's",
-                where=str(pixels.path),
-                remedy="give maps of the same extent",
+                "give maps of the same extent",
             )
         way = cv2.INTER_AREA if width > size[0] else cv2.INTER_LINEAR
         resized = [cv2.resize(one, size, interpolation=way) for one in values.astype(np.float32)]
@@ -307,8 +307,6 @@ def _read(path: Path, grid: tuple[int, int] | None) -> Pixels:
     first = tiles[0][0]
     parts = [one for row in tiles for one in row]
     if any(one.stored.shape != first.stored.shape for one in parts):
-        raise MatcapError(
-            "its tiles differ in size", where=str(path), remedy="export the material again"
-        )
+        raise MatcapError.at(path, "its tiles differ in size", "export the material again")
     whole = np.concatenate([np.concatenate([one.stored for one in row], axis=1) for row in tiles])
     return Pixels(first.path, whole, first.roles, first.primaries)

@@ -80,19 +80,19 @@ def stated_export(folder: Path, place: Path) -> Stated | None:
     if not sidecars:
         return None
     if len(sidecars) > 1:
-        raise MatcapError(
+        raise MatcapError.at(
+            folder,
             f"there are {len(sidecars)} exports in this folder",
-            where=str(folder),
-            remedy="keep one export in a folder",
+            "keep one export in a folder",
         )
     file, about = sidecars[0]
     try:
         return _stated(folder, about, place)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OSError) as error:
-        raise MatcapError(
+        raise MatcapError.at(
+            file,
             f"the export's description is damaged ({error})",
-            where=str(file),
-            remedy="export the material again, or remove this file to go by the textures' names",
+            "export the material again, or remove this file to go by the textures' names",
         ) from error
 
 
@@ -110,10 +110,10 @@ def _read(file: Path) -> dict[str, Any] | None:
     if not isinstance(about, dict) or about.get("format") != _FORMAT:
         return None
     if about.get("version") != _VERSION:
-        raise MatcapError(
+        raise MatcapError.at(
+            file,
             f"export of version {about.get('version')}, this matcap reads {_VERSION}",
-            where=str(file),
-            remedy="export it again with this matcap, or remove this file",
+            "export it again with this matcap, or remove this file",
         )
     return about
 

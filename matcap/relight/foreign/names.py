@@ -187,10 +187,10 @@ def assigned(folder: Path) -> Assigned:
         taken = [kind for kind in wanted if kind in files]
         for kind in taken:
             if files[kind].stem != file.stem:
-                raise MatcapError(
+                raise MatcapError.at(
+                    folder,
                     f"{files[kind].path.name} and {file.path.name} are both its {kind} map",
-                    where=str(folder),
-                    remedy="keep the maps of one set, in one size, in a folder",
+                    "keep the maps of one set, in one size, in a folder",
                 )
         files |= {kind: file for kind in wanted if kind not in files}
         if not wanted:

@@ -33,10 +33,10 @@ def slopes_of(pixels: Pixels) -> tuple[Array, tuple[str, ...]]:
     """
     name = pixels.path.name
     if pixels.grey:
-        raise MatcapError(
+        raise MatcapError.at(
+            pixels.path,
             "has one channel, and a normal map needs two",
-            where=str(pixels.path),
-            remedy="remove it, or name it as height if that is what it is",
+            "remove it, or name it as height if that is what it is",
         )
     x, y = pixels.channel("R"), pixels.channel("G")
     z = pixels.channel("B") if "B" in pixels.roles else None
@@ -57,10 +57,10 @@ def slopes_of(pixels: Pixels) -> tuple[Array, tuple[str, ...]]:
         z = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
     facing_down = float((z <= 0.0).mean())
     if facing_down > _FACING_DOWN:
-        raise MatcapError(
+        raise MatcapError.at(
+            pixels.path,
             f"{facing_down:.0%} of its normals point away from the surface",
-            where=str(pixels.path),
-            remedy="bake it in tangent space",
+            "bake it in tangent space",
         )
     if facing_down > 1e-3:
         notes.append(

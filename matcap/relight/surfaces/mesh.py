@@ -121,8 +121,8 @@ def load_mesh(path: Path, size: float) -> Mesh:
     except FileNotFoundError as error:
         raise MatcapError("no such file", where=where, remedy="check the path") from error
     except OSError as error:
-        raise MatcapError(
-            f"the file cannot be read ({error.strerror})", where=where, remedy="check its rights"
+        raise MatcapError.at(
+            where, f"the file cannot be read ({error.strerror})", "check its rights"
         ) from error
     points, spots, normals, faces = _parse(lines, where)
     corners = points[faces[..., 0]]
@@ -134,19 +134,17 @@ def load_mesh(path: Path, size: float) -> Mesh:
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(flat, axis=1)
     if not (area > _SMALLEST * size**2).any():
-        raise MatcapError(
+        raise MatcapError.at(
+            where,
             "no triangle has an area: the corners of each lie on a line or in one place",
-            where=where,
-            remedy="export the mesh again",
+            "export the mesh again",
         )
     corner_normals = _normals(points, normals, faces, flat)
     if (faces[..., 1] >= 0).all() and len(spots):
         places = spots[faces[..., 1]]
         if not (np.abs(places) < _FARTHEST_SPOT).all():
-            raise MatcapError(
-                f"has texture coordinates beyond {_FARTHEST_SPOT:g}",
-                where=where,
-                remedy="export it again",
+            raise MatcapError.at(
+                where, f"has texture coordinates beyond {_FARTHEST_SPOT:g}", "export it again"
             )
         d1, d2 = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
         spread = np.abs(d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]).sum()
@@ -206,10 +204,10 @@ def _parse(lines: list[str], where: str) -> tuple[Array, Array, Array, Array]:
                     raise ValueError("too few corners")
                 faces += [[ring[0], ring[i], ring[i + 1]] for i in range(1, len(ring) - 1)]
         except (ValueError, IndexError) as error:
-            raise MatcapError(
+            raise MatcapError.at(
+                where,
                 f"line {number} is no valid '{words[0]}' ({error})",
-                where=where,
-                remedy="export the mesh again as OBJ",
+                "export the mesh again as OBJ",
             ) from error
     if not faces:
         raise MatcapError("there are no faces", where=where, remedy="give a Wavefront OBJ file")
