@@ -38,10 +38,7 @@ def with_profiles(
     A profile in the settings is used for all samples, and none is estimated.
 
     Args:
-        samples: of the input folder.
-        source: the input folder.
         out: the output folder, which may have profiles of an earlier run; nothing is written.
-        settings: of the captures.
         note: called with a sentence for each estimation and each profile.
         again: estimate profiles that the output already has.
 
@@ -78,12 +75,7 @@ def with_profiles(
 
 
 def camera_of(photo: Path, source: Path) -> str:
-    """Name of a photograph's camera; without Exif, a description by size and folder.
-
-    Args:
-        photo: in the input folder.
-        source: the input folder.
-    """
+    """Name of a photograph's camera; without Exif, a description by size and folder."""
     try:
         said = read_exif(photo).camera
     except OSError:  # the capture reports it
@@ -102,7 +94,6 @@ def estimated_profile(
     """Estimate a camera's profile; None if too few photographs are usable.
 
     Args:
-        camera: its name.
         photos: each of another material, in any order.
         settings: field of view, crop and mask.
     """

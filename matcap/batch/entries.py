@@ -63,10 +63,6 @@ def make_plan(
     """Determine the state of every sample.
 
     Args:
-        samples: of the input folder.
-        out: the output folder.
-        settings: of the batch.
-        policy: what is made again.
         prior: hash of the prior.
         card: hash of the calibration, or "".
     """

@@ -37,11 +37,9 @@ def identity(
 
     Args:
         photos: in order; their content counts, their names do not.
-        settings: of capture and output.
         prior: prior_hash of the prior.
         card: hash of the calibration, or "".
         profile: of the camera, estimated from the input folder, or None.
-        version: of matcap.
 
     Raises:
         MatcapError: a photograph cannot be read.

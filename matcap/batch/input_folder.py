@@ -71,7 +71,6 @@ def find_samples(
     and a JPEG of one shot (the same stem, or Pixel phones' names), the RAW is used.
 
     Args:
-        source: the input folder.
         group: photographs of one folder that are one sample: "none": each is its own; "name":
             those numbered alike (oak_1, oak_2); "dir": all; "time": those within `gap` seconds of
             the one before.

@@ -28,7 +28,6 @@ def worker_bytes(settings: BatchSettings, pixels: int, *, raw: bool) -> int:
     """Upper bound of a worker's memory, in bytes.
 
     Args:
-        settings: for the detail and the size of the map set.
         pixels: of the largest photograph.
         raw: whether that is a RAW file.
     """
@@ -81,7 +80,6 @@ def pool_size(wanted: int | None, each: int, jobs: int, free: int | None = None)
     Args:
         wanted: by the user, or None.
         each: bytes of a worker.
-        jobs: number of samples.
         free: bytes of free memory; by default measured.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()

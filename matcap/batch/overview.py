@@ -32,10 +32,6 @@ _STATES = {
 def write_index(out: Path, entries: Sequence[BatchEntry]) -> None:
     """Write the three files, all or none; they also list materials of earlier batches.
 
-    Args:
-        out: the output folder.
-        entries: the samples of this batch.
-
     Raises:
         MatcapError: a full disk, an unwritable folder.
     """

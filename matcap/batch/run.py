@@ -60,11 +60,6 @@ class Batch:
 
     Args:
         entries: the samples; their states are updated.
-        run: workspace.
-        workers: worker pool.
-        settings: of the batch.
-        policy: what is made again, and what counts as failure.
-        show: displays the progress.
         page: writes the index; called during the run and at its end.
         card: calibration from a card's photograph, or None.
     """

@@ -120,8 +120,6 @@ def work_off(
 
     Args:
         prepared: by prepare(); its entries are updated.
-        policy: what is made again, and what counts as failure.
-        show: displays the progress.
         scheduler: address of a dask cluster's; by default processes of this machine.
 
     Raises:

@@ -27,7 +27,6 @@ class _Shown:
     """A display on a console.
 
     Args:
-        console: the console to print on.
         bars: the live display, or None to print lines.
         quiet: print only failures.
     """

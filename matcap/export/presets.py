@@ -135,10 +135,6 @@ class EngineModel:
 
         Another form than plain must gain _MARGIN: a slightly metallic leather may have a smaller
         residual, but gets a metal's tinted reflection.
-
-        Args:
-            job: the maps.
-            surface: the reflectance that the engine renders, for a model.
         """
         forms = [replace(self, form=form) for form in FORMS]
         return forms[nearest(job, [surface(one) for one in forms], _MARGIN)]

@@ -117,8 +117,6 @@ def residuals(
     """Residuals of several surfaces, from the values that their textures store.
 
     Args:
-        job: the maps.
-        surfaces: functions from a texture reader to a surface, by name.
         texels: largest number of texels that are compared.
     """
     step = thinning(*job.maps.size, texels)
@@ -140,8 +138,6 @@ def nearest(job: ExportJob, surfaces: Sequence[MadeSurface], margin: float = 0.0
     """Index of the surface with the smallest mean residual, over _FEW_TEXELS texels.
 
     Args:
-        job: the maps.
-        surfaces: functions from a texture reader to a surface.
         margin: share of the first one's residual by which another must be smaller.
     """
     named = {str(key): made for key, made in enumerate(surfaces)}

@@ -143,7 +143,6 @@ def export_mapset(folder: Path, target: str) -> Exported:
 
     Args:
         folder: holds one map set, or is its JSON document.
-        target: one of TARGETS.
 
     Raises:
         UsageError: no such target.
@@ -178,8 +177,6 @@ def write_export(
     """Write maps for a target, all files or none.
 
     Args:
-        job: the maps, with format and depth.
-        target: one of TARGETS.
         folder: created if missing; files of an earlier export for the target are replaced.
         options: workflow, and options of presets; the default workflow is engines.PLAIN's, else
             the one with the smaller residual.

@@ -59,10 +59,7 @@ class TextureFile:
         """A texture in the job's format and depth, or in default ones.
 
         Args:
-            job: the maps, with format and depth.
-            make: computes the values.
             usual: default depth.
-            meaning: of the values.
             srgb: integers are sRGB-encoded.
             lossy: JPEG and WebP are allowed; otherwise PNG is written instead.
 
@@ -157,7 +154,6 @@ class TextureFile:
         """The file's content, of PNG, JPEG and WebP.
 
         Args:
-            job: the maps.
             tagged: PNG states colour space and texel size.
         """
         whole: Any = self.pixels(job)

@@ -106,8 +106,6 @@ def open_set(
         path: a material file, or a folder with one.
         grid: (columns, rows).
         size: (width, height) of a tile in texels.
-        seed: realisation.
-        read: generator and patch size.
 
     Raises:
         UsageError: a map set, which cannot be extended; or too many tiles.

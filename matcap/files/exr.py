@@ -100,7 +100,6 @@ def read_exr(
     """Read an EXR file.
 
     Args:
-        path: the file.
         size: expected (width, height); checked before any pixel is read.
         channels: names to read, in this order; None is all, in the file's order.
 

@@ -42,7 +42,6 @@ def lineariser_of(
 
     Args:
         profile: the ICC bytes, or None.
-        dtype: of the file's code values.
         default: the colour space without a profile, or with one that cannot be used.
     """
     if not profile:

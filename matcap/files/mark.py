@@ -68,8 +68,6 @@ def check_replaceable(
     """Refuse outputs that would replace an input, or a file that another command wrote.
 
     Args:
-        paths: of the outputs.
-        mark: of the command.
         inputs: files that the call reads, and folders of such files.
         overwrite: replace files of other commands.
         own: whether the command wrote a file without a mark.

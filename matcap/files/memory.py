@@ -37,7 +37,6 @@ def check_memory(need: int, where: str, remedy: str) -> None:
     Args:
         need: bytes that the work takes at least.
         where: the option that the error names.
-        remedy: of the error.
 
     Raises:
         MatcapError: less memory is free.

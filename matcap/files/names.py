@@ -79,7 +79,6 @@ def plain_name(name: str, *, what: str = "the name", where: str = "") -> str:
     """Return the name if it is a plain file name, which cannot lead out of a folder.
 
     Args:
-        name: of any type.
         what: that the error calls it.
         where: file or option that the error names.
 

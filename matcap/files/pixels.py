@@ -97,7 +97,6 @@ def read_pixels(path: Path, *, outside: float | None = None) -> Pixels:
     """Read an image; of an EXR file the display window.
 
     Args:
-        path: the file.
         outside: value of the display window beyond the data window; None refuses such files.
 
     Raises:
@@ -314,7 +313,6 @@ def linear_colours(
     negative for colours outside Rec.709.
 
     Args:
-        pixels: the image.
         light: take integers as linear, whatever the file states.
 
     Raises:

@@ -73,9 +73,6 @@ def _stage(folder: Path) -> Iterator[StagedFolder]:
 def staged_file(path: Path) -> Iterator[Path]:
     """Context of a temporary path, whose file is moved to `path` on exit.
 
-    Args:
-        path: of the file; its folder is created if missing.
-
     Raises:
         MatcapError: see staged().
     """

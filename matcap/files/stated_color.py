@@ -69,7 +69,6 @@ def stated_color(path: Path, page: int = 0) -> StatedColor:
     A damaged statement gives a note.
 
     Args:
-        path: the file.
         page: index of the picture in a TIFF file.
 
     Raises:

@@ -27,8 +27,6 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[s
     """Write tensors and metadata.
 
     Args:
-        path: of the file; its folder is created if missing.
-        tensors: of any shapes, types and devices.
         metadata: strings by name, other than "digest".
 
     Raises:

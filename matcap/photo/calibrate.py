@@ -79,7 +79,6 @@ def read_card(path: Path, *, fov: float | None = None) -> Calibration:
     """Calibrate by the board and the chart in a photograph.
 
     Args:
-        path: the photograph.
         fov: degrees across the long side; None is the file's.
 
     Raises:

@@ -121,7 +121,6 @@ class QualityCheck:
         """The finding of a measurement.
 
         Args:
-            value: the measurement.
             severity: None is severity(value).
             more: which photographs would help (capture/verdict/causes.py).
             words: further values of the messages.

@@ -55,9 +55,7 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
     """Convert to linear Rec.709, and downsample.
 
     Args:
-        coded: the picture.
         long_side: of the result, pixels, or None.
-        where: the file, for errors.
         orientation: EXIF's, passed on.
 
     Raises:

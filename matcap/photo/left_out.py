@@ -32,7 +32,6 @@ def leave_out(photo: Photo, crop: Region | None, mask: Path | None) -> Photo:
     """Restrict a photograph to the part that shows the material.
 
     Args:
-        photo: as read, of any size.
         crop: rectangle of the material, in pixels of the file's upright picture.
         mask: image of that size: white is the material, black is left out.
 
@@ -58,9 +57,7 @@ def leave_transparent_out(photo: Photo, opacity: NDArray[np.float32], where: str
     """Restrict a photograph to its opaque pixels.
 
     Args:
-        photo: as read.
         opacity: (H, W) of its pixels, in [0, 1].
-        where: the file, for errors.
 
     Raises:
         MatcapError: too little is opaque.

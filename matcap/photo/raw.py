@@ -46,7 +46,6 @@ def read_raw(
     """Develop a RAW file.
 
     Args:
-        path: a file that LibRaw can read.
         long_side: of the result, pixels. At half the sensor's or less, the mosaic is averaged by
             2 x 2 instead of demosaiced.
         corrections: of a DNG; Corrections() for other files.

@@ -16,7 +16,6 @@ def photographed_scene(setup: FlashSetup, film: Film, *, endless: bool) -> Scene
     """The scene with the photograph's camera and its flash as a point light.
 
     Args:
-        setup: camera and flash.
         film: of the picture, with the photograph's aspect ratio.
         endless: extend the plane to all that the camera sees; else it is the maps' rectangle.
     """

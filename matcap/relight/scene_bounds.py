@@ -147,8 +147,6 @@ def gather(
 
     Args:
         scene: its lights and surface.
-        texture: the material.
-        view: the camera.
         region: box around the visible points.
         footprint: largest side of a pixel's footprint, in texels.
         environments: one for each environment light.

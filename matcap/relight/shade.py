@@ -26,7 +26,6 @@ def shade(context: ShadingContext, hits: Hits, tiles: Array) -> Array:
     """(3, rows, W) radiance of a block; 0 where rays miss the surface.
 
     Args:
-        context: inputs shared by all blocks.
         hits: intersections of the block's rays, (rows, W).
         tiles: (rows, W) index of the picture's tile of each pixel.
     """

@@ -27,7 +27,6 @@ def light_texels(
         specular: (1 or 3, H, W) F0.
         roughness: (1, H, W) perceptual roughness.
         normal: (3, H, W) unit normals, y up.
-        light: its direction and irradiance.
     """
     kept, total = KeptArrays(), np.zeros(diffuse.shape, dtype=np.float32)
     flat, upright = np.zeros_like(roughness[0]), np.ones_like(roughness[0])

@@ -18,7 +18,6 @@ class Assembly:
     """Writes rendered parts to files; joins the fragments of tiles that several blocks overlap.
 
     Args:
-        pictures: the pictures to write.
         files: one for each picture; tiles that a file already has are kept.
     """
 

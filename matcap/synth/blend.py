@@ -142,11 +142,8 @@ def blend_source(
     The result has the first material's texel size; the second is not resampled to it.
 
     Args:
-        first, second: the materials.
-        mask: share of the second.
         seed: of both fields, in [-2^63, 2^63).
         period: in texels, or None.
-        device: that networks compute on.
         generator: of both; None is "example" if both have an exemplar, else "decoder".
 
     Raises:

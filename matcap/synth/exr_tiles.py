@@ -148,8 +148,6 @@ def encode_tile(layout: Layout, tile: Tile, planes: Sequence[NDArray[np.generic]
     """Encode a tile's chunk: coordinates, size and ZIP-compressed data.
 
     Args:
-        layout: of the file.
-        tile: coordinates.
         planes: (rows, columns) of each channel, in the channels' types.
     """
     rows, columns = layout.shape(tile)
@@ -218,7 +216,6 @@ class TileFile:
     Args:
         stream: open for reading and writing; whole tiles of an earlier run are kept, an incomplete
             last one is dropped.
-        layout: of the file.
     """
 
     def __init__(self, stream: BinaryIO, layout: Layout) -> None:

@@ -111,9 +111,6 @@ def encode(
     """Encode the whole tiles of a part of a block for each picture.
 
     Args:
-        planes: of the part.
-        part: its place.
-        pictures: of the map set.
         specular: channels of F0.
 
     Raises:

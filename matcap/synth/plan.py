@@ -134,8 +134,6 @@ def document_of(
     """The JSON document of a map set or texture set.
 
     Args:
-        request: the request.
-        field: its field.
         heights: (scale, midlevel) of height PNGs, or None without PNGs.
     """
     source, whole, name = field.source, request.whole, field.info.name

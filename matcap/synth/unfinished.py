@@ -36,7 +36,6 @@ def unfinished(folder: Path, name: str, key: str, *, resume: bool) -> Iterator[S
 
     Args:
         folder: destination; created if missing.
-        name: of the map set.
         key: plan.key_of of the request: a digest, a space, the device.
         resume: keep the files of an interrupted run; otherwise remove them.
 

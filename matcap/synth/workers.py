@@ -43,7 +43,6 @@ def worker_pool(
     Threads share a CUDA device, and encode tiles in parallel.
 
     Args:
-        source: the field.
         workers: number of processes or threads.
         jobs: upper bound of the number of jobs.
         scheduler: address of a Dask scheduler, whose workers are used instead.

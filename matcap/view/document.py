@@ -59,9 +59,6 @@ def served_page(
     """The document that fetches scripts and pages from its server.
 
     Args:
-        facts: of the subject.
-        references: photograph, doubt mask and verdict that the server has.
-        adjust: initial adjustments.
         library: whether the page links to a library's.
     """
     from matcap.export.targets import DOCUMENTS, PRESETS

@@ -19,7 +19,6 @@ def exported(subject: Viewable, values: Mapping[str, str]) -> tuple[str, bytes]:
     """Export a subject as the page asks for; return the target and the bytes of a zip file.
 
     Args:
-        subject: a material or map set.
         values: of the query: `target` of `matcap export`, `size` of a material's square in texels,
             `seed`, `share` of the second material, `adjust`.
 

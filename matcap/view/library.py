@@ -23,12 +23,7 @@ _OPENED = 8  # materials cached, of some 50 MB each
 
 
 class Library:
-    """Materials of a folder, by index.
-
-    Args:
-        files: of the materials.
-        read: options of reading, for all of them.
-    """
+    """Materials of a folder, by index."""
 
     def __init__(self, files: Sequence[Path], read: ReadOptions = AS_IT_IS) -> None:
         self.files, self.adjust = tuple(files), read.adjustments

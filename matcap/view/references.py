@@ -56,7 +56,6 @@ def find_references(
 
     Args:
         path: of its file or folder.
-        name: of the material or map set.
         photo: file to use instead of the folder's photograph.
         material: the material; None for a map set.
 
@@ -112,7 +111,6 @@ def browser_picture(
     """A photograph as a JPEG of at most 1024 pixels a side.
 
     Args:
-        file: the photograph.
         setup: camera and flash, by which it is rectified; None leaves it as it is.
         tone: the tone curve that is removed, as the page renders without one.
 

@@ -91,11 +91,8 @@ def make_app(
     """The server's application for one subject.
 
     Args:
-        subject: to show.
         address: whose token and host requests must have.
         pages: returns the pages of a subject.
-        references: photograph, doubt mask and verdict.
-        adjust: initial adjustments.
     """
     routes = _subject_routes(subject, pages(subject), references or References(), adjust)
     return _guarded(routes, address)
@@ -105,8 +102,6 @@ def make_library(library: Library, name: str, address: Address, pages: PagesOf) 
     """The server's application for a folder of materials.
 
     Args:
-        library: the materials.
-        name: of the folder.
         address: whose token and host requests must have.
         pages: returns the pages of a subject.
     """

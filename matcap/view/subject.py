@@ -271,8 +271,6 @@ def open_subject(
         path: a .matcap file, a map set's folder or JSON file, or a capture's folder, whose material
             is preferred to its map set.
         second: a material to blend with.
-        seed: of the realisation shown first.
-        read: options of reading the first.
 
     Raises:
         MatcapError: nothing to open, more than one thing, a broken file, or materials that cannot

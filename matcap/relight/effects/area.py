@@ -148,7 +148,6 @@ def rule(light: AreaLight, order: int, *, parts: bool = False) -> Rule:
     """The quadrature rule of an order.
 
     Args:
-        light: the light.
         order: points along a side; a multiple of 4 with `parts`.
         parts: compose it of one rule for each of the 16 parts, so that shadows of parts weigh by
             their solid angle.

@@ -92,8 +92,6 @@ def shine(block: Block, lamp: CLamp, lit: Array | None) -> None:
     """Add a point light. One loop adds all its terms; its time counts as the costliest's.
 
     Args:
-        block: pixels to add to.
-        lamp: the light.
         lit: (N,) share of the light that arrives, [0, 1]; None is 1.
     """
     with block.context.tally.timed("specular" if block.plan.on("specular") else "diffuse"):

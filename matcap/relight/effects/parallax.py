@@ -45,7 +45,6 @@ def shift(
     """Intersect view rays with the displaced surface.
 
     Args:
-        relief: the height field.
         place: (u, v) of the rays on the undisplaced surface, in plane units.
         to_view: unit vectors to the camera in the material's frame.
 

@@ -75,7 +75,6 @@ def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> S
     """Read the maps in a folder, by their file names or by the sidecar of matcap's export.
 
     Args:
-        folder: holds the pictures of one set.
         normal: direction of the normal map's green where no name states it: "gl" up, "dx" down.
 
     Raises:

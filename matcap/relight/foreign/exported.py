@@ -70,7 +70,6 @@ def stated_export(folder: Path, place: Path) -> Stated | None:
     """Read the sidecar in a folder; None where there is none.
 
     Args:
-        folder: of the export.
         place: an empty folder for textures unpacked from a .glb.
 
     Raises:

@@ -305,7 +305,6 @@ def _said(rest: Sequence[_Word], *, alone: bool) -> list[tuple[str, _Word]]:
     """The words at a name's end that state its map, each with the map or style it names.
 
     Args:
-        rest: words of the name.
         alone: the name has no other words: a single letter then names no map.
     """
     if rest and rest[-1].text in _LETTERS and not alone:

@@ -54,7 +54,6 @@ def read_foreign(folder: str | Path, *, normal: NormalStyle | None = None) -> Fo
     """Read a map set.
 
     Args:
-        folder: holds the pictures of one set.
         normal: direction of the normal map's green where no name states it: "gl" up, "dx" down.
 
     Raises:

@@ -67,7 +67,6 @@ def hits_of(
     """Hits of rays on a curved surface.
 
     Args:
-        view: the camera.
         point: (3, rows, W) intersections.
         frame: tangent, bitangent, normal.
         place: (u, v) on the material, (rows, W).

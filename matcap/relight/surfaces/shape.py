@@ -113,7 +113,6 @@ def plane_hits(
     """Intersect the rays of rows with the plane.
 
     Args:
-        view: the camera.
         top, bottom: rows of the picture, half open.
         extent: (width, height) outside which there is nothing.
     """
@@ -176,7 +175,6 @@ def plane_region(
     """Bounding box of the visible points, and the largest side of a pixel's footprint.
 
     Args:
-        view: the camera.
         extent: (width, height) of the plane, in plane units.
         relief: lowest and highest displacing height, in plane units.
     """
