@@ -6,14 +6,13 @@ to the map set's. Measured on Linux, glibc (command in docs/notes/stability.md).
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 from matcap.batch.settings import BatchSettings
 from matcap.capture.detail import UNION_TIMES
-from matcap.files.memory import free_bytes
+from matcap.files.memory import cores, free_bytes
 
 _LIBRARIES = 1_150_000_000  # bytes, with the optimisation of one window
 _BY_PIXEL = {"raw": 22, "other": 12}  # bytes a pixel of the file
@@ -82,6 +81,5 @@ def pool_size(wanted: int | None, each: int, jobs: int, free: int | None = None)
         each: bytes of a worker.
         free: bytes of free memory; by default measured.
     """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     fit = int(_SPARE * (free_bytes() if free is None else free)) // max(1, each)
-    return max(1, min(wanted or cores or 1, fit, jobs))
+    return max(1, min(wanted or cores(), fit, jobs))

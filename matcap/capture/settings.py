@@ -247,7 +247,7 @@ class OutputSettings:
         UsageError: `tile` is set and the size cannot tile.
     """
 
-    size: tuple[int, int] = setting((1024, 1024), metavar="WxH", parse=values.sides_of)
+    size: tuple[int, int] = setting((1024, 1024), metavar="WxH", parse=values.size)
     """Size of the first map set in texels: 2048x1024, or 2K, 4K, 8K."""
     seed: int = 0
     """Seed of the first map set."""

@@ -474,13 +474,13 @@ def synth(
         if name not in NETWORKS:
             raise UsageError.at(name, "there is no such network", f"use {' or '.join(NETWORKS)}")
     blocks = [typed(values.size)(one) for one in block or BLOCKS]
-    for side in (side for one in (size, *blocks) for side in (one.width, one.height)):
+    for side in (side for one in (size, *blocks) for side in one):
         if side % ALIGNMENT:
             raise UsageError(
                 f"{side} is not a multiple of {ALIGNMENT}", remedy="round the sizes to multiples"
             )
     settings = SynthSettings(
-        (size.width, size.height),
+        size,
         tuple(network or NETWORKS),
         tuple(str(one) for one in blocks),
         tuple(workers or (1, 2)),

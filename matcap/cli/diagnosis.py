@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import re
 import tempfile
@@ -14,6 +13,7 @@ from typing import Any
 from matcap.errors import MatcapError
 from matcap.example import library as example_loops
 from matcap.files.maker import MAKER_VERSION
+from matcap.files.memory import cores
 from matcap.relight.loops import library as relighting_loops
 
 _PLACE = Path(__file__).parents[1]  # the installed package
@@ -42,7 +42,7 @@ def diagnose(*, self_test: bool = True) -> dict[str, Any]:
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",
         "place": str(_PLACE),
-        "cores": _cores(),
+        "cores": cores(),
         "devices": _devices(),
         "compiled": example_loops.built() is not None,
         "compiled_relighting": relighting_loops.built() is not None,
@@ -115,12 +115,6 @@ def _version(name: str) -> str | None:
         return version(name)
     except PackageNotFoundError:
         return None
-
-
-def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _devices() -> list[str]:

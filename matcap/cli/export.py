@@ -54,7 +54,7 @@ def export(
     from matcap.export.job import ExportJob, known_scale, material_reach
     from matcap.export.targets import (
         DOCUMENTS,
-        check_target,
+        TARGETS,
         export_bytes,
         sidecar_name,
         write_export,
@@ -62,11 +62,12 @@ def export(
     from matcap.export.udim import open_set
     from matcap.field.opened import OpenedMaps, open_tile
     from matcap.files.memory import check_memory
+    from matcap.files.settings import known
     from matcap.files.staging import check_writable
 
     if to is None:
         raise UsageError("there is no target", where="matcap export", remedy="give one with --to")
-    target = check_target(to)
+    target = known(to, TARGETS, "--to")
     options = chosen(ExportOptions, written)
     presets_alone = {"pattern": "--name", "maps": "--maps", "normal": "--normal"}
     for option in (option for name, option in presets_alone.items() if name in written):
@@ -96,20 +97,17 @@ def export(
         )
     largest, count = size or values.DEFAULT_SIZE, udim.width * udim.height if udim else 1
     if out is not None:
-        check_writable(out, count * export_bytes(largest.width, largest.height))
+        check_writable(out, count * export_bytes(*largest))
     check_memory(
         _TEXEL_BYTES * largest.width * largest.height, "--size", "ask for fewer texels, or --udim"
     )
     tiles, around = None, None
     if udim is not None:
-        side = (largest.width, largest.height)
-        columns_rows = (udim.width, udim.height)
-        tiles, stem = open_set(path, columns_rows, side, seed or 0, read)
+        tiles, stem = open_set(path, udim, largest, seed or 0, read)
         inner, around = tiles.tile(0, 0)
         opened = OpenedMaps(inner, stem, dict(tiles.material.provenance))
     else:
-        asked_size = (size.width, size.height) if size else None
-        opened = open_tile(path, read, size=asked_size, seed=seed, piece=tile is not None)
+        opened = open_tile(path, read, size=size, seed=seed, piece=tile is not None)
     asked_for = f"_{size}" * (size is not None) + f"_seed{seed}" * (seed is not None)
     asked_for += f"_udim{udim}" * (udim is not None)
     asked_for += f"_{changes.file_part}" * changes.changes

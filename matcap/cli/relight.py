@@ -113,9 +113,7 @@ def relight(
         write_movie(chain([first.radiance], rest), out, film)
         plan = first.plan
     elif sheet is not None:
-        picture, plan = light_sheet(
-            renderer, sheet.width, sheet.height, tolerance=limit, effects=effects
-        )
+        picture, plan = light_sheet(renderer, *sheet, tolerance=limit, effects=effects)
         write_still(picture, out, film)
     else:
         with _shown(quiet=quiet or json) as progress:
@@ -155,7 +153,7 @@ def _photographed(path: Path, size: values.Size | None) -> Scene | None:
     known = open_photographed(path)
     if known is None:
         return None
-    width, height = (size.width, size.height) if size else known.size or _SQUARE
+    width, height = size or known.size or _SQUARE
     return photographed_scene(known.setup, Film(width, height), endless=known.endless)
 
 

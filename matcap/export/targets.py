@@ -56,15 +56,15 @@ from matcap.export.mitsuba import mitsuba
 from matcap.export.options import ExportOptions
 from matcap.export.presets import pack
 from matcap.export.surface import Residual, residuals
-from matcap.export.texture_file import TOKEN, WRITERS, TextureFile
+from matcap.export.texture_file import WRITERS, TextureFile
 from matcap.export.textures import Export, Workflow
-from matcap.export.udim import FIRST, numbers_of
 from matcap.export.usd import usd_metallic, usd_specular
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.mark import check_replaceable
 from matcap.files.names import plain_name, sanitised_name
 from matcap.files.settings import known
 from matcap.files.staging import staged
+from matcap.files.udim import TOKEN, tile_names, tile_number
 
 FORMAT = "matcap export"
 VERSION = 2
@@ -120,22 +120,13 @@ class Exported:
     """Residuals of every form and every known reader, by name."""
 
 
-def check_target(name: str, where: str = "--to") -> str:
-    """Return the name of a target or preset.
-
-    Raises:
-        UsageError: an unknown name.
-    """
-    return known(name, TARGETS, where)
-
-
 def check_targets(names: Sequence[str]) -> tuple[str, ...]:
     """Return names of targets without repetitions, in order.
 
     Raises:
         UsageError: an unknown name.
     """
-    return tuple(dict.fromkeys(check_target(name, "--export") for name in names))
+    return tuple(dict.fromkeys(known(name, TARGETS, "--export") for name in names))
 
 
 def export_mapset(folder: Path, target: str) -> Exported:
@@ -189,7 +180,7 @@ def write_export(
         MatcapError: values that are not finite, a full disk, an unwritable folder, a file that
             matcap did not write.
     """
-    check_target(target)
+    known(target, TARGETS, "--to")
     forms = DOCUMENTS[target] if target in DOCUMENTS else preset_forms(target, options)
     # Other programs interpret $, @, <UDIM>, quotes and the like in file names.
     plain_name(job.name, what="the map set's name")
@@ -269,8 +260,7 @@ def _check_tiles(job: ExportJob, target: str) -> None:
 
 def _outputs(export: Export, job: ExportJob, target: str) -> list[str]:
     """Names of all files to write."""
-    numbers = [FIRST] if job.tiles is None else job.tiles.numbers
-    tiles = {name.replace(TOKEN, str(number)) for name in export.textures for number in numbers}
+    tiles = {tile for name in export.textures for tile in tile_names(name, job.grid)}
     return [*sorted(tiles), *export.documents, sidecar_name(job.name, target)]
 
 
@@ -282,16 +272,11 @@ def _earlier(folder: Path, target: str) -> set[str]:
             about = json.loads(sidecar.read_bytes())
             if about["format"] != FORMAT or about["target"] != target:
                 continue
-            tiles = [_tile_names(name, about["udim"]) for name in about["files"]]
+            tiles = [tile_names(name, about["udim"]) for name in about["files"]]
             names |= {sidecar.name, *about["documents"], *(one for some in tiles for one in some)}
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             continue
     return names
-
-
-def _tile_names(name: str, grid: Sequence[int] | None) -> list[str]:
-    """A texture's file, or those of a texture set's tiles."""
-    return [name.replace(TOKEN, str(number)) for number in (numbers_of(*grid) if grid else [FIRST])]
 
 
 def _write(
@@ -299,8 +284,7 @@ def _write(
 ) -> tuple[str, ...]:
     """Write textures, documents and sidecar; returns the files' names, sorted."""
     with staged(folder) as stage:
-        _write_textures(export.textures, job, stage, FIRST)
-        for number, tile in job.others():
+        for number, tile in ((tile_number(0, 0), job), *job.others()):
             _write_textures(export.textures, tile, stage, number)
         for file, content in export.documents.items():
             (stage / file).write_bytes(content(stage))

@@ -17,8 +17,8 @@ from matcap.export.job import ExportJob, MapRows
 from matcap.files.exr import LARGEST_HALF, write_exr
 from matcap.files.png import PNG_HEADER, png_bytes, png_chunk, quantised, swap_red_blue
 from matcap.files.srgb import srgb_decode, srgb_picture
+from matcap.files.udim import TOKEN
 
-TOKEN = "<UDIM>"  # stands for a tile's number in file names
 WRITERS = 2  # textures written in parallel: each holds one picture in memory
 _JPEG_QUALITY = 95
 # OpenImageIO's names of numpy's types.

@@ -17,13 +17,11 @@ from matcap.export.occlusion import settings
 from matcap.field.opened import open_material
 from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.files.names import usable_name
+from matcap.files.udim import check_grid, tile_number
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.field.material import Material
-
-FIRST = 1001
-MOST_COLUMNS, MOST_ROWS = 10, 900
 
 
 @dataclass(frozen=True)
@@ -37,21 +35,16 @@ class TextureSet:
     material: Material
     """The material, with one generator."""
     columns: int
-    """Number of tiles across, 1 to MOST_COLUMNS."""
+    """Number of tiles across, 1 to 10."""
     rows: int
-    """Number of tiles down, 1 to MOST_ROWS."""
+    """Number of tiles down, 1 to 900."""
     size: tuple[int, int]
     """(width, height) of a tile in texels."""
     seed: int = 0
     """Seed of the realisation."""
 
     def __post_init__(self) -> None:
-        if not (1 <= self.columns <= MOST_COLUMNS and 1 <= self.rows <= MOST_ROWS):
-            raise UsageError.at(
-                "--udim",
-                f"a texture set cannot have {self.columns}x{self.rows} tiles",
-                f"ask for at most {MOST_COLUMNS} columns and {MOST_ROWS} rows",
-            )
+        check_grid(self.columns, self.rows, "--udim")
 
     @property
     def period(self) -> tuple[int, int] | None:
@@ -74,23 +67,12 @@ class TextureSet:
         wide = replace(wide, periodic=False)
         return wide.crop(margin, margin, width, height), wide
 
-    @property
-    def numbers(self) -> list[int]:
-        """UDIM numbers of all tiles, left to right, from the bottom row."""
-        return numbers_of(self.columns, self.rows)
-
     def others(self) -> Iterator[tuple[int, MapSet, MapSet]]:
         """(UDIM number, maps, maps with a margin) of every tile but the first."""
         for row in range(self.rows):
             for column in range(self.columns):
                 if row or column:
-                    yield FIRST + column + 10 * row, *self.tile(column, row)
-
-
-def numbers_of(columns: int, rows: int) -> list[int]:
-    """UDIM numbers of a grid, left to right, from the bottom row."""
-    grid = ((column, row) for row in range(rows) for column in range(columns))
-    return [FIRST + column + 10 * row for column, row in grid]
+                    yield tile_number(column, row), *self.tile(column, row)
 
 
 def open_set(

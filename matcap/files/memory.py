@@ -1,4 +1,4 @@
-"""Checks of free memory, reuse of large buffers by glibc, and rarer garbage collection."""
+"""Cores, checks of free memory, reuse of large buffers by glibc, rarer garbage collection."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ from typing import Any
 from matcap.errors import MatcapError
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # malloc.h
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def free_bytes() -> int:

@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 _SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
 _KILO = 1024  # texels: 2K is 2048
@@ -17,8 +18,7 @@ SEED_LIMIT = 2**63  # seeds are in [-SEED_LIMIT, SEED_LIMIT)
 BRIGHTEST = 1e18  # radiance: squares of more overflow float32; the sun has 2e9 cd/m2
 
 
-@dataclass(frozen=True)
-class Size:
+class Size(NamedTuple):
     """A rectangle's sides in texels."""
 
     width: int
@@ -70,10 +70,9 @@ def whole(value: object, name: str, least: int, most: int) -> int:
     return value
 
 
-def size(text: str | Size) -> Size:
-    """'4096x256' to 4096 by 256; '512' to 512 by 512; '4K' to 4096 by 4096."""
-    if isinstance(text, Size):
-        return text
+def size(text: str | int | Sequence[int]) -> Size:
+    """'4096x256' or [4096, 256] to 4096 by 256; 512 to 512 by 512; '4K' to 4096 by 4096."""
+    text = str(text) if isinstance(text, str | int) else "x".join(str(part) for part in text)
     match = re.fullmatch(r"(\d{1,18})([kK]?)(?:[xX](\d{1,18})([kK]?))?", text.strip())
     if not match:
         raise ValueError(f"'{text}' is not a size such as 4096x256, 2K or 4K")
@@ -82,13 +81,6 @@ def size(text: str | Size) -> Size:
     if min(width, height) < 1:
         raise ValueError(f"'{text}' has a side of zero")
     return Size(width, height)
-
-
-def sides_of(text: str | int | Sequence[int]) -> tuple[int, int]:
-    """Parse '4096x256', 512 or [4096, 256] to (width, height)."""
-    words = text if isinstance(text, str | int) else "x".join(str(part) for part in text)
-    sides = size(str(words))
-    return sides.width, sides.height
 
 
 def seed(text: str | int) -> int:

@@ -12,8 +12,8 @@ from matcap.files.settings import check_settings, setting
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 
 if TYPE_CHECKING:
+    from matcap.brdf.stated import NormalStyle
     from matcap.files.values import Size
-    from matcap.relight.foreign.normals import NormalStyle
 
 _LARGEST = 32768  # pixels of a side
 _MOST_FRAMES, _MOST_LIGHTS = 10_000, 64

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
+from matcap.files.memory import cores
 from matcap.relight.block import ShadingContext
 from matcap.relight.camera import View, view_of
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
@@ -307,6 +308,4 @@ def _in_parallel(
 def _workers() -> int:
     """Number of threads: OMP_NUM_THREADS, else the cores this process may use."""
     limit = os.environ.get("OMP_NUM_THREADS", "")
-    if limit.isdigit() and int(limit) > 0:
-        return int(limit)
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return int(limit) if limit.isdigit() and int(limit) > 0 else cores()

@@ -25,6 +25,7 @@ from matcap.field.blocks import BlockPart, block_parts, check_rectangle
 from matcap.field.plane import Rectangle
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.names import plain_name
+from matcap.files.udim import check_grid, tile_number
 from matcap.synth.pictures import PictureFile, channels_of, pictures_of
 from matcap.synth.preview import Preview, preview_of
 
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
     from matcap.synth.fields import OpenedField
     from matcap.synth.request import SynthRequest
 
-_UDIM_COLUMNS = 10
-_UDIM_ROWS = 900
 _LARGEST_SIDE = 2**31 - 1  # texels, of an OpenEXR file
 _SPARE = 5_000_000  # bytes for headers, the JSON file and the preview
 
@@ -61,12 +60,7 @@ class PlannedMapSet:
 def check_request(request: SynthRequest, name: str) -> None:
     """Raise UsageError for an empty or too large rectangle, or a bad name or texture set."""
     plain_name(name)
-    columns, rows = request.udim or (1, 1)
-    if not (1 <= columns <= _UDIM_COLUMNS and 1 <= rows <= _UDIM_ROWS):
-        raise UsageError(
-            f"a texture set cannot have {columns}x{rows} tiles",
-            remedy=f"ask for at most {_UDIM_COLUMNS} columns and {_UDIM_ROWS} rows",
-        )
+    check_grid(*(request.udim or (1, 1)))
     check_rectangle(request.area)
     check_rectangle(request.whole)
     side = max(request.area.width, request.area.height)
@@ -114,7 +108,7 @@ def mapsets_of(request: SynthRequest, field: OpenedField) -> list[PlannedMapSet]
         for column in range(columns):
             # A texture set's rows are counted upwards.
             x, y = area.x + column * area.width, area.y + (rows - 1 - row) * area.height
-            label = "" if request.udim is None else f".{udim_number(column, row)}"
+            label = "" if request.udim is None else f".{tile_number(column, row)}"
             pictures = pictures_of(
                 f"{field.info.name}_{{kind}}{label}",
                 (area.width, area.height),
@@ -192,8 +186,3 @@ def _feed(update: Callable[[bytes], object], value: object) -> None:
         update(b")")
     else:
         update(repr(value).encode() + b",")
-
-
-def udim_number(column: int, row: int) -> int:
-    """UDIM number of a texture set's tile: 1001 is the lower left one."""
-    return 1001 + column + 10 * row

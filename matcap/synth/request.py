@@ -107,7 +107,7 @@ class SynthRequest:
     )
     """Make the maps seamless along both axes, or along x or y alone; piece: the photographed
     rectangle itself as a seamless tile, a little smaller than it is."""
-    udim: tuple[int, int] | None = setting(None, metavar="CxR", parse=values.sides_of)
+    udim: tuple[int, int] | None = setting(None, metavar="CxR", parse=values.size)
     """A texture set of C columns (at most 10) and R rows (at most 900), each tile of the given
     size."""
     single: bool = setting(False)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from matcap.brdf.adjust import KEY, adjusted, parse_adjustments
 from matcap.errors import UsageError
+from matcap.files.settings import known
 from matcap.view.subject import Maps, Materials, Viewable
 
 _LARGEST = 4096  # texels a side
@@ -27,7 +28,7 @@ def exported(subject: Viewable, values: Mapping[str, str]) -> tuple[str, bytes]:
         MatcapError: as write_export.
     """
     from matcap.export.job import ExportJob, known_scale
-    from matcap.export.targets import check_target, write_export
+    from matcap.export.targets import TARGETS, write_export
 
     try:
         size, seed, share = (
@@ -48,7 +49,7 @@ def exported(subject: Viewable, values: Mapping[str, str]) -> tuple[str, bytes]:
     text = values.get("adjust", "")
     if text.lower().endswith(".json"):
         raise UsageError("adjustments cannot be a file here", remedy="give relief=1.3 or the like")
-    target, adjust = check_target(wanted, "--export"), parse_adjustments(text)
+    target, adjust = known(wanted, TARGETS, "--export"), parse_adjustments(text)
     if isinstance(subject, Materials):
         material = subject.at(share)
         period = None if size % material.alignment else (size, size)

@@ -9,17 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from matcap.brdf.stated import NormalStyle
 from matcap.errors import MatcapError
 from matcap.files.pixels import Pixels, linear_colours, read_pixels
-from matcap.relight.foreign.exported import TOKEN, Stated, stated_export
+from matcap.files.udim import TOKEN, tile_names
+from matcap.relight.foreign.exported import Stated, stated_export
 from matcap.relight.foreign.names import NamedFile, assigned, usual_style
-from matcap.relight.foreign.normals import (
-    NormalStyle,
-    gradient,
-    looks_like_normals,
-    slopes_of,
-    style_of,
-)
+from matcap.relight.foreign.normals import gradient, looks_like_normals, slopes_of, style_of
 from matcap.relight.vectors import Array
 
 DIELECTRIC = 0.04  # F0 of dielectrics where a set states none
@@ -295,17 +291,12 @@ def _read(path: Path, grid: tuple[int, int] | None) -> Pixels:
     """Read a picture, or all UDIM tiles of one, joined."""
     if grid is None or TOKEN not in path.name:
         return read_pixels(path)
-    columns, rows = grid
-    tiles = [
-        [
-            read_pixels(path.with_name(path.name.replace(TOKEN, str(1001 + x + 10 * y))))
-            for x in range(columns)
-        ]
-        for y in reversed(range(rows))
-    ]
-    first = tiles[0][0]
-    parts = [one for row in tiles for one in row]
+    columns, _ = grid
+    parts = [read_pixels(path.with_name(name)) for name in tile_names(path.name, grid)]
+    lines = [parts[start : start + columns] for start in range(0, len(parts), columns)]
+    first = lines[-1][0]
     if any(one.stored.shape != first.stored.shape for one in parts):
         raise MatcapError.at(path, "its tiles differ in size", "export the material again")
-    whole = np.concatenate([np.concatenate([one.stored for one in row], axis=1) for row in tiles])
+    rows = [np.concatenate([one.stored for one in line], axis=1) for line in lines]
+    whole = np.concatenate(rows[::-1])
     return Pixels(first.path, whole, first.roles, first.primaries)

@@ -16,10 +16,10 @@ from matcap.brdf.stated import SCALE
 from matcap.errors import MatcapError
 from matcap.files.names import name_fault, plain_name
 from matcap.files.note import note
+from matcap.files.udim import tile_names
 from matcap.files.values import bounded, whole
 from matcap.relight.foreign.names import Assigned, NamedFile, Packing
 
-TOKEN = "<UDIM>"  # in file names, the tile's number: 1001 + column + 10 row, from the bottom left
 _FORMAT, _VERSION = "matcap export", 2
 # Beginnings of a texture's `meaning` in the sidecar, and the maps that it holds.
 _MEANINGS: tuple[tuple[str, Packing], ...] = (
@@ -154,7 +154,7 @@ def _stated(folder: Path, about: Mapping[str, Any], place: Path) -> Stated:
 
 def _named(folder: Path, name: str, entry: Mapping[str, str]) -> NamedFile:
     meaning = entry["meaning"]
-    wrong = name_fault(name.replace(TOKEN, "1001"))
+    wrong = name_fault(tile_names(name, None)[0])
     if wrong:
         raise ValueError(f"the file {name!r} {wrong}")
     fits = [

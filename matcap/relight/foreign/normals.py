@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
+from matcap.brdf.stated import NormalStyle
 from matcap.errors import MatcapError
 from matcap.files.pixels import Pixels
 from matcap.relight.vectors import Array
-
-NormalStyle = Literal["gl", "dx"]
 
 _STEEPEST = 20.0  # largest slope that 8 bits resolve
 _STEP = 2.0 / 255.0  # range below which a channel is constant

@@ -20,8 +20,9 @@ import numpy as np
 
 from matcap.brdf.heights import check_heights
 from matcap.brdf.integrate import integrate_periodic
+from matcap.brdf.stated import NormalStyle
 from matcap.relight.foreign.channels import DIELECTRIC, SetChannels, read_channels
-from matcap.relight.foreign.normals import NormalStyle, gradient
+from matcap.relight.foreign.normals import gradient
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import Array
 
