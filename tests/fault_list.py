@@ -561,7 +561,7 @@ FAULTS = (
     Fault("presets: green turned around", "export coded_normal_dx",
           "coded[..., 1] = np.float32(1.0) - coded[..., 1]",
           "coded[..., 0] = np.float32(1.0) - coded[..., 0]", "export/test_export_presets.py"),
-    Fault("presets: roughness for smoothness", "export _masked", "1.0 - material.roughness",
+    Fault("presets: roughness for smoothness", "export _smoothness", "1.0 - material.roughness",
           "material.roughness", "export/test_export_presets.py -k unity"),
     Fault("map sets: another axis turned around", "brdf _arrays", "[1.0, -1.0, 1.0]",
           "[-1.0, 1.0, 1.0]", "brdf/test_mapset.py -k directx"),

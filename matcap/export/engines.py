@@ -7,13 +7,12 @@ the smaller residual is written.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import partial
 from importlib.resources import files as resources
 
 import numpy as np
 
-from matcap.export.formats import Picture, rgb
+from matcap.export.formats import Picture
 from matcap.export.gltf import SHADING as GLTF
 from matcap.export.job import ExportJob
 from matcap.export.presets import (
@@ -25,6 +24,7 @@ from matcap.export.presets import (
     height,
     normal,
     occlusion,
+    packed,
 )
 from matcap.export.shading import TargetShading
 from matcap.export.textures import BASE, Workflow
@@ -66,8 +66,6 @@ ao_texture_channel = {_RED}
     return {f"{job.name}.tres": text}
 
 
-_ORM = "R: occlusion, G: roughness, B: metallic"
-_F0 = "F0, on the sRGB curve"
 _UNREAL_F0 = 0.08  # F0 of Unreal's Specular = 1
 _UNITY_F0 = 0.04
 _MOBILE = TargetShading(specular="mobile")
@@ -84,61 +82,9 @@ def _unreal_import(job: ExportJob, files: dict[str, str], model: EngineModel) ->
     return {f"T_{job.name}_import.py": script}
 
 
-def _base(material: PackedMaterial) -> Picture:
-    return material.metallic.base
-
-
-def _orm(material: PackedMaterial) -> Picture:
-    occluded = material.piece.picture("occlusion")
-    return np.stack([occluded, material.roughness, material.metallic.metallic], axis=-1)
-
-
-def _or(material: PackedMaterial) -> Picture:
-    occluded, rough = material.piece.picture("occlusion"), material.roughness
-    return np.stack([occluded, rough, 0.0 * rough], axis=-1)
-
-
-def _mask(material: PackedMaterial) -> Picture:
-    return _masked(material, material.metallic.metallic)
-
-
-def _no_metal_mask(material: PackedMaterial) -> Picture:
-    return _masked(material, 0.0 * material.roughness)
-
-
-def _masked(material: PackedMaterial, metallic: Picture) -> Picture:
-    occluded, smooth = material.piece.picture("occlusion"), 1.0 - material.roughness
-    return np.stack([metallic, occluded, np.ones_like(smooth), smooth], axis=-1)
-
-
-def _specular_level(material: PackedMaterial) -> Picture:
-    return material.metallic.dielectric / np.float32(_UNREAL_F0)
-
-
-def _f0(material: PackedMaterial) -> Picture:
-    return rgb(material.f0)
-
-
-def _metallic_smooth(material: PackedMaterial) -> Picture:
-    metallic = material.metallic.metallic
-    return np.stack([metallic, metallic, metallic, 1.0 - material.roughness], axis=-1)
-
-
-def _specular_smooth(material: PackedMaterial) -> Picture:
-    return np.concatenate([rgb(material.f0), 1.0 - material.roughness[..., None]], axis=-1)
-
-
-def _metal(material: PackedMaterial) -> Picture:
-    return material.metallic.metallic
-
-
-def _rough(material: PackedMaterial) -> Picture:
-    return material.roughness
-
-
 def _colour(label: str) -> PresetTexture:
     """Base colour of the metallic workflow."""
-    return PresetTexture(label, "8", _base, BASE, srgb=True)
+    return PresetTexture(label, "8", lambda material: material.metallic.base, BASE, srgb=True)
 
 
 def _below(label: str, meaning: str = BASE) -> PresetTexture:
@@ -146,16 +92,34 @@ def _below(label: str, meaning: str = BASE) -> PresetTexture:
     return PresetTexture(label, "8", lambda material: material.base, meaning, srgb=True)
 
 
+def _f0(label: str) -> PresetTexture:
+    return PresetTexture(label, "8", packed("F0"), "F0, on the sRGB curve", srgb=True)
+
+
 def _level(label: str) -> PresetTexture:
     """Unreal's Specular."""
-    return PresetTexture(label, "8", _specular_level, "F0 / 0.08 of the dielectric")
+
+    def made(material: PackedMaterial) -> Picture:
+        return material.metallic.dielectric / np.float32(_UNREAL_F0)
+
+    return PresetTexture(label, "8", made, "F0 / 0.08 of the dielectric")
 
 
-def _unity_mask(made: Callable[[PackedMaterial], Picture]) -> PresetTexture:
+def _orm(label: str, metallic: str = "metallic") -> PresetTexture:
+    """Occlusion, roughness and metallic, which is "zero" in the specular workflow."""
+    made = packed("occlusion", "roughness", metallic)
+    return PresetTexture(label, "8", made, "R: occlusion, G: roughness, B: metallic")
+
+
+def _unity_mask(metallic: str = "metallic") -> PresetTexture:
     """HDRP's mask map."""
-    return PresetTexture(
-        "MaskMap", "8", made, "R: metallic, G: occlusion, B: detail, A: smoothness"
-    )
+    made = packed(metallic, "occlusion", "one", "smoothness")
+    meaning = "R: metallic, G: occlusion, B: detail, A: smoothness"
+    return PresetTexture("MaskMap", "8", made, meaning)
+
+
+def _relief(label: str) -> dict[str, PresetTexture]:
+    return {"height": height(label), "normal": normal()}
 
 
 _NORMALS = ("Normal_GL", "Normal_DX")
@@ -175,10 +139,9 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
         "metallic": _unreal(
             {
                 "base": _colour("BaseColor"),
-                "orm": PresetTexture("ORM", "8", _orm, _ORM),
+                "orm": _orm("ORM"),
                 "specular": _level("Specular"),
-                "height": height("Height"),
-                "normal": normal(),
+                **_relief("Height"),
             },
             model=EngineModel(
                 TargetShading(masking="hammon", fading=True), "metallic", (0.0, _UNREAL_F0)
@@ -188,10 +151,9 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
         "specular": _unreal(
             {
                 "base": _below("DiffuseAlbedo", "diffuse albedo of a Substrate slab"),
-                "specular": PresetTexture("F0", "8", _f0, _F0, srgb=True),
-                "orm": PresetTexture("ORM", "8", _or, _ORM),
-                "height": height("Height"),
-                "normal": normal(),
+                "specular": _f0("F0"),
+                "orm": _orm("ORM", "zero"),
+                **_relief("Height"),
             },
             model=EngineModel(
                 TargetShading(masking="hammon", layer="albedo", compensated=True), "specular"
@@ -206,10 +168,9 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
         "metallic": _unity(
             {
                 "base": _colour("BaseMap"),
-                "mask": _unity_mask(_mask),
+                "mask": _unity_mask(),
                 "bent": bent("BentNormalMap"),
-                "height": height("HeightMap"),
-                "normal": normal(),
+                **_relief("HeightMap"),
             },
             model=EngineModel(_HDRP, "metallic", (_UNITY_F0, _UNITY_F0)),
             notes=_UNITY,
@@ -217,11 +178,10 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
         "specular": _unity(
             {
                 "base": _below("BaseMap"),
-                "specular": PresetTexture("SpecularColorMap", "8", _f0, _F0, srgb=True),
-                "mask": _unity_mask(_no_metal_mask),
+                "specular": _f0("SpecularColorMap"),
+                "mask": _unity_mask("zero"),
                 "bent": bent("BentNormalMap"),
-                "height": height("HeightMap"),
-                "normal": normal(),
+                **_relief("HeightMap"),
             },
             model=EngineModel(_HDRP, "specular", conserving=True),
             notes=("set Material Type to Specular Color", *_UNITY),
@@ -232,11 +192,13 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
             {
                 "base": _colour("BaseMap"),
                 "smooth": PresetTexture(
-                    "MetallicSmoothness", "8", _metallic_smooth, "RGB: metallic, A: smoothness"
+                    "MetallicSmoothness",
+                    "8",
+                    packed("metallic", "metallic", "metallic", "smoothness"),
+                    "RGB: metallic, A: smoothness",
                 ),
                 "occlusion": occlusion("OcclusionMap"),
-                "height": height("HeightMap"),
-                "normal": normal(),
+                **_relief("HeightMap"),
             },
             model=EngineModel(_MOBILE, "metallic", (_UNITY_F0, _UNITY_F0), 1.0 - _UNITY_F0),
             notes=(
@@ -250,13 +212,12 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "specular": PresetTexture(
                     "SpecularSmoothness",
                     "8",
-                    _specular_smooth,
+                    packed("F0", "smoothness"),
                     "RGB: F0, on the sRGB curve, A: smoothness",
                     srgb=True,
                 ),
                 "occlusion": occlusion("OcclusionMap"),
-                "height": height("HeightMap"),
-                "normal": normal(),
+                **_relief("HeightMap"),
             },
             model=EngineModel(_MOBILE, "specular", conserving=True),
             notes=(
@@ -271,9 +232,8 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
             "{stem}_{map}",
             {
                 "base": _colour("baseColor"),
-                "orm": PresetTexture("occlusionRoughnessMetallic", "8", _orm, _ORM),
-                "height": height("height"),
-                "normal": normal(),
+                "orm": _orm("occlusionRoughnessMetallic"),
+                **_relief("height"),
             },
             model=EngineModel(GLTF, "metallic", (_UNITY_F0, _UNITY_F0)),
             notes=("--to gltf keeps F0, with KHR_materials_specular",),
@@ -284,9 +244,8 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
             "{stem}_{map}",
             {
                 "base": _colour("albedo"),
-                "orm": PresetTexture("orm", "8", _orm, _ORM),
-                "height": height("height"),
-                "normal": normal(),
+                "orm": _orm("orm"),
+                **_relief("height"),
             },
             model=EngineModel(
                 TargetShading(masking="hammon", fading=True),
@@ -302,12 +261,11 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
             "{stem}_{map}",
             {
                 "base": _colour("basecolor"),
-                "roughness": PresetTexture("roughness", "8", _rough, "roughness"),
-                "mask": PresetTexture("metallic", "8", _metal, "metallic"),
+                "roughness": PresetTexture("roughness", "8", packed("roughness"), "roughness"),
+                "mask": PresetTexture("metallic", "8", packed("metallic"), "metallic"),
                 "specular": _level("specularlevel"),
                 "occlusion": occlusion("ambientocclusion"),
-                "height": height("height"),
-                "normal": normal(),
+                **_relief("height"),
             },
             normal="dx",
             model=EngineModel(TargetShading(), "metallic", (0.0, _UNREAL_F0)),

@@ -112,7 +112,7 @@ def gltf_specular(job: ExportJob) -> Export:
     material = _GltfMaterial(textures, ior(limit), 0.0, largest / limit)
     notes = (*clipping_notes(job, SHADING), *job.size_notes())
     entries = occlusion_entry(job)
-    return Export({}, _documents(job, material), surfaces, notes, entries)
+    return Export({}, {f"{job.name}.glb": partial(_glb, job, material)}, surfaces, notes, entries)
 
 
 def gltf_metallic(job: ExportJob) -> Export:
@@ -126,7 +126,8 @@ def gltf_metallic(job: ExportJob) -> Export:
     model = start.nearest(job, lambda tried: partial(_seen, tried, _metallic_textures(job, tried)))
     textures = _metallic_textures(job, model)
     in_browsers = {kind: one.in_browsers() for kind, one in textures.items()}
-    documents = _documents(job, _GltfMaterial(textures, ior(model.dielectric[0]), 1.0))
+    material = _GltfMaterial(textures, ior(model.dielectric[0]), 1.0)
+    documents = {f"{job.name}.glb": partial(_glb, job, material)}
     surfaces: dict[str, MadeSurface] = {"metallic": partial(_seen, model, in_browsers)}
     entries = occlusion_entry(job) | {"metallic": model.form}
     return Export({}, documents, surfaces, job.size_notes(), entries)
@@ -181,10 +182,6 @@ def _check(job: ExportJob) -> None:
         )
 
 
-def _documents(job: ExportJob, material: _GltfMaterial) -> dict[str, Callable[[Path], bytes]]:
-    return {f"{job.name}.glb": partial(_glb, job, material)}
-
-
 def _glb(job: ExportJob, material: _GltfMaterial, _: Path) -> bytes:
     binary = _Binary()
     return binary.glb(_document(job, binary, material))
@@ -237,7 +234,7 @@ def _document(job: ExportJob, binary: _Binary, material: _GltfMaterial) -> dict[
             "specularColorFactor": [material.factor] * 3,
             "specularColorTexture": texture["specular_color"],
         }
-    accessors, primitive = _plane(job, binary, job.metres)
+    accessors, primitive = _plane(job, binary)
     used, textures = _textures(material)
     return {
         "asset": {"version": "2.0", "generator": MAKER},
@@ -283,11 +280,9 @@ def _textures(material: _GltfMaterial) -> tuple[list[str], list[dict[str, Any]]]
     return used, textures
 
 
-def _plane(
-    job: ExportJob, binary: _Binary, metres: float
-) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+def _plane(job: ExportJob, binary: _Binary) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Accessors and the primitive of a quad around the origin, facing +z, y up."""
-    x, y = (side * metres / 2.0 for side in job.extent)
+    x, y = (side * job.metres / 2.0 for side in job.extent)
     corners = [(-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0)]
     attributes = {
         "POSITION": ("VEC3", corners),

@@ -100,7 +100,8 @@ class Layered:
     @staticmethod
     def of(job: ExportJob, shader: str = "open_pbr_surface") -> Layered:
         """The variant (index of refraction, or metalness) with the smallest residual."""
-        least = _least(job)
+        # Least F0 of the index: the largest of the maps.
+        least = float(np.clip(job.specular.max(), _INDICES[0], _INDICES[-1]))
         indices = (least, *(index for index in _INDICES if index > least))
         tried = [Layered.at(job, index) for index in indices]
         if float(job.specular.max()) >= FIRST_METAL:
@@ -192,18 +193,27 @@ class Layered:
         )
 
 
-def _least(job: ExportJob) -> float:
-    """Least F0 of the index: the largest of the maps, within _INDICES."""
-    return float(np.clip(job.specular.max(), _INDICES[0], _INDICES[-1]))
-
-
 class _Document:
-    """Builds a document with one node graph of textures and one material."""
+    """Builds a document with one node graph of textures and one material.
 
-    def __init__(self, job: ExportJob) -> None:
+    Args:
+        files: the five textures in order; the last are roughness, normal and height.
+        first: names and types of the first two images.
+    """
+
+    def __init__(
+        self, job: ExportJob, files: dict[str, TextureFile], *first: tuple[str, str]
+    ) -> None:
         self.job = job
         self.root = ET.Element("materialx", version=VERSION, colorspace="lin_rec709")
         self.graph = ET.SubElement(self.root, "nodegraph", name="NG_matcap")
+        *textures, height = files.items()
+        images = (*first, ("roughness", "float"), ("normal_texture", "vector3"))
+        for (name, kind), (file, texture) in zip(images, textures, strict=True):
+            self.image(name, kind, file, texture)
+        self.displaced(*height)
+        bent = _node(self.graph, "normalmap", "normal", "vector3")
+        _link(bent, "in", "vector3", "normal_texture")
 
     def image(self, name: str, kind: str, file: str, texture: TextureFile) -> None:
         """Add an image node; its colour space is raw for data."""
@@ -231,43 +241,23 @@ class _Document:
         if job.millimetres is not None:
             scale.set("unittype", "distance")
             scale.set("unit", "meter")
-        ET.SubElement(
-            graph,
-            "output",
-            name="displacement_out",
-            type="displacementshader",
-            nodename="moved",
-        )
+        _output(graph, "displacement_out", "displacementshader", "moved")
 
     def material(self, **surface: str) -> bytes:
         """Add the material and return the file; `surface` are attributes that name its surface."""
         material = _node(self.root, "surfacematerial", "M_matcap", "material")
         kind = "surfaceshader"
         ET.SubElement(material, "input", {"name": kind, "type": kind, **surface})
-        ET.SubElement(
-            material,
-            "input",
-            name="displacementshader",
-            type="displacementshader",
-            nodegraph="NG_matcap",
-            output="displacement_out",
-        )
+        _graph_link(material, "displacementshader", "displacementshader", "displacement_out")
         ET.indent(self.root)
         return ET.tostring(self.root, encoding="utf-8", xml_declaration=True) + b"\n"
 
 
 def _exact(job: ExportJob, files: dict[str, TextureFile], _: Path) -> bytes:
     """The .mtlx file with matcap's reflectance; `files` are the five textures in order."""
-    made = _Document(job)
+    second = ("specular", "color3" if job.coloured else "float")
+    made = _Document(job, files, ("diffuse", "color3"), second)
     graph = made.graph
-    diffuse, specular, roughness, normal, height = files.items()
-    made.image("diffuse", "color3", *diffuse)
-    made.image("specular", "color3" if job.coloured else "float", *specular)
-    made.image("roughness", "float", *roughness)
-    made.image("normal_texture", "vector3", *normal)
-    made.displaced(*height)
-    normal_map = _node(graph, "normalmap", "normal", "vector3")
-    _link(normal_map, "in", "vector3", "normal_texture")
     base = _node(graph, "oren_nayar_diffuse_bsdf", "diffuse_bsdf", "BSDF")
     _link(base, "color", "color3", "diffuse")
     _value(base, "roughness", "float", "0")
@@ -290,7 +280,7 @@ def _exact(job: ExportJob, files: dict[str, TextureFile], _: Path) -> bytes:
     _link(both, "in2", "BSDF", "specular_bsdf")
     surface = _node(graph, "surface", "lit", "surfaceshader")
     _link(surface, "bsdf", "BSDF", "bsdf")
-    ET.SubElement(graph, "output", name="surface_out", type="surfaceshader", nodename="lit")
+    _output(graph, "surface_out", "surfaceshader", "lit")
     return made.material(nodegraph="NG_matcap", output="surface_out")
 
 
@@ -319,18 +309,11 @@ def _layered(
     job: ExportJob, files: dict[str, TextureFile], shader: str, layered: Layered, _: Path
 ) -> bytes:
     """The .mtlx file of a standard shader; `files` are the five textures in order."""
-    made = _Document(job)
-    base, second, roughness, normal, height = files.items()
     kind = layered.second[0]
-    made.image("base_color", "color3", *base)
+    second = ("metalness", "float")
     if kind == "tint":
-        made.image("f0", "color3" if job.coloured else "float", *second)
-    else:
-        made.image("metalness", "float", *second)
-    made.image("roughness", "float", *roughness)
-    made.image("normal_texture", "vector3", *normal)
-    made.displaced(*height)
-    _link(_node(made.graph, "normalmap", "normal", "vector3"), "in", "vector3", "normal_texture")
+        second = ("f0", "color3" if job.coloured else "float")
+    made = _Document(job, files, ("base_color", "color3"), second)
     sources = {"tint": made.colour("tint", "f0")} if kind == "tint" else {}
     inputs = INPUTS[shader]
     surface = _node(made.root, shader, "lit", "surfaceshader")
@@ -339,16 +322,8 @@ def _layered(
         _value(surface, "specular", "float", "1")
     for name in ("base_color", kind, "roughness", "normal"):
         input_, type_ = inputs[name]
-        source = sources.get(name, name)
-        ET.SubElement(made.graph, "output", name=f"{name}_out", type=type_, nodename=source)
-        ET.SubElement(
-            surface,
-            "input",
-            name=input_,
-            type=type_,
-            nodegraph="NG_matcap",
-            output=f"{name}_out",
-        )
+        _output(made.graph, f"{name}_out", type_, sources.get(name, name))
+        _graph_link(surface, input_, type_, f"{name}_out")
     _value(surface, inputs["ior"][0], "float", repr(layered.ior))
     return made.material(nodename="lit")
 
@@ -359,6 +334,15 @@ def _node(parent: ET.Element, category: str, name: str, kind: str) -> ET.Element
 
 def _link(node: ET.Element, name: str, kind: str, source: str) -> None:
     ET.SubElement(node, "input", name=name, type=kind, nodename=source)
+
+
+def _output(graph: ET.Element, name: str, kind: str, source: str) -> None:
+    ET.SubElement(graph, "output", name=name, type=kind, nodename=source)
+
+
+def _graph_link(node: ET.Element, name: str, kind: str, output: str) -> None:
+    """Link an input to an output of the node graph."""
+    ET.SubElement(node, "input", name=name, type=kind, nodegraph="NG_matcap", output=output)
 
 
 def _value(node: ET.Element, name: str, kind: str, value: str) -> ET.Element:

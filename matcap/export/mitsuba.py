@@ -129,32 +129,38 @@ def _scene(job: ExportJob, bsdf: ET.Element, normal: str) -> bytes:
     pixels = [max(1, round(side * shrunk)) for side in job.maps.size]
     distance = max(width, height) / 2.0 / math.tan(math.radians(22.5))
     light = NAMED_LIGHTS["top"]
-    scene = ET.Element("scene", version=_VERSION)
-    ET.SubElement(scene, "default", name="spp", value="4")
-    integrator = ET.SubElement(scene, "integrator", type="direct")
-    ET.SubElement(integrator, "integer", name="emitter_samples", value="1")
-    ET.SubElement(integrator, "integer", name="bsdf_samples", value="0")
-    sensor = ET.SubElement(scene, "sensor", type="perspective")
-    ET.SubElement(sensor, "float", name="fov", value="45")
-    ET.SubElement(sensor, "string", name="fov_axis", value="larger")
-    place = ET.SubElement(sensor, "transform", name="to_world")
-    origin = f"0, 0, {distance!r}"
-    ET.SubElement(place, "lookat", origin=origin, target="0, 0, 0", up="0, 1, 0")
-    film = ET.SubElement(sensor, "film", type="hdrfilm")
-    for name, value in zip(("width", "height"), pixels, strict=True):
-        ET.SubElement(film, "integer", name=name, value=str(value))
-    ET.SubElement(film, "rfilter", type="box")
-    sampler = ET.SubElement(sensor, "sampler", type="independent")
-    ET.SubElement(sampler, "integer", name="sample_count", value="$spp")
-    emitter = ET.SubElement(scene, "emitter", type="point")
-    ET.SubElement(emitter, "point", name="position", value=", ".join(str(c) for c in light))
-    intensity = repr(exposing_intensity(light))
-    ET.SubElement(emitter, "rgb", name="intensity", value=intensity)
-    shape = ET.SubElement(scene, "shape", type="rectangle")
-    grown = ET.SubElement(shape, "transform", name="to_world")
-    ET.SubElement(grown, "scale", x=repr(width / 2.0), y=repr(height / 2.0))
+    place, intensity = ", ".join(str(c) for c in light), exposing_intensity(light)
+    scene = ET.fromstring(f"""<scene version="{_VERSION}">
+        <default name="spp" value="4"/>
+        <integrator type="direct">
+            <integer name="emitter_samples" value="1"/>
+            <integer name="bsdf_samples" value="0"/>
+        </integrator>
+        <sensor type="perspective">
+            <float name="fov" value="45"/>
+            <string name="fov_axis" value="larger"/>
+            <transform name="to_world">
+                <lookat origin="0, 0, {distance!r}" target="0, 0, 0" up="0, 1, 0"/>
+            </transform>
+            <film type="hdrfilm">
+                <integer name="width" value="{pixels[0]}"/>
+                <integer name="height" value="{pixels[1]}"/>
+                <rfilter type="box"/>
+            </film>
+            <sampler type="independent"><integer name="sample_count" value="$spp"/></sampler>
+        </sensor>
+        <emitter type="point">
+            <point name="position" value="{place}"/>
+            <rgb name="intensity" value="{intensity!r}"/>
+        </emitter>
+        <shape type="rectangle">
+            <transform name="to_world">
+                <scale x="{width / 2.0!r}" y="{height / 2.0!r}"/>
+            </transform>
+        </shape>
+    </scene>""")
     # Mitsuba's shadowing term for normal maps has no counterpart in matcap.
-    bent = ET.SubElement(shape, "bsdf", type="normalmap")
+    bent = ET.SubElement(scene[-1], "bsdf", type="normalmap")
     ET.SubElement(bent, "boolean", name="use_shadowing_function", value="false")
     ET.SubElement(bent, "boolean", name="flip_invalid_normals", value="false")
     _texture(bent, "normalmap", normal)

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from string import Formatter
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -24,6 +24,7 @@ from matcap.export.formats import (
     Picture,
     brightest_channel,
     mean_channel,
+    rgb,
 )
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.metallic import FIRST_METAL, FORMS, Form, Metallic, MetallicAim, to_metallic
@@ -66,17 +67,17 @@ class PackedMaterial:
     model: EngineModel
     """The engine's shading and parametrisation."""
 
-    @property
+    @cached_property
     def roughness(self) -> Picture:
         """(H, W) roughness, fitted to the engine's shading."""
         return fitted_tables(self.model.shading).rough(*self._meant)
 
-    @property
+    @cached_property
     def f0(self) -> Picture:
         """(H, W) or (H, W, 3) F0, fitted to the engine's shading, [0, 1]."""
         return np.clip(fitted_tables(self.model.shading).f0(*self._meant), 0.0, 1.0)
 
-    @property
+    @cached_property
     def metallic(self) -> Metallic:
         """The maps in the metallic workflow, in the model's form."""
         low, high = self.model.dielectric
@@ -187,6 +188,32 @@ def plain(kind: str) -> Callable[[PackedMaterial], Picture]:
     return lambda material: material.piece.picture(kind)
 
 
+def _smoothness(material: PackedMaterial) -> Picture:
+    return 1.0 - material.roughness
+
+
+# Channels of packed textures: (H, W), F0 (H, W, 3).
+_CHANNELS: dict[str, Callable[[PackedMaterial], Picture]] = {
+    "occlusion": plain("occlusion"),
+    "roughness": lambda material: material.roughness,
+    "smoothness": _smoothness,
+    "metallic": lambda material: material.metallic.metallic,
+    "F0": lambda material: rgb(material.f0),
+    "zero": lambda material: 0.0 * material.roughness,
+    "one": lambda material: np.ones_like(material.roughness),
+}
+
+
+def packed(*channels: str) -> Callable[[PackedMaterial], Picture]:
+    """A function that packs channels of _CHANNELS into (H, W, C), or returns a single one."""
+
+    def made(material: PackedMaterial) -> Picture:
+        pictures = [_CHANNELS[name](material) for name in channels]
+        return np.dstack(pictures) if len(pictures) > 1 else pictures[0]
+
+    return made
+
+
 def height(label: str, depth: Depth = "16") -> PresetTexture:
     """The height; as integers scaled to a common range."""
     return PresetTexture(label, depth, plain("height"), CODED_HEIGHT)
@@ -232,7 +259,8 @@ def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) ->
         if wanted and kind not in wanted:
             continue
         if kind == "normal":
-            for way in _ways(choice.normal or preset.normal):
+            green = choice.normal or preset.normal
+            for way in ("gl", "dx") if green == "both" else (green,):
                 made = _normal(job, texture.depth, dx=way == "dx")
                 packed[f"normal_{way}"] = preset.normal_labels[way == "dx"], made
         elif kind == "height":
@@ -277,7 +305,8 @@ def _names(
     Raises:
         UsageError: two of them are the same.
     """
-    res = _resolution(job, thousand)
+    side = max(job.maps.size)  # in words: "2k" for 2048, "600" for 600
+    res = f"{side // 1024}{thousand}" if side % 1024 == 0 else str(side)
     names: dict[str, str] = {}
     for kind, (label, made) in packed.items():
         fields = {"stem": job.name, "map": label, "res": res, "format": made.container.upper()}
@@ -338,10 +367,6 @@ def _normal(job: ExportJob, depth: Depth, *, dx: bool) -> TextureFile:
     return TextureFile.of(
         job, lambda piece: 2.0 * make(piece) - 1.0, depth, f"{SIGNED_NORMAL}, {up}"
     )
-
-
-def _ways(normal: NormalMaps) -> tuple[Literal["gl", "dx"], ...]:
-    return ("gl", "dx") if normal == "both" else (normal,)
 
 
 def _surface(model: EngineModel, textures: dict[str, TextureFile], read: Reader) -> TargetSurface:
@@ -408,9 +433,3 @@ def _checked(pattern: str) -> str:
             "write it like '{stem}_{map}_{res}'",
         ) from error
     return pattern
-
-
-def _resolution(job: ExportJob, thousand: str) -> str:
-    """The long side in words: "2k" for 2048, "600" for 600."""
-    side = max(job.maps.size)
-    return f"{side // 1024}{thousand}" if side % 1024 == 0 else str(side)
