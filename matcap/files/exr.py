@@ -33,16 +33,8 @@ def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool, mark: str 
         MatcapError: a value is not finite, or too large for half float.
         OSError: the file cannot be written.
     """
-    import OpenEXR
-
-    check_representable(path.name, pixels, half=half)
-    stored = np.ascontiguousarray(pixels, dtype=np.float16 if half else np.float32)
-    header = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-        "chromaticities": REC709,
-    } | ({SOFTWARE: mark} if mark else {})
-    _write(path, header, {"RGB" if stored.ndim == 3 else "Y": stored})
+    more = {"chromaticities": REC709} | ({SOFTWARE: mark} if mark else {})
+    _write(path, {"RGB" if pixels.ndim == 3 else "Y": pixels}, more, half=half)
 
 
 def write_exr_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) -> None:
@@ -54,13 +46,7 @@ def write_exr_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) 
         MatcapError: a value is not finite, or too large for half float.
         OSError: the file cannot be written.
     """
-    import OpenEXR
-
-    for plane in channels.values():
-        check_representable(path.name, plane, half=True)
-    stored = {name: np.ascontiguousarray(plane, np.float16) for name, plane in channels.items()}
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    _write(path, header, stored)
+    _write(path, channels, {}, half=True)
 
 
 def check_representable(name: str, pixels: NDArray[np.float32], *, half: bool) -> None:
@@ -71,11 +57,19 @@ def check_representable(name: str, pixels: NDArray[np.float32], *, half: bool) -
         raise MatcapError.at(name, "has values too large for half float (65504)", "scale them down")
 
 
-def _write(path: Path, header: dict[str, Any], channels: dict[str, Any]) -> None:
+def _write(
+    path: Path, channels: Mapping[str, NDArray[np.float32]], more: Mapping[str, Any], *, half: bool
+) -> None:
+    """Write channels by name, with `more` entries of the header."""
     import OpenEXR
 
+    stored = {}
+    for name, pixels in channels.items():
+        check_representable(path.name, pixels, half=half)
+        stored[name] = np.ascontiguousarray(pixels, dtype=np.float16 if half else np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **more}
     try:
-        OpenEXR.File(header, channels).write(str(path))
+        OpenEXR.File(header, stored).write(str(path))
     except RuntimeError as error:
         # OpenEXR reports the cause in the text only.
         full = "No space left" in str(error)

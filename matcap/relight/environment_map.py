@@ -157,23 +157,15 @@ class Environment:
         """The same radiance in octahedral maps, prefiltered for lobes."""
         return octahedra(self.radiance, len(self.levels[0]))
 
-    @cached_property
-    def _texels(self) -> tuple[Array, Array, Array]:
-        """(N, 3) texels of all levels, (levels,) first texel of each, (2, levels) sizes."""
-        flat = np.concatenate([level.reshape(-1, 3) for level in self.levels])
-        sizes = np.array([level.shape[:2] for level in self.levels], dtype=np.int32).T
-        starts = np.concatenate([[0], np.cumsum(sizes[0] * sizes[1])[:-1]]).astype(np.int32)
-        return flat, starts, sizes
-
-    def radiance(self, direction: Vec, level: Array | int = 0) -> Array:
+    def radiance(self, direction: Vec, level: int = 0) -> Array:
         """(3, ...) radiance along unit vectors of the scene, bilinear within a level."""
         if self.varying == 0.0:
             shape = np.broadcast_shapes(*(c.shape for c in direction))
             return np.broadcast_to(
                 self.levels[0][0, 0][(slice(None), *[None] * len(shape))], (3, *shape)
             )
-        flat, starts, (heights, widths) = self._texels
-        height, width, start = heights[level], widths[level], starts[level]
+        flat = self.levels[level].reshape(-1, 3)
+        height, width = np.array(self.levels[level].shape[:2], dtype=np.int32)
         x, y, z = direction
         azimuth = np.arctan2(-x, z) + np.float32(math.remainder(self.rotation, 2.0 * math.pi))
         column = (azimuth * np.float32(0.5 / math.pi) + np.float32(0.5)) * width - np.float32(0.5)
@@ -186,7 +178,7 @@ class Environment:
         x1 = np.where(x0 + 1 == width, 0, x0 + 1)
         y0 = np.minimum(row.astype(np.int32), height - 2)
         fy = (row - y0).astype(np.float32)[..., None]
-        y0 = start + y0 * width
+        y0 = y0 * width
         y1 = y0 + width
         upper = flat[y0 + x0] * (1.0 - fx) + flat[y0 + x1] * fx
         lower = flat[y1 + x0] * (1.0 - fx) + flat[y1 + x1] * fx

@@ -40,7 +40,7 @@ class _Fault(Exception):
     """Expected kind of a value, such as "a number"; the reader completes the sentence."""
 
 
-Checked = Callable[[Any, Path], Any]
+Checked = Callable[[Any], Any]
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -124,9 +124,11 @@ class _Reader:
             if key in ignore:
                 continue
             try:
-                values[key] = checks[key](value, self.folder)
+                values[key] = checks[key](value)
             except _Fault as fault:
                 raise self.fault(place, f"{key} = {value!r} is wrong", f"give {fault}") from fault
+        if "file" in values:
+            values["file"] = self.folder / values["file"]
         return values
 
 
@@ -153,44 +155,64 @@ def _light(read: _Reader, entry: object, number: int) -> Light:
     return light
 
 
-def _number(value: Any, _: Path) -> float:  # noqa: ANN401
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise _Fault("a number")
-    return float(value)
+def _number(
+    says: str = "a number", holds: Callable[[float], bool] = lambda number: True
+) -> Checked:
+    """A check of finite numbers that `holds`; `says` is the expected kind."""
 
-
-def _at_least(low: float, *, above: bool = False) -> Checked:
-    def check(value: Any, folder: Path) -> float:  # noqa: ANN401
-        number = _number(value, folder)
-        if number < low or (above and number == low):
-            raise _Fault(f"a number {'above' if above else 'of at least'} {low:g}")
-        return number
+    def check(value: Any) -> float:  # noqa: ANN401
+        finite = isinstance(value, int | float) and math.isfinite(value)
+        if isinstance(value, bool) or not finite:
+            raise _Fault("a number")
+        if not holds(value):
+            raise _Fault(says)
+        return float(value)
 
     return check
 
 
-def _angle(value: Any, folder: Path) -> float:  # noqa: ANN401
-    number = _number(value, folder)
-    if not 0.0 < number < 179.0:
-        raise _Fault("an angle between 0 and 179 degrees")
-    return number
+def _numbers(
+    count: int,
+    example: str,
+    says: str = "",
+    holds: Callable[[tuple[float, ...]], bool] = lambda numbers: True,
+) -> Checked:
+    """A check of lists of `count` numbers, as the example shows, that `holds`."""
+
+    def check(value: Any) -> tuple[float, ...]:  # noqa: ANN401
+        if not isinstance(value, list) or len(value) != count:
+            raise _Fault(example)
+        numbers = tuple(_any(number) for number in value)
+        if not holds(numbers):
+            raise _Fault(says)
+        return numbers
+
+    return check
 
 
-def _exponent(value: Any, folder: Path) -> float:  # noqa: ANN401
-    number = _number(value, folder)
-    if abs(number) > _LARGEST_EXPONENT:
-        raise _Fault(f"a number from -{_LARGEST_EXPONENT:g} to {_LARGEST_EXPONENT:g}")
-    return number
+_any = _number()
+_positive = _number("a number above 0", lambda number: number > 0.0)
+_at_least_0 = _number("a number of at least 0", lambda number: number >= 0.0)
+_angle = _number("an angle between 0 and 179 degrees", lambda number: 0.0 < number < 179.0)
+_exponent = _number(
+    f"a number from -{_LARGEST_EXPONENT:g} to {_LARGEST_EXPONENT:g}",
+    lambda number: abs(number) <= _LARGEST_EXPONENT,
+)
+_THREE = "three numbers such as [0.0, 1.0, 2.0]"
+_vector = _numbers(3, _THREE)
+_direction = _numbers(3, _THREE, "a direction that is not zero", any)
+_colour = _numbers(3, _THREE, "three numbers of at least 0", lambda colour: min(colour) >= 0.0)
+_place = _numbers(2, "two numbers such as [0.0, 0.2]")
 
 
-def _side(value: Any, _: Path) -> int:  # noqa: ANN401
+def _side(value: Any) -> int:  # noqa: ANN401
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= _LARGEST_SIDE:
         raise _Fault(f"a whole number from 1 to {_LARGEST_SIDE}")
     return value
 
 
 def _one_of(*names: str) -> Checked:
-    def check(value: Any, _: Path) -> str:  # noqa: ANN401
+    def check(value: Any) -> str:  # noqa: ANN401
         if value not in names:
             raise _Fault(" or ".join(f'"{name}"' for name in names))
         return str(value)
@@ -198,45 +220,18 @@ def _one_of(*names: str) -> Checked:
     return check
 
 
-def _vector(value: Any, folder: Path) -> tuple[float, ...]:  # noqa: ANN401
-    if not isinstance(value, list) or len(value) != 3:
-        raise _Fault("three numbers such as [0.0, 1.0, 2.0]")
-    return tuple(_number(v, folder) for v in value)
-
-
-def _place(value: Any, folder: Path) -> tuple[float, float]:  # noqa: ANN401
-    if not isinstance(value, list) or len(value) != 2:
-        raise _Fault("two numbers such as [0.0, 0.2]")
-    return _number(value[0], folder), _number(value[1], folder)
-
-
-def _direction(value: Any, folder: Path) -> tuple[float, ...]:  # noqa: ANN401
-    vector = _vector(value, folder)
-    if not any(vector):
-        raise _Fault("a direction that is not zero")
-    return vector
-
-
-def _colour(value: Any, folder: Path) -> tuple[float, ...]:  # noqa: ANN401
-    colour = _vector(value, folder)
-    if min(colour) < 0.0:
-        raise _Fault("three numbers of at least 0")
-    return colour
-
-
-def _sides(value: Any, folder: Path) -> tuple[float, float]:  # noqa: ANN401
+def _sides(value: Any) -> tuple[float, float]:  # noqa: ANN401
     """A rectangle's sides; one number is a square."""
     sides = value if isinstance(value, list) else [value, value]
     if len(sides) != 2:
         raise _Fault("one number or two")
-    positive = _at_least(0.0, above=True)
-    return positive(sides[0], folder), positive(sides[1], folder)
+    return _positive(sides[0]), _positive(sides[1])
 
 
-def _file(value: Any, folder: Path) -> Path:  # noqa: ANN401
+def _file(value: Any) -> Path:  # noqa: ANN401
     if not isinstance(value, str) or not value or "\0" in value:
         raise _Fault("a file name")
-    return folder / value
+    return Path(value)
 
 
 def _parallel(a: tuple[float, float, float], b: tuple[float, float, float]) -> bool:
@@ -247,7 +242,7 @@ def _parallel(a: tuple[float, float, float], b: tuple[float, float, float]) -> b
 _FILM: dict[str, Checked] = {
     "width": _side,
     "height": _side,
-    "exposure": _number,
+    "exposure": _any,
     "transfer": _one_of("srgb", "linear"),
 }
 _CAMERA: dict[str, Checked] = {
@@ -255,7 +250,7 @@ _CAMERA: dict[str, Checked] = {
     "position": _vector,
     "target": _vector,
     "fov": _angle,
-    "scale": _at_least(0.0, above=True),
+    "scale": _positive,
     "up": _direction,
     "vignetting": _exponent,
     "vignetting_quartic": _exponent,
@@ -263,10 +258,10 @@ _CAMERA: dict[str, Checked] = {
 }
 _SURFACE: dict[str, Checked] = {
     "type": _one_of("plane", "sphere", "cylinder", "mesh"),
-    "size": _at_least(0.0, above=True),
+    "size": _positive,
     "file": _file,
-    "repeat": _at_least(0.0, above=True),
-    "displacement": _at_least(0.0),
+    "repeat": _positive,
+    "displacement": _at_least_0,
 }
 # For each type of light: its class, its keys with their checks, and the required ones.
 _LIGHTS: dict[str, tuple[Callable[..., Light], dict[str, Checked], tuple[str, ...]]] = {
@@ -278,7 +273,7 @@ _LIGHTS: dict[str, tuple[Callable[..., Light], dict[str, Checked], tuple[str, ..
     ),
     "sphere": (
         SphereLight,
-        {"position": _vector, "radius": _at_least(0.0, above=True), "radiance": _colour},
+        {"position": _vector, "radius": _positive, "radiance": _colour},
         ("position", "radius"),
     ),
     "rectangle": (
@@ -294,7 +289,7 @@ _LIGHTS: dict[str, tuple[Callable[..., Light], dict[str, Checked], tuple[str, ..
     ),
     "environment": (
         EnvironmentLight,
-        {"file": _file, "scale": _at_least(0.0), "rotation": _number, "radiance": _colour},
+        {"file": _file, "scale": _at_least_0, "rotation": _any, "radiance": _colour},
         (),
     ),
 }

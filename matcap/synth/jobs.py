@@ -100,11 +100,6 @@ def rendered(source: Source, job: Job) -> BlockResult:
     )
 
 
-def pack(source: Source) -> bytes:
-    """Pickle a source for other processes."""
-    return pickle.dumps(source)
-
-
 def render_packed(packed: bytes, job: Job) -> BlockResult:
     """Run a job on a pickled source."""
     return rendered(unpacked(packed), job)

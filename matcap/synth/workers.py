@@ -5,6 +5,7 @@ Read next: field/single.py (why one thread a block), stream.py (which uses the r
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -21,7 +22,6 @@ from matcap.synth.jobs import (
     Future,
     Job,
     WorkerPool,
-    pack,
     render_packed,
     rendered,
     unpacked,
@@ -52,7 +52,7 @@ def worker_pool(
     """
     if scheduler is not None:
         with Cluster(scheduler) as machines:
-            shared_source = machines.shared(pack(source))
+            shared_source = machines.shared(pickle.dumps(source))
             yield WorkerPool(
                 partial(machines.submit, _render_alone, shared_source), _AHEAD * machines.threads
             )
@@ -61,7 +61,10 @@ def worker_pool(
             yield WorkerPool(lambda job: pool.submit(rendered, source, job), _AHEAD * workers)
     else:
         processes = ProcessPoolExecutor(
-            workers, mp_context=get_context("spawn"), initializer=_prepare, initargs=(pack(source),)
+            workers,
+            mp_context=get_context("spawn"),
+            initializer=_prepare,
+            initargs=(pickle.dumps(source),),
         )
         try:
             yield WorkerPool(partial(_submit, processes), _AHEAD * workers)

@@ -32,7 +32,7 @@ def sphere_hits(view: View, top: int, bottom: int, radius: float) -> Hits:
     tangent = np.stack([np.cos(longitude), zero, -np.sin(longitude)])
     bitangent = np.cross(normal, tangent, axis=0)
     place = radius * longitude, radius * latitude
-    frame = _three(tangent, bitangent, normal)
+    frame = frame_of(tangent, bitangent, normal)
     return hits_of(view, point, frame, place, seen, along, direction)
 
 
@@ -48,7 +48,7 @@ def cylinder_hits(view: View, top: int, bottom: int, radius: float, height: floa
     longitude = np.arctan2(point[0], point[2])
     zero, one = np.zeros_like(longitude), np.ones_like(longitude)
     sine, cosine = np.sin(longitude), np.cos(longitude)
-    frame = _three(
+    frame = frame_of(
         np.stack([cosine, zero, -sine]), np.stack([zero, one, zero]), np.stack([sine, zero, cosine])
     )
     place = radius * longitude, point[1]
@@ -98,5 +98,6 @@ def _vec(array: Array) -> Vec:
     return x, y, z
 
 
-def _three(tangent: Array, bitangent: Array, normal: Array) -> TangentFrame:
+def frame_of(tangent: Array, bitangent: Array, normal: Array) -> TangentFrame:
+    """The frame of (3, ...) unit vectors, in float32."""
     return _vec(tangent), _vec(bitangent), _vec(normal)

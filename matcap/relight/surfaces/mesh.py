@@ -22,7 +22,7 @@ from matcap.relight.camera import View
 from matcap.relight.relief import Relief
 from matcap.relight.scene import Film
 from matcap.relight.scene_bounds import VisibleRegion
-from matcap.relight.surfaces.curved import hits_of
+from matcap.relight.surfaces.curved import frame_of, hits_of
 from matcap.relight.surfaces.hits import Hits
 from matcap.relight.vectors import Array
 
@@ -76,14 +76,11 @@ class Mesh:
         tangent = np.where(length > 1e-9, tangent / np.maximum(length, 1e-9), _aside(normal))
         # Mirrored texture coordinates reverse the bitangent.
         bitangent = np.cross(normal, tangent, axis=0) * self._handedness[face]
-        frame = tuple(
-            (x.astype(np.float32), y.astype(np.float32), z.astype(np.float32))
-            for x, y, z in (tangent, bitangent, normal)
-        )
         along = np.where(seen, along, 1.0)
         point = origin + along * direction
         spot = (place[..., 0], place[..., 1])
-        return hits_of(view, point, frame, spot, seen, along, direction)  # type: ignore[arg-type]
+        frame = frame_of(tangent, bitangent, normal)
+        return hits_of(view, point, frame, spot, seen, along, direction)
 
     def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
         """Box around the visible points, and the largest side of a pixel's footprint."""

@@ -29,7 +29,8 @@ const SLIDERS = {
   brightness: ["Brightness", 0, 2, 0.05, times],
 };
 
-const make = (kind, properties, ...inside) => {
+// An element with its properties and content.
+export const make = (kind, properties, ...inside) => {
   const one = Object.assign(document.createElement(kind), properties);
   one.append(...inside);
   return one;

@@ -1,6 +1,6 @@
 // The library: each material on a sphere, under one light that follows the pointer.
 
-import { $ } from "./controls.js";
+import { $, make } from "./controls.js";
 import { dressed, followTheme } from "./theme.js";
 import { UNCHANGED, colourMatrix, parseAdjustments } from "./adjust.js";
 import { Pages } from "./pages.js";
@@ -100,20 +100,13 @@ function compare(first, second) {
 }
 
 function makeCard(material, index) {
-  const box = document.createElement("div");
-  box.className = "card";
-  const link = document.createElement("a");
-  link.href = `m/${index}/`;
-  link.draggable = true;
-  const face = document.createElement("span"), name = document.createElement("span");
-  face.className = "face";
-  name.className = "called";
-  name.textContent = material.name;
-  link.append(face, name);
-  const button = document.createElement("button");
-  Object.assign(button, { type: "button", className: "quiet", textContent: "Compare" });
+  const face = make("span", { className: "face" });
+  const name = make("span", { className: "called", textContent: material.name });
+  const link = make("a", { href: `m/${index}/`, draggable: true }, face, name);
+  const button = make("button", { type: "button", className: "quiet", textContent: "Compare" });
   button.setAttribute("aria-pressed", "false");
   button.setAttribute("aria-label", `Compare ${material.name} with another`);
+  const box = make("div", { className: "card" }, link, button);
   const card = { box, link, face, button, index, material };
   button.addEventListener("click", () => choose(card));
   box.addEventListener("keydown", (event) => {
@@ -122,11 +115,8 @@ function makeCard(material, index) {
     choose(card);
   });
   if (material.rating) {
-    const rating = document.createElement("span");
-    rating.className = `rating ${material.rating}`;
-    rating.textContent = material.rating;
-    rating.title = material.sentence;
-    link.append(rating);
+    const { rating, sentence } = material;
+    link.append(make("span", { className: `rating ${rating}`, textContent: rating, title: sentence }));
   }
   link.addEventListener("dragstart", (event) => event.dataTransfer.setData("text/plain", String(index)));
   box.addEventListener("dragover", (event) => {
@@ -140,7 +130,6 @@ function makeCard(material, index) {
     const other = Number(event.dataTransfer.getData("text/plain"));
     if (Number.isInteger(other) && other !== index) compare(index, other);
   });
-  box.append(link, button);
   $("shelf").append(box);
   return card;
 }

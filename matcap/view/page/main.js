@@ -5,7 +5,7 @@ import { fromAddress, toAddress } from "./address.js";
 import { EnclosedPages, ServedPages } from "./source.js";
 import { ROOMS, roomRadiance } from "./rooms.js";
 import { GONE, LEFTS, MAPS, RIGHTS, SHAPES, View } from "./view.js";
-import { $, ADJUSTED, CHOICES, makeControls, offer, saySlider } from "./controls.js";
+import { $, ADJUSTED, CHOICES, make, makeControls, offer, saySlider } from "./controls.js";
 import { describe, legend, showPiece, showScale, showState, whereabouts } from "./panel.js";
 import { followTheme } from "./theme.js";
 import { readSurroundings } from "./reading.js";
@@ -118,9 +118,7 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
   });
   $("unadjust").addEventListener("click", () => adjust(UNCHANGED));
   const download = (blob, name) => {
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(blob);
-    link.download = name;
+    const link = make("a", { href: URL.createObjectURL(blob), download: name });
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
     tell(`saved ${name}`);

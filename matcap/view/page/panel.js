@@ -1,17 +1,15 @@
 // Shows the state in text and on the controls.
 
 import { adjustmentsText } from "./adjust.js";
-import { $, ADJUSTED, CHOICES, number, offer, option, showSlider } from "./controls.js";
+import { $, ADJUSTED, CHOICES, make, number, offer, option, showSlider } from "./controls.js";
 
 const SCALE = 190; // pixels that the scale is long at most
 
 export function describe(about) {
   $("name").textContent = about.name;
   if (about.library) {
-    const home = document.createElement("a");
-    Object.assign(home, { id: "home", className: "home", textContent: "‹ All materials" });
-    home.setAttribute("href", "../../");
-    $("name").before(home);
+    const textContent = "‹ All materials";
+    $("name").before(make("a", { id: "home", className: "home", textContent, href: "../../" }));
   }
   const [wide, tall] = about.period || [];
   $("what").textContent = about.period ? `repeats every ${wide} × ${tall} texels`
@@ -30,11 +28,9 @@ export function describe(about) {
   }
   if (about.verdict) {
     const [rating, ...rest] = about.verdict;
-    const word = document.createElement("b");
-    word.textContent = rating;
     // The sentence may begin with the rating.
     const text = rest.join(" ").replace(new RegExp(`^${rating}:? `), "");
-    $("verdict").replaceChildren(word, `: ${text}`);
+    $("verdict").replaceChildren(make("b", { textContent: rating }), `: ${text}`);
   }
   for (const target of about.targets) $("target").append(new Option(target));
   $("export").hidden = about.targets.length === 0;
