@@ -24,7 +24,7 @@ from matcap.example.exemplar import Exemplar, Floats
 from matcap.example.grids import frame_of, level_count
 from matcap.example.index import Index, build_index
 from matcap.example.lattice import GRID, Frequency
-from matcap.example.lookup import Lookup, prepare
+from matcap.example.lookup import Lookup, kept_lattice, prepare
 from matcap.example.normals import with_normals
 from matcap.example.patch_sizes import PatchSizes
 from matcap.example.repeat.source import BLOCKS, RepeatedSource
@@ -326,7 +326,8 @@ def patch_sizes(example: Example) -> PatchSizes:
     bits, depth = detail_bits(example.exemplar), len(example.index.bases) - 1
     width, height = (side >> bits for side in example.exemplar.size)
     frame = frame_of(depth, width, height)
-    return PatchSizes.of(frame, 1 << depth, example.index.lattice, example.variety)
+    lattice = kept_lattice(example.index, example.variety)
+    return PatchSizes.of(frame, 1 << depth, lattice, example.variety)
 
 
 def detail_bits(exemplar: Exemplar) -> int:

@@ -77,6 +77,7 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
     with ThreadPoolExecutor() as pool:
         appearances = list(pool.map(project, grids, index.bases))
     placement_cost = np.square(index.penalty, dtype=np.int32) << PENALTY_BITS
+    lattice = kept_lattice(index, variety)
     levels = tuple(
         Level(
             spacing=1 << level,
@@ -86,12 +87,17 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
             similar_bits=similar_bits(level),
             similar=similar,
             placement_cost=placement_cost,
-            phases=_phases(index.lattice, level, appearance),
+            phases=_phases(lattice, level, appearance),
         )
         for level, (appearance, similar) in enumerate(zip(appearances, index.similar, strict=True))
     )
-    sizes = PatchSizes.of(levels[-1].frame, levels[-1].spacing, index.lattice, variety)
-    return Lookup(levels, index.lattice, sizes, _joined_frame(levels[-1]))
+    sizes = PatchSizes.of(levels[-1].frame, levels[-1].spacing, lattice, variety)
+    return Lookup(levels, lattice, sizes, _joined_frame(levels[-1]))
+
+
+def kept_lattice(index: Index, variety: float) -> PhasedLattice | None:
+    """The lattice that patches are aligned with; None at variety 0, where the exemplar repeats."""
+    return index.lattice if variety > 0.0 else None
 
 
 def _joined_frame(level: Level) -> Frame:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from matcap.example.example import Example, detail_bits, patch_sizes
+from matcap.example.lookup import kept_lattice
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,8 @@ def summary(example: Example) -> Summary:
     side = 1 << detail_bits(example.exemplar)
     periods = tuple(side / math.hypot(*wave) for wave in waves)
     sizes = patch_sizes(example)
-    wide, high = (sizes.width, sizes.height) if lattice is None else (round(sizes.cells),) * 2
+    laid = kept_lattice(example.index, example.variety)
+    wide, high = (sizes.width, sizes.height) if laid is None else (round(sizes.cells),) * 2
     return Summary(
         example.exemplar.size,
         periods,

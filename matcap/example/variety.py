@@ -7,6 +7,7 @@ none is within both, the least loss counts.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -32,6 +33,12 @@ _SHARE = 0.5  # largest loss as a share of the exemplar's RMS correlation, if th
 # Largest share of texels at seams. Textures without long structure have up to 0.0175, others
 # from 0.021 on.
 _SEAMS = 0.018
+_BLOCKS_ACROSS = 64  # of a plaid, across the longer side
+# Least share of log albedo's variance that bands of a plaid have in either direction (three of 126
+# photographs 0.20 to 0.32; ginghams 0.18 to 0.22, green paint 0.18, others at most 0.14), and its
+# least standard deviation (plaids 0.19, paint 0.05).
+_BANDS, _VISIBLE = 0.17, 0.1
+_DARKEST = 1e-3  # albedo, lower limit of its logarithm
 _MORE_SEAMS = 1.1  # largest share of seams over the least of all varieties, if that is more
 
 Planes = NDArray[np.float32]
@@ -58,8 +65,11 @@ def with_chosen_variety(example: Example) -> Example:
     """A copy of the example with the highest variety whose measures are within limits.
 
     If there is none, the limits are the least loss of all and about the least seams; with a lattice
-    the lowest variety is taken, as its seams do not follow the patches' size.
+    the lowest variety is taken, as its seams do not follow the patches' size. A plaid repeats
+    whole: of its bands no smaller patch shows where they go on.
     """
+    if is_plaid(example):
+        return example.varied(0.0)
     long, trials = variety_trials(example)
     limit, tried = max(_LOST, _SHARE * long), []
     for one in trials:
@@ -72,6 +82,27 @@ def with_chosen_variety(example: Example) -> Example:
     seams = max(_SEAMS, _MORE_SEAMS * min((one.seams for one in tried), default=0.0))
     within = (one.variety for one in tried if one.lost <= limit and one.seams <= seams)
     return example.varied(next(within, _TRIED[-1]))
+
+
+def is_plaid(example: Example) -> bool:
+    """Whether much of the albedo is bands across the whole exemplar, in both directions.
+
+    Log albedo of blocks is a(x) + b(y) + rest; both bands have at least _BANDS of its variance. A
+    lattice of cells as large as blocks (gingham, tiles) is kept in phase instead.
+    """
+    albedo, lattice = example.exemplar.diffuse, example.index.lattice
+    waves = () if lattice is None else lattice.waves
+    side = max(2, max(albedo.shape) // _BLOCKS_ACROSS)
+    rows, columns = (n // side for n in albedo.shape[1:])
+    cell = max((2 ** detail_bits(example.exemplar) / math.hypot(*w) for w in waves), default=0.0)
+    if min(rows, columns) < 8 or cell > 2 * side:
+        return False
+    log = np.log(np.maximum(albedo[:, : rows * side, : columns * side], _DARKEST))
+    means = log.reshape(len(log), rows, side, columns, side).mean(axis=(2, 4))
+    means = _detrended(means.astype(np.float32))
+    whole = float(np.square(means).mean())
+    bands = [float(np.square(means.mean(axis)).mean()) for axis in (1, 2)]
+    return whole > _VISIBLE**2 and min(bands) > _BANDS * whole
 
 
 def variety_trials(example: Example) -> tuple[float, Iterator[VarietyTrial]]:

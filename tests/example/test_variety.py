@@ -15,7 +15,7 @@ from matcap.errors import UsageError
 from matcap.example.example import Example
 from matcap.example.patch_sizes import PatchSizes
 from matcap.example.summary import summary
-from matcap.example.variety import variety_trials, with_chosen_variety
+from matcap.example.variety import is_plaid, variety_trials, with_chosen_variety
 from matcap.field.blocks import Grid
 from matcap.field.field import read_source
 from matcap.field.material import Material
@@ -70,8 +70,11 @@ def test_large_patches_show_all_of_the_exemplar_equally_often():
     assert shown.min() > 0.5 * shown.mean() and shown.max() < 1.5 * shown.mean()
 
 
-def test_the_least_variety_repeats_the_exemplar():
-    example = Example.of(blobs(512, 384)).varied(0.0)
+@pytest.mark.parametrize(
+    "example", [Example.of(blobs(512, 384)), ordered(512, 384)], ids=["blobs", "bricks"]
+)
+def test_the_least_variety_repeats_the_exemplar(example):
+    example = example.varied(0.0)
     frame = example.lookup.joined
     wide, high = frame.right - frame.left + 1, frame.bottom - frame.top + 1
     one, other = (example.places(2, Rectangle(x, 300, 256, 256), None) for x in (50, 50 + wide))
@@ -174,6 +177,24 @@ def stripes(width=512, height=384):
     colour = random.standard_normal(60)[board]
     grain = 0.1 * random.standard_normal((4, height, width))
     return exemplar(np.stack([colour, colour, 0.3 * colour, np.zeros_like(colour)]) + grain)
+
+
+def plaid():
+    """Bands of stripes() across and down, of cloth whose threads are a lattice of five texels."""
+    bands = stripes().diffuse * stripes(384, 512).diffuse.swapaxes(1, 2)
+    y, x = np.mgrid[0:384, 0:512] * 2.0 * np.pi / 5.0
+    threads = 1.0 + 0.3 * np.cos(x) * np.cos(y)
+    return replace(stripes(), diffuse=(bands * threads).clip(0.0, 1.0).astype(np.float32))
+
+
+@pytest.mark.parametrize("waves", [(), ((0.2, 0.0), (0.0, 0.2))], ids=["plain", "lattice"])
+def test_a_plaid_repeats_whole_and_boards_do_not(waves):
+    assert with_chosen_variety(Example.of(plaid(), waves)).variety == 0.0
+    assert not is_plaid(Example.of(stripes()))
+
+
+def test_a_lattice_of_large_cells_is_no_plaid():
+    assert not is_plaid(Example.of(plaid(), ((1 / 40, 0.0), (0.0, 1 / 40))))
 
 
 def test_what_has_no_long_structure_is_taken_apart_and_boards_are_not():
