@@ -7,6 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
+
+from matcap.photo.load import load_photo
 
 sys.path.insert(0, str(Path(__file__).parent))  # dng_files, icc_files
 
@@ -27,3 +30,15 @@ def light() -> np.ndarray:
     y, x = np.mgrid[0:96, 0:128]
     ramp = 0.05 + 0.7 * x / 127 * (0.6 + 0.4 * y / 95)
     return np.stack([ramp, 0.8 * ramp, 0.5 * ramp + 0.1], axis=-1)
+
+
+@pytest.fixture
+def photo_of(tmp_path):
+    """Save a picture, an array or Pillow's, under a name and read it as a photograph."""
+
+    def saved(picture, name, *, long_side=None, fov=None, **options):
+        image = picture if isinstance(picture, Image.Image) else Image.fromarray(picture)
+        image.save(tmp_path / name, **options)
+        return load_photo(tmp_path / name, long_side=long_side, fov=fov)
+
+    return saved

@@ -119,37 +119,28 @@ def test_curve_that_leaves_all_bounds_is_not_followed(codes):
     assert np.isfinite(linearise(codes)).all() and notes
 
 
-def test_p3_jpeg_comes_out_as_rec709(tmp_path):
+def test_p3_jpeg_comes_out_as_rec709(photo_of):
     rec709 = np.array([[0.5, 0.2, 0.1], [0.1, 0.4, 0.3], [0.05, 0.1, 0.6], [0.7, 0.7, 0.7]])
     p3 = rec709 @ np.linalg.inv(P3_TO_REC709).T
     patches = np.rint(255 * srgb_encode(p3)).astype(np.uint8)
     picture = np.repeat(patches, 32, axis=0)[None].repeat(96, axis=0)
-    path = tmp_path / "p3.jpg"
-    Image.fromarray(picture).save(path, quality=100, subsampling=0, icc_profile=matrix_profile())
-    photo = load_photo(path)
+    options = {"quality": 100, "subsampling": 0}
+    photo = photo_of(picture, "p3.jpg", icc_profile=matrix_profile(), **options)
     measured = photo.pixels[48, 16::32]
     np.testing.assert_allclose(measured, rec709, atol=8e-3)
     assert any("Display P3" in note for note in photo.notes)
-    unmanaged = load_photo(_without_profile(picture, tmp_path))
+    unmanaged = photo_of(picture, "plain.jpg", **options)
     assert np.abs(unmanaged.pixels[48, 16::32] - rec709).max() > 0.03
 
 
-def test_wide_gamut_is_kept_and_never_negative(tmp_path):
+def test_wide_gamut_is_kept_and_never_negative(photo_of):
     picture = np.zeros((96, 128, 3), np.uint8)
     picture[..., 0] = 240
-    path = tmp_path / "red.png"
-    Image.fromarray(picture).save(path, icc_profile=matrix_profile())
-    photo = load_photo(path)
+    photo = photo_of(picture, "red.png", icc_profile=matrix_profile())
     expected = srgb_decode(np.array(240 / 255)) * P3_TO_REC709[0, 0]
     np.testing.assert_allclose(photo.pixels[..., 0], expected, rtol=1e-3)
     assert expected > 1.0 and photo.pixels.min() == 0.0
     assert not photo.clipped.any()
-
-
-def _without_profile(picture, folder):
-    path = folder / "plain.jpg"
-    Image.fromarray(picture).save(path, quality=100, subsampling=0)
-    return path
 
 
 PICTURE = np.linspace(0.0, 1.0, 160 * 120 * 3).reshape(120, 160, 3)

@@ -22,10 +22,8 @@ def deep(codes) -> np.ndarray:
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif"])
-def test_8_bits_are_exact(tmp_path, codes, suffix):
-    path = tmp_path / f"a.{suffix}"
-    Image.fromarray(codes).save(path)
-    photo = load_photo(path)
+def test_8_bits_are_exact(photo_of, codes, suffix):
+    photo = photo_of(codes, f"a.{suffix}")
     np.testing.assert_allclose(photo.pixels, srgb_decode(codes / 255), rtol=1e-6)
     assert not photo.radiometric and photo.original_size == (128, 96)
 
@@ -72,92 +70,80 @@ def test_float_tiff_above_one_is_scaled_and_says_so(tmp_path, codes):
     assert "reach 40" in photo.notes[0]
 
 
-def test_png_gamma_one_is_linear(tmp_path, codes):
+def test_png_gamma_one_is_linear(photo_of, codes):
     info = PngImagePlugin.PngInfo()
     info.add(b"gAMA", (100_000).to_bytes(4, "big"))
-    Image.fromarray(codes).save(tmp_path / "a.png", pnginfo=info)
-    np.testing.assert_allclose(load_photo(tmp_path / "a.png").pixels, codes / 255, rtol=1e-6)
+    photo = photo_of(codes, "a.png", pnginfo=info)
+    np.testing.assert_allclose(photo.pixels, codes / 255, rtol=1e-6)
 
 
 @pytest.mark.parametrize("mode", ["L", "LA", "RGBA", "P", "1"])
-def test_other_png_modes(tmp_path, codes, mode):
+def test_other_png_modes(photo_of, codes, mode):
     image = Image.fromarray(codes).convert(mode)
-    image.save(tmp_path / "a.png")
-    expected = np.asarray(image.convert("RGB")) / 255
-    np.testing.assert_allclose(
-        load_photo(tmp_path / "a.png").pixels, srgb_decode(expected), atol=1e-6
-    )
+    expected = srgb_decode(np.asarray(image.convert("RGB")) / 255)
+    np.testing.assert_allclose(photo_of(image, "a.png").pixels, expected, atol=1e-6)
 
 
-def test_transparency_does_not_darken(tmp_path, codes):
-    rgba = np.dstack([codes, np.full(codes.shape[:2], 60, np.uint8)])
-    Image.fromarray(rgba).save(tmp_path / "a.png")
-    photo = load_photo(tmp_path / "a.png")
+def test_transparency_does_not_darken(photo_of, codes):
+    photo = photo_of(np.dstack([codes, np.full(codes.shape[:2], 60, np.uint8)]), "a.png")
     np.testing.assert_allclose(photo.pixels, srgb_decode(codes / 255), rtol=1e-6)
     assert photo.left_out is None and "equally transparent" in photo.notes[0]
 
 
 @pytest.mark.parametrize("form", ["png", "tif", "webp"])
-def test_a_cut_out_photograph_s_transparency_is_a_mask(tmp_path, codes, form):
+def test_a_cut_out_photograph_s_transparency_is_a_mask(photo_of, codes, form):
     """What is transparent is left out, and its colours, any at all, show nowhere."""
     alpha = np.full(codes.shape[:2], 255, np.uint8)
     alpha[:, :40], alpha[:, 40:44] = 0, 100
     painted = codes.copy()
     painted[alpha == 0] = (255, 0, 255)
     options = {"lossless": True, "exact": True} if form == "webp" else {}
-    Image.fromarray(np.dstack([painted, alpha])).save(tmp_path / f"a.{form}", **options)
-    photo = load_photo(tmp_path / f"a.{form}")
+    picture = np.dstack([painted, alpha])
+    photo = photo_of(picture, f"a.{form}", **options)
     np.testing.assert_array_equal(photo.left_out, alpha < 128)
     kept = ~photo.left_out
     np.testing.assert_allclose(photo.pixels[kept], srgb_decode(codes / 255)[kept], rtol=1e-6)
     assert photo.pixels.max() < 0.9 and "left out" in photo.notes[0]
-    shrunk = load_photo(tmp_path / f"a.{form}", long_side=64)
+    shrunk = photo_of(picture, f"a.{form}", long_side=64, **options)
     np.testing.assert_array_equal(shrunk.left_out, np.indices((48, 64))[1] < 22)
 
 
-def test_opaque_alpha_and_next_to_nothing(tmp_path, codes):
+def test_opaque_alpha_and_next_to_nothing(photo_of, codes):
     alpha = np.full(codes.shape[:2], 255, np.uint8)
-    Image.fromarray(np.dstack([codes, alpha])).save(tmp_path / "a.png")
-    photo = load_photo(tmp_path / "a.png")
+    photo = photo_of(np.dstack([codes, alpha]), "a.png")
     assert photo.left_out is None and photo.notes == ()
     alpha[:, 3:] = 0
-    Image.fromarray(np.dstack([codes, alpha])).save(tmp_path / "b.png")
     with pytest.raises(MatcapError, match="its transparency leaves 2.3 %"):
-        load_photo(tmp_path / "b.png")
+        photo_of(np.dstack([codes, alpha]), "b.png")
 
 
-def test_content_wins_over_the_name(tmp_path, codes):
-    path = tmp_path / "a.dng"
-    Image.fromarray(codes).save(path, format="JPEG")
-    assert load_photo(path).pixels.shape == (96, 128, 3)
+def test_content_wins_over_the_name(photo_of, codes):
+    assert photo_of(codes, "a.dng", format="JPEG").pixels.shape == (96, 128, 3)
 
 
-def test_grey_jpeg(tmp_path, codes):
-    Image.fromarray(codes[..., 0]).save(tmp_path / "a.jpg", quality=100)
-    pixels = load_photo(tmp_path / "a.jpg").pixels
+def test_grey_jpeg(photo_of, codes):
+    pixels = photo_of(codes[..., 0], "a.jpg", quality=100).pixels
     np.testing.assert_array_equal(pixels[..., 0], pixels[..., 2])
 
 
 @pytest.mark.parametrize(("suffix", "level", "clipped"), [("png", 254, False), ("png", 255, True)])
-def test_any_channel_at_the_limit_clips(tmp_path, codes, suffix, level, clipped):
+def test_any_channel_at_the_limit_clips(photo_of, codes, suffix, level, clipped):
     codes[10:20, 30:40, 1] = level
-    Image.fromarray(codes).save(tmp_path / f"a.{suffix}")
     expected = np.zeros((96, 128), bool)
     expected[10:20, 30:40] = clipped
-    np.testing.assert_array_equal(load_photo(tmp_path / f"a.{suffix}").clipped, expected)
+    np.testing.assert_array_equal(photo_of(codes, f"a.{suffix}").clipped, expected)
 
 
 @pytest.mark.parametrize(("level", "clipped"), [(253, False), (254, True)])
-def test_jpeg_limit_leaves_room_for_coding(tmp_path, codes, level, clipped):
+def test_jpeg_limit_leaves_room_for_coding(photo_of, codes, level, clipped):
     codes[32:64, 32:64] = level
-    Image.fromarray(codes).save(tmp_path / "a.jpg", quality=100, subsampling=0)
-    assert (load_photo(tmp_path / "a.jpg").clipped[40:56, 40:56] == clipped).all()
+    photo = photo_of(codes, "a.jpg", quality=100, subsampling=0)
+    assert (photo.clipped[40:56, 40:56] == clipped).all()
 
 
-def test_jpeg_clips_despite_ringing(tmp_path, codes):
+def test_jpeg_clips_despite_ringing(photo_of, codes):
     codes[16:64, 16:64] = 255
-    Image.fromarray(codes).save(tmp_path / "a.jpg", quality=85)
-    clipped = load_photo(tmp_path / "a.jpg").clipped
+    clipped = photo_of(codes, "a.jpg", quality=85).clipped
     assert clipped[17:63, 17:63].mean() > 0.97
     assert not clipped[:, 80:].any()
 
@@ -176,34 +162,25 @@ def test_hdr_gain_map_is_reported_not_applied(tmp_path, codes, mark):
     assert load_photo(plain).notes == ()
 
 
-def test_second_picture_of_a_jpeg_is_left_alone(tmp_path, codes):
+def test_second_picture_of_a_jpeg_is_left_alone(photo_of, codes):
     other = Image.fromarray(255 - codes)
-    Image.fromarray(codes).save(
-        tmp_path / "a.jpg", format="MPO", save_all=True, append_images=[other], quality=100
-    )
-    photo = load_photo(tmp_path / "a.jpg")
+    options = {"format": "MPO", "save_all": True, "append_images": [other], "quality": 100}
+    photo = photo_of(codes, "a.jpg", **options)
     np.testing.assert_allclose(photo.pixels, srgb_decode(codes / 255), atol=0.05)
 
 
-def test_cmyk_is_refused(tmp_path, codes):
-    Image.fromarray(codes).convert("CMYK").save(tmp_path / "a.jpg")
-    with pytest.raises(MatcapError, match="CMYK.*export it as RGB"):
-        load_photo(tmp_path / "a.jpg")
-
-
 @pytest.mark.parametrize("form", ["webp", "avif"])
-def test_webp_and_avif(tmp_path, codes, form):
+def test_webp_and_avif(photo_of, codes, form):
     turned, seen = Image.Exif(), Image.Exif()
     turned[0x0112] = 3  # which Pillow stores in AVIF as the container's own rotation
     seen.get_ifd(0x8769)[0xA405] = 26
     options = {"lossless": True} if form == "webp" else {"quality": 100, "subsampling": "4:4:4"}
-    Image.fromarray(codes).save(tmp_path / f"a.{form}", exif=turned, **options)
-    photo = load_photo(tmp_path / f"a.{form}")
+    photo = photo_of(codes, f"a.{form}", exif=turned, **options)
     expected = srgb_decode(codes / 255)[::-1, ::-1]
     np.testing.assert_allclose(photo.pixels, expected, atol=1e-6 if form == "webp" else 0.03)
     assert photo.notes == ()
-    Image.fromarray(codes).save(tmp_path / f"b.{form}", exif=seen.tobytes(), **options)
-    assert load_photo(tmp_path / f"b.{form}").fov_source == "exif"
+    other = photo_of(codes, f"b.{form}", exif=seen.tobytes(), **options)
+    assert other.fov_source == "exif"
 
 
 def test_a_pillow_without_avif_is_called_that(tmp_path, codes, monkeypatch):
@@ -267,23 +244,21 @@ def test_cielab_is_converted(tmp_path, bits, kind):
 
 
 @pytest.mark.parametrize("form", ["jpg", "tif"])
-def test_inks_need_a_profile(tmp_path, codes, form):
+def test_inks_need_a_profile(photo_of, codes, form):
     inks = Image.fromarray(np.dstack([255 - codes, np.zeros(codes.shape[:2], np.uint8)]), "CMYK")
-    inks.save(tmp_path / f"a.{form}")
-    with pytest.raises(MatcapError, match="inks .CMYK., and no profile"):
-        load_photo(tmp_path / f"a.{form}")
+    with pytest.raises(MatcapError, match="inks .CMYK., and no profile.*export it as RGB"):
+        photo_of(inks, f"a.{form}")
 
 
 @pytest.mark.parametrize("form", ["jpg", "tif"])
-def test_inks_are_converted_through_their_profile(tmp_path, form):
+def test_inks_are_converted_through_their_profile(photo_of, form):
     """A profile whose red, green and blue are what cyan, magenta and yellow leave."""
     levels = np.array([40, 100, 160, 220], np.uint8).repeat(32)
     numbers = np.zeros((96, 128, 4), np.uint8)
     numbers[..., 0], numbers[..., 1], numbers[..., 2] = levels, 255 - levels, 128
     picture = Image.frombytes("CMYK", (128, 96), numbers.tobytes())
     options = {"quality": 100, "subsampling": 0} if form == "jpg" else {}
-    picture.save(tmp_path / f"a.{form}", icc_profile=ink_profile(), **options)
-    photo = load_photo(tmp_path / f"a.{form}")
+    photo = photo_of(picture, f"a.{form}", icc_profile=ink_profile(), **options)
     measured = photo.pixels[48, 16::32]
     left = 1 - numbers[48, 16::32, :3] / 255
     np.testing.assert_allclose(measured, left, atol=0.03)

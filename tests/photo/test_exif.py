@@ -46,21 +46,17 @@ def test_focal_lengths_on_film_refer_to_the_diagonal(focal_length, size, degrees
 
 
 @pytest.mark.parametrize("form", ["jpg", "png"])
-def test_field_of_view_and_flash(tmp_path, codes, form):
-    path = tmp_path / f"a.{form}"
-    Image.fromarray(codes).save(path, exif=exif(1, 26, 0x19))
-    photo = load_photo(path)
+def test_field_of_view_and_flash(photo_of, codes, form):
+    tags = exif(1, 26, 0x19)
+    photo, told = (photo_of(codes, f"a.{form}", fov=fov, exif=tags) for fov in (None, 60.0))
     assert photo.fov == pytest.approx(fov_of_film(26, 4, 3))
     assert (photo.fov_source, photo.flash_fired) == ("exif", True)
-    given_fov = load_photo(path, fov=60.0)
-    assert (given_fov.fov, given_fov.fov_source) == (60.0, "given")
+    assert (told.fov, told.fov_source) == (60.0, "given")
 
 
 @pytest.mark.parametrize("focal_length", [None, 0])
-def test_unknown_field_of_view_is_assumed(tmp_path, codes, focal_length):
-    path = tmp_path / "a.jpg"
-    Image.fromarray(codes).save(path, exif=exif(1, focal_length, 0x10))
-    photo = load_photo(path)
+def test_unknown_field_of_view_is_assumed(photo_of, codes, focal_length):
+    photo = photo_of(codes, "a.jpg", exif=exif(1, focal_length, 0x10))
     assert (photo.fov_source, photo.flash_fired) == ("assumed", False)
     assert photo.fov == pytest.approx(66.0)
 
@@ -91,10 +87,8 @@ def focal_plane(length=4.0, per_unit=1000.0, unit=3, film=None, pixels=None):
     ],
     ids=str,
 )
-def test_the_focal_plane_goes_before_film(tmp_path, codes, tags, half, says):
-    path = tmp_path / "a.jpg"
-    Image.fromarray(codes).save(path, exif=focal_plane(**tags))
-    photo = load_photo(path)
+def test_the_focal_plane_goes_before_film(photo_of, codes, tags, half, says):
+    photo = photo_of(codes, "a.jpg", exif=focal_plane(**tags))
     assert np.tan(np.radians(photo.fov / 2)) == pytest.approx(half, rel=1e-3)
     assert [f"{photo.fov:.1f} taken" in note for note in photo.notes] == ([True] if says else [])
 
@@ -237,16 +231,13 @@ def test_no_exif_at_all(tmp_path, codes):
 
 @pytest.mark.parametrize("form", ["jpg", "png", "tif"])
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_orientation_is_applied_once(tmp_path, codes, form, orientation):
+def test_orientation_is_applied_once(photo_of, codes, form, orientation):
     """Stored so that turning it once gives the original again."""
     store = {1: 1, 2: 2, 3: 3, 4: 4, 5: 5, 6: 8, 7: 7, 8: 6}[orientation]  # the inverse turn
-    path, plain = tmp_path / f"a.{form}", tmp_path / f"b.{form}"
     options = {"quality": 100, "subsampling": 0} if form == "jpg" else {}
-    Image.fromarray(np.ascontiguousarray(upright(codes, store))).save(
-        path, exif=exif(orientation), **options
-    )
-    Image.fromarray(codes).save(plain, **options)
-    photo, expected = load_photo(path), load_photo(plain)
+    turned = np.ascontiguousarray(upright(codes, store))
+    photo = photo_of(turned, f"a.{form}", exif=exif(orientation), **options)
+    expected = photo_of(codes, f"b.{form}", **options)
     assert photo.original_size == (128, 96) and not photo.turned
     np.testing.assert_allclose(photo.pixels, expected.pixels, atol=0.03 if form == "jpg" else 0)
 
@@ -278,8 +269,6 @@ def test_broken_exif_never_raises(data):
 
 
 @pytest.mark.parametrize("fov", [0.0, -45.0, 180.0, float("nan")])
-def test_senseless_field_of_view_is_a_usage_error(tmp_path, codes, fov):
-    path = tmp_path / "a.jpg"
-    Image.fromarray(codes).save(path)
+def test_senseless_field_of_view_is_a_usage_error(photo_of, codes, fov):
     with pytest.raises(UsageError, match="field of view"):
-        load_photo(path, fov=fov)
+        photo_of(codes, "a.jpg", fov=fov)

@@ -61,11 +61,10 @@ def test_a_quarter_of_the_area_clips(sites, clipped):
     assert (shrink(reader(pixels, mask), 128, 128, 32)[1] == clipped).all()
 
 
-def test_the_mean_is_of_light_not_of_code_values(tmp_path):
+def test_the_mean_is_of_light_not_of_code_values(photo_of):
     stripes = np.zeros((128, 128, 3), np.uint8)
     stripes[:, ::2] = 200
-    Image.fromarray(stripes).save(tmp_path / "a.png")
-    photo = load_photo(tmp_path / "a.png", long_side=64)
+    photo = photo_of(stripes, "a.png", long_side=64)
     np.testing.assert_allclose(photo.pixels, srgb_decode(np.array(200 / 255)) / 2, rtol=1e-5)
 
 
@@ -76,13 +75,12 @@ def test_size_never_grows_and_keeps_its_shape(width, height, long_side):
     assert max(new_width, new_height) == min(long_side, max(width, height))
 
 
-def test_portrait_is_turned_anticlockwise(tmp_path, codes):
+def test_portrait_is_turned_anticlockwise(photo_of, codes):
     portrait = np.ascontiguousarray(codes.swapaxes(0, 1))
-    Image.fromarray(portrait).save(tmp_path / "a.png")
-    photo = load_photo(tmp_path / "a.png", long_side=64)
+    photo = photo_of(portrait, "a.png", long_side=64)
     assert photo.turned and photo.original_size == (96, 128)
     assert photo.pixels.shape == (48, 64, 3) and photo.clipped.shape == (48, 64)
-    whole = load_photo(tmp_path / "a.png").pixels
+    whole = photo_of(portrait, "a.png").pixels
     # Anticlockwise: the top right corner goes to the top left.
     np.testing.assert_allclose(whole[0, 0], srgb_decode(portrait[0, -1] / 255), rtol=1e-5)
     np.testing.assert_allclose(whole[-1, 0], srgb_decode(portrait[0, 0] / 255), rtol=1e-5)
