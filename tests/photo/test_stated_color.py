@@ -21,6 +21,7 @@ D65 = (0.3127, 0.3290)
 P3 = (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, *D65)
 BT2020 = (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, *D65)
 ADOBE = (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, *D65)
+BEST = {"quality": 100, "subsampling": 0}
 
 
 def pq(light):
@@ -150,29 +151,22 @@ def eight_bits(codes):
 
 
 @pytest.mark.parametrize(("index", "color_space"), [("R03", 65535), (None, 2)])
-def test_adobe_rgb_of_a_camera_without_a_profile(tmp_path, index, color_space):
+def test_adobe_rgb_of_a_camera_without_a_profile(photo_of, index, color_space):
     codes = patches(ADOBE, lambda v: v ** (256 / 563))
-    options = {"quality": 100, "subsampling": 0, "exif": exif_of(index, color_space)}
-    eight_bits(codes).save(tmp_path / "a.jpg", **options)
-    photo = load_photo(tmp_path / "a.jpg")
+    photo = photo_of(eight_bits(codes), "a.jpg", **BEST, exif=exif_of(index, color_space))
     np.testing.assert_allclose(seen(photo), REC709, atol=1e-2)
     assert any("Adobe RGB" in note for note in photo.notes)
 
 
-def test_sixty_five_thousand_colours_of_r98_are_srgb(tmp_path):
-    options = {"quality": 100, "subsampling": 0}
+def test_sixty_five_thousand_colours_of_r98_are_srgb(photo_of):
     picture = eight_bits(patches(None, srgb_encode))
-    picture.save(tmp_path / "a.jpg", exif=exif_of("R98", 1), **options)
-    assert load_photo(tmp_path / "a.jpg").notes == ()
-    picture.save(tmp_path / "b.jpg", exif=exif_of(None, 65535), **options)
-    assert "uncalibrated" in load_photo(tmp_path / "b.jpg").notes[0]
+    assert photo_of(picture, "a.jpg", **BEST, exif=exif_of("R98", 1)).notes == ()
+    assert "uncalibrated" in photo_of(picture, "b.jpg", **BEST, exif=exif_of(None, 65535)).notes[0]
 
 
-def test_a_profile_goes_before_exif(tmp_path):
-    options = {"quality": 100, "subsampling": 0, "exif": exif_of("R03", 65535)}
-    picture = eight_bits(patches(P3, srgb_encode))
-    picture.save(tmp_path / "a.jpg", icc_profile=matrix_profile(), **options)
-    photo = load_photo(tmp_path / "a.jpg")
+def test_a_profile_goes_before_exif(photo_of):
+    picture, given = eight_bits(patches(P3, srgb_encode)), {"icc_profile": matrix_profile()}
+    photo = photo_of(picture, "a.jpg", **BEST, **given, exif=exif_of("R03", 65535))
     np.testing.assert_allclose(seen(photo), REC709, atol=1e-2)
     assert len(photo.notes) == 1
 
