@@ -100,16 +100,6 @@ def pipeline(monkeypatch) -> FakePipeline:
 
 
 @pytest.fixture
-def never_captured(monkeypatch):
-    """Photographs are really read; that one of them gets as far as a capture is a failure."""
-
-    def reached(photo, *rest):
-        pytest.fail(f"{photo.name} was taken for a photograph")
-
-    monkeypatch.setattr(capturing, "capture_under", reached)
-
-
-@pytest.fixture
 def matcap(capsys):
     """Run a command in this process; gives code, out and err, and holds failures to their form."""
 

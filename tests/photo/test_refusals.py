@@ -58,7 +58,7 @@ def test_no_permission(tmp_path, codes, monkeypatch):
     assert "may not be read" in error.what and isinstance(error.__cause__, PermissionError)
 
 
-@pytest.mark.parametrize("name", ["notes.dng", "notes.jpg", "notes.nef"])
+@pytest.mark.parametrize("name", ["notes.dng", "notes.jpg", "notes.nef", "notes.xyz"])
 def test_text_under_a_false_name(tmp_path, name):
     (tmp_path / name).write_text("Dear diary, today I photographed a wall.\n" * 30)
     assert "text file" in refuse(tmp_path / name).what
@@ -72,6 +72,12 @@ def test_wrong_type(tmp_path, head):
     assert "not a photograph" in refuse(tmp_path / "a.jpg").what
 
 
+@pytest.mark.parametrize("data", [b"II*\0\x08\0\0\0", bytes(100_000)])
+def test_a_header_alone_and_zeros_are_no_raw(tmp_path, data):
+    (tmp_path / "a.dng").write_bytes(data)
+    refuse(tmp_path / "a.dng")
+
+
 @pytest.mark.parametrize("suffix", ["png", "tif", "jpg"])
 @pytest.mark.parametrize("shape", [(1, 1), (63, 500), (500, 63)])
 def test_too_small(tmp_path, suffix, shape):
@@ -81,9 +87,8 @@ def test_too_small(tmp_path, suffix, shape):
 
 
 def test_too_small_raw(tmp_path):
-    assert (
-        "too small" in refuse(write_dng(tmp_path / "a.dng", mosaic(np.full((40, 90, 3), 0.3)))).what
-    )
+    path = write_dng(tmp_path / "a.dng", mosaic(np.full((40, 90, 3), 0.3)))
+    assert "too small" in refuse(path).what
 
 
 def test_a_header_that_claims_too_much(tmp_path, codes):
