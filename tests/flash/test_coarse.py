@@ -20,9 +20,6 @@ from matcap.flash.coarse.model import INDEX
 from matcap.photo.camera import CameraProfile, Falloff
 from matcap.photo.tone import SHOULDER, ToneCurve
 
-# torch's forward-mode derivatives warn once, when first used.
-pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
-
 CASES = {
     "satin": dict(roughness=0.4),
     "matt": dict(roughness=0.75, diffuse=(0.2, 0.4, 0.3)),

@@ -14,9 +14,6 @@ from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.highlight import elongation, find_highlight, light_of
 from matcap.lab.bench.highlight import rerendered
 
-# torch's forward-mode derivatives warn once, when first used.
-pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
-
 
 def polished(*, roughness, intensity=10.0, offset=(0.1, 0.05, 0.0), tilt=(0.0, 0.0), **material):
     setup = a_setup(offset=offset, tilt=tilt, intensity=intensity)

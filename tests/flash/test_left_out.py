@@ -18,9 +18,6 @@ from matcap.photo.border import border_crop
 from matcap.photo.inspect import inspect_photo
 from matcap.photo.left_out import leave_out
 
-# torch's forward-mode derivatives warn once, when first used.
-pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
-
 LABEL = (9.0, 0.1, 0.1)
 
 

@@ -92,7 +92,6 @@ def test_a_jpeg_gives_millimetres_and_no_colours(shot, tmp_path):
     assert "albedo is relative" in card_sentence(None)
 
 
-@pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")  # torch's own use
 def test_albedo_becomes_absolute(calibration, tmp_path):
     """A grey card of known albedo, whose brightness alone cannot tell it from a dim flash."""
 

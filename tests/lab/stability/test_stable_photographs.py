@@ -18,9 +18,6 @@ from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 from matcap.statistics.lattice import find_lattice
 
-# torch's forward-mode derivatives warn once, when first used.
-pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
-
 WIDTH, HEIGHT = 96, 72
 REFUSED = {
     "black": "black",

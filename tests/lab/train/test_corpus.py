@@ -9,9 +9,6 @@ from matcap.lab.simulate.materials.kinds import RandomKind
 from matcap.lab.train.corpus import build, material_of, simulate
 from matcap.lab.train.pack import Pack, held_out
 
-# torch's own forward differentiation, which the coarse fit uses, still loads what torch deprecates.
-pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
-
 
 def test_unreadable_pictures_are_listed_and_left_out(pack, tmp_path):
     (tmp_path / "a_1.jpg").write_bytes(pack.entries[0].jpeg)

@@ -20,9 +20,6 @@ from matcap.space.prior.encoder_input import FEATURES
 from matcap.statistics.encoding import Encoding
 from matcap.statistics.filterbank import FilterBank
 
-# torch's own forward differentiation, which the coarse fit uses, still loads what torch deprecates.
-pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
-
 ENCODING = Encoding(0.2, 3.0 * torch.eye(3))
 
 

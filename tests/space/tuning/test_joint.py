@@ -35,7 +35,6 @@ def test_each_window_is_rendered_as_in_its_own_photograph():
     assert not torch.equal(found[0], found[1])
 
 
-@pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
 def test_each_photograph_keeps_its_own_geometry_and_gain():
     camera = PhoneCamera(width=128, height=96, supersampling=1)
     material = EXAMPLES["leather"].pieces(4)

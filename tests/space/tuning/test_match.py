@@ -169,7 +169,6 @@ def test_a_render_that_is_not_finite_changes_nothing(truth, photo):
     assert not nothing.shift.any()
 
 
-@pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
 def test_a_capture_ends_with_it_but_for_drafts():
     setup = SETUP.with_intensity((3.0, 3.0, 3.0))
     shot = take(EXAMPLES["leather"].pieces(1), PhoneCamera(128, 96, supersampling=1), setup)
