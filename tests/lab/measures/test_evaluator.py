@@ -8,22 +8,32 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError, UsageError
+from matcap.flash.geometry import FlashSetup
 from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
 from matcap.lab.measures.lights import relight_all
 from matcap.lab.measures.maps import MapNumbers
 from matcap.lab.measures.nsd import SqueezeNetStyle
 from matcap.lab.measures.squeezenet import SqueezeNet
 from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import USUAL, phone_cone, photograph, subjects
+from matcap.lab.simulate.specimen import EXAMPLES, USUAL, phone_cone, photograph, subjects
 from matcap.photo.load import load_photo
 
 SMALL = EvaluationSettings(detail=256, size=128, camera=PhoneCamera(160, 120))
+FLASH = FlashSetup(fov=65.0, intensity=(2.0, 2.0, 2.0))
+PLASTER = EXAMPLES["plaster"]
 
 
 @pytest.fixture(scope="module")
 def styles():
     torch.manual_seed(0)
     return {"NSD": SqueezeNetStyle(SqueezeNet())}
+
+
+@pytest.fixture(scope="module")
+def sharp(styles):
+    """Maps that went through no lens are held against truths that went through none."""
+    settings = replace(SMALL, camera=replace(SMALL.camera, blur=0.0))
+    return Evaluator(PLASTER, FLASH, settings, styles)
 
 
 def test_subjects_by_name_kind_and_folder():
@@ -39,10 +49,9 @@ def test_subjects_by_name_kind_and_folder():
 
 
 def test_exposure_is_the_camera_s_and_its_offset(tmp_path):
-    (subject,) = subjects(["plaster"])
-    path, plain = photograph(subject, SMALL.camera, tmp_path)
+    path, plain = photograph(PLASTER, SMALL.camera, tmp_path)
     assert path.suffix == ".dng"
-    path, darker = photograph(subject, SMALL.camera, tmp_path, ev=-1.0)
+    path, darker = photograph(PLASTER, SMALL.camera, tmp_path, ev=-1.0)
     assert darker.linear.mean() == pytest.approx(0.5 * plain.linear.mean())
     assert darker.setup.intensity[0] == pytest.approx(0.5 * plain.setup.intensity[0])
 
@@ -61,61 +70,40 @@ def test_a_phone_s_jpeg_is_lit_by_a_cone_beside_the_lens_s_axis(tmp_path):
     assert len({cone.vignetting_centre for cone in cones}) == len(cones)
 
 
-def test_true_maps_are_nearer_than_flat_ones_in_any_detail(styles):
-    (subject,) = subjects(["plaster"])
-    shot = photograph_setup()
-    # Maps that went through no lens are held against truths that went through none.
-    sharp = replace(SMALL, camera=replace(SMALL.camera, blur=0.0))
-    evaluator = Evaluator(subject, shot, sharp, styles)
-    true = subject.pieces(77)(256, 256, 2.0 / 512)
+def test_true_maps_are_nearer_than_flat_ones_in_any_detail(sharp):
+    true = PLASTER.pieces(77)(256, 256, 2.0 / 512)
     flat = replace(true, height=0.0 * true.height, roughness=0.0 * true.roughness + 0.3)
-    near = evaluator.style_ratio_of(true, shot.intensity)
-    assert evaluator.style_ratio_of(flat, shot.intensity) > 1.2 * near
-    pictures = relight_all(flat.map(lambda m: m.float()), shot.intensity, evaluator.scene)
+    near = sharp.style_ratio_of(true, FLASH.intensity)
+    assert sharp.style_ratio_of(flat, FLASH.intensity) > 1.2 * near
+    pictures = relight_all(flat.map(lambda m: m.float()), FLASH.intensity, sharp.scene)
     assert pictures.shape[-1] == 256  # compared with pictures of 128
 
 
-def test_a_true_piece_in_finer_detail_looks_as_truths_do(styles):
-    (subject,) = subjects(["plaster"])
-    shot = photograph_setup()
-    sharp = replace(SMALL, camera=replace(SMALL.camera, blur=0.0))
-    evaluator = Evaluator(subject, shot, sharp, styles)
-    side, texel = sharp.finer * sharp.size, 2.0 / (sharp.finer * sharp.detail)
-    true = subject.pieces(subject.seed + 1)(side, side, texel)
-    torch.testing.assert_close(evaluator.relit(true, shot.intensity), evaluator.pictures[0])
+def test_a_true_piece_in_finer_detail_looks_as_truths_do(sharp):
+    side, texel = SMALL.finer * SMALL.size, 2.0 / (SMALL.finer * SMALL.detail)
+    true = PLASTER.pieces(PLASTER.seed + 1)(side, side, texel)
+    torch.testing.assert_close(sharp.relit(true, FLASH.intensity), sharp.pictures[0])
 
 
 def test_an_evaluation_stays_what_was_measured_by():
     """By the code of 2026-11-25: a sharp sample in the photograph's detail, and it flat."""
-    (subject,) = subjects(["plaster"])
-    shot = photograph_setup()
-    evaluator = Evaluator(subject, shot, SMALL, {"NSD": SMALL.squeezenet})
-    true = subject.pieces(77)(256, 256, 2.0 / 512)
-    assert evaluator.style_ratio_of(true, shot.intensity) == pytest.approx(2.7971, rel=1e-3)
+    evaluator = Evaluator(PLASTER, FLASH, SMALL, {"NSD": SMALL.squeezenet})
+    true = PLASTER.pieces(77)(256, 256, 2.0 / 512)
+    assert evaluator.style_ratio_of(true, FLASH.intensity) == pytest.approx(2.7971, rel=1e-3)
     flat = replace(true, height=0.0 * true.height)
-    assert evaluator.style_ratio_of(flat, shot.intensity) == pytest.approx(3.0210, rel=1e-3)
+    assert evaluator.style_ratio_of(flat, FLASH.intensity) == pytest.approx(3.0210, rel=1e-3)
 
 
-def test_the_photograph_s_own_light_is_a_scene_of_its_own(styles):
-    (subject,) = subjects(["plaster"])
-    evaluator = Evaluator(subject, photograph_setup(), SMALL, styles)
-    (light,) = evaluator.own_scene.lights
-    assert light.place == (0.0, 0.0, evaluator.flash.distance) and light.strength == 1.0
-    found = evaluator.relit_truths(evaluator.own_scene)[0]
-    assert evaluator.style_ratio(found, scene=evaluator.own_scene) < 1.0  # one of the true samples
+def test_the_photograph_s_own_light_is_a_scene_of_its_own(sharp):
+    (light,) = sharp.own_scene.lights
+    assert light.place == (0.0, 0.0, sharp.flash.distance) and light.strength == 1.0
+    found = sharp.relit_truths(sharp.own_scene)[0]
+    assert sharp.style_ratio(found, scene=sharp.own_scene) < 1.0  # one of the true samples
 
 
-def test_maps_that_are_smaller_than_what_is_compared_are_refused(styles):
-    (subject,) = subjects(["plaster"])
-    evaluator = Evaluator(subject, photograph_setup(), SMALL, styles)
+def test_maps_that_are_smaller_than_what_is_compared_are_refused(sharp):
     with pytest.raises(MatcapError, match="128 x 128 are compared"):
-        evaluator.middle(subject.pieces(1)(100, 200, 2.0 / 256))
-
-
-def photograph_setup():
-    from matcap.flash.geometry import FlashSetup
-
-    return FlashSetup(fov=65.0, intensity=(2.0, 2.0, 2.0))
+        sharp.middle(PLASTER.pieces(1)(100, 200, 2.0 / 256))
 
 
 def test_numbers_tell_tilt_albedo_and_roughness():

@@ -10,7 +10,7 @@ from matcap.errors import MatcapError
 from matcap.lab.measures.nsd import SqueezeNetStyle, StyleRatio, style_distance
 from matcap.lab.measures.paper_metrics import BINS, diversity, xyz_difference, xyz_histograms
 from matcap.lab.measures.squeezenet import WEIGHTS, SqueezeNet
-from matcap.lab.measures.style import Patches, RandomFilters
+from matcap.lab.measures.style import Patches, RandomFilters, difference
 from matcap.lab.simulate.write_dng import REC709_TO_XYZ
 
 
@@ -68,13 +68,6 @@ def test_the_weights_that_come_along_are_whole():
     assert all(np.isfinite(p.numpy()).all() and float(p.std()) > 0 for p in network.parameters())
 
 
-def test_distance_is_0_for_equals_and_symmetric(style):
-    first, second = stripes(8), stripes(23)
-    assert style_distance(style, first, first) == 0.0
-    there, back = style_distance(style, first, second), style_distance(style, second, first)
-    assert there == pytest.approx(back) and 0.0 < there <= 2.0
-
-
 def test_places_do_not_count_and_patterns_do():
     style = SqueezeNetStyle()
     moved = style_distance(style, stripes(8), stripes(8, phase=3))
@@ -114,9 +107,41 @@ def test_distances_stay_what_was_measured_by(kind):
     assert found == pytest.approx(REFERENCES[kind], rel=1e-3)
 
 
-def test_small_pictures_are_refused(style):
+@pytest.mark.parametrize("kind", REFERENCES)
+def test_a_distance_is_0_for_equals_symmetric_and_bounded(kind):
+    style, first, second = kind(), stripes(8), stripes(23)
+    assert style_distance(style, first, first) == 0.0
+    there, back = style_distance(style, first, second), style_distance(style, second, first)
+    assert there == pytest.approx(back) and 0.0 < there <= 2.0
+
+
+@pytest.mark.parametrize(("kind", "side"), [(SqueezeNetStyle, 64), (Patches, 40)])
+def test_small_pictures_are_refused(kind, side):
     with pytest.raises(ValueError, match="too small"):
-        style(torch.zeros(1, 3, 64, 64))
+        kind()(torch.zeros(1, 3, side, side))
+
+
+def noise(seed, scale=1.0):
+    generator = torch.Generator().manual_seed(seed)
+    return (0.5 + 0.1 * scale * torch.randn(2, 3, 96, 96, generator=generator)).clamp(0.0, 1.0)
+
+
+def patches_apart(first, second):
+    style = Patches()
+    return float(difference(style(first), style(second)).mean())
+
+
+def test_where_patches_are_does_not_count_and_how_often_they_occur_does():
+    first = noise(0)
+    moved = patches_apart(first, first.roll((13, 29), (2, 3)))
+    assert moved < 0.3 * patches_apart(first, noise(1, 2.0))
+    assert moved < 0.3 * patches_apart(first, first + 0.1)
+
+
+def test_patches_tell_grain_from_blotches_of_the_same_contrast():
+    blotches = torch.nn.functional.avg_pool2d(torch.nn.functional.pad(noise(2), [2] * 4), 5, 1)
+    blotches = 0.5 + (blotches - 0.5) * 0.1 / float(blotches.std())
+    assert patches_apart(noise(0), blotches) > 3.0 * patches_apart(noise(0), noise(1))
 
 
 def picture(seed: int, size: int = 64) -> torch.Tensor:
