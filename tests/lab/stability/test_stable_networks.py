@@ -37,10 +37,9 @@ def a_decoder(gain=1.0):
     return decoder
 
 
-def a_field(size=64, seed=0, x=0, y=0):
-    return random_field(
-        Patch(seed, Rectangle(x, y, size, size)), CONFIG.noise_channels, WAVES, levels=DEPTH
-    )
+def a_field(size=64):
+    patch = Patch(0, Rectangle(0, 0, size, size))
+    return random_field(patch, CONFIG.noise_channels, WAVES, levels=DEPTH)
 
 
 def a_material(decoder):

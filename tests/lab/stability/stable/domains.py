@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from types import MappingProxyType
 
 from matcap.lab.experiment.results import Trial, Value
@@ -33,10 +34,18 @@ class Entry:
 
 _RELIGHTING: Mapping[str, Entry] = MappingProxyType(
     {
-        "lobes, roughness from 0.03": Entry(shading.lobes, 0.25, "the value, or 1e-6/sr"),
-        "lobes, roughness below 0.03": Entry(shading.smooth_lobes, 0.15, "the value, or 1e-6/sr"),
-        "albedo tables, n.v from 0.01": Entry(shading.tables, 0.006, "all light"),
-        "albedo tables, n.v below 0.01": Entry(shading.grazing_tables, 0.004, "all light"),
+        "lobes, roughness from 0.03": Entry(
+            partial(shading.lobes, smooth=False), 0.25, "the value, or 1e-6/sr"
+        ),
+        "lobes, roughness below 0.03": Entry(
+            partial(shading.lobes, smooth=True), 0.15, "the value, or 1e-6/sr"
+        ),
+        "albedo tables, n.v from 0.01": Entry(
+            partial(shading.tables, grazing=False), 0.006, "all light"
+        ),
+        "albedo tables, n.v below 0.01": Entry(
+            partial(shading.tables, grazing=True), 0.004, "all light"
+        ),
         "compensation, white furnace": Entry(shading.furnace, 0.1, "all light"),
         "point and directional lights": Entry(
             shading.point_lights, 0.1, "the value, or 1e-4 of the brightest"

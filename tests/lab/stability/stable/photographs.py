@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import torch
@@ -98,31 +99,19 @@ def _stripes(width: int, height: int, _seed: int) -> Pixels:
     return np.broadcast_to(wave[None, :, None], (height, width, 3)).astype(np.float32)
 
 
-def _square(width: int, _height: int, seed: int) -> Pixels:
-    del width
-    return textured(64, 64, seed)
-
-
-def _strip(width: int, _height: int, seed: int) -> Pixels:
-    return textured(8 * width, 64, seed)
-
-
 def _one_channel(width: int, height: int, seed: int) -> Pixels:
     pixels = textured(width, height, seed)
     pixels[..., 1:] = 0.0
     return pixels
 
 
-def _half_black(width: int, height: int, seed: int) -> Pixels:
-    pixels = textured(width, height, seed)
-    pixels[:, : width // 2] = 0.0
-    return pixels
+def _left_half(value: float) -> Hard:
+    def picture(width: int, height: int, seed: int) -> Pixels:
+        pixels = textured(width, height, seed)
+        pixels[:, : width // 2] = value
+        return pixels
 
-
-def _half_clipped(width: int, height: int, seed: int) -> Pixels:
-    pixels = textured(width, height, seed)
-    pixels[:, : width // 2] = 1.0
-    return pixels
+    return picture
 
 
 def _one_dot(width: int, height: int, seed: int) -> Pixels:
@@ -143,18 +132,8 @@ def _half_metal(width: int, height: int, seed: int) -> Pixels:
     return pixels
 
 
-def _made(
-    *,
-    diffuse: float = 0.3,
-    specular: float | tuple[float, float, float] = 0.04,
-    roughness: float = 0.4,
-    offset: tuple[float, float, float] = (0.1, 0.05, 0.0),
-    tilt: tuple[float, float] = (0.0, 0.0),
-) -> Hard:
-    return lambda width, height, seed: textured(
-        width, height, seed, diffuse=diffuse, specular=specular, roughness=roughness,
-        offset=offset, tilt=tilt,
-    )  # fmt: skip
+def _made(**material: Any) -> Hard:
+    return lambda width, height, seed: textured(width, height, seed, **material)
 
 
 # What each is called in the table of docs/notes/stability.md.
@@ -166,8 +145,8 @@ HARD_PHOTOGRAPHS: Mapping[str, Hard] = MappingProxyType(
         "white": _constant(1.0),
         "grey": _constant(0.2),
         "overexposed by 1.6 stops": _overexposed,
-        "left half clipped": _half_clipped,
-        "left half black": _half_black,
+        "left half clipped": _left_half(1.0),
+        "left half black": _left_half(0.0),
         "red alone": _one_channel,
         "one hot pixel": _one_pixel(1.0),
         "one white dot on black": _one_dot,
@@ -179,8 +158,8 @@ HARD_PHOTOGRAPHS: Mapping[str, Hard] = MappingProxyType(
         "extreme ISO noise": _extreme_iso,
         "checkerboard of pixels": _checkerboard,
         "stripes": _stripes,
-        "64 x 64": _square,
-        "a strip": _strip,
+        "64 x 64": lambda _width, _height, seed: textured(64, 64, seed),
+        "a strip": lambda width, _height, seed: textured(8 * width, 64, seed),
         "gain 1e-6": _gain(1e-6),
         "gain 1e-2": _gain(1e-2),
         "gain 1e6": _gain(1e6),

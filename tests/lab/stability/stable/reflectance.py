@@ -43,14 +43,7 @@ class Draws:
 
     def tensors(self) -> tuple[Tensor, ...]:
         """In the order cook_torrance takes them."""
-        return (
-            self.diffuse,
-            self.specular,
-            self.roughness,
-            self.normal,
-            self.to_light,
-            self.to_view,
-        )
+        return tuple(vars(self).values())
 
 
 Case = Callable[[int, torch.Generator], Draws]
@@ -132,16 +125,8 @@ def _anywhere(n: int, g: torch.Generator) -> Draws:
     )
 
 
-def _turned(n: int, g: torch.Generator) -> Draws:
-    """The same in frames turned at random."""
-    return _turn(_anywhere(n, g), g)
-
-
-def _turned_peak(n: int, g: torch.Generator) -> Draws:
-    return _turn(_near_peak(n, g, _log_uniform(n, g, 1e-4, 1.0)), g)
-
-
 def _turn(base: Draws, g: torch.Generator) -> Draws:
+    """The same in frames turned at random."""
     n = base.roughness.shape[-1]
     axis = torch.randn(3, 1, n, generator=g, dtype=torch.float64)
     z = normalize(axis)
@@ -167,12 +152,9 @@ def _near_peak(n: int, g: torch.Generator, roughness: Tensor) -> Draws:
     return replace(base, to_view=view, to_light=normalize(mirrored + 2.0 * shift))
 
 
-def _peak_rough(n: int, g: torch.Generator) -> Draws:
-    return _near_peak(n, g, _uniform(n, g, SMOOTH, 1.0))
-
-
-def _peak_smooth(n: int, g: torch.Generator) -> Draws:
-    return _near_peak(n, g, _log_uniform(n, g, 1e-4, SMOOTH))
+def _sharp(roughest: float) -> Case:
+    """Peaks of roughness from 1e-4."""
+    return lambda n, g: _near_peak(n, g, _log_uniform(n, g, 1e-4, roughest))
 
 
 def _grazing(view: bool, light: bool) -> Case:
@@ -217,7 +199,7 @@ def _constants(
     roughness: float | None = None,
 ) -> Case:
     def draw(n: int, g: torch.Generator) -> Draws:
-        base = _near_peak(n, g, _log_uniform(n, g, 1e-4, 1.0))
+        base = _sharp(1.0)(n, g)
         if diffuse is not None:
             colour = torch.tensor(diffuse, dtype=torch.float64)[:, None, None]
             base = replace(base, diffuse=colour.expand(3, 1, n))
@@ -246,10 +228,10 @@ CASES: Mapping[str, Case] = MappingProxyType(
         "roughness 0": _constants(roughness=0.0),
         "roughness 1": _constants(roughness=1.0),
         "the whole hemisphere": _anywhere,
-        "the same, frames turned": _turned,
-        "peak, roughness 0.03 to 1": _peak_rough,
-        "peak, roughness 1e-4 to 0.03": _peak_smooth,
-        "peaks, frames turned": _turned_peak,
+        "the same, frames turned": lambda n, g: _turn(_anywhere(n, g), g),
+        "peak, roughness 0.03 to 1": lambda n, g: _near_peak(n, g, _uniform(n, g, SMOOTH, 1.0)),
+        "peak, roughness 1e-4 to 0.03": _sharp(SMOOTH),
+        "peaks, frames turned": lambda n, g: _turn(_sharp(1.0)(n, g), g),
         "grazing view": _grazing(view=True, light=False),
         "grazing light": _grazing(view=False, light=True),
         "both grazing": _grazing(view=True, light=True),

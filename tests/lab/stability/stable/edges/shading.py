@@ -42,20 +42,11 @@ _RULE = 40  # points a side of the rule that albedos are integrated by
 _DARK = 1e-4  # of a picture's brightest: errors of darker values are relative to it
 
 
-def lobes(g: np.random.Generator) -> Swept:
+def lobes(g: np.random.Generator, *, smooth: bool) -> Swept:
     """The reflectance of pictures, float32, against that of captures in float64.
 
-    From roughness SMOOTH up.
+    From roughness SMOOTH up, or below.
     """
-    return _lobes(g, smooth=False)
-
-
-def smooth_lobes(g: np.random.Generator) -> Swept:
-    """The same below."""
-    return _lobes(g, smooth=True)
-
-
-def _lobes(g: np.random.Generator, *, smooth: bool) -> Swept:
     case = list(CASES)[int(g.integers(len(CASES)))]
     drawn = CASES[case](_LOBES, torch.Generator().manual_seed(int(g.integers(2**31))))
     given = [tensor.float() for tensor in drawn.tensors()]
@@ -75,17 +66,12 @@ def _lobes(g: np.random.Generator, *, smooth: bool) -> Swept:
     return compared(value[:, sure], exact[:, sure], _UNSEEN, case)
 
 
-def tables(g: np.random.Generator) -> Swept:
-    """Albedo of the specular lobe, both of Schlick's parts, against an integral in float64."""
-    return _tables(g, np.square(g.uniform(0.1, 1.0, 256)))
+def tables(g: np.random.Generator, *, grazing: bool) -> Swept:
+    """Albedo of the specular lobe, both of Schlick's parts, against an integral in float64.
 
-
-def grazing_tables(g: np.random.Generator) -> Swept:
-    """The same for cosines below 0.01, where tables are coarse."""
-    return _tables(g, log_uniform(g, 1e-6, 0.01, 256))
-
-
-def _tables(g: np.random.Generator, mu: Values) -> Swept:
+    Tables are coarse where cosines are below 0.01, at grazing angles.
+    """
+    mu = log_uniform(g, 1e-6, 0.01, 256) if grazing else np.square(g.uniform(0.1, 1.0, 256))
     alpha = np.maximum(np.square(g.uniform(0.0, 1.0, mu.size)), 1e-6)
     total, bias = integrated(alpha, mu)
     found = albedo()
