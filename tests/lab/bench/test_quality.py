@@ -37,10 +37,10 @@ def evaluator(style, shot, settings):
     return Evaluator(EXAMPLES["leather"], shot.setup, settings, {"one": style})
 
 
-def _pictures(evaluator, shot, settings, material="leather", seed=55):
+def _pictures(evaluator, shot, settings, material="leather"):
     """Another true piece, seen as the evaluator's."""
     fine = 2 * settings.size
-    maps = EXAMPLES[material].pieces(seed)(fine, fine, 1.0 / settings.detail)
+    maps = EXAMPLES[material].pieces(55)(fine, fine, 1.0 / settings.detail)
     blur = settings.camera.blur * 2 * settings.detail / settings.camera.width
     return relight_all(
         maps, shot.setup.intensity, evaluator.scene, size=(settings.size, settings.size), blur=blur

@@ -57,5 +57,5 @@ def test_a_megapixel_has_no_other_effects_than_its_plan(folder):
     experiment = plan_experiment([folder / "lamp.toml"], repeats=1)
     assert experiment.skips(MEGAPIXEL, EVERYTHING) and not experiment.skips("lamp", EVERYTHING)
     lit = experiment.subjects["lamp"]()
-    found = experiment.configurations["plan"].run(lit, 0).values
+    found = experiment.configurations["plan"].run(lit, 0)
     assert found["effects"] >= 1.0 and found["seconds"] > 0.0

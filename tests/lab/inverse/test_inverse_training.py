@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,10 @@ from matcap.lab.simulate.materials import random_material
 
 TINY = InverseConfig(widths=(8, 8, 8, 8, 8), context=8)
 SMALL = TrainSettings(width=64, height=64, workers=0)
+
+
+def legs(folder: Path, steps: int, config: InverseConfig = TINY, begin: Path | None = None):
+    return train(folder, replace(SMALL, steps=steps), config, lambda _line: None, begin)
 
 
 def test_a_sample_is_a_function_of_its_number() -> None:
@@ -65,9 +70,9 @@ def test_the_truth_has_no_loss_but_doubt() -> None:
 
 
 def test_legs_continue_exactly(tmp_path: Path) -> None:
-    whole = train(tmp_path / "whole", TrainSettings(**{**vars(SMALL), "steps": 4}), TINY, _quiet)
-    train(tmp_path / "runs", TrainSettings(**{**vars(SMALL), "steps": 2}), TINY, _quiet)
-    resumed = train(tmp_path / "runs", TrainSettings(**{**vars(SMALL), "steps": 4}), TINY, _quiet)
+    whole = legs(tmp_path / "whole", 4)
+    legs(tmp_path / "runs", 2)
+    resumed = legs(tmp_path / "runs", 4)
     assert resumed.step == whole.step == 4
     for a, b in zip(whole.model.parameters(), resumed.model.parameters(), strict=True):
         assert torch.equal(a, b)
@@ -88,8 +93,7 @@ def test_a_first_leg_goes_on_from_a_shipped_network(tmp_path: Path) -> None:
     torch.manual_seed(3)
     save_inverse(Inverse(TINY), tmp_path / "before.safetensors", {"steps": 7})
     before, _ = read_inverse(tmp_path / "before.safetensors")
-    none = TrainSettings(**{**vars(SMALL), "steps": 0})
-    state = train(tmp_path / "run", none, TINY, _quiet, begin=tmp_path / "before.safetensors")
+    state = legs(tmp_path / "run", 0, begin=tmp_path / "before.safetensors")
     assert state.step == 0 and state.about["origin"] == {"steps": 7}
     for a, b in zip(before.parameters(), state.average.parameters(), strict=True):
         assert torch.equal(a, b)
@@ -98,9 +102,8 @@ def test_a_first_leg_goes_on_from_a_shipped_network(tmp_path: Path) -> None:
 def test_what_is_shipped_may_lie_on_the_way(tmp_path: Path) -> None:
     torch.manual_seed(3)
     save_inverse(Inverse(), tmp_path / "before.safetensors", {"steps": 7})
-    once = TrainSettings(**{**vars(SMALL), "steps": 1})
     begin = tmp_path / "before.safetensors"
-    state = train(tmp_path / "run", once, InverseConfig(), _quiet, begin=begin)
+    state = legs(tmp_path / "run", 1, InverseConfig(), begin)
     card = ship(tmp_path / "run", tmp_path / "between.safetensors", begin, 0.5)
     assert card["photographs_seen"] == 8 and card["share"] == 0.5
     before, between = read_inverse(begin)[0], read_inverse(tmp_path / "between.safetensors")[0]
@@ -135,7 +138,3 @@ def test_a_few_steps_on_one_picture_lower_its_loss() -> None:
         optimiser.step()
         losses.append(float(loss.detach()))
     assert min(losses[-3:]) < losses[0]
-
-
-def _quiet(_line: str) -> None:
-    pass

@@ -19,7 +19,7 @@ from matcap.lab.train.state import TrainConfig
 from matcap.lab.train.train import draw, schedule, train
 from matcap.lab.train.trainer import Training
 from matcap.space.decoder import DecoderConfig
-from matcap.space.encoder import Encoder, EncoderConfig
+from matcap.space.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE, Encoder, EncoderConfig
 from matcap.space.prior.store import load_prior
 
 TINY = TrainConfig(
@@ -168,33 +168,29 @@ def test_a_configuration_is_read(tmp_path):
     assert config.encoder == EncoderConfig("resnet50", 512)
 
 
-def test_both_backbones_have_one_interface():
-    from matcap.space.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE
+def encoded(encoder):
+    """Of two random photographs."""
+    return encoder(
+        torch.randn(2, PICTURE_CHANNELS, 48, 64), torch.randn(2, NUMBERS), torch.randn(2, TEXTURE)
+    )
 
+
+def test_both_backbones_have_one_interface():
     for backbone, least in (("small", 1e6), ("resnet50", 2e7)):
         encoder = Encoder(EncoderConfig(backbone))
         assert sum(p.numel() for p in encoder.parameters()) > least
         with torch.no_grad():
-            mean, log_variance = encoder(
-                torch.randn(2, PICTURE_CHANNELS, 48, 64),
-                torch.randn(2, NUMBERS),
-                torch.randn(2, TEXTURE),
-            )
+            mean, log_variance = encoded(encoder)
         assert mean.shape == log_variance.shape == (2, 64)
 
 
 def test_the_papers_backbone_learns():
     """One step of Adam on a small picture moves every weight, and none of them to NaN."""
-    from matcap.space.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE
-
     torch.manual_seed(0)
     encoder = Encoder(EncoderConfig("resnet50", width=64))
     optimiser = torch.optim.Adam(encoder.parameters(), lr=1e-4)
     before = {name: value.clone() for name, value in encoder.state_dict().items()}
-    mean, log_variance = encoder(
-        torch.randn(2, PICTURE_CHANNELS, 48, 64), torch.randn(2, NUMBERS), torch.randn(2, TEXTURE)
-    )
-    assert mean.shape == log_variance.shape == (2, 64)
+    mean, log_variance = encoded(encoder)
     kl = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).mean()
     (kl + (mean - 1.0).square().mean()).backward()
     optimiser.step()
