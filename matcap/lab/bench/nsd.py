@@ -102,13 +102,19 @@ def nsd_experiment(
 
         return prepared
 
+    def albedo(captured: CapturedSubject, _seed: int) -> CapturedMaps:
+        photo = as_photo(captured.shot, captured.subject.seed, captured.subject.name)
+        return photo_as_albedo(photo, captured.shot.setup, evaluation.detail)
+
     return Experiment(
         "floors",
         {subject.name: prepare(subject) for subject in subjects},
         {
-            ALBEDO: Configuration(_albedo),
-            EXEMPLAR: Configuration(_exemplar),
-            FIELD: Configuration(_field),
+            ALBEDO: Configuration(albedo),
+            EXEMPLAR: Configuration(lambda captured, _seed: exemplar_maps(captured.result)),
+            FIELD: Configuration(
+                lambda captured, seed: field_maps(captured.result.material, evaluation.width, seed)
+            ),
         },
         (nsd, under_mirrored_lights, flash_imprint, map_numbers, capture_seconds),
         settings=(settings, evaluation),
@@ -246,22 +252,6 @@ def map_numbers(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, V
     return compared_numbers(evaluator.middle(maps.maps), evaluator.truths)
 
 
-def capture_seconds(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, Value]:
+def capture_seconds(captured: CapturedSubject, _maps: CapturedMaps) -> Mapping[str, Value]:
     """Run time of the capture, which replaces the configuration's own."""
-    del maps
     return {"seconds": sum(captured.result.stage_seconds.values())}
-
-
-def _albedo(captured: CapturedSubject, seed: int) -> CapturedMaps:
-    del seed
-    photo = as_photo(captured.shot, captured.subject.seed, captured.subject.name)
-    return photo_as_albedo(photo, captured.shot.setup, captured.evaluator.settings.detail)
-
-
-def _exemplar(captured: CapturedSubject, seed: int) -> CapturedMaps:
-    del seed
-    return exemplar_maps(captured.result)
-
-
-def _field(captured: CapturedSubject, seed: int) -> CapturedMaps:
-    return field_maps(captured.result.material, captured.evaluator.settings.width, seed)

@@ -84,6 +84,8 @@ _MEDIAN = 0.6745 * 2.0**0.5
 # Of Mitsuba: needs no compiler, which not every machine has in a form that it can use.
 _VARIANT = "scalar_rgb"
 
+Timed = Mapping[str, Value]  # times, as columns
+
 
 @dataclass(frozen=True)
 class LitScene:
@@ -127,7 +129,7 @@ def plan_experiment(scenes: Sequence[Path], repeats: int = 3) -> Experiment[LitS
             EVERYTHING: Configuration(everything),
             "next picture": Configuration(following),
         },
-        (lambda _lit, timing: timing.values,),
+        (lambda _lit, timing: timing,),
         settings=(chosen_scenes(scenes), repeats),
         skips=lambda subject, name: subject == MEGAPIXEL and name == EVERYTHING,
     )
@@ -165,7 +167,7 @@ def tolerance_experiment(
             name: Configuration(partial(run, effects, steps), group)
             for name, (group, effects, steps) in points.items()
         },
-        (lambda _lit, timing: timing.values,),
+        (lambda _lit, timing: timing,),
         settings=(chosen, texels, repeats),
     )
 
@@ -189,7 +191,7 @@ def mitsuba_experiment() -> Experiment[LitScene, Timed]:
 
     def theirs(lit: LitScene, _seed: int) -> Timed:
         seconds, noise = _seconds(mitsuba, _described(mitsuba, lit.scene, lit.texture))
-        return Timed({"seconds": seconds, "noise": noise})
+        return {"seconds": seconds, "noise": noise}
 
     chosen = {
         name: replace(given, film=replace(given.film or Film(), width=320, height=240))
@@ -202,21 +204,14 @@ def mitsuba_experiment() -> Experiment[LitScene, Timed]:
         "mitsuba",
         {name: partial(_lit, scene, 512) for name, scene in chosen.items()},
         {"matcap": Configuration(ours), "Mitsuba to 1 % of noise": Configuration(theirs)},
-        (lambda _lit, timing: timing.values,),
+        (lambda _lit, timing: timing,),
     )
-
-
-@dataclass(frozen=True)
-class Timed:
-    """Times, as columns."""
-
-    values: Mapping[str, Value]
 
 
 def timed(call: Callable[[], object], repeats: int, **others: float) -> Timed:
     """Median processor and wall time of a call, s, and other columns."""
     seconds, clock = median_seconds(call, repeats)
-    return Timed({"seconds": seconds, "clock": clock, **{k: float(v) for k, v in others.items()}})
+    return {"seconds": seconds, "clock": clock, **{k: float(v) for k, v in others.items()}}
 
 
 def median_seconds(call: Callable[[], object], repeats: int) -> tuple[float, float]:

@@ -159,9 +159,8 @@ def off(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     return asdict(MapsOff.of(maps, taken.true_on(result)(*maps.size)))
 
 
-def residuals(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
+def residuals(_taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """Number of photographs used, and their residuals against re-renderings."""
-    del taken
     several = None if result.estimate is None else result.estimate.several
     if several is None:
         return {"used": 1.0, "residual": math.nan, "predicted": math.nan}
