@@ -165,15 +165,15 @@ def doubts(outputs: Tensor, sample: Sample) -> tuple[Tensor, Tensor]:
     return expected[thin].reshape(ERRORS, -1), made[thin].reshape(ERRORS, -1)
 
 
-def calibration(expected: Tensor, made: Tensor, tenths: int = 10) -> Tensor:
-    """(C, tenths) median of actual over predicted errors, in quantiles of the predicted ones.
+def calibration(expected: Tensor, made: Tensor) -> Tensor:
+    """(C, 10) median of actual over predicted errors, in quantiles of the predicted ones.
 
     Both are (C, n).
     """
     order = expected.argsort(1)
     rows = []
     for predicted, errors in zip(expected.gather(1, order), made.gather(1, order), strict=True):
-        bins = zip(predicted.tensor_split(tenths), errors.tensor_split(tenths), strict=True)
+        bins = zip(predicted.tensor_split(10), errors.tensor_split(10), strict=True)
         rows.append(
             torch.stack(
                 [(e.median() + _BIT) / (t.median() + _BIT).clamp_min(_BIT) for t, e in bins]

@@ -43,13 +43,13 @@ class Variety:
         return self.mean_distance / self.mean_distance_true
 
 
-def variety(made: StyleStatistics, true: StyleStatistics, neighbour: int = NEIGHBOUR) -> Variety:
-    """Compare generated pictures with true ones, more than `neighbour` (k) each."""
+def variety(made: StyleStatistics, true: StyleStatistics) -> Variety:
+    """Compare generated pictures with true ones, more than NEIGHBOUR (k) each."""
     across = style_distances(made, true)
     within, within_true = style_distances(made, made), style_distances(true, true)
     return Variety(
-        precision=_covered(across, reaches(within_true, neighbour)),
-        recall=_covered(across.T, reaches(within, neighbour)),
+        precision=_covered(across, reaches(within_true, NEIGHBOUR)),
+        recall=_covered(across.T, reaches(within, NEIGHBOUR)),
         mean_distance=mean_pairwise(within),
         mean_distance_true=mean_pairwise(within_true),
         nearest=across.argmin(dim=1),

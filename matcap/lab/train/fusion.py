@@ -91,7 +91,6 @@ def train_fusion(
     inputs: tuple[Tensor, ...],
     tilts: Tensor,
     *,
-    steps: int = _STEPS,
     on_progress: Callable[[str], None] = lambda line: None,
 ) -> None:
     """Train in place: AdamW on the negative log-likelihood of the angles.
@@ -100,7 +99,6 @@ def train_fusion(
         fusion: the network.
         inputs: of samples().
         tilts: (N, 2) true angles.
-        steps: of 128 samples each.
         on_progress: called with a line every 500 steps.
     """
     torch.manual_seed(0)
@@ -122,5 +120,5 @@ def train_fusion(
         return likelihood_loss(mean, std, true), {"degrees": error}
 
     reporting = Reporting(500, float("inf"), on_progress=on_progress)
-    fit(training, loss_of, RateSchedule(steps, 30, steps), None, reporting)
+    fit(training, loss_of, RateSchedule(_STEPS, 30, _STEPS), None, reporting)
     fusion.requires_grad_(False).eval()
