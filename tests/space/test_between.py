@@ -93,6 +93,7 @@ def test_the_command_writes_materials_and_a_strip(prior, tmp_path, capsys):
     for seed, path in ((1, a), (2, b)):
         prior.draw(seed).save(path)
     assert main(["blend", str(folder), str(b), "-t", "0:1:3", "-o", str(out)]) == 0
+    assert capsys.readouterr().err.count("not their patterns") == 1
     assert sorted(p.name for p in out.iterdir()) == [
         "a_b_0.000.matcap",
         "a_b_0.500.matcap",
@@ -123,14 +124,6 @@ def test_a_lattice_is_found_again_and_patches_keep_to_it():
     found = blend(*ends, 0.1).part(Example).index.lattice
     rows = [np.hypot(*wave) for wave in found.waves]
     assert np.abs(np.subtract.outer(rows, 1.0 / np.array(PERIODS))).min() < 1e-3
-
-
-def test_the_command_says_that_decoders_lose_their_patterns(prior, tmp_path, capsys):
-    for seed, name in ((1, "a"), (2, "b")):
-        prior.draw(seed).save(tmp_path / f"{name}.matcap")
-    a, b, out = str(tmp_path / "a.matcap"), str(tmp_path / "b.matcap"), str(tmp_path / "out")
-    assert main(["blend", a, b, "-o", out]) == 0
-    assert capsys.readouterr().err.count("not their patterns") == 1
 
 
 def test_setups_of_a_portrait_and_a_landscape_keep_the_nearer_ones_geometry():

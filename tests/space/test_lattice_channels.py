@@ -106,13 +106,8 @@ def test_cells_too_fine_for_a_level_are_left_out():
 
 
 def test_order_is_waves_then_cells():
-    field = lattice_field(Patch(9, Rectangle(4, 5, 20, 10)), STRAIGHT, 3)
-    assert torch.equal(
-        field[:WAVE_CHANNELS], wave_field(Patch(9, Rectangle(4, 5, 20, 10)), STRAIGHT)
-    )
-    assert torch.equal(
-        field[WAVE_CHANNELS:], cell_field(Patch(9, Rectangle(4, 5, 20, 10)), STRAIGHT, 3)
-    )
-    assert torch.equal(
-        lattice_field(Patch(9, Rectangle(4, 5, 20, 10)), STRAIGHT, 0), field[:WAVE_CHANNELS]
-    )
+    patch = Patch(9, Rectangle(4, 5, 20, 10))
+    field = lattice_field(patch, STRAIGHT, 3)
+    assert torch.equal(field[:WAVE_CHANNELS], wave_field(patch, STRAIGHT))
+    assert torch.equal(field[WAVE_CHANNELS:], cell_field(patch, STRAIGHT, 3))
+    assert torch.equal(lattice_field(patch, STRAIGHT, 0), field[:WAVE_CHANNELS])

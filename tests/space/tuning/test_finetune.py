@@ -2,6 +2,7 @@
 
 import math
 import time
+from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -21,9 +22,9 @@ from matcap.space.tuning.rollback import Rollback
 from matcap.statistics.compare import Weights, describe, distance
 
 
-def error_of(decoder, moments=None, seeds=range(100, 108)):
+def error_of(decoder, moments=None):
     """Distance to the photograph over every window, with noise that tuning never saw."""
-    seen, total = scene(), 0.0
+    seen, seeds, total = scene(), range(100, 108), 0.0
     with torch.no_grad():
         for seed in seeds:
             field = random_field(
@@ -212,3 +213,16 @@ def test_specks_are_paid_for_in_the_second_half_and_patches_never():
         paid(specks, 0.4) == paid(none, 0.4) == paid(none, 0.6) == pytest.approx(paid(patches, 0.6))
     )
     assert paid(specks, 0.6) > paid(none, 0.6) + 0.01
+
+
+COPPER = torch.tensor([0.955, 0.638, 0.538])[:, None, None]
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_a_coloured_f0_pays_what_its_mean_does(share):
+    draw = torch.rand(2, 6, 16, 24, generator=torch.Generator().manual_seed(1)) * 0.5 + 0.2
+    grey = MapSet.from_stacked(draw, 0.1)
+    coloured = replace(grey, specular=grey.specular * COPPER / COPPER.mean())
+    paid, owed = (price(m, torch.zeros(5), Penalties(), share) for m in (coloured, grey))
+    assert float(paid) == pytest.approx(float(owed), rel=1e-5)
+    assert float(paid) > 0.0
