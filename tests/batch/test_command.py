@@ -8,17 +8,21 @@ import pytest
 from kills import make_shoot
 from rich.console import Console
 
-from matcap.batch.entries import BatchEntry
+from matcap.batch.entries import BatchEntry, Policy
 from matcap.batch.input_folder import ShotSample
 from matcap.batch.memory import photo_pixels, pool_size, worker_bytes
 from matcap.batch.predict import _trial
 from matcap.batch.settings import BatchSettings
+from matcap.batch.whole import prepare
+from matcap.batch.work import measured
 from matcap.capture import outputs, pipeline
 from matcap.capture.progress import CaptureProgress
+from matcap.capture.settings import CaptureSettings
 from matcap.cli.display import BatchDisplay
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.files.progress import Progress
+from matcap.photo.calibrate import Calibration
 
 
 @pytest.fixture
@@ -134,11 +138,6 @@ def test_on_a_dumb_terminal_a_line_tells_of_each_end(tmp_path):
 def test_a_card_in_the_shoot_is_no_sample_and_what_it_tells_is_part_of_the_identity(
     shoot, tmp_path, monkeypatch
 ):
-    from matcap.batch.entries import Policy
-    from matcap.batch.settings import BatchSettings
-    from matcap.batch.whole import prepare
-    from matcap.photo.calibrate import Calibration
-
     seen = []
 
     def read(path, fov=None):
@@ -159,10 +158,6 @@ def test_a_card_in_the_shoot_is_no_sample_and_what_it_tells_is_part_of_the_ident
 
 
 def test_a_cards_millimetres_are_the_materials():
-    from matcap.batch.work import measured
-    from matcap.capture.settings import CaptureSettings
-    from matcap.photo.calibrate import Calibration
-
     card = Calibration("card.dng", "digest", millimetres_per_unit=120.0)
     assert measured(CaptureSettings(), card).millimetres_per_unit == 120.0
     assert measured(CaptureSettings(width_cm=10.0), card).millimetres_per_unit == 50.0

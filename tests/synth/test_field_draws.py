@@ -8,7 +8,7 @@ from repetition import correlations
 
 from matcap.field.blocks import BLOCK
 from matcap.field.field import Field, read_source
-from matcap.field.plane import Rectangle, Span
+from matcap.field.plane import Rectangle
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
 from matcap.synth.blend import blend_source
@@ -91,14 +91,6 @@ def test_a_periodic_blend_repeats(material, wavy):
     source = blend_source(material, wavy, Mask(pixels, area, (96, 64)), 4, (96, 64))
     maps = read_source(source, Rectangle(-10, 5, 192, 128), 1).stacked()
     assert torch.equal(maps, maps.roll((64, 96), (1, 2)))
-
-
-def test_masks_are_stretched_and_go_on_beyond_their_border():
-
-    mask = Mask(np.array([[0, 255]], np.uint8), Rectangle(10, 0, 8, 4))
-    shares = mask.shares(6, 0, Span(0, 16), Span(0, 16))[0]
-    assert shares[:6].max() == 0 and shares[10:].min() == 1
-    assert torch.allclose(shares[6:10], torch.tensor([1, 3, 5, 7]) / 8)
 
 
 def test_where_one_material_is_alone_it_is_itself(material, wavy):

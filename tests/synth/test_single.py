@@ -24,13 +24,8 @@ def test_every_thread_computes_on_one_core_and_the_caller_on_its_own_number(work
     assert threads_after_an_operator() == 2
 
 
-def test_one_thread_is_for_its_context_alone_and_restores_the_number_after_an_error() -> None:
-    outside = torch.get_num_threads()
-    torch.set_num_threads(2)
-    try:
-        with suppress(ValueError), one_thread():
-            assert torch.get_num_threads() == 1
-            raise ValueError
-        assert torch.get_num_threads() == 2
-    finally:
-        torch.set_num_threads(outside)
+def test_one_thread_is_for_its_context_alone_and_restores_the_number_after_an_error():
+    with suppress(ValueError), one_thread():
+        assert torch.get_num_threads() == 1
+        raise ValueError
+    assert torch.get_num_threads() == 2
