@@ -19,26 +19,31 @@ def test_a_sound_installation(matcap):
     assert report["prior"] > 100_000
 
 
-def test_text_tells_how_to_install_what_is_missing(matcap, monkeypatch):
-    def without(name):
-        if name == "pillow-heif":
-            raise PackageNotFoundError(name)
-        return version(name)
+@pytest.fixture
+def without(monkeypatch):
+    """Make a package one that is not installed."""
 
-    monkeypatch.setattr("matcap.cli.diagnosis.version", without)
+    def hide(hidden):
+        def found(name):
+            if name == hidden:
+                raise PackageNotFoundError(name)
+            return version(name)
+
+        monkeypatch.setattr("matcap.cli.diagnosis.version", found)
+
+    return hide
+
+
+def test_text_tells_how_to_install_what_is_missing(matcap, without):
+    without("pillow-heif")
     said = matcap("doctor", "--no-self-test")
     assert said.code == 0  # extras are no need
     assert 'not installed: pip install "matcap[heic]"' in said.out
     assert "All is well." in said.out
 
 
-def test_a_missing_need_is_a_fault(matcap, monkeypatch):
-    def without(name):
-        if name == "rawpy":
-            raise PackageNotFoundError(name)
-        return version(name)
-
-    monkeypatch.setattr("matcap.cli.diagnosis.version", without)
+def test_a_missing_need_is_a_fault(matcap, without):
+    without("rawpy")
     said = matcap("doctor")
     assert said.code == 3
     assert "rawpy" in said.out
