@@ -127,7 +127,9 @@ def gltf_metallic(job: ExportJob) -> Export:
     textures = _metallic_textures(job, model)
     in_browsers = {kind: one.in_browsers() for kind, one in textures.items()}
     material = _GltfMaterial(textures, ior(model.dielectric[0]), 1.0)
-    documents = {f"{job.name}.glb": partial(_glb, job, material)}
+    documents: dict[str, Callable[[Path], bytes]] = {
+        f"{job.name}.glb": partial(_glb, job, material)
+    }
     surfaces: dict[str, MadeSurface] = {"metallic": partial(_seen, model, in_browsers)}
     entries = occlusion_entry(job) | {"metallic": model.form}
     return Export({}, documents, surfaces, job.size_notes(), entries)
