@@ -73,16 +73,14 @@ class Adjustments:
         for name, (least, most) in RANGES.items():
             value = getattr(self, name)
             if not least <= value <= most:
-                raise UsageError(
-                    f"{name} is {value:g}",
-                    where=WHERE,
-                    remedy=f"give a number from {least:g} to {most:g}",
+                raise UsageError.at(
+                    WHERE, f"{name} is {value:g}", f"give a number from {least:g} to {most:g}"
                 )
         if not re.fullmatch(r"#[0-9a-fA-F]{6}", self.tint) or self.tint == "#000000":
-            raise UsageError(
+            raise UsageError.at(
+                WHERE,
                 f"tint is '{self.tint[:20]}'",
-                where=WHERE,
-                remedy="give a colour other than black, such as #ffe8d0",
+                "give a colour other than black, such as #ffe8d0",
             )
 
     @property
@@ -144,10 +142,10 @@ def parse_adjustments(text: str | None) -> Adjustments:
         name, equals, value = (one.strip() for one in part.partition("="))
         known = [field.name for field in fields(Adjustments)]
         if not equals or name not in known:
-            raise UsageError(
+            raise UsageError.at(
+                WHERE,
                 f"'{part.strip()[:40]}' is not an adjustment",
-                where=WHERE,
-                remedy=f"give name=value with a name of {', '.join(known)}",
+                f"give name=value with a name of {', '.join(known)}",
             )
         if name in given:
             raise UsageError(f"{name} is given twice", where=WHERE, remedy="leave one out")
@@ -217,7 +215,7 @@ def _read(path: Path) -> str:
         if not isinstance(text, str):
             raise ValueError("no adjustments")
     except (OSError, ValueError, AttributeError) as error:
-        raise UsageError(
-            "this file has no adjustments", where=str(path), remedy="give relief=1.3 or the like"
+        raise UsageError.at(
+            path, "this file has no adjustments", "give relief=1.3 or the like"
         ) from error
     return text

@@ -54,10 +54,8 @@ def in_rec709(colours: MapPixels, primaries: tuple[float, ...] | None, where: st
     try:
         matrix = None if primaries is None else rec709_from(primaries)
     except ValueError as error:
-        raise MatcapError(
-            f"its chromaticities span no colour space ({error})",
-            where=where,
-            remedy="save it in Rec.709",
+        raise MatcapError.at(
+            where, f"its chromaticities span no colour space ({error})", "save it in Rec.709"
         ) from error
     if matrix is None:
         return colours

@@ -182,10 +182,10 @@ def read_mapset(
     file = _find_document(Path(path))
     document = _load_document(file)
     if document is None:
-        raise MatcapError(
+        raise MatcapError.at(
+            file,
             "this is not the JSON file of a map set",
-            where=str(file),
-            remedy="give the folder that matcap synth or matcap capture wrote",
+            "give the folder that matcap synth or matcap capture wrote",
         )
     stated = stated_maps(document, CHANNELS, file)
     maps = {}
@@ -194,10 +194,10 @@ def read_mapset(
         picture = read_exr(file.parent / name, size=stated.size, channels=named)
         pixels = as_saved(picture, channels, str(file.parent / name))
         if pixels.shape[2] != channels:
-            raise MatcapError(
+            raise MatcapError.at(
+                file.parent / name,
                 f"has {pixels.shape[2]} channels instead of {channels}",
-                where=str(file.parent / name),
-                remedy=_recount(kind, pixels.shape[2]),
+                _recount(kind, pixels.shape[2]),
             )
         if kind in COLOURS and channels == 3:
             pixels = in_rec709(pixels, picture.primaries, str(file.parent / name))
@@ -237,20 +237,20 @@ def refuse_to_replace(folder: Path, new: dict[str, Any], names: Iterable[str]) -
     if old is None:
         foreign = [name for name in names if (folder / name).exists()]
         if foreign:
-            raise MatcapError(
+            raise MatcapError.at(
+                folder / foreign[0],
                 "a file of this name exists, and belongs to no map set",
-                where=str(folder / foreign[0]),
-                remedy="choose another folder with -o, or give --overwrite",
+                "choose another folder with -o, or give --overwrite",
             )
         return
     differs = [key for key in _WHAT_IT_IS if old.get(key) != new.get(key)]
     if ("png" in old) and "png" not in new:
         differs.append("PNGs")
     if differs:
-        raise MatcapError(
+        raise MatcapError.at(
+            folder / f"{new['name']}.json",
             f"another map set of this name exists (with another {', '.join(differs)})",
-            where=str(folder / f"{new['name']}.json"),
-            remedy="choose another folder with -o, or give --overwrite",
+            "choose another folder with -o, or give --overwrite",
         )
 
 
@@ -366,17 +366,17 @@ def _find_document(path: Path) -> Path:
         raise MatcapError(what, where=str(path), remedy="check the path")
     documents = find_mapsets(path)
     if not documents:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             "there is no map set in this folder",
-            where=str(path),
-            remedy="give a folder that matcap synth or matcap capture wrote",
+            "give a folder that matcap synth or matcap capture wrote",
         )
     if len(documents) > 1:
         names = ", ".join(file.name for file in documents)
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             f"there are {len(documents)} map sets in this folder ({names})",
-            where=str(path),
-            remedy="name the JSON file of one of them",
+            "name the JSON file of one of them",
         )
     return documents[0]
 
@@ -395,9 +395,9 @@ def _load_document(file: Path) -> dict[str, Any] | None:
     """
     document = read_document(file, FORMAT)
     if document is not None and document.get("version") != VERSION:
-        raise MatcapError(
+        raise MatcapError.at(
+            file,
             f"map set of version {document.get('version')}, this matcap reads {VERSION}",
-            where=str(file),
-            remedy="update matcap",
+            "update matcap",
         )
     return document

@@ -19,8 +19,8 @@ def check_heights(height: NDArray[np.floating], where: str = "") -> None:
     """
     most = float(np.abs(height).max(initial=0.0))
     if TALLEST < most < float("inf"):
-        raise MatcapError(
+        raise MatcapError.at(
+            where,
             f"its height reaches {most:.2g} plane units, which no surface does",
-            where=where,
-            remedy="make the material again",
+            "make the material again",
         )

@@ -73,22 +73,16 @@ def painted_normals(document: dict[str, Any], folder: Path, size: tuple[int, int
     about = document["maps"].get("normal")
     name = about.get("file") if isinstance(about, dict) else None
     if not isinstance(name, str) or name_fault(name):
-        raise MatcapError(
-            "the map set names no file of normals", where=str(folder), remedy=_WITHOUT
-        )
+        raise MatcapError.at(folder, "the map set names no file of normals", _WITHOUT)
     where = str(folder / name)
     pixels = without_alpha(read_exr(folder / name, size=size))
     if pixels.shape[2] != 3:
-        raise MatcapError(
-            f"has {pixels.shape[2]} channels instead of 3", where=where, remedy=_WITHOUT
-        )
+        raise MatcapError.at(where, f"has {pixels.shape[2]} channels instead of 3", _WITHOUT)
     length = np.linalg.norm(pixels, axis=-1, keepdims=True)
     unit = pixels / np.maximum(length, np.float32(1e-9))
     turned = int((unit[..., 2] < _STEEPEST).sum())
     if turned:
-        raise MatcapError(
-            f"the normals of {turned} texels do not face upwards", where=where, remedy=_WITHOUT
-        )
+        raise MatcapError.at(where, f"the normals of {turned} texels do not face upwards", _WITHOUT)
     if document.get("normal") == "dx":
         unit = unit * np.array([1.0, -1.0, 1.0], np.float32)
     return torch.from_numpy(np.ascontiguousarray(unit.transpose(2, 0, 1), np.float32))

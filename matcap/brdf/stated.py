@@ -92,10 +92,8 @@ def stated_maps(document: Mapping[str, Any], kinds: Mapping[str, int], file: Pat
             provenance=known_provenance(entry("provenance", None) or {}),
         )
     except (TypeError, ValueError, OverflowError) as error:
-        raise MatcapError(
-            f"the map set's description is damaged: {error}",
-            where=str(file),
-            remedy="write the map set again",
+        raise MatcapError.at(
+            file, f"the map set's description is damaged: {error}", "write the map set again"
         ) from error
 
 

@@ -173,9 +173,9 @@ def _target(settings: CaptureSettings, own: float, name: str) -> float | None:
     small for two. Raises MatcapError then.
     """
     if settings.target is not None and math.isnan(own):
-        raise MatcapError(
+        raise MatcapError.at(
+            name,
             "the picture is too small to be compared with itself",
-            where=name,
-            remedy="raise --detail, or give --steps or --time in place of --target",
+            "raise --detail, or give --steps or --time in place of --target",
         )
     return None if settings.target is None else settings.target * own

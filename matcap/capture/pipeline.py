@@ -73,19 +73,19 @@ def read_photograph(
     """
     detail = max(settings.detail or 0, LONG_SIDE) if several else settings.most_detail
     if several and (settings.crop or settings.mask):
-        raise UsageError(
+        raise UsageError.at(
+            "--crop" if settings.crop else "--mask",
             "one rectangle or mask cannot fit several photographs, each taken from another place",
-            where="--crop" if settings.crop else "--mask",
-            remedy="leave it out: what does not belong to the sample is detected",
+            "leave it out: what does not belong to the sample is detected",
         )
     photo = load_photo(path, long_side=detail, fov=settings.fov)
     if settings.camera is not None:
         photo = photo.known_by(read_camera_profile(settings.camera))
     if several and photo.left_out is not None:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             "a part of the picture is transparent, which is not supported with --together",
-            where=str(path),
-            remedy="give the original photograph: what is not the sample is detected",
+            "give the original photograph: what is not the sample is detected",
         )
     return leave_out(photo, settings.crop, settings.mask)
 
@@ -273,9 +273,9 @@ def _window(plane: Plane, wanted: int, name: str) -> int:
     """
     width, height = plane.size
     if min(height, width) < SHORTEST_SIDE:
-        raise MatcapError(
+        raise MatcapError.at(
+            name,
             f"at this detail the picture is {width} x {height} texels, too few to hold a texture",
-            where=name,
-            remedy=f"raise --detail, or crop it, until both are at least {SHORTEST_SIDE}",
+            f"raise --detail, or crop it, until both are at least {SHORTEST_SIDE}",
         )
     return min(wanted, *(side // _WINDOW_STEP * _WINDOW_STEP for side in (height, width)))

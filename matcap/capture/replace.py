@@ -58,10 +58,10 @@ def refuse_to_replace_longer_capture(
 
 def _refuse(folder: Path, differences: Sequence[str]) -> None:
     if differences:
-        raise MatcapError(
+        raise MatcapError.at(
+            folder,
             f"the folder has an earlier capture ({', '.join(differences)})",
-            where=str(folder),
-            remedy="choose another folder with -o, or give --overwrite",
+            "choose another folder with -o, or give --overwrite",
         )
 
 

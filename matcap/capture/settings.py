@@ -267,10 +267,8 @@ class OutputSettings:
         check_settings(self)
         width, height = self.size
         if self.tile and (width % _STEP or height % _STEP):
-            raise UsageError(
-                f"{width}x{height} cannot tile",
-                where="size",
-                remedy=f"give sides that are multiples of {_STEP}",
+            raise UsageError.at(
+                "size", f"{width}x{height} cannot tile", f"give sides that are multiples of {_STEP}"
             )
 
     def repeats(self, alignment: int) -> bool:
@@ -314,10 +312,10 @@ def check_photographs(settings: CaptureSettings, photographs: int) -> None:
         UsageError: `union` is set for one photograph.
     """
     if settings.union and photographs < 2:
-        raise UsageError(
+        raise UsageError.at(
+            "--union",
             "this needs several photographs",
-            where="--union",
-            remedy="give two or more of one sample, and --together",
+            "give two or more of one sample, and --together",
         )
 
 
@@ -333,22 +331,22 @@ def resolve(settings: CaptureSettings) -> Effort:
             f"there is no preset {settings.preset!r}", remedy=f"choose one of {', '.join(PRESETS)}"
         )
     if settings.steps is not None and settings.generator != "decoder":
-        raise UsageError(
+        raise UsageError.at(
+            "--steps",
             "only a decoder is fine-tuned in steps",
-            where="--steps",
-            remedy="give --generator decoder with it, or --preset or --detail in its place",
+            "give --generator decoder with it, or --preset or --detail in its place",
         )
     if settings.target is not None and settings.generator != "decoder":
-        raise UsageError(
+        raise UsageError.at(
+            "--target",
             "only fine-tuning of a decoder has a target",
-            where="--target",
-            remedy="give --generator decoder with it, or --time in its place",
+            "give --generator decoder with it, or --time in its place",
         )
     if settings.union and settings.generator == "decoder":
-        raise UsageError(
+        raise UsageError.at(
+            "--union",
             "the decoder has no exemplar to extend",
-            where="--union",
-            remedy="leave out --union or --generator decoder",
+            "leave out --union or --generator decoder",
         )
     effort = PRESETS[settings.preset]
     if settings.steps is not None:

@@ -89,10 +89,8 @@ def load_vgg19(path: Path) -> Vgg19:
     wanted = network.state_dict()
     for name, value in wanted.items():
         if name not in weights or weights[name].shape != value.shape:
-            raise MatcapError(
-                f"this is not VGG-19: {name} is missing or of another shape",
-                where=str(path),
-                remedy=_REMEDY,
+            raise MatcapError.at(
+                path, f"this is not VGG-19: {name} is missing or of another shape", _REMEDY
             )
     network.load_state_dict({name: weights[name].float() for name in wanted})
     return network
@@ -108,14 +106,12 @@ def _read(path: Path) -> dict[str, Tensor]:
         with path.open("rb") as file:
             digits = hashlib.file_digest(file, "sha256").hexdigest()
     except (OSError, SafetensorError) as error:
-        raise MatcapError(
-            f"the weights cannot be read ({error})", where=str(path), remedy=_REMEDY
-        ) from error
+        raise MatcapError.at(path, f"the weights cannot be read ({error})", _REMEDY) from error
     if not digits.startswith(_DIGITS):
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             f"this is not the published file: its SHA-256 begins with {digits[:8]}, not {_DIGITS}",
-            where=str(path),
-            remedy=_REMEDY,
+            _REMEDY,
         )
     # Tensors alone: nothing in the file is executed.
     weights: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)

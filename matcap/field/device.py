@@ -30,10 +30,10 @@ def find_device(name: DeviceName) -> torch.device:
     """
     there = torch.cuda.is_available()
     if name == "cuda" and not there:
-        raise UsageError(
+        raise UsageError.at(
+            "--device",
             "PyTorch sees no CUDA device",
-            where="--device",
-            remedy="use cpu, or install a CUDA driver and a PyTorch built for it",
+            "use cpu, or install a CUDA driver and a PyTorch built for it",
         )
     return torch.device("cuda" if there and name != "cpu" else "cpu")
 

@@ -55,23 +55,17 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
         with safe_open(path, framework=framework) as file:
             about = _about(file.metadata(), path)
             if not digest_matches(path, file.metadata()):
-                raise MatcapError(
-                    "the file is damaged: its content does not match its digest",
-                    where=str(path),
-                    remedy=REMEDY,
+                raise MatcapError.at(
+                    path, "the file is damaged: its content does not match its digest", REMEDY
                 )
             yield file, about
     except (SafetensorError, OSError) as error:
-        raise MatcapError(
-            f"this is not a material, or it is damaged ({error})",
-            where=str(path),
-            remedy=REMEDY,
+        raise MatcapError.at(
+            path, f"this is not a material, or it is damaged ({error})", REMEDY
         ) from error
     except DAMAGED as error:
-        raise MatcapError(
-            f"the material's description is damaged ({error})",
-            where=str(path),
-            remedy=REMEDY,
+        raise MatcapError.at(
+            path, f"the material's description is damaged ({error})", REMEDY
         ) from error
 
 
@@ -86,23 +80,23 @@ def provenance_says(entry: str, path: Path) -> bool:
 
 def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
     if not metadata or "matcap" not in metadata:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             "this safetensors file is not a matcap material",
-            where=str(path),
-            remedy="give a .matcap file written by matcap capture",
+            "give a .matcap file written by matcap capture",
         )
     about: dict[str, Any] = json.loads(metadata["matcap"])
     if about["format"] != FORMAT:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             f"this holds a {about['format']}, not a material",
-            where=str(path),
-            remedy="give a .matcap file written by matcap capture",
+            "give a .matcap file written by matcap capture",
         )
     if about["version"] != VERSION:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             f"this material is of version {about['version']}; this matcap reads {VERSION}",
-            where=str(path),
-            remedy="capture the photograph again, or install the matcap that wrote it",
+            "capture the photograph again, or install the matcap that wrote it",
         )
     return _checked(about)
 

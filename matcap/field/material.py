@@ -203,13 +203,13 @@ class Material:
 def lacking(generator: Generator) -> UsageError:
     """The error for a material without this generator."""
     if generator == "decoder":
-        return UsageError(
+        return UsageError.at(
+            "--generator decoder",
             "this material has no decoder of its own",
-            where="--generator decoder",
-            remedy="capture the photograph with --generator decoder, or leave the option out",
+            "capture the photograph with --generator decoder, or leave the option out",
         )
-    return UsageError(
+    return UsageError.at(
+        "--generator example",
         "this material has no exemplar",
-        where="--generator example",
-        remedy="capture the photograph again, or use its decoder",
+        "capture the photograph again, or use its decoder",
     )

@@ -87,19 +87,19 @@ def open_tile(
 
 
 def _own(path: Path, option: str) -> UsageError:
-    return UsageError(
+    return UsageError.at(
+        option,
         f"this is a map set ({path}), where this is fixed",
-        where=option,
-        remedy="give the material (.matcap), or leave it out",
+        "give the material (.matcap), or leave it out",
     )
 
 
 def _refuse_normals(path: Path, normals: NormalSource | None) -> None:
     if normals is not None:
-        raise UsageError(
+        raise UsageError.at(
+            "--normals",
             f"this is a material ({path}), whose normals follow from its heights",
-            where="--normals",
-            remedy="give a map set, or leave it out",
+            "give a map set, or leave it out",
         )
 
 
@@ -159,10 +159,10 @@ def material_file(path: Path) -> Path:
     """
     resolved = _resolved(path)
     if resolved.is_dir() or resolved.suffix.lower() == ".json":
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             "this is a map set, from which no more can be synthesised",
-            where=str(path),
-            remedy="give the material (.matcap)",
+            "give the material (.matcap)",
         )
     return resolved
 
@@ -222,15 +222,15 @@ def _resolved(path: Path) -> Path:
         return path
     if materials:
         names = ", ".join(file.name for file in materials)
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             f"there are {len(materials)} materials in this folder ({names})",
-            where=str(path),
-            remedy="name one of them",
+            "name one of them",
         )
-    raise MatcapError(
+    raise MatcapError.at(
+        path,
         "there is no map set and no material in this folder",
-        where=str(path),
-        remedy="give a folder that matcap capture or matcap synth wrote",
+        "give a folder that matcap capture or matcap synth wrote",
     )
 
 

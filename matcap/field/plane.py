@@ -57,10 +57,8 @@ def check_seed(seed: int) -> int:
 def check_variety(variety: float) -> float:
     """Return the variety; raise UsageError outside [0, 1]."""
     if not 0.0 <= variety <= 1.0:
-        raise UsageError(
-            f"a variety of {variety:g} is out of range",
-            where="--variety",
-            remedy="give a number from 0 to 1",
+        raise UsageError.at(
+            "--variety", f"a variety of {variety:g} is out of range", "give a number from 0 to 1"
         )
     return variety
 

@@ -223,11 +223,7 @@ def load_alignment(path: Path) -> Alignment:
     try:
         with safe_open(path, framework="pt") as file:
             if (file.metadata() or {}).get("matcap") != _FORMAT:
-                raise MatcapError(
-                    f"this is not an alignment branch ({_FORMAT})",
-                    where=str(path),
-                    remedy=_REMEDY,
-                )
+                raise MatcapError.at(path, f"this is not an alignment branch ({_FORMAT})", _REMEDY)
             stored = StoredTensors(file, path, _REMEDY)
             branch.load_state_dict(
                 {
@@ -237,7 +233,7 @@ def load_alignment(path: Path) -> Alignment:
                 assign=True,
             )
     except (SafetensorError, OSError) as error:
-        raise MatcapError(
-            f"the alignment branch cannot be read ({error})", where=str(path), remedy=_REMEDY
+        raise MatcapError.at(
+            path, f"the alignment branch cannot be read ({error})", _REMEDY
         ) from error
     return branch.eval().requires_grad_(False)

@@ -65,10 +65,10 @@ def check_blendable(first: Material, second: Material) -> None:
     """
     decoders = _decoders(first, second) or ()
     if len({replace(one.decoder.config, cells=0, drawing=0) for one in decoders}) > 1:
-        raise MatcapError(
+        raise MatcapError.at(
+            f"{first.name} and {second.name}",
             "the decoders have different shapes",
-            where=f"{first.name} and {second.name}",
-            remedy="capture both with the same matcap and prior",
+            "capture both with the same matcap and prior",
         )
 
 

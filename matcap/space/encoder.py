@@ -68,10 +68,10 @@ class Encoder(nn.Module):
     def __init__(self, config: EncoderConfig) -> None:
         super().__init__()
         if config.backbone not in BACKBONES:
-            raise UsageError(
+            raise UsageError.at(
+                "encoder",
                 f"there is no backbone '{config.backbone}'",
-                where="encoder",
-                remedy=f"choose from {', '.join(BACKBONES)}",
+                f"choose from {', '.join(BACKBONES)}",
             )
         self.config = config
         if config.backbone == "small":

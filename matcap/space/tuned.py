@@ -106,10 +106,10 @@ class TunedDecoder:
         Raises:
             UsageError: always.
         """
-        raise UsageError(
+        raise UsageError.at(
+            "--variety",
             f"a decoder rearranges no patches, so it has no variety of {variety:g}",
-            where="--variety",
-            remedy="leave it out",
+            "leave it out",
         )
 
     def repeating(self) -> MapSet:
@@ -118,10 +118,10 @@ class TunedDecoder:
         Raises:
             UsageError: always.
         """
-        raise UsageError(
+        raise UsageError.at(
+            "--tile piece",
             "a decoder has no exemplar to repeat",
-            where="--tile piece",
-            remedy="give --tile alone for a periodic texture, or capture with --generator example",
+            "give --tile alone for a periodic texture, or capture with --generator example",
         )
 
     def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -115,10 +115,10 @@ def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
     pairs, left_out = dict[int, Pair](), dict[int, str]()
     dark = without_flash(photos)
     if 0 in dark:
-        raise MatcapError(
+        raise MatcapError.at(
+            photos[0].name,
             f"it was photographed without the flash ({dark[0]})",
-            where=photos[0].name,
-            remedy="name a photograph with flash first, from the middle",
+            "name a photograph with flash first, from the middle",
         )
     for index in range(1, len(photos)):
         first, second, pixel = finder.matched(photos[0], photos[index])

@@ -49,10 +49,10 @@ def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection
         MatcapError: one cannot be read, nothing can be fitted to the first, or it has no flash.
     """
     if len(paths) < 2:
-        raise MatcapError(
+        raise MatcapError.at(
+            paths[0],
             "one photograph cannot be compared with others",
-            where=str(paths[0]),
-            remedy="give two or more of one sample",
+            "give two or more of one sample",
         )
     photos = [load_photo(path, long_side=LONG_SIDE, fov=fov, noise=False) for path in paths]
     return set_quality(register_in_any_order(photos))

@@ -57,10 +57,10 @@ def repeated(
     """
     height, width = maps.shape[1:]
     if min(height, width) < _LEAST:
-        raise UsageError(
+        raise UsageError.at(
+            "--tile piece",
             f"an exemplar of {width} x {height} texels is too small to repeat",
-            where="--tile piece",
-            remedy=f"capture it with at least {_LEAST} texels per side, or give --tile alone",
+            f"capture it with at least {_LEAST} texels per side, or give --tile alone",
         )
     level = flatten(maps)
     seen = _seen(level, texel_size)

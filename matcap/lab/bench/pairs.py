@@ -39,9 +39,7 @@ def write_pairs(fronts: Path, out: Path, count: int, seed: int) -> Path:
     """
     drawn = _drawn(fronts / "sheets", count, seed)
     if not drawn:
-        raise MatcapError(
-            "there are no captures to be compared", where=str(fronts), remedy="measure first"
-        )
+        raise MatcapError.at(fronts, "there are no captures to be compared", "measure first")
     out.mkdir(parents=True, exist_ok=True)
     for first in range(0, len(drawn), _ON_A_PAGE):
         rows = [

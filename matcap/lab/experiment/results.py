@@ -97,10 +97,10 @@ def read(path: Path) -> list[Trial]:
         whole = path.read_text(encoding="utf-8").rpartition("\n")[0]
         return [_trial(row) for row in csv.DictReader(io.StringIO(whole))]
     except (KeyError, TypeError, ValueError, UnicodeDecodeError, csv.Error) as error:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             f"this is not a table of measurements ({error})",
-            where=str(path),
-            remedy="give a CSV that matcap bench wrote, or choose another folder with -o",
+            "give a CSV that matcap bench wrote, or choose another folder with -o",
         ) from error
 
 

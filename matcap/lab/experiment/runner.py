@@ -143,9 +143,7 @@ def run(
     ]
     available = [rows[key] for key in asked if key in rows]
     if not available:
-        raise MatcapError(
-            "nothing could be measured", where=str(table), remedy="correct the errors printed above"
-        )
+        raise MatcapError.at(table, "nothing could be measured", "correct the errors printed above")
     return available
 
 

@@ -99,10 +99,8 @@ def of_photographs(folder: Path, size: tuple[int, int]) -> Measured:
         linear = (np.asarray(small, np.float32) / 255.0) ** 2.2
         _add(measured, _windows(linear, size))
     if not measured["clipped share"]:
-        raise MatcapError(
-            "there are no photographs in this folder",
-            where=str(folder),
-            remedy="give a folder of JPEGs",
+        raise MatcapError.at(
+            folder, "there are no photographs in this folder", "give a folder of JPEGs"
         )
     return measured
 

@@ -66,10 +66,10 @@ def pack(folder: Path, out: Path) -> int:
     """
     names = sorted(path.parent.name for path in folder.glob("*/normal.*"))
     if not names:
-        raise MatcapError(
+        raise MatcapError.at(
+            folder,
             "there are no map sets in this folder",
-            where=str(folder),
-            remedy="give a folder of folders with basecolor, normal and roughness",
+            "give a folder of folders with basecolor, normal and roughness",
         )
     tensors: dict[str, Tensor] = {}
     for name in names:

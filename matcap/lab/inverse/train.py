@@ -227,10 +227,10 @@ def ship(folder: Path, out: Path, before: Path | None = None, share: float = 1.0
 
 def _trained(folder: Path) -> Training[Inverse]:
     if not (folder / CHECKPOINT).is_file():
-        raise MatcapError(
+        raise MatcapError.at(
+            folder,
             "there is no training in this folder",
-            where=str(folder),
-            remedy="give the folder that `matcap inverse train` was given",
+            "give the folder that `matcap inverse train` was given",
         )
     training = start(InverseConfig(), TrainSettings())
     training.load(folder)

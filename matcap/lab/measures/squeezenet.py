@@ -91,10 +91,8 @@ def _fill(convolution: nn.Conv2d, data: bytes, offset: int, path: Path) -> int:
     bias_at = weights_at + (2 * weight.numel() + 3) // 4 * 4
     end = bias_at + 4 * bias.numel()
     if end > len(data) or int.from_bytes(data[offset:weights_at], "little") != _HALF_PRECISION:
-        raise MatcapError(
-            "this is not SqueezeNet 1.1 in half precision",
-            where=str(path),
-            remedy="see matcap/lab/measures",
+        raise MatcapError.at(
+            path, "this is not SqueezeNet 1.1 in half precision", "see matcap/lab/measures"
         )
     read = np.frombuffer(data, "<f2", weight.numel(), weights_at).astype(np.float32)
     weight.copy_(torch.from_numpy(read).view_as(weight))

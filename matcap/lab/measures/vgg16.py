@@ -46,8 +46,8 @@ class Vgg16Style:
                         bias = stored.tensor(f"{name}.bias", shape[:1])
                         self._layers[-1].append((weight, bias))
         except (SafetensorError, OSError) as error:
-            raise MatcapError(
-                f"the weights of VGG-16 cannot be read ({error})", where=str(path), remedy=_REMEDY
+            raise MatcapError.at(
+                path, f"the weights of VGG-16 cannot be read ({error})", _REMEDY
             ) from error
 
     def features(self, pictures: Tensor) -> list[Tensor]:

@@ -95,10 +95,10 @@ def read_surface(folder: Path) -> tuple[Floats, Floats]:
     channels = read_channels(folder, normal="gl")
     missing = [k for k in ("roughness", "slopes") if getattr(channels, k) is None]
     if missing:
-        raise MatcapError(
+        raise MatcapError.at(
+            folder,
             f"there is no map of {missing[0]} that can be read",
-            where=str(folder),
-            remedy="give a folder with basecolor, normal and roughness",
+            "give a folder with basecolor, normal and roughness",
         )
     assert channels.roughness is not None and channels.slopes is not None
     metallic = channels.metallic

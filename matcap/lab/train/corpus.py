@@ -75,9 +75,7 @@ def build(
         on_progress(f"{entries[-1].name}: packed")
     if not entries:
         where = str(folder) if folder else "corpus"
-        raise MatcapError(
-            "no picture could be used", where=where, remedy="give a folder of JPEGs or PNGs"
-        )
+        raise MatcapError.at(where, "no picture could be used", "give a folder of JPEGs or PNGs")
     return Built(Pack(tuple(entries)), tuple(skipped))
 
 
@@ -125,10 +123,10 @@ def true_piece(entry: Entry, side: int) -> MapSet | None:
     seed = entry.name.removeprefix(_SIMULATED)
     scene = scene_of(int(seed)) if seed.isdecimal() else None
     if scene is None or scene[2].tilt != entry.tilt:
-        raise MatcapError(
+        raise MatcapError.at(
+            entry.name,
             "this simulated photograph is of another version, and its true maps are not known",
-            where=entry.name,
-            remedy="build the pack again with `matcap prior corpus`, or train with relit = 0",
+            "build the pack again with `matcap prior corpus`, or train with relit = 0",
         )
     return scene[0].realise(side, side, int(seed), 2.0 / WAVE_DETAIL)
 

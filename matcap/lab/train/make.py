@@ -91,10 +91,10 @@ def _recipe(path: Path) -> tuple[dict[str, Any], dict[str, dict[str, int]]]:
             if key not in defaults or type(value) is not int or value < 0
         ]
         if wrong:
-            raise UsageError(
+            raise UsageError.at(
+                f"{path}, {name}",
                 f"'{wrong[0]}' is not a number of this table",
-                where=f"{path}, {name}",
-                remedy=f"use {', '.join(defaults)}",
+                f"use {', '.join(defaults)}",
             )
         tables[name] = {**defaults, **given}
     return stated, tables

@@ -47,16 +47,14 @@ def configured(stated: dict[str, Any], path: str) -> TrainConfig:
     decoder = _filled(DecoderConfig(), stated.pop("decoder", {}), f"{path}, decoder")
     config = _filled(TrainConfig(), stated, path)
     if encoder.backbone not in BACKBONES:
-        raise UsageError(
+        raise UsageError.at(
+            path,
             f"there is no backbone '{encoder.backbone}'",
-            where=path,
-            remedy=f"choose from {', '.join(BACKBONES)}",
+            f"choose from {', '.join(BACKBONES)}",
         )
     if not fits(config.window):
-        raise UsageError(
-            f"the window {config.window} is no multiple of 16 from 64 on",
-            where=path,
-            remedy="give 96",
+        raise UsageError.at(
+            path, f"the window {config.window} is no multiple of 16 from 64 on", "give 96"
         )
     return replace(config, encoder=encoder, decoder=decoder)
 
@@ -75,8 +73,6 @@ def _filled(default: _Table, stated: dict[str, Any], where: str) -> _Table:
         if kind is tuple and isinstance(value, list):
             value = tuple(value)
         if type(value) is not kind:
-            raise UsageError(
-                f"'{name}' is {value!r}", where=where, remedy=f"give a {kind.__name__}"
-            )
+            raise UsageError.at(where, f"'{name}' is {value!r}", f"give a {kind.__name__}")
         values[name] = value
     return replace(default, **values)

@@ -100,10 +100,10 @@ def start_from(prior: Prior, config: TrainConfig, device: str) -> Training[Model
         ("decoder", prior.decoder, config.decoder),
     ):
         if network.config != shape:
-            raise UsageError(
+            raise UsageError.at(
+                "--start",
                 f"the prior's {name} is of another shape than [{name}] of the settings",
-                where="--start",
-                remedy="give the settings it was trained with",
+                "give the settings it was trained with",
             )
         for model in (state.model, state.average):
             getattr(model, name).load_state_dict(network.state_dict())

@@ -139,10 +139,10 @@ class Training(Generic[Trained]):
         for name, tensor in self._tensors().items():
             if name not in tensors or tensors[name].shape != tensor.shape:
                 has = tuple(tensors[name].shape) if name in tensors else "nothing"
-                raise MatcapError(
+                raise MatcapError.at(
+                    path,
                     f"tensor '{name}' should be {tuple(tensor.shape)} and is {has}",
-                    where=str(path),
-                    remedy="use the configuration it was trained with",
+                    "use the configuration it was trained with",
                 )
             with torch.no_grad():
                 tensor.copy_(tensors[name])
@@ -271,13 +271,9 @@ def read_tensors(
     except FileNotFoundError as error:
         raise MatcapError(f"there is no such {what}", where=str(path), remedy=remedy) from error
     except (SafetensorError, OSError) as error:
-        raise MatcapError(
-            f"the {what} cannot be read ({error})", where=str(path), remedy=remedy
-        ) from error
+        raise MatcapError.at(path, f"the {what} cannot be read ({error})", remedy) from error
     if (metadata.get("format"), metadata.get("version")) != (kind[0], str(kind[1])):
-        raise MatcapError(
-            f"this is not a {what} of version {kind[1]}", where=str(path), remedy=remedy
-        )
+        raise MatcapError.at(path, f"this is not a {what} of version {kind[1]}", remedy)
     return metadata, tensors
 
 

@@ -211,12 +211,12 @@ def load_prior(path: Path | None = None) -> Prior:
                 module.eval().requires_grad_(False)
             return prior
     except (SafetensorError, OSError) as error:
-        raise MatcapError(
-            f"this is not a prior, or it is damaged ({error})", where=str(path), remedy=_REMEDY
+        raise MatcapError.at(
+            path, f"this is not a prior, or it is damaged ({error})", _REMEDY
         ) from error
     except DAMAGED as error:
-        raise MatcapError(
-            f"the prior's description is damaged ({error})", where=str(path), remedy=_REMEDY
+        raise MatcapError.at(
+            path, f"the prior's description is damaged ({error})", _REMEDY
         ) from error
 
 
@@ -232,20 +232,16 @@ def _anchors(stored: StoredTensors, count: int) -> Anchors | None:
 
 def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
     if not metadata or "matcap" not in metadata:
-        raise MatcapError(
-            "this safetensors file is not a matcap prior", where=str(path), remedy=_REMEDY
-        )
+        raise MatcapError.at(path, "this safetensors file is not a matcap prior", _REMEDY)
     about: dict[str, Any] = json.loads(metadata["matcap"])
     if about["format"] != FORMAT:
-        raise MatcapError(
-            f"this holds a {about['format']}, not a prior", where=str(path), remedy=_REMEDY
-        )
+        raise MatcapError.at(path, f"this holds a {about['format']}, not a prior", _REMEDY)
     if about["version"] not in VERSIONS:
-        raise MatcapError(
+        raise MatcapError.at(
+            path,
             f"this prior is of version {about['version']}; this matcap reads {VERSIONS[0]} to "
             f"{VERSIONS[-1]}",
-            where=str(path),
-            remedy=_REMEDY,
+            _REMEDY,
         )
     return about
 

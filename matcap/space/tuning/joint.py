@@ -48,10 +48,10 @@ def join(
     for photo, fit in others:
         plane = read_plane(photo, fit.setup, detail)
         if min(plane.size) < scene.windows.size:
-            raise MatcapError(
+            raise MatcapError.at(
+                photo.name,
                 f"at {plane.size[0]} x {plane.size[1]} texels it is too narrow",
-                where=photo.name,
-                remedy="raise --detail, or leave the photograph out",
+                "raise --detail, or leave the photograph out",
             )
         gain = _brightness(coarse) / _brightness(fit)
         compared = replace(plane.brightened(gain), encoding=scene.encoding)

@@ -44,10 +44,8 @@ def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
                 state[name] = value
             network.load_state_dict(state)
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
-        raise MatcapError(
-            f"this is not an inverse network's file, or it is damaged ({error})",
-            where=str(path),
-            remedy=_REMEDY,
+        raise MatcapError.at(
+            path, f"this is not an inverse network's file, or it is damaged ({error})", _REMEDY
         ) from error
     network = network.eval().requires_grad_(False)
     return network, dict(about["card"])

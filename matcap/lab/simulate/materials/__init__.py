@@ -44,7 +44,7 @@ def realise(name: str, width: int, height: int, seed: int, texel_size: float) ->
         UsageError: no material of that name.
     """
     if name not in MATERIALS:
-        raise UsageError(
-            "there is no such material", where=name, remedy=f"choose from {', '.join(MATERIALS)}"
+        raise UsageError.at(
+            name, "there is no such material", f"choose from {', '.join(MATERIALS)}"
         )
     return MATERIALS[name](Canvas(width, height, texel_size, seed))
