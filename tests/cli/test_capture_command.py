@@ -126,7 +126,7 @@ def test_photographs_of_the_same_stem_do_not_overwrite_each_other(matcap, pipeli
 def test_one_bad_photograph_is_3_and_leaves_nothing(matcap, tmp_path, out):
     said = matcap("capture", tmp_path / "none.dng", "-o", out)
     assert (said.code, said.out) == (3, "")
-    assert said.err == f"matcap: {tmp_path / 'none.dng'}: no such file; check the path.\n"
+    assert said.err == f"matcap: {tmp_path / 'none.dng'}: there is no such file; check the name.\n"
     assert list(tmp_path.iterdir()) == []
 
 
