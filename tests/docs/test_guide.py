@@ -48,8 +48,8 @@ def test_the_page_has_the_tables_that_bench_paper_makes_of_the_measured_rows():
     experiments = {row.experiment for row in rows}
     assert experiments == {"paper", "interpolation", "generation"}
     captured = [row for row in rows if row.experiment == "paper"]
-    assert {row.subject for row in captured} == {"leather", "granite", "asphalt10"}
-    assert len(captured) == 3 * 8 + 2  # the paper's own system, of leather
+    assert {row.subject for row in captured} > {"leather", "granite", "asphalt10"}
+    assert len(captured) == 11 * 3 + 3 * 5 + 2  # ablations of three, the paper's own system of one
     tables = [line for line in paper_page(rows, "").splitlines() if line.startswith("|")]
     assert len(tables) > 22
     assert [line for line in tables if line not in PAGE.splitlines()] == []
