@@ -83,7 +83,7 @@ def find_samples(
     """
     if not source.is_dir():
         what = "this is a file" if source.is_file() else "there is no such folder"
-        raise MatcapError(what, where=str(source), remedy="give a folder of photographs")
+        raise MatcapError.at(source, what, "give a folder of photographs")
     passed_over = {path.resolve() for path in without}
     grouped: list[tuple[Path, str, tuple[Path, ...], tuple[Path, ...]]] = []
     for folder, names in _folders(source, passed_over):

@@ -106,10 +106,10 @@ def read_settings(file: Path) -> dict[str, Any]:
     remedy = "correct it or remove it"
     try:
         if file.stat().st_size > _MOST_BYTES:
-            raise UsageError("the file is too large for settings", where=str(file), remedy=remedy)
+            raise UsageError.at(file, "the file is too large for settings", remedy)
         table = tomllib.loads(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        raise UsageError(f"this is not TOML ({error})", where=str(file), remedy=remedy) from error
+        raise UsageError.at(file, f"this is not TOML ({error})", remedy) from error
     except OSError as error:
         raise MatcapError.at(
             file, f"the settings cannot be read ({error.strerror})", remedy

@@ -148,7 +148,7 @@ def parse_adjustments(text: str | None) -> Adjustments:
                 f"give name=value with a name of {', '.join(known)}",
             )
         if name in given:
-            raise UsageError(f"{name} is given twice", where=WHERE, remedy="leave one out")
+            raise UsageError.at(WHERE, f"{name} is given twice", "leave one out")
         given[name] = value.lower() if name == "tint" else _number(name, value)
     return Adjustments(**given)
 
@@ -200,7 +200,7 @@ def _number(name: str, value: str) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise UsageError(f"{name} is '{value[:20]}'", where=WHERE, remedy="give a number")
+        raise UsageError.at(WHERE, f"{name} is '{value[:20]}'", "give a number")
     return number
 
 

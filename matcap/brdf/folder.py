@@ -363,7 +363,7 @@ def _find_document(path: Path) -> Path:
         return path
     if not path.is_dir():
         what = "no such file or folder" if not path.exists() else "is no regular file"
-        raise MatcapError(what, where=str(path), remedy="check the path")
+        raise MatcapError.at(path, what, "check the path")
     documents = find_mapsets(path)
     if not documents:
         raise MatcapError.at(

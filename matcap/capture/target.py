@@ -99,7 +99,7 @@ def load_vgg19(path: Path) -> Vgg19:
 def _read(path: Path) -> dict[str, Tensor]:
     """Tensors by name; a .pth is accepted only with the published hash."""
     if not path.is_file():
-        raise MatcapError("there are no such weights", where=str(path), remedy=_REMEDY)
+        raise MatcapError.at(path, "there are no such weights", _REMEDY)
     try:
         if path.suffix == ".safetensors":
             return load_file(path)

@@ -46,9 +46,9 @@ def compare(
 
     photos = list(photo or [])
     if len(photos) > 2:
-        raise UsageError("there are more than two", where="--photo", remedy="give one or two")
+        raise UsageError.at("--photo", "there are more than two", "give one or two")
     if out.suffix.lower() != ".png":
-        raise UsageError("the picture is a PNG", where=str(out), remedy="name it .png")
+        raise UsageError.at(out, "the picture is a PNG", "name it .png")
     inputs = [file for file in (first, second, *photos) if not file.is_dir()]
     check_replaceable([out], _MARK, inputs=inputs, overwrite=overwrite)
     check_writable(out.parent, 10_000_000, [out.name])

@@ -66,7 +66,7 @@ def export(
     from matcap.files.staging import check_writable
 
     if to is None:
-        raise UsageError("there is no target", where="matcap export", remedy="give one with --to")
+        raise UsageError.at("matcap export", "there is no target", "give one with --to")
     target = known(to, TARGETS, "--to")
     options = chosen(ExportOptions, written)
     presets_alone = {"pattern": "--name", "maps": "--maps", "normal": "--normal"}

@@ -51,7 +51,7 @@ def inspect(
     fov, camera = captured.get("fov"), captured.get("camera")
     pictures = [path for path in photos if path.suffix.lower() != ".matcap"]
     if together and not pictures:
-        raise UsageError("there are no photographs", where="--together", remedy="name two or more")
+        raise UsageError.at("--together", "there are no photographs", "name two or more")
     profile = None if camera is None else read_camera_profile(camera)
     photographs: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []

@@ -201,7 +201,7 @@ def _flushed(code: int) -> int:
 
 def _show_full(error: OSError, *, debug: bool) -> int:
     """Report a failure to write to stdout; files are written through files/staging.py."""
-    full = MatcapError("the disk is full", where="standard output", remedy="free some space")
+    full = MatcapError.at("standard output", "the disk is full", "free some space")
     full.__cause__ = error
     _show(full, debug=debug)
     return full.exit_code
@@ -211,7 +211,7 @@ def _show_file(error: OSError, *, debug: bool) -> int:
     """Report an inaccessible file: its name is too long, or a parent folder is not readable."""
     why = (error.strerror or type(error).__name__).lower()
     where = str(error.filename)[:200]
-    shown = MatcapError(f"cannot be used ({why})", where=where, remedy="give another file")
+    shown = MatcapError.at(where, f"cannot be used ({why})", "give another file")
     shown.__cause__ = error
     _show(shown, debug=debug)
     return shown.exit_code

@@ -68,7 +68,7 @@ def relight(
     scene, size, maps_from, light = asked.scene, asked.size, asked.maps_from, asked.light
     animate, sheet, explain_map = asked.animate, asked.sheet, asked.explain_map
     if light and scene is not None:
-        raise UsageError("a scene has its own lights", where="--light", remedy="leave it out")
+        raise UsageError.at("--light", "a scene has its own lights", "leave it out")
     if animate is not None and sheet is not None:
         raise UsageError.at(
             "--sheet", "--animate writes frames, --sheet one picture", "leave one out"
@@ -78,7 +78,7 @@ def relight(
         refused = {"adjust": "are not adjusted", "variety": "have no patches"}
         name = next(name for name in reading if name != "generator")
         why = refused.get(name, "have their own")
-        raise UsageError(f"maps of other sources {why}", where=f"--{name}", remedy="leave it out")
+        raise UsageError.at(f"--{name}", f"maps of other sources {why}", "leave it out")
     if explain_map is not None and (animate is not None or sheet is not None):
         raise UsageError.at(
             "--explain-map",

@@ -177,7 +177,7 @@ def ior(f0: float) -> float:
 
 def _check(job: ExportJob) -> None:
     if job.depth in ("half", "float"):
-        raise UsageError("glTF has no float textures", where="--bits", remedy="give 8 or 16")
+        raise UsageError.at("--bits", "glTF has no float textures", "give 8 or 16")
     if job.container is not None and job.container not in _MIME:
         raise UsageError.at(
             "--format", f"glTF cannot hold {job.container}", "give png, jpg or webp"

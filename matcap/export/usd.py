@@ -196,7 +196,7 @@ def _seen(model: EngineModel, inputs: dict[str, TextureFile], read: Reader) -> T
 
 def _check(job: ExportJob) -> None:
     if job.depth in ("half", "float"):
-        raise UsageError("a .usdz has no float textures", where="--bits", remedy="give 8 or 16")
+        raise UsageError.at("--bits", "a .usdz has no float textures", "give 8 or 16")
     if job.container is not None and job.container not in _CONTAINERS:
         raise UsageError.at("--format", f"a .usdz cannot hold {job.container}", "give png or jpg")
 

@@ -50,7 +50,7 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
     if not path.is_file():
         what = "this is a folder" if path.is_dir() else "there is no such file"
         what = "this is no ordinary file" if path.exists() and not path.is_dir() else what
-        raise MatcapError(what, where=str(path), remedy="give a .matcap file")
+        raise MatcapError.at(path, what, "give a .matcap file")
     try:
         with safe_open(path, framework=framework) as file:
             about = _about(file.metadata(), path)

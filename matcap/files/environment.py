@@ -36,7 +36,7 @@ def read_picture(path: Path) -> EnvironmentPicture:
     """
     where = str(path)
     if not path.is_file():
-        raise MatcapError("no such file", where=where, remedy="check the path")
+        raise MatcapError.at(where, "no such file", "check the path")
     pixels = read_pixels(path, outside=0.0)
     picture, notes = linear_colours(pixels)
     for sentence in notes:
@@ -76,7 +76,7 @@ def _radiance(picture: EnvironmentPicture, where: str) -> EnvironmentPicture:
         return picture
     dark, light = (float(np.abs(picture[part]).sum(dtype=np.float64)) for part in (below, ~below))
     if dark > _DARK * light:
-        raise MatcapError("is mostly negative, which no radiance is", where=where, remedy=_REMEDY)
+        raise MatcapError.at(where, "is mostly negative, which no radiance is", _REMEDY)
     pixels = int(below.any(axis=2).sum())
     note(f"{where}: {pixels} pixels are negative, down to {picture.min():.3g}, and set to 0")
     return np.maximum(picture, np.float32(0.0))

@@ -105,11 +105,11 @@ def read_exr(
 
     remedy = "write the map set again"
     if not os.path.isfile(path):  # also False for invalid names
-        raise MatcapError("the file is missing", where=str(path), remedy=remedy)
+        raise MatcapError.at(path, "the file is missing", remedy)
     source = oiio.ImageInput.open(str(path))
     if source is None:
         forget_error(oiio.geterror)
-        raise MatcapError("this is not a readable EXR file", where=str(path), remedy=remedy)
+        raise MatcapError.at(path, "this is not a readable EXR file", remedy)
     try:
         spec = source.spec()
         if spec.deep:
@@ -135,9 +135,9 @@ def read_exr(
     finally:
         source.close()
     if pixels is None:
-        raise MatcapError("the file is truncated or corrupt", where=str(path), remedy=remedy)
+        raise MatcapError.at(path, "the file is truncated or corrupt", remedy)
     if not np.isfinite(pixels).all():
-        raise MatcapError("has values that are not finite", where=str(path), remedy=remedy)
+        raise MatcapError.at(path, "has values that are not finite", remedy)
     names = tuple(channels or spec.channelnames)
     pixels = pixels[..., [spec.channelnames.index(name) for name in names]]
     stated = spec.getattribute("chromaticities")

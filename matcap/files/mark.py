@@ -83,7 +83,7 @@ def check_replaceable(
         if not path.exists() or overwrite:
             continue
         if path.is_dir():
-            raise MatcapError("this is a folder", where=str(path), remedy=_ELSEWHERE)
+            raise MatcapError.at(path, "this is a folder", _ELSEWHERE)
         if mark_of(path) != mark and not own(path):
             raise MatcapError.at(
                 path,

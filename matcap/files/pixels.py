@@ -170,7 +170,7 @@ def _from_radiance(path: Path) -> Pixels:
             path, f"the Radiance file is damaged ({error})", "download it again"
         ) from error
     except MatcapError as error:
-        raise MatcapError(error.what, where=str(path), remedy=error.remedy) from error
+        raise MatcapError.at(path, error.what, error.remedy) from error
     return Pixels(path, header.upright(stored), _rgb(), header.primaries)
 
 

@@ -84,7 +84,7 @@ class Setting:
         rule = self.rule
         if rule.words and value is not None and value not in rule.words:
             remedy = nearest(str(value), rule.words)
-            raise UsageError(f"there is no {self.name} {_short(value)}", where=where, remedy=remedy)
+            raise UsageError.at(where, f"there is no {self.name} {_short(value)}", remedy)
         if isinstance(value, bool) or not isinstance(value, int | float):
             return
         if not (math.isfinite(value) and rule.least <= value <= rule.most):
@@ -117,10 +117,10 @@ class Setting:
             elif self.kind in (float, Path):
                 value = self.kind(value)
         except ValueError as error:
-            raise UsageError(str(error), where=where, remedy=f"correct {self.name}") from error
+            raise UsageError.at(where, str(error), f"correct {self.name}") from error
         except (AttributeError, TypeError) as error:
             what = f"{self.name} is {_short(value)}"
-            raise UsageError(what, where=where, remedy="give a text") from error
+            raise UsageError.at(where, what, "give a text") from error
         self.check(value, where)
         return value
 
@@ -207,7 +207,7 @@ def known(name: str, words: Iterable[str], where: str) -> str:
     """
     words = list(words)
     if name not in words:
-        raise UsageError(f"there is no '{name}'", where=where, remedy=nearest(name, words))
+        raise UsageError.at(where, f"there is no '{name}'", nearest(name, words))
     return name
 
 

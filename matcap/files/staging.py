@@ -110,7 +110,7 @@ def write_error(path: Path, error: OSError) -> MatcapError:
     """The error for a failure to write at `path`."""
     reason = error.strerror or str(error) or type(error).__name__
     what, remedy = _REASONS.get(error.errno or 0, (f"could not be written ({reason})", _ELSEWHERE))
-    return MatcapError(what, where=str(path), remedy=remedy)
+    return MatcapError.at(path, what, remedy)
 
 
 def culprit(folder: Path, error: OSError) -> Path:

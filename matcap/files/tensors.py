@@ -91,4 +91,4 @@ class StoredTensors:
         return value
 
     def _fault(self, what: str) -> MatcapError:
-        return MatcapError(what, where=str(self.path), remedy=self.remedy)
+        return MatcapError.at(self.path, what, self.remedy)

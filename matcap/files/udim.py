@@ -23,8 +23,8 @@ def tile_names(name: str, grid: tuple[int, int] | None) -> list[str]:
 def check_grid(columns: int, rows: int, where: str = "") -> None:
     """Raise UsageError for a texture set of too many tiles, or none; it names `where`."""
     if not (1 <= columns <= _COLUMNS and 1 <= rows <= _ROWS):
-        raise UsageError(
+        raise UsageError.at(
+            where,
             f"a texture set cannot have {columns}x{rows} tiles",
-            where=where,
-            remedy=f"ask for at most {_COLUMNS} columns and {_ROWS} rows",
+            f"ask for at most {_COLUMNS} columns and {_ROWS} rows",
         )

@@ -113,11 +113,11 @@ def read_camera_profile(path: Path) -> CameraProfile:
         return _checked(document)
     except OSError as error:
         why = f"the camera's profile cannot be read ({error.strerror})"
-        raise UsageError(why, where=str(path), remedy=remedy) from error
+        raise UsageError.at(path, why, remedy) from error
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         said = f"{error} is missing" if isinstance(error, KeyError) else error
         why = f"this is not a camera profile ({said})"
-        raise UsageError(why, where=str(path), remedy=remedy) from error
+        raise UsageError.at(path, why, remedy) from error
 
 
 def _checked(document: dict[str, Any]) -> CameraProfile:

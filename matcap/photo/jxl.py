@@ -48,7 +48,7 @@ def read_jxl(path: Path, read: Callable[[Path], Read]) -> Read:
             return read(copy)
         except MatcapError as error:
             # Without the temporary path.
-            raise MatcapError(error.what, where=str(path), remedy=error.remedy) from error
+            raise MatcapError.at(path, error.what, error.remedy) from error
 
 
 @contextmanager

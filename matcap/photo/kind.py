@@ -65,7 +65,7 @@ def file_kind(path: Path) -> FileKind:
         return FileKind.RAW
     if head.startswith(_TIFF):
         return _of_tiff(path)
-    raise MatcapError(f"this is not a photograph{_guess(head)}", where=str(path), remedy=READABLE)
+    raise MatcapError.at(path, f"this is not a photograph{_guess(head)}", READABLE)
 
 
 def _head(path: Path) -> bytes:
@@ -73,7 +73,7 @@ def _head(path: Path) -> bytes:
         raise MatcapError.at(path, "this is a directory", "give one photograph inside it")
     try:
         if path.exists() and not path.is_file():
-            raise MatcapError("this is not a file", where=str(path), remedy=READABLE)
+            raise MatcapError.at(path, "this is not a file", READABLE)
         with path.open("rb") as file:
             head = file.read(_HEAD)
     except FileNotFoundError as error:

@@ -116,7 +116,7 @@ def _cropped(crop: Region, width: int, height: int) -> Kept:
 def _masked(mask: Path, width: int, height: int) -> Kept:
     """(H, W) pixels that are white in a mask's file."""
     if not mask.is_file():
-        raise MatcapError("there is no such file", where=str(mask), remedy="give a PNG file")
+        raise MatcapError.at(mask, "there is no such file", "give a PNG file")
     grey = read_mask(mask)
     if grey.shape != (height, width):
         raise MatcapError.at(

@@ -55,7 +55,7 @@ def check_tiles_path(path: Path) -> None:
         UsageError: its suffix is not .png.
     """
     if path.suffix.lower() != ".png":
-        raise UsageError("a map of tiles is a PNG", where=str(path), remedy="name it .png")
+        raise UsageError.at(path, "a map of tiles is a PNG", "name it .png")
 
 
 def encode(radiance: Radiance, film: Film) -> Radiance:

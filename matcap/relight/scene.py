@@ -216,7 +216,7 @@ def _parse_light(text: str) -> tuple[Vector, float]:
     except ValueError:
         numbers = []
     if len(numbers) not in (3, 4) or not all(math.isfinite(n) for n in numbers):
-        raise UsageError(f"'{text}' is not a light", where="--light", remedy=remedy)
+        raise UsageError.at("--light", f"'{text}' is not a light", remedy)
     x, y, z = numbers[:3]
     if z <= 0.0:
         raise UsageError.at(
@@ -224,7 +224,7 @@ def _parse_light(text: str) -> tuple[Vector, float]:
         )
     strength = numbers[3] if len(numbers) == 4 else 0.0
     if strength < 0.0:
-        raise UsageError("the intensity is negative", where="--light", remedy="choose 0 or more")
+        raise UsageError.at("--light", "the intensity is negative", "choose 0 or more")
     if max(abs(x), abs(y), z) > _FARTHEST or z < 1.0 / _FARTHEST or strength > _STRONGEST:
         raise UsageError.at(
             "--light",

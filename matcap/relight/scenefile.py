@@ -54,7 +54,7 @@ def read_scene(path: str | Path) -> Scene:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
-        raise MatcapError("no such file", where=str(path), remedy="check the path") from error
+        raise MatcapError.at(path, "no such file", "check the path") from error
     except (OSError, UnicodeDecodeError) as error:
         raise MatcapError.at(
             path, "this is not a readable text file", "give a TOML scene file"
@@ -105,7 +105,7 @@ class _Reader:
     folder: Path
 
     def fault(self, place: str, what: str, remedy: str) -> MatcapError:
-        return MatcapError(what, where=f"{self.where} {place}".strip(), remedy=remedy)
+        return MatcapError.at(f"{self.where} {place}".strip(), what, remedy)
 
     def only(self, table: Mapping[str, Any], known: tuple[str, ...], place: str) -> None:
         for key in table:

@@ -340,7 +340,7 @@ def decoded_exr(data: bytes) -> NDArray[np.float32]:
             picture = read_picture(file)
         except MatcapError as error:
             # Without the temporary path.
-            raise MatcapError(error.what, where="the picture", remedy=error.remedy) from error
+            raise MatcapError.at("the picture", error.what, error.remedy) from error
     height, width = picture.shape[:2]
     if width > _WIDEST:
         size = (_WIDEST, max(2, round(height * _WIDEST / width)))

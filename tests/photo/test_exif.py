@@ -48,10 +48,10 @@ def test_focal_lengths_on_film_refer_to_the_diagonal(focal_length, size, degrees
 @pytest.mark.parametrize("form", ["jpg", "png"])
 def test_field_of_view_and_flash(photo_of, codes, form):
     tags = exif(1, 26, 0x19)
-    photo, told = (photo_of(codes, f"a.{form}", fov=fov, exif=tags) for fov in (None, 60.0))
+    photo, given = (photo_of(codes, f"a.{form}", fov=fov, exif=tags) for fov in (None, 60.0))
     assert photo.fov == pytest.approx(fov_of_film(26, 4, 3))
     assert (photo.fov_source, photo.flash_fired) == ("exif", True)
-    assert (told.fov, told.fov_source) == (60.0, "given")
+    assert (given.fov, given.fov_source) == (60.0, "given")
 
 
 @pytest.mark.parametrize("focal_length", [None, 0])

@@ -30,5 +30,5 @@ def presentation_of(table: Path) -> Presentation:
     if not rows or rows[0].experiment not in PRESENTATIONS:
         what = f"bench {rows[0].experiment} is not reported" if rows else "no rows stand in it"
         remedy = f"give a CSV of {', '.join(PRESENTATIONS)}"
-        raise MatcapError(what, where=str(table), remedy=remedy)
+        raise MatcapError.at(table, what, remedy)
     return PRESENTATIONS[rows[0].experiment]

@@ -56,7 +56,7 @@ def example_of(material: str) -> Example:
     if material.endswith(".matcap"):
         exemplified = read_exemplified(Path(material))
         if exemplified is None:
-            raise MatcapError("there is no exemplar in it", where=material, remedy=REMEDY)
+            raise MatcapError.at(material, "there is no exemplar in it", REMEDY)
         return exemplified.example
     exemplar = true_exemplar(material, *_EXEMPLAR)
     maps = torch.from_numpy(exemplar.stacked())

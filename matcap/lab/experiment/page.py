@@ -96,7 +96,7 @@ def section(table: Path, form: Presentation, page: Path) -> list[str]:
     """
     rows = read(table)
     if not rows:
-        raise MatcapError("the table is missing or empty", where=str(table), remedy="measure first")
+        raise MatcapError.at(table, "the table is missing or empty", "measure first")
     separate = [row for row in rows if row.group in form.separate_groups]
     usual = [row for row in rows if row.group not in form.separate_groups] or rows
     averages = means(usual, form.base)

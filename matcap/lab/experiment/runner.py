@@ -156,7 +156,7 @@ def choose(known: Mapping[str, Outcome], names: Sequence[str]) -> dict[str, Outc
     for name in names:
         if name not in known:
             remedy = f"choose from {', '.join(known)}"
-            raise UsageError("there is none of this name", where=name, remedy=remedy)
+            raise UsageError.at(name, "there is none of this name", remedy)
     return {name: known[name] for name in names or known}
 
 

@@ -183,4 +183,4 @@ def _subject(name: str, folders: dict[str, Path]) -> Specimen:
     if kind in kinds_known() and (number.isdecimal() or not number):
         return Specimen(name, kind_of(kind, int(number or NUMBER)).realise)
     known = ", ".join([*EXAMPLES, *kinds_known(), *folders])
-    raise UsageError("there is no such material", where=name, remedy=f"choose from {known}")
+    raise UsageError.at(name, "there is no such material", f"choose from {known}")

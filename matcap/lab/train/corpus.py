@@ -83,7 +83,7 @@ def _pictures(folder: Path | None) -> Iterator[Path]:
     if folder is None:
         return
     if not folder.is_dir():
-        raise MatcapError("there is no such folder", where=str(folder), remedy="check its name")
+        raise MatcapError.at(folder, "there is no such folder", "check its name")
     yield from (p for p in sorted(folder.iterdir()) if p.suffix.lower() in PICTURES)
 
 

@@ -95,7 +95,7 @@ def read_code(data: bytes, name: str) -> NDArray[np.uint8]:
     except cv2.error:  # what an empty file is to it
         code = None
     if code is None:
-        raise MatcapError("the picture cannot be read", where=name, remedy="leave it out")
+        raise MatcapError.at(name, "the picture cannot be read", "leave it out")
     return np.asarray(code, np.uint8)
 
 

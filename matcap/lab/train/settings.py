@@ -66,7 +66,7 @@ def _filled(default: _Table, stated: dict[str, Any], where: str) -> _Table:
     for name, value in stated.items():
         if name not in kinds:
             known = ", ".join(kinds)
-            raise UsageError(f"there is no setting '{name}'", where=where, remedy=f"use {known}")
+            raise UsageError.at(where, f"there is no setting '{name}'", f"use {known}")
         kind = kinds[name]
         if kind is float and type(value) is int:
             value = float(value)

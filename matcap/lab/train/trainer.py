@@ -269,7 +269,7 @@ def read_tensors(
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except FileNotFoundError as error:
-        raise MatcapError(f"there is no such {what}", where=str(path), remedy=remedy) from error
+        raise MatcapError.at(path, f"there is no such {what}", remedy) from error
     except (SafetensorError, OSError) as error:
         raise MatcapError.at(path, f"the {what} cannot be read ({error})", remedy) from error
     if (metadata.get("format"), metadata.get("version")) != (kind[0], str(kind[1])):

@@ -79,7 +79,7 @@ def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> S
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise MatcapError("no such folder", where=str(folder), remedy="check the path")
+        raise MatcapError.at(folder, "no such folder", "check the path")
     with tempfile.TemporaryDirectory(prefix="matcap-") as place:
         return _read_folder(folder, stated_export(folder, Path(place)), normal)
 

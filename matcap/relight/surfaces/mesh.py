@@ -116,7 +116,7 @@ def load_mesh(path: Path, size: float) -> Mesh:
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except FileNotFoundError as error:
-        raise MatcapError("no such file", where=where, remedy="check the path") from error
+        raise MatcapError.at(where, "no such file", "check the path") from error
     except OSError as error:
         raise MatcapError.at(
             where, f"the file cannot be read ({error.strerror})", "check its rights"
@@ -126,7 +126,7 @@ def load_mesh(path: Path, size: float) -> Mesh:
     middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
     extent = float(np.ptp(points, axis=0).max())
     if not extent > 0.0:
-        raise MatcapError("all vertices are in one place", where=where, remedy="export it again")
+        raise MatcapError.at(where, "all vertices are in one place", "export it again")
     corners = (corners - middle) * (size / extent)
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(flat, axis=1)
@@ -207,10 +207,10 @@ def _parse(lines: list[str], where: str) -> tuple[Array, Array, Array, Array]:
                 "export the mesh again as OBJ",
             ) from error
     if not faces:
-        raise MatcapError("there are no faces", where=where, remedy="give a Wavefront OBJ file")
+        raise MatcapError.at(where, "there are no faces", "give a Wavefront OBJ file")
     points, spots, normals = (np.array(tables[key], dtype=np.float64) for key in ("v", "vt", "vn"))
     if not np.isfinite(points).all():
-        raise MatcapError("a vertex is not finite", where=where, remedy="export the mesh again")
+        raise MatcapError.at(where, "a vertex is not finite", "export the mesh again")
     indices = np.array(faces, dtype=np.int64)
     for column, (table, what, instead) in _OPTIONAL.items():
         missing = indices[..., column] >= len(tables[table])

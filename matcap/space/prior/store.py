@@ -178,7 +178,7 @@ def load_prior(path: Path | None = None) -> Prior:
     path = SHIPPED if path is None else path
     if not path.is_file():
         what = "this is a folder" if path.is_dir() else "there is no such prior"
-        raise MatcapError(what, where=str(path), remedy=_REMEDY)
+        raise MatcapError.at(path, what, _REMEDY)
     try:
         with safe_open(path, framework="pt") as file:
             about = _about(file.metadata(), path)
