@@ -18,6 +18,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import DIFFUSE, HEIGHT, SPECULAR, SURFACE, MapSet
 from matcap.lab.inverse.packed import LEVELS, PackedSet
+from matcap.lab.simulate.materials.draws import Draws
 from matcap.lab.simulate.materials.kinds.metal import anodised_f0, metal_colour
 
 _SCALES = (0.3, 2.0)  # texels of the picture to one of the set
@@ -182,7 +183,8 @@ def coloured_metal(specular: Picture, metal: Picture, rng: np.random.Generator) 
     which = rng.random()
     if which < _AS_IT_IS or float((metal > _SOME).mean()) < _SOME_SHARE:
         return specular
-    colour = metal_colour(rng) if which < _AS_IT_IS + _KNOWN else anodised_f0(rng)
+    draws = Draws(rng.bit_generator)
+    colour = metal_colour(draws) if which < _AS_IT_IS + _KNOWN else anodised_f0(draws)
     mean = float((specular * metal).sum() / (3.0 * metal.sum()))
     gain = 1.0 + metal * (colour.astype(np.float32)[:, None, None] / np.float32(mean) - 1.0)
     return np.asarray((specular * gain).clip(_LEAST_F0, _MOST_F0), np.float32)

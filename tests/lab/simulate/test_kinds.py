@@ -8,6 +8,7 @@ import torch
 
 from matcap.flash.render import render_rectified
 from matcap.lab.simulate.map_sets import read_map_set
+from matcap.lab.simulate.materials.draws import Draws
 from matcap.lab.simulate.materials.kinds import COLOURED_METALS, KINDS, kind_of, random_kind
 from matcap.lab.simulate.materials.kinds.metal import (
     METAL_F0,
@@ -134,7 +135,7 @@ def test_sheets_have_the_published_colour(name):
 
 
 def test_anodised_is_saturated_and_drawn_metals_are_of_many_colours():
-    rng = np.random.default_rng(0)
+    rng = Draws.of(0)
     dyed = [anodised_f0(rng) for _ in range(50)]
     assert min(chroma(one) for one in dyed) > 0.4
     assert max(one.max() for one in dyed) < 0.95

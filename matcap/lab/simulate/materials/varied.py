@@ -14,6 +14,7 @@ import numpy as np
 
 from matcap.brdf.maps import MapSet
 from matcap.lab.simulate.materials.assemble import assemble
+from matcap.lab.simulate.materials.draws import Draws
 from matcap.lab.simulate.materials.patterns import PATTERNS, PatternShape
 from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, colour, mix, noise, smoothstep
 
@@ -100,20 +101,21 @@ class RandomMaterial:
         return assemble(canvas, *fields)
 
 
-def random_material(rng: np.random.Generator) -> RandomMaterial:
+def random_material(generator: np.random.Generator) -> RandomMaterial:
     """Draw a material; its features repeat at least eight times across a photograph."""
+    rng = Draws(generator.bit_generator)
     hue = _natural_colour(rng)
     base = _random_layer(rng, hue)
     layered = rng.random() < 0.35
-    patch = _log_uniform(rng, 0.05, 0.16)
+    patch = rng.log_uniform(0.05, 0.16)
     return RandomMaterial(
         base=base,
         cover=_random_layer(rng, hue if rng.random() < 0.4 else _natural_colour(rng))
         if layered
         else None,
-        patches=Spectrum(patch, _log_uniform(rng, 0.008, 0.04), rng.uniform(0.8, 2.0)),
+        patches=Spectrum(patch, rng.log_uniform(0.008, 0.04), rng.uniform(0.8, 2.0)),
         covered=rng.uniform(-0.5, 1.0),
-        edge=_log_uniform(rng, 0.06, 0.8),
+        edge=rng.log_uniform(0.06, 0.8),
         thickness=rng.choice([-1.0, 1.0]) * rng.uniform(0.0, 0.003),
     )
 
@@ -132,16 +134,16 @@ def _lay(canvas: Canvas, label: str, layer: Layer) -> tuple[Raster, Raster, Rast
     )
 
 
-def _random_layer(rng: np.random.Generator, hue: Colour) -> Layer:
+def _random_layer(rng: Draws, hue: Colour) -> Layer:
     names = list(PATTERNS)
     pattern = str(rng.choice(names, p=_weights(names)))
-    scale = _log_uniform(rng, 0.018, 0.16)
-    fine = min(_log_uniform(rng, 0.006, 0.03), 0.7 * scale)
+    scale = rng.log_uniform(0.018, 0.16)
+    fine = min(rng.log_uniform(0.006, 0.03), 0.7 * scale)
     shape = PatternShape(
         scale=scale,
         fine=fine,
         slope=rng.uniform(0.3, 2.0),
-        stretch=_log_uniform(rng, 1.5, 8.0) if rng.random() < 0.3 else 1.0,
+        stretch=rng.log_uniform(1.5, 8.0) if rng.random() < 0.3 else 1.0,
         angle=rng.uniform(0.0, math.pi) if rng.random() < 0.6 else rng.choice([0.0, math.pi / 2]),
         sharpness=rng.random(),
         share=rng.random(),
@@ -149,10 +151,10 @@ def _random_layer(rng: np.random.Generator, hue: Colour) -> Layer:
         variant=int(rng.integers(3)),
     )
     first = _random_finish(rng, hue)
-    coarse = _log_uniform(rng, 0.012, 0.1)
+    coarse = rng.log_uniform(0.012, 0.1)
     grain = Spectrum(
         coarse,
-        min(_log_uniform(rng, 0.006, 0.015), 0.7 * coarse),
+        min(rng.log_uniform(0.006, 0.015), 0.7 * coarse),
         rng.uniform(0.3, 1.6),
         stretch=shape.stretch if rng.random() < 0.5 else 1.0,
         angle=shape.angle,
@@ -164,13 +166,13 @@ def _random_layer(rng: np.random.Generator, hue: Colour) -> Layer:
         second=_related_finish(rng, first),
         depth=1.0,
         grain=grain,
-        tone=_log_uniform(rng, 0.01, 0.3),
-        wear=_log_uniform(rng, 0.003, 0.06),
+        tone=rng.log_uniform(0.01, 0.3),
+        wear=rng.log_uniform(0.003, 0.06),
         grain_depth=1.0,
     )
     flat = rng.random() < 0.2
-    pattern_slope = 0.02 if flat else _log_uniform(rng, 0.04, 0.4)
-    grain_slope = _log_uniform(rng, 0.005, 0.15)
+    pattern_slope = 0.02 if flat else rng.log_uniform(0.04, 0.4)
+    grain_slope = rng.log_uniform(0.005, 0.15)
     pattern_unit, grain_unit = _unit_slopes(layer)
     return replace(layer, depth=pattern_slope / pattern_unit, grain_depth=grain_slope / grain_unit)
 
@@ -195,20 +197,16 @@ def _weights(names: list[str]) -> list[float]:
     return [weight / sum(weights) for weight in weights]
 
 
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(math.exp(rng.uniform(math.log(low), math.log(high))))
-
-
-def _natural_colour(rng: np.random.Generator) -> Colour:
+def _natural_colour(rng: Draws) -> Colour:
     """A diffuse albedo: browns and greys most often, any hue at times."""
     if rng.random() < 0.6:
         hue, saturation = rng.normal(0.08, 0.04) % 1.0, rng.uniform(0.0, 0.7)
     else:
         hue, saturation = rng.random(), rng.beta(1.5, 1.5)
-    return colorsys.hsv_to_rgb(hue, saturation, _log_uniform(rng, 0.03, 0.85))
+    return colorsys.hsv_to_rgb(hue, saturation, rng.log_uniform(0.03, 0.85))
 
 
-def _random_finish(rng: np.random.Generator, hue: Colour) -> Finish:
+def _random_finish(rng: Draws, hue: Colour) -> Finish:
     if rng.random() < 0.18:
         darkness = rng.uniform(0.02, 0.15)
         metal = tuple(darkness * channel for channel in hue)
@@ -216,11 +214,11 @@ def _random_finish(rng: np.random.Generator, hue: Colour) -> Finish:
     return Finish(hue, rng.uniform(0.025, 0.07), rng.uniform(0.15, 0.92))
 
 
-def _related_finish(rng: np.random.Generator, first: Finish) -> Finish:
+def _related_finish(rng: Draws, first: Finish) -> Finish:
     """A finish of a similar colour to another, at times of an unrelated one."""
     if rng.random() < 0.25:
         return _random_finish(rng, _natural_colour(rng))
-    factor = _log_uniform(rng, 0.3, 2.5)
+    factor = rng.log_uniform(0.3, 2.5)
     shifted = [min(0.9, channel * factor * rng.uniform(0.85, 1.15)) for channel in first.diffuse]
     return Finish(
         (shifted[0], shifted[1], shifted[2]),

@@ -14,6 +14,7 @@ from types import MappingProxyType
 import numpy as np
 
 from matcap.brdf.maps import MapSet
+from matcap.lab.simulate.materials.draws import Draws
 from matcap.lab.simulate.materials.kinds import (
     cells,
     coats,
@@ -24,7 +25,6 @@ from matcap.lab.simulate.materials.kinds import (
     textiles,
     wood,
 )
-from matcap.lab.simulate.materials.kinds.draws import log_uniform
 from matcap.lab.simulate.materials.kinds.surface_fields import Kind, finish
 from matcap.lab.simulate.procedural import Canvas, Raster
 
@@ -103,7 +103,7 @@ class RandomKind:
         return self._lay(canvas, self.depth)[0]
 
     def _lay(self, canvas: Canvas, depth: float) -> tuple[MapSet, Raster]:
-        return finish(canvas, kinds_known()[self.kind], depth, np.random.default_rng(self.number))
+        return finish(canvas, kinds_known()[self.kind], depth, Draws.of(self.number))
 
 
 def kinds_known() -> Mapping[str, Kind]:
@@ -119,7 +119,7 @@ def random_kind(rng: np.random.Generator) -> RandomKind:
 
 def kind_of(kind: str, number: int) -> RandomKind:
     """The material of a kind with parameters of seed `number`."""
-    steepness = log_uniform(np.random.default_rng([number, 1]), *kinds_known()[kind].slopes)
+    steepness = Draws.of([number, 1]).log_uniform(*kinds_known()[kind].slopes)
     width, height, texel = _SAMPLE
     relief = RandomKind(kind, number, 1.0)._lay(Canvas(width, height, texel, 0), 1.0)[1]
     down, right = np.gradient(relief, texel)

@@ -4,64 +4,52 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.lab.simulate.materials.kinds.draws import (
-    CLAYS,
-    STONES,
-    angle,
-    chance,
-    dielectric,
-    dye,
-    log_uniform,
-    natural,
-    palette_of,
-    shade,
-    shades,
-)
+from matcap.lab.simulate.materials.draws import CLAYS, STONES, Draws
 from matcap.lab.simulate.materials.kinds.place import rim, warp
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Spectrum, cells, mix, noise, smoothstep
+from matcap.lab.simulate.procedural import Canvas, Spectrum, cells, mix, noise, pick, smoothstep
 
 
-def plates(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def plates(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Domed or flat plates between grooves: scales, dried mud, pebbled plastic."""
-    size = log_uniform(rng, 0.025, 0.15)
-    base = natural(rng, CLAYS) if chance(rng, 0.5) else dye(rng)
-    jitter, stretch, turn = rng.uniform(0.4, 1.0), log_uniform(rng, 1.0, 1.8), angle(rng)
+    size = rng.log_uniform(0.025, 0.15)
+    base = rng.natural(CLAYS) if rng.chance(0.5) else rng.dye()
+    jitter, stretch, turn = rng.uniform(0.4, 1.0), rng.log_uniform(1.0, 1.8), rng.angle()
     bend = warp(canvas, "plates", size, size * rng.uniform(0.0, 0.1))
     plate = cells(canvas, "plates", size, jitter=jitter, stretch=stretch, angle=turn, warp=bend)
     edge = rim(canvas, plate) / size
-    width = log_uniform(rng, 0.05, 0.18)
+    width = rng.log_uniform(0.05, 0.18)
     groove = np.exp(-((edge / width) ** 2))
-    roundness = rng.uniform(0.1, 1.2) * (1.0 if chance(rng, 0.8) else -0.5)
+    roundness = rng.uniform(0.1, 1.2) * (1.0 if rng.chance(0.8) else -0.5)
     tilt = 0.25 * rng.random() * (plate.offset[0] * (2 * plate.draw(canvas.stream("tilt")) - 1))
     level = rng.uniform(0.0, 0.3) * plate.draw(canvas.stream("level"))
     dome = 1.0 - np.exp(-np.maximum(edge - 0.5 * width, 0.0) / 0.25)
     height = (roundness * dome + level + tilt) * (1.0 - groove) - rng.uniform(0.2, 0.8) * groove
     wrinkle = noise(canvas, "wrinkle", Spectrum(0.4 * size, min(0.008, 0.2 * size)))
     height = height + 0.03 * rng.random() * wrinkle
-    tones = shades(rng, base, 7, rng.choice([0.0, 0.1, 0.35]))
-    diffuse = palette_of(tones, plate.draw(canvas.stream("tone")))
+    tones = rng.shades(base, 7, rng.choice([0.0, 0.1, 0.35]))
+    diffuse = pick(tones, plate.draw(canvas.stream("tone")))
     diffuse = diffuse * np.exp(rng.uniform(0.0, 0.12) * wrinkle)
     worn = rng.uniform(-0.1, 0.1)
     gloss = rng.uniform(0.0, 0.12) * (plate.draw(canvas.stream("gloss")) - 0.5)
     rough = rng.uniform(0.18, 0.85) + worn * dome + gloss
-    return SurfaceFields(diffuse, dielectric(rng), rough, size * height, groove)
+    return SurfaceFields(diffuse, rng.dielectric(), rough, size * height, groove)
 
 
-def crackle(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def crackle(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """A flat, glossy glaze with thin cracks, older ones wider and dirtier."""
-    size = log_uniform(rng, 0.05, 0.16)
-    glaze = dye(rng)
+    size = rng.log_uniform(0.05, 0.16)
+    glaze = rng.dye()
     bend = warp(canvas, "old", size, 0.08 * size)
     old = rim(canvas, cells(canvas, "old", size, warp=bend))
     young = rim(canvas, cells(canvas, "young", size * rng.uniform(0.3, 0.55), warp=bend))
-    width = log_uniform(rng, 0.003, 0.007)
+    width = rng.log_uniform(0.003, 0.007)
     spread = noise(canvas, "width", Spectrum(0.12, 0.04))
     crack = np.exp(-((old / (width * np.exp(0.3 * spread))) ** 2))
     some = smoothstep(0.3, -0.3, noise(canvas, "some", Spectrum(2 * size, size)))
     hair = rng.uniform(0.0, 0.8) * some * np.exp(-((young / (0.6 * width)) ** 2))
     crack = np.maximum(crack, hair)
-    dirt = shade(rng, glaze, 0.5) if chance(rng, 0.3) else natural(rng, STONES) * 0.3
+    dirt = rng.shade(glaze, 0.5) if rng.chance(0.3) else rng.natural(STONES) * 0.3
     halo = 0.35 * rng.random() * np.exp(-old / (5.0 * width))
     cloud = noise(canvas, "cloud", Spectrum(0.15, 0.02, slope=1.3))
     body = glaze[:, None, None] * np.exp(rng.uniform(0.02, 0.25) * cloud)

@@ -8,57 +8,51 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.lab.simulate.materials.kinds.draws import (
-    METALS,
-    STONES,
-    WOODS,
-    Whole,
-    angle,
-    chance,
-    dielectric,
-    dye,
-    log_uniform,
-    natural,
-    palette_of,
-    shade,
-    shades,
-    streaks,
-)
+from matcap.lab.simulate.materials.draws import METALS, STONES, WOODS, Draws, Whole, streaks
 from matcap.lab.simulate.materials.kinds.place import rim, scatter, splat, spun, warp
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, cells, mix, noise, smoothstep
+from matcap.lab.simulate.procedural import (
+    Canvas,
+    Raster,
+    Spectrum,
+    cells,
+    mix,
+    noise,
+    pick,
+    smoothstep,
+)
 
 
-def _ground(canvas: Canvas, rng: np.random.Generator) -> tuple[Raster, Raster, Raster, Raster]:
+def _ground(canvas: Canvas, rng: Draws) -> tuple[Raster, Raster, Raster, Raster]:
     """Diffuse, F0, roughness and height of the substrate: metal, rust, wood or stone.
 
     Height is in units of the paint's thickness.
     """
-    turn = angle(rng)
+    turn = rng.angle()
     fine = noise(canvas, "ground", Spectrum(0.04, 0.006, slope=0.7))
     grain = noise(canvas, "ground grain", Spectrum(0.05, 0.006, 0.7, stretch=14.0, angle=turn))
     what = rng.integers(4)
     if what == 0:  # bare metal
         rough = rng.uniform(0.2, 0.45) + 0.03 * grain
-        diffuse = natural(rng, METALS)[:, None, None] * np.exp(0.2 * grain)
+        diffuse = rng.natural(METALS)[:, None, None] * np.exp(0.2 * grain)
         return diffuse, np.full_like(fine, rng.uniform(0.45, 0.8)), rough, 0.1 * grain
     if what == 1:  # rust
-        rust = shade(rng, np.array([0.22, 0.085, 0.03]), 0.4)[:, None, None] * np.exp(0.35 * fine)
+        rust = rng.shade(np.array([0.22, 0.085, 0.03]), 0.4)[:, None, None] * np.exp(0.35 * fine)
         return rust, np.full_like(fine, 0.04), 0.82 + 0.04 * fine, 0.4 * fine
     if what == 2:
-        wood = natural(rng, WOODS)[:, None, None] * np.exp(0.25 * grain)
+        wood = rng.natural(WOODS)[:, None, None] * np.exp(0.25 * grain)
         return wood, np.full_like(fine, 0.04), rng.uniform(0.55, 0.85) + 0.03 * grain, 0.3 * grain
-    stone = natural(rng, STONES)[:, None, None] * np.exp(0.1 * fine)
+    stone = rng.natural(STONES)[:, None, None] * np.exp(0.1 * fine)
     return stone, np.full_like(fine, 0.038), 0.85 + 0.02 * fine, 0.3 * fine
 
 
-def chipped(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def chipped(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Paint that has flaked off in places, with a step at the edges, which may be raised."""
-    size = log_uniform(rng, 0.05, 0.15)
-    paint = dye(rng)
-    patch = noise(canvas, "patch", Spectrum(size * 1.3, log_uniform(rng, 0.008, 0.02), slope=1.5))
+    size = rng.log_uniform(0.05, 0.15)
+    paint = rng.dye()
+    patch = noise(canvas, "patch", Spectrum(size * 1.3, rng.log_uniform(0.008, 0.02), slope=1.5))
     left = rng.uniform(-0.9, 0.3)
-    if chance(rng, 0.5):  # torn along cracks
+    if rng.chance(0.5):  # torn along cracks
         bend = warp(canvas, "cracks", 0.5 * size, 0.06 * size)
         flake = cells(canvas, "cracks", 0.5 * size, warp=bend)
         patch = 0.45 * patch + 1.1 * (2.0 * flake.draw(canvas.stream("gone")) - 1.0)
@@ -70,13 +64,13 @@ def chipped(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     coat = np.where(covered, smoothstep(0.0, 1.5 * canvas.texel_size, distance), 0.0) * (
         1.0 - crack
     )
-    thick = log_uniform(rng, 0.002, 0.006)
+    thick = rng.log_uniform(0.002, 0.006)
     lip = rng.uniform(-0.4, 1.2) * np.exp(-distance / (2.5 * thick))
     diffuse, specular, rough, ground = _ground(canvas, rng)
-    primer = shade(rng, paint, 0.6, 0.2)[:, None, None]
-    brush = noise(canvas, "brush", Spectrum(0.06, 0.008, 0.8, stretch=8.0, angle=angle(rng)))
+    primer = rng.shade(paint, 0.6, 0.2)[:, None, None]
+    brush = noise(canvas, "brush", Spectrum(0.06, 0.008, 0.8, stretch=8.0, angle=rng.angle()))
     top = paint[:, None, None] * np.exp(rng.uniform(0.0, 0.1) * brush)
-    if chance(rng, 0.4):  # two coats
+    if rng.chance(0.4):  # two coats
         top = np.where(patch > left + rng.uniform(0.2, 0.9), top, primer)
     gloss = rng.uniform(0.12, 0.7)
     height = mix(0.3 * ground, 1.0 + lip + 0.06 * brush + 0.1 * ground, coat)
@@ -89,22 +83,22 @@ def chipped(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     )
 
 
-def worn(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def worn(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """A coat rubbed off the high places of rough ground."""
-    size = log_uniform(rng, 0.03, 0.08)
+    size = rng.log_uniform(0.03, 0.08)
     relief = noise(
         canvas,
         "relief",
-        Spectrum(2.0 * size, log_uniform(rng, 0.01, 0.03), slope=rng.uniform(1.0, 2.0)),
+        Spectrum(2.0 * size, rng.log_uniform(0.01, 0.03), slope=rng.uniform(1.0, 2.0)),
     )
-    if chance(rng, 0.5):
+    if rng.chance(0.5):
         relief = 1.2 - 1.8 * np.abs(relief)
-    lines = noise(canvas, "rubbed", Spectrum(0.08, 0.006, 0.7, stretch=10.0, angle=angle(rng)))
+    lines = noise(canvas, "rubbed", Spectrum(0.08, 0.006, 0.7, stretch=10.0, angle=rng.angle()))
     high = relief + rng.uniform(0.05, 0.4) * lines
-    limit, soft = rng.uniform(0.1, 1.3), log_uniform(rng, 0.08, 0.5)
+    limit, soft = rng.uniform(0.1, 1.3), rng.log_uniform(0.08, 0.5)
     bare = smoothstep(limit - soft, limit + soft, high)
     diffuse, specular, rough, ground = _ground(canvas, rng)
-    paint = dye(rng)[:, None, None] * np.exp(0.06 * relief)
+    paint = rng.dye()[:, None, None] * np.exp(0.06 * relief)
     gloss = rng.uniform(0.2, 0.8)
     edge = 4.0 * bare * (1.0 - bare)
     paint = paint * np.exp(-rng.uniform(0.0, 0.6) * edge)
@@ -117,16 +111,18 @@ def worn(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     )
 
 
-def strokes(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def strokes(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Plaster or thick paint applied in strokes with ridges along them."""
-    size = log_uniform(rng, 0.08, 0.2)
+    size = rng.log_uniform(0.08, 0.2)
     slender, spread, curved = rng.uniform(0.3, 0.7), rng.uniform(0.3, 2.0), rng.uniform(0.0, 0.6)
-    favoured, soft, rim_height = angle(rng), rng.uniform(0.05, 0.6), rng.uniform(0.0, 0.25)
+    favoured, soft, rim_height = rng.angle(), rng.uniform(0.05, 0.6), rng.uniform(0.0, 0.25)
 
-    def reach(generator: np.random.Generator, count: int) -> Raster:
-        return size * (0.6 + 0.4 * generator.random(count))
-
-    sweeps = scatter(canvas, "sweeps", 0.4 * size, reach)
+    sweeps = scatter(
+        canvas,
+        "sweeps",
+        0.4 * size,
+        lambda stream, count: size * (0.6 + 0.4 * stream.random(count)),
+    )
     own = canvas.stream("own")
     count = sweeps.count
     turn, level = favoured + spread * own.standard_normal(count), own.random(count)
@@ -154,24 +150,26 @@ def strokes(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     bristle = 0.7 * bristle + 0.4 * streaks(canvas, "hair", 2.3 * fine * v, index)
     sand = noise(canvas, "sand", Spectrum(0.02, 0.006, slope=0.4))
     height = height + rng.uniform(0.05, 0.4) * bristle + rng.uniform(0.0, 0.06) * sand
-    hue = natural(rng, STONES) if chance(rng, 0.5) else dye(rng)
-    tones = shades(rng, hue, 10, rng.choice([0.02, 0.1, 0.3]))
-    diffuse = palette_of(tones, own.random(count)[index]) * np.exp(0.06 * bristle + 0.05 * sand)
+    hue = rng.natural(STONES) if rng.chance(0.5) else rng.dye()
+    tones = rng.shades(hue, 10, rng.choice([0.02, 0.1, 0.3]))
+    diffuse = pick(tones, own.random(count)[index]) * np.exp(0.06 * bristle + 0.05 * sand)
     rough = rng.uniform(0.3, 0.9) + 0.03 * bristle + 0.02 * sand
     cavity = smoothstep(0.8, -0.2, height)
-    return SurfaceFields(diffuse, dielectric(rng), rough, 0.12 * size * height, cavity)
+    return SurfaceFields(diffuse, rng.dielectric(), rough, 0.12 * size * height, cavity)
 
 
-def sand(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def sand(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Grains on ripples: sand, sandpaper, roughcast, cork."""
-    size = log_uniform(rng, 0.012, 0.035)
-    hue = natural(rng, STONES) if chance(rng, 0.7) else dye(rng)
+    size = rng.log_uniform(0.012, 0.035)
+    hue = rng.natural(STONES) if rng.chance(0.7) else rng.dye()
     loose = rng.uniform(0.3, 0.9)
 
-    def reach(generator: np.random.Generator, count: int) -> Raster:
-        return size * (0.3 + 0.4 * generator.random(count))
-
-    grains = scatter(canvas, "grains", 0.75 * size, reach)
+    grains = scatter(
+        canvas,
+        "grains",
+        0.75 * size,
+        lambda stream, count: size * (0.3 + 0.4 * stream.random(count)),
+    )
     own = canvas.stream("own")
     level = loose * own.random(grains.count)
 
@@ -184,17 +182,17 @@ def sand(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     height, index = splat(canvas, grains, profile)
     bare = index < 0
     height = np.where(bare, 0.1 * size, height)
-    turn, period = rng.uniform(0.0, math.pi), log_uniform(rng, 0.06, 0.16)
+    turn, period = rng.uniform(0.0, math.pi), rng.log_uniform(0.06, 0.16)
     ripple = noise(canvas, "ripple", Spectrum(period, 0.6 * period, 0.5, stretch=3.0, angle=turn))
     height = height + rng.choice([0.0, 0.6]) * size * ripple
-    tones = shades(rng, hue, 12, rng.uniform(0.05, 0.5))
-    if chance(rng, 0.4):
-        tones = np.concatenate([tones, shades(rng, natural(rng, STONES), 4, 0.3)])
-    diffuse = palette_of(tones, own.random(grains.count)[index])
+    tones = rng.shades(hue, 12, rng.uniform(0.05, 0.5))
+    if rng.chance(0.4):
+        tones = np.concatenate([tones, rng.shades(rng.natural(STONES), 4, 0.3)])
+    diffuse = pick(tones, own.random(grains.count)[index])
     glint = rng.uniform(0.0, 0.2) * own.standard_normal(grains.count)[index]
     rough = rng.uniform(0.4, 0.9) + glint
     cavity = np.maximum(bare, smoothstep(0.9 * size, 0.1 * size, height))
-    return SurfaceFields(diffuse, dielectric(rng), rough, height, cavity)
+    return SurfaceFields(diffuse, rng.dielectric(), rough, height, cavity)
 
 
 def _distance(canvas: Canvas, mask: NDArray[np.bool_]) -> Raster:

@@ -6,25 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from matcap.lab.simulate.materials.kinds.draws import (
-    CLAYS,
-    STONES,
-    WOODS,
-    Whole,
-    angle,
-    chance,
-    dielectric,
-    dye,
-    log_uniform,
-    natural,
-    palette_of,
-    piece,
-    shades,
-    streaks,
-)
+from matcap.lab.simulate.materials.draws import CLAYS, STONES, WOODS, Draws, Whole, piece, streaks
 from matcap.lab.simulate.materials.kinds.place import turned
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise, smoothstep
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise, pick, smoothstep
 
 
 @dataclass(frozen=True)
@@ -43,10 +28,10 @@ class _Bricks:
     length: Raster | float
 
 
-def bond(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def bond(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Bricks in running, stack, English or basket bond."""
-    size = log_uniform(rng, 0.03, 0.12)
-    along, across = turned(canvas, "bond", angle(rng), 5.0 * size, 0.0)
+    size = rng.log_uniform(0.03, 0.12)
+    along, across = turned(canvas, "bond", rng.angle(), 5.0 * size, 0.0)
     u, v = along / size, across / size
     way = rng.integers(4)
     ratio = float(rng.choice([1.0, 1.5, 2.0, 3.0, 4.0]))
@@ -82,10 +67,10 @@ def _blocks(u: Raster, v: Raster, side: int) -> _Bricks:
     )
 
 
-def herringbone(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def herringbone(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Herringbone of bricks or parquet blocks, two to five times as long as wide."""
-    size = log_uniform(rng, 0.025, 0.08)
-    along, across = turned(canvas, "herringbone", angle(rng) + np.pi / 4, 5.0 * size, 0.0)
+    size = rng.log_uniform(0.025, 0.08)
+    along, across = turned(canvas, "herringbone", rng.angle() + np.pi / 4, 5.0 * size, 0.0)
     u, v = along / size, across / size
     length = int(rng.integers(2, 6))
     i, j = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
@@ -102,9 +87,9 @@ def herringbone(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     return _wall(canvas, rng, size, bricks)
 
 
-def _wall(canvas: Canvas, rng: np.random.Generator, size: float, bricks: _Bricks) -> SurfaceFields:
+def _wall(canvas: Canvas, rng: Draws, size: float, bricks: _Bricks) -> SurfaceFields:
     wobble = noise(canvas, "wobble", Spectrum(0.6 * size, min(0.008, 0.2 * size), slope=1.1))
-    joint, corner = log_uniform(rng, 0.02, 0.12), rng.uniform(0.02, 0.2)
+    joint, corner = rng.log_uniform(0.02, 0.12), rng.uniform(0.02, 0.2)
     # Distance inside a rounded rectangle.
     over_u = np.maximum(corner + joint - np.minimum(bricks.along, bricks.length - bricks.along), 0)
     over_v = np.maximum(corner + joint - np.minimum(bricks.across, 1.0 - bricks.across), 0)
@@ -121,28 +106,28 @@ def _wall(canvas: Canvas, rng: np.random.Generator, size: float, bricks: _Bricks
     crown = rng.uniform(0.0, 0.1) * (1.0 - 4.0 * (bricks.across - 0.5) ** 2)
     face = 0.2 * bevel + crown + tilt + 0.5 * unlevel * own("level")
     rugged = rng.uniform(0.0, 0.05)
-    parquet = chance(rng, 0.3)
+    parquet = rng.chance(0.3)
     lengthwise = noise(canvas, "vein", Spectrum(0.6 * size, min(0.007, 0.2 * size), slope=0.7))
     face = face + rugged * (wobble + 0.5 * lengthwise)
     sand = noise(canvas, "sand", Spectrum(0.03, 0.006, slope=0.4))
     recess = rng.uniform(-0.05, 0.15)
     height = mix(0.1 - recess + 0.03 * sand, face + 0.05, body)
     palette = rng.choice(4)
-    hue = natural(rng, WOODS if parquet else (CLAYS, CLAYS, STONES)[palette % 3])
+    hue = rng.natural(WOODS if parquet else (CLAYS, CLAYS, STONES)[palette % 3])
     if palette == 3 and not parquet:
-        hue = dye(rng)
-    tones = shades(rng, hue, 12, rng.choice([0.06, 0.18, 0.35]))
-    brick = palette_of(tones, 0.5 + 0.4999 * own("tone"))
+        hue = rng.dye()
+    tones = rng.shades(hue, 12, rng.choice([0.06, 0.18, 0.35]))
+    brick = pick(tones, 0.5 + 0.4999 * own("tone"))
     grain = _wood(canvas, bricks, rng.uniform(8.0, 14.0)) if parquet else wobble
     brick = brick * np.exp(rng.uniform(0.03, 0.2) * grain + 0.06 * lengthwise)
-    mortar = natural(rng, STONES)[:, None, None] * np.exp(0.12 * sand)
+    mortar = rng.natural(STONES)[:, None, None] * np.exp(0.12 * sand)
     diffuse = mix(mortar, brick, body)
-    glazed = parquet or chance(rng, 0.25)
+    glazed = parquet or rng.chance(0.25)
     gloss = rng.uniform(0.12, 0.4) if glazed else rng.uniform(0.45, 0.88)
     rough = mix(
         rng.uniform(0.7, 0.93) + 0.02 * sand, gloss + 0.05 * own("gloss") + 0.0 * sand, body
     )
-    specular = mix(np.array(0.035), np.array(dielectric(rng)), body)
+    specular = mix(np.array(0.035), np.array(rng.dielectric()), body)
     return SurfaceFields(diffuse, specular, rough, size * height, 1.0 - body)
 
 

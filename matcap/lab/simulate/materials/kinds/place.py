@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from matcap.lab.simulate.materials.kinds.draws import Whole
+from matcap.lab.simulate.materials.draws import Whole
 from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, VoronoiCells, noise
 
 # Evaluations of a stamp's profile worked on at a time: small enough to stay in the cache.

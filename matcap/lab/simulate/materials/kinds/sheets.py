@@ -5,27 +5,24 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from matcap.lab.simulate.materials.kinds.draws import (
-    METALS,
-    Whole,
-    angle,
-    chance,
-    dielectric,
-    dye,
-    log_uniform,
-    natural,
-    palette_of,
-    shade,
-    shades,
-)
+from matcap.lab.simulate.materials.draws import METALS, Draws, Whole
 from matcap.lab.simulate.materials.kinds.place import paths, scatter, splat, spun, turned
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, bumps, cells, noise, smoothstep
+from matcap.lab.simulate.procedural import (
+    Canvas,
+    Raster,
+    Spectrum,
+    bumps,
+    cells,
+    noise,
+    pick,
+    smoothstep,
+)
 
 
-def felt(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def felt(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Wavy fibres over one another: felt, fleece, coir."""
-    width = log_uniform(rng, 0.005, 0.012)
+    width = rng.log_uniform(0.005, 0.012)
     pieces, step = 14, width * rng.uniform(1.5, 3.5)
     curl, loose, favoured = (
         rng.uniform(0.1, 0.5),
@@ -33,11 +30,17 @@ def felt(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
         rng.uniform(0, np.pi),
     )
 
-    def direction(generator: np.random.Generator, count: int) -> Raster:
-        return favoured + loose * generator.standard_normal(count)
-
     pitch = np.sqrt(width * pieces * step) * rng.uniform(0.75, 1.1)
-    fibres, turn, whose = paths(canvas, "fibres", pitch, pieces, step, curl, direction, width)
+    fibres, turn, whose = paths(
+        canvas,
+        "fibres",
+        pitch,
+        pieces,
+        step,
+        curl,
+        lambda stream, count: favoured + loose * stream.standard_normal(count),
+        width,
+    )
     own = canvas.stream("own")
     count = int(whose.max()) + 1
     level, slant = own.random(count), own.standard_normal(count)
@@ -57,25 +60,27 @@ def felt(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     fibre = whose[index]
     floor = -1.0 * width
     height = np.where(index >= 0, height, floor)
-    tones = shades(rng, dye(rng), 9, rng.choice([0.05, 0.2, 0.5]))
-    if chance(rng, 0.2):
-        tones = np.concatenate([tones, shades(rng, dye(rng), 5, 0.2)])
-    diffuse = palette_of(tones, own.random(count)[fibre])
+    tones = rng.shades(rng.dye(), 9, rng.choice([0.05, 0.2, 0.5]))
+    if rng.chance(0.2):
+        tones = np.concatenate([tones, rng.shades(rng.dye(), 5, 0.2)])
+    diffuse = pick(tones, own.random(count)[fibre])
     rough = rng.uniform(0.5, 0.92) + 0.03 * own.standard_normal(count)[fibre]
     cavity = smoothstep(3.0 * width, -1.0 * width, height)
-    return SurfaceFields(diffuse, dielectric(rng), rough, height, cavity)
+    return SurfaceFields(diffuse, rng.dielectric(), rough, height, cavity)
 
 
-def loops(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def loops(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Tufts in loose rows, each a small arch of yarn: carpet, terry, boucle."""
-    size = log_uniform(rng, 0.018, 0.06)
+    size = rng.log_uniform(0.018, 0.06)
     thick = rng.uniform(0.28, 0.45)
     favoured, loose = rng.uniform(0.0, np.pi), rng.choice([0.25, 0.8, 3.0])
 
-    def reach(generator: np.random.Generator, count: int) -> Raster:
-        return size * (0.8 + 0.4 * generator.random(count))
-
-    tufts = scatter(canvas, "tufts", size * rng.uniform(0.55, 0.8), reach)
+    tufts = scatter(
+        canvas,
+        "tufts",
+        size * rng.uniform(0.55, 0.8),
+        lambda stream, count: size * (0.8 + 0.4 * stream.random(count)),
+    )
     own = canvas.stream("own")
     turn = favoured + loose * own.standard_normal(tufts.count)
     level, bow = 0.5 * own.random(tufts.count), 0.3 * own.standard_normal(tufts.count)
@@ -94,21 +99,21 @@ def loops(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     index = np.maximum(index, 0)
     u, v = spun(canvas.x - tufts.x[index], canvas.y - tufts.y[index], turn[index])
     twist = np.sin((u / size + v / size) * rng.uniform(8.0, 16.0)) * (size > 0.03)
-    tones = shades(rng, dye(rng), 9, rng.choice([0.03, 0.12, 0.35]))
-    if chance(rng, 0.3):
-        tones = np.concatenate([tones, shades(rng, dye(rng), 3, 0.1)])
-    diffuse = palette_of(tones, own.random(tufts.count)[index]) * np.exp(0.06 * twist)
+    tones = rng.shades(rng.dye(), 9, rng.choice([0.03, 0.12, 0.35]))
+    if rng.chance(0.3):
+        tones = np.concatenate([tones, rng.shades(rng.dye(), 3, 0.1)])
+    diffuse = pick(tones, own.random(tufts.count)[index]) * np.exp(0.06 * twist)
     rough = rng.uniform(0.55, 0.92) + 0.04 * own.standard_normal(tufts.count)[index]
     cavity = smoothstep(1.2, 0.1, height)
-    return SurfaceFields(diffuse, dielectric(rng), rough, size * (height + 0.03 * twist), cavity)
+    return SurfaceFields(diffuse, rng.dielectric(), rough, size * (height + 0.03 * twist), cavity)
 
 
-def tread(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def tread(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """A repeated embossed motif: tread plate, studded rubber, embossed card."""
-    size = log_uniform(rng, 0.04, 0.15)
-    along, across = turned(canvas, "tread", angle(rng), 4.0 * size, 0.0)
+    size = rng.log_uniform(0.04, 0.15)
+    along, across = turned(canvas, "tread", rng.angle(), 4.0 * size, 0.0)
     u, v = along / size, across / size
-    brick = chance(rng, 0.5)
+    brick = rng.chance(0.5)
     row = np.floor(v).astype(np.int64)
     u = u + 0.5 * (row % 2) * brick
     column = np.floor(u).astype(np.int64)
@@ -127,57 +132,57 @@ def tread(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
         far = (np.abs(x) + 0.6 * np.abs(y)) / large
     else:  # rings
         far = np.abs(np.hypot(x, y) - 0.6) / (0.35 * large)
-    raised = smoothstep(0.0, edge, 1.0 - far) * (1.0 if chance(rng, 0.75) else -1.0)
-    metal = chance(rng, 0.4)
-    hue = natural(rng, METALS) if metal else dye(rng)
+    raised = smoothstep(0.0, edge, 1.0 - far) * (1.0 if rng.chance(0.75) else -1.0)
+    metal = rng.chance(0.4)
+    hue = rng.natural(METALS) if metal else rng.dye()
     dirt = noise(canvas, "dirt", Spectrum(0.15, 0.015, slope=1.2))
     low = smoothstep(0.4, -0.2, raised) if raised.max() > 0.0 else smoothstep(-0.4, -1.0, raised)
     worn = rng.uniform(0.0, 0.2)
     diffuse = hue[:, None, None] * np.exp(rng.uniform(0.02, 0.25) * dirt)
-    specular = rng.uniform(0.5, 0.85) if metal else dielectric(rng)
+    specular = rng.uniform(0.5, 0.85) if metal else rng.dielectric()
     gloss = rng.uniform(0.15, 0.45) if metal else rng.uniform(0.15, 0.85)
     return SurfaceFields(diffuse, specular, gloss + 0.03 * dirt + worn * low, size * raised, low)
 
 
-def paper(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def paper(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Flat stock with flecks and cloudy formation: paper, card, vinyl."""
-    stock = np.clip(dye(rng) if chance(rng, 0.5) else shade(rng, np.full(3, 0.7), 0.15), 0.02, 0.88)
+    stock = np.clip(rng.dye() if rng.chance(0.5) else rng.shade(np.full(3, 0.7), 0.15), 0.02, 0.88)
     cloud = noise(canvas, "cloud", Spectrum(0.05, 0.015, slope=0.8))
-    length = log_uniform(rng, 4.0, 10.0)
+    length = rng.log_uniform(4.0, 10.0)
     flock = np.full((canvas.height, canvas.width), -4.0)
     start = rng.uniform(0.0, np.pi)
     for k in range(5):
         spectrum = Spectrum(0.02, 0.005, 0.2, stretch=length, angle=start + k * np.pi / 5)
         flock = np.maximum(flock, noise(canvas, f"flock {k}", spectrum))
     fleck = smoothstep(2.2, 2.8, noise(canvas, "fleck", Spectrum(0.02, 0.006, slope=0.0)))
-    ink = shade(rng, stock, 1.0, 0.4)[:, None, None]
+    ink = rng.shade(stock, 1.0, 0.4)[:, None, None]
     share = rng.choice([0.0, 0.8]) * fleck
     diffuse = stock[:, None, None] * np.exp(rng.uniform(0.01, 0.08) * (cloud + flock))
     diffuse = diffuse + share * (ink - diffuse)
     rough = rng.choice([rng.uniform(0.15, 0.4), rng.uniform(0.5, 0.9)]) + 0.015 * flock
     height = 0.3 * cloud * rng.random() + rng.uniform(0.2, 1.0) * flock
-    if chance(rng, 0.3):  # laid or embossed
+    if rng.chance(0.3):  # laid or embossed
         _, across = turned(canvas, "laid", rng.uniform(0.0, np.pi), 0.5, 0.0)
-        height = height + 1.2 * np.sin(2.0 * np.pi * across / log_uniform(rng, 0.015, 0.05))
+        height = height + 1.2 * np.sin(2.0 * np.pi * across / rng.log_uniform(0.015, 0.05))
     cavity = smoothstep(0.0, -2.0, height)
-    return SurfaceFields(diffuse, dielectric(rng), rough, 0.002 * height, cavity)
+    return SurfaceFields(diffuse, rng.dielectric(), rough, 0.002 * height, cavity)
 
 
-def creased(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def creased(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """A sheet crumpled into facets and smoothed again: paper, foil, cloth."""
-    size = log_uniform(rng, 0.06, 0.16)
+    size = rng.log_uniform(0.06, 0.16)
     height = _facets(canvas, "large", 1.6 * size)
     for k, share in enumerate(rng.uniform(0.1, 0.7, size=2)):
         height = height + 0.6 ** (k + 1) * share * _facets(canvas, f"small {k}", 0.6**k * size)
     soft = 0.02 * size * bumps(canvas, "soft", Spectrum(size, 0.4 * size))
     ridge, valley = _folds(canvas, size * height, 0.004)
     fold = np.maximum(ridge, valley)
-    foil = chance(rng, 0.3)
-    hue = natural(rng, METALS) if foil else dye(rng)
+    foil = rng.chance(0.3)
+    hue = rng.natural(METALS) if foil else rng.dye()
     fibre = noise(canvas, "fibre", Spectrum(0.03, 0.006, slope=0.5))
     rubbed = rng.uniform(-0.4, 0.6)
     diffuse = hue[:, None, None] * np.exp(0.04 * fibre + rubbed * fold)
-    specular = rng.uniform(0.5, 0.9) if foil else dielectric(rng)
+    specular = rng.uniform(0.5, 0.9) if foil else rng.dielectric()
     gloss = rng.uniform(0.15, 0.4) if foil else rng.uniform(0.25, 0.85)
     rough = gloss + rng.uniform(0.0, 0.15) * fold + 0.02 * fibre
     return SurfaceFields(diffuse, specular, rough, size * 0.3 * height + soft, valley)

@@ -4,40 +4,32 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.lab.simulate.materials.kinds.draws import (
-    STONES,
-    Whole,
-    chance,
-    dielectric,
-    log_uniform,
-    natural,
-    palette_of,
-    shade,
-    shades,
-)
+from matcap.lab.simulate.materials.draws import STONES, Draws, Whole
 from matcap.lab.simulate.materials.kinds.place import polygons, scatter, splat, spun
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise, smoothstep
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise, pick, smoothstep
 
 
-def _mixed(rng: np.random.Generator, mood: float) -> Raster:
+def _mixed(rng: Draws, mood: float) -> Raster:
     """(24, 3) linear colours of stones, similar or mixed."""
-    quarries = [natural(rng, STONES) for _ in range(int(rng.integers(1, 5)))]
-    return np.concatenate([shades(rng, quarry, 6, mood) for quarry in quarries])
+    quarries = [rng.natural(STONES) for _ in range(int(rng.integers(1, 5)))]
+    return np.concatenate([rng.shades(quarry, 6, mood) for quarry in quarries])
 
 
-def gravel(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def gravel(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Stones of several sizes on one another, rounded by water or broken."""
-    size = log_uniform(rng, 0.03, 0.13)
+    size = rng.log_uniform(0.03, 0.13)
     spread, ragged = rng.uniform(0.2, 0.9), rng.uniform(0.2, 1.0)
     rounded, flat = rng.uniform(0.3, 1.0), rng.uniform(0.35, 0.9)
     stretch = rng.uniform(0.0, 0.5)
     tones = _mixed(rng, rng.uniform(0.1, 0.4))
 
-    def reach(generator: np.random.Generator, count: int) -> Raster:
-        return 0.65 * size * np.exp(-spread * np.abs(generator.standard_normal(count)))
-
-    stones = scatter(canvas, "stones", 0.42 * size, reach)
+    stones = scatter(
+        canvas,
+        "stones",
+        0.42 * size,
+        lambda stream, count: 0.65 * size * np.exp(-spread * np.abs(stream.standard_normal(count))),
+    )
     own = canvas.stream("own")
     inside = polygons(own, stones.count, 7, ragged)
     turn = own.uniform(0.0, np.pi, stones.count)
@@ -62,29 +54,31 @@ def gravel(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     height = np.where(bare, floor, height)
     vein = noise(canvas, "vein", Spectrum(0.5 * size, 0.008, slope=0.8))
     each = np.where(bare, 0.0, own.random(stones.count)[index])
-    diffuse = palette_of(tones, each) * np.exp(rng.uniform(0.02, 0.25) * vein)
+    diffuse = pick(tones, each) * np.exp(rng.uniform(0.02, 0.25) * vein)
     diffuse = np.where(bare, 0.5 * diffuse, diffuse)
     gloss = own.standard_normal(stones.count)[index]
     wet = rng.uniform(0.25, 0.85)
     rough = wet + rng.uniform(0.0, 0.12) * gloss + 0.02 * vein
     specular = np.clip(
-        dielectric(rng) + 0.004 * own.standard_normal(stones.count)[index], 0.025, 0.07
+        rng.dielectric() + 0.004 * own.standard_normal(stones.count)[index], 0.025, 0.07
     )
     cavity = smoothstep(0.55 * size, -0.1 * size, height)
     return SurfaceFields(diffuse, specular, rough, height, cavity)
 
 
-def asphalt(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def asphalt(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Broken stones of all sizes in a dark or pale binder that covers some of them."""
-    size = log_uniform(rng, 0.02, 0.07)
+    size = rng.log_uniform(0.02, 0.07)
     ragged = rng.uniform(0.4, 1.0)
     tones = _mixed(rng, 0.3)
-    binder = natural(rng, STONES[[2, 3]] if chance(rng, 0.7) else STONES) * 0.8
+    binder = rng.natural(STONES[[2, 3]] if rng.chance(0.7) else STONES) * 0.8
 
-    def reach(generator: np.random.Generator, count: int) -> Raster:
-        return 0.6 * size * generator.random(count) ** 1.2 + 0.1 * size
-
-    stones = scatter(canvas, "stones", 0.55 * size, reach)
+    stones = scatter(
+        canvas,
+        "stones",
+        0.55 * size,
+        lambda stream, count: 0.6 * size * stream.random(count) ** 1.2 + 0.1 * size,
+    )
     own = canvas.stream("own")
     inside = polygons(own, stones.count, 5, ragged)
     level = own.normal(0.0, 1.0, stones.count)
@@ -106,25 +100,27 @@ def asphalt(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     height = np.maximum(stone, fill)
     each = own.random(stones.count)[index]
     grit = noise(canvas, "grit", Spectrum(0.03, 0.006, slope=0.4))
-    diffuse = palette_of(tones, each) * np.exp(0.12 * grit)
+    diffuse = pick(tones, each) * np.exp(0.12 * grit)
     diffuse = mix(binder[:, None, None] * np.exp(0.2 * grit), diffuse, out)
     rough_stone = rng.uniform(0.35, 0.85) + 0.1 * own.standard_normal(stones.count)[index]
     rough = mix(rng.uniform(0.35, 0.9) + 0.04 * grit, rough_stone, out)
     height = height + 0.03 * size * grit
-    return SurfaceFields(diffuse, dielectric(rng), rough, height, 1.0 - out)
+    return SurfaceFields(diffuse, rng.dielectric(), rough, height, 1.0 - out)
 
 
-def terrazzo(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def terrazzo(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Chips of stone in cement, ground flat and polished."""
-    size = log_uniform(rng, 0.03, 0.14)
+    size = rng.log_uniform(0.03, 0.14)
     tones = _mixed(rng, 0.25)
-    cement = natural(rng, STONES)
+    cement = rng.natural(STONES)
     sparse, power = rng.uniform(0.45, 0.9), rng.uniform(0.8, 3.0)
 
-    def reach(generator: np.random.Generator, count: int) -> Raster:
-        return 0.6 * size * generator.random(count) ** power + 0.06 * size
-
-    chips = scatter(canvas, "chips", sparse * size, reach)
+    chips = scatter(
+        canvas,
+        "chips",
+        sparse * size,
+        lambda stream, count: 0.6 * size * stream.random(count) ** power + 0.06 * size,
+    )
     own = canvas.stream("own")
     inside = polygons(own, chips.count, 6, 1.0)
     level, long = own.random(chips.count), np.exp(0.35 * np.abs(own.standard_normal(chips.count)))
@@ -139,9 +135,9 @@ def terrazzo(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     high, index = splat(canvas, chips, profile)
     chip = (index >= 0).astype(np.float64)
     vein = noise(canvas, "vein", Spectrum(0.06, 0.007, slope=0.9))
-    diffuse = palette_of(tones, own.random(chips.count)[index]) * np.exp(rng.uniform(0, 0.2) * vein)
+    diffuse = pick(tones, own.random(chips.count)[index]) * np.exp(rng.uniform(0, 0.2) * vein)
     diffuse = np.where(index >= 0, diffuse, cement[:, None, None] * np.exp(0.08 * vein))
-    polish, dull = log_uniform(rng, 0.08, 0.4), rng.uniform(0.0, 0.25)
+    polish, dull = rng.log_uniform(0.08, 0.4), rng.uniform(0.0, 0.25)
     rough = polish + dull * (1.0 - chip) + 0.04 * own.standard_normal(chips.count)[index] * chip
     pit = smoothstep(1.9, 2.4, noise(canvas, "pits", Spectrum(0.03, 0.007, slope=0.0)))
     height = 0.1 * chip - 0.6 * pit + 0.06 * noise(canvas, "wave", Spectrum(0.16, 0.08))
@@ -151,40 +147,42 @@ def terrazzo(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     )
 
 
-def marble(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def marble(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Polished stone with clouds and veins."""
-    size = log_uniform(rng, 0.08, 0.16)
-    stone, vein_hue = natural(rng, STONES), natural(rng, STONES)
-    stretch, turn = log_uniform(rng, 1.0, 3.0), rng.uniform(0.0, np.pi)
+    size = rng.log_uniform(0.08, 0.16)
+    stone, vein_hue = rng.natural(STONES), rng.natural(STONES)
+    stretch, turn = rng.log_uniform(1.0, 3.0), rng.uniform(0.0, np.pi)
     cloud = noise(canvas, "cloud", Spectrum(2.0 * size, 0.01, 1.6, stretch, turn))
     vein = np.zeros_like(cloud)
     for k in range(int(rng.integers(1, 4))):
         field = noise(canvas, f"vein {k}", Spectrum(1.5 * size, 0.008, 1.7, stretch, turn))
         here = smoothstep(-0.8, 1.2, noise(canvas, f"here {k}", Spectrum(0.16, 0.06)))
-        width = log_uniform(rng, 0.03, 0.15)
+        width = rng.log_uniform(0.03, 0.15)
         vein = np.maximum(vein, here * np.exp(-((field / width) ** 2)))
     ground = stone[:, None, None] * np.exp(rng.uniform(0.05, 0.4) * cloud)
     diffuse = mix(ground, vein_hue[:, None, None], rng.uniform(0.3, 1.0) * vein)
     grain = noise(canvas, "crystals", Spectrum(0.02, 0.006, slope=0.2))
     diffuse = diffuse * np.exp(rng.uniform(0.0, 0.15) * grain)
-    rough = log_uniform(rng, 0.08, 0.4) + rng.uniform(-0.05, 0.15) * vein + 0.01 * grain
+    rough = rng.log_uniform(0.08, 0.4) + rng.uniform(-0.05, 0.15) * vein + 0.01 * grain
     wave = noise(canvas, "wave", Spectrum(0.16, 0.05, slope=1.2))
     height = 0.002 * wave - rng.uniform(0.0, 0.002) * vein
     return SurfaceFields(diffuse, rng.uniform(0.038, 0.06), rough, height, rng.random() * vein)
 
 
-def pitted(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def pitted(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Stone or concrete with pits and pores: travertine, lava, blown concrete."""
-    size = log_uniform(rng, 0.025, 0.12)
-    stone = natural(rng, STONES)
+    size = rng.log_uniform(0.025, 0.12)
+    stone = rng.natural(STONES)
     spread, dense = rng.uniform(0.3, 0.9), rng.uniform(0.5, 1.1)
     steep = rng.uniform(0.5, 2.0)
-    stretch, turn = log_uniform(rng, 1.0, 2.5), rng.uniform(0.0, np.pi)
+    stretch, turn = rng.log_uniform(1.0, 2.5), rng.uniform(0.0, np.pi)
 
-    def reach(generator: np.random.Generator, count: int) -> Raster:
-        return 0.5 * size * np.exp(-spread * np.abs(generator.standard_normal(count)))
-
-    pits = scatter(canvas, "pits", dense * size, reach)
+    pits = scatter(
+        canvas,
+        "pits",
+        dense * size,
+        lambda stream, count: 0.5 * size * np.exp(-spread * np.abs(stream.standard_normal(count))),
+    )
     own = canvas.stream("own")
     inside = polygons(own, pits.count, 6, 0.7)
 
@@ -200,13 +198,13 @@ def pitted(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     crumb = noise(canvas, "crumb", Spectrum(0.7 * size, 0.008, slope=1.0))
     swell = noise(canvas, "swell", Spectrum(0.16, 0.05, slope=1.5))
     height = -deep + 0.02 * size * rng.uniform(0.2, 1.5) * crumb + 0.03 * size * swell
-    other = shade(rng, stone, 0.5, 0.15)
+    other = rng.shade(stone, 0.5, 0.15)
     bed = noise(canvas, "bed", Spectrum(0.15, 0.012, 1.2, stretch, turn))
-    sharp = log_uniform(rng, 0.8, 3.0)
+    sharp = rng.log_uniform(0.8, 3.0)
     diffuse = mix(stone[:, None, None], other[:, None, None], smoothstep(-sharp, sharp, bed))
     diffuse = diffuse * np.exp(0.08 * crumb)
     hole = smoothstep(0.0, 0.25 * size, deep)
-    polished = chance(rng, 0.3)
+    polished = rng.chance(0.3)
     rough = (rng.uniform(0.12, 0.35) if polished else rng.uniform(0.5, 0.9)) + 0.02 * crumb
     rough = rough + (0.5 if polished else 0.05) * hole
-    return SurfaceFields(diffuse, dielectric(rng), rough, height, hole)
+    return SurfaceFields(diffuse, rng.dielectric(), rough, height, hole)

@@ -14,7 +14,7 @@ import numpy as np
 
 from matcap.brdf.maps import MapSet
 from matcap.lab.simulate.materials.assemble import assemble
-from matcap.lab.simulate.materials.kinds.draws import chance, log_uniform
+from matcap.lab.simulate.materials.draws import Draws
 from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, bumps, noise
 
 # Ranges of real surfaces: fresh charcoal to snow, polished stone to chalk.
@@ -45,7 +45,7 @@ class SurfaceFields:
 
 
 # (canvas, parameters) to a realisation.
-Lay = Callable[[Canvas, np.random.Generator], SurfaceFields]
+Lay = Callable[[Canvas, Draws], SurfaceFields]
 
 
 @dataclass(frozen=True)
@@ -75,12 +75,10 @@ class _Finish:
     drift: float  # likewise of the logarithm of albedo, over a few features
 
 
-def finish(
-    canvas: Canvas, kind: Kind, depth: float, parameters: np.random.Generator
-) -> tuple[MapSet, Raster]:
+def finish(canvas: Canvas, kind: Kind, depth: float, parameters: Draws) -> tuple[MapSet, Raster]:
     """Maps of a realisation, and (H, W) its relief, `depth` times the height, without grain."""
     how = _draw_finish(parameters)
-    steepness = log_uniform(parameters, *kind.grain)
+    steepness = parameters.log_uniform(*kind.grain)
     surface = kind.lay(canvas, parameters)
     grain = noise(canvas, "grain", how.spectrum)
     drift = noise(canvas, "drift", Spectrum(0.16, 0.05))
@@ -104,15 +102,15 @@ def _rounded(canvas: Canvas, height: Raster) -> Raster:
     return np.asarray(cv2.GaussianBlur(np.ascontiguousarray(height), (0, 0), deviation))
 
 
-def _draw_finish(rng: np.random.Generator) -> _Finish:
+def _draw_finish(rng: Draws) -> _Finish:
     """Cavities darker, and rougher, in 3 of 4 materials each, else the opposite; none in 15 %."""
-    tied = not chance(rng, 0.15)
-    coarse = log_uniform(rng, 0.01, 0.06)
+    tied = not rng.chance(0.15)
+    coarse = rng.log_uniform(0.01, 0.06)
     return _Finish(
-        darkening=tied * (1.0 if chance(rng, 0.75) else -0.4) * log_uniform(rng, 0.08, 1.4),
-        roughening=tied * (1.0 if chance(rng, 0.75) else -0.6) * log_uniform(rng, 0.02, 0.35),
-        spectrum=Spectrum(coarse, min(log_uniform(rng, 0.005, 0.012), 0.7 * coarse), rng.random()),
-        tone=log_uniform(rng, 0.01, 0.16),
-        wear=log_uniform(rng, 0.003, 0.05),
-        drift=log_uniform(rng, 0.01, 0.12),
+        darkening=tied * (1.0 if rng.chance(0.75) else -0.4) * rng.log_uniform(0.08, 1.4),
+        roughening=tied * (1.0 if rng.chance(0.75) else -0.6) * rng.log_uniform(0.02, 0.35),
+        spectrum=Spectrum(coarse, min(rng.log_uniform(0.005, 0.012), 0.7 * coarse), rng.random()),
+        tone=rng.log_uniform(0.01, 0.16),
+        wear=rng.log_uniform(0.003, 0.05),
+        drift=rng.log_uniform(0.01, 0.12),
     )

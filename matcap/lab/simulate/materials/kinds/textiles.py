@@ -6,34 +6,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-from matcap.lab.simulate.materials.kinds.draws import (
-    WOODS,
-    Whole,
-    angle,
-    chance,
-    dielectric,
-    dye,
-    log_uniform,
-    natural,
-    palette_of,
-    piece,
-    shade,
-    shades,
-    streaks,
-)
+from matcap.lab.simulate.materials.draws import WOODS, Draws, Whole, piece, streaks
 from matcap.lab.simulate.materials.kinds.place import turned
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, noise, smoothstep
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, noise, pick, smoothstep
 
 
 def _fuzz(canvas: Canvas, size: float) -> Raster:
     return noise(canvas, "fuzz", Spectrum(0.5 * size, min(0.007, 0.3 * size), slope=0.6))
 
 
-def knit(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def knit(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Stocking stitch: columns of Vs, each leg a bulging, twisted yarn."""
-    size = log_uniform(rng, 0.03, 0.12)
-    along, across = turned(canvas, "knit", angle(rng), 6.0 * size, size * rng.uniform(0.0, 0.12))
+    size = rng.log_uniform(0.03, 0.12)
+    along, across = turned(canvas, "knit", rng.angle(), 6.0 * size, size * rng.uniform(0.0, 0.12))
     course = rng.uniform(0.6, 0.95)
     u, v = across / size, along / (size * course)
     wale = np.floor(u).astype(np.int64)
@@ -48,31 +34,31 @@ def knit(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     twist = np.sin(2.0 * np.pi * (rng.uniform(1.0, 2.5) * fold + rng.uniform(0.5, 1.5) * side))
     fuzz = _fuzz(canvas, size)
     height = height + 0.06 * rng.random() * twist + 0.04 * rng.random() * fuzz
-    tones = shades(rng, dye(rng), 8, rng.choice([0.03, 0.12]))
-    striped = chance(rng, 0.3)
+    tones = rng.shades(rng.dye(), 8, rng.choice([0.03, 0.12]))
+    striped = rng.chance(0.3)
     share = piece(canvas, "row", row // int(rng.integers(1, 5))) if striped else 0.0 * u
-    mottled = log_uniform(rng, 0.01, 0.12)
+    mottled = rng.log_uniform(0.01, 0.12)
     own = piece(canvas, "stitch", row, wale, leg) - 0.5
-    diffuse = palette_of(tones, share) * np.exp(mottled * fuzz + 0.15 * own + 0.05 * twist)
-    if striped and chance(rng, 0.5):
-        second = dye(rng)[:, None, None]
+    diffuse = pick(tones, share) * np.exp(mottled * fuzz + 0.15 * own + 0.05 * twist)
+    if striped and rng.chance(0.5):
+        second = rng.dye()[:, None, None]
         diffuse = np.where(share < 0.4, second * np.exp(mottled * fuzz), diffuse)
     rough = rng.uniform(0.5, 0.92) + 0.03 * fuzz
     return SurfaceFields(
-        diffuse, dielectric(rng), rough, size * 0.5 * height, 1.0 - np.sqrt(height.clip(0, 1))
+        diffuse, rng.dielectric(), rough, size * 0.5 * height, 1.0 - np.sqrt(height.clip(0, 1))
     )
 
 
-def cable(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def cable(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Cables of two or three strands that cross, between columns of purl bumps."""
-    size = log_uniform(rng, 0.06, 0.16)
-    along, across = turned(canvas, "cable", angle(rng), 4.0 * size, size * rng.uniform(0.0, 0.08))
+    size = rng.log_uniform(0.06, 0.16)
+    along, across = turned(canvas, "cable", rng.angle(), 4.0 * size, size * rng.uniform(0.0, 0.08))
     u = across / size
     column = np.floor(u).astype(np.int64)
     x = 2.0 * (u - column) - 1.0
     strands = int(rng.integers(2, 4))
     theta = 2.0 * np.pi * along / (size * rng.uniform(0.9, 2.2))
-    theta = theta + np.where(chance(rng, 0.5), np.pi * (column % 2), 0.0)
+    theta = theta + np.where(rng.chance(0.5), np.pi * (column % 2), 0.0)
     stitch = size * rng.uniform(0.12, 0.25)
     fibre, height = np.zeros_like(u), np.full_like(u, -1.0)
     thick = 0.75 / strands
@@ -92,45 +78,45 @@ def cable(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     height = np.where(between, purl, height + rng.uniform(0.04, 0.12) * ridge)
     fuzz = _fuzz(canvas, stitch * 2.0)
     height = height + 0.015 * fuzz
-    colour = dye(rng)[:, None, None]
+    colour = rng.dye()[:, None, None]
     diffuse = colour * np.exp(
-        log_uniform(rng, 0.01, 0.12) * fuzz + 0.1 * np.where(between, 0.0, ridge)
+        rng.log_uniform(0.01, 0.12) * fuzz + 0.1 * np.where(between, 0.0, ridge)
     )
     cavity = smoothstep(0.35, -0.12, height)
     return SurfaceFields(
-        diffuse, dielectric(rng), rng.uniform(0.55, 0.92) + 0.02 * fuzz, size * height, cavity
+        diffuse, rng.dielectric(), rng.uniform(0.55, 0.92) + 0.02 * fuzz, size * height, cavity
     )
 
 
-def ribs(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def ribs(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Corduroy and other ribs: rounded ridges of pile, wide or narrow by turns."""
-    size = log_uniform(rng, 0.02, 0.12)
-    turn = angle(rng)
+    size = rng.log_uniform(0.02, 0.12)
+    turn = rng.angle()
     along, across = turned(canvas, "ribs", turn, 8.0 * size, size * rng.uniform(0.0, 0.12))
     u = across / size
     rib = np.floor(u).astype(np.int64)
     x = 2.0 * (u - rib) - 1.0
     gap = rng.uniform(0.05, 0.35)
-    narrow = np.where(chance(rng, 0.3) & (rib % 2 == 0), 0.75, 1.0)
+    narrow = np.where(rng.chance(0.3) & (rib % 2 == 0), 0.75, 1.0)
     body = np.maximum(1.0 - (np.abs(x) / (narrow * (1.0 - gap))) ** rng.uniform(2.0, 4.0), 0.0)
     height = np.sqrt(body)
     spectrum = Spectrum(0.04, 0.006, 0.6, stretch=rng.uniform(1.0, 4.0), angle=turn + np.pi / 2)
     pile = noise(canvas, "pile", spectrum)
     crushed = noise(canvas, "crushed", Spectrum(0.16, 0.05))
     height = height * (1.0 + 0.1 * rng.random() * crushed) + rng.uniform(0.0, 0.12) * pile * body
-    if chance(rng, 0.4):  # bars across the ribs
+    if rng.chance(0.4):  # bars across the ribs
         bar = np.sin(2.0 * np.pi * along / (size * rng.uniform(0.3, 0.8)) + np.pi * (rib % 2))
         height = height + 0.12 * bar * body
-    colour = dye(rng)[:, None, None]
+    colour = rng.dye()[:, None, None]
     sheen = rng.uniform(0.0, 0.2)
     diffuse = colour * np.exp(rng.uniform(0.02, 0.14) * pile + sheen * crushed)
     rough = rng.uniform(0.45, 0.92) - 0.2 * sheen * crushed + 0.03 * pile
     return SurfaceFields(
-        diffuse, dielectric(rng), rough, 0.4 * size * height, (1.0 - height).clip(0, 1)
+        diffuse, rng.dielectric(), rough, 0.4 * size * height, (1.0 - height).clip(0, 1)
     )
 
 
-def _over(rng: np.random.Generator, twill: bool) -> tuple[int, int, int, bool]:
+def _over(rng: Draws, twill: bool) -> tuple[int, int, int, bool]:
     """Draft of a weave: threads over, under, shift from thread to thread, whether it zigzags."""
     if not twill:
         return (1, 1, 1, False)
@@ -145,38 +131,38 @@ def _over(rng: np.random.Generator, twill: bool) -> tuple[int, int, int, bool]:
         (1, 1, 1),
     ]
     over, under, step = drafts[rng.integers(len(drafts))]
-    return over, under, step, chance(rng, 0.3)
+    return over, under, step, rng.chance(0.3)
 
 
-def weave(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def weave(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Plain, twill and satin weaves of round yarns."""
-    return _woven(canvas, rng, log_uniform(rng, 0.014, 0.06), _over(rng, True), 1, dye)
+    return _woven(canvas, rng, rng.log_uniform(0.014, 0.06), _over(rng, True), 1, Draws.dye)
 
 
-def basket(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def basket(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Basket weave: groups of yarns or flat canes over and under each other."""
-    size = log_uniform(rng, 0.014, 0.05)
+    size = rng.log_uniform(0.014, 0.05)
     together = int(rng.integers(1, 5))
     if together == 1:
         size = size * 2.5
 
-    def hue(rng: np.random.Generator) -> Raster:
-        return natural(rng, WOODS) if chance(rng, 0.6) else dye(rng)
+    def hue(rng: Draws) -> Raster:
+        return rng.natural(WOODS) if rng.chance(0.6) else rng.dye()
 
     return _woven(canvas, rng, size, _over(rng, False), together, hue)
 
 
 def _woven(
     canvas: Canvas,
-    rng: np.random.Generator,
+    rng: Draws,
     size: float,
     draft: tuple[int, int, int, bool],
     together: int,
-    hue: Callable[[np.random.Generator], Raster],
+    hue: Callable[[Draws], Raster],
 ) -> SurfaceFields:
     over, under, step, zigzag = draft
-    along, across = turned(canvas, "weave", angle(rng), 8.0 * size, size * rng.uniform(0.0, 0.15))
-    u, v = along / size, across / (size * log_uniform(rng, 0.8, 1.25))
+    along, across = turned(canvas, "weave", rng.angle(), 8.0 * size, size * rng.uniform(0.0, 0.15))
+    u, v = along / size, across / (size * rng.log_uniform(0.8, 1.25))
     column, row = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
     turn = int(rng.integers(6, 20))
 
@@ -212,15 +198,15 @@ def _woven(
     lines = streaks(canvas, "lines", side * rng.uniform(3.0, 6.0), thread)
     height = height + 0.05 * twist + 0.03 * lines
     warp_hue = hue(rng)
-    weft_hue = shade(rng, warp_hue, 0.4) if chance(rng, 0.6) else hue(rng)
+    weft_hue = rng.shade(warp_hue, 0.4) if rng.chance(0.6) else hue(rng)
     spread = rng.choice([0.03, 0.1, 0.3])
     tone = spread * (2.0 * piece(canvas, "dye", thread) - 1.0)
     diffuse = np.where(upper, warp_hue[:, None, None], weft_hue[:, None, None])
-    if chance(rng, 0.2):  # stripes or a plaid
+    if rng.chance(0.2):  # stripes or a plaid
         band = (thread // 2) // int(rng.integers(3, 12)) % 2 == 0
-        diffuse = np.where(band & (upper | chance(rng, 0.5)), dye(rng)[:, None, None], diffuse)
+        diffuse = np.where(band & (upper | rng.chance(0.5)), rng.dye()[:, None, None], diffuse)
     diffuse = diffuse * np.exp(tone + rng.uniform(0.02, 0.12) * (fuzz + lines) + 0.06 * twist)
     sheen = rng.uniform(0.3, 0.9)
     rough = sheen + rng.uniform(-0.08, 0.08) * upper + 0.05 * tone + 0.02 * fuzz
     cavity = smoothstep(0.2, -0.45, height)
-    return SurfaceFields(diffuse, dielectric(rng), rough, size * height, cavity)
+    return SurfaceFields(diffuse, rng.dielectric(), rough, size * height, cavity)

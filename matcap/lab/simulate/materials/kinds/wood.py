@@ -4,30 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.lab.simulate.materials.kinds.draws import (
-    WOODS,
-    Whole,
-    angle,
-    chance,
-    dielectric,
-    dye,
-    log_uniform,
-    natural,
-    palette_of,
-    piece,
-    shade,
-    shades,
-    streaks,
-)
+from matcap.lab.simulate.materials.draws import WOODS, Draws, Whole, piece, streaks
 from matcap.lab.simulate.materials.kinds.place import paths, polygons, scatter, splat, spun, turned
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise, smoothstep
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise, pick, smoothstep
 
 
-def planks(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def planks(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Boards side by side, each with its own rings, pores and tone."""
-    wide, long = log_uniform(rng, 0.07, 0.2), rng.uniform(4.0, 10.0)
-    turn = angle(rng)
+    wide, long = rng.log_uniform(0.07, 0.2), rng.uniform(4.0, 10.0)
+    turn = rng.angle()
     along, across = turned(canvas, "planks", turn, 1.0, 0.0)
     v = across / wide
     row = np.floor(v).astype(np.int64)
@@ -38,7 +24,7 @@ def planks(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     # Grain: rings cut at a slant, so that they run along and now and then close in an arch.
     slow = Spectrum(0.16, 0.05, 1.5, stretch=rng.uniform(4.0, 8.0), angle=turn)
     bow = noise(canvas, "bow", slow) * (2.0 * piece(canvas, "side", *board) - 1.0)
-    pitch = log_uniform(rng, 0.012, 0.035)
+    pitch = rng.log_uniform(0.012, 0.035)
     rings = (across + rng.uniform(0.02, 0.09) * bow) / pitch + 40.0 * own
     late = (rings - np.floor(rings)) ** rng.uniform(1.5, 4.0)
     late = late * smoothstep(1.0, 0.9, rings - np.floor(rings))
@@ -47,7 +33,7 @@ def planks(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     pore = smoothstep(1.3, 2.2, noise(canvas, "pores", Spectrum(0.012, 0.0045, 0.1, 10.0, turn)))
     pore = pore * rng.uniform(0.0, 1.0)
 
-    joint = log_uniform(rng, 0.003, 0.012)
+    joint = rng.log_uniform(0.003, 0.012)
     edge = np.minimum(v - row, 1.0 + row - v) * wide
     end = np.minimum(u - board[1], 1.0 + board[1] - u) * wide * long
     edge = np.minimum(edge, end)
@@ -58,35 +44,39 @@ def planks(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     height = cup + bevel + body * 1.5 * joint * rng.uniform(0.3, 1.0)
     height = height + rough_sawn * (fibre - 1.5 * (1.0 - late)) - 0.001 * pore
 
-    hue = natural(rng, WOODS)
-    tones = shades(rng, hue, 10, rng.uniform(0.03, 0.3))
-    diffuse = palette_of(tones, piece(canvas, "tone", *board))
+    hue = rng.natural(WOODS)
+    tones = rng.shades(hue, 10, rng.uniform(0.03, 0.3))
+    diffuse = pick(tones, piece(canvas, "tone", *board))
     ink = rng.uniform(0.3, 1.2)
     diffuse = diffuse * np.exp(-ink * late + 0.07 * fibre - 0.8 * pore)
     diffuse = diffuse * np.array([1.0, 0.95, 0.85])[:, None, None] ** (late + 0.0 * fibre)
-    varnished = chance(rng, 0.5)
+    varnished = rng.chance(0.5)
     gloss = rng.uniform(0.15, 0.4) if varnished else rng.uniform(0.5, 0.85)
     rough = gloss + (0.03 if varnished else 0.1) * (0.5 - late) + 0.02 * fibre + 0.15 * pore
     return SurfaceFields(
-        diffuse, dielectric(rng), rough, height, np.maximum(1.0 - body, 0.4 * pore)
+        diffuse, rng.dielectric(), rough, height, np.maximum(1.0 - body, 0.4 * pore)
     )
 
 
-def varnish(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def varnish(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Scratches, straight and curved, in a glossy coat over wood or paint."""
-    coat = natural(rng, WOODS) if chance(rng, 0.6) else dye(rng)
-    grain_turn = angle(rng)
+    coat = rng.natural(WOODS) if rng.chance(0.6) else rng.dye()
+    grain_turn = rng.angle()
     grain = noise(canvas, "wood", Spectrum(0.08, 0.006, 0.9, stretch=12.0, angle=grain_turn))
     contrast = rng.uniform(0.0, 0.35)
     favoured, loose = rng.uniform(0.0, np.pi), rng.choice([0.15, 0.6, 3.0])
-    width = log_uniform(rng, 0.0025, 0.006)
+    width = rng.log_uniform(0.0025, 0.006)
 
-    def direction(generator: np.random.Generator, count: int) -> Raster:
-        return favoured + loose * generator.standard_normal(count)
-
-    pitch = log_uniform(rng, 0.05, 0.15)
+    pitch = rng.log_uniform(0.05, 0.15)
     stamps, turn, whose = paths(
-        canvas, "scratches", pitch, 12, rng.uniform(0.01, 0.04), 0.05, direction, 2.0 * width
+        canvas,
+        "scratches",
+        pitch,
+        12,
+        rng.uniform(0.01, 0.04),
+        0.05,
+        lambda stream, count: favoured + loose * stream.standard_normal(count),
+        2.0 * width,
     )
     own = canvas.stream("own")
     force = own.random(stamps.count + 1)
@@ -107,22 +97,24 @@ def varnish(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     pale = rng.uniform(-0.5, 0.9)
     diffuse = coat[:, None, None] * np.exp(contrast * grain + pale * scratch)
     worn = noise(canvas, "worn", Spectrum(0.16, 0.03, slope=1.3))
-    rough = log_uniform(rng, 0.1, 0.3) + rng.uniform(0.1, 0.4) * scratch
+    rough = rng.log_uniform(0.1, 0.3) + rng.uniform(0.1, 0.4) * scratch
     rough = rough + rng.uniform(0.0, 0.05) * worn
     return SurfaceFields(diffuse, rng.uniform(0.038, 0.055), rough, height, scratch)
 
 
-def chipboard(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def chipboard(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Long flakes of wood pressed on one another in all directions."""
-    size = log_uniform(rng, 0.06, 0.16)
-    hue = natural(rng, WOODS)
+    size = rng.log_uniform(0.06, 0.16)
+    hue = rng.natural(WOODS)
     slender, spread = rng.uniform(0.25, 0.5), rng.uniform(0.3, 1.5)
-    favoured = angle(rng)
+    favoured = rng.angle()
 
-    def reach(generator: np.random.Generator, count: int) -> Raster:
-        return size * (0.4 + 0.6 * generator.random(count))
-
-    flakes = scatter(canvas, "flakes", 0.38 * size, reach)
+    flakes = scatter(
+        canvas,
+        "flakes",
+        0.38 * size,
+        lambda stream, count: size * (0.4 + 0.6 * stream.random(count)),
+    )
     own = canvas.stream("own")
     count = flakes.count
     turn = favoured + spread * own.standard_normal(count)
@@ -148,28 +140,30 @@ def chipboard(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     fine = rng.uniform(4.0, 9.0)
     lines = streaks(canvas, "lines", fine * (v + 0.15 * np.sin(3.0 * u)), index)
     lines = 0.6 * lines + 0.5 * streaks(canvas, "broad", 0.35 * fine * v, index)
-    tones = shades(rng, hue, 12, rng.uniform(0.12, 0.4))
-    diffuse = palette_of(tones, own.random(count)[index])
+    tones = rng.shades(hue, 12, rng.uniform(0.12, 0.4))
+    diffuse = pick(tones, own.random(count)[index])
     diffuse = diffuse * np.exp(rng.uniform(0.05, 0.3) * lines)
     rough = rng.uniform(0.35, 0.85) + 0.06 * own.standard_normal(count)[index] + 0.03 * lines
     cavity = smoothstep(1.2, -0.1, height)
     return SurfaceFields(
-        diffuse, dielectric(rng), rough, 0.1 * size * (height + 0.06 * lines), cavity
+        diffuse, rng.dielectric(), rough, 0.1 * size * (height + 0.06 * lines), cavity
     )
 
 
-def scales(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
+def scales(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Flakes that lift at their rims: rust, bark, shale."""
-    size = log_uniform(rng, 0.04, 0.15)
-    rusty = chance(rng, 0.6)
-    hue = shade(rng, np.array([0.26, 0.10, 0.035]), 0.4) if rusty else natural(rng, WOODS)
-    under = shade(rng, hue * 0.45, 0.3, 0.1)
+    size = rng.log_uniform(0.04, 0.15)
+    rusty = rng.chance(0.6)
+    hue = rng.shade(np.array([0.26, 0.10, 0.035]), 0.4) if rusty else rng.natural(WOODS)
+    under = rng.shade(hue * 0.45, 0.3, 0.1)
     curl = rng.uniform(-0.1, 0.5)
 
-    def reach(generator: np.random.Generator, count: int) -> Raster:
-        return size * (0.25 + 0.5 * generator.random(count))
-
-    flakes = scatter(canvas, "flakes", 0.5 * size, reach)
+    flakes = scatter(
+        canvas,
+        "flakes",
+        0.5 * size,
+        lambda stream, count: size * (0.25 + 0.5 * stream.random(count)),
+    )
     own = canvas.stream("own")
     inside = polygons(own, flakes.count, 7, 0.9)
     level, lean = own.random(flakes.count), 0.5 * own.standard_normal((2, flakes.count))
@@ -185,10 +179,10 @@ def scales(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     height, index = splat(canvas, flakes, profile)
     height = np.where(index >= 0, height, -0.3)
     crumb = noise(canvas, "crumb", Spectrum(0.4 * size, 0.007, slope=0.7))
-    tones = shades(rng, hue, 12, rng.uniform(0.15, 0.4))
-    diffuse = palette_of(tones, own.random(flakes.count)[index]) * np.exp(0.15 * crumb)
+    tones = rng.shades(hue, 12, rng.uniform(0.15, 0.4))
+    diffuse = pick(tones, own.random(flakes.count)[index]) * np.exp(0.15 * crumb)
     depth = smoothstep(0.9, -0.2, height)
     diffuse = mix(diffuse, under[:, None, None], 0.8 * depth)
     rough = rng.uniform(0.5, 0.9) + 0.07 * own.standard_normal(flakes.count)[index] + 0.03 * crumb
     height = 0.15 * size * (height + 0.08 * crumb)
-    return SurfaceFields(diffuse, dielectric(rng), rough, height, depth)
+    return SurfaceFields(diffuse, rng.dielectric(), rough, height, depth)

@@ -1,10 +1,11 @@
-"""Random parameters: scales, natural colours, and uniform numbers by index (hashes)."""
+"""Random parameters of materials: scales and natural colours; uniform numbers by index (hashes)."""
 
 from __future__ import annotations
 
 import colorsys
 import math
 import zlib
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,55 +65,56 @@ METALS = np.array(  # what little diffuse light dirt and oxide give
 )
 
 
-def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """A number whose logarithm is uniform."""
-    return float(math.exp(rng.uniform(math.log(low), math.log(high))))
+class Draws(np.random.Generator):
+    """Random numbers, and what is drawn of materials by them."""
 
+    @classmethod
+    def of(cls, seed: int | Sequence[int]) -> Draws:
+        """The numbers of `numpy.random.default_rng` of the same seed."""
+        return cls(np.random.PCG64(seed))
 
-def chance(rng: np.random.Generator, probability: float) -> bool:
-    """True with a probability."""
-    return bool(rng.random() < probability)
+    def log_uniform(self, low: float, high: float) -> float:
+        """A number whose logarithm is uniform."""
+        return float(math.exp(self.uniform(math.log(low), math.log(high))))
 
+    def chance(self, probability: float) -> bool:
+        """True with a probability."""
+        return bool(self.random() < probability)
 
-def angle(rng: np.random.Generator) -> float:
-    """A direction of grain, radians: half the time along the picture's sides."""
-    if chance(rng, 0.5):
-        return float(rng.choice([0.0, math.pi / 2]) + rng.normal(0.0, 0.03))
-    return float(rng.uniform(0.0, math.pi))
+    def angle(self) -> float:
+        """A direction of grain, radians: half the time along the picture's sides."""
+        if self.chance(0.5):
+            return float(self.choice([0.0, math.pi / 2]) + self.normal(0.0, 0.03))
+        return float(self.uniform(0.0, math.pi))
 
+    def natural(self, palette: Colours) -> Colours:
+        """(3,) a colour near one of a palette's (N, 3)."""
+        return self.shade(palette[self.integers(len(palette))], 0.3, 0.08)
 
-def natural(rng: np.random.Generator, palette: Colours) -> Colours:
-    """(3,) a random colour near one of a palette's (N, 3)."""
-    return shade(rng, palette[rng.integers(len(palette))], 0.3, 0.08)
+    def dye(self) -> Colours:
+        """(3,) a colour, greys and browns more often than others."""
+        if self.chance(0.4):
+            return self.natural(np.concatenate([STONES, WOODS]))
+        saturation, value = self.beta(2.0, 1.5), self.log_uniform(0.03, 0.8)
+        return np.array(colorsys.hsv_to_rgb(self.random(), saturation, value))
 
+    def shade(self, of: Colours, tone: float, hue: float = 0.06) -> Colours:
+        """(3,) a variation of a colour: log-normal in brightness by `tone`, warmth by `hue`.
 
-def dye(rng: np.random.Generator) -> Colours:
-    """(3,) a random colour, greys and browns more often than others."""
-    if chance(rng, 0.4):
-        return natural(rng, np.concatenate([STONES, WOODS]))
-    saturation, value = rng.beta(2.0, 1.5), log_uniform(rng, 0.03, 0.8)
-    return np.array(colorsys.hsv_to_rgb(rng.random(), saturation, value))
+        Dirt, heat and age change colours along warm-cool, hardly along green-magenta.
+        """
+        light, warm, green = self.standard_normal(3)
+        warmth, tint = np.array([1.0, 0.1, -1.1]), np.array([-0.12, 0.12, -0.12])
+        factor = np.exp(tone * light + hue * (warm * warmth + green * tint))
+        return np.asarray(np.clip(of * factor, 0.01, 0.88))
 
+    def shades(self, of: Colours, count: int, tone: float) -> Colours:
+        """(count, 3) variations of a colour."""
+        return np.stack([self.shade(of, tone, 0.4 * tone) for _ in range(count)])
 
-def shade(rng: np.random.Generator, of: Colours, tone: float, hue: float = 0.06) -> Colours:
-    """(3,) a random variation of a colour: log-normal in brightness by `tone`, warmth by `hue`.
-
-    Dirt, heat and age change colours along warm-cool, hardly along green-magenta.
-    """
-    light, warm, green = rng.standard_normal(3)
-    warmth, tint = np.array([1.0, 0.1, -1.1]), np.array([-0.12, 0.12, -0.12])
-    factor = np.exp(tone * light + hue * (warm * warmth + green * tint))
-    return np.asarray(np.clip(of * factor, 0.01, 0.88))
-
-
-def shades(rng: np.random.Generator, of: Colours, count: int, tone: float) -> Colours:
-    """(count, 3) random variations of a colour."""
-    return np.stack([shade(rng, of, tone, 0.4 * tone) for _ in range(count)])
-
-
-def dielectric(rng: np.random.Generator) -> float:
-    """F0 of water-like to gem-like, most often near glass."""
-    return float(np.clip(rng.normal(0.042, 0.008), 0.025, 0.07))
+    def dielectric(self) -> float:
+        """F0 of water-like to gem-like, most often near glass."""
+        return float(np.clip(self.normal(0.042, 0.008), 0.025, 0.07))
 
 
 def piece(canvas: Canvas, label: str, *indices: Whole) -> Raster:
@@ -138,8 +140,3 @@ def streaks(canvas: Canvas, label: str, across: Raster, *indices: Whole) -> Rast
     low = piece(canvas, label, first, *indices)
     high = piece(canvas, label, first + 1, *indices)
     return 2.0 * (low + (high - low) * t) - 1.0
-
-
-def palette_of(palette: Colours, share: Raster) -> Raster:
-    """(3, ...) entries of a palette (N, 3), picked by numbers in [0, 1)."""
-    return np.moveaxis(palette[(share * len(palette)).astype(np.int64)], -1, 0)
