@@ -22,7 +22,7 @@ from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import ERRORS, ExpectedErrors, Inverse, NetworkAnswer
 from matcap.flash.render import shade
 from matcap.lab.experiment.results import markdown
-from matcap.lab.inverse.losses import LossWeights, loss_parts, total, wanted
+from matcap.lab.inverse.losses import loss_parts, total, wanted
 from matcap.lab.inverse.packed import PackedSet
 from matcap.lab.inverse.samples import HELD_OUT, Sample, draw_sample
 from matcap.lab.simulate.materials import realise
@@ -102,7 +102,7 @@ def score(outputs: Tensor, sample: Sample, rng: np.random.Generator) -> dict[str
     tilt = _log_ratio(_tilt(maps.normal), _tilt(truth.normal))
     contrast = _log_ratio(_contrast(maps.diffuse), _contrast(truth.diffuse))
     return {
-        "loss": float(total(parts, LossWeights(metal=0.0))),
+        "loss": float(total(parts, metal=0.0)),
         **{name: float(part) for name, part in parts.items()},
         "correlation": _correlation(estimated, true),
         "tilt": tilt,

@@ -10,8 +10,9 @@ can be compiled.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -44,19 +45,13 @@ Parts = dict[str, Tensor]
 Compare = Callable[..., tuple[Parts, Tensor, Tensor]]  # `compared`, or that compiled
 
 
-@dataclass(frozen=True)
-class LossWeights:
-    """Weights of the loss's parts."""
-
-    albedo: float = 1.0
-    specular: float = 0.3
-    roughness: float = 0.5
-    slope: float = 0.5
-    energy: float = 0.5
-    render: float = 1.0
-    style: float = 1.0
-    doubt: float = 0.1
-    metal: float = 0.2
+# Weights of the loss's parts.
+WEIGHTS: Mapping[str, float] = MappingProxyType(
+    {
+        "albedo": 1.0, "specular": 0.3, "roughness": 0.5, "slope": 0.5, "energy": 0.5,
+        "render": 1.0, "style": 1.0, "doubt": 0.1, "metal": 0.2,
+    }
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -131,9 +126,10 @@ def loss_parts(
     return parts
 
 
-def total(parts: Parts, weights: LossWeights = LossWeights()) -> Tensor:
-    """Weighted sum of the parts."""
-    return torch.stack([getattr(weights, name) * part for name, part in parts.items()]).sum()
+def total(parts: Parts, **others: float) -> Tensor:
+    """Sum of the parts, weighted by WEIGHTS or, where they are named, by other weights."""
+    weights = {**WEIGHTS, **others}
+    return torch.stack([weights[name] * part for name, part in parts.items()]).sum()
 
 
 def compared(

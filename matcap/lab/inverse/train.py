@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing.pool import AsyncResult
 from pathlib import Path
 from typing import Any
@@ -23,14 +23,9 @@ from matcap.capture.piece.network.network import Inverse, InverseConfig
 from matcap.capture.piece.network.store import FORMAT, VERSION, read_inverse
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
-from matcap.lab.inverse.losses import Compare, LossWeights, compared, loss_parts, total, wanted
+from matcap.lab.inverse.losses import WEIGHTS, Compare, compared, loss_parts, total, wanted
 from matcap.lab.inverse.packed import training_sets
-from matcap.lab.inverse.samples import (
-    HELD_OUT,
-    REAL_SHARE,
-    Sample,
-    draw_sample,
-)
+from matcap.lab.inverse.samples import HELD_OUT, REAL_SHARE, Sample, draw_sample
 from matcap.lab.simulate.materials.varied import HELD_OUT_PATTERNS
 from matcap.lab.train.trainer import CHECKPOINT, RateSchedule, Reporting, Training, fit
 
@@ -38,6 +33,8 @@ _AHEAD = 4  # samples made before they are wanted
 _WARM_UP = 200  # steps
 _REPORTED = 50  # steps
 _MINUTES = 2.0  # between checkpoints
+_AVERAGE = 0.999  # decay of the weights' running average
+_STYLED = 2  # interval, in steps, of the loss on statistics of relit pictures
 
 SampleBatch = list[tuple[Tensor, Sample]]  # inputs and truth, of one size
 
@@ -51,12 +48,10 @@ class TrainSettings:
         seconds: time limit of the run.
         rate: Adam's learning rate.
         cooling: number of last steps over which the learning rate falls to 0.
-        average: decay of the weights' running average.
         width, height: texels of a picture, multiples of 32.
         batch: pictures a step.
         workers: processes that make samples.
         device: "cpu" or "cuda".
-        style_every: interval, in steps, of the loss on statistics of relit pictures.
         compiled: losses are compiled: minutes once, worthwhile from an hour of training.
         maps: packed real materials (packed.py), whose training sets are used; or none.
         real: share of photographs of real materials.
@@ -66,13 +61,11 @@ class TrainSettings:
     seconds: float = float("inf")
     rate: float = 1e-3
     cooling: int = 0
-    average: float = 0.999
     width: int = 224
     height: int = 160
     batch: int = 1
     workers: int = 1
     device: str = "cpu"
-    style_every: int = 2
     compiled: bool = False
     maps: Path | None = None
     real: float = REAL_SHARE
@@ -87,7 +80,7 @@ def start(config: InverseConfig, settings: TrainSettings) -> Training[Inverse]:
     """An untrained state."""
     torch.manual_seed(0)
     model = Inverse(config).to(settings.device)
-    return Training(model, {"": settings.rate}, decay=settings.average)
+    return Training(model, {"": settings.rate}, decay=_AVERAGE)
 
 
 def train(
@@ -149,11 +142,9 @@ def step_loss(
     rng = np.random.default_rng([step, 0, 5])
     truth = wanted([sample.to(device) for _, sample in batch], rng)
     outputs = model(inputs.contiguous(memory_format=torch.channels_last))
-    # Statistics take as long as the rest: every `style_every` steps, with that as their weight.
-    styled = step % settings.style_every == 0
-    parts = loss_parts(outputs, truth, style=styled, compare=compare)
-    weights = LossWeights()
-    return total(parts, replace(weights, style=weights.style * settings.style_every)), parts
+    # Statistics take as long as the rest: every so many steps, with that as their weight.
+    parts = loss_parts(outputs, truth, style=step % _STYLED == 0, compare=compare)
+    return total(parts, style=WEIGHTS["style"] * _STYLED), parts
 
 
 def _samples(step: int, settings: TrainSettings) -> Generator[SampleBatch, None, None]:

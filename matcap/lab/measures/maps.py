@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
@@ -17,28 +17,17 @@ _STEEP = 3.0  # degrees: where normals are compared
 _DARK = 1e-3  # of albedo
 
 
-@dataclass(frozen=True)
-class MapNumbers:
-    """Three summary statistics of maps."""
+def map_statistics(maps: MapSet) -> dict[str, float]:
+    """Mean angle of the normal from the plane's, degrees; contrast of albedo; mean roughness.
 
-    tilt: float
-    """Mean angle of the normal from the plane's, degrees."""
-
-    albedo: float
-    """Standard deviation of the logarithm of diffuse albedo's luminance."""
-
-    roughness: float
-    """Mean perceptual roughness."""
-
-    @staticmethod
-    def of(maps: MapSet) -> MapNumbers:
-        """Statistics of one map set."""
-        luminance = torch.tensor(LUMINANCE)[:, None, None] * maps.diffuse.float()
-        return MapNumbers(
-            float(maps.normal[2].clamp(-1.0, 1.0).acos().rad2deg().mean()),
-            float((luminance.sum(0) + _DARK).log().std()),
-            float(maps.roughness.mean()),
-        )
+    The contrast is the standard deviation of the logarithm of diffuse albedo's luminance.
+    """
+    luminance = torch.tensor(LUMINANCE)[:, None, None] * maps.diffuse.float()
+    return {
+        "tilt": float(maps.normal[2].clamp(-1.0, 1.0).acos().rad2deg().mean()),
+        "albedo": float((luminance.sum(0) + _DARK).log().std()),
+        "roughness": float(maps.roughness.mean()),
+    }
 
 
 @dataclass(frozen=True)
@@ -74,10 +63,10 @@ class MapsOff:
 
 
 def compared_numbers(estimate: MapSet, truths: Sequence[MapSet]) -> dict[str, float]:
-    """MapNumbers of maps, and their means over true samples in texels of the same size."""
-    shrunk = [asdict(MapNumbers.of(shrunk_to(maps, estimate.texel_size))) for maps in truths]
+    """map_statistics() of maps, and their means over true samples in texels of the same size."""
+    shrunk = [map_statistics(shrunk_to(maps, estimate.texel_size)) for maps in truths]
     columns = {}
-    for name, value in asdict(MapNumbers.of(estimate)).items():
+    for name, value in map_statistics(estimate).items():
         columns[name] = value
         columns[f"true {name}"] = sum(one[name] for one in shrunk) / len(shrunk)
     return columns

@@ -23,6 +23,12 @@ from matcap.lab.simulate.photograph import PhoneCamera, Shot, sensor_noise
 REC709_TO_XYZ = np.array(
     [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
 )
+# ColorMatrix1, rows of XYZ (D65) to camera colour; a phone's, rounded.
+_MATRIX = np.array([[0.82, -0.27, -0.08], [-0.42, 1.25, 0.18], [-0.07, 0.18, 0.62]])
+# Linear Rec.709 to camera colour, white's largest channel at 1; and white, AsShotNeutral.
+_FROM_REC709 = _MATRIX @ REC709_TO_XYZ / (_MATRIX @ REC709_TO_XYZ).sum(axis=1).max()
+_NEUTRAL = _FROM_REC709.sum(axis=1)
+_BLACK, _WHITE = 256, 4095  # levels
 _GAIN_MAP_POINTS = (13, 17)  # rows, columns
 _GAIN_MAP_ID = 9
 _DNG_1_3 = bytes((1, 3, 0, 0))
@@ -38,36 +44,15 @@ class Sensor:
     """Sensor metadata of a DNG.
 
     Attributes:
-        matrix: ColorMatrix1, rows of XYZ (D65) to camera colour; a phone's, rounded.
-        black: BlackLevel.
-        white: WhiteLevel.
         shading: lens shading, 1 - relative illumination in the corners, in [0, 1); in GainMaps.
     """
 
-    matrix: tuple[tuple[float, float, float], ...] = (
-        (0.82, -0.27, -0.08),
-        (-0.42, 1.25, 0.18),
-        (-0.07, 0.18, 0.62),
-    )
-    black: int = 256
-    white: int = 4095
     shading: float = 0.0
-
-    @property
-    def from_rec709(self) -> NDArray[np.float64]:
-        """(3, 3) linear Rec.709 to camera colour, white's largest channel at 1."""
-        matrix = np.array(self.matrix) @ REC709_TO_XYZ
-        return np.asarray(matrix / matrix.sum(axis=1).max())
-
-    @property
-    def neutral(self) -> NDArray[np.float64]:
-        """(3,) AsShotNeutral: camera colour of white."""
-        return np.asarray(self.from_rec709.sum(axis=1))
 
 
 def mosaic(shot: Shot, sensor: Sensor, seed: int) -> NDArray[np.uint16]:
     """(H, W) RGGB mosaic of sensor codes."""
-    camera_colour = shot.linear @ sensor.from_rec709.T
+    camera_colour = shot.linear @ _FROM_REC709.T
     height, width = shot.linear.shape[:2]
     plane = np.empty((height, width))
     for top, left, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
@@ -75,8 +60,8 @@ def mosaic(shot: Shot, sensor: Sensor, seed: int) -> NDArray[np.uint16]:
     if sensor.shading:
         plane = plane / _interpolated(gain_map(sensor.shading), width, height)
     plane = sensor_noise(plane, shot.camera, seed)
-    numbers = sensor.black + plane * (sensor.white - sensor.black)
-    return np.clip(np.round(numbers), 0, sensor.white).astype(np.uint16)
+    numbers = _BLACK + plane * (_WHITE - _BLACK)
+    return np.clip(np.round(numbers), 0, _WHITE).astype(np.uint16)
 
 
 def gain_map(shading: float) -> NDArray[np.float32]:
@@ -92,7 +77,7 @@ def write_dng(path: Path, shot: Shot, sensor: Sensor, seed: int) -> None:
     Args:
         path: the file, replaced when it exists.
         shot: the image on the sensor.
-        sensor: colour matrix, levels and shading.
+        sensor: lens shading.
         seed: of the sensor's noise.
 
     Raises:
@@ -137,8 +122,8 @@ _Tag = tuple[int, str, int, object, bool]
 
 
 def _tags(sensor: Sensor, camera: PhoneCamera) -> list[_Tag]:
-    matrix = [part for row in sensor.matrix for value in row for part in _rational(value)]
-    neutral = [part for value in sensor.neutral for part in _rational(float(value))]
+    matrix = [part for value in _MATRIX.flat for part in _rational(value)]
+    neutral = [part for value in _NEUTRAL for part in _rational(value)]
     name = "matcap simulated phone"
     tags: list[_Tag] = [
         (254, "I", 1, 0, True),  # NewSubfileType: the main picture
@@ -152,8 +137,8 @@ def _tags(sensor: Sensor, camera: PhoneCamera) -> list[_Tag]:
         (50707, "B", 4, _DNG_1_3, True),  # DNGBackwardVersion
         (50708, "s", 0, name, True),  # UniqueCameraModel
         (50713, "H", 2, (1, 1), True),  # BlackLevelRepeatDim
-        (50714, "H", 1, sensor.black, True),  # BlackLevel
-        (50717, "I", 1, sensor.white, True),  # WhiteLevel
+        (50714, "H", 1, _BLACK, True),  # BlackLevel
+        (50717, "I", 1, _WHITE, True),  # WhiteLevel
         (50721, "2i", 9, matrix, True),  # ColorMatrix1
         (50728, "2I", 3, neutral, True),  # AsShotNeutral
         (50778, "H", 1, _D65, True),  # CalibrationIlluminant1

@@ -42,22 +42,20 @@ def step_loss(
     samples: Sequence[TrainingSample],
     config: TrainConfig,
     bank: FilterBank,
-    device: str,
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Loss of a step, and its parts."""
-    samples = [s.to(device) for s in samples]
-    pictures = torch.stack([s.picture for s in samples]).to(device)
-    numbers = torch.stack([s.numbers for s in samples]).to(device)
-    wanted = targets(samples, bank, device)
+    """Loss of a step on the device of its samples, and its parts."""
+    pictures = torch.stack([s.picture for s in samples])
+    numbers = torch.stack([s.numbers for s in samples])
+    wanted = targets(samples, bank)
     statistics = torch.stack([texture(target) for target in wanted])
-    with mixed(device):
+    with mixed(pictures.device):
         mean, log_variance = model.encoder(pictures, numbers, statistics)
     noise_seed = config.seed * 1_000_003 + step
     generator = torch.Generator().manual_seed(noise_seed)
-    drawn = torch.randn(mean.shape, generator=generator).to(device)
+    drawn = torch.randn(mean.shape, generator=generator).to(mean.device)
     code = mean + torch.exp(0.5 * log_variance) * drawn
-    maps = decode_windows(model.decoder, code, samples, noise_seed, device)
-    losses, slopes = compare(maps, samples, wanted, bank, device)
+    maps = decode_windows(model.decoder, code, samples, noise_seed)
+    losses, slopes = compare(maps, samples, wanted, bank)
     kl = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).mean()
     warm = min(1.0, step / max(1, config.kl_warmup))
     # The logarithm keeps a plain material, whose small statistics have large relative errors, from
@@ -65,31 +63,31 @@ def step_loss(
     style = torch.log1p(losses).mean()
     parts = {"style": style, "kl": kl, "slope": slopes.mean()}
     loss = style + config.kl * warm * kl + config.slope * slopes.mean()
-    relit = taught(maps, samples, noise_seed, bank, device) if config.relit else None
+    relit = taught(maps, samples, noise_seed, bank) if config.relit else None
     if relit is not None:
         loss = loss + config.relit * relit.sum() / len(samples)
         parts["relit"] = relit.mean()
     return loss, parts
 
 
-def targets(samples: Sequence[TrainingSample], bank: FilterBank, device: str) -> list[Descriptor]:
-    """Texture descriptors of each sample's windows, on the device."""
-    with torch.no_grad(), mixed(device):
+def targets(samples: Sequence[TrainingSample], bank: FilterBank) -> list[Descriptor]:
+    """Texture descriptors of each sample's windows."""
+    with torch.no_grad(), mixed(samples[0].linear.device):
         return [describe(s.linear, s.encoding, bank) for s in samples]
 
 
 def decode_windows(
-    decoder: Decoder, code: Tensor, samples: Sequence[TrainingSample], seed: int, device: str
+    decoder: Decoder, code: Tensor, samples: Sequence[TrainingSample], seed: int
 ) -> list[MapSet]:
-    """Maps (1, C, S, S) that a decoder makes of codes (B, CODE_SIZE) for samples on the device."""
+    """Maps (1, C, S, S) that a decoder makes of codes (B, CODE_SIZE) for samples."""
     size = samples[0].linear.shape[-1]
-    field = fields(decoder.config, [s.waves for s in samples], size, seed, device)
+    field = fields(decoder.config, [s.waves for s in samples], size, seed, code.device)
     inside = slice(MARGIN, MARGIN + size)
     maps = []
     # One material at a time: AdaIN would split a batch of them in every layer.
     for index, sample in enumerate(samples):
         one = RandomField(field.noise[index, None], tuple(w[index, None] for w in field.waves))
-        with mixed(device):
+        with mixed(code.device):
             output = decoder(one, code[index])[..., inside, inside]
         maps.append(maps_from_raw(sample.base.apply(output), sample.texel_size))
     return maps
@@ -100,12 +98,11 @@ def compare(
     samples: Sequence[TrainingSample],
     wanted: Sequence[Descriptor],
     bank: FilterBank,
-    device: str,
 ) -> tuple[Tensor, Tensor]:
     """(B,) style distances of decoded materials from their windows, and (B,) slope penalties."""
     losses = []
     for one, sample, target in zip(maps, samples, wanted, strict=True):
-        with mixed(device):
+        with mixed(sample.linear.device):
             described = describe(sample.render(one), sample.encoding, bank)
         losses.append(distance(described, target, Weights()).mean())
     return torch.stack(losses), torch.stack([slope_penalty(one) for one in maps])
@@ -116,7 +113,6 @@ def taught(
     samples: Sequence[TrainingSample],
     seed: int,
     bank: FilterBank,
-    device: str,
 ) -> Tensor | None:
     """(N,) losses against true maps, of the samples that have them; None if none has."""
     rng = np.random.default_rng([seed, 1])
@@ -124,7 +120,7 @@ def taught(
     for one, sample in zip(maps, samples, strict=True):
         light = side_light(rng)
         if sample.truth is not None:
-            relit = relit_distance(one, sample.truth, light, sample.encoding, bank, device)
+            relit = relit_distance(one, sample.truth, light, sample.encoding, bank)
             relief = relief_distance(one, sample.truth)
             losses.append((torch.log1p(relit) + _RELIEF * relief)[0])
     return torch.stack(losses) if losses else None
@@ -139,7 +135,11 @@ def slope_penalty(maps: MapSet) -> Tensor:
 
 
 def fields(
-    config: DecoderConfig, waves: Sequence[tuple[Wave, ...]], size: int, seed: int, device: str
+    config: DecoderConfig,
+    waves: Sequence[tuple[Wave, ...]],
+    size: int,
+    seed: int,
+    device: torch.device | str,
 ) -> RandomField:
     """A batch of fields for windows of `size` texels: noise on a torus, waves endless."""
     side = size + 2 * MARGIN
@@ -193,7 +193,6 @@ def relit_distance(
     light: Tensor,
     encoding: Encoding,
     bank: FilterBank,
-    device: str,
 ) -> Tensor:
     """(B,) style distance of maps (B, C, H, W) from true ones, seen from above under a far light.
 
@@ -203,6 +202,7 @@ def relit_distance(
     Each is exposed to the same median: the scale between albedo and flash, ambiguous in one
     photograph, must not count.
     """
+    device = truth.height.device
     with torch.no_grad(), mixed(device):
         wanted = describe(_exposed(truth, light, encoding), encoding, bank)
     with mixed(device):

@@ -74,16 +74,14 @@ def train(
             cut(
                 source(entry), config.window, config.places,
                 2 if rng.random() < config.coarse_share else 1, turn, rng,
-            )
+            ).to(device)
             for entry in draw(pack.training, config, rng)
         ]  # fmt: skip
-        return step_loss(training.model, step, samples, config, bank, device)
+        return step_loss(training.model, step, samples, config, bank)
 
     def measure() -> Mapping[str, float]:
         with torch.no_grad():
-            loss = held_out_loss(
-                training.average, pack, source, config, (bank, device), out / "sheet.png"
-            )
+            loss = held_out_loss(training.average, pack, source, config, bank, out / "sheet.png")
         return {"held_out": loss}
 
     reporting = Reporting(config.report_every, config.checkpoint_minutes, measure, on_progress)
@@ -109,15 +107,13 @@ def draw(entries: Sequence[Entry], config: TrainConfig, rng: np.random.Generator
 _SHOWN = 6  # materials of each kind on the sheet
 _SEED = 77
 
-With = tuple[FilterBank, str]  # features, and the device
-
 
 def held_out_loss(
     model: Model,
     pack: Pack,
     source: Callable[[Entry], PreparedPhotograph],
     config: TrainConfig,
-    using: With,
+    bank: FilterBank,
     sheet: Path,
 ) -> float:
     """Mean style loss on held-out materials; writes a sheet of some of these and of training ones.
@@ -127,10 +123,10 @@ def held_out_loss(
         pack: of photographs.
         source: prepares one.
         config: of the training.
-        using: features and device.
+        bank: features.
         sheet: path of the picture.
     """
-    bank, device = using
+    device = next(model.parameters()).device
     rng = np.random.default_rng(_SEED)
 
     def window(entry: Entry, places: int) -> TrainingSample:
@@ -140,32 +136,28 @@ def held_out_loss(
     samples = [window(entry, config.places) for entry in first_of_each(pack.reporting)]
     losses = []
     for sample in samples:
-        wanted = targets([sample], bank, device)
-        code = encode(model, sample, wanted[0], device)
-        maps = decode_windows(model.decoder, code, [sample], _SEED, device)
-        loss, _ = compare(maps, [sample], wanted, bank, device)
+        wanted = targets([sample], bank)
+        code = encode(model, sample, wanted[0])
+        maps = decode_windows(model.decoder, code, [sample], _SEED)
+        loss, _ = compare(maps, [sample], wanted, bank)
         losses.append(float(torch.log1p(loss)))
     seen = [window(entry, 1) for entry in first_of_each(pack.training)[:_SHOWN]]
-    pictures = [_pair(model, sample, bank, device) for sample in [*samples[:_SHOWN], *seen]]
+    pictures = [_pair(model, sample, bank) for sample in [*samples[:_SHOWN], *seen]]
     if pictures:
         cv2.imwrite(str(sheet), np.hstack(pictures))
     return mean(losses)
 
 
-def encode(model: Model, sample: TrainingSample, wanted: Descriptor, device: str) -> Tensor:
+def encode(model: Model, sample: TrainingSample, wanted: Descriptor) -> Tensor:
     """(1, CODE_SIZE) posterior mean by the averaged weights' encoder."""
-    with mixed(device):
-        return model.encoder(
-            sample.picture[None].to(device),
-            sample.numbers[None].to(device),
-            texture(wanted)[None],
-        )[0]
+    with mixed(sample.picture.device):
+        return model.encoder(sample.picture[None], sample.numbers[None], texture(wanted)[None])[0]
 
 
-def _pair(model: Model, sample: TrainingSample, bank: FilterBank, device: str) -> np.ndarray:
+def _pair(model: Model, sample: TrainingSample, bank: FilterBank) -> np.ndarray:
     """A window of a photograph above its reconstruction."""
-    code = encode(model, sample, targets([sample], bank, device)[0], device)
-    (maps,) = decode_windows(model.decoder, code, [sample], 7, device)
+    code = encode(model, sample, targets([sample], bank)[0])
+    (maps,) = decode_windows(model.decoder, code, [sample], 7)
     height = maps.height[0] / sample.texel_size
     rows = [
         sample.linear[0],

@@ -277,7 +277,7 @@ def read_tensors(
     return metadata, tensors
 
 
-def mixed(device: str) -> torch.autocast:
+def mixed(device: torch.device | str) -> torch.autocast:
     """A context in which networks and features are computed in bfloat16 on a device.
 
     A processor that has to emulate bfloat16 computes in float32, in a third of the time.

@@ -119,10 +119,12 @@ class TrainingSample:
     texel_size: float
     truth: MapSet | None = None
 
-    def to(self, device: str) -> TrainingSample:
+    def to(self, device: torch.device | str) -> TrainingSample:
         """The same sample on a device."""
         return replace(
             self,
+            picture=self.picture.to(device),
+            numbers=self.numbers.to(device),
             base=Base(self.base.mean.to(device), self.base.deviation.to(device)),
             linear=self.linear.to(device),
             points=self.points.to(device),

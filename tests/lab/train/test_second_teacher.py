@@ -38,7 +38,7 @@ def bumps(seed: int, height: float) -> MapSet:
 
 def apart(found: MapSet, truth: MapSet, seed: int = 0) -> float:
     light = side_light(np.random.default_rng(seed))
-    return float(relit_distance(found, truth, light, ENCODING, FilterBank(FEATURES), "cpu"))
+    return float(relit_distance(found, truth, light, ENCODING, FilterBank(FEATURES)))
 
 
 def test_a_side_light_is_far_and_slanting():
@@ -89,7 +89,7 @@ def test_relief_is_told_which_way_to_go():
     plain = bumps(2, 1.0)
     found = replace(plain, height=plain.height * height)
     light = side_light(np.random.default_rng(0))
-    relit_distance(found, truth, light, ENCODING, FilterBank(FEATURES), "cpu").backward()
+    relit_distance(found, truth, light, ENCODING, FilterBank(FEATURES)).backward()
     assert height.grad is not None and float(height.grad) < 0.0
 
 
