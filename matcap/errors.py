@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Self
+from typing import ClassVar, Self
 
 
 class ExitCode(IntEnum):
@@ -25,6 +25,13 @@ class ExitCode(IntEnum):
     SOME_FAILED = 4
     INTERRUPTED = 130
 
+    @classmethod
+    def of(cls, good: int, total: int) -> ExitCode:
+        """Exit code of a command of which `good` of `total` inputs succeeded."""
+        if good == total:
+            return cls.DONE
+        return cls.SOME_FAILED if good else cls.NOTHING_SUCCEEDED
+
 
 class MatcapError(Exception):
     """An error that the user can correct, printed as one sentence: where, what and remedy.
@@ -35,21 +42,15 @@ class MatcapError(Exception):
         what: the fault, in lower case, without a final stop ("the file is empty").
         where: the file, option or tensor, or "".
         remedy: an instruction ("photograph again with the flash on"), or "".
-        exit_code: of the command; NOTHING_SUCCEEDED unless the call was wrong.
     """
 
-    def __init__(
-        self,
-        what: str,
-        *,
-        where: str = "",
-        remedy: str = "",
-        exit_code: ExitCode = ExitCode.NOTHING_SUCCEEDED,
-    ) -> None:
+    exit_code: ClassVar[ExitCode] = ExitCode.NOTHING_SUCCEEDED
+    """Of the command."""
+
+    def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
         self.what = what
         self.where = where
         self.remedy = remedy
-        self.exit_code = exit_code
         super().__init__(self.sentence())
 
     @classmethod
@@ -66,22 +67,10 @@ class MatcapError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         # Pickling between processes would otherwise lose keyword arguments.
-        return (_rebuild, (self.what, self.where, self.remedy, self.exit_code))
-
-
-def _rebuild(what: str, where: str, remedy: str, exit_code: ExitCode) -> MatcapError:
-    return MatcapError(what, where=where, remedy=remedy, exit_code=exit_code)
+        return (type(self).at, (self.where, self.what, self.remedy))
 
 
 class UsageError(MatcapError):
     """An error of the call itself, such as an option's value or a missing argument."""
 
-    def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
-        super().__init__(what, where=where, remedy=remedy, exit_code=ExitCode.USAGE)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return (_rebuild_usage, (self.what, self.where, self.remedy))
-
-
-def _rebuild_usage(what: str, where: str, remedy: str) -> UsageError:
-    return UsageError(what, where=where, remedy=remedy)
+    exit_code = ExitCode.USAGE

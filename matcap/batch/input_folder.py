@@ -16,17 +16,14 @@ from matcap.errors import MatcapError
 from matcap.files.names import series, usable_name
 from matcap.files.quiet import quiet_decoders
 from matcap.photo.camera import CameraProfile
+from matcap.photo.kind import RAW_SUFFIXES
 
 Grouping = Literal["none", "name", "dir", "time"]
 Taken = Callable[[Path], float | None]
 
-_RAW = (
-    *("dng", "3fr", "arw", "cr2", "cr3", "crw", "dcr", "erf", "fff", "gpr", "iiq", "kdc", "mef"),
-    *("mos", "mrw", "nef", "nrw", "orf", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf", "srw"),
-    "x3f",
-)
-_CAMERA = ("jpg", "jpeg", "heic", "heif", "hif", "avif")  # formats that cameras write with a RAW
-_OTHER = ("png", "tif", "tiff", "webp")
+_RAW = {".dng", *RAW_SUFFIXES}
+_CAMERA = (".jpg", ".jpeg", ".heic", ".heif", ".hif", ".avif")  # that cameras write with a RAW
+_OTHER = (".png", ".tif", ".tiff", ".webp")
 # Folders of thumbnails, trash and snapshots that network drives and systems create.
 _NO_SHOOTS = frozenset({
     "@eadir", "@tmp", "@recycle", "@recently-snapshot", "#recycle", "#snapshot", "$recycle.bin",
@@ -157,7 +154,7 @@ def _pairs(files: Sequence[Path]) -> list[_Shot]:
     """The photographs among the files of a folder; a RAW supersedes the JPEGs of its shot."""
 
     def kind(path: Path) -> str:
-        return path.suffix.lower().lstrip(".")
+        return path.suffix.lower()
 
     raws = {_shot_of(path): path for path in files if kind(path) in _RAW}
     shots: list[_Shot] = []

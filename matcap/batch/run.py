@@ -238,9 +238,7 @@ def exit_code(entries: Sequence[BatchEntry], *, strict: bool = False) -> ExitCod
     good = sum(
         entry.state in ("made", "kept") and not (strict and _unfit(entry)) for entry in entries
     )
-    if good == len(entries):
-        return ExitCode.DONE
-    return ExitCode.SOME_FAILED if good else ExitCode.NOTHING_SUCCEEDED
+    return ExitCode.of(good, len(entries))
 
 
 def _unfit(entry: BatchEntry) -> bool:

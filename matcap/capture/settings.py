@@ -20,7 +20,7 @@ from matcap.files.settings import check_settings, setting, typed_settings
 if TYPE_CHECKING:
     from matcap.brdf.stated import NormalStyle
     from matcap.field.source import Generator
-    from matcap.files.values import Region
+    from matcap.files.values import Rectangle
 
 # Texels along the long side; docs/notes/capture.md compares quality and time.
 QUICK_DETAIL = 512
@@ -133,7 +133,7 @@ class CaptureSettings:
     width_cm: float | None = setting(None, least=0.01, most=1e5)
     """Length of the sample along the photograph's long side, centimetres: exports are true to
     scale."""
-    crop: Region | None = setting(None, metavar="x,y,w,h", parse=values.region)
+    crop: Rectangle | None = setting(None, metavar="x,y,w,h", parse=values.region)
     """Rectangle of the photograph to capture, in pixels of the photograph as displayed."""
     mask: Path | None = setting(None, metavar="FILE.png")
     """Picture of the photograph's size: white is captured, black (a finger, a label, the table's

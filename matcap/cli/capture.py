@@ -171,7 +171,4 @@ def _state(result: dict[str, Any], *, strict: bool) -> str:
 def _exit_code(states: Sequence[str]) -> ExitCode:
     if "interrupted" in states:
         return ExitCode.INTERRUPTED
-    failures = states.count("failed")
-    if not failures:
-        return ExitCode.DONE
-    return ExitCode.SOME_FAILED if failures < len(states) else ExitCode.NOTHING_SUCCEEDED
+    return ExitCode.of(states.count("done"), len(states))

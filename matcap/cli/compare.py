@@ -42,13 +42,13 @@ def compare(
     """Show two captures, or two versions of one, under the same lights, with their verdicts."""
     from matcap.capture.compare import Compared, comparison
     from matcap.files.mark import check_replaceable, pillow_mark
+    from matcap.files.names import check_suffix
     from matcap.files.staging import check_writable, staged_file
 
     photos = list(photo or [])
     if len(photos) > 2:
         raise UsageError.at("--photo", "there are more than two", "give one or two")
-    if out.suffix.lower() != ".png":
-        raise UsageError.at(out, "the picture is a PNG", "name it .png")
+    check_suffix(out, (".png",), "picture")
     inputs = [file for file in (first, second, *photos) if not file.is_dir()]
     check_replaceable([out], _MARK, inputs=inputs, overwrite=overwrite)
     check_writable(out.parent, 10_000_000, [out.name])

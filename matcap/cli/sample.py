@@ -40,13 +40,14 @@ def sample(
     from matcap.field.header import provenance_says
     from matcap.field.plane import check_seed
     from matcap.files.mark import check_replaceable
-    from matcap.files.picture import check_picture_path, write_picture
+    from matcap.files.names import check_suffix
+    from matcap.files.picture import SUFFIXES, write_picture
     from matcap.files.staging import check_writable, staged
     from matcap.space.prior.sample import sample_sheet
 
     options, near = chosen(SampleOptions, asked), chosen(DrawOptions, drawn_near)
     count, seed, materials = options.count, options.seed, options.materials
-    check_picture_path(out)
+    check_suffix(out, SUFFIXES, "picture")
     check_seed(seed + count - 1)
     files = [out]
     if materials is not None:

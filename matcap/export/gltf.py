@@ -26,13 +26,12 @@ import numpy as np
 from matcap.errors import UsageError
 from matcap.export.formats import Depth, Picture, rgb
 from matcap.export.job import ExportJob, MapRows
-from matcap.export.presets import EngineModel, PackedMaterial
+from matcap.export.presets import EngineModel, PackedMaterial, engine_surface, packed
 from matcap.export.shading import TargetShading
 from matcap.export.specular_workflow import (
     base_colour,
     brightest,
     clipping_notes,
-    fitted_roughness,
     specular_colour,
 )
 from matcap.export.surface import MadeSurface, Reader, TargetSurface
@@ -80,9 +79,10 @@ def gltf_specular(job: ExportJob) -> Export:
     def tint(piece: MapRows) -> Picture:
         return rgb(specular_colour(piece, SHADING) / np.float32(largest))
 
+    model = EngineModel(SHADING, "specular")
+
     def rough(piece: MapRows) -> Picture:
-        occluded, flat = piece.picture("occlusion"), 0.0 * piece.ones
-        return np.stack([occluded, fitted_roughness(piece, SHADING), flat], axis=-1)
+        return packed("occlusion", "roughness", "zero")(PackedMaterial(piece, model))
 
     textures = {
         "base_color": _stored(job, lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
@@ -137,8 +137,7 @@ def gltf_metallic(job: ExportJob) -> Export:
 
 def _metallic_textures(job: ExportJob, model: EngineModel) -> dict[str, TextureFile]:
     def rough(piece: MapRows) -> Picture:
-        made = PackedMaterial(piece, model)
-        return np.stack([piece.picture("occlusion"), made.roughness, made.metallic.metallic], -1)
+        return packed("occlusion", "roughness", "metallic")(PackedMaterial(piece, model))
 
     return {
         "base_color": _stored(
@@ -151,16 +150,8 @@ def _metallic_textures(job: ExportJob, model: EngineModel) -> dict[str, TextureF
 
 def _seen(model: EngineModel, textures: dict[str, TextureFile], read: Reader) -> TargetSurface:
     """The reflectance that viewers render of the metallic workflow."""
-    base, orm = read(textures["base_color"]), read(textures["roughness"])
-    metal, f0 = orm[2:3], model.dielectric[0]
-    return TargetSurface(
-        base * (1.0 - metal),
-        f0 * (1.0 - metal) + base * metal,
-        orm[1:2],
-        signed(read(textures["normal"])),
-        layer=f0,
-        shading=SHADING,
-    )
+    kinds = {"base": "base_color", "orm": "roughness", "normal_gl": "normal"}
+    return engine_surface(model, {kind: textures[own] for kind, own in kinds.items()}, read)
 
 
 def _stored(

@@ -213,11 +213,6 @@ class MapRows:
         """Picture of a map of these rows (ExportJob.picture)."""
         return self.job.picture(kind)[self.rows, self.columns]
 
-    @property
-    def ones(self) -> Picture:
-        """(H, W) picture of ones."""
-        return np.ones_like(self.picture("roughness"))
-
 
 def known_scale(provenance: Mapping[str, Any]) -> float | None:
     """Millimetres of a plane unit, from a material's provenance; None if not measured."""

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from matcap.export.formats import Picture
 from matcap.export.presets import (
-    PackedMaterial,
     Preset,
     PresetTexture,
     bent,
@@ -14,15 +10,10 @@ from matcap.export.presets import (
     height,
     normal,
     occlusion,
+    packed,
     plain,
 )
 from matcap.export.textures import DIFFUSE, ROUGHNESS, SPECULAR
-
-
-def _arm(material: PackedMaterial) -> Picture:
-    occluded, rough = (material.piece.picture(kind) for kind in ("occlusion", "roughness"))
-    return np.stack([occluded, rough, 0.0 * rough], axis=-1)
-
 
 LIBRARIES: dict[str, Preset] = {
     "polyhaven": Preset(
@@ -32,7 +23,12 @@ LIBRARIES: dict[str, Preset] = {
             "specular": PresetTexture("spec", "16", plain("specular"), SPECULAR, srgb=None),
             "roughness": PresetTexture("rough", "16", plain("roughness"), ROUGHNESS),
             "occlusion": occlusion("ao", "16"),
-            "arm": PresetTexture("arm", "16", _arm, "R: occlusion, G: roughness, B: metallic"),
+            "arm": PresetTexture(
+                "arm",
+                "16",
+                packed("occlusion", "roughness", "zero"),
+                "R: occlusion, G: roughness, B: metallic",
+            ),
             "height": height("disp"),
             "normal": normal(),
         },

@@ -273,7 +273,7 @@ def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) ->
     documents: dict[str, Callable[[Path], bytes]] = {}
     if model is not None and not wanted:
         kinds = {kind: made for kind, (_, made) in packed.items()}
-        surfaces = {model.workflow: partial(_surface, model, kinds)}
+        surfaces = {model.workflow: partial(engine_surface, model, kinds)}
     if preset.documents is not None and model is not None and not wanted:
         texts = preset.documents(job, names, model)
         documents = {name: _encoded(text) for name, text in texts.items()}
@@ -292,7 +292,7 @@ def _chosen(job: ExportJob, preset: Preset, model: EngineModel) -> EngineModel:
             for kind, texture in preset.textures.items()
             if kind not in (*_SHADED, "height", "normal")
         }
-        return partial(_surface, tried, made | {"normal_gl": _normal(job, "16", dx=False)})
+        return partial(engine_surface, tried, made | {"normal_gl": _normal(job, "16", dx=False)})
 
     return model.nearest(job, surface) if model.workflow == "metallic" else model
 
@@ -369,8 +369,10 @@ def _normal(job: ExportJob, depth: Depth, *, dx: bool) -> TextureFile:
     )
 
 
-def _surface(model: EngineModel, textures: dict[str, TextureFile], read: Reader) -> TargetSurface:
-    """The reflectance that an engine renders from the packed textures."""
+def engine_surface(
+    model: EngineModel, textures: dict[str, TextureFile], read: Reader
+) -> TargetSurface:
+    """The reflectance that an engine renders from its textures by kind, packed or not."""
     seen = {kind: read(made) for kind, made in textures.items() if kind not in (*_SHADED, "height")}
     base = seen["base"]
     bent = _seen_normal(textures, seen)

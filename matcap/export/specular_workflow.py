@@ -23,11 +23,6 @@ def specular_colour(piece: MapRows, shading: TargetShading) -> Picture:
     return fitted_tables(shading).f0(piece.picture("specular"), piece.picture("roughness"))
 
 
-def fitted_roughness(piece: MapRows, shading: TargetShading) -> Picture:
-    """(H, W) roughness that the target renders as the maps' roughness."""
-    return fitted_tables(shading).rough(piece.picture("specular"), piece.picture("roughness"))
-
-
 def brightest(job: ExportJob, shading: TargetShading) -> float:
     """Largest specular_colour of the maps."""
     peaks = (specular_colour(piece, shading).max() for piece in _bands(job))

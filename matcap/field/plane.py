@@ -1,4 +1,4 @@
-"""Coordinates on the endless plane: rectangles, periods and seeds, with their limits.
+"""Coordinates on the endless plane: periods, seeds and spans, with their limits.
 
 Imports no PyTorch, for a fast start.
 """
@@ -10,41 +10,10 @@ from dataclasses import dataclass
 from matcap.errors import UsageError
 from matcap.files.values import COORDINATE_LIMIT as COORDINATE_LIMIT
 from matcap.files.values import SEED_LIMIT
+from matcap.files.values import Rectangle as Rectangle
 
 # Period of a field in texels along x and y; None for an axis along which it never repeats.
 Period = tuple[int | None, int | None]
-
-
-@dataclass(frozen=True)
-class Rectangle:
-    """Texels [x, x + width) by [y, y + height); y points down."""
-
-    x: int
-    y: int
-    width: int
-    height: int
-
-    def grown(self, by: int) -> Rectangle:
-        """The rectangle extended by `by` texels on every side."""
-        return Rectangle(self.x - by, self.y - by, self.width + 2 * by, self.height + 2 * by)
-
-    def coarser(self, bits: int) -> Rectangle:
-        """The texels of a grid 2^bits times as coarse that the rectangle overlaps."""
-        x, y = self.x >> bits, self.y >> bits
-        right, bottom = -(-(self.x + self.width) >> bits), -(-(self.y + self.height) >> bits)
-        return Rectangle(x, y, right - x, bottom - y)
-
-    def united(self, other: Rectangle) -> Rectangle:
-        """The bounding rectangle of both."""
-        x, y = min(self.x, other.x), min(self.y, other.y)
-        right = max(self.x + self.width, other.x + other.width)
-        bottom = max(self.y + self.height, other.y + other.height)
-        return Rectangle(x, y, right - x, bottom - y)
-
-    def within(self, outer: Rectangle) -> tuple[slice, slice]:
-        """Slices (rows, columns) of this rectangle in an array that covers `outer`."""
-        x, y = self.x - outer.x, self.y - outer.y
-        return slice(y, y + self.height), slice(x, x + self.width)
 
 
 def check_seed(seed: int) -> int:

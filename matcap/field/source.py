@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -57,6 +58,38 @@ class Source(Protocol):
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
         """(9 or 11, height, width) maps and normal of a block."""
         ...
+
+
+@dataclass(frozen=True)
+class DerivedSource:
+    """A source whose maps are computed from those of another, block by block."""
+
+    source: Source
+
+    @property
+    def texel_size(self) -> float:
+        """A texel's side in plane units."""
+        return self.source.texel_size
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of blocks."""
+        return self.source.grid
+
+    @property
+    def period(self) -> Period | None:
+        """Period along (x, y), texels; None if the field never repeats."""
+        return self.source.period
+
+    @property
+    def specular_channels(self) -> int:
+        """Channels of F0: 1, or 3 where it has a colour."""
+        return self.source.specular_channels
+
+    @property
+    def device_type(self) -> str:
+        """Device that computes it: "cpu" or "cuda"."""
+        return self.source.device_type
 
 
 @runtime_checkable

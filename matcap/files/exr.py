@@ -112,12 +112,7 @@ def read_exr(
         raise MatcapError.at(path, "this is not a readable EXR file", remedy)
     try:
         spec = source.spec()
-        if spec.deep:
-            raise MatcapError.at(
-                path,
-                "this is a deep EXR file, which is not supported",
-                "flatten it, and save it with one sample a pixel",
-            )
+        refuse_deep(path, spec)
         actual = (spec.width, spec.height)
         if size is not None and actual != size:
             raise MatcapError.at(
@@ -140,9 +135,23 @@ def read_exr(
         raise MatcapError.at(path, "has values that are not finite", remedy)
     names = tuple(channels or spec.channelnames)
     pixels = pixels[..., [spec.channelnames.index(name) for name in names]]
+    return NamedChannels(np.asarray(pixels, dtype=np.float32), names, stated_primaries(spec))
+
+
+def refuse_deep(path: Path, spec: Any) -> None:  # noqa: ANN401
+    """Raise MatcapError for a deep EXR file, by OpenImageIO's specification of it."""
+    if spec.deep:
+        raise MatcapError.at(
+            path,
+            "this is a deep EXR file, which is not supported",
+            "flatten it, and save it with one sample a pixel",
+        )
+
+
+def stated_primaries(spec: Any) -> tuple[float, ...] | None:  # noqa: ANN401
+    """Chromaticities x, y of red, green, blue and white that an EXR file states, or None."""
     stated = spec.getattribute("chromaticities")
-    primaries = None if stated is None else tuple(float(value) for value in stated)
-    return NamedChannels(np.asarray(pixels, dtype=np.float32), names, primaries)
+    return None if stated is None else tuple(float(value) for value in stated)
 
 
 def forget_error(fetch: Callable[[], object]) -> str:

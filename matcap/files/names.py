@@ -93,6 +93,13 @@ def plain_name(name: str, *, what: str = "the name", where: str = "") -> str:
     return name
 
 
+def check_suffix(path: Path, suffixes: Sequence[str], what: str) -> None:
+    """Raise UsageError unless an output, a "picture" or the like, has one of the suffixes."""
+    if path.suffix.lower() not in suffixes:
+        usable = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
+        raise UsageError.at(path, f"unknown {what} format '{path.suffix}'", f"use {usable}")
+
+
 def sanitised_name(name: str, otherwise: str = "material") -> str:
     """Turn any text into a plain file name."""
     return _UNUSUAL.sub("_", name)[:100].strip(" .") or otherwise

@@ -7,19 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.errors import UsageError
 from matcap.files.exr import write_exr
+from matcap.files.names import check_suffix
 from matcap.files.png import write_png
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged_file
 
 SUFFIXES = (".exr", ".png")
-
-
-def check_picture_path(path: Path) -> None:
-    """Raise UsageError unless write_picture supports the suffix."""
-    if path.suffix.lower() not in SUFFIXES:
-        raise UsageError.at(path, f"unknown picture format '{path.suffix}'", "use .exr or .png")
 
 
 def write_picture(image: NDArray[np.float32], path: Path, mark: str = "") -> None:
@@ -34,7 +28,7 @@ def write_picture(image: NDArray[np.float32], path: Path, mark: str = "") -> Non
         UsageError: another suffix.
         MatcapError: values that are not finite, or the file cannot be written.
     """
-    check_picture_path(path)
+    check_suffix(path, SUFFIXES, "picture")
     with staged_file(path) as file:
         if path.suffix.lower() == ".exr":
             write_exr(file, image, half=False, mark=mark)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.files.color import LINEAR
-from matcap.files.exr import forget_error
+from matcap.files.exr import forget_error, refuse_deep, stated_primaries
 from matcap.files.icc import lineariser_of
 from matcap.files.jpeg_coding import unsupported_jpeg
 from matcap.files.quiet import quiet_decoders
@@ -189,12 +189,7 @@ def _decoded(path: Path, outside: float | None) -> Pixels:
         )
     try:
         spec, exr = source.spec(), source.format_name() == "openexr"
-        if spec.deep:
-            raise MatcapError.at(
-                path,
-                "this is a deep EXR file, which is not supported",
-                "flatten it, and save it with one sample a pixel",
-            )
+        refuse_deep(path, spec)
         _check_size(path, max(spec.width, spec.full_width), max(spec.height, spec.full_height))
         _check_colours(path, str(spec.getattribute("tiff:ColorSpace") or ""))
         roles = _roles(path, spec.channelnames)
@@ -209,8 +204,7 @@ def _decoded(path: Path, outside: float | None) -> Pixels:
     stored, partial = np.asarray(stored), False
     if exr:  # in other formats an offset is the position on a page
         stored, partial = _in_display_window(path, spec, stored, outside)
-    stated = spec.getattribute("chromaticities") if exr else None
-    primaries = None if stated is None else tuple(float(value) for value in stated)
+    primaries = stated_primaries(spec) if exr else None
     return Pixels(
         path, stored, roles, primaries, str(spec.getattribute("textureformat") or ""), partial
     )

@@ -29,8 +29,11 @@ class Size(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Region:
-    """A rectangle of the endless field, in texels, or of a photograph, in pixels."""
+class Rectangle:
+    """Texels of the endless field, or pixels of a photograph.
+
+    [x, x + width) by [y, y + height); y points down.
+    """
 
     x: int
     y: int
@@ -39,6 +42,28 @@ class Region:
 
     def __str__(self) -> str:
         return f"{self.x},{self.y},{self.width},{self.height}"
+
+    def grown(self, by: int) -> Rectangle:
+        """The rectangle extended by `by` texels on every side."""
+        return Rectangle(self.x - by, self.y - by, self.width + 2 * by, self.height + 2 * by)
+
+    def coarser(self, bits: int) -> Rectangle:
+        """The texels of a grid 2^bits times as coarse that the rectangle overlaps."""
+        x, y = self.x >> bits, self.y >> bits
+        right, bottom = -(-(self.x + self.width) >> bits), -(-(self.y + self.height) >> bits)
+        return Rectangle(x, y, right - x, bottom - y)
+
+    def united(self, other: Rectangle) -> Rectangle:
+        """The bounding rectangle of both."""
+        x, y = min(self.x, other.x), min(self.y, other.y)
+        right = max(self.x + self.width, other.x + other.width)
+        bottom = max(self.y + self.height, other.y + other.height)
+        return Rectangle(x, y, right - x, bottom - y)
+
+    def within(self, outer: Rectangle) -> tuple[slice, slice]:
+        """Slices (rows, columns) of this rectangle in an array that covers `outer`."""
+        x, y = self.x - outer.x, self.y - outer.y
+        return slice(y, y + self.height), slice(x, x + self.width)
 
 
 DEFAULT_SIZE = Size(1024, 1024)
@@ -121,9 +146,9 @@ def sides(most: int) -> Callable[[str | Size], Size]:
     return parsed
 
 
-def region(text: str | Region) -> Region:
+def region(text: str | Rectangle) -> Rectangle:
     """'x,y,w,h' to a rectangle of the field."""
-    if isinstance(text, Region):
+    if isinstance(text, Rectangle):
         return text
     try:
         x, y, width, height = (int(part) for part in text.split(","))
@@ -133,7 +158,7 @@ def region(text: str | Region) -> Region:
         raise ValueError(f"'{text}' has a side of zero or less")
     if max(abs(x), abs(y), abs(x + width), abs(y + height)) > COORDINATE_LIMIT:
         raise ValueError(f"'{text}' reaches outside the field, -2^40 to 2^40")
-    return Region(x, y, width, height)
+    return Rectangle(x, y, width, height)
 
 
 def duration(text: str | float) -> float:

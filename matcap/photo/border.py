@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.files.values import Region
+from matcap.files.values import Rectangle
 from matcap.photo.photo import Photo
 from matcap.photo.shrink import area_averaged
 
@@ -28,7 +28,7 @@ _MOST = 0.3  # largest share of a side to crop at each end
 _DARK = 0.15  # added inside logarithms, as a share of the median
 
 
-def border_crop(photo: Photo) -> Region | None:
+def border_crop(photo: Photo) -> Rectangle | None:
     """The crop that removes borders, in pixels of the file's upright picture; None without any."""
     cells = _cells(photo.pixels)
     rows, columns = cells.shape[1:]
@@ -43,7 +43,7 @@ def border_crop(photo: Photo) -> Region | None:
         box = (1.0 - box[3], 1.0 - box[2], box[0], box[1])
     width, height = photo.original_size
     x, y = round(box[0] * width), round(box[2] * height)
-    return Region(x, y, round(box[1] * width) - x, round(box[3] * height) - y)
+    return Rectangle(x, y, round(box[1] * width) - x, round(box[3] * height) - y)
 
 
 def _cells(pixels: NDArray[np.float32]) -> Values:

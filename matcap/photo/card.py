@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from matcap.errors import UsageError
+from matcap.files.names import check_suffix
 from matcap.files.staging import staged_file
 
 PAGE = (210.0, 297.0)  # mm, A4
@@ -82,11 +82,9 @@ def write_card(path: Path) -> None:
         MatcapError: the file cannot be written.
     """
     forms = {".svg": _svg, ".pdf": _pdf}
-    form = forms.get(path.suffix.lower())
-    if form is None:
-        raise UsageError.at(path, "a card is an SVG or a PDF", "end the name in .svg or .pdf")
+    check_suffix(path, tuple(forms), "card")
     with staged_file(path) as file:
-        file.write_bytes(form())
+        file.write_bytes(forms[path.suffix.lower()]())
 
 
 def board() -> Any:  # noqa: ANN401

@@ -29,12 +29,13 @@ _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _RAW = (b"FUJIFILM", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb", b"\0MRM")
 _HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
 _AVIF_BRANDS = {b"avif", b"avis"}
-# Suffixes of RAW files that are TIFFs without a signature of their own.
-_RAW_SUFFIXES = frozenset(
+# Of RAW files other than DNG.
+RAW_SUFFIXES = frozenset(
     f".{maker}"
     for maker in (
-        *("3fr", "arw", "cr2", "dcr", "erf", "fff", "gpr", "iiq", "kdc", "mef", "mos", "nef"),
-        *("nrw", "pef", "raw", "rwl", "sr2", "srf", "srw"),
+        *("3fr", "arw", "cr2", "cr3", "crw", "dcr", "erf", "fff", "gpr", "iiq", "kdc", "mef"),
+        *("mos", "mrw", "nef", "nrw", "orf", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf"),
+        *("srw", "x3f"),
     )
 )
 _DNG_VERSION = 50706  # a TIFF tag
@@ -98,7 +99,7 @@ def _of_tiff(path: Path) -> FileKind:
     with decoding(path, "TIFF"), tifffile.TiffFile(path) as file:
         if _DNG_VERSION in file.pages.first.tags:
             return FileKind.DNG
-        if path.suffix.lower() in _RAW_SUFFIXES or raw_page(file) is not None:
+        if path.suffix.lower() in RAW_SUFFIXES or raw_page(file) is not None:
             return FileKind.RAW
         return FileKind.TIFF
 

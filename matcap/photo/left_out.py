@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.mask import read_mask
-from matcap.files.values import Region
+from matcap.files.values import Rectangle
 from matcap.photo.orient import quarter_turn
 from matcap.photo.photo import Photo
 from matcap.photo.refusals import SHORTEST_SIDE
@@ -28,7 +28,7 @@ _FOLDED = 0.1  # depth of the mirrored pixels, share of the shorter side
 Kept = NDArray[np.bool_]
 
 
-def leave_out(photo: Photo, crop: Region | None, mask: Path | None) -> Photo:
+def leave_out(photo: Photo, crop: Rectangle | None, mask: Path | None) -> Photo:
     """Restrict a photograph to the part that shows the material.
 
     Args:
@@ -90,14 +90,13 @@ def _only(photo: Photo, share: NDArray[np.float32], what: str, where: str) -> Ph
     )
 
 
-def _cropped(crop: Region, width: int, height: int) -> Kept:
+def _cropped(crop: Rectangle, width: int, height: int) -> Kept:
     """(H, W) mask of a crop."""
     right, bottom = crop.x + crop.width, crop.y + crop.height
     if crop.x < 0 or crop.y < 0 or right > width or bottom > height:
         raise UsageError.at(
             "--crop",
-            f"{crop.x},{crop.y},{crop.width},{crop.height} reaches beyond the photograph of "
-            f"{width} x {height} pixels",
+            f"{crop} reaches beyond the photograph of {width} x {height} pixels",
             "give x,y,w,h within it, in pixels of the upright picture from its top left",
         )
     if min(crop.width, crop.height) < SHORTEST_SIDE or crop.width * crop.height < _LEAST * (

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.errors import MatcapError, UsageError
+from matcap.errors import MatcapError
 from matcap.files.exr import write_exr
 from matcap.files.mark import mark_mp4
+from matcap.files.names import check_suffix
 from matcap.files.png import png_bytes
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged, staged_file, write_error
@@ -33,29 +34,13 @@ _PANEL, _CAPTION, _ACROSS = 320, 20, 4
 
 
 def check_path(path: Path, *, moving: bool) -> None:
-    """Check a path's suffix.
-
-    Raises:
-        UsageError: it can hold no picture; or, if `moving`, no animation.
-    """
-    known = MOVIES if moving else STILLS
-    if path.suffix.lower() not in known:
-        kind = "animation" if moving else "picture"
-        raise UsageError.at(
-            path,
-            f"unknown {kind} format '{path.suffix}'",
-            f"use {', '.join(known[:-1])} or {known[-1]}",
-        )
+    """Raise UsageError unless the suffix is a picture's or, if `moving`, an animation's."""
+    check_suffix(path, MOVIES if moving else STILLS, "animation" if moving else "picture")
 
 
 def check_tiles_path(path: Path) -> None:
-    """Check the path of a map of tiles.
-
-    Raises:
-        UsageError: its suffix is not .png.
-    """
-    if path.suffix.lower() != ".png":
-        raise UsageError.at(path, "a map of tiles is a PNG", "name it .png")
+    """Raise UsageError unless the suffix is .png."""
+    check_suffix(path, (".png",), "map of tiles")
 
 
 def encode(radiance: Radiance, film: Film) -> Radiance:

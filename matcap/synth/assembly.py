@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.field.blocks import BlockPart
-from matcap.synth.exr_tiles import Tile, TileFile, encode_tile
-from matcap.synth.pictures import Fragment, PictureFile, Rendered, tiles_of
+from matcap.synth.exr_tiles import Tile, TileFile, encode_tile, tiles_over
+from matcap.synth.pictures import Fragment, PictureFile, Rendered
 
 
 class Assembly:
@@ -28,7 +28,7 @@ class Assembly:
 
     def lacks(self, part: BlockPart) -> bool:
         """Whether any file lacks a tile that the part overlaps."""
-        return any(tile not in file for tile in tiles_of(part) for file in self.files)
+        return any(tile not in file for tile in tiles_over(part.target) for file in self.files)
 
     def add(self, rendered: Sequence[Rendered]) -> None:
         """Write the tiles of a rendered part, one Rendered for each picture."""

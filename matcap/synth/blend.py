@@ -29,10 +29,10 @@ from torch import Tensor
 
 from matcap.brdf.maps import with_colour
 from matcap.brdf.stated import NormalStyle
-from matcap.field.blocks import RING, Grid
+from matcap.field.blocks import RING
 from matcap.field.material import Material
 from matcap.field.plane import Period, Rectangle, Span
-from matcap.field.source import Generator, Network, Source, planes_of
+from matcap.field.source import DerivedSource, Generator, Network, Source, planes_of
 from matcap.synth.mask import Mask
 
 _HEIGHT = -1  # channel of the stacked maps
@@ -44,12 +44,11 @@ _CPU = torch.device("cpu")
 
 
 @dataclass(frozen=True)
-class BlendSource:
+class BlendSource(DerivedSource):
     """The blended field of two materials; picklable."""
 
-    first: Source
     second: Source
-    """Fields of the same seed, period, grid and texel size."""
+    """A field of the same seed, period, grid and texel size as `source`."""
     means: tuple[float, float]
     """Mean heights of both, in plane units."""
     deviation: float
@@ -58,42 +57,22 @@ class BlendSource:
     """Share of the second material by texel."""
 
     @property
-    def texel_size(self) -> float:
-        """A texel's side in plane units."""
-        return self.first.texel_size
-
-    @property
-    def grid(self) -> Grid:
-        """The grid of blocks."""
-        return self.first.grid
-
-    @property
-    def period(self) -> Period | None:
-        """Period along (x, y), texels; None if the field never repeats."""
-        return self.first.period
-
-    @property
     def specular_channels(self) -> int:
         """Channels of F0: 3 if that of either material has a colour, else 1."""
-        return max(self.first.specular_channels, self.second.specular_channels)
+        return max(self.source.specular_channels, self.second.specular_channels)
 
     @property
     def device(self) -> torch.device:
         """Device that computes it."""
-        return self.first.device if isinstance(self.first, Network) else _CPU
-
-    @property
-    def device_type(self) -> str:
-        """Device that computes it: "cpu" or "cuda"."""
-        return self.device.type
+        return self.source.device if isinstance(self.source, Network) else _CPU
 
     def lowered(self, finest: int) -> BlendSource:
         """A copy whose networks compute level `finest` and all coarser levels in bfloat16."""
         first, second = (
             source.lowered(finest) if isinstance(source, Network) else source
-            for source in (self.first, self.second)
+            for source in (self.source, self.second)
         )
-        return replace(self, first=first, second=second)
+        return replace(self, source=first, second=second)
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
         """(9 or 11, height, width) maps and normal of a block."""
@@ -104,10 +83,10 @@ class BlendSource:
         rows, columns = Span(0, block.height).grown(RING), Span(0, block.width).grown(RING)
         with torch.inference_mode():
             share = self.mask.shares(block.x, block.y, rows, columns).to(self.device)
-            for source, end in ((self.first, 0.0), (self.second, 1.0)):
+            for source, end in ((self.source, 0.0), (self.second, 1.0)):
                 if bool((share == end).all()):
                     return self._of(source, block)
-            return self._mix(self._of(self.first, block), self._of(self.second, block), share)
+            return self._mix(self._of(self.source, block), self._of(self.second, block), share)
 
     def _of(self, source: Source, block: Rectangle) -> Tensor:
         """Maps of one material, F0 expanded to as many channels as the blend has."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import BinaryIO
 
@@ -41,6 +41,26 @@ class Channel:
     def dtype(self) -> np.dtype[np.generic]:
         """NumPy type of the stored values."""
         return np.dtype("<f2" if self.half else "<f4")
+
+
+# Rows and columns of a level, or of an array.
+Area = tuple[slice, slice]
+
+
+def intersection(one: Area, other: Area) -> Area:
+    """The rows and columns of both."""
+    rows, columns = (
+        slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(one, other, strict=True)
+    )
+    return rows, columns
+
+
+def relative(area: Area, outer: Area) -> Area:
+    """Rows and columns of an area in an array that covers `outer`."""
+    rows, columns = (
+        slice(a.start - b.start, a.stop - b.start) for a, b in zip(area, outer, strict=True)
+    )
+    return rows, columns
 
 
 @dataclass(frozen=True)
@@ -94,7 +114,7 @@ class Layout:
             + tile.column
         )
 
-    def area(self, tile: Tile) -> tuple[slice, slice]:
+    def area(self, tile: Tile) -> Area:
         """(rows, columns) of its level that a tile covers."""
         width, height = self.size(tile.level)
         x, y = tile.column * TILE, tile.row * TILE
@@ -142,6 +162,14 @@ class Layout:
             )
             + b"\0"
         )
+
+
+def tiles_over(area: Area, level: int = 0) -> Iterator[Tile]:
+    """The tiles of a level that an area overlaps, row by row."""
+    rows, columns = area
+    for row in range(rows.start // TILE, (rows.stop - 1) // TILE + 1):
+        for column in range(columns.start // TILE, (columns.stop - 1) // TILE + 1):
+            yield Tile(column, row, level)
 
 
 def encode_tile(layout: Layout, tile: Tile, planes: Sequence[NDArray[np.generic]]) -> bytes:

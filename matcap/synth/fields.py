@@ -18,9 +18,9 @@ from matcap.brdf.folder import MapSetInfo
 from matcap.brdf.stated import NormalStyle
 from matcap.errors import UsageError
 from matcap.example.stored import Exemplified, read_exemplified
-from matcap.field.blocks import Grid
 from matcap.field.opened import REPEATS
-from matcap.field.plane import Period, Rectangle
+from matcap.field.plane import Rectangle
+from matcap.field.source import DerivedSource
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -169,36 +169,10 @@ def _check_piece(request: SynthRequest) -> None:
 
 
 @dataclass(frozen=True)
-class AdjustedSource:
+class AdjustedSource(DerivedSource):
     """A source with adjustments; picklable if the inner source is."""
 
-    source: Source
     adjustments: Adjustments
-
-    @property
-    def texel_size(self) -> float:
-        """Side of a texel, plane units."""
-        return self.source.texel_size
-
-    @property
-    def grid(self) -> Grid:
-        """The grid of blocks."""
-        return self.source.grid
-
-    @property
-    def period(self) -> Period | None:
-        """Period along (x, y), texels; None if the field never repeats."""
-        return self.source.period
-
-    @property
-    def specular_channels(self) -> int:
-        """Channels of F0: 1, or 3 where it has a colour."""
-        return self.source.specular_channels
-
-    @property
-    def device_type(self) -> str:
-        """Device that computes it: "cpu" or "cuda"."""
-        return self.source.device_type
 
     def maps(self, block: Rectangle) -> Tensor:
         """Stacked maps of a block and its ring."""

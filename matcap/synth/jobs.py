@@ -100,11 +100,6 @@ def rendered(source: Source, job: Job) -> BlockResult:
     )
 
 
-def render_packed(packed: bytes, job: Job) -> BlockResult:
-    """Run a job on a pickled source."""
-    return rendered(unpacked(packed), job)
-
-
 @lru_cache(maxsize=2)
 def unpacked(packed: bytes) -> Source:
     """Unpickle a source; the last two are cached."""

@@ -13,7 +13,17 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.synth.exr_tiles import TILE, Layout, Tile, TileFile, encode_tile, stored
+from matcap.synth.exr_tiles import (
+    Area,
+    Layout,
+    Tile,
+    TileFile,
+    encode_tile,
+    intersection,
+    relative,
+    stored,
+    tiles_over,
+)
 from matcap.synth.pictures import PictureFile
 
 _TOGETHER = 64  # tiles computed before they are appended
@@ -68,30 +78,19 @@ def _weights(wanted: slice, size: int, larger: int) -> tuple[NDArray[np.float32]
     return (shares / shares.sum(axis=1, keepdims=True)).astype(np.float32), slice(first, last)
 
 
-def read_planes(
-    file: TileFile, level: int, area: tuple[slice, slice]
-) -> Sequence[NDArray[np.generic]]:
+def read_planes(file: TileFile, level: int, area: Area) -> Sequence[NDArray[np.generic]]:
     """Read the planes of an area (rows, columns) of a level whose tiles are complete."""
     rows, columns = area
     shape = (rows.stop - rows.start, columns.stop - columns.start)
     planes = [np.empty(shape, channel.dtype) for channel in file.layout.channels]
-    for row in range(rows.start // TILE, (rows.stop - 1) // TILE + 1):
-        for column in range(columns.start // TILE, (columns.stop - 1) // TILE + 1):
-            tile = Tile(column, row, level)
-            inner = tuple(
-                slice(max(a.start, b.start), min(a.stop, b.stop))
-                for a, b in zip(file.layout.area(tile), area, strict=True)
-            )
-            into = tuple(
-                slice(i.start - a.start, i.stop - a.start) for i, a in zip(inner, area, strict=True)
-            )
-            origin = (row * TILE, column * TILE)
-            cut = tuple(slice(i.start - o, i.stop - o) for i, o in zip(inner, origin, strict=True))
-            for plane, part in zip(planes, file.read(tile), strict=True):
-                plane[into] = part[cut]
+    for tile in tiles_over(area, level):
+        whole = file.layout.area(tile)
+        inner = intersection(whole, area)
+        for plane, part in zip(planes, file.read(tile), strict=True):
+            plane[relative(inner, area)] = part[relative(inner, whole)]
     return planes
 
 
 def _tiles(layout: Layout, level: int) -> Iterator[Tile]:
-    columns, rows = layout.tiles(level)
-    return (Tile(column, row, level) for row in range(rows) for column in range(columns))
+    width, height = layout.size(level)
+    return tiles_over((slice(0, height), slice(0, width)), level)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 
 from matcap.brdf.heights import check_heights
 from matcap.field.blocks import BlockPart
-from matcap.synth.exr_tiles import TILE, Channel, Layout, Tile, encode_tile, stored
+from matcap.synth.exr_tiles import (
+    Area,
+    Channel,
+    Layout,
+    Tile,
+    encode_tile,
+    intersection,
+    relative,
+    stored,
+    tiles_over,
+)
 
 # Channel names of each map, in a file of its own and in one file of all maps. An F0 with a colour
 # has those of diffuse.
@@ -53,7 +63,7 @@ class Fragment:
     """The part of a tile that one block covers."""
 
     tile: Tile
-    place: tuple[slice, slice]
+    place: Area
     """Rows and columns within the tile."""
     planes: list[NDArray[np.generic]]
     """Values of each channel."""
@@ -121,36 +131,18 @@ def encode(
 
 
 def _encode(picture: PictureFile, part: BlockPart, planes: NDArray[np.float32]) -> Rendered:
-    layout, (rows, columns) = picture.layout, part.target
+    layout = picture.layout
     values = [
         stored(channel, planes[plane], picture.file)
         for channel, plane in zip(layout.channels, picture.planes, strict=True)
     ]
     tiles, fragments = [], []
-    for tile in tiles_of(part):
+    for tile in tiles_over(part.target):
         area = layout.area(tile)
-        inner = tuple(
-            slice(max(a.start, b.start), min(a.stop, b.stop))
-            for a, b in zip(area, (rows, columns), strict=True)
-        )
-        y, x = (
-            slice(i.start - t.start, i.stop - t.start)
-            for i, t in zip(inner, part.target, strict=True)
-        )
-        cut = [plane[y, x] for plane in values]
+        inner = intersection(area, part.target)
+        cut = [plane[relative(inner, part.target)] for plane in values]
         if inner == area:
             tiles.append((tile, encode_tile(layout, tile, cut)))
         else:
-            y, x = (
-                slice(i.start - a.start, i.stop - a.start) for i, a in zip(inner, area, strict=True)
-            )
-            fragments.append(Fragment(tile, (y, x), cut))
+            fragments.append(Fragment(tile, relative(inner, area), cut))
     return Rendered(tiles, fragments)
-
-
-def tiles_of(part: BlockPart) -> Iterator[Tile]:
-    """The tiles that a part of a block overlaps, row by row."""
-    rows, columns = part.target
-    for row in range(rows.start // TILE, (rows.stop - 1) // TILE + 1):
-        for column in range(columns.start // TILE, (columns.stop - 1) // TILE + 1):
-            yield Tile(column, row)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matcap.brdf.stated import NormalStyle
     from matcap.field.device import DeviceName
     from matcap.field.material import Material
-    from matcap.files.values import Region, Size
+    from matcap.files.values import Size
     from matcap.synth.precision import Precision
 
 _ADDRESS = re.compile(r"[a-z]+://\S+|[^\s/:]+:\d{1,5}")
@@ -46,13 +46,13 @@ class SynthArea:
 
     size: Size | None = setting(None, metavar="WxH", parse=values.size, otherwise="1024x1024")
     """Size in texels: 4096x256, or 2K, 4K, 8K; limited by the disk only."""
-    region: Region | None = setting(None, metavar="x,y,w,h", parse=values.region)
+    region: Rectangle | None = setting(None, metavar="x,y,w,h", parse=values.region)
     """Rectangle of the endless field (y downwards), instead of --size."""
     blend: Path | None = setting(None, metavar="MATERIAL")
     """Second material, which is shown where --mask is white."""
     mask: Path | None = setting(None)
     """Grey image for --blend, stretched over the whole output."""
-    mask_over: Region | None = setting(None, metavar="x,y,w,h", parse=values.region)
+    mask_over: Rectangle | None = setting(None, metavar="x,y,w,h", parse=values.region)
     """Rectangle of the field to stretch the mask over instead."""
 
     def __post_init__(self) -> None:
@@ -68,19 +68,14 @@ class SynthArea:
     def rectangle(self) -> Rectangle:
         """The rectangle in texels of the field."""
         sides = self.size or values.DEFAULT_SIZE
-        return _rectangle(self.region or values.Region(0, 0, sides.width, sides.height))
+        return self.region or Rectangle(0, 0, *sides)
 
     @property
     def masked_blend(self) -> MaskedBlend | None:
         """The blend with the second material, or None."""
         if self.blend is None or self.mask is None:
             return None
-        over = None if self.mask_over is None else _rectangle(self.mask_over)
-        return MaskedBlend(self.blend, self.mask, over)
-
-
-def _rectangle(region: Region) -> Rectangle:
-    return Rectangle(region.x, region.y, region.width, region.height)
+        return MaskedBlend(self.blend, self.mask, self.mask_over)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from matcap.synth.jobs import (
     Future,
     Job,
     WorkerPool,
-    render_packed,
     rendered,
     unpacked,
 )
@@ -81,7 +80,7 @@ def _submit(processes: ProcessPoolExecutor, job: Job) -> Future[BlockResult]:
 def _render_alone(packed: bytes, job: Job) -> BlockResult:
     """Run a job on one thread of a cluster's worker."""
     with single_threaded(1) as pool:
-        return pool.submit(render_packed, packed, job).result()
+        return pool.submit(rendered, unpacked(packed), job).result()
 
 
 def _render_here(job: Job) -> BlockResult:

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import UsageError
 from matcap.example.example import Example
+from matcap.files.names import check_suffix
 from matcap.view.enclosed import packed_piece, packed_tile
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH
 from matcap.view.references import EncodedPicture, References
@@ -68,9 +69,6 @@ def served_page(
     about = _about(facts, adjust, references) | {
         "photo": references.photo and "photo",
         "doubt": references.doubt and "doubt",
-        "tile": None,
-        "enclosed": None,
-        "piece_level": 0,
         "library": library,
         "targets": list(dict.fromkeys((*DOCUMENTS, *PRESETS))),
     }
@@ -113,10 +111,6 @@ def sealed_page(
         "second": "",
         "period": list(maps.size),
         "tile": packed_tile(maps),
-        "enclosed": None,
-        "piece_level": 0,
-        "library": False,
-        "targets": [],
     }
     text = _document(facts.name, head, scripts, about)
     example = subject.first.part(Example) if isinstance(subject, Materials) else None
@@ -149,9 +143,8 @@ def write_page(document: str, path: Path) -> None:
 
 
 def check_page_path(path: Path) -> None:
-    """Raise UsageError unless the name ends in .html."""
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise UsageError.at(path, f"'{path.suffix}' is not a page", "choose a name in .html")
+    """Raise UsageError unless a page can have the path's suffix."""
+    check_suffix(path, (".html", ".htm"), "page")
 
 
 def _tile(subject: Viewable, size: int) -> MapSet:
@@ -174,8 +167,17 @@ def _tile(subject: Viewable, size: int) -> MapSet:
 
 
 def _about(facts: ViewFacts, adjust: Adjustments, references: References) -> dict[str, Any]:
+    """The element `about`, of a served document without pictures and targets."""
     form = {"width": WIDTH, "height": PAGE_HEIGHT, "apron": APRON, "mips": MIPS}
-    return asdict(facts) | {"page": form, "adjust": adjust.text, "verdict": references.verdict}
+    return asdict(facts) | {
+        "page": form,
+        "adjust": adjust.text,
+        "verdict": references.verdict,
+        **dict.fromkeys(("photo", "doubt", "tile", "enclosed")),
+        "piece_level": 0,
+        "library": False,
+        "targets": [],
+    }
 
 
 def library_page(name: str, library: Library) -> str:

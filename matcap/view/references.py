@@ -11,6 +11,7 @@ import numpy as np
 
 from matcap.example.example import Example
 from matcap.files.document import read_document
+from matcap.photo.kind import RAW_SUFFIXES
 
 if TYPE_CHECKING:
     from matcap.example.exemplar import Exemplar
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 _LONG_SIDE = 1024
 _PHOTOGRAPHS = (
     *(".dng", ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".avif", ".webp"),
-    *(".cr2", ".nef", ".arw"),
+    *sorted(RAW_SUFFIXES),
 )
 _DOUBT = (236, 118, 52)  # sRGB of the doubt mask, a colour that few materials have
 _OPAQUE = 200  # alpha, of 255, at confidence 0
@@ -121,6 +122,7 @@ def browser_picture(
 
     from matcap.files.srgb import srgb_picture
     from matcap.photo.load import load_photo
+    from matcap.photo.orient import standing
 
     photo = load_photo(file, long_side=_LONG_SIDE, noise=False)
     photo = photo if tone is None else photo.linearised(tone)
@@ -131,7 +133,7 @@ def browser_picture(
         linear = picture_of(rectify(photo, setup, linear.shape[1])[0])
     # Portrait photographs are read in landscape orientation; maps are upright if setup.turned.
     if photo.turned if setup is None else setup.turned:
-        linear = np.ascontiguousarray(np.rot90(linear, -1))
+        linear = standing(linear)
     pixels = srgb_picture(linear)
     stored = io.BytesIO()
     Image.fromarray(np.rint(pixels * 255.0).astype(np.uint8)).save(stored, "JPEG", quality=88)

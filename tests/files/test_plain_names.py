@@ -7,7 +7,7 @@ import pytest
 from matcap.errors import MatcapError, UsageError
 from matcap.files.names import StagedFolder, name_fault, plain_name, sanitised_name, usable_name
 from matcap.files.staging import staged
-from matcap.files.values import Region, Size, duration, region, size
+from matcap.files.values import Rectangle, Size, duration, region, size
 
 NASTY = (
     "", " ", ".", "..", ".hidden", "../keep", "../../victim/keep", "/etc/passwd", "a/b", "a\\b",
@@ -66,8 +66,8 @@ def test_sizes():
 
 
 def test_regions():
-    assert region("-100,0,512,256") == Region(-100, 0, 512, 256)
-    assert region(f"{2**40 - 8},{-(2**40)},8,8") == Region(2**40 - 8, -(2**40), 8, 8)
+    assert region("-100,0,512,256") == Rectangle(-100, 0, 512, 256)
+    assert region(f"{2**40 - 8},{-(2**40)},8,8") == Rectangle(2**40 - 8, -(2**40), 8, 8)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from matcap.batch.settings import read_settings
 from matcap.capture.detail import lit_mirror
 from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError, UsageError
-from matcap.files.values import Region
+from matcap.files.values import Rectangle
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.plane import read_plane
 from matcap.photo.border import border_crop
@@ -45,7 +45,7 @@ def test_a_crop_leaves_the_photograph_its_size_and_shows_mirrors():
     height, width = photo.pixels.shape[:2]
     found = leave_out(
         labelled(photo, slice(None), slice(width - 60, None)),
-        Region(0, 0, photo.original_size[0] - 60, photo.original_size[1]),
+        Rectangle(0, 0, photo.original_size[0] - 60, photo.original_size[1]),
         None,
     )
     assert found.pixels.shape == photo.pixels.shape and found.pixels.max() < LABEL[0]
@@ -59,7 +59,7 @@ def test_a_turned_photograph_is_cropped_as_it_is_looked_at():
     _, photo = a_photo()
     height, width = photo.pixels.shape[:2]
     standing = replace(photo, turned=True, original_size=(height, width))
-    found = leave_out(standing, Region(0, 0, height, width // 2), None)
+    found = leave_out(standing, Rectangle(0, 0, height, width // 2), None)
     # The top of what stands is to the left of what lies, turned anticlockwise.
     assert found.left_out[:, width // 2 + 1 :].all() and not found.left_out[:, : width // 2].any()
 
@@ -100,9 +100,9 @@ def test_the_plane_knows_what_is_left_out_and_lights_its_mirror(tmp_path):
 @pytest.mark.parametrize(
     ("crop", "says"),
     [
-        (Region(100, 0, 10_000, 200), "reaches beyond the photograph"),
-        (Region(-1, 0, 200, 200), "reaches beyond the photograph"),
-        (Region(0, 0, 20, 96), "too few to hold a texture"),
+        (Rectangle(100, 0, 10_000, 200), "reaches beyond the photograph"),
+        (Rectangle(-1, 0, 200, 200), "reaches beyond the photograph"),
+        (Rectangle(0, 0, 20, 96), "too few to hold a texture"),
     ],
 )
 def test_a_crop_that_cannot_be_is_said(crop, says):
@@ -139,11 +139,11 @@ def test_a_mask_of_specks_hides_no_light(tmp_path):
 def test_settings_say_it_where_it_is_set_alone(tmp_path):
     assert not {"crop", "mask"} & set(CaptureSettings().named())
     settings = CaptureSettings.of({"crop": "1,2,300,400", "mask": "a.png"})
-    assert settings.crop == Region(1, 2, 300, 400)
+    assert settings.crop == Rectangle(1, 2, 300, 400)
     assert CaptureSettings.of(settings.named()) == settings
     (tmp_path / "matcap.toml").write_text('crop = "0,0,640,480"\nmask = "table.png"\n')
     read = read_settings(tmp_path / "matcap.toml")
-    assert read["crop"] == Region(0, 0, 640, 480) and read["mask"] == tmp_path / "table.png"
+    assert read["crop"] == Rectangle(0, 0, 640, 480) and read["mask"] == tmp_path / "table.png"
     with pytest.raises(UsageError, match="no rectangle|not a rectangle"):
         CaptureSettings.of({"crop": "1,2,3"})
 

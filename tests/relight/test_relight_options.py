@@ -77,7 +77,11 @@ def test_the_map_of_tiles_shows_a_panel_for_each_effect_that_ran(run, tmp_path):
     where = cv2.imread("where.png")
     assert where is not None and where.shape[1] > 3 * 24 and where.any()
     code, _, err = run("m", "--explain-map", "where.exr", "-o", "b.png")
-    assert (code, "name it .png" in err, (tmp_path / "b.png").exists()) == (2, True, False)
+    assert (code, "unknown map" in err, (tmp_path / "b.png").exists()) == (
+        2,
+        True,
+        False,
+    )
 
 
 def test_tolerance_and_effects_reach_the_plan(run):

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
-from matcap.files.values import Region
+from matcap.files.values import Rectangle
 from matcap.photo.left_out import leave_out
 from stable.photographs import FOV, HARD_PHOTOGRAPHS, Pixels, textured
 
@@ -160,7 +160,7 @@ def capture_part(pixels: Pixels, part: Part, settings: CaptureSettings, name: st
     crop = None
     if part.crop is not None:
         x, y, w, h = part.crop
-        crop = Region(round(x * width), round(y * height), round(w * width), round(h * height))
+        crop = Rectangle(round(x * width), round(y * height), round(w * width), round(h * height))
     with TemporaryDirectory() as folder:
         mask = None if part.mask is None else Path(folder) / "mask.png"
         if part.mask is not None:
