@@ -8,7 +8,7 @@ import io
 import json
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -147,12 +147,12 @@ def _row(row: dict[str, Any], pictures: dict[str, str]) -> str:
         [
             f'<tr class="{state.replace(" ", "-")}">',
             _name_cell(row),
-            _cell("State", state, f"<span class=state>{state}</span>"),
+            f'<td data-label="State" data-key="{state}"><span class=state>{state}</span></td>',
             f'<td data-label="Pictures" class=pictures><div>{_figures(row, pictures)}</div></td>',
             _verdict_cell(row),
-            _number("Tilt", tilt, "{:.1f}°"),
-            _number("Clipped", row["clipped"], "{:.1%}"),
-            _number("Time", row["seconds"], "", spoken_duration),
+            _number("Tilt", tilt, "{:.1f}°".format),
+            _number("Clipped", row["clipped"], "{:.1%}".format),
+            _number("Time", row["seconds"], spoken_duration),
             f'<td data-label="Remarks" data-key="{len(remarks)}"><ul>{listed}</ul></td>',
             "</tr>",
         ]
@@ -204,12 +204,6 @@ def _figures(row: dict[str, Any], pictures: dict[str, str]) -> str:
     return "".join(figures)
 
 
-def _cell(label: str, key: str, inside: str) -> str:
-    return f'<td data-label="{label}" data-key="{key}">{inside}</td>'
-
-
-def _number(label: str, value: float | None, form: str, say: Any = None) -> str:  # noqa: ANN401
-    if value is None:
-        return f'<td data-label="{label}" data-key="" class=number>&ndash;</td>'
-    text = say(value) if say else form.format(value)
-    return f'<td data-label="{label}" data-key="{value}" class=number>{text}</td>'
+def _number(label: str, value: float | None, say: Callable[[float], str]) -> str:
+    key, text = ("", "&ndash;") if value is None else (value, say(value))
+    return f'<td data-label="{label}" data-key="{key}" class=number>{text}</td>'

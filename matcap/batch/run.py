@@ -21,6 +21,7 @@ from matcap.batch.workspace import Run
 from matcap.errors import ExitCode
 from matcap.files.progress import Progress
 from matcap.photo.calibrate import Calibration
+from matcap.photo.checks import Rating
 
 _POLL = 1.0  # seconds between two checks of another run's claims
 _PAGE_EVERY = 20.0  # least seconds between two updates of the index
@@ -244,4 +245,4 @@ def exit_code(entries: Sequence[BatchEntry], *, strict: bool = False) -> ExitCod
 def _unfit(entry: BatchEntry) -> bool:
     """Whether the verdict is doubtful or failed."""
     verdict = entry.record.get("verdict")
-    return verdict is not None and verdict["rating"] in ("doubtful", "failed")
+    return verdict is not None and not Rating(verdict["rating"]).fit

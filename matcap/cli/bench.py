@@ -6,7 +6,6 @@ This module turns options into an experiment's subjects and configurations.
 
 from __future__ import annotations
 
-import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ import typer
 
 from matcap.capture.settings import CaptureSettings
 from matcap.cli.fields import NOTHING, Fields, Given, with_settings
-from matcap.cli.options import JsonOption, require_laboratory, typed
+from matcap.cli.options import JsonOption, command_line, printer, require_laboratory, typed
 from matcap.errors import UsageError
 from matcap.files import values
 
@@ -567,7 +566,7 @@ def paper(
         some = {name: each.configurations[name] for name in chosen if name in each.configurations}
         if some and each.subjects:
             rows += _measured(replace(each, configurations=some), out, "paper")
-    page = paper_page(rows, shlex.join(["matcap", *sys.argv[1:]]))
+    page = paper_page(rows, command_line())
     with staged_file(out / "paper.md") as file:
         file.write_text(page, encoding="utf-8")
     typer.echo(page)
@@ -583,7 +582,7 @@ def _measured(experiment: Experiment[Any, Any], out: Path, name: str = "") -> li
 
     check_writable(out, 200_000_000)
     table = out / f"{name or experiment.name}.csv"
-    return run(experiment, table, lambda line: typer.echo(line, err=True))
+    return run(experiment, table, printer(quiet=False))
 
 
 def _print(
@@ -593,7 +592,7 @@ def _print(
     from matcap.lab.experiment.results import as_json, table
 
     rows = _measured(experiment, out)
-    typer.echo(as_json(rows) if json else table(rows, shlex.join(["matcap", *sys.argv[1:]]), about))
+    typer.echo(as_json(rows) if json else table(rows, command_line(), about))
     return rows
 
 

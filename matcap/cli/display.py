@@ -12,13 +12,13 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn
 
 from matcap.files.values import spoken_duration
+from matcap.photo.checks import Rating
 
 if TYPE_CHECKING:
     from matcap.batch.entries import BatchEntry
     from matcap.capture.progress import CaptureProgress
     from matcap.files.progress import Progress as WorkProgress
 
-_FIT = ("good", "usable")  # verdicts
 _STAGE = TextColumn("{task.fields[stage]}")
 _LEFT = TextColumn("{task.fields[left]}", style="dim")
 
@@ -175,7 +175,7 @@ class BatchDisplay(_Shown):
             if not self._quiet:
                 record = entry.record
                 verdict = record["verdict"]["rating"]
-                doubt = ", doubtful shot" if record["doubtful"] and verdict in _FIT else ""
+                doubt = ", doubtful shot" if record["doubtful"] and Rating(verdict).fit else ""
                 left = self._left()
                 said = f"{count}{name}: {spoken_duration(record['seconds'])}, {verdict}{doubt}"
                 self._say(f"{said}{f', {left}' if left else ''}")

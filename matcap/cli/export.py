@@ -60,23 +60,21 @@ def export(
         write_export,
     )
     from matcap.export.udim import open_set
-    from matcap.field.opened import OpenedMaps, open_tile
+    from matcap.field.opened import OpenedMaps, open_tile, refuse_with_piece
     from matcap.files.memory import check_memory
-    from matcap.files.settings import known
+    from matcap.files.settings import known, refuse_options
     from matcap.files.staging import check_writable
 
     if to is None:
         raise UsageError.at("matcap export", "there is no target", "give one with --to")
     target = known(to, TARGETS, "--to")
     options = chosen(ExportOptions, written)
-    presets_alone = {"pattern": "--name", "maps": "--maps", "normal": "--normal"}
-    for option in (option for name, option in presets_alone.items() if name in written):
-        if target in DOCUMENTS:
-            raise UsageError.at(
-                option,
-                f"only presets have this option, and {target} is a scene format",
-                "leave it out",
-            )
+    if target in DOCUMENTS:
+        refuse_options(
+            {"--name": options.pattern, "--maps": options.maps or None, "--normal": options.normal},
+            f"only presets have this option, and {target} is a scene format",
+            "leave it out",
+        )
     read, area = chosen(ReadOptions, reading), chosen(ExportArea, of)
     size, udim, seed, tile = area.size, area.udim, area.seed, area.tile
     changes = read.adjustments
@@ -88,12 +86,9 @@ def export(
         )
     if udim is not None and changes.changes:
         raise UsageError.at("--adjust", "UDIM tiles cannot be adjusted", "leave one of the two out")
-    given = {"--size": size, "--udim": udim, "--seed": seed, "--variety": read.variety}
-    for option in (option for option, value in given.items() if value is not None and tile):
-        raise UsageError.at(
-            f"{option} with --tile piece",
-            "the periodic exemplar is one map set of fixed size, without a seed",
-            "leave one of the two out",
+    if tile:
+        refuse_with_piece(
+            {"--size": size, "--udim": udim, "--seed": seed, "--variety": read.variety}
         )
     largest, count = size or values.DEFAULT_SIZE, udim.width * udim.height if udim else 1
     if out is not None:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli.options import QuietOption, require_laboratory, typed
+from matcap.cli.options import QuietOption, printer, require_laboratory, typed
 from matcap.files import values
 
 app = typer.Typer(
@@ -76,7 +76,7 @@ def train(
         batch=batch, workers=workers, device=device, maps=maps,
         width=size[0], height=size[1], compiled=compiled, real=real,
     )  # fmt: skip
-    run(folder, settings, on_progress=(lambda _line: None) if quiet else _print_line, begin=begin)
+    run(folder, settings, on_progress=printer(quiet=quiet), begin=begin)
 
 
 @app.command()
@@ -165,7 +165,3 @@ def ship(
     card = run(folder, out, before, share if before else 1.0)
     if not quiet:
         typer.echo(f"wrote {out}: {card['steps']} steps", err=True)
-
-
-def _print_line(line: str) -> None:
-    typer.echo(line, err=True)

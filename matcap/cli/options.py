@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from collections.abc import Callable, Iterable
 from functools import wraps
 from importlib.util import find_spec
@@ -52,6 +54,16 @@ ReplaceOption = Annotated[
     typer.Option("--overwrite", help="Replace a file that another program or command wrote."),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only failures.")]
+
+
+def command_line() -> str:
+    """This process's command, as typed in a shell."""
+    return shlex.join(["matcap", *sys.argv[1:]])
+
+
+def printer(*, quiet: bool) -> Callable[[str], None]:
+    """A function that prints lines on stderr; if quiet it does nothing."""
+    return (lambda line: None) if quiet else (lambda line: typer.echo(line, err=True))
 
 
 class PlainCommand(TyperCommand):

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.options import QuietOption, require_laboratory
+from matcap.cli.options import QuietOption, command_line, printer, require_laboratory
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from matcap.lab.train.state import TrainConfig
 
 app = typer.Typer(
@@ -52,7 +48,7 @@ def corpus(
     from matcap.lab.train.corpus import build
 
     check_writable(out.parent, 50_000_000)
-    built = build(folder, simulated, seed, _printer(quiet))
+    built = build(folder, simulated, seed, printer(quiet=quiet))
     built.pack.save(out)
     for name, why in built.skipped:
         typer.echo(f"left out {name}: {why}", err=True)
@@ -85,7 +81,7 @@ def train(
         resume=resume,
         prior=load_prior(begin) if begin is not None else None,
         device=device,
-        on_progress=_printer(quiet),
+        on_progress=printer(quiet=quiet),
     )
 
 
@@ -130,7 +126,7 @@ def align(
 
     check_writable(out.parent, 2_000_000)
     begun = None if start is None else load_alignment(start)
-    branch = train_branch(materials, steps, start=begun, on_progress=_printer(quiet))
+    branch = train_branch(materials, steps, start=begun, on_progress=printer(quiet=quiet))
     save_alignment(out, branch)
     typer.echo(report_alignment(branch))
 
@@ -157,7 +153,7 @@ def make(
     from matcap.space.prior.store import SHIPPED
 
     check_writable(out.parent, 200_000_000)
-    make_prior(folder, recipe or SHIPPED.parent / "make.toml", out, _printer(quiet))
+    make_prior(folder, recipe or SHIPPED.parent / "make.toml", out, printer(quiet=quiet))
     if not quiet:
         typer.echo(f"wrote {out}", err=True)
 
@@ -205,7 +201,7 @@ def evaluate(
     from matcap.space.prior.store import load_prior
 
     settings = EvaluateSettings(steps, longer, materials)
-    given = load_prior(prior), Pack.load(pack), settings, out, _command(), _printer(quiet)
+    given = load_prior(prior), Pack.load(pack), settings, out, command_line(), printer(quiet=quiet)
     typer.echo(run_evaluation(*given))
 
 
@@ -227,7 +223,7 @@ def ablate(
     from matcap.space.prior.store import load_prior
 
     settings = EvaluateSettings(steps, materials=materials)
-    given = load_prior(prior), Pack.load(pack), settings, out, _command(), _printer(quiet)
+    given = load_prior(prior), Pack.load(pack), settings, out, command_line(), printer(quiet=quiet)
     typer.echo(run_evaluation(*given, ablation=True))
 
 
@@ -257,17 +253,9 @@ def variety(
     check_writable(out, 2_000_000)
     settings = VarietySettings(draws, simulated)
     page = run_variety(
-        load_prior(prior), Pack.load(pack), settings, out, _command(), _printer(quiet)
+        load_prior(prior), Pack.load(pack), settings, out, command_line(), printer(quiet=quiet)
     )
     typer.echo(page)
-
-
-def _command() -> str:
-    return shlex.join(["matcap", *sys.argv[1:]])
-
-
-def _printer(quiet: bool) -> Callable[[str], None]:
-    return (lambda line: None) if quiet else (lambda line: typer.echo(line, err=True))
 
 
 def _config(path: Path) -> TrainConfig:

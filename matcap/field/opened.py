@@ -5,6 +5,7 @@ A folder stands for its only material; without one, or with several, for its map
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from matcap.brdf.folder import SETUP, find_mapsets, read_mapset
 from matcap.errors import MatcapError, UsageError
 from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.files.names import usable_name
+from matcap.files.settings import refuse_options
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -24,6 +26,15 @@ if TYPE_CHECKING:
 
 # Provenance entry of maps that are the exemplar itself, made to repeat.
 REPEATS = {"tile": "piece"}
+
+
+def refuse_with_piece(given: Mapping[str, object]) -> None:
+    """Raise UsageError for the first option given together with `--tile piece`."""
+    refuse_options(
+        {f"{option} with --tile piece": value for option, value in given.items()},
+        "the periodic exemplar is one map set of fixed size, without a seed",
+        "leave one of the two out",
+    )
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,11 @@ REC709_TO_D50 = np.array(
         [0.0139322, 0.0971045, 0.7141733],
     ]
 )
+
+
+def largest_code(dtype: np.dtype[Any]) -> float:
+    """The largest code value of a type: of integers their largest, of floats 1."""
+    return float(np.iinfo(dtype).max) if np.issubdtype(dtype, np.integer) else 1.0
 
 
 def linear(code: Values) -> Values:

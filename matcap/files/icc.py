@@ -22,6 +22,7 @@ from matcap.files.color import (
     Linearise,
     Values,
     assumed,
+    largest_code,
     power,
     space_of_code_points,
 )
@@ -226,6 +227,5 @@ def _managed(profile: bytes, dtype: np.dtype[np.generic]) -> Linearise | None:
 def _to_8_bits(
     dtype: np.dtype[np.generic],
 ) -> Callable[[NDArray[np.generic]], NDArray[np.uint8]]:
-    largest = np.iinfo(dtype).max if np.issubdtype(dtype, np.integer) else 1.0  # type: ignore[type-var]
-    scale = 255.0 / largest
+    scale = 255.0 / largest_code(dtype)
     return lambda rows: np.rint(np.clip(rows.astype(np.float32) * scale, 0, 255)).astype(np.uint8)

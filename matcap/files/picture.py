@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,21 @@ from numpy.typing import NDArray
 
 from matcap.files.exr import write_exr
 from matcap.files.names import check_suffix
-from matcap.files.png import write_png
+from matcap.files.png import quantised, write_png
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged_file
 
 SUFFIXES = (".exr", ".png")
+
+
+def jpeg_bytes(linear: NDArray[np.float32], quality: int, **options: int) -> bytes:
+    """A JPEG of a linear Rec.709 picture (H, W, 3), encoded by Pillow with these options."""
+    from PIL import Image
+
+    stored = io.BytesIO()
+    codes = quantised(srgb_picture(linear), bits=8)
+    Image.fromarray(codes).save(stored, "JPEG", quality=quality, **options)
+    return stored.getvalue()
 
 
 def write_picture(image: NDArray[np.float32], path: Path, mark: str = "") -> None:

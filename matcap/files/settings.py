@@ -211,6 +211,13 @@ def known(name: str, words: Iterable[str], where: str) -> str:
     return name
 
 
+def refuse_options(given: Mapping[str, object], what: str, remedy: str) -> None:
+    """Raise UsageError for the first option that is given, which is not None or False."""
+    for option, value in given.items():
+        if value is not None and value is not False:
+            raise UsageError.at(option, what, remedy)
+
+
 def _short(value: object) -> str:
     text = f"{value:g}" if isinstance(value, float) else repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.color import Linearise
+from matcap.files.color import Linearise, largest_code
 from matcap.files.stated_color import StatedColor
 from matcap.photo.decoded import Decoded
 from matcap.photo.shrink import Rows, area_averaged, shrink, shrunk_size
@@ -63,7 +63,8 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
     """
     linearise, notes = coded.other or coded.color.lineariser(coded.dtype)
     whole = np.issubdtype(coded.dtype, np.integer)
-    clip_code = np.ceil(coded.clip_at * np.iinfo(coded.dtype).max) if whole else coded.clip_at
+    clip_code = coded.clip_at * largest_code(coded.dtype)
+    clip_code = np.ceil(clip_code) if whole else clip_code
     at_limit = 0
 
     def read(top: int, bottom: int) -> Rows:
@@ -97,9 +98,8 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
 
 def _is_linear(linearise: Linearise, dtype: np.dtype[Any]) -> bool:
     """Whether codes are proportional to light: half of the largest is half of its light."""
-    largest = np.iinfo(dtype).max if np.issubdtype(dtype, np.integer) else 1.0
-    codes = (np.array([0.5, 1.0])[:, None, None] * np.full((1, 1, 3), largest)).astype(dtype)
-    half, whole = linearise(codes).mean(axis=(1, 2))
+    codes = np.array([0.5, 1.0])[:, None, None] * np.full((1, 1, 3), largest_code(dtype))
+    half, whole = linearise(codes.astype(dtype)).mean(axis=(1, 2))
     return bool(abs(half / whole - 0.5) < 0.01)
 
 
@@ -117,8 +117,7 @@ def _opacity(coded: Coded, long_side: int | None) -> NDArray[np.float32] | None:
     codes = coded.opacity
     if codes is None or codes.min() == codes.max():
         return None
-    largest = np.iinfo(codes.dtype).max if np.issubdtype(codes.dtype, np.integer) else 1.0
-    shown = np.where(codes > 0.5 * largest, np.uint8(255), np.uint8(0))
+    shown = np.where(codes > 0.5 * largest_code(codes.dtype), np.uint8(255), np.uint8(0))
     size = shrunk_size(coded.width, coded.height, long_side)
     resized = area_averaged(shown, size)
     return np.asarray(resized / np.float32(255.0), np.float32)
@@ -129,6 +128,5 @@ def _constant_alpha_notes(coded: Coded) -> tuple[str, ...]:
     codes = coded.opacity
     if codes is None or codes.min() != codes.max():
         return ()
-    whole = np.iinfo(codes.dtype).max if np.issubdtype(codes.dtype, np.integer) else 1.0
     says = "All of the picture is equally transparent: its transparency is ignored."
-    return () if codes.flat[0] >= whole else (says,)
+    return () if codes.flat[0] >= largest_code(codes.dtype) else (says,)

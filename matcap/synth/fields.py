@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from matcap.brdf.adjust import KEY, Adjustments, adjusted_planes
 from matcap.brdf.folder import MapSetInfo
 from matcap.brdf.stated import NormalStyle
-from matcap.errors import UsageError
 from matcap.example.stored import Exemplified, read_exemplified
-from matcap.field.opened import REPEATS
+from matcap.field.opened import REPEATS, refuse_with_piece
 from matcap.field.plane import Rectangle
 from matcap.field.source import DerivedSource
+from matcap.files.settings import refuse_options
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -52,7 +52,14 @@ def open_field(request: SynthRequest) -> tuple[SynthRequest, OpenedField]:
             have, or a network's option with an exemplar.
     """
     if request.tile == "piece":
-        _check_piece(request)
+        refuse_with_piece(
+            {
+                "--udim": request.udim,
+                "--blend": request.blend,
+                "--variety": request.read.variety,
+                "--seed": request.seed != 0,
+            }
+        )
     exemplified = None
     if isinstance(request.material, Path) and request.blend is None:
         exemplified = (
@@ -81,13 +88,11 @@ def open_field(request: SynthRequest) -> tuple[SynthRequest, OpenedField]:
 
 def _refuse_networks_options(request: SynthRequest) -> None:
     """Raise UsageError for precision and device of an exemplar, which has neither choice."""
-    given = {"--precision": request.precision != "fp32", "--device": request.device == "cuda"}
-    for option in (option for option, holds in given.items() if holds):
-        raise UsageError.at(
-            option,
-            "only the decoder (the paper's network) has a choice of precision and device",
-            "leave it out, or give --generator decoder",
-        )
+    refuse_options(
+        {"--precision": request.precision != "fp32", "--device": request.device == "cuda"},
+        "only the decoder (the paper's network) has a choice of precision and device",
+        "leave it out, or give --generator decoder",
+    )
 
 
 _FieldParts = tuple["Source", str, dict[str, Any], "ChosenPrecision | None"]
@@ -150,22 +155,6 @@ def _loaded(material: Path | Material, request: SynthRequest) -> Material:
 
     opened = Material.load(material) if isinstance(material, Path) else material
     return opened.by(request.read.generator).varied(request.read.variety)
-
-
-def _check_piece(request: SynthRequest) -> None:
-    """Raise UsageError for options that do not apply to the exemplar as a tile."""
-    refused = {
-        "--udim": request.udim is not None,
-        "--blend": request.blend is not None,
-        "--variety": request.read.variety is not None,
-        "--seed": request.seed != 0,
-    }
-    for option in (option for option, given in refused.items() if given):
-        raise UsageError.at(
-            f"{option} with --tile piece",
-            "the periodic exemplar is one map set of fixed size, without a seed",
-            f"leave out {option}, or give --tile alone for a periodic texture",
-        )
 
 
 @dataclass(frozen=True)

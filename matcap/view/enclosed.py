@@ -27,7 +27,6 @@ Exemplar:
 from __future__ import annotations
 
 import base64
-import io
 import zlib
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +35,7 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.files.exr import LARGEST_HALF
+from matcap.files.picture import jpeg_bytes
 from matcap.view.moments import (
     ALPHA2,
     DIFFUSE,
@@ -133,14 +133,8 @@ def _ends(plane: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def _jpeg(albedo: Planes) -> str:
-    from PIL import Image
-
-    from matcap.files.srgb import srgb_picture
-
-    stored = io.BytesIO()
-    codes = np.rint(srgb_picture(albedo.transpose(1, 2, 0)) * 255.0).astype(np.uint8)
-    Image.fromarray(codes).save(stored, "JPEG", quality=_QUALITY, subsampling=0)
-    return f"data:image/jpeg;base64,{base64.b64encode(stored.getvalue()).decode()}"
+    data = jpeg_bytes(albedo.transpose(1, 2, 0), _QUALITY, subsampling=0)
+    return f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
 
 
 def _text(data: NDArray[np.uint8]) -> str:

@@ -16,6 +16,19 @@ from matcap.view.subject import Maps, Materials, Viewable
 _LARGEST = 4096  # texels a side
 
 
+def seed_and_share(values: Mapping[str, str]) -> tuple[int, float]:
+    """Seed, and share of the second material, of a query; both are 0 by default.
+
+    Raises:
+        ValueError: one of them is not a number.
+        UsageError: the share is not between 0 and 1.
+    """
+    share = float(values.get("share", "0"))
+    if not 0.0 <= share <= 1.0:
+        raise UsageError("the share is not between 0 and 1")
+    return int(values.get("seed", "0")), share
+
+
 def exported(subject: Viewable, values: Mapping[str, str]) -> tuple[str, bytes]:
     """Export a subject as the page asks for; return the target and the bytes of a zip file.
 
@@ -31,10 +44,8 @@ def exported(subject: Viewable, values: Mapping[str, str]) -> tuple[str, bytes]:
     from matcap.export.targets import TARGETS, write_export
 
     try:
-        size, seed, share = (
-            int(values["size"]), int(values.get("seed", "0")), float(values.get("share", "0"))
-        )  # fmt: skip
-        wanted = values["target"]
+        size, wanted = int(values["size"]), values["target"]
+        seed, share = seed_and_share(values)
     except (KeyError, ValueError) as error:
         raise UsageError(
             "the request is not that of an export", remedy="give target, size and seed"
@@ -43,8 +54,6 @@ def exported(subject: Viewable, values: Mapping[str, str]) -> tuple[str, bytes]:
         raise UsageError(
             f"a size of {size} texels", remedy=f"give a multiple of 16 from 16 to {_LARGEST}"
         )
-    if not 0.0 <= share <= 1.0:
-        raise UsageError("the share is not between 0 and 1")
     # A link must not name a file of this machine.
     text = values.get("adjust", "")
     if text.lower().endswith(".json"):

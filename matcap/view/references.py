@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +10,8 @@ import numpy as np
 
 from matcap.example.example import Example
 from matcap.files.document import read_document
+from matcap.files.picture import jpeg_bytes
+from matcap.files.png import png_bytes
 from matcap.photo.kind import RAW_SUFFIXES
 
 if TYPE_CHECKING:
@@ -118,9 +119,6 @@ def browser_picture(
     Raises:
         MatcapError: the file is not a photograph that matcap reads.
     """
-    from PIL import Image
-
-    from matcap.files.srgb import srgb_picture
     from matcap.photo.load import load_photo
     from matcap.photo.orient import standing
 
@@ -134,21 +132,14 @@ def browser_picture(
     # Portrait photographs are read in landscape orientation; maps are upright if setup.turned.
     if photo.turned if setup is None else setup.turned:
         linear = standing(linear)
-    pixels = srgb_picture(linear)
-    stored = io.BytesIO()
-    Image.fromarray(np.rint(pixels * 255.0).astype(np.uint8)).save(stored, "JPEG", quality=88)
-    return EncodedPicture(stored.getvalue(), "image/jpeg")
+    return EncodedPicture(jpeg_bytes(linear, 88), "image/jpeg")
 
 
 def doubt_picture(exemplar: Exemplar) -> EncodedPicture:
     """Overlay of an exemplar as PNG: _DOUBT with alpha _OPAQUE (1 - mean confidence)."""
-    from PIL import Image
-
     step = max(1, max(exemplar.size) // _LONG_SIDE)
     trusted = exemplar.confidence.mean(axis=0)[::step, ::step]
     shade = np.empty((*trusted.shape, 4), np.uint8)
     shade[..., :3] = _DOUBT
     shade[..., 3] = np.rint(_OPAQUE * (1.0 - trusted))
-    stored = io.BytesIO()
-    Image.fromarray(shade).save(stored, "PNG")
-    return EncodedPicture(stored.getvalue(), "image/png")
+    return EncodedPicture(png_bytes(shade), "image/png")

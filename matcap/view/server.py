@@ -30,7 +30,7 @@ from matcap.view.document import (
     page_file,
     served_page,
 )
-from matcap.view.exporting import exported
+from matcap.view.exporting import exported, seed_and_share
 from matcap.view.library import Library, numbers
 from matcap.view.pages import Page, Pages, Place
 from matcap.view.references import References
@@ -270,12 +270,11 @@ def place_of(values: Mapping[str, str]) -> Place:
         UsageError: a parameter is missing or invalid.
     """
     try:
-        place = Place(
+        return Place(
             int(values["level"]),
             int(values["column"]),
             int(values["row"]),
-            int(values.get("seed", "0")),
-            float(values.get("share", "0")),
+            *seed_and_share(values),
             values.get("piece", "0") == "1",
         )
     except (KeyError, ValueError) as error:
@@ -283,9 +282,6 @@ def place_of(values: Mapping[str, str]) -> Place:
             "this does not name a page",
             remedy="give level, column, row, seed and share as numbers",
         ) from error
-    if not 0.0 <= place.share <= 1.0:
-        raise UsageError("the share is not between 0 and 1")
-    return place
 
 
 class _RequestFilter:

@@ -28,11 +28,18 @@ export function linearOf(code) {
 }
 
 // Matrix, column by column, that diffuse albedo is multiplied by.
-export function colourMatrix({ saturation, brightness, tint }) {
+function colourMatrix({ saturation, brightness, tint }) {
   const linear = [1, 3, 5].map((at) => linearOf(parseInt(tint.slice(at, at + 2), 16) / 255));
   const light = linear.reduce((sum, value, k) => sum + value * LUMINANCE[k], 0);
   return LUMINANCE.flatMap((share, from) => linear.map((value, to) =>
     brightness * (value / light) * (share + saturation * ((from === to) - share))));
+}
+
+// Set the uniforms of ADJUST_GLSL.
+export function useAdjustments(gl, places, adjust) {
+  gl.uniformMatrix3fv(places.colouring, false, colourMatrix(adjust));
+  gl.uniform2f(places.reliefAndRough, adjust.relief, adjust.roughness);
+  gl.uniform1f(places.saturation, adjust.saturation);
 }
 
 export const ADJUST_GLSL = `

@@ -2,7 +2,7 @@
 
 import { $, make } from "./controls.js";
 import { dressed, followTheme } from "./theme.js";
-import { UNCHANGED, colourMatrix, parseAdjustments } from "./adjust.js";
+import { parseAdjustments, useAdjustments } from "./adjust.js";
 import { Pages } from "./pages.js";
 import { UNIT, buildProgram } from "./shader.js";
 import { pageOf } from "./source.js";
@@ -24,10 +24,7 @@ class Shelf {
     this.pages = new Pages(gl, form, MOST);
     const places = buildProgram(gl, form);
     this.places = places;
-    const adjust = about.adjust ? parseAdjustments(about.adjust) : UNCHANGED;
-    gl.uniformMatrix3fv(places.colouring, false, colourMatrix(adjust));
-    gl.uniform2f(places.reliefAndRough, adjust.relief, adjust.roughness);
-    gl.uniform1f(places.saturation, adjust.saturation);
+    useAdjustments(gl, places, parseAdjustments(about.adjust));
     gl.uniform4f(places.middle, form.width / 2, form.height / 2, 0, 0);
     gl.uniform1f(places.tableScale, 2 ** -about.level);
     gl.uniform1f(places.texels, SPAN / 2);

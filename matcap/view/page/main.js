@@ -59,12 +59,12 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
   const choices = () => (
     { shape: SHAPES, map: MAPS, light: view.lights, left: lefts, right: rights });
   const begin = () => fromAddress(location.hash.slice(1), view.initial(), choices());
-  let told = 0;
+  let stored = 0;
   const set = (changes) => {
     view.set(changes);
     showState(view);
-    clearTimeout(told);
-    told = setTimeout(() => {
+    clearTimeout(stored);
+    stored = setTimeout(() => {
       const address = toAddress(view.state, view.initial());
       history.replaceState(null, "", address ? `#${address}` : location.pathname + location.search);
     }, 300);

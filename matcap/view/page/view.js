@@ -1,6 +1,6 @@
 // The renderer: state in, picture out. Independent of controls.
 
-import { colourMatrix, parseAdjustments } from "./adjust.js";
+import { parseAdjustments, useAdjustments } from "./adjust.js";
 import { CELLS, LEAST_RANGE, Pages } from "./pages.js";
 import { UNIT, buildProgram } from "./shader.js";
 import { ROOMS, roomPicture } from "./rooms.js";
@@ -246,9 +246,7 @@ export class View {
     gl.uniform1i(places.mirrored, mirrored);
     gl.uniform1f(places.gain, 2 ** state.exposure);
     gl.uniform2f(places.range, ...this.range());
-    gl.uniformMatrix3fv(places.colouring, false, colourMatrix(state.adjust));
-    gl.uniform2f(places.reliefAndRough, state.adjust.relief, state.adjust.roughness);
-    gl.uniform1f(places.saturation, state.adjust.saturation);
+    useAdjustments(gl, places, state.adjust);
     gl.uniformMatrix3fv(places.turned, false, this.#turned());
     if (state.light !== "point") this.#room();
     let appearing = false, across = 1;
