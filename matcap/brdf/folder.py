@@ -151,7 +151,8 @@ def write_mapset(
             write_exr(stage / file, pixels, half=kind != "height")
             document["maps"][kind] = {"file": file, "meaning": meaning_of(kind, coloured)}
         if png:
-            scale, midlevel = height_range(arrays["height"])
+            heights = arrays["height"]
+            scale, midlevel = height_range(float(heights.min()), float(heights.max()))
             document["png"] = {"height_scale": scale, "height_midlevel": midlevel}
             for kind, pixels in arrays.items():
                 file = f"{name}_{kind}.png"
@@ -335,9 +336,8 @@ def meaning_of(kind: str, specular: int) -> str:
     return MEANINGS[kind] + (", linear Rec.709, D65" if coloured else "")
 
 
-def height_range(height: NDArray[np.float32]) -> tuple[float, float]:
-    """(scale, midlevel) such that height = (value - midlevel) * scale fills [0, 1]."""
-    low, high = float(height.min()), float(height.max())
+def height_range(low: float, high: float) -> tuple[float, float]:
+    """(scale, midlevel) of heights from low to high: (value - midlevel) scale, values in [0, 1]."""
     if high > low:
         return high - low, -low / (high - low)
     return 1.0, 0.5 - low

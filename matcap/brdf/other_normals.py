@@ -42,12 +42,11 @@ def note_other_normals(maps: MapSet, document: dict[str, Any], folder: Path) -> 
         document: its JSON document.
         folder: of its files.
     """
-    about = document["maps"].get("normal")
-    name = about.get("file") if isinstance(about, dict) else None
-    if name is None or name_fault(name) or not (folder / name).is_file():
+    name, channels = _stated(document)
+    if name_fault(name) or not (folder / name).is_file():
         return
     try:
-        stored = read_exr(folder / name, size=maps.size, channels=about.get("channels"))
+        stored = read_exr(folder / name, size=maps.size, channels=channels)
     except (MatcapError, TypeError, ValueError) as error:
         what = error.what if isinstance(error, MatcapError) else "its channels are unknown"
         note(f"{folder / name}: {what}; {_ANSWER}")
@@ -70,9 +69,8 @@ def painted_normals(document: dict[str, Any], folder: Path, size: tuple[int, int
     """
     import torch
 
-    about = document["maps"].get("normal")
-    name = about.get("file") if isinstance(about, dict) else None
-    if not isinstance(name, str) or name_fault(name):
+    name, _ = _stated(document)
+    if name_fault(name):
         raise MatcapError.at(folder, "the map set names no file of normals", _WITHOUT)
     where = str(folder / name)
     pixels = without_alpha(read_exr(folder / name, size=size))
@@ -86,6 +84,13 @@ def painted_normals(document: dict[str, Any], folder: Path, size: tuple[int, int
     if document.get("normal") == "dx":
         unit = unit * np.array([1.0, -1.0, 1.0], np.float32)
     return torch.from_numpy(np.ascontiguousarray(unit.transpose(2, 0, 1), np.float32))
+
+
+def _stated(document: dict[str, Any]) -> tuple[Any, Any]:
+    """Name of the file of normals in a document, and its channels; None where not stated."""
+    about = document["maps"].get("normal")
+    about = about if isinstance(about, dict) else {}
+    return about.get("file"), about.get("channels")
 
 
 def _differing(pixels: np.ndarray[Any, Any], maps: MapSet, *, down: bool) -> float:

@@ -135,19 +135,11 @@ def main(
             return _end_early()  # as typer does for one that no command handled
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except MatcapError as error:
-        _show(error, debug=debug)
-        return error.exit_code
+        return _show(error, debug=debug)
     except KeyboardInterrupt:
         return _end_early()
     except Exception as error:
-        if interrupted():
-            return _end_early()
-        if isinstance(error, OSError) and error.errno == errno.ENOSPC:
-            return _show_full(error, debug=debug)
-        if isinstance(error, OSError) and error.filename is not None:
-            return _show_file(error, debug=debug)
-        _show(error, debug=debug)
-        return ExitCode.INTERNAL
+        return _end_early() if interrupted() else _show(_explained(error), debug=debug)
     return ExitCode.DONE
 
 
@@ -195,26 +187,28 @@ def _flushed(code: int) -> int:
         # Python would flush again at exit, and print its own message.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if error.errno == errno.ENOSPC and not code:
-            return _show_full(error, debug=False)
+            return _show(_explained(error), debug=False)
     return code
 
 
-def _show_full(error: OSError, *, debug: bool) -> int:
-    """Report a failure to write to stdout; files are written through files/staging.py."""
-    full = MatcapError.at("standard output", "the disk is full", "free some space")
-    full.__cause__ = error
-    _show(full, debug=debug)
-    return full.exit_code
+def _explained(error: Exception) -> Exception:
+    """The MatcapError of a failure to write to stdout or to use a file; other errors themselves.
 
-
-def _show_file(error: OSError, *, debug: bool) -> int:
-    """Report an inaccessible file: its name is too long, or a parent folder is not readable."""
-    why = (error.strerror or type(error).__name__).lower()
-    where = str(error.filename)[:200]
-    shown = MatcapError.at(where, f"cannot be used ({why})", "give another file")
+    Other files are written through files/staging.py. A file cannot be used where its name is too
+    long, or a parent folder is not readable.
+    """
+    if not isinstance(error, OSError):
+        return error
+    if error.errno == errno.ENOSPC:
+        shown = MatcapError.at("standard output", "the disk is full", "free some space")
+    elif error.filename is not None:
+        why = (error.strerror or type(error).__name__).lower()
+        where = str(error.filename)[:200]
+        shown = MatcapError.at(where, f"cannot be used ({why})", "give another file")
+    else:
+        return error
     shown.__cause__ = error
-    _show(shown, debug=debug)
-    return shown.exit_code
+    return shown
 
 
 def _end_early() -> ExitCode:
@@ -222,7 +216,8 @@ def _end_early() -> ExitCode:
     return ExitCode.INTERRUPTED
 
 
-def _show(error: Exception, *, debug: bool) -> None:
+def _show(error: Exception, *, debug: bool) -> ExitCode:
+    """Print an error, and return the exit code."""
     if debug:
         import traceback
 
@@ -232,3 +227,4 @@ def _show(error: Exception, *, debug: bool) -> None:
     else:
         kind = type(error).__name__
         typer.echo(f"matcap: internal error ({kind}: {error}); {_REPORT}.", err=True)
+    return error.exit_code if isinstance(error, MatcapError) else ExitCode.INTERNAL

@@ -23,8 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from matcap.errors import UsageError
-from matcap.export.formats import Depth, Picture, rgb
+from matcap.export.formats import Container, Depth, Picture, rgb
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.presets import EngineModel, PackedMaterial, engine_surface, packed
 from matcap.export.shading import TargetShading
@@ -50,7 +49,7 @@ _LEAST_F0 = 0.3
 _FLOAT, _SHORT = 5126, 5123
 _VERTICES, _INDICES = 34962, 34963
 _REPEAT, _LINEAR, _MIPMAPS = 10497, 9729, 9987
-_MIME = {"png": "image/png", "jpg": "image/jpeg", "webp": "image/webp"}
+_MIME: dict[Container, str] = {"png": "image/png", "jpg": "image/jpeg", "webp": "image/webp"}
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ def gltf_specular(job: ExportJob) -> Export:
     Raises:
         UsageError: a depth or format that glTF does not allow.
     """
-    _check(job)
+    job.check_formats("glTF", tuple(_MIME), floats=False)
     largest = brightest(job, SHADING)
     limit = min(max(largest, _LEAST_F0), _LARGEST_F0)
     channels = job.maps.specular.shape[-3]
@@ -121,7 +120,7 @@ def gltf_metallic(job: ExportJob) -> Export:
     Raises:
         UsageError: a depth or format that glTF does not allow.
     """
-    _check(job)
+    job.check_formats("glTF", tuple(_MIME), floats=False)
     start = EngineModel(SHADING, "metallic", even=_LARGEST_F0).of(job)
     model = start.nearest(job, lambda tried: partial(_seen, tried, _metallic_textures(job, tried)))
     textures = _metallic_textures(job, model)
@@ -164,15 +163,6 @@ def _stored(
 def ior(f0: float) -> float:
     """Index of refraction of F0: (1 + sqrt(F0)) / (1 - sqrt(F0))."""
     return (1.0 + math.sqrt(f0)) / (1.0 - math.sqrt(f0))
-
-
-def _check(job: ExportJob) -> None:
-    if job.depth in ("half", "float"):
-        raise UsageError.at("--bits", "glTF has no float textures", "give 8 or 16")
-    if job.container is not None and job.container not in _MIME:
-        raise UsageError.at(
-            "--format", f"glTF cannot hold {job.container}", "give png, jpg or webp"
-        )
 
 
 def _glb(job: ExportJob, material: _GltfMaterial, _: Path) -> bytes:

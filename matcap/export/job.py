@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from matcap.brdf.maps import COLOURED
-from matcap.errors import MatcapError
+from matcap.errors import MatcapError, UsageError
 from matcap.export.formats import Container, Depth, Picture, bands
 
 if TYPE_CHECKING:
@@ -49,6 +49,23 @@ class ExportJob:
     periodic."""
     tiles: TextureSet | None = None
     """The texture set of which this job is the first tile (udim.py)."""
+
+    def check_formats(self, reader: str, containers: Sequence[Container], *, floats: bool) -> None:
+        """Raise UsageError for options of textures that a target's files or programs cannot hold.
+
+        Args:
+            reader: names them in the error.
+            containers: file formats that they can hold.
+            floats: whether they can hold half floats and floats.
+        """
+        if not floats and self.depth in ("half", "float"):
+            raise UsageError.at("--bits", f"{reader} has no float textures", "give 8 or 16")
+        if self.container is not None and self.container not in containers:
+            raise UsageError.at(
+                "--format",
+                f"{reader} cannot hold {self.container}",
+                f"give {', '.join(containers[:-1])} or {containers[-1]}",
+            )
 
     @property
     def unit(self) -> str:

@@ -22,7 +22,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from matcap.errors import UsageError
 from matcap.export.fit import fitted_tables
 from matcap.export.formats import Picture
 from matcap.export.gltf import ior
@@ -47,8 +46,7 @@ _LEAST_INDEX = 0.02  # least F0 of the dielectric in the metallic workflow
 
 def materialx(job: ExportJob) -> Export:
     """NAME.mtlx, NAME_openpbr.mtlx and NAME_standard_surface.mtlx and their textures."""
-    if job.container == "webp":
-        raise UsageError.at("--format", "MaterialX cannot hold webp", "give png, jpg, exr or tx")
+    job.check_formats("MaterialX", ("png", "jpg", "exr", "tx"), floats=True)
     textures = Standard.of(job)
     standard = textures.files(job.name)
     layered = {shader: Layered.of(job, shader) for shader in INPUTS}

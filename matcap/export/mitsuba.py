@@ -17,7 +17,6 @@ from importlib.resources import files as resources
 
 import numpy as np
 
-from matcap.errors import UsageError
 from matcap.export.formats import Picture, brightest_channel
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.shading import TargetShading
@@ -34,10 +33,7 @@ _VERSION = "3.6.0"
 
 def mitsuba(job: ExportJob) -> Export:
     """NAME.xml, NAME_exact.xml, matcap_bsdf.py and the textures."""
-    if job.container in ("tx", "webp"):
-        raise UsageError.at(
-            "--format", f"Mitsuba cannot read {job.container}", "give png, jpg or exr"
-        )
+    job.check_formats("Mitsuba", ("png", "jpg", "exr"), floats=True)
     textures = Standard.of(job)
     bare = float(job.diffuse.max()) < _NO_DIFFUSE
     blend = (

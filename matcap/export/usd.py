@@ -26,7 +26,6 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 
-from matcap.errors import UsageError
 from matcap.export.formats import Picture, rgb
 from matcap.export.gltf import ior
 from matcap.export.job import ExportJob, MapRows
@@ -63,7 +62,6 @@ _ALIGNMENT = 64
 _HEADER = 30  # bytes of a zip's local header, without name and extra field
 # A fixed time, so that the same maps give the same bytes.
 _DATE = (1980, 1, 1, 0, 0, 0)
-_CONTAINERS = ("png", "jpg")
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ def usd_specular(job: ExportJob) -> Export:
     Raises:
         UsageError: a depth or format that .usdz does not allow.
     """
-    _check(job)
+    job.check_formats("a .usdz", ("png", "jpg"), floats=False)
 
     def tint(piece: MapRows) -> Picture:
         return rgb(specular_colour(piece, SHADING))
@@ -151,7 +149,7 @@ def usd_metallic(job: ExportJob) -> Export:
     Raises:
         UsageError: a depth or format that .usdz does not allow.
     """
-    _check(job)
+    job.check_formats("a .usdz", ("png", "jpg"), floats=False)
     shared = _shared(job)
     start = EngineModel(SHADING, "metallic", even=_LARGEST_F0).of(job)
     model = start.nearest(
@@ -192,13 +190,6 @@ def _seen(model: EngineModel, inputs: dict[str, TextureFile], read: Reader) -> T
         layer=mixed,
         shading=SHADING,
     )
-
-
-def _check(job: ExportJob) -> None:
-    if job.depth in ("half", "float"):
-        raise UsageError.at("--bits", "a .usdz has no float textures", "give 8 or 16")
-    if job.container is not None and job.container not in _CONTAINERS:
-        raise UsageError.at("--format", f"a .usdz cannot hold {job.container}", "give png or jpg")
 
 
 def _shared(job: ExportJob) -> dict[str, TextureFile]:

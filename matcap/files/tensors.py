@@ -12,15 +12,18 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
-from torch import Tensor
+from torch import Tensor, nn
 
 from matcap.errors import MatcapError
 from matcap.files.digest import DIGEST, METHOD, digest_prefix
 from matcap.files.staging import staged_file
+
+Network = TypeVar("Network", bound=nn.Module)
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
@@ -89,6 +92,19 @@ class StoredTensors:
         if not bool(torch.isfinite(value).all()):
             raise self._fault(f"the tensor {name} holds NaN or infinity")
         return value
+
+    def load(self, network: Network, prefix: str = "") -> Network:
+        """The network with the file's weights, named with the prefix, without gradients.
+
+        Raises:
+            MatcapError: see tensor().
+        """
+        weights = {
+            name: self.tensor(f"{prefix}{name}", tuple(value.shape))
+            for name, value in network.state_dict().items()
+        }
+        network.load_state_dict(weights, assign=True)
+        return network.eval().requires_grad_(False)
 
     def _fault(self, what: str) -> MatcapError:
         return MatcapError.at(self.path, what, self.remedy)

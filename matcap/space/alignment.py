@@ -219,21 +219,12 @@ def load_alignment(path: Path) -> Alignment:
     Raises:
         MatcapError: the file is missing, damaged or of another kind.
     """
-    branch = Alignment()
     try:
         with safe_open(path, framework="pt") as file:
             if (file.metadata() or {}).get("matcap") != _FORMAT:
                 raise MatcapError.at(path, f"this is not an alignment branch ({_FORMAT})", _REMEDY)
-            stored = StoredTensors(file, path, _REMEDY)
-            branch.load_state_dict(
-                {
-                    name: stored.tensor(name, tuple(value.shape))
-                    for name, value in branch.state_dict().items()
-                },
-                assign=True,
-            )
+            return StoredTensors(file, path, _REMEDY).load(Alignment())
     except (SafetensorError, OSError) as error:
         raise MatcapError.at(
             path, f"the alignment branch cannot be read ({error})", _REMEDY
         ) from error
-    return branch.eval().requires_grad_(False)

@@ -158,12 +158,7 @@ def read(about: Mapping[str, Any], file: safe_open, path: Path) -> TunedDecoder 
         return None
     stored = StoredTensors(file, path, REMEDY)
     config = decoder_config(about["decoder"])
-    decoder = empty_decoder(config)
-    state = {
-        name: stored.tensor(f"decoder.{name}", tuple(value.shape))
-        for name, value in decoder.state_dict().items()
-    }
-    decoder.load_state_dict(state, assign=True)
+    decoder = stored.load(empty_decoder(config), "decoder.")
     code = stored.tensor("code", (CODE_SIZE,))
     moments = []
     for index, layer in enumerate(decoder.layers()):
@@ -172,7 +167,7 @@ def read(about: Mapping[str, Any], file: safe_open, path: Path) -> TunedDecoder 
         deviation = stored.tensor(f"moments.{index}.deviation", shape)
         moments.append((mean, deviation))
     return TunedDecoder(
-        decoder=decoder.eval().requires_grad_(False),
+        decoder=decoder,
         code=code,
         moments=tuple(moments),
         waves=tuple(

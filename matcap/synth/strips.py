@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from matcap.brdf.folder import MEANINGS, coded
+from matcap.brdf.folder import MEANINGS, coded, height_range
 from matcap.errors import MatcapError
 from matcap.synth.assembly import Assembly
 from matcap.synth.exr_tiles import TILE, TileFile
@@ -28,9 +28,7 @@ def height_coding(assemblies: Sequence[Assembly]) -> tuple[float, float]:
         for rows in _strips(file):
             height = read_planes(file, 0, (rows, slice(0, file.layout.width)))[place]
             low, high = min(low, float(height.min())), max(high, float(height.max()))
-    if high > low:
-        return high - low, -low / (high - low)
-    return 1.0, 0.5 - low
+    return height_range(low, high)
 
 
 def write_pngs(stage: Path, assembly: Assembly, heights: tuple[float, float]) -> None:

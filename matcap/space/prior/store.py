@@ -201,14 +201,7 @@ def load_prior(path: Path | None = None) -> Prior:
                 anchors=_anchors(stored, int(about.get("anchors", 0))),
             )
             for part, module in prior._modules().items():
-                module.load_state_dict(
-                    {
-                        name: stored.tensor(f"{part}.{name}", tuple(value.shape))
-                        for name, value in module.state_dict().items()
-                    },
-                    assign=True,
-                )
-                module.eval().requires_grad_(False)
+                stored.load(module, f"{part}.")
             return prior
     except (SafetensorError, OSError) as error:
         raise MatcapError.at(
