@@ -11,8 +11,8 @@ from typing import Any
 from matcap.capture.settings import CaptureSettings, OutputSettings, Statistics
 from matcap.errors import MatcapError, UsageError
 from matcap.files.settings import (
+    CheckedSettings,
     Setting,
-    check_settings,
     nearest,
     setting,
     settings_in,
@@ -24,7 +24,7 @@ _MOST_BYTES = 1_000_000  # limit of a settings file
 
 
 @dataclass(frozen=True)
-class BatchSettings:
+class BatchSettings(CheckedSettings):
     """Settings of a batch, and of the captures in it."""
 
     capture: CaptureSettings = CaptureSettings()
@@ -41,9 +41,6 @@ class BatchSettings:
     """Worker processes."""
     card: str = setting("auto", metavar="auto|none|PATH")
     """Photograph of a calibration card; auto is the one in the folder whose name begins so."""
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
     @staticmethod
     def of(named: Mapping[str, Any]) -> BatchSettings:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from matcap.errors import UsageError
 from matcap.files import values
-from matcap.files.settings import check_settings, setting, typed_settings
+from matcap.files.settings import CheckedSettings, setting, typed_settings
 
 if TYPE_CHECKING:
     from matcap.brdf.stated import NormalStyle
@@ -100,14 +100,11 @@ class Statistics:
 
 
 @dataclass(frozen=True)
-class CaptureSettings:
+class CaptureSettings(CheckedSettings):
     """User settings of a capture.
 
     With a time limit or a target, and without steps, the steps are those of UNLIMITED, so that only
     the limit ends the work.
-
-    Raises:
-        UsageError: a value is out of its setting's range.
     """
 
     preset: str = setting("standard", words=tuple(PRESETS))
@@ -160,9 +157,6 @@ class CaptureSettings:
     aligned: bool = setting(False)
     """Also write the maps of the photographed rectangle itself, NAME_photo, with confidence."""
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
     @staticmethod
     def of(named: Mapping[str, Any]) -> CaptureSettings:
         """Settings from names and values, which may be text; all others are defaults.
@@ -212,20 +206,13 @@ class CaptureSettings:
 
 
 @dataclass(frozen=True)
-class InspectSettings:
-    """Settings of `matcap inspect`.
-
-    Raises:
-        UsageError: a number is out of range.
-    """
+class InspectSettings(CheckedSettings):
+    """Settings of `matcap inspect`."""
 
     detail: int = setting(DETAIL, least=64, most=8192)
     """Pixels along the long side at which to read the photographs."""
     together: bool | None = setting(None, otherwise="if names are numbered: oak_1, oak_2")
     """All photographs show the same sample: also report what they cover and lack together."""
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 def _known_targets(names: Sequence[str]) -> tuple[str, ...]:
@@ -240,7 +227,7 @@ def _known_targets(names: Sequence[str]) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class OutputSettings:
+class OutputSettings(CheckedSettings):
     """User settings of the outputs next to the material.
 
     Raises:
@@ -264,7 +251,7 @@ class OutputSettings:
     Repeatable."""
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        super().__post_init__()
         width, height = self.size
         if self.tile and (width % _STEP or height % _STEP):
             raise UsageError.at(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from matcap.files import values
-from matcap.files.settings import check_settings, setting
+from matcap.files.settings import CheckedSettings, setting
 
 if TYPE_CHECKING:
     from matcap.export.formats import Container, Depth, NormalMaps
@@ -23,12 +23,8 @@ def _listed(text: str | Sequence[str]) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class ExportArea:
-    """Rectangle of a material to export.
-
-    Raises:
-        UsageError: a value is unknown.
-    """
+class ExportArea(CheckedSettings):
+    """Rectangle of a material to export."""
 
     size: Size | None = setting(
         None, metavar="WxH", parse=values.sides(_LARGEST), otherwise="1024x1024"
@@ -43,17 +39,10 @@ class ExportArea:
     tile: Literal["piece"] | None = setting(None, words=("piece",), otherwise="a part of the field")
     """piece: the photographed rectangle itself, made to repeat, at about its own size."""
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
 
 @dataclass(frozen=True)
-class ExportOptions:
-    """Options that override a target's defaults; `pattern`, `maps`, `normal`: of presets alone.
-
-    Raises:
-        UsageError: a value that is not allowed.
-    """
+class ExportOptions(CheckedSettings):
+    """Options that override a target's defaults; `pattern`, `maps`, `normal`: of presets alone."""
 
     pattern: str | None = setting(None, option="name", metavar="PATTERN")
     """File names of a preset, with the fields {stem}, {map}, {res} and {format}."""
@@ -83,6 +72,3 @@ class ExportOptions:
     )
     """Length of a plane unit (half the photograph's long side) in millimetres, for physical sizes
     and heights."""
-
-    def __post_init__(self) -> None:
-        check_settings(self)

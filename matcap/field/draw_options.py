@@ -7,36 +7,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from matcap.files import values
-from matcap.files.settings import check_settings, setting
+from matcap.files.settings import CheckedSettings, setting
 
 SPREAD = 0.3  # default distance from an anchor (space/prior/anchors.py); docs/notes/prior.md
 _MOST_STEPS = 256
 
 
 @dataclass(frozen=True)
-class DrawOptions:
-    """Options of drawing a material from the prior.
-
-    Raises:
-        UsageError: a number out of range.
-    """
+class DrawOptions(CheckedSettings):
+    """Options of drawing a material from the prior."""
 
     like: Path | None = setting(None, metavar="PHOTO")
     """Draw a material similar to this flash photograph's."""
     spread: float = setting(SPREAD, option="-t", least=0.0, most=1.0, metavar="0..1")
     """Distance of the draw from the photograph: 0 is the photograph, 1 is independent of it."""
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
 
 @dataclass(frozen=True)
-class SampleOptions:
-    """Options of `matcap sample`.
-
-    Raises:
-        UsageError: a number out of range.
-    """
+class SampleOptions(CheckedSettings):
+    """Options of `matcap sample`."""
 
     count: int = setting(16, option="-n", least=1, most=256)
     """Number of materials."""
@@ -46,9 +35,6 @@ class SampleOptions:
     """File of a prior, instead of the shipped one."""
     materials: Path | None = setting(None, metavar="FOLDER")
     """Also write each material to a .matcap file in this folder."""
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 def shares(text: str | tuple[float, ...]) -> tuple[float, ...]:
@@ -76,7 +62,7 @@ def shares(text: str | tuple[float, ...]) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True)
-class BlendOptions:
+class BlendOptions(CheckedSettings):
     """Options of `matcap blend`."""
 
     shares: tuple[float, ...] = setting(
@@ -85,6 +71,3 @@ class BlendOptions:
     """Share of B, from 0 (A) to 1 (B), once or in up to 256 steps."""
     seed: int = setting(0, metavar="SEED", parse=values.seed)
     """Seed of the realisation shown on the strip."""
-
-    def __post_init__(self) -> None:
-        check_settings(self)

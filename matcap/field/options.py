@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from matcap.files.settings import check_settings, setting
+from matcap.files.settings import CheckedSettings, setting
 
 if TYPE_CHECKING:
     from matcap.brdf.adjust import Adjustments
@@ -21,12 +21,8 @@ def _adjustments(text: str | Adjustments) -> Adjustments:
 
 
 @dataclass(frozen=True)
-class ReadOptions:
-    """Options of reading maps.
-
-    Raises:
-        UsageError: an unknown word, or a number out of range.
-    """
+class ReadOptions(CheckedSettings):
+    """Options of reading maps."""
 
     generator: Generator | None = setting(
         None,
@@ -45,9 +41,6 @@ class ReadOptions:
     the smallest patches."""
     normals: NormalSource | None = setting(None, words=("height", "file"), otherwise="height")
     """Normals of a map set: computed from its height, or read from its normal file."""
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
     @property
     def adjustments(self) -> Adjustments:

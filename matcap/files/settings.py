@@ -141,15 +141,17 @@ def settings_in(kind: type) -> Mapping[str, Setting]:
     return settings
 
 
-def check_settings(values: Any) -> None:  # noqa: ANN401
-    """Check all settings of a dataclass, in its `__post_init__`.
+class CheckedSettings:
+    """Base of a dataclass of settings, which are checked when it is made.
 
     Raises:
         UsageError: see Setting.check.
     """
-    kind: type = type(values)
-    for name, one in settings_in(kind).items():
-        one.check(getattr(values, name), one.flag)
+
+    def __post_init__(self) -> None:
+        kind: type = type(self)
+        for name, one in settings_in(kind).items():
+            one.check(getattr(self, name), one.flag)
 
 
 def typed_settings(kind: type, named: Mapping[str, Any]) -> dict[str, Any]:

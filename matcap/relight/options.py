@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from matcap.files import values
-from matcap.files.settings import check_settings, setting
+from matcap.files.settings import CheckedSettings, setting
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 
 if TYPE_CHECKING:
@@ -20,12 +20,8 @@ _MOST_FRAMES, _MOST_LIGHTS = 10_000, 64
 
 
 @dataclass(frozen=True)
-class RelightOptions:
-    """Settings of a rendering: light, camera, size and accuracy.
-
-    Raises:
-        UsageError: a value is unknown or out of range.
-    """
+class RelightOptions(CheckedSettings):
+    """Settings of a rendering: light, camera, size and accuracy."""
 
     light: Sequence[str] = setting(
         (), several=True, metavar="NAME|x,y,z[,intensity]", otherwise="top"
@@ -60,6 +56,3 @@ class RelightOptions:
     """A folder of maps that matcap did not make (ambientCG, Poly Haven names)."""
     normal: NormalStyle | None = setting(None, words=("gl", "dx"))
     """Direction of green in normal maps of --maps-from: up (gl) or down (dx)."""
-
-    def __post_init__(self) -> None:
-        check_settings(self)

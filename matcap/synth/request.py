@@ -16,7 +16,7 @@ from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.field.plane import Period, Rectangle, check_seed
 from matcap.files import values
 from matcap.files.progress import Progress, ignore_progress
-from matcap.files.settings import check_settings, setting
+from matcap.files.settings import CheckedSettings, setting
 
 if TYPE_CHECKING:
     from matcap.brdf.stated import NormalStyle
@@ -79,12 +79,8 @@ class SynthArea:
 
 
 @dataclass(frozen=True)
-class SynthRequest:
-    """A rectangle of a material's field, as files.
-
-    Raises:
-        UsageError: an unknown word, or a number out of range.
-    """
+class SynthRequest(CheckedSettings):
+    """A rectangle of a material's field, as files."""
 
     material: Material | Path
     """The material, or its file."""
@@ -124,7 +120,7 @@ class SynthRequest:
     """Device that runs the network. auto: CUDA where PyTorch sees such a device."""
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        super().__post_init__()
         check_seed(self.seed)
 
     @property

@@ -6,16 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from matcap.files import values
-from matcap.files.settings import check_settings, setting
+from matcap.files.settings import CheckedSettings, setting
 
 
 @dataclass(frozen=True)
-class ViewOptions:
-    """Options of `matcap view`.
-
-    Raises:
-        UsageError: a number out of range.
-    """
+class ViewOptions(CheckedSettings):
+    """Options of `matcap view`."""
 
     blend: Path | None = setting(None, metavar="FILE")
     """A second material to compare and blend with."""
@@ -31,6 +27,3 @@ class ViewOptions:
     """Write a self-contained HTML file instead of running a server."""
     tile: int = setting(512, least=16, most=2048)
     """Side of the seamless tile in --html, in texels, a multiple of 16."""
-
-    def __post_init__(self) -> None:
-        check_settings(self)
