@@ -117,10 +117,7 @@ class Adjustments:
             np.array([int(self.tint[at : at + 2], 16) for at in (1, 3, 5)], np.float64) / 255.0
         )
         tint = linear / float(linear @ _LUMINANCE)
-        matrix: NDArray[np.float32] = (self.brightness * tint[:, None] * saturated).astype(
-            np.float32
-        )
-        return matrix
+        return (self.brightness * tint[:, None] * saturated).astype(np.float32)
 
 
 NONE = Adjustments()

@@ -121,8 +121,7 @@ def known_provenance(stated: object) -> dict[str, Any]:
     for place in (stated, card if isinstance(card, dict) else {}):
         if place.get(SCALE) is not None:
             bounded(place[SCALE], f"'{SCALE}'", 1e-9, _MOST_UNIT)
-    finite: dict[str, Any] = _finite(stated)
-    return finite
+    return _finite(stated)
 
 
 def _finite(value: Any) -> Any:  # noqa: ANN401

@@ -191,15 +191,13 @@ class ExportJob:
 
     @staticmethod
     def _picture(tensor: Tensor) -> Picture:
-        pixels: Picture = tensor.detach().cpu().float().movedim(0, -1).squeeze(-1).numpy()
-        return pixels
+        return tensor.detach().cpu().float().movedim(0, -1).squeeze(-1).numpy()
 
     def picture(self, kind: str) -> Picture:
         """A map as (H, W, 3) or (H, W) float32: diffuse, specular, roughness, height, normal,
         occlusion, cavity or bent.
         """
-        values: Picture = getattr(self, kind)
-        return values
+        return getattr(self, kind)
 
     def piece(self, rows: slice = slice(None), columns: slice = slice(None)) -> MapRows:
         """The texels of rows and columns; all by default."""

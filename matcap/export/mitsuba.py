@@ -107,8 +107,7 @@ def _share(piece: MapRows) -> Picture:
 
 
 def _blend_diffuse(piece: MapRows) -> Picture:
-    below: Picture = piece.picture("diffuse") / (np.float32(1.0) - _share(piece))[..., None]
-    return below
+    return piece.picture("diffuse") / (np.float32(1.0) - _share(piece))[..., None]
 
 
 def _blend_specular(piece: MapRows) -> Picture:

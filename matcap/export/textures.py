@@ -114,8 +114,7 @@ def coded_normal_dx(piece: MapRows) -> Picture:
 def coded_height(piece: MapRows) -> Picture:
     """(H, W) height in [0, 1], 0.5 undisplaced (ExportJob.height_code)."""
     scale, midlevel = piece.job.height_code
-    coded: Picture = piece.picture("height") / np.float32(scale) + np.float32(midlevel)
-    return coded
+    return piece.picture("height") / np.float32(scale) + np.float32(midlevel)
 
 
 def float_height(job: ExportJob) -> TextureFile:

@@ -334,15 +334,13 @@ def channel_mean(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _log_light(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
     light = channel_mean(pixels)
-    logarithm: NDArray[np.float32] = np.log(light + _TOE * float(np.median(light)) + 1e-9)
-    return logarithm
+    return np.log(light + _TOE * float(np.median(light)) + 1e-9)
 
 
 def _gradient_energy(light: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
     smooth = cv2.GaussianBlur(light, (0, 0), scale)
     across, down = np.diff(smooth, axis=1)[:-1], np.diff(smooth, axis=0)[:, :-1]
-    energy: NDArray[np.float32] = across * across + down * down
-    return energy
+    return across * across + down * down
 
 
 def blurred(picture: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:

@@ -68,8 +68,7 @@ class View:
         across, down = (place / self.reach - middle for place, middle in offsets)
         squared = (across * across + down * down) / _CORNER_SQUARED
         exponent = squared * (self.vignetting + self.vignetting_quartic * squared)
-        share: Array = np.exp(-exponent).astype(np.float32)
-        return share
+        return np.exp(-exponent).astype(np.float32)
 
     @property
     def vignetted(self) -> bool:

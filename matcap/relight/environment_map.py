@@ -64,8 +64,7 @@ class Environment:
         if (top == top[0, 0]).all():
             return top[0, 0]  # exactly
         weights = np.sin((np.arange(len(top)) + 0.5) * math.pi / len(top))
-        mean: Array = (top.mean(axis=1) * weights[:, None]).sum(0) / weights.sum()
-        return mean
+        return (top.mean(axis=1) * weights[:, None]).sum(0) / weights.sum()
 
     @cached_property
     def varying(self) -> float:

@@ -131,5 +131,4 @@ class Budget:
         allowed = np.float32(share * self.codes / self.film.gain)
         if self.film.transfer == "linear":
             return np.broadcast_to(allowed, known.shape)
-        tolerance: Array = allowed / srgb_slope(known * np.float32(self.film.gain))
-        return tolerance
+        return allowed / srgb_slope(known * np.float32(self.film.gain))

@@ -39,8 +39,7 @@ class Relief:
     def heights(self) -> Array:
         """(H W,) heights of the texels, scaled, in plane units."""
         factor = np.float32(self.displacement / self.repeat)
-        flat: Array = np.ascontiguousarray(self.texture.height[0] * factor).ravel()
-        return flat
+        return np.ascontiguousarray(self.texture.height[0] * factor).ravel()
 
     @cached_property
     def low(self) -> float:

@@ -107,8 +107,7 @@ class Sampler:
 
     @cached_property
     def _alpha(self) -> Array:
-        alpha: Array = alpha_of(self.texture.roughness[0])
-        return alpha
+        return alpha_of(self.texture.roughness[0])
 
     @cached_property
     def _rows(self) -> Array:

@@ -151,8 +151,7 @@ def _light(read: _Reader, entry: object, number: int) -> Light:
         )
     if kind == "rectangle" and _parallel(values["normal"], values.get("up", (0.0, 1.0, 0.0))):
         raise read.fault(place, "up is along the normal", "give an up that is not")
-    light: Light = make(**values)
-    return light
+    return make(**values)
 
 
 def _number(

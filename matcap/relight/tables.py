@@ -46,8 +46,7 @@ class Albedo:
         x = np.sqrt(np.asarray(mu, dtype=np.float32)) * np.float32(_SIZE - 1)
         j = np.floor(x)
         value = np.take(fine, (rows + j).astype(np.intp), mode="clip")
-        values: Array = value.real + (x - j) * value.imag
-        return values
+        return value.real + (x - j) * value.imag
 
     @cached_property
     def fine_total(self) -> Array:
@@ -99,8 +98,7 @@ def _between(table: Array, places: Array) -> Array:
     y = places * (_SIZE - 1.0)
     i = np.minimum(y.astype(np.intp), _SIZE - 2)
     share = (y - i)[:, None]
-    rows: Array = (table[i] * (1.0 - share) + table[i + 1] * share).astype(np.float32)
-    return rows
+    return (table[i] * (1.0 - share) + table[i + 1] * share).astype(np.float32)
 
 
 def _fine(table: Array) -> Array:

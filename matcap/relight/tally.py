@@ -44,8 +44,7 @@ class Tally:
     def of(self, top: int, bottom: int, left: int, right: int) -> Array:
         """(rows, columns) index of the tile of each pixel of a rectangle."""
         row, column = np.arange(top, bottom) // TILE, np.arange(left, right) // TILE
-        tiles: Array = row[:, None] * self.tiles[0] + column
-        return tiles
+        return row[:, None] * self.tiles[0] + column
 
     def ran(self, effect: str, tiles: Array) -> None:
         """Record an effect in tiles, given by index."""

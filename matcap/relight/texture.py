@@ -67,8 +67,7 @@ class Texture:
         slopes = -normal[:2] / normal[2:]
 
         def array(tensor: object) -> Array:
-            plane: Array = tensor.detach().cpu().float().contiguous().numpy()  # type: ignore[attr-defined]
-            return plane
+            return tensor.detach().cpu().float().contiguous().numpy()  # type: ignore[attr-defined]
 
         check_heights(array(maps.height), "the material")
         return Texture(

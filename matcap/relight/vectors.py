@@ -24,8 +24,7 @@ def vec(vector: tuple[float, float, float]) -> Vec:
 
 def dot(a: Vec, b: Vec) -> Array:
     """Scalar product."""
-    total: Array = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return total
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def scale(a: Vec, factor: Array | float) -> Vec:
@@ -46,5 +45,4 @@ def subtract(a: Vec, b: Vec) -> Vec:
 def unit3(vector: tuple[float, float, float]) -> NDArray[np.float64]:
     """(3,) float64 unit vector."""
     array = np.asarray(vector, dtype=np.float64)
-    normalized: NDArray[np.float64] = array / np.linalg.norm(array)
-    return normalized
+    return array / np.linalg.norm(array)

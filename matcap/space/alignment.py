@@ -155,8 +155,7 @@ class Alignment(nn.Module):
         """Means and log standard deviations of (tilt_x, tilt_y), (1, 2) each, in radians."""
         stated = seen.conditions[None]
         mean, log_std = self.picture(seen.picture[None], stated)
-        fused: tuple[Tensor, Tensor] = self.fusion(mean, log_std, stated, seen.slopes[None])
-        return fused
+        return self.fusion(mean, log_std, stated, seen.slopes[None])
 
 
 def conditions(fov: Tensor, known: Tensor, radiometric: Tensor) -> Tensor:

@@ -14,8 +14,7 @@ from torch.autograd.function import Function, FunctionCtx, once_differentiable
 def wrap(features: Tensor) -> Tensor:
     """(B, C, H + 2, W + 2) of (B, C, H, W), padded circularly."""
     # torch leaves apply untyped.
-    wrapped: Tensor = _Wrap.apply(features)  # type: ignore[no-untyped-call]
-    return wrapped
+    return _Wrap.apply(features)  # type: ignore[no-untyped-call]
 
 
 class _Wrap(Function):

@@ -145,5 +145,4 @@ def blend_source(
 
 def _changed(source: Source, **fields: Any) -> Source:  # noqa: ANN401
     """dataclasses.replace on a source: every source is a frozen dataclass."""
-    changed: Source = replace(cast(Any, source), **fields)
-    return changed
+    return replace(cast(Any, source), **fields)

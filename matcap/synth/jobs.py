@@ -103,8 +103,7 @@ def rendered(source: Source, job: Job) -> BlockResult:
 @lru_cache(maxsize=2)
 def unpacked(packed: bytes) -> Source:
     """Unpickle a source; the last two are cached."""
-    source: Source = pickle.loads(packed)
-    return source
+    return pickle.loads(packed)
 
 
 def _first(pending: deque[tuple[Job, Future[BlockResult]]]) -> tuple[Job, BlockResult]:

@@ -116,15 +116,13 @@ def _roughness(moments: Planes, texel_size: float) -> NDArray[np.float32]:
     stacked = np.zeros((6, *moments.shape[1:]), np.float32)
     stacked[5] = moments[HEIGHT]
     left = np.maximum(moments[SQUARES] - moments_of(edged(stacked), texel_size)[SQUARES], 0.0)
-    rough: NDArray[np.float32] = np.sqrt(np.sqrt(np.minimum(moments[ALPHA2] + left, 1.0)))
-    return rough
+    return np.sqrt(np.sqrt(np.minimum(moments[ALPHA2] + left, 1.0)))
 
 
 def _shortened(halves: NDArray[np.uint16]) -> NDArray[np.uint16]:
     """Half floats, as their bits, rounded to _SPARED bits fewer."""
     half = np.uint16(1 << _SPARED >> 1)
-    short: NDArray[np.uint16] = (halves + half) & np.uint16(0xFFFF << _SPARED & 0xFFFF)
-    return short
+    return (halves + half) & np.uint16(0xFFFF << _SPARED & 0xFFFF)
 
 
 def _ends(plane: NDArray[np.float32]) -> tuple[float, float]:

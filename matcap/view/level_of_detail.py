@@ -160,8 +160,7 @@ class NetworkLevels:
         return _coarser(moments_of(cut, self.texel_size), level)
 
     def _decoded(self, block: Rectangle) -> Planes:
-        planes: Planes = self.source.maps(block).numpy()
-        return planes
+        return self.source.maps(block).numpy()
 
     @cached_property
     def _tile(self) -> Pyramid:

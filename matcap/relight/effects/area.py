@@ -180,8 +180,7 @@ def _points(around: bool, order: int, parts: bool) -> tuple[Array, Array, Array,
 def _cells(first: Array, second: Array, rows: int, columns: int) -> Array:
     """Index of the part of the light that each point of [0, 1]^2 is in."""
     row = np.minimum((first * rows).astype(np.intp), rows - 1)
-    cell: Array = row * columns + np.minimum((second * columns).astype(np.intp), columns - 1)
-    return cell
+    return row * columns + np.minimum((second * columns).astype(np.intp), columns - 1)
 
 
 def _axes(

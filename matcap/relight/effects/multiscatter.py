@@ -62,5 +62,4 @@ def terms(specular: Array, near: Array, n_dot_v: Array) -> tuple[Array, Array]:
 def _strength(specular: Array | np.float32, mean: Array) -> Array:
     """Fms of F0 and Eavg."""
     fresnel = specular + (1.0 - specular) * np.float32(1.0 / 21.0)
-    strength: Array = fresnel * fresnel * mean / (1.0 - fresnel * (1.0 - mean))
-    return strength
+    return fresnel * fresnel * mean / (1.0 - fresnel * (1.0 - mean))

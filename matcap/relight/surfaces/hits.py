@@ -39,8 +39,7 @@ class Hits:
 
         def every(array: Array) -> Array:
             whole = np.broadcast_to(array, shape)
-            flattened: Array = whole.ravel() if index is None else whole.reshape(-1)[index]
-            return flattened
+            return whole.ravel() if index is None else whole.reshape(-1)[index]
 
         def vector(one: Vec) -> Vec:
             return every(one[0]), every(one[1]), every(one[2])

@@ -96,8 +96,7 @@ class Mesh:
         d1, d2 = (self.places[:, i] - self.places[:, 0] for i in (1, 2))
         area = d1[:, 0] * d2[:, 1] - d2[:, 0] * d1[:, 1]
         safe = np.where(np.abs(area) > 1e-18, area, np.inf)
-        tangent: Array = (edge1 * d2[:, 1:] - edge2 * d1[:, 1:]) / safe[:, None]
-        return tangent
+        return (edge1 * d2[:, 1:] - edge2 * d1[:, 1:]) / safe[:, None]
 
     @property
     def _handedness(self) -> Array:
@@ -341,5 +340,4 @@ def _aside(normal: Array) -> Array:
     """A unit vector perpendicular to each of (3, ...) unit vectors."""
     x, y, z = normal
     flat = np.where(np.abs(z) < 0.9, np.stack([-y, x, 0 * z]), np.stack([z, 0 * y, -x]))
-    aside: Array = flat / np.maximum(np.sqrt((flat * flat).sum(0)), 1e-12)
-    return aside
+    return flat / np.maximum(np.sqrt((flat * flat).sum(0)), 1e-12)

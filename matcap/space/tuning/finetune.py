@@ -108,8 +108,7 @@ def finetune(
     def decode(field: RandomField) -> Tensor:
         if moments is None and teacher is not None:
             return renormalised.decode(decoder, field, code, schedule.share)
-        raw: Tensor = decoder(field, code, moments)
-        return raw
+        return decoder(field, code, moments)
 
     history: list[tuple[float, int, float]] = []
     interrupted = False
