@@ -153,6 +153,11 @@ class EnvironmentLight:
 Light = PointLight | DirectionalLight | SphereLight | RectangleLight | EnvironmentLight
 
 
+def light_name(kind: type[Light]) -> str:
+    """The type of a light in scene files: "point", "directional"..."""
+    return kind.__name__.removesuffix("Light").lower()
+
+
 @dataclass(frozen=True)
 class Scene:
     """Film, camera, surface and lights."""
@@ -251,9 +256,8 @@ def too_bright(lights: Sequence[Light], index: int | None = None) -> MatcapError
     if index is None:
         index = max(range(len(lights)), key=lambda i: max(_colour(lights[i])))
     light = lights[index]
-    kind = type(light).__name__.removesuffix("Light").lower()
     return MatcapError.at(
-        f"light {index + 1} ({kind})",
+        f"light {index + 1} ({light_name(type(light))})",
         f"{max(_colour(light)):.2g} is too bright for single precision",
         "give it less, or more distance, and let the film's exposure make up for it",
     )

@@ -15,21 +15,17 @@ import math
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 from matcap.errors import MatcapError
 from matcap.files.settings import nearest
 from matcap.relight.scene import (
     Camera,
-    DirectionalLight,
-    EnvironmentLight,
     Film,
     Light,
-    PointLight,
-    RectangleLight,
     Scene,
-    SphereLight,
     Surface,
+    light_name,
 )
 
 _LARGEST_SIDE = 32768
@@ -140,9 +136,13 @@ def _light(read: _Reader, entry: object, number: int) -> Light:
     if not isinstance(kind, str) or kind not in _LIGHTS:
         what = "a light needs a type" if kind is None else f"unknown type {kind!r}"
         raise read.fault(place, what, nearest(str(kind), _LIGHTS))
-    make, checks, needed = _LIGHTS[kind]
-    values = read.table(entry, place, checks, ignore=("type",))
-    missing = [key for key in needed if key not in values]
+    make = _LIGHTS[kind]
+    values = read.table(entry, place, _checks(make), ignore=("type",))
+    missing = [
+        field.name
+        for field in dataclasses.fields(make)
+        if field.default is dataclasses.MISSING and field.name not in values
+    ]
     if missing:
         raise read.fault(place, f"a {kind} light needs {' and '.join(missing)}", "add it")
     if kind == "environment" and ("file" in values) == ("radiance" in values):
@@ -238,57 +238,41 @@ def _parallel(a: tuple[float, float, float], b: tuple[float, float, float]) -> b
     return bool(dot * dot >= (1.0 - 1e-9) * sum(x * x for x in a) * sum(y * y for y in b))
 
 
-_FILM: dict[str, Checked] = {
-    "width": _side,
-    "height": _side,
-    "exposure": _any,
-    "transfer": _one_of("srgb", "linear"),
-}
-_CAMERA: dict[str, Checked] = {
-    "type": _one_of("perspective", "orthographic"),
-    "position": _vector,
-    "target": _vector,
+# The check of a key: by its name, or else by the type of its field.
+_BY_NAME: dict[str, Checked] = {
     "fov": _angle,
-    "scale": _positive,
     "up": _direction,
+    "direction": _direction,
+    "normal": _direction,
     "vignetting": _exponent,
     "vignetting_quartic": _exponent,
     "vignetting_centre": _place,
-}
-_SURFACE: dict[str, Checked] = {
-    "type": _one_of("plane", "sphere", "cylinder", "mesh"),
-    "size": _positive,
-    "file": _file,
+    "radius": _positive,
     "repeat": _positive,
     "displacement": _at_least_0,
+    "scale": _at_least_0,
 }
-# For each type of light: its class, its keys with their checks, and the required ones.
-_LIGHTS: dict[str, tuple[Callable[..., Light], dict[str, Checked], tuple[str, ...]]] = {
-    "point": (PointLight, {"position": _vector, "intensity": _colour}, ("position",)),
-    "directional": (
-        DirectionalLight,
-        {"direction": _direction, "irradiance": _colour},
-        ("direction",),
-    ),
-    "sphere": (
-        SphereLight,
-        {"position": _vector, "radius": _positive, "radiance": _colour},
-        ("position", "radius"),
-    ),
-    "rectangle": (
-        RectangleLight,
-        {
-            "position": _vector,
-            "normal": _direction,
-            "up": _direction,
-            "size": _sides,
-            "radiance": _colour,
-        },
-        ("position", "normal"),
-    ),
-    "environment": (
-        EnvironmentLight,
-        {"file": _file, "scale": _at_least_0, "rotation": _any, "radiance": _colour},
-        (),
-    ),
+_BY_TYPE: dict[str, Checked] = {
+    "int": _side,
+    "float": _any,
+    "float | None": _positive,
+    "tuple[float, float]": _sides,
+    "Vector": _vector,
+    "Colour": _colour,
+    "Path | None": _file,
 }
+
+
+def _checks(kind: type[Film | Camera | Surface | Light]) -> dict[str, Checked]:
+    choices = get_type_hints(kind)
+    return {
+        field.name: _BY_NAME.get(field.name)
+        or _BY_TYPE.get(str(field.type))
+        or _one_of(*get_args(choices[field.name]))
+        for field in dataclasses.fields(kind)
+    }
+
+
+_FILM, _SURFACE = _checks(Film), _checks(Surface)
+_CAMERA = _checks(Camera) | {"scale": _positive}  # a factor of an environment may be 0
+_LIGHTS: dict[str, type[Light]] = {light_name(kind): kind for kind in get_args(Light)}

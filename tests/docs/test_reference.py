@@ -4,6 +4,7 @@ import ast
 import json
 import re
 from dataclasses import fields, replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -19,9 +20,8 @@ from matcap.errors import ExitCode
 from matcap.example.example import Example
 from matcap.example.exemplar import CHANNELS, Exemplar
 from matcap.files.settings import field_docs
-from matcap.relight import scenefile
 from matcap.relight.foreign import names
-from matcap.relight.scene import Camera, Film, Surface
+from matcap.relight.scene import Camera, Film, Light, Surface
 from matcap.space.drawing import Drawing
 from matcap.space.tuned import TunedDecoder
 
@@ -141,14 +141,10 @@ def test_a_page_for_sending_holds_what_is_told(small, tmp_path, monkeypatch):
 
 
 def test_scenes_take_the_keys_that_are_told():
-    for kind, checks in (
-        (Film, scenefile._FILM), (Camera, scenefile._CAMERA), (Surface, scenefile._SURFACE),
-        *((kind, checks) for kind, checks, _ in scenefile._LIGHTS.values()),
-    ):  # fmt: skip
-        assert {field.name for field in fields(kind)} == set(checks)
+    kinds = {Film, Camera, Surface, *get_args(Light)}
+    for kind in kinds:
         assert {field.name for field in fields(kind)} == set(field_docs(kind))
-    result = {kind for _, kind, _ in formats._TABLES}
-    assert result == {Film, Camera, Surface, *(kind for kind, _, _ in scenefile._LIGHTS.values())}
+    assert {kind for _, kind, _ in formats._TABLES} == kinds
 
 
 class Told:
