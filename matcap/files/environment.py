@@ -23,6 +23,7 @@ _CUBE = "CubeFace Environment"
 _SHAPE = 0.05  # largest relative deviation of the sides from 2 : 1
 _DARK = 0.5  # largest sum of negative values over that of positive ones
 _SMALLEST = 4  # pixels: smaller pictures may have any shape
+_WIDEST = 2048  # wider maps are downsampled for use; a texel is then 0.18 degrees
 
 EnvironmentPicture = NDArray[np.float32]
 
@@ -57,6 +58,17 @@ def read_picture(path: Path) -> EnvironmentPicture:
             _REMEDY,
         )
     return picture
+
+
+def narrowed(picture: EnvironmentPicture) -> EnvironmentPicture:
+    """The picture, downsampled if it is wider than programs need."""
+    import cv2
+
+    height, width = picture.shape[:2]
+    if width <= _WIDEST:
+        return picture
+    size = (_WIDEST, max(2, round(height * _WIDEST / width)))
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def _radiance(picture: EnvironmentPicture, where: str) -> EnvironmentPicture:

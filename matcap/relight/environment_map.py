@@ -13,13 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcap.files.environment import read_picture
+from matcap.files.environment import narrowed, read_picture
 from matcap.relight.octahedron import Octahedra, octahedra
 from matcap.relight.scene import EnvironmentLight
 from matcap.relight.vectors import Array, Vec
 
-# Wider maps are downsampled; a texel of 2048 is 0.18 degrees.
-_WIDEST = 2048
 # Columns of the latitude-longitude grid that integrals sum over; it has half as many rows.
 _SUMMED = 256
 # Side of the octahedral table of irradiance by normal.
@@ -289,10 +287,7 @@ def environment_of(light: EnvironmentLight) -> Environment:
 def _pyramid(picture: Array) -> tuple[Array, ...]:
     import cv2
 
-    height, width = picture.shape[:2]
-    if width > _WIDEST:
-        size = (_WIDEST, max(2, round(height * _WIDEST / width)))
-        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
+    picture = narrowed(picture)
     if len(picture) < 2:
         picture = np.repeat(picture, 2, axis=0)
     levels = [picture]

@@ -316,7 +316,6 @@ class _RequestFilter:
 
 
 LARGEST_FILE = 2**29  # bytes; more than 16384 x 8192 half floats take
-_WIDEST = 2048  # texels; wider maps are downsampled, as in relight
 
 
 def decoded_exr(data: bytes) -> NDArray[np.float32]:
@@ -325,20 +324,13 @@ def decoded_exr(data: bytes) -> NDArray[np.float32]:
     Raises:
         MatcapError: the data are not an EXR file, damaged, or have invalid values.
     """
-    import cv2
-
-    from matcap.files.environment import read_picture
+    from matcap.files.environment import narrowed, read_picture
 
     with tempfile.TemporaryDirectory() as place:
         file = Path(place) / "surroundings.exr"
         file.write_bytes(data)
         try:
-            picture = read_picture(file)
+            return narrowed(read_picture(file))
         except MatcapError as error:
             # Without the temporary path.
             raise MatcapError.at("the picture", error.what, error.remedy) from error
-    height, width = picture.shape[:2]
-    if width > _WIDEST:
-        size = (_WIDEST, max(2, round(height * _WIDEST / width)))
-        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
-    return picture

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 MODULES = Path(__file__).parents[2] / ".node" / "node_modules"
 _PLACE = "http://page.test"
@@ -46,6 +47,18 @@ def drawn(script, about, page="", folder=Path()) -> np.ndarray:
         tab.close()
     found = np.frombuffer(base64.b64decode(said), dtype=np.float32).reshape(height, width, 4)
     return found[::-1, :, :3]
+
+
+@contextmanager
+def if_installed():
+    """Skip the test where there is no playwright or Chromium."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    try:
+        yield
+    except api.Error as error:
+        if "Executable" not in str(error):
+            raise
+        pytest.skip(f"no Chromium ({str(error).splitlines()[0]})")
 
 
 @contextmanager

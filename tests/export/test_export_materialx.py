@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from chromium import if_installed
 from exported import MATERIALS, METALS
 from target_surfaces import residual
 
@@ -57,21 +58,16 @@ def test_a_shader_can_be_made_of_it(tmp_path, made, read_materialx):
 )
 def test_its_picture_is_matcaps(tmp_path, made, read_materialx, variant, limit):
     """MaterialX's shader, drawn by Chromium, against `matcap relight`."""
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     import matcap
     from matcap.relight.scene import NAMED_LIGHTS, PointLight, exposing_intensity
 
     maps, place = made["rust"], NAMED_LIGHTS["top"]
     write_export(ExportJob(maps, "rust"), "materialx", tmp_path)
     light = PointLight(place, (exposing_intensity(place),) * 3)
-    try:
+    with if_installed():
         found = read_materialx.render(
             tmp_path / f"rust{variant}.mtlx", maps, light, compensated=bool(variant)
         )
-    except api.Error as error:
-        if "Executable" not in str(error):
-            raise
-        pytest.skip(f"no Chromium ({str(error).splitlines()[0]})")
     true = matcap.relight(maps, "top", effects="none,+diffuse,+specular,+falloff")
     assert np.abs(found - true).sum() / true.sum() < limit
 

@@ -3,6 +3,7 @@
 import pytest
 import render_babylon
 import render_three
+from chromium import if_installed
 from exported import unlike
 
 from matcap.export.job import ExportJob
@@ -21,7 +22,6 @@ from matcap.export.targets import write_export
 )
 @pytest.mark.parametrize("material", ["leather", "rust"])
 def test_its_picture_is_matcaps(tmp_path, made, material, library, target, suffix, limit, result):
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if not library.PLACE.is_dir():
         pytest.skip(f"needs `npm install --prefix .node {library.PLACE.name}`")
     import matcap
@@ -29,13 +29,9 @@ def test_its_picture_is_matcaps(tmp_path, made, material, library, target, suffi
 
     maps, light = made[material], NAMED_LIGHTS["top"]
     write_export(ExportJob(maps, material), target, tmp_path)
-    try:
+    with if_installed():
         found = library.render(
             tmp_path / f"{material}.{suffix}", maps, light, exposing_intensity(light), **result
         )
-    except api.Error as error:
-        if "Executable" not in str(error):
-            raise
-        pytest.skip(f"no Chromium ({str(error).splitlines()[0]})")
     true = matcap.relight(maps, "top", effects="none,+diffuse,+specular,+falloff")
     assert unlike(found, true) < limit
