@@ -23,7 +23,7 @@ from matcap.errors import MatcapError
 from matcap.files.digest import DIGEST, METHOD, digest_prefix
 from matcap.files.staging import staged_file
 
-Network = TypeVar("Network", bound=nn.Module)
+Loaded = TypeVar("Loaded", bound=nn.Module)
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
@@ -93,7 +93,7 @@ class StoredTensors:
             raise self._fault(f"the tensor {name} holds NaN or infinity")
         return value
 
-    def load(self, network: Network, prefix: str = "") -> Network:
+    def load(self, network: Loaded, prefix: str = "") -> Loaded:
         """The network with the file's weights, named with the prefix, without gradients.
 
         Raises:
