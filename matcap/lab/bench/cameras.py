@@ -53,11 +53,8 @@ def camera_experiment(
 ) -> Experiment[CameraSubject, CoarseFit]:
     """Fit photographs each alone, and with the camera profile fitted to all of them.
 
-    Args:
-        photographs: real ones of one camera.
-        specimens: simulated materials.
-        falloff: the simulated camera's vignetting, coefficients of r^2 and r^4.
-        developed: simulated photographs are JPEGs with a phone's tone curve, not RAW.
+    `falloff`, the simulated camera's vignetting, has the coefficients of r^2 and r^4. `developed`
+    simulates JPEGs with a phone's tone curve, not RAW.
     """
 
     def simulated(specimen: Specimen) -> CameraSubject:

@@ -101,13 +101,9 @@ def gloss_experiment(
     exemplar: bool = False,
     camera: PhoneCamera | None = None,
 ) -> Experiment[tuple[PlainMaterial, Shot], Gloss]:
-    """Photograph materials at several exposures and estimate their parameters.
+    """Photograph materials at exposure offsets (EV) and estimate their parameters.
 
-    Args:
-        chosen: the materials.
-        evs: exposure offsets, EV.
-        exemplar: measure the maps of a capture; the coarse fit alone otherwise.
-        camera: that takes the photographs.
+    With `exemplar` the maps of a capture are measured, else the coarse fit alone.
     """
     phone = camera or PhoneCamera()
 

@@ -54,14 +54,10 @@ Seen = tuple[Photo, FlashSetup | None]  # and its true setup where it was simula
 def highlight_experiment(
     photographs: Sequence[Path], count: int, seed: int, out: Path, *, has_fov: bool = True
 ) -> Experiment[Seen, CoarseFit]:
-    """The coarse fit of real photographs that have a highlight, and of simulated ones.
+    """The coarse fit of real photographs that have a highlight, and of `count` simulated ones.
 
-    Args:
-        photographs: real ones.
-        count: number of simulated ones.
-        seed: of the simulated ones.
-        out: folder for pictures of photograph and re-rendering side by side.
-        has_fov: False for simulated files that do not state their field of view.
+    Pictures of photograph and re-rendering side by side go to `out`. Without `has_fov` simulated
+    files do not state their field of view.
     """
 
     def real(path: Path) -> Seen:

@@ -52,15 +52,10 @@ def metals_experiment(
     *,
     known: bool = False,
 ) -> Experiment[PhotographedMetal, MapSet]:
-    """Photograph and capture each.
+    """Photograph into `out` and capture each.
 
-    Args:
-        subjects: materials.
-        out: folder for the photographs.
-        settings: of the captures.
-        camera: that takes the photographs.
-        known: the flash's intensity is given, as by a calibration card; else the exposure prior
-            fixes the scale of F0 (capture/piece/absolute.py).
+    With `known` the flash's intensity is given, as by a calibration card; else the exposure prior
+    fixes the scale of F0 (capture/piece/absolute.py).
     """
 
     def prepare(subject: Specimen) -> PhotographedMetal:

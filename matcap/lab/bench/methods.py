@@ -38,12 +38,8 @@ class CapturedMaps:
 def photo_as_albedo(photo: Photo, setup: FlashSetup, detail: int) -> CapturedMaps:
     """The photograph itself as diffuse albedo; constant F0 and roughness; flat.
 
-    The flash's intensity makes the re-rendering's mean that of the photograph.
-
-    Args:
-        photo: the photograph.
-        setup: true geometry.
-        detail: texels along the long side.
+    Maps have `detail` texels along the long side. `setup` is the true geometry; its intensity makes
+    the re-rendering's mean that of the photograph.
     """
     linear, _ = rectify(photo, setup, detail)
     diffuse = linear.clamp(0.0, 1.0)

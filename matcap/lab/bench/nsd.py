@@ -81,14 +81,7 @@ def nsd_experiment(
     settings: PhotographSettings,
     evaluation: EvaluationSettings,
 ) -> Experiment[CapturedSubject, CapturedMaps]:
-    """Photograph and capture each subject once; evaluate photograph, exemplar and field.
-
-    Args:
-        subjects: materials.
-        out: folder for the photographs.
-        settings: of photographs and captures.
-        evaluation: sizes, lights and true samples.
-    """
+    """Photograph and capture each subject once; evaluate photograph, exemplar and field."""
     style = evaluation.squeezenet
 
     def prepare(subject: Specimen) -> Callable[[], CapturedSubject]:
@@ -143,15 +136,10 @@ def quality_experiment(
     settings: EvaluationSettings,
     captured: object = None,
 ) -> Experiment[PicturedSubject, Tensor]:
-    """Every method on every material; photographs and sheets go to `out`.
+    """Methods of METHODS on materials of EXAMPLES; photographs and sheets go to `out`.
 
-    Args:
-        capture: function of a DNG's path, the method `decoder`.
-        out: folder for the photographs (DNG) and for the relit pictures side by side (PNG).
-        materials: names in EXAMPLES; all by default.
-        methods: names in METHODS.
-        settings: sizes and camera; lights and true samples are set here.
-        captured: settings of `capture`; rows of other settings are measured again.
+    `capture`, from a DNG's path, is the method `decoder`; rows of other settings of it, `captured`,
+    are measured again. Of `settings` lights and true samples are set here.
 
     Raises:
         UsageError: no such material or method.

@@ -28,11 +28,7 @@ _SEPARATION = 1.1  # of errors: less is as far as seeds scatter
 def write_pairs(fronts: Path, out: Path, count: int, seed: int) -> Path:
     """Draw pairs of the sheets in a folder of fronts; pages and pairs.csv go to `out`.
 
-    Args:
-        fronts: the folder that `matcap bench fronts` wrote.
-        out: folder, created if missing.
-        count: number of pairs, spread over the materials.
-        seed: of the choice of pairs and of sides.
+    `count` pairs are spread over the materials; `seed` is of their choice and of their sides.
 
     Raises:
         MatcapError: there are no two sheets of one material.

@@ -53,11 +53,8 @@ def finetuned_as_in_paper(
 ) -> Material:
     """Fine-tune an untuned capture by the decoder, without a drawing, as the paper does.
 
-    Args:
-        untuned: a landscape photograph's.
-        features: VGG's or random ones.
-        seed: of noise, places and scales.
-        steps: of Adam.
+    The photograph is in landscape format; features are VGG's or random ones; `seed` is of noise,
+    places and scales; `steps` are Adam's.
     """
     start = untuned.material.part(TunedDecoder)
     assert start is not None

@@ -140,11 +140,7 @@ def tolerance_experiment(
 ) -> Experiment[LitScene, Timed]:
     """Every scene at every tolerance, with all effects and with diffuse light alone.
 
-    Args:
-        scenes: see chosen_scenes().
-        width: of the pictures.
-        texels: across the leather that is lit.
-        repeats: of which the median counts.
+    Pictures are `width` pixels wide, of leather of `texels` a side; of `repeats` the median counts.
     """
     points = {f"{steps:g} steps": ("tolerance", "auto", steps) for steps in TOLERANCES}
     points[EVERYTHING] = ("effects", "all", 0.5)

@@ -69,9 +69,7 @@ def repetition_experiment(
 ) -> Experiment[Example, list[MapArray]]:
     """Fields of two seeds, `size` texels a side.
 
-    Args:
-        materials: names of simulated ones, or .matcap files; all simulated ones by default.
-        size: texels.
+    Materials are simulated ones by name, all by default, or .matcap files.
     """
 
     def read(example: Example, _seed: int) -> list[MapArray]:
@@ -120,8 +118,7 @@ def correlation(first: MapArray, second: MapArray) -> float:
 def copies(places: NDArray[np.int16]) -> tuple[float, ...]:
     """Share of texels in patches below each of SIZES, and in larger ones.
 
-    Args:
-        places: (H, W, 2) x, y of each texel's source in the exemplar.
+    `places` (H, W, 2) are x, y of each texel's source in the exemplar.
     """
     rows, columns = places.shape[:2]
     wide = places.astype(np.int32)

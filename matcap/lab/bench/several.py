@@ -88,16 +88,7 @@ def several_experiment(
     evaluation: EvaluationSettings,
     ambient: Ambient,
 ) -> Experiment[TakenSubject, CaptureResult]:
-    """Photograph each subject from several poses; capture it from each number of photographs.
-
-    Args:
-        subjects: materials.
-        counts: numbers of photographs with flash.
-        out: folder for the photographs.
-        settings: of photographs and captures.
-        evaluation: sizes, lights and true samples.
-        ambient: ambient light, union and pose.
-    """
+    """Photograph each subject from several poses; capture it from each number of photographs."""
     hand = replace(
         ambient.hand, room=Room(ambient.room, uneven=0.35, hidden=True) if ambient.room else None
     )

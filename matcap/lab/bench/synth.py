@@ -167,13 +167,9 @@ def _efficiency_of(network: str, precision: str, repeats: int) -> Costs:
 def field_costs(
     settings: SynthSettings, network: str, keeps: bool, way: tuple[int, str, str]
 ) -> Costs:
-    """Costs of the field and of the paper's form of the same network.
+    """Costs of the field and of the paper's form of the same network, named in NETWORKS.
 
-    Args:
-        settings: sizes and repeats.
-        network: a name in NETWORKS.
-        keeps: memory is kept by the allocator.
-        way: (workers, block, precision).
+    With `keeps` the allocator keeps memory; `way` is (workers, block, precision).
     """
     if keeps:
         keep_memory()

@@ -40,11 +40,6 @@ def real_piece(
     """A crop of one of the sets, or two blended by a mask; height and texel size in texels.
 
     Also (1, height, width) the share that is metal.
-
-    Args:
-        sets: to draw from.
-        rng: random numbers.
-        width, height: texels.
     """
     first = _piece(sets[int(rng.integers(len(sets)))], rng, width, height)
     if rng.random() < _MASKED:
@@ -102,14 +97,8 @@ def cut(
 ) -> Picture:
     """(9, height, width) randomly placed, rotated and mirrored crop of a level, periodic.
 
-    Channels: share that is metal, diffuse (3), F0 (3), roughness, height.
-
-    Args:
-        packed: the set.
-        level: pyramid level.
-        scale: texels of the crop to one of that level.
-        rng: draws position, rotation and mirroring.
-        width, height: texels.
+    Channels: share that is metal, diffuse (3), F0 (3), roughness, height. `scale`: texels of the
+    crop to one of the pyramid's level.
     """
     turn = float(rng.integers(4)) * math.pi / 2.0
     if rng.random() < _LEVELLED:
@@ -171,14 +160,9 @@ _SOME, _SOME_SHARE = 0.5, 0.01  # a piece with this share of texels more metal t
 
 
 def coloured_metal(specular: Picture, metal: Picture, rng: np.random.Generator) -> Picture:
-    """F0 (3, H, W) with its metal recoloured at random, or unchanged.
+    """F0 (3, H, W) with its metal, of share (1, H, W), recoloured at random, or unchanged.
 
     Contrast and variations of colour are preserved.
-
-    Args:
-        specular: (3, H, W) F0.
-        metal: (1, H, W) share that is metal.
-        rng: random numbers.
     """
     which = rng.random()
     if which < _AS_IT_IS or float((metal > _SOME).mean()) < _SOME_SHARE:

@@ -122,14 +122,10 @@ def draw_sample(
     sets: Sequence[PackedSet] = (),
     real: float = REAL_SHARE,
 ) -> Sample:
-    """The sample of a number, `width` x `height` texels.
+    """The sample of a number from 0 on, `width` x `height` texels.
 
-    Args:
-        number: not negative.
-        width, height: texels.
-        material: draws a simulated material.
-        sets: real materials; if empty, all are simulated.
-        real: share of samples of real materials.
+    A share `real` of the samples is of the real materials `sets`, if there are any; `material`
+    draws the simulated ones.
     """
     rng = np.random.default_rng([number, 77])
     pad = 2 * _MARGIN

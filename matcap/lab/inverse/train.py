@@ -92,12 +92,8 @@ def train(
 ) -> Training[Inverse]:
     """Train one run, from the checkpoint in a folder if there is one.
 
-    Args:
-        folder: for checkpoint and curves.
-        settings: of the run.
-        config: shape of the network.
-        on_progress: called with a line every 50 steps.
-        begin: a shipped network to initialise the first run; None for random weights.
+    Checkpoint and curves are written there. A first run begins with random weights, or with the
+    shipped network `begin`.
     """
     training = start(config, settings)
     if (folder / CHECKPOINT).exists():
@@ -128,15 +124,7 @@ def step_loss(
     settings: TrainSettings,
     compare: Compare = compared,
 ) -> tuple[Tensor, Mapping[str, Tensor]]:
-    """Loss of a step, and its parts.
-
-    Args:
-        model: the network.
-        step: its number.
-        batch: the samples.
-        settings: of the run.
-        compare: `losses.compared`, or its compiled form.
-    """
+    """Loss of a step, and its parts; `compare` is `losses.compared`, or its compiled form."""
     device = settings.device
     inputs = torch.stack([x for x, _ in batch]).to(device)
     rng = np.random.default_rng([step, 0, 5])
@@ -229,12 +217,7 @@ def _trained(folder: Path) -> Training[Inverse]:
 
 
 def save_inverse(network: Inverse, path: Path, card: Mapping[str, Any]) -> None:
-    """Write weights in half precision, whole or not at all.
-
-    Args:
-        network: the network.
-        path: of the file.
-        card: how it was trained; JSON.
+    """Write weights in half precision and a card, how they were trained, whole or not at all.
 
     Raises:
         MatcapError: the folder cannot be written.

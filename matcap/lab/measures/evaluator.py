@@ -77,11 +77,7 @@ class Evaluator:
     ) -> None:
         """Relight true samples, none of them the photographed one.
 
-        Args:
-            subject: the material.
-            flash: the true setup of the photograph.
-            settings: sizes and lights.
-            styles: texture statistics by name.
+        `flash` is the true setup of the photograph; styles are texture statistics by name.
         """
         whole = bench_scene(flash)
         self.scene = BenchScene(whole.distance, whole.lights[:: settings.every])

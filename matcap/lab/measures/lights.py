@@ -179,11 +179,8 @@ def mirror_point(scene: BenchScene, place: tuple[float, float, float]) -> tuple[
 def highlight_contrast(maps: MapSet, scene: BenchScene) -> float:
     """Mean of L / L_matte near the mirror point over its mean far from it; 1 is a matte surface.
 
-    L_matte is a uniform matte plane's radiance. Geometric mean over the scene's lights.
-
-    Args:
-        maps: in the middle of the plane, wide enough to hold every light's mirror point.
-        scene: camera and lights.
+    L_matte is a uniform matte plane's radiance. Geometric mean over the scene's lights. The maps
+    lie in the middle of the plane and hold every light's mirror point.
     """
     width, height = maps.size
     half = maps.texel_size * width / 2.0

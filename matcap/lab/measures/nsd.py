@@ -67,12 +67,10 @@ class StyleRatio:
     """
 
     def __init__(self, style: Style, truths: Sequence[Tensor]) -> None:
-        """Describe true samples.
+        """Describe true samples by a style.
 
-        Args:
-            style: the texture statistics compared.
-            truths: two or more samples of the material, none of them the photographed one, each
-                (L, 3, H, W), relit from L directions.
+        There are two or more of the material, none of them the photographed one, each (L, 3, H, W),
+        relit from L directions.
         """
         self._style = style
         self._truths = [style(truth) for truth in truths]

@@ -174,12 +174,7 @@ def take_several(
 ) -> list[HandShot]:
     """Photograph one piece from several places; every exposure is automatic.
 
-    Args:
-        realise: the material.
-        phone: the camera model.
-        cameras: its poses.
-        hand: flash, lens and ambient light.
-        seed: of white balance.
+    `hand` has flash, lens and ambient light; `seed` is of the white balances.
     """
     rng = np.random.default_rng(seed)
     maps = _piece(realise, phone, cameras)
@@ -211,12 +206,9 @@ def take_without_flash(
     hand: Hand,
     seed: int = 0,
 ) -> HandShot:
-    """Photograph the same sample by ambient light alone, from near the first camera's pose.
+    """Photograph the same sample by the light of `hand.room` alone, near the first pose.
 
-    Args:
-        realise, phone, cameras: as of take_several.
-        hand: its `room` is the light.
-        seed: of white balance and pose.
+    `seed` is of white balance and pose.
     """
     rng = np.random.default_rng(seed)
     first = cameras[0]
@@ -238,16 +230,10 @@ def true_maps_along(
     estimated: PosedCamera,
     extent: Extent = OWN,
 ) -> Callable[[int, int], MapSet]:
-    """True maps along the rays of one camera, for texels resampled from its photograph alone.
+    """True maps along the rays of camera `number`, for texels resampled from its photograph alone.
 
     Errors of the estimated pose displace the plane's texels; the truth is therefore looked up along
     the ray of the pixel that each texel was resampled from.
-
-    Args:
-        realise, phone, cameras: as of take_several.
-        number: index of the camera.
-        estimated: its estimated pose.
-        extent: of the maps on the plane.
 
     Returns:
         Function of (columns, rows), the extent's size in texels, to true maps.

@@ -47,14 +47,9 @@ class MapSetMaterial:
     def realise(self, width: int, height: int, seed: int, texel_size: float) -> MapSet:
         """A rectangle of the repeated tile, float64 (C, height, width).
 
-        Texels are interpolated if finer than the tile's, else averaged. A finer texel size over the
-        same extent gives the same crop at a higher resolution.
-
-        Args:
-            width: texels.
-            height: texels.
-            seed: of the position on the tile; neighbouring seeds lie far from each other.
-            texel_size: a texel's side in plane units.
+        Neighbouring seeds lie far apart on the tile. Texels, of a size in plane units, are
+        interpolated if finer than the tile's, else averaged. A finer texel size over the same
+        extent gives the same crop at a higher resolution.
         """
         tile = _shrunk(self.tile, texel_size / self.texel_size)
         rows, columns = tile.shape[1:]

@@ -81,12 +81,9 @@ class Shot:
 
 
 def take(realise: Realise, camera: PhoneCamera, setup: FlashSetup) -> Shot:
-    """Photograph a material; exposure is automatic.
+    """Photograph one realisation of a material; exposure is automatic.
 
-    Args:
-        realise: the material, one realisation of it.
-        camera: the camera.
-        setup: offset, tilt and falloff; field of view and intensity are set here.
+    Of `setup`, offset, tilt and falloff count; field of view and intensity are set here.
     """
     setup = replace(setup, fov=camera.fov, intensity=(1.0, 1.0, 1.0))
     x, y, width, height = _seen(camera, setup)

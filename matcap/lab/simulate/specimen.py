@@ -115,18 +115,10 @@ USUAL = (*EXAMPLES, "weave", "asphalt", "hammered")
 def photograph(
     specimen: Specimen, camera: PhoneCamera, out: Path, *, ev: float = 0.0, jpeg: bool = False
 ) -> tuple[Path, Shot]:
-    """Photograph a specimen into a folder.
+    """Photograph a specimen into a folder: the file, and the shot with its true setup.
 
-    Args:
-        specimen: the material.
-        camera: the camera.
-        out: the folder, made when missing.
-        ev: exposure offset from the automatic exposure, EV.
-        jpeg: a JPEG as a phone develops it, under a flash whose cone points beside the lens's axis
-            (`phone_cone`), instead of a DNG without a cone.
-
-    Returns:
-        The file, and the shot with its true camera and flash.
+    The exposure is `ev` EV above the automatic one. A JPEG is developed as by a phone, under a
+    flash whose cone points beside the lens's axis (`phone_cone`); a DNG has no cone.
 
     Raises:
         MatcapError: the folder cannot be written.

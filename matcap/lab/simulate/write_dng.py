@@ -72,13 +72,7 @@ def gain_map(shading: float) -> NDArray[np.float32]:
 
 
 def write_dng(path: Path, shot: Shot, sensor: Sensor, seed: int) -> None:
-    """Write a shot as a DNG; the same arguments give the same file.
-
-    Args:
-        path: the file, replaced when it exists.
-        shot: the image on the sensor.
-        sensor: lens shading.
-        seed: of the sensor's noise.
+    """Write a shot as a DNG with the noise of a seed; the same arguments give the same file.
 
     Raises:
         MatcapError: the file cannot be written.

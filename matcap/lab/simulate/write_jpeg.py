@@ -22,13 +22,9 @@ _EXIF_IFD = 34665
 
 
 def write_jpeg(path: Path, shot: Shot, seed: int, tone: ToneCurve | None = None) -> None:
-    """Write a shot as a JPEG of quality 95; the same arguments give the same file.
+    """Write a shot as a JPEG of quality 95 with the noise of a seed; see write_dng.
 
-    Args:
-        path: of the file.
-        shot: the image on the sensor.
-        seed: of the sensor's noise.
-        tone: tone curve; by default only sRGB's encoding.
+    The tone curve is only sRGB's encoding by default.
 
     Raises:
         MatcapError: the file cannot be written.

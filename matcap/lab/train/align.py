@@ -205,10 +205,7 @@ def mirror(taken: Tilted) -> Tilted:
 def develop(taken: Tilted, rng: np.random.Generator, radiometric: bool | None = None) -> Developed:
     """Expose photographs and, where they are no RAW, develop them.
 
-    Args:
-        taken: the photographs.
-        rng: random numbers.
-        radiometric: whether all are RAW, or none; None draws it for each.
+    All are RAW, or none, by `radiometric`; None draws it for each.
     """
     pictures, fov, known, raw = [], [], [], []
     for radiance, view, offset in zip(taken.radiance, taken.fov, taken.offset, strict=True):
@@ -303,11 +300,8 @@ def train_alignment(
 ) -> PictureTilt:
     """Train: AdamW on the negative log-likelihood, the rate falling from the first step on.
 
-    Args:
-        pool: photographs.
-        steps: of `batch` photographs each.
-        start: a network to train on, in place; None for random weights.
-        on_progress: called with a line every 50 steps.
+    A step takes `batch` photographs of the pool. `start` is trained on, in place; None for random
+    weights. `on_progress` gets a line every 50 steps.
     """
     torch.manual_seed(0)
     network = (start or PictureTilt()).requires_grad_(True).train()

@@ -40,14 +40,9 @@ def train_branch(
     start: Alignment | None = None,
     on_progress: Callable[[str], None] = lambda line: None,
 ) -> Alignment:
-    """The whole branch: its network for pictures, then the fusion.
+    """The whole branch: its network for pictures, by `steps` steps on `materials`, then the fusion.
 
-    Args:
-        materials: of the first training's photographs.
-        steps: of that.
-        fused: materials of the fusion's photographs.
-        start: a branch to train on, in place.
-        on_progress: called with a line now and then.
+    `fused` is the number of the fusion's materials; `start` is trained on, in place.
     """
     branch = Alignment() if start is None else start
     begun = None if start is None else branch.picture
@@ -93,13 +88,9 @@ def train_fusion(
     *,
     on_progress: Callable[[str], None] = lambda line: None,
 ) -> None:
-    """Train in place: AdamW on the negative log-likelihood of the angles.
+    """Train in place: AdamW on the negative log-likelihood of the tilts (N, 2).
 
-    Args:
-        fusion: the network.
-        inputs: of samples().
-        tilts: (N, 2) true angles.
-        on_progress: called with a line every 500 steps.
+    Inputs are those of samples(). `on_progress` gets a line every 500 steps.
     """
     torch.manual_seed(0)
     training = Training(

@@ -133,10 +133,7 @@ class Middle:
 def middles(prior: Prior, entries: Sequence[Entry], photographs: StyleStatistics) -> list[Middle]:
     """Blends of neighbours in a list of photographs of different materials, at most PAIRS.
 
-    Args:
-        prior: the space.
-        entries: photographs whose places are blended.
-        photographs: statistics of those that pictures are compared with.
+    `photographs` are the statistics of those that pictures are compared with.
     """
     places = [prior.place(entry.photo()) for entry in entries[: PAIRS + 1]]
     materials = [prior.draw(0, near=place, spread=0.0) for place in places]

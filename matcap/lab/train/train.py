@@ -116,15 +116,9 @@ def held_out_loss(
     bank: FilterBank,
     sheet: Path,
 ) -> float:
-    """Mean style loss on held-out materials; writes a sheet of some of these and of training ones.
+    """Mean style loss of a running average on held-out materials; `source` prepares a photograph.
 
-    Args:
-        model: the running average.
-        pack: of photographs.
-        source: prepares one.
-        config: of the training.
-        bank: features.
-        sheet: path of the picture.
+    Writes a sheet, a picture, of some of these and of training ones.
     """
     device = next(model.parameters()).device
     rng = np.random.default_rng(_SEED)

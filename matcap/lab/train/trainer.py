@@ -73,13 +73,9 @@ class Training(Generic[Trained]):
         decay: float,
         weight_decay: float = 0.0,
     ) -> None:
-        """Begin with a network.
+        """Begin with a network on its device.
 
-        Args:
-            model: the network, on its device.
-            rates: AdamW's, by a prefix of its parameters' names.
-            decay: of the running average.
-            weight_decay: AdamW's.
+        `rates` are AdamW's by a prefix of its parameters' names; `decay` is the running average's.
         """
         self.model, self.average = model, copy.deepcopy(model).requires_grad_(False)
         self.step, self._decay = 0, decay
@@ -96,11 +92,8 @@ class Training(Generic[Trained]):
     def update(self, loss: Tensor, share: float) -> None:
         """One step of AdamW, with gradients clipped to a norm of 1, and of the running average.
 
-        A step whose gradient is not finite is skipped.
-
-        Args:
-            loss: a scalar of the model.
-            share: of the rates (RateSchedule).
+        The rates are scaled by `share` (RateSchedule). A step whose gradient is not finite is
+        skipped.
         """
         for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
             group["lr"] = rate * share
@@ -192,14 +185,9 @@ def fit(
     folder: Path | None,
     reporting: Reporting,
 ) -> None:
-    """Train until the schedule ends, writing checkpoints and curves into a folder.
+    """Train in place until the schedule ends, writing checkpoints and curves into a folder, if any.
 
-    Args:
-        training: changed in place.
-        loss_of: of a step by its number.
-        schedule: of rate and end.
-        folder: made when missing; None to write nothing.
-        reporting: what is written, and when.
+    `loss_of` gives the loss of a step by its number.
     """
     curves = Curves(None if folder is None else folder / CURVES, training.step)
     began = saved = time.monotonic()
@@ -253,13 +241,9 @@ class Curves:
 def read_tensors(
     path: Path, kind: tuple[str, int], what: str, remedy: str
 ) -> tuple[dict[str, str], dict[str, Tensor]]:
-    """Metadata and tensors of a file of a format and version.
+    """Metadata and tensors of a file whose metadata has a kind, (format, version).
 
-    Args:
-        path: of the file.
-        kind: its metadata's "format" and "version".
-        what: it is called.
-        remedy: where it cannot be read.
+    Errors call it `what` and end with `remedy`.
 
     Raises:
         MatcapError: it is missing or broken, or of another kind.

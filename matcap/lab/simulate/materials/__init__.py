@@ -26,19 +26,10 @@ MATERIALS: Mapping[str, Callable[[Canvas], MapSet]] = MappingProxyType(
 
 
 def realise(name: str, width: int, height: int, seed: int, texel_size: float) -> MapSet:
-    """One realisation of a named material.
+    """One realisation of a material of MATERIALS, float64 (C, height, width).
 
-    A finer texel size over the same extent shows the same realisation in more detail.
-
-    Args:
-        name: a key of MATERIALS.
-        width: texels.
-        height: texels.
-        seed: not negative; another seed is another realisation of the same material.
-        texel_size: a texel's side in plane units.
-
-    Returns:
-        float64 maps (C, height, width) on the CPU.
+    A seed, not negative, is a realisation; a finer texel size (plane units) over the same extent
+    shows the same one in more detail.
 
     Raises:
         UsageError: no material of that name.

@@ -81,13 +81,9 @@ Profile = Callable[[Raster, Raster, Whole], Raster]
 def scatter(
     canvas: Canvas, label: str, pitch: float, reach: Callable[[np.random.Generator, int], Raster]
 ) -> Scatter:
-    """One stamp to each square of side `pitch`, uniformly distributed in it.
+    """One stamp to each square of side `pitch`, plane units, uniformly distributed in it.
 
-    Args:
-        canvas: rectangle and seed.
-        label: random stream.
-        pitch: plane units.
-        reach: (generator, N) to (N,) half sides in plane units, at most 8 pitches.
+    `reach`, of (generator, N), gives (N,) half sides in plane units, at most 8 pitches.
     """
     margin = 8 if pitch < 0.02 else 4
     columns, rows = (math.ceil(side / pitch) + 2 * margin for side in canvas.extent)
@@ -150,11 +146,7 @@ def polygons(
 ) -> Callable[[Raster, Raster, Whole], Raster]:
     """Convex polygons of radius about 1: (u, v, index) to 1 in the middle, 0 on the border.
 
-    Args:
-        generator: random numbers of the shapes.
-        count: number of polygons.
-        corners: sides of each.
-        ragged: irregularity, 0 to 1.
+    Each has `corners` sides and is irregular by `ragged`, 0 to 1.
     """
     step = 2.0 * math.pi / corners
     turn = generator.uniform(0.0, 2.0 * math.pi, (count, 1)) + step * np.arange(corners)
