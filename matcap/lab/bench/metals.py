@@ -16,9 +16,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.find import map_set_of
 from matcap.capture.pipeline import capture_photo, read_photograph
 from matcap.capture.settings import CaptureSettings
+from matcap.lab.bench.methods import exemplar_maps
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.simulate.photograph import PhoneCamera, Shot, true_maps
@@ -67,9 +67,7 @@ def metals_experiment(
         photo = read_photograph(metal.path, settings)
         if known:
             photo = replace(photo, flash_intensity=metal.shot.setup.intensity[1])
-        result = capture_photo(photo, settings)
-        assert result.estimate is not None
-        return map_set_of(result.estimate.exemplar)
+        return exemplar_maps(capture_photo(photo, settings)).maps
 
     return Experiment(
         "metals",

@@ -84,16 +84,11 @@ def nsd_experiment(
     """Photograph and capture each subject once; evaluate photograph, exemplar and field."""
     style = evaluation.squeezenet
 
-    def prepare(subject: Specimen) -> Callable[[], CapturedSubject]:
-        def prepared() -> CapturedSubject:
-            path, shot = photograph(
-                subject, evaluation.camera, out, ev=settings.ev, jpeg=settings.jpeg
-            )
-            result = capture_file(path, settings.captured)
-            evaluator = Evaluator(subject, shot.setup, evaluation, {"NSD": style})
-            return CapturedSubject(subject, shot, result, evaluator)
-
-        return prepared
+    def prepare(subject: Specimen) -> CapturedSubject:
+        path, shot = photograph(subject, evaluation.camera, out, ev=settings.ev, jpeg=settings.jpeg)
+        result = capture_file(path, settings.captured)
+        evaluator = Evaluator(subject, shot.setup, evaluation, {"NSD": style})
+        return CapturedSubject(subject, shot, result, evaluator)
 
     def albedo(captured: CapturedSubject, _seed: int) -> CapturedMaps:
         photo = as_photo(captured.shot, captured.subject.seed, captured.subject.name)
@@ -101,7 +96,7 @@ def nsd_experiment(
 
     return Experiment(
         "floors",
-        {subject.name: prepare(subject) for subject in subjects},
+        {subject.name: partial(prepare, subject) for subject in subjects},
         {
             ALBEDO: Configuration(albedo),
             EXEMPLAR: Configuration(lambda captured, _seed: exemplar_maps(captured.result)),

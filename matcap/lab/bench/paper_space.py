@@ -67,7 +67,6 @@ def interpolation(
         "interpolation",
         {f"{first} to {second}": partial(pair, first, second) for first, second in ends},
         {name: Configuration(partial(walked, name)) for name in captures},
-        (lambda _, values: values,),
         settings=settings,
     )
 

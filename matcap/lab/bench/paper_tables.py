@@ -133,7 +133,6 @@ def paper_experiments(
             name: Configuration(partial(_compared, captures[name]), asked.generator)
             for name, (asked, _) in ways.items()
         },
-        (lambda _, values: values,),
         settings=settings,
     )
     walked = {name: captures[name] for name in (DEFAULT, DECODER, FULL, SINGLE)}

@@ -64,7 +64,6 @@ def profile_experiment(
             for preset in chosen
             for stage in _STAGES
         },
-        (lambda _by_preset, cost: cost,),
         settings=[path.resolve() for path in photographs],
     )
 

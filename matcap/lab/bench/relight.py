@@ -13,12 +13,11 @@ Times are processor times summed over cores, so that other programs do not count
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from time import perf_counter, process_time
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -29,6 +28,7 @@ from matcap.files.srgb import srgb_encode
 from matcap.lab.experiment.page import Presentation
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
+from matcap.lab.experiment.timing import in_turn
 from matcap.lab.simulate.materials import realise
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.named import SCENES
@@ -129,7 +129,6 @@ def plan_experiment(scenes: Sequence[Path], repeats: int = 3) -> Experiment[LitS
             EVERYTHING: Configuration(everything),
             "next picture": Configuration(following),
         },
-        (lambda _lit, timing: timing,),
         settings=(chosen_scenes(scenes), repeats),
         skips=lambda subject, name: subject == MEGAPIXEL and name == EVERYTHING,
     )
@@ -163,7 +162,6 @@ def tolerance_experiment(
             name: Configuration(partial(run, effects, steps), group)
             for name, (group, effects, steps) in points.items()
         },
-        (lambda _lit, timing: timing,),
         settings=(chosen, texels, repeats),
     )
 
@@ -200,30 +198,18 @@ def mitsuba_experiment() -> Experiment[LitScene, Timed]:
         "mitsuba",
         {name: partial(_lit, scene, 512) for name, scene in chosen.items()},
         {"matcap": Configuration(ours), "Mitsuba to 1 % of noise": Configuration(theirs)},
-        (lambda _lit, timing: timing,),
     )
 
 
 def timed(call: Callable[[], object], repeats: int, **others: float) -> Timed:
-    """Median processor and wall time of a call, s, and other columns."""
-    seconds, clock = median_seconds(call, repeats)
-    return {"seconds": seconds, "clock": clock, **{k: float(v) for k, v in others.items()}}
-
-
-def median_seconds(call: Callable[[], object], repeats: int) -> tuple[float, float]:
-    """Median processor and wall time, s.
+    """Median processor and wall time of a call, s, and other columns.
 
     Of a single run if that is long, else of `repeats` after one to warm up.
     """
-    times = []
-    for _ in range(repeats + 1):
-        worked, started = process_time(), perf_counter()
-        call()
-        times.append((process_time() - worked, perf_counter() - started))
-        if times[0][0] > _LONG:
-            return times[0]
-    seconds, clock = zip(*times[1:], strict=True)
-    return statistics.median(seconds), statistics.median(clock)
+    (clock,), (seconds,) = in_turn((call,), 1)
+    if seconds <= _LONG:
+        (clock,), (seconds,) = in_turn((call,), repeats)
+    return {"seconds": seconds, "clock": clock, **{k: float(v) for k, v in others.items()}}
 
 
 def chosen_scenes(scenes: Sequence[Path]) -> dict[str, Scene]:

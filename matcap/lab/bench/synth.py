@@ -14,10 +14,9 @@ convolutions of the same shapes.
 from __future__ import annotations
 
 import resource
-import statistics
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -38,6 +37,7 @@ from matcap.files.memory import keep_memory
 from matcap.lab.bench.methods import true_exemplar
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
+from matcap.lab.experiment.timing import in_turn
 from matcap.space.decoder import (
     CODE_SIZE,
     DEPTH,
@@ -131,7 +131,6 @@ def synth_experiment(settings: SynthSettings) -> Experiment[SynthSubject, Costs]
         "synth",
         {name: partial(SynthSubject, name, settings.exemplar) for name in names},
         ways,
-        (lambda _subject, costs: costs,),
         settings=settings,
         skips=lambda subject, name: (subject == BY_EXAMPLE) != (ways[name].group == BY_EXAMPLE),
     )
@@ -190,7 +189,7 @@ def field_costs(
         with torch.inference_mode():
             paper_form(subject.decoder, subject.code, noise)
 
-    (seconds, paper), (processor, paper_processor) = _in_turn((ours, theirs), settings.repeats)
+    (seconds, paper), (processor, paper_processor) = in_turn((ours, theirs), settings.repeats)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
         "seconds": seconds,
@@ -237,7 +236,7 @@ def _steps(
 
 
 def _costs(call: Callable[[], object], repeats: int) -> Costs:
-    (seconds,), (processor,) = _in_turn((call,), repeats)
+    (seconds,), (processor,) = in_turn((call,), repeats)
     return {"seconds": seconds, "processor": processor}
 
 
@@ -309,21 +308,6 @@ def efficiency(subject: TunedDecoder, precision: str, repeats: int) -> dict[str,
     return {
         "GMAC": count / ours / 1e9, "GMAC plain": count / theirs / 1e9, "share": theirs / ours
     }  # fmt: skip
-
-
-def _in_turn(
-    calls: Sequence[Callable[[], object]], repeats: int
-) -> tuple[list[float], list[float]]:
-    """Median wall and processor times of each call, s; the calls alternate."""
-    wall: list[list[float]] = [[] for _ in calls]
-    processor: list[list[float]] = [[] for _ in calls]
-    for _ in range(repeats):
-        for index, call in enumerate(calls):
-            started, worked = time.perf_counter(), time.process_time()
-            call()
-            wall[index].append(time.perf_counter() - started)
-            processor[index].append(time.process_time() - worked)
-    return [statistics.median(t) for t in wall], [statistics.median(t) for t in processor]
 
 
 def _convolutions(decoder: FoldedDecoder, spans: BlockSpans) -> Iterator[tuple[Tensor, Tensor]]:

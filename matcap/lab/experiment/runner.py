@@ -6,7 +6,7 @@ An experiment names its subjects, its configurations and its measures:
   samples);
 - a *configuration* is a name and a function of the prepared subject and a seed (captures it);
 - a *measure* is a function of the prepared subject and the configuration's outcome to named numbers
-  and words, the columns of the CSV.
+  and words, the columns of the CSV. An outcome that is such a mapping needs none.
 
 To add one, write the function and list it in the experiment. Read next: results.py, which keeps
 the rows and aggregates them.
@@ -59,8 +59,9 @@ class Experiment(Generic[Subject, Outcome]):
     configurations: Mapping[str, Configuration[Subject, Outcome]]
     """Configurations by name."""
 
-    measures: Sequence[Measure[Subject, Outcome]]
-    """Measures in the order of their columns, after `seconds`, the configuration's run time."""
+    measures: Sequence[Measure[Subject, Outcome]] = ()
+    """Measures in the order of their columns, after `seconds`, the configuration's run time.
+    Without any, the outcome is the columns."""
 
     seeds: Sequence[int] = (0,)
     """Seeds that each configuration runs with."""
@@ -179,6 +180,9 @@ def _measured(
     began = perf_counter()
     outcome = experiment.configurations[name].run(prepared, seed)
     values: dict[str, Value] = {"seconds": perf_counter() - began}
+    if not experiment.measures:
+        assert isinstance(outcome, Mapping)
+        values.update(outcome)
     for measure in experiment.measures:
         values.update(measure(prepared, outcome))
     return values

@@ -8,7 +8,7 @@ pixels, of training samples and of real photographs.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -64,22 +64,20 @@ def of_picture(linear: Picture) -> dict[str, float]:
 
 def drawn(count: int, sets: Sequence[PackedSet], real: float, size: tuple[int, int]) -> Measured:
     """Statistics of training samples, of real materials (`real` 1) or simulated ones (0)."""
-    measured: Measured = {name: [] for name in QUANTITIES}
-    for index in range(count):
+
+    def measured(index: int) -> dict[str, float]:
         # Simulated pieces are drawn for many numbers: each its own.
         sample = draw_sample(_FIRST + 1000 * index, *size, sets=sets, real=real)
         linear = np.ascontiguousarray(sample.linear.permute(1, 2, 0).numpy())
-        _add(measured, {**of_maps(sample.truth), **of_picture(linear)})
-    return measured
+        return {**of_maps(sample.truth), **of_picture(linear)}
+
+    return _columns(map(measured, range(count)))
 
 
 def of_sets(sets: Sequence[PackedSet]) -> Measured:
     """Statistics of the map sets without augmentation."""
-    measured: Measured = {name: [] for name in QUANTITIES}
-    for packed in sets:
-        stacked = torch.cat([packed.surface[0][:7].float(), packed.height[0]])
-        _add(measured, of_maps(MapSet.from_stacked(stacked, 1.0, periodic=True)))
-    return measured
+    stacked = (torch.cat([packed.surface[0][:7].float(), packed.height[0]]) for packed in sets)
+    return _columns(of_maps(MapSet.from_stacked(maps, 1.0, periodic=True)) for maps in stacked)
 
 
 def of_photographs(folder: Path, size: tuple[int, int]) -> Measured:
@@ -88,21 +86,19 @@ def of_photographs(folder: Path, size: tuple[int, int]) -> Measured:
     Raises:
         MatcapError: there is none.
     """
-    measured: Measured = {name: [] for name in QUANTITIES}
+    found = []
     for path in sorted(folder.glob("*.jpg")):
         read = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if read is None:
             continue
-        height, width = read.shape[:2]
-        scale = _LONG_SIDE / max(height, width)
+        scale = _LONG_SIDE / max(read.shape[:2])
         small = cv2.resize(read, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        linear = (np.asarray(small, np.float32) / 255.0) ** 2.2
-        _add(measured, _windows(linear, size))
-    if not measured["clipped share"]:
+        found.append(_windows((np.asarray(small, np.float32) / 255.0) ** 2.2, size))
+    if not found:
         raise MatcapError.at(
             folder, "there are no photographs in this folder", "give a folder of JPEGs"
         )
-    return measured
+    return _columns(found)
 
 
 def plot(measured: Mapping[str, Measured], path: Path) -> None:
@@ -153,6 +149,7 @@ def _windows(linear: Picture, size: tuple[int, int]) -> dict[str, float]:
     return {name: float(np.mean([e[name] for e in each])) for name in each[0]}
 
 
-def _add(totals: Measured, measured: Mapping[str, float]) -> None:
-    for name, value in measured.items():
-        totals[name].append(value)
+def _columns(measured: Iterable[Mapping[str, float]]) -> Measured:
+    """Every quantity's values; none where it was not measured."""
+    every = list(measured)
+    return {name: [one[name] for one in every if name in one] for name in QUANTITIES}

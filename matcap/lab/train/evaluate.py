@@ -49,6 +49,7 @@ ABOUT = (
     "features of realisations, place by place, 0 for the same picture, at most 2. The photograph "
     "as albedo is its corner laid in its middle and lit once more."
 )
+REALISATIONS = 3  # of each material, for diversity
 UNSEEN = 1_000_000  # seeds from here on show simulated materials that training never draws
 ALBEDO = "photograph as albedo"  # which is not ours to publish: not on the sheet
 
@@ -58,7 +59,7 @@ Ways = Mapping[str, Configuration[Photographed, Made]]
 
 @dataclass(frozen=True)
 class EvaluateSettings:
-    """Steps and numbers of photographs and realisations."""
+    """Steps and numbers of photographs."""
 
     steps: int = 100
     """Fine-tuning steps from the prior."""
@@ -68,9 +69,6 @@ class EvaluateSettings:
 
     materials: int = 12
     """Number of held-out materials."""
-
-    realisations: int = 3
-    """Realisations of each material, for diversity."""
 
 
 def run_evaluation(
@@ -87,7 +85,7 @@ def run_evaluation(
     entries = first_of_each(pack.reporting)[: settings.materials]
     if ablation:
         name, more = "prior-ablation", ""
-        ways = variants(prior, settings.steps, settings.realisations)
+        ways = variants(prior, settings.steps)
     else:
         name, ways = "prior-evaluation", ways_of(prior, settings)
         dead = prior.about.get("dead_dimensions", "?")
@@ -136,11 +134,9 @@ def ways_of(prior: Prior, settings: EvaluateSettings) -> Ways:
     def way(
         begin: Begin, steps: int, rate: float = RATE_FROM_NOTHING
     ) -> Configuration[Photographed, Made]:
-        follows = (settings.realisations, rate, known if begin is start else "")
+        follows = (REALISATIONS, rate, known if begin is start else "")
         return Configuration(
-            lambda shown, _: capture(
-                shown, partial(begin, shown), steps, settings.realisations, rate
-            ),
+            lambda shown, _: capture(shown, partial(begin, shown), steps, REALISATIONS, rate),
             settings=follows,
         )
 
@@ -153,7 +149,7 @@ def ways_of(prior: Prior, settings: EvaluateSettings) -> Ways:
     }
 
 
-def variants(prior: Prior, steps: int, realisations: int = 3) -> Ways:
+def variants(prior: Prior, steps: int) -> Ways:
     """FULL and its ablations."""
     start, known = partial(from_prior, prior), prior_key(prior)
 
@@ -167,9 +163,9 @@ def variants(prior: Prior, steps: int, realisations: int = 3) -> Ways:
         def made(shown: Photographed, _seed: int) -> Made:
             # Every variant is compared with the photograph as it is, however it sees it itself.
             tuned = view(shown)
-            return capture(tuned, partial(begin, tuned), taken, realisations, rate)
+            return capture(tuned, partial(begin, tuned), taken, REALISATIONS, rate)
 
-        return Configuration(made, settings=(taken, realisations, known if begin is start else ""))
+        return Configuration(made, settings=(taken, REALISATIONS, known if begin is start else ""))
 
     return {
         "FULL": way(start),

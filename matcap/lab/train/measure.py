@@ -128,7 +128,7 @@ def capture(
     decoder, code = begin()
     scene = tuned.scene
     outcome = finetune(
-        decoder, code, scene, TuneSettings(steps=steps, learning_rate=rate), _ignored
+        decoder, code, scene, TuneSettings(steps=steps, learning_rate=rate), lambda *_: None
     )
     seconds = time.perf_counter() - started
     if outcome.interrupted:
@@ -140,14 +140,6 @@ def capture(
         material = Unfolded(*frozen)
     else:
         material = TunedDecoder(*frozen).material("", scene.setup)
-    pictures = [tuned.lit(material.maps(SIZE, SIZE, seed=seed)) for seed in seeds(realisations)]
+    seeds = range(_FIRST_SEED, _FIRST_SEED + realisations)
+    pictures = [tuned.lit(material.maps(SIZE, SIZE, seed=seed)) for seed in seeds]
     return Made(torch.stack(pictures), seconds)
-
-
-def seeds(realisations: int) -> range:
-    """Seeds of the compared realisations."""
-    return range(_FIRST_SEED, _FIRST_SEED + realisations)
-
-
-def _ignored(share: float, error: float, seconds: float) -> None:
-    """Ignore progress."""
