@@ -14,6 +14,12 @@ def random_maps(width, height, seed=1, *, texel_size=None, channels=1, low=0.0, 
     return MapSet.from_stacked(stack, texel_size or 2.0 / width)
 
 
+def steepness(maps: MapSet) -> float:
+    """Root mean square slope."""
+    normal = maps.normal
+    return float((normal[:2].square().sum(0) / normal[2].square()).mean().sqrt())
+
+
 @pytest.fixture
 def maps() -> MapSet:
     """Random maps, wider than high, with heights on both sides of zero."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from guide import ROOT, anchors
 
 import matcap as package
 from matcap.batch.settings import read_settings
@@ -14,7 +15,6 @@ from matcap.capture.progress import DRAWING_STAGES, PIECE_STAGES
 from matcap.cli.main import app, main
 from matcap.relight.scenefile import parse_scene
 
-ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 # Pages of the guide whose commands are run; test_guide.py runs others, tests/cli those of README.
@@ -163,9 +163,7 @@ def test_links_and_pictures_lead_somewhere(name):
         file = page.parent / path if path else page
         assert file.is_file(), target
         if anchor:
-            headings = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), re.MULTILINE)
-            slugs = [re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings]
-            assert anchor in slugs, target
+            assert anchor in anchors(file), target
 
 
 @pytest.mark.parametrize("folder", ["view", "gallery", "shooting"])

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
+from guide import anchors
+
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("matcap", "tests", "docs", "examples")
 # Changes tell of what was; weights' cards stand in the same folder as what they describe.
@@ -68,13 +70,6 @@ def prose(file: Path) -> str:
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
     comments = [token.string for token in tokens if token.type == tokenize.COMMENT]
     return "\n".join([*docstrings, *comments])
-
-
-@cache
-def anchors(page: Path) -> frozenset[str]:
-    """The anchors that a page's headings make."""
-    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
-    return frozenset(re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings)
 
 
 @cache

@@ -1,5 +1,6 @@
 """Small exemplars: blobs without order, and a bond of bricks that a photograph has bent."""
 
+import json
 from dataclasses import replace
 from functools import cache
 
@@ -58,6 +59,12 @@ def coloured(piece):
     hue = np.concatenate([red, np.full_like(red, 0.5), 1.0 - red])
     luminance = np.float32(0.2126) * red + np.float32(0.3576) + np.float32(0.0722) * (1.0 - red)
     return replace(piece, specular=(piece.specular * hue / luminance).astype(np.float32))
+
+
+def reread(stored):
+    """An Exemplar or Example written to a file and read again."""
+    tensors, about = stored.stored()
+    return type(stored).read(json.loads(json.dumps(about)), tensors.__getitem__)
 
 
 @cache

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from exemplars import a_coloured_example, an_example, blobs, coloured
+from exemplars import a_coloured_example, an_example, blobs, coloured, reread
 from materials import a_material
 
 from matcap.brdf.folder import read_mapset
@@ -18,17 +18,11 @@ from matcap.example.features import choose_scale, features_of, planes_of
 from matcap.example.repeat.flatten import flatten
 from matcap.field.blocks import Grid
 from matcap.field.field import read_source
-from matcap.field.material import Material
 from matcap.field.plane import Rectangle
 from matcap.synth.blend import blend_source
 from matcap.synth.mask import Mask
 
 AREA = Rectangle(-30, 20, 150, 90)
-
-
-def reread(exemplar):
-    tensors, about = exemplar.stored()
-    return Exemplar.read(json.loads(json.dumps(about)), tensors.__getitem__)
 
 
 def test_a_file_gives_back_three_channels():
@@ -101,14 +95,6 @@ def test_the_piece_repeats_in_its_colours():
         assert steps[0] <= 1.2 * steps[1:].mean()
         there = exemplar.specular[channel]
         assert float(hue.specular[channel].mean()) == pytest.approx(there.mean(), rel=0.05)
-
-
-def test_a_file_keeps_its_colour(tmp_path):
-    material = a_material("gold", example=a_coloured_example())
-    path = tmp_path / "gold.matcap"
-    material.save(path)
-    again = Material.load(path)
-    assert torch.equal(again.maps(64, 48).specular, material.maps(64, 48).specular)
 
 
 @pytest.mark.parametrize("words", [[], ["--single"], ["--mip", "--png"], ["--tile", "piece"]])

@@ -219,7 +219,6 @@ def test_the_plain_form_is_the_field(example, monkeypatch):
 
 
 def test_it_needs_no_torch():
-    program = (
-        "import sys, matcap.synth.fields, matcap.synth.stream; sys.exit('torch' in sys.modules)"
-    )
+    modules = "matcap.example.exemplar, matcap.synth.fields, matcap.synth.stream"
+    program = f"import sys, {modules}; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program]).returncode == 0

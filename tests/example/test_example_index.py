@@ -1,11 +1,9 @@
 """The index survives its file, and the compiled loops are the plain ones."""
 
-import json
-
 import numpy as np
 import plain_loops as plain
 import pytest
-from exemplars import an_example, blobs, ordered
+from exemplars import an_example, blobs, ordered, reread
 
 from matcap.errors import MatcapError
 from matcap.example.appearance import choose_basis, project
@@ -25,8 +23,7 @@ def features():
 
 @pytest.mark.parametrize("example", [an_example(), ordered()], ids=["blobs", "bricks"])
 def test_a_file_gives_back_the_same_field(example):
-    tensors, about = example.stored()
-    again = Example.read(json.loads(json.dumps(about)), tensors.__getitem__)
+    again = reread(example)
     area = Rectangle(5, -9, 70, 50)
     assert np.array_equal(again.maps(3, area, None), example.maps(3, area, None))
     assert again.index.left_out == example.index.left_out
@@ -38,10 +35,8 @@ def test_a_file_is_read_again_whatever_the_sides_of_its_piece(size):
     piece = blobs(*size)
     example = Example.of(piece)
     assert len(example.index.bases) > 2
-    tensors, about = example.stored()
-    again = Example.read(json.loads(json.dumps(about)), tensors.__getitem__)
     area = Rectangle(5, -9, 70, 50)
-    assert np.array_equal(again.maps(3, area, None), example.maps(3, area, None))
+    assert np.array_equal(reread(example).maps(3, area, None), example.maps(3, area, None))
 
 
 def test_damaged_indices_are_refused():

@@ -1,12 +1,10 @@
 """An exemplar survives its file, and a broken file is told from a whole one."""
 
-import json
-import subprocess
-import sys
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from exemplars import reread
 
 from matcap.example.exemplar import Exemplar
 
@@ -29,11 +27,6 @@ def same(first, second):
         np.array_equal(getattr(first, one.name), getattr(second, one.name))
         for one in fields(Exemplar)
     )
-
-
-def reread(exemplar):
-    tensors, about = exemplar.stored()
-    return Exemplar.read(json.loads(json.dumps(about)), tensors.__getitem__)
 
 
 def test_a_file_gives_back_what_rounding_says():
@@ -98,11 +91,6 @@ def test_damaged_files_are_refused():
         read(height_unit=500)
     with pytest.raises(KeyError):
         read({"diffuse": tensors["diffuse"]})
-
-
-def test_an_exemplar_needs_no_torch():
-    program = "import sys, matcap.example.exemplar; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", program]).returncode == 0
 
 
 def test_planes_are_contiguous_however_they_are_given():

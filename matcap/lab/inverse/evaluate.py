@@ -18,7 +18,6 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.metal import seen_colour, tint
-from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import ERRORS, ExpectedErrors, Inverse, NetworkAnswer
 from matcap.flash.render import shade
 from matcap.lab.experiment.results import markdown
@@ -65,9 +64,8 @@ def evaluate(network: Inverse, samples: Sequence[Sample]) -> dict[str, float]:
     """
     scores, expected, errors = [], [], []
     for index, sample in enumerate(samples):
-        inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
         with torch.no_grad():
-            outputs = network(inputs.stacked()[None])[0]
+            outputs = network(sample.inputs[None])[0]
         scores.append(score(outputs, sample, np.random.default_rng([index, 6])))
         doubted, made = doubts(outputs, sample)
         expected.append(doubted)

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import SurfaceParameters
+from matcap.capture.piece.network.inputs import network_inputs
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import FlashLight
 from matcap.flash.render import render_flash
@@ -67,6 +68,11 @@ class Sample:
     metal: Tensor
     uniform: Uniform
     points: Tensor
+
+    @property
+    def inputs(self) -> Tensor:
+        """(C, H, W) what the network reads."""
+        return network_inputs(self.linear, self.valid, self.uniform, self.points).stacked()
 
     @property
     def departures(self) -> SurfaceParameters:

@@ -18,7 +18,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import Inverse, InverseConfig
 from matcap.capture.piece.network.store import FORMAT, VERSION, read_inverse
 from matcap.errors import MatcapError
@@ -156,8 +155,7 @@ def _made(asked: tuple[int, TrainSettings]) -> tuple[Tensor, Sample]:
     number, settings = asked
     sets = training_sets(settings.maps) if settings.maps else ()
     sample = draw_sample(number, settings.width, settings.height, sets=sets, real=settings.real)
-    inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points).stacked()
-    return inputs, sample
+    return sample.inputs, sample
 
 
 def read_network(path: Path) -> Inverse:

@@ -15,7 +15,6 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_iter, tree_map
 
-from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import Inverse, InverseConfig
 from matcap.lab.inverse.samples import Sample, draw_sample
 from matcap.lab.inverse.train import TrainSettings, start, step_loss
@@ -97,13 +96,12 @@ def test_the_played_device_tells_strangers_apart() -> None:
 
 def test_a_step_stays_on_its_device() -> None:
     sample = draw_sample(2, 64, 64)
-    inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
     settings = TrainSettings()
-    expected = stepped(start(TINY, settings), inputs.stacked(), sample, settings)
+    expected = stepped(start(TINY, settings), sample.inputs, sample, settings)
     with Played():
         away = TrainSettings(device=AWAY)
         training = start(TINY, away)
-        found = stepped(training, inputs.stacked(), sample, away)
+        found = stepped(training, sample.inputs, sample, away)
     assert found == pytest.approx(expected, rel=1e-3)
     assert all(p.device.type == AWAY for p in training.model.parameters())
 

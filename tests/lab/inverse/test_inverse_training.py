@@ -125,8 +125,7 @@ def test_a_few_steps_on_one_picture_lower_its_loss() -> None:
     torch.manual_seed(0)
     network = Inverse(TINY)
     sample = draw_sample(1, 64, 64)
-    inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
-    inputs = inputs.stacked()[None]
+    inputs = sample.inputs[None]
     true = wanted([sample], np.random.default_rng(0))
     optimiser = torch.optim.SGD(network.parameters(), lr=0.02)
     losses = []

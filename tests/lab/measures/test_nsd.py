@@ -1,6 +1,8 @@
 """Style distances that nothing is tuned by, colours by XYZ, and how unlike realisations are."""
 
 import struct
+from functools import partial
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from matcap.errors import MatcapError
 from matcap.lab.measures.nsd import SqueezeNetStyle, StyleRatio, style_distance
 from matcap.lab.measures.paper_metrics import BINS, diversity, xyz_difference, xyz_histograms
 from matcap.lab.measures.squeezenet import WEIGHTS, SqueezeNet
-from matcap.lab.measures.style import Patches, RandomFilters, difference
+from matcap.lab.measures.style import Patches, PortillaSimoncelli, RandomFilters, difference
 from matcap.lab.simulate.write_dng import REC709_TO_XYZ
 
 
@@ -107,7 +109,11 @@ def test_distances_stay_what_was_measured_by(kind):
     assert found == pytest.approx(REFERENCES[kind], rel=1e-3)
 
 
-@pytest.mark.parametrize("kind", REFERENCES)
+# Needs the extra bench.
+GREY = [partial(PortillaSimoncelli, (128, 128))] * bool(find_spec("plenoptic"))
+
+
+@pytest.mark.parametrize("kind", [*REFERENCES, *GREY])
 def test_a_distance_is_0_for_equals_symmetric_and_bounded(kind):
     style, first, second = kind(), stripes(8), stripes(23)
     assert style_distance(style, first, first) == 0.0

@@ -1,13 +1,11 @@
 """The stream of named materials, metals with a colour among them, as functions of their seeds."""
 
-import json
-
 import numpy as np
 import pytest
 import torch
+from random_maps import steepness
 
 from matcap.flash.render import render_rectified
-from matcap.lab.simulate.map_sets import read_map_set
 from matcap.lab.simulate.materials.draws import Draws
 from matcap.lab.simulate.materials.kinds import COLOURED_METALS, KINDS, kind_of, random_kind
 from matcap.lab.simulate.materials.kinds.metal import (
@@ -19,11 +17,6 @@ from matcap.lab.simulate.specimen import subjects
 
 WIDTH, HEIGHT, TEXEL = 192, 144, 2.0 / 512.0
 METALS = {"hammered", "brushed"}
-
-
-def _slope(maps):
-    normal = maps.normal
-    return float((normal[:2].square().sum(0) / normal[2].square()).mean().sqrt())
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -40,8 +33,8 @@ def test_values_are_those_of_real_surfaces(kind):
         if kind in METALS:
             assert maps.specular.min() >= 0.4
             assert maps.diffuse.mean() < 0.15
-        assert _slope(maps) > 0.6 * limits.slopes[0]
-        assert _slope(maps) < 1.5 * (limits.slopes[1] + limits.grain[1])
+        assert steepness(maps) > 0.6 * limits.slopes[0]
+        assert steepness(maps) < 1.5 * (limits.slopes[1] + limits.grain[1])
 
 
 @pytest.mark.parametrize("kind", [*KINDS, *COLOURED_METALS])
@@ -69,7 +62,7 @@ def test_halves_and_seeds_agree_in_their_statistics(kind):
         pieces = [*field.chunk(2, dim=1), *field.chunk(2, dim=2), getattr(two, name)]
         means = torch.stack([piece.mean((1, 2)) for piece in pieces])
         assert (means - field.mean((1, 2))).abs().max() < 0.45 * float(field.std()) + 0.004
-    assert _slope(two) == pytest.approx(_slope(one), rel=0.3)
+    assert steepness(two) == pytest.approx(steepness(one), rel=0.3)
 
 
 def test_the_stream_is_varied_and_reproducible():
@@ -122,8 +115,8 @@ def test_values_are_those_of_metals(kind):
         if kind in PARTLY:
             assert 0.05 < float(metal.double().mean()) < 0.98
             assert float(maps.specular[:, ~metal & (maps.specular.amax(0) < 0.1)].mean()) < 0.06
-        assert _slope(maps) > 0.6 * limits.slopes[0]
-        assert _slope(maps) < 1.5 * (limits.slopes[1] + limits.grain[1])
+        assert steepness(maps) > 0.6 * limits.slopes[0]
+        assert steepness(maps) < 1.5 * (limits.slopes[1] + limits.grain[1])
 
 
 @pytest.mark.parametrize("name", METAL_F0)
@@ -164,16 +157,3 @@ def test_a_bench_accepts_them_by_name():
     shot = render_rectified(maps, found[0].setup)
     bright = shot[:, shot.mean(0) > 0.5 * shot.mean(0).max()].mean(1).numpy()
     assert bright / bright.max() == pytest.approx(METAL_F0["gold"], rel=0.05)
-
-
-def test_a_bare_metal_is_told_by_the_manifest(tmp_path):
-    from test_map_sets import write_set
-
-    write_set(tmp_path / "plain")
-    assert len(read_map_set(tmp_path / "plain").realise(32, 32, 0, 2.0 / 32).specular) == 1
-    result = [{"name": "plain", "remarks": "no metallic map in the source: bare metal, take 1"}]
-    (tmp_path / "manifest.json").write_text(json.dumps(result))
-    maps = read_map_set(tmp_path / "plain").realise(32, 32, 0, 2.0 / 32)
-    linear = ((np.array([0.6, 0.4, 0.2]) + 0.055) / 1.055) ** 2.4
-    assert maps.specular.mean((1, 2)).numpy() == pytest.approx(linear, rel=0.1)
-    assert float(maps.diffuse.max()) == 0.0

@@ -1,17 +1,21 @@
 """Artists' map sets as materials, of tiny sets made here."""
 
+import json
+
 import cv2
 import numpy as np
 import pytest
 import torch
 
 from matcap.errors import MatcapError
+from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.map_sets import map_set_folders, read_map_set
 from matcap.lab.simulate.photograph import PhoneCamera, take
 from matcap.lab.simulate.specimen import Specimen
 
 SIDE = 32
 SLOPE = 0.5  # the steepest
+BROWN = ((np.array([0.6, 0.4, 0.2]) + 0.055) / 1.055) ** 2.4  # the base colour, linear
 
 
 @pytest.fixture
@@ -48,15 +52,14 @@ def test_relief_has_the_slopes_of_the_normal_map(waves):
 
 def test_metal_has_its_colour_in_f0_and_no_diffuse(waves):
     maps = read_map_set(waves).realise(SIDE, SIDE, 0, 2.0 / SIDE)
-    linear = ((np.array([0.6, 0.4, 0.2]) + 0.055) / 1.055) ** 2.4
     columns = (np.arange(SIDE) - SIDE // 2) % SIDE
     plain, metal = maps.crop(0, 0, SIDE, SIDE), columns >= SIDE // 2
     inside = np.abs(columns - SIDE * 3 // 4) < SIDE // 8
     assert float(plain.diffuse[:, :, metal & inside].max()) < 0.01
-    assert plain.specular[:, 0, inside].mean(1).numpy() == pytest.approx(linear, rel=0.1)
+    assert plain.specular[:, 0, inside].mean(1).numpy() == pytest.approx(BROWN, rel=0.1)
     outside = np.abs(columns - SIDE // 4) < SIDE // 8
     assert plain.specular[:, 0, outside].mean(1).numpy() == pytest.approx(0.04, abs=0.005)
-    assert plain.diffuse[:, 0, outside].mean(1).numpy() == pytest.approx(linear, rel=0.1)
+    assert plain.diffuse[:, 0, outside].mean(1).numpy() == pytest.approx(BROWN, rel=0.1)
 
 
 def test_it_goes_on_without_end_and_finer_shows_the_same_piece(waves):
@@ -73,14 +76,8 @@ def test_it_goes_on_without_end_and_finer_shows_the_same_piece(waves):
 
 def test_it_can_be_photographed(waves):
     specimen = Specimen("waves", read_map_set(waves).realise)
-    shot = take(specimen.realise, PhoneCamera(64, 48), _setup())
+    shot = take(specimen.realise, PhoneCamera(64, 48), FlashSetup(offset=(0.1, 0.0, 0.0)))
     assert np.isfinite(shot.linear).all() and shot.linear.mean() > 0.01
-
-
-def _setup():
-    from matcap.flash.geometry import FlashSetup
-
-    return FlashSetup(offset=(0.1, 0.0, 0.0))
 
 
 def test_folders_are_listed_and_broken_ones_told(tmp_path, waves):
@@ -92,3 +89,13 @@ def test_folders_are_listed_and_broken_ones_told(tmp_path, waves):
     (waves / "roughness.png").unlink()
     with pytest.raises(MatcapError, match="can be read"):
         read_map_set(waves)
+
+
+def test_a_bare_metal_is_told_by_the_manifest(tmp_path):
+    write_set(tmp_path / "plain")
+    assert len(read_map_set(tmp_path / "plain").realise(32, 32, 0, 2.0 / 32).specular) == 1
+    result = [{"name": "plain", "remarks": "no metallic map in the source: bare metal, take 1"}]
+    (tmp_path / "manifest.json").write_text(json.dumps(result))
+    maps = read_map_set(tmp_path / "plain").realise(32, 32, 0, 2.0 / 32)
+    assert maps.specular.mean((1, 2)).numpy() == pytest.approx(BROWN, rel=0.1)
+    assert float(maps.diffuse.max()) == 0.0

@@ -1,16 +1,12 @@
 import numpy as np
 import pytest
 import torch
+from random_maps import steepness
 
 from matcap.errors import UsageError
 from matcap.lab.simulate.materials import MATERIALS, random_material, realise
 
 WIDTH, HEIGHT, TEXEL = 256, 192, 2.0 / 512.0
-
-
-def _slope(maps):
-    normal = maps.normal
-    return float((normal[:2].square().sum(0) / normal[2].square()).mean().sqrt())
 
 
 def _check(maps):
@@ -28,7 +24,7 @@ def _check(maps):
 def test_values_are_those_of_real_surfaces(name):
     maps = realise(name, WIDTH, HEIGHT, 1, TEXEL)
     _check(maps)
-    assert 0.02 < _slope(maps) < 0.45
+    assert 0.02 < steepness(maps) < 0.45
     metal = maps.specular > 0.45
     assert metal.any() == (name == "rust")
     # A metal's diffuse albedo is low, a dielectric's F0 is.
@@ -51,7 +47,7 @@ def test_seeds_agree_in_their_statistics(name):
         spread = float(one.std()) + 1e-3
         assert (one.mean((1, 2)) - two.mean((1, 2))).abs().max() < 0.3 * spread
         assert float(two.std()) == pytest.approx(float(one.std()), rel=0.25, abs=1e-3)
-    assert _slope(second) == pytest.approx(_slope(first), rel=0.1)
+    assert steepness(second) == pytest.approx(steepness(first), rel=0.1)
 
 
 @pytest.mark.parametrize("name", MATERIALS)
@@ -86,7 +82,7 @@ def test_random_materials_are_sound_varied_and_reproducible():
     for index, material in enumerate(materials):
         maps = material.realise(WIDTH, HEIGHT, index, TEXEL)
         _check(maps)
-        slopes.append(_slope(maps))
+        slopes.append(steepness(maps))
         roughness.append(float(maps.roughness.mean()))
     assert min(slopes) > 0.005 and max(slopes) < 1.0
     assert np.ptp(slopes) > 0.2 and np.ptp(roughness) > 0.4

@@ -93,11 +93,6 @@ def test_noise_is_shot_and_read_noise():
     assert abs(error.mean()) < 3e-4
 
 
-def test_same_seed_same_photograph():
-    first, again = (EXAMPLES["cloth"].take(CAMERA).linear for _ in range(2))
-    np.testing.assert_array_equal(first, again)
-
-
 def test_true_maps_lie_on_the_plane_grid():
     """A detail of the truth and of the photograph are in one place, also when tilted."""
     example = EXAMPLES["granite"]
