@@ -71,8 +71,8 @@ class Parameter:
             # As typer has it: a switch without a name of its own can be switched off, too.
             names = [f"--{plain}", f"--no-{plain}"] if self.flag else [f"--{plain}"]
         names = [part for name in names for part in name.split("/")]
-        told = ", ".join(f"`{name}`" for name in names)
-        return told if self.flag else f"{told} `{self.value}`"
+        documented = ", ".join(f"`{name}`" for name in names)
+        return documented if self.flag else f"{documented} `{self.value}`"
 
     @property
     def otherwise(self) -> str:

@@ -8,11 +8,11 @@ from reference.docstrings import read, table
 
 def page() -> str:
     """The page, in Markdown."""
-    told = read(ExitCode).entries("Attributes")
+    documented = read(ExitCode).entries("Attributes")
     lines = ["# Exit codes", "", f"{read(ExitCode).text}", ""]
     lines += table(
         ["code", "name", "meaning"],
-        ([str(int(code)), f"`{code.name}`", told[code.name]] for code in ExitCode),
+        ([str(int(code)), f"`{code.name}`", documented[code.name]] for code in ExitCode),
     )
     lines += ["Results go to stdout (`--json` where a command has it), progress and messages to"]
     lines += ["stderr.", "", "## Errors", ""]

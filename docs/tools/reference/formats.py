@@ -101,13 +101,13 @@ def _owned(module: ModuleType, sections: tuple[str, ...]) -> Iterator[str]:
 def _scene() -> Iterator[str]:
     for heading, kind, name in _TABLES:
         found = read(kind)
-        told = found.entries("Attributes") | field_docs(kind)
+        documented = found.entries("Attributes") | field_docs(kind)
         title = f'`{heading}` with `type = "{name}"`' if name else f"`{heading}`"
         yield from (f"### {title}", "", found.text, "")
         rows = []
         for one in fields(kind):
             default = "needed" if one.default is MISSING else _toml(one.default)
-            rows.append([f"`{one.name}`", _kind(str(one.type)), default, told[one.name]])
+            rows.append([f"`{one.name}`", _kind(str(one.type)), default, documented[one.name]])
         yield from table(["key", "", "default", "what"], rows)
 
 

@@ -62,7 +62,7 @@ def _thing(name: str, thing: object) -> Iterator[str]:
         yield from _class(name, thing)
     else:
         yield from _code(_signature(name, thing))
-        yield from _told(thing)
+        yield from _described(thing)
 
 
 def _class(name: str, kind: type) -> Iterator[str]:
@@ -71,11 +71,14 @@ def _class(name: str, kind: type) -> Iterator[str]:
     found = read(kind)
     yield from (found.text, "")
     if is_dataclass(kind):
-        told = found.entries("Attributes") | field_docs(kind)
+        documented = found.entries("Attributes") | field_docs(kind)
         shown = [one for one in fields(kind) if not one.name.startswith("_")]
         yield from table(
             ["field", "type", "default", "what"],
-            ([f"`{f.name}`", f"`{f.type}`", _default(f), told.get(f.name, "")] for f in shown),
+            (
+                [f"`{f.name}`", f"`{f.type}`", _default(f), documented.get(f.name, "")]
+                for f in shown
+            ),
         )
     else:
         yield from _sections(kind)
@@ -88,10 +91,10 @@ def _class(name: str, kind: type) -> Iterator[str]:
             called = getattr(kind, member)
             owner = kind.__name__ if not inspect.isfunction(method) else ""
             yield from _code(_signature(f"{owner}.{member}", called))
-            yield from _told(called)
+            yield from _described(called)
 
 
-def _told(thing: object) -> Iterator[str]:
+def _described(thing: object) -> Iterator[str]:
     yield from (read(thing).text, "")
     yield from _sections(thing)
 
