@@ -21,14 +21,18 @@ from matcap.field.field import read_source
 from matcap.field.plane import Rectangle
 
 _HALF = 0.4
-EXAMPLES = pytest.mark.parametrize(
-    "example",
-    [an_example(), ordered(), an_example().varied(_HALF), ordered().varied(_HALF)],
-    ids=["blobs", "bricks", "large-blobs", "large-bricks"],
+_KINDS = {
+    "blobs": an_example(),
+    "bricks": ordered(),
+    "large-blobs": an_example().varied(_HALF),
+    "large-bricks": ordered().varied(_HALF),
+}
+EXAMPLES = pytest.mark.parametrize("example", _KINDS.values(), ids=_KINDS)
+
+
+@pytest.mark.parametrize(
+    "example", [*_KINDS.values(), an_example().varied(0.0)], ids=[*_KINDS, "repeated"]
 )
-
-
-@EXAMPLES
 @pytest.mark.parametrize("place", [0, 2**31, 2**40 - 300])
 def test_any_rectangle_order_and_count_of_workers_gives_the_same_bits(example, place):
     source = replace(example.source(5), grid=Grid(96, 64))

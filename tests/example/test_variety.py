@@ -1,6 +1,5 @@
 """How far a field takes its piece apart: from the piece repeated to many small ones."""
 
-import random
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +15,6 @@ from matcap.example.example import Example
 from matcap.example.patch_sizes import PatchSizes
 from matcap.example.summary import summary
 from matcap.example.variety import is_plaid, variety_trials, with_chosen_variety
-from matcap.field.blocks import Grid
-from matcap.field.field import read_source
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
 from matcap.flash.geometry import FlashSetup
@@ -27,20 +24,6 @@ def joined(example, side=384):
     """The share of texels that continue their left neighbour in the exemplar."""
     places = example.places(9, Rectangle(0, 0, side, side), None).astype(int)
     return float((np.diff(places, axis=1) == [1, 0]).all(-1).mean())
-
-
-@pytest.mark.parametrize("place", [0, 2**40 - 500, -(2**31)])
-def test_the_piece_repeated_is_the_same_bits_in_any_rectangle(place):
-    source = replace(an_example().varied(0.0).source(5), grid=Grid(96, 64))
-    area = Rectangle(place, 50, 260, 170)
-    whole = read_source(source, area, 1).stacked()
-    draws = random.Random(place)
-    for _ in range(4):
-        x, y = draws.randrange(area.width), draws.randrange(area.height)
-        width, height = draws.randint(1, area.width - x), draws.randint(1, area.height - y)
-        part = Rectangle(area.x + x, area.y + y, width, height)
-        found = read_source(source, part, 2).stacked()
-        assert torch.equal(found, whole[:, y : y + height, x : x + width])
 
 
 @pytest.mark.parametrize("example", [an_example(), ordered()], ids=["blobs", "bricks"])

@@ -91,7 +91,7 @@ def fields_experiment(
             "field": Configuration(lambda true, _seed: true.fields),
             "repeated": Configuration(lambda true, _seed: [true.repeated]),
         },
-        (nsd, variety, joints, phase, seams),
+        (nsd, of_field),
         settings=settings,
     )
 
@@ -103,35 +103,23 @@ def nsd(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
     return {"NSD": sum(distances) / len(distances)}
 
 
-def variety(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
-    """The variety that synthesis chose."""
-    return {"variety": true.example.variety if samples is true.fields else math.nan}
-
-
-def joints(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
-    """Median length of the field's joints over the exemplar's; NaN with too few."""
+def of_field(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
+    """The field's variety, joints, phase error and seam contrast; NaN where there are too few."""
     if samples is not true.fields:
-        return {"joints": math.nan}
-    of_field = joint_length(samples[0].height[0].numpy())
-    own = joint_length(true.example.exemplar.height[0])
-    return {"joints": of_field / own if of_field and own else math.nan}
-
-
-def phase(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
-    """Phase error of the field's lattice."""
-    off = phase_off(true.example) if samples is true.fields else None
-    return {"phase": math.nan if off is None else off}
-
-
-def seams(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
-    """Seam contrast of the field."""
-    exemplar, contrast = true.example.exemplar, None
-    if samples is true.fields:
-        area = Rectangle(*_ELSEWHERE, *samples[0].size)
-        places = true.example.places(_SEEDS[0], area, None).astype(np.int64)
-        maps = samples[0].stacked().numpy()
-        contrast = seam_contrast(maps, places, exemplar.stacked(), exemplar.texel_size)
-    columns: dict[str, Value] = {}
+        return {}
+    example, exemplar = true.example, true.example.exemplar
+    joint, own = joint_length(samples[0].height[0].numpy()), joint_length(exemplar.height[0])
+    off = phase_off(example)
+    places = example.places(_SEEDS[0], Rectangle(*_ELSEWHERE, *samples[0].size), None)
+    contrast = seam_contrast(
+        samples[0].stacked().numpy(), places.astype(np.int64), exemplar.stacked(),
+        exemplar.texel_size,
+    )  # fmt: skip
+    columns: dict[str, Value] = {
+        "variety": example.variety,
+        "joints": joint / own if joint and own else math.nan,
+        "phase": math.nan if off is None else off,
+    }
     for name in ("albedo", "slope"):
         columns[f"seam {name}"] = contrast[name].median if contrast else math.nan
         columns[f"seam {name} 99 %"] = contrast[name].high if contrast else math.nan
