@@ -193,12 +193,7 @@ _FEWEST = 100  # pairs: with fewer, no value
 
 @dataclass(frozen=True)
 class SeamContrast:
-    """Differences across seams over differences between neighbours of the exemplar.
-
-    Attributes:
-        median: ratio of the medians.
-        high: ratio of the 99th percentiles.
-    """
+    """Differences across seams over those in the exemplar: of medians, of 99th percentiles."""
 
     median: float
     high: float

@@ -35,14 +35,7 @@ _BUMPS = 0.03  # plane units apart
 
 @dataclass(frozen=True)
 class PlainMaterial:
-    """An even material.
-
-    Attributes:
-        albedo: (3,) linear.
-        specular: F0.
-        roughness: perceptual.
-        slope: root-mean-square of its bumps.
-    """
+    """An even material: linear albedo, F0, perceptual roughness, RMS slope of its bumps."""
 
     albedo: tuple[float, float, float]
     specular: float

@@ -86,19 +86,19 @@ def of_photographs(folder: Path, size: tuple[int, int]) -> Measured:
     Raises:
         MatcapError: there is none.
     """
-    found = []
+    measured = []
     for path in sorted(folder.glob("*.jpg")):
         read = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if read is None:
             continue
         scale = _LONG_SIDE / max(read.shape[:2])
         small = cv2.resize(read, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        found.append(_windows((np.asarray(small, np.float32) / 255.0) ** 2.2, size))
-    if not found:
+        measured.append(_windows((np.asarray(small, np.float32) / 255.0) ** 2.2, size))
+    if not measured:
         raise MatcapError.at(
             folder, "there are no photographs in this folder", "give a folder of JPEGs"
         )
-    return _columns(found)
+    return _columns(measured)
 
 
 def plot(measured: Mapping[str, Measured], path: Path) -> None:

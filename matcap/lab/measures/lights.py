@@ -34,12 +34,7 @@ _ROWS = 128  # shaded at a time
 
 @dataclass(frozen=True)
 class BenchLight:
-    """A point light above the plane.
-
-    Attributes:
-        place: plane frame, plane units.
-        strength: radiant intensity as a multiple of the flash's.
-    """
+    """A point light: its place above the plane, and its strength, that of the flash being 1."""
 
     place: tuple[float, float, float]
     strength: float
@@ -47,12 +42,7 @@ class BenchLight:
 
 @dataclass(frozen=True)
 class BenchScene:
-    """Positions of camera and lights.
-
-    Attributes:
-        distance: height of the camera above the plane's middle, plane units.
-        lights: point lights, used one at a time.
-    """
+    """Height of the camera above the plane's middle, plane units; lights, used one at a time."""
 
     distance: float
     lights: tuple[BenchLight, ...]

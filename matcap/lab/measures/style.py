@@ -59,12 +59,7 @@ _PIXEL_MOMENTS = (("skew", 2, _MOMENT), ("kurtosis", 3, _MOMENT))
 
 @dataclass(frozen=True)
 class Group:
-    """Statistics that enter the distance as one term.
-
-    Attributes:
-        values: (B, N) of B pictures.
-        unseen: threshold of visibility t_g.
-    """
+    """Statistics (B, N) that enter the distance as one term; their threshold of visibility t_g."""
 
     values: Tensor
     unseen: float

@@ -130,12 +130,7 @@ class Hand:
 
 @dataclass(frozen=True)
 class HandShot:
-    """One of several simulated hand-held photographs.
-
-    Attributes:
-        shot: the image on the sensor; its setup is true only of the first photograph.
-        camera: true pose.
-    """
+    """A hand-held photograph and its true pose; its setup is true only of the first of several."""
 
     shot: Shot
     camera: PosedCamera

@@ -35,13 +35,9 @@ _DRAWN = 42  # seed of the draws, together with a material's name
 
 @dataclass(frozen=True)
 class PhonePhotographs:
-    """A material and how it is photographed.
+    """A material, scaled for the distance, and how it is photographed.
 
-    Attributes:
-        specimen: the material, scaled for the distance.
-        phone: the camera, with its exposure.
-        hand: flash and movements.
-        tilt: of the first photograph, radians.
+    The phone has its exposure; `tilt` is the first photograph's, radians.
     """
 
     specimen: Specimen

@@ -24,13 +24,7 @@ _CHUNK = 32_768
 
 @dataclass(frozen=True)
 class Canvas:
-    """A rectangle of plane to realise a material on.
-
-    Attributes:
-        width, height: texels.
-        texel_size: a texel's side in plane units.
-        seed: of the realisation.
-    """
+    """A rectangle of plane, in texels of a size in plane units, and the seed of a realisation."""
 
     width: int
     height: int

@@ -41,10 +41,9 @@ _EXIF_PLACE = 34666  # unassigned; keeps the place of _EXIF_IFD, which tifffile 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Sensor metadata of a DNG.
+    """Sensor metadata of a DNG: lens shading, 1 - relative illumination in the corners, in [0, 1).
 
-    Attributes:
-        shading: lens shading, 1 - relative illumination in the corners, in [0, 1); in GainMaps.
+    It is stored in GainMaps.
     """
 
     shading: float = 0.0

@@ -42,14 +42,7 @@ _FIRST_SEED = 5
 
 @dataclass(frozen=True)
 class Photographed:
-    """A photograph ready to be captured.
-
-    Attributes:
-        entry: its entry of the pack.
-        photo: the decoded picture.
-        plane: the rectified picture.
-        scene: target of fine-tuning.
-    """
+    """A photograph of the pack, decoded, rectified, and as the target of fine-tuning."""
 
     entry: Entry
     photo: Photo

@@ -109,13 +109,9 @@ def run_variety(
 
 @dataclass(frozen=True)
 class Middle:
-    """One interpolation between two materials.
+    """One interpolation between two materials, in five steps: a strip (3, size, 5 size) sRGB.
 
-    Attributes:
-        first, second: materials at its ends.
-        ends: mean style distance of both ends to their nearest photographs.
-        middle: style distance of the middle to its nearest photograph.
-        strip: (3, size, 5 size) sRGB, five steps.
+    Mean style distance of the ends to their nearest photographs, and that of the middle.
     """
 
     first: str

@@ -85,12 +85,9 @@ _SAMPLE = (256, 192, 2.0 / 512.0)
 
 @dataclass(frozen=True)
 class RandomKind:
-    """A material of a kind, with random parameters.
+    """A material of a kind of kinds_known(), with random parameters.
 
-    Attributes:
-        kind: a key of kinds_known().
-        number: seed of its parameters.
-        depth: plane units per unit of height.
+    `number` is their seed, `depth` the plane units per unit of height.
     """
 
     kind: str
