@@ -33,8 +33,6 @@ SHORTER = {"16384": "512", "4096x256": "512x64", "2048": "512", "2048x256": "256
 LEFT_OUT = {
     "matcap prior": "hours of training; tests/space/prior runs its short forms",
     "matcap bench": "minutes; tests/lab runs its short forms",
-    "pip install": "README's first line installs",
-    "python ": "programs of the repository, of minutes",
 }
 
 
@@ -45,11 +43,20 @@ def anchors(page: Path) -> frozenset[str]:
     return frozenset(re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings)
 
 
+def commands(page: Path) -> list[str]:
+    """Lines of shell blocks, and of indented ones, that begin with matcap."""
+    text = page.read_text(encoding="utf-8")
+    blocks = re.findall(r"```(?:sh|console|bash)\n(.*?)```", text, re.DOTALL)
+    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+    lines += [line[4:] for line in text.splitlines() if line.startswith("    matcap ")]
+    # Two spaces and a word are a remark beside the command.
+    kept = [re.split(r"\s{2,}(?=\S)|\s+[#>]", line)[0].strip() for line in lines]
+    return [line.removeprefix("$ ") for line in kept if re.match(r"(\$ )?matcap [a-z]", line)]
+
+
 def lines_of(page: str) -> list[str]:
     """The lines of a page's shell blocks that are run here."""
-    blocks = re.findall(r"```sh\n(.*?)```", (GUIDE / page).read_text(encoding="utf-8"), re.DOTALL)
-    lines = [line.partition("#")[0].strip() for block in blocks for line in block.split("\n")]
-    shown = [line for line in lines if line and not line.startswith(tuple(LEFT_OUT))]
+    shown = [line for line in commands(GUIDE / page) if not line.startswith(tuple(LEFT_OUT))]
     # Without --html it is a server, which nobody closes.
     return [line for line in shown if not line.startswith("matcap view") or "--html" in line]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import typer
-from guide import ROOT, anchors
+from guide import ROOT, anchors, commands
 
 import matcap as package
 from matcap.batch.settings import read_settings
@@ -25,17 +25,6 @@ SIZES = {"relight": "48x36", "export": "48x48"}
 LONG = {"capture", "batch", "bench", "prior", "sample", "doctor", "card"}
 
 
-def commands(page: Path) -> list[str]:
-    """Lines of shell blocks, and of indented ones, that begin with matcap."""
-    text = page.read_text(encoding="utf-8")
-    blocks = re.findall(r"```(?:sh|console|bash)\n(.*?)```", text, re.DOTALL)
-    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
-    lines += [line[4:] for line in text.splitlines() if line.startswith("    matcap ")]
-    # Two spaces and a word are a remark beside the command.
-    kept = [re.split(r"\s{2,}(?=\S)|\s+[#>]", line)[0].strip() for line in lines]
-    return [line for line in kept if re.match(r"(\$ )?matcap [a-z]", line)]
-
-
 def toml(page: str) -> list[str]:
     """The TOML files that a page shows."""
     return re.findall(r"```toml\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
@@ -47,7 +36,7 @@ COMMAND = typer.main.get_command(app)
 
 @pytest.mark.parametrize(("line", "page"), SHOWN)
 def test_every_command_shown_parses(line, page):
-    words = shlex.split(line.removeprefix("$ "))[1:]
+    words = shlex.split(line)[1:]
     command, context, name = COMMAND, None, "matcap"
     # By what they can do: typer brings a click of its own, or does not, as its version will.
     while hasattr(command, "get_command"):
