@@ -12,15 +12,12 @@ from materials import a_material
 
 from matcap.brdf.folder import read_mapset
 from matcap.cli.main import main
-from matcap.example.example import Example
-from matcap.example.exemplar import HEIGHT, SPECULAR, Exemplar
+from matcap.example.exemplar import SPECULAR, Exemplar
 from matcap.example.features import choose_scale, features_of, planes_of
 from matcap.example.repeat.flatten import flatten
 from matcap.field.blocks import Grid
 from matcap.field.field import read_source
 from matcap.field.plane import Rectangle
-from matcap.synth.blend import blend_source
-from matcap.synth.mask import Mask
 
 AREA = Rectangle(-30, 20, 150, 90)
 
@@ -117,26 +114,6 @@ def test_what_is_written_has_its_colour(tmp_path, words):
         assert np.abs(png[..., ::-1] / 65535.0 - expected.specular.movedim(0, -1).numpy()).max() < (
             2**-11
         )
-
-
-def test_a_grey_material_grows_into_a_coloured_one():
-    grey, hue = (
-        a_material(name, example=example)
-        for name, example in (("grey", an_example()), ("hue", a_coloured_example()))
-    )
-    mask = Mask(np.array([[0, 0, 0, 255, 255, 255]], np.uint8), Rectangle(0, 0, 600, 64))
-    area = Rectangle(0, 0, 600, 64)
-    source = blend_source(grey, hue, mask, 4)
-    assert source.specular_channels == 3
-    maps = read_source(source, area, 1).stacked()
-    alone = [read_source(m.part(Example).source(4), area, 1) for m in (grey, hue)]
-    left, right = slice(0, 200), slice(400, 600)
-    assert torch.allclose(
-        maps[SPECULAR, :, left], alone[0].specular.expand(3, -1, -1)[..., left], atol=1e-6
-    )
-    assert torch.allclose(maps[SPECULAR, :, right], alone[1].specular[..., right], atol=1e-6)
-    steps = maps[HEIGHT].diff(dim=-1).abs()
-    assert steps[..., 240:360].max() < 1.5 * steps[..., :200].max()
 
 
 def test_an_inspection_and_a_comparison_show_the_colour(tmp_path, capsys):

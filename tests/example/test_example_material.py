@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from exemplars import an_example, blobs, ordered
+from exemplars import a_coloured_example, an_example, blobs, ordered
 from materials import a_material
 
 from matcap.brdf.folder import read_mapset
+from matcap.brdf.maps import SURFACE, with_colour
 from matcap.cli.main import main
 from matcap.errors import UsageError
 from matcap.example.example import Example, ExampleSource
@@ -93,22 +94,27 @@ def test_files_are_the_same_whoever_writes_them(first, tmp_path):
     assert not differing and not missing
 
 
-def test_one_field_by_example_grows_into_another(first, second):
+@pytest.mark.parametrize("other", [lambda: Example.of(blobs(seed=7)), a_coloured_example])
+def test_one_field_by_example_grows_into_another(first, other):
+    """An exemplar whose F0 has a colour makes the grey one's three channels, too."""
+    second = a_material("second", example=other())
+    coloured = other is a_coloured_example
     mask = Mask(np.array([[0, 0, 0, 255, 255, 255]], np.uint8), Rectangle(0, 0, 600, 64))
     source = blend_source(first, second, mask, 4)
     assert isinstance(source.first, ExampleSource) and isinstance(source.second, ExampleSource)
+    assert source.specular_channels == (3 if coloured else 1)
     area = Rectangle(0, 0, 600, 64)
     maps = read_source(source, area, 1).stacked()
-    for end, columns in ((first, slice(0, 200)), (second, slice(400, 600))):
-        alone = read_source(end.part(Example).source(4), area, 1).stacked()
+    ends = [read_source(m.part(Example).source(4), area, 1).stacked() for m in (first, second)]
+    ends = [with_colour(one) if coloured else one for one in ends]
+    for alone, columns in zip(ends, (slice(0, 200), slice(400, 600)), strict=True):
         assert torch.allclose(maps[..., columns], alone[..., columns], atol=1e-6)
     # Between, each texel lies between the two, and the border is no step in height.
     between = slice(240, 360)
-    ends = [read_source(m.part(Example).source(4), area, 1).stacked() for m in (first, second)]
-    low, high = torch.minimum(*ends)[:5, :, between], torch.maximum(*ends)[:5, :, between]
-    assert bool((maps[:5, :, between] >= low - 1e-6).all())
-    assert bool((maps[:5, :, between] <= high + 1e-6).all())
-    steps = maps[5].diff(dim=1).abs()
+    low, high = (end(*ends)[SURFACE, :, between] for end in (torch.minimum, torch.maximum))
+    assert bool((maps[SURFACE, :, between] >= low - 1e-6).all())
+    assert bool((maps[SURFACE, :, between] <= high + 1e-6).all())
+    steps = maps[-1].diff(dim=1).abs()
     assert steps[:, between].max() < 1.5 * steps[:, :200].max()
 
 
