@@ -53,8 +53,7 @@ _GROUPS: Mapping[str, float] = {
     "var_highpass_residual": _CODE_VALUE**2,
 }
 # Of pixel_statistics: mean, variance, skew, kurtosis; its extremes are single pixels.
-_PIXEL = (("mean", 0, _CODE_VALUE), ("variance", 1, _CODE_VALUE**2))
-_PIXEL_MOMENTS = (("skew", 2, _MOMENT), ("kurtosis", 3, _MOMENT))
+_PIXEL = {"mean": _CODE_VALUE, "variance": _CODE_VALUE**2, "skew": _MOMENT, "kurtosis": _MOMENT}
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ class PortillaSimoncelli:
             name: Group(_finite(statistics[name]), unseen) for name, unseen in _GROUPS.items()
         }
         pixel = _finite(statistics["pixel_statistics"])
-        for name, column, unseen in (*_PIXEL, *_PIXEL_MOMENTS):
+        for column, (name, unseen) in enumerate(_PIXEL.items()):
             groups[f"pixel {name}"] = Group(pixel[:, column : column + 1], unseen)
         colours = pictures.flatten(2)
         centred = colours - colours.mean(2, keepdim=True)

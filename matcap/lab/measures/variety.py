@@ -48,8 +48,8 @@ def variety(made: StyleStatistics, true: StyleStatistics) -> Variety:
     across = style_distances(made, true)
     within, within_true = style_distances(made, made), style_distances(true, true)
     return Variety(
-        precision=_covered(across, reaches(within_true, NEIGHBOUR)),
-        recall=_covered(across.T, reaches(within, NEIGHBOUR)),
+        precision=_covered(across, reaches(within_true)),
+        recall=_covered(across.T, reaches(within)),
         mean_distance=mean_pairwise(within),
         mean_distance_true=mean_pairwise(within_true),
         nearest=across.argmin(dim=1),
@@ -82,9 +82,9 @@ def style_distances(first: StyleStatistics, second: StyleStatistics) -> Tensor:
     return torch.stack(distances).mean(0)
 
 
-def reaches(within: Tensor, neighbour: int) -> Tensor:
-    """(N,) distance to the k-th nearest neighbour, from distances (N, N); k is `neighbour`."""
-    return within.sort(dim=1).values[:, neighbour]  # the first is the member itself
+def reaches(within: Tensor) -> Tensor:
+    """(N,) distance to the NEIGHBOUR-th nearest member, from distances (N, N)."""
+    return within.sort(dim=1).values[:, NEIGHBOUR]  # the first is the member itself
 
 
 def mean_pairwise(within: Tensor) -> float:
