@@ -586,7 +586,7 @@ FAULTS = (
           "last = when if runs[-1] == [shot] else last", "batch/test_input_folder.py"),
     Fault("batch: names of its own files", "batch _named", "plain.casefold() in _TAKEN", "False",
           "batch/test_input_folder.py"),
-    Fault("batch: some failed is done", "batch exit_code", "ExitCode.SOME_FAILED", "ExitCode.DONE",
+    Fault("batch: some failed is done", "errors ExitCode.of", "cls.SOME_FAILED", "cls.DONE",
           "batch/test_run.py"),
     Fault("page: any host", "view _RequestFilter.__call__",
           "Headers(scope=scope).get('host') not in self._address.hosts",
