@@ -25,7 +25,7 @@ from matcap.capture.piece.classes import Classes, find_mixture
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.glints import scaled_by_glints
-from matcap.capture.piece.highlight_remainder import remaining_highlight
+from matcap.capture.piece.inpaint import inpainted
 from matcap.capture.piece.levels import LevelPrior, fit_levels
 from matcap.capture.piece.metal import has_metal
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse, NetworkAnswer
@@ -40,7 +40,6 @@ from matcap.capture.piece.refine import (
 )
 from matcap.capture.piece.smooth import WIDE, smoothed
 from matcap.capture.piece.strengths import Strengths
-from matcap.capture.piece.transport import transport
 from matcap.capture.progress import CaptureClock
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
@@ -189,7 +188,7 @@ def estimate_exemplar(
     whole = rectified.whole
     observed, prediction, strengths = refined(rectified.network_input, coarse, network, clock)
     with clock.stage("inpaint"):
-        exemplar = inpainted(observed, prediction)
+        exemplar = inpainted(exemplar_of(observed, prediction), observed)
         light = PlaneLight(coarse, whole.size)
         if whole.size != rectified.network_input.size:
             exemplar = finest(exemplar, whole, light)
@@ -392,17 +391,6 @@ def exemplar_of(observed: Observation, prediction: NetworkPrediction) -> Exempla
         confidence=prediction.trusted,
         texel_size=observed.plane.texel_size,
     )
-
-
-def inpainted(observed: Observation, prediction: NetworkPrediction) -> Exemplar:
-    """Inpaint the exemplar where specular light hides albedo, or is left in it (transport.py)."""
-    plane = observed.plane
-    exemplar = exemplar_of(observed, prediction)
-    distance = (observed.from_mirror_point / plane.texel_size).numpy()
-    spot = remaining_highlight(exemplar.diffuse, observed.within.numpy(), distance)
-    exemplar = replace(exemplar, confidence=exemplar.confidence * ~spot)
-    left_out = None if plane.left_out is None else plane.left_out.numpy()
-    return transport(exemplar, plane.linear, plane.valid, observed.light, left_out=left_out)
 
 
 def evened(

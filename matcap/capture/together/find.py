@@ -28,11 +28,11 @@ from matcap.capture.piece.find import (
     evened,
     exemplar_of,
     indexed,
-    inpainted,
     map_set_of,
     refined,
 )
 from matcap.capture.piece.finest import finest, sharpness
+from matcap.capture.piece.inpaint import inpainted
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse
 from matcap.capture.piece.observation import Observation
 from matcap.capture.piece.refine import PlaneLight
@@ -308,7 +308,7 @@ def _inpainted(
     classes = Classes.whole(observed.specular_fraction.shape, metal=False)
     prediction = NetworkPrediction(observed.light.departures(maps), errors, trusted, None, classes)
     prediction = replace(prediction, departures=evened(observed, prediction, prediction.departures))
-    return inpainted(observed, prediction)
+    return inpainted(exemplar_of(observed, prediction), observed)
 
 
 def _indexed(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from matcap.capture.piece.gradient_blend import composed
+from matcap.capture.piece.inpaint import composed
 
 SIZE = 64
 FREE = np.zeros((SIZE, SIZE), bool)

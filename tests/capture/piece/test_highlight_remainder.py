@@ -10,8 +10,8 @@ import pytest
 import torch
 from photographed import photographed
 
-from matcap.capture.piece.find import inpainted, levelled, predict_maps
-from matcap.capture.piece.highlight_remainder import remaining_highlight
+from matcap.capture.piece.find import exemplar_of, levelled, predict_maps
+from matcap.capture.piece.inpaint import inpainted, remaining_highlight
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.piece.observation import Observation
 from matcap.flash.plane import plane_of
@@ -114,7 +114,9 @@ def test_a_spot_in_albedo_is_inpainted():
     disc = (observed.from_mirror_point / plane.texel_size).numpy() < 20.0
     white = departures.diffuse + 0.8 * torch.from_numpy(disc)
     spotted = replace(prediction, departures=replace(departures, diffuse=white))
-    plain, found = (inpainted(observed, each).diffuse for each in (prediction, spotted))
+    plain, found = (
+        inpainted(exemplar_of(observed, each), observed).diffuse for each in (prediction, spotted)
+    )
     inside = np.log(found[:, disc]).mean() - np.log(found[:, ~disc]).mean()
     before = np.log(plain[:, disc]).mean() - np.log(plain[:, ~disc]).mean()
     assert abs(inside - before) < 0.3

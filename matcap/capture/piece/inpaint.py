@@ -1,14 +1,11 @@
-"""Inpainting under the highlight by blocks of the exemplar (reflectance transport [aittala2015]).
+"""Stage inpaint: maps that the highlight hides are copied from other places of the exemplar.
 
-Near the mirror point the highlight hides albedo, and all maps where it is clipped. The material is
-stationary, so blocks of maps are copied there from visible places. The chosen block minimises its
-mismatch with neighbours in the overlap plus the mismatch of its rendering in place with the
-photograph (texture transfer [efros2001]),
+Near the mirror point the highlight hides albedo, and all maps where it is clipped. A sample is
+stationary, so maps are copied there from visible places, in three steps:
 
-    1 - correlation(a, b) + w |log(|a|^2 / |b|^2)|,
-
-where a and b are log radiance of the block and of the photograph, less their quadratic trends over
-the block, which are errors of the fitted highlight.
+1. remaining_highlight: texels whose albedo still has the highlight lose their confidence;
+2. transport: blocks with too little confidence get the maps of others [aittala2015];
+3. composed: albedo and height are joined to their surroundings without steps [perez2003].
 """
 
 from __future__ import annotations
@@ -23,11 +20,12 @@ from torch import Tensor
 
 from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
 from matcap.brdf.parameters import Reflectance
-from matcap.capture.piece.gradient_blend import composed
 from matcap.capture.piece.noise import DARKEST
+from matcap.capture.piece.observation import Observation
 from matcap.capture.piece.refine import PhotographLight
 from matcap.example.exemplar import Exemplar
 from matcap.field.single import one_thread
+from matcap.photo.shrink import area_averaged
 
 # Inpainting under the highlight; docs/notes/capture.md. NSD is the normalised style distance.
 _TRIED = 1000  # random candidate blocks per place
@@ -52,9 +50,38 @@ _SPREAD = 4  # texels over which a hidden texel's light spreads to its neighbour
 _THINNED = 4  # subsampling, texels, of rendered candidates
 _FARTHEST = 4.0  # upper limit of a squared standardised difference in the overlap
 _SEAM_REACH = 24.0  # texels over which the two sides of a seam converge
+_ITERATIONS = 400  # most conjugate gradient steps of the composition
+_TOLERANCE = 1e-3  # of the residual's norm, over that at the start, at which they end
+
+# Detection of the highlight in albedo.
+_CELLS = 128  # along the long side, over which log albedo is averaged; finer detail is texture
+_WIDTH = 2  # of a ring, cells
+_WIDEST = 20  # radius of the largest ring, cells; wider discs are shading, which `flatten` removes
+_MISSED = 2  # rings in a row that do not stand out, at which the disc ends
+_AROUND = 6  # width of the ring around the largest, cells
+_INSIDE = 0.9  # least share of a ring inside the picture, at other centres
+_NEAR = 12  # farthest centre of a disc of the highlight from the mirror point, cells
+_UNUSUAL = 4.0  # deviations from the mean over other centres at which a ring stands out
 
 Floats = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 BlockPlaces = NDArray[np.int64]
+
+
+def inpainted(exemplar: Exemplar, observed: Observation) -> Exemplar:
+    """Inpaint an exemplar where specular light hides its maps, or is left in its albedo.
+
+    Args:
+        exemplar: estimated maps and their confidence, which also falls to 0 in the highlight's
+            remainder.
+        observed: its photograph.
+    """
+    plane = observed.plane
+    distance = (observed.from_mirror_point / plane.texel_size).numpy()
+    spot = remaining_highlight(exemplar.diffuse, observed.within.numpy(), distance)
+    exemplar = replace(exemplar, confidence=exemplar.confidence * ~spot)
+    left_out = None if plane.left_out is None else plane.left_out.numpy()
+    return transport(exemplar, plane.linear, plane.valid, observed.light, left_out=left_out)
 
 
 @dataclass(frozen=True)
@@ -77,9 +104,17 @@ def transport(
     valid: Tensor,
     light: PhotographLight,
     *,
-    left_out: NDArray[np.bool_] | None = None,
+    left_out: Mask | None = None,
 ) -> Exemplar:
-    """Inpaint an exemplar's maps where specular light hides them.
+    """Copy blocks of maps to where specular light hides them (reflectance transport).
+
+    The chosen block minimises its mismatch with neighbours in the overlap plus the mismatch of its
+    rendering in place with the photograph (texture transfer [efros2001]),
+
+        1 - correlation(a, b) + w |log(|a|^2 / |b|^2)|,
+
+    where a and b are log radiance of the block and of the photograph, less their quadratic trends
+    over the block, which are errors of the fitted highlight, and w is _CONTRAST.
 
     Args:
         exemplar: estimated maps; confidence is not changed.
@@ -131,7 +166,7 @@ class _Likeness:
     """Match of N candidate blocks, rendered at a place, to the photograph there."""
 
     unlike: Floats
-    """(N,) mismatch of log radiance (module equation); 0 without valid texels."""
+    """(N,) mismatch of log radiance (transport); 0 without valid texels."""
     stronger: float
     """Energy of the photographed log radiance over the median of random candidates."""
     share: float
@@ -204,7 +239,7 @@ def _choose(
     places: list[tuple[int, int]],
     donors: BlockPlaces,
     planes: _MapPlanes,
-    known: NDArray[np.bool_],
+    known: Mask,
     photograph: _Photograph,
 ) -> dict[tuple[int, int], tuple[int, int]]:
     """Corner of the donor block of every place; distinct places keep their maps, without entry."""
@@ -254,7 +289,7 @@ def _discontinuity(
     blocks: BlockPlaces,
     donor: Floats,
     seen: Floats,
-    known: NDArray[np.bool_],
+    known: Mask,
 ) -> Floats:
     """(N,) mean squared difference of blocks to known texels of a place, standardised."""
     here = tuple(slice(start, start + _BLOCK, 2) for start in place)
@@ -271,8 +306,8 @@ def _discontinuity(
 
 
 def _sources(
-    chosen: dict[tuple[int, int], tuple[int, int]], hidden: NDArray[np.bool_]
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    chosen: dict[tuple[int, int], tuple[int, int]], hidden: Mask
+) -> tuple[BlockPlaces, Mask]:
     """(2, H, W) source row and column of each texel, and (H, W) bool, which are copied.
 
     In an overlap, a texel takes the block whose border is farther from it.
@@ -291,7 +326,7 @@ def _sources(
     return source, deepest > 0
 
 
-def _map_planes(exemplar: Exemplar, known: NDArray[np.bool_]) -> _MapPlanes:
+def _map_planes(exemplar: Exemplar, known: Mask) -> _MapPlanes:
     """Prepare an exemplar's planes; albedo is standardised over known texels."""
     stacked = exemplar.stacked().astype(np.float32)
     height = exemplar.height[0] / exemplar.texel_size
@@ -306,19 +341,19 @@ def _map_planes(exemplar: Exemplar, known: NDArray[np.bool_]) -> _MapPlanes:
     return _MapPlanes(stacked, high_passed, features.astype(np.float32))
 
 
-def _around(texels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _around(texels: Mask) -> Mask:
     """(H, W) bool: texels, and those within _SPREAD of them."""
     square = np.ones((2 * _SPREAD + 1,) * 2, np.uint8)
     return np.asarray(cv2.dilate(texels.astype(np.uint8), square) > 0)
 
 
-def _between(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _between(known: Mask) -> Mask:
     """(H, W) bool, texels that have a known texel both in their row and in their column."""
     rows, columns = np.asarray(known.any(axis=1)), np.asarray(known.any(axis=0))
     return rows[:, None] & columns[None, :]
 
 
-def _donors(trusted: NDArray[np.bool_]) -> BlockPlaces:
+def _donors(trusted: Mask) -> BlockPlaces:
     """(N, 2) corners of blocks with high confidence nearly everywhere."""
     rows, columns = trusted.shape
     if min(rows, columns) <= _BLOCK:
@@ -339,3 +374,177 @@ def _grid(shape: tuple[int, ...]) -> list[tuple[int, int]]:
 def _block(corner: tuple[int, int]) -> tuple[slice, slice]:
     """Rows and columns of the block at a corner."""
     return slice(corner[0], corner[0] + _BLOCK), slice(corner[1], corner[1] + _BLOCK)
+
+
+def composed(maps: Floats, source: BlockPlaces, free: Mask, reach: float) -> Floats:
+    """Maps copied from their sources without steps at seams: gradient-domain composition.
+
+    Texel p shows v(p) = m(s(p)), with s(p) = p where the maps are kept. The result u minimises,
+    over the texels that are not kept,
+
+        sum_pq (u(q) - u(p) - g(p, q))^2 + sum_p (u(p) - v(p))^2 / reach^2,
+
+    over pairs of neighbours p, q. g(p, q) is the mean of m(s(p) + q - p) - m(s(p)) and
+    m(s(q)) - m(s(q) + p - q), over those whose texels are kept ones. Within a block it is the
+    gradient of the maps; at a seam it has no step.
+
+    Args:
+        maps: (C, H, W) m.
+        source: (2, H, W) row and column of s(p); the texel itself where it is not free.
+        free: (H, W) texels that are not kept.
+        reach: texels over which the two sides of a seam converge.
+
+    Returns:
+        (C, H, W) u; m where not free.
+    """
+    if not free.any():
+        return maps
+    rows, columns = (np.flatnonzero(free.any(axis=axis)) for axis in (1, 0))
+    box = tuple(
+        slice(max(0, line[0] - 1), min(side, line[-1] + 2))
+        for line, side in zip((rows, columns), free.shape, strict=True)
+    )
+    inside, here = free[box], source[:, *box]
+    copied = maps[:, here[0], here[1]].astype(np.float64)
+    wanted = np.zeros_like(copied)
+    for axis in (0, 1):
+        first, last = _ends(axis)
+        step = np.array([[[1 - axis]], [[axis]]])
+        before, after = copied[:, *first], copied[:, *last]
+        ahead, has_ahead = _at(maps, here[:, *first] + step, free)
+        behind, has_behind = _at(maps, here[:, *last] - step, free)
+        drawn = has_ahead * (ahead - before) + has_behind * (after - behind)
+        known = has_ahead + has_behind
+        mismatch = np.where(known > 0.0, after - before - drawn / np.maximum(known, 1.0), 0.0)
+        wanted[:, *first] += mismatch
+        wanted[:, *last] -= mismatch
+    result = maps.copy()
+    shown = copied + _solved(wanted * inside, inside, reach)
+    result[:, *box] = np.where(inside, shown, maps[:, *box])
+    return result
+
+
+def _solved(right: NDArray[np.float64], free: Mask, reach: float) -> Floats:
+    """Conjugate gradients for c in (L + reach^-2) c = right, 0 where not free, (C, h, w) each.
+
+    Free texels alone are stored, their channels together; neighbours that are not free share a 0.
+    """
+    count, one = int(free.sum()), np.float32
+    number = np.full((free.shape[0] + 2, free.shape[1] + 2), count, np.int64)
+    number[1:-1, 1:-1][free] = np.arange(count)
+    in_box = np.pad(np.ones(free.shape, one), 1)
+    within, before, after = slice(1, -1), slice(None, -2), slice(2, None)
+    sides = ((before, within), (after, within), (within, before), (within, after))
+    neighbours = [number[side][free] for side in sides]
+    degree = np.stack([in_box[side][free] for side in sides], axis=1).sum(1, keepdims=True)
+    diagonal = degree + one(reach**-2)
+    residual = np.ascontiguousarray(right[:, free].T, one)
+    padded = np.concatenate([residual, np.zeros((1, len(right)), one)])
+    direction, solution = padded[:count], np.zeros_like(residual)
+    image, some = np.empty_like(residual), np.empty_like(residual)
+    energy = start = float(np.vdot(residual, residual))
+    for _ in range(_ITERATIONS):
+        if energy <= _TOLERANCE**2 * start:
+            break
+        np.multiply(direction, diagonal, out=image)
+        for each in neighbours:
+            image -= np.take(padded, each, axis=0, out=some, mode="clip")
+        length = one(energy / float(np.vdot(direction, image)))
+        solution += np.multiply(direction, length, out=some)
+        residual -= np.multiply(image, length, out=image)
+        earlier, energy = energy, float(np.vdot(residual, residual))
+        direction *= one(energy / earlier)
+        direction += residual
+    result = np.zeros(right.shape, one)
+    result[:, free] = solution.T
+    return result
+
+
+def _ends(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """All but the last and all but the first line along an axis."""
+    every, first, last = slice(None), slice(None, -1), slice(1, None)
+    return ((first, every), (last, every)) if axis == 0 else ((every, first), (every, last))
+
+
+def _at(maps: Floats, places: BlockPlaces, free: Mask) -> tuple[Floats, Floats]:
+    """(C, h, w) maps at places (2, h, w), and (h, w) 1 where those are kept texels, else 0."""
+    rows, columns = (np.clip(p, 0, side - 1) for p, side in zip(places, free.shape, strict=True))
+    kept = (rows == places[0]) & (columns == places[1]) & ~free[rows, columns]
+    return maps[:, rows, columns], kept.astype(np.float32)
+
+
+def remaining_highlight(albedo: Floats, known: Mask, distance: Floats) -> Mask:
+    """(H, W) bool: texels around the mirror point whose albedo still has the highlight.
+
+    What the fitted lobe misses of a highlight is put into albedo: a white spot, or a ring. A
+    material does not know where the flash was, so the mean of log albedo over a ring around the
+    mirror point is compared with the means over equal rings around other centres. The result is the
+    disc up to the last ring that stands out, before two that do not: rings that stand out only
+    farther away are shading. A narrow core may lie off the fitted mirror point, or be long: small
+    discs near it that stand out more than any elsewhere are added.
+
+    Args:
+        albedo: (C, H, W) diffuse albedo, in (0, 1].
+        known: (H, W) bool, texels of the photograph, clipped ones included.
+        distance: (H, W) distance from the mirror point, texels.
+    """
+    step = max(1, max(known.shape) // _CELLS)
+    size = (known.shape[1] // step, known.shape[0] // step)
+    log = np.log(np.maximum(albedo, 1e-3)).mean(0) * known
+    total, share, distances = (
+        area_averaged(plane, size) for plane in (log, known.astype(np.float32), distance / step)
+    )
+    surroundings = _ring_means(total, share, _WIDEST, _WIDEST + _AROUND)
+    rings = [_unusual(total, share, surroundings, distances, i) for i in range(0, _WIDEST, _WIDTH)]
+    centre = np.unravel_index(int(distances.argmin()), distances.shape)
+    radius = _radius([float(ring[centre]) for ring in rings]) if distances[centre] <= 1.0 else 0
+    discs = np.nan_to_num(rings[0])
+    spots = (distances <= _NEAR) & (discs > discs[distances > _WIDEST].max(initial=_UNUSUAL))
+    grown = cv2.dilate(spots.astype(np.uint8), np.ones((2 * _WIDTH + 1,) * 2, np.uint8))
+    texels = cv2.resize(grown, known.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
+    return np.asarray(texels | ((distance < (radius + 1) * step) & (radius > 0)))
+
+
+def _radius(unusual: list[float]) -> int:
+    """Outer radius in cells of the last ring that stands out, before two that do not; or 0."""
+    radius = missed = 0
+    for number, contrast in enumerate(unusual):
+        if contrast > _UNUSUAL:
+            radius, missed = (number + 1) * _WIDTH, 0
+        elif np.isfinite(contrast):
+            missed += 1
+            if missed == _MISSED:
+                break
+    return radius
+
+
+def _unusual(
+    total: Floats, share: Floats, surroundings: Floats, distances: Floats, inner: int
+) -> Floats:
+    """(h, w) how far the contrast of the ring around each cell is from its mean over those far from
+    the mirror point, in their standard deviations; NaN where it is unknown.
+
+    Args:
+        total: (h, w) sums of log albedo over cells.
+        share: (h, w) known share of the cells.
+        surroundings: (h, w) mean over the ring around the largest disc, NaN where unknown.
+        distances: (h, w) distance of the cells from the mirror point, cells.
+        inner: inner radius of the ring, cells.
+    """
+    outer = inner + _WIDTH
+    contrast = _ring_means(total, share, inner, outer) - surroundings
+    others = contrast[np.isfinite(contrast) & (distances > _WIDEST + outer)]
+    if len(others) < 16:
+        return np.full_like(contrast, np.nan)
+    return np.abs((contrast - others.mean()) / (others.std() + 1e-3)).astype(np.float32)
+
+
+def _ring_means(total: Floats, share: Floats, inner: int, outer: int) -> Floats:
+    """(h, w) means over the ring around each cell; NaN where much of it is outside the picture."""
+    offsets = np.arange(-outer, outer + 1)
+    radius = np.hypot(offsets, offsets[:, None])
+    ring = ((radius >= inner) & (radius < outer)).astype(np.float32)
+    sums, counts = (
+        cv2.filter2D(plane, -1, ring, borderType=cv2.BORDER_CONSTANT) for plane in (total, share)
+    )
+    return np.where(counts > _INSIDE * ring.sum(), sums / np.maximum(counts, 1e-6), np.nan)
