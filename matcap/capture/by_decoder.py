@@ -9,20 +9,21 @@ matching, verdict.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
-from matcap.capture.ending import judged, provenance
+from matcap.capture.detail import Rectified
 from matcap.capture.method import Method
 from matcap.capture.piece.find import ExemplarEstimate, estimate_exemplar
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import CaptureClock
-from matcap.capture.result import CaptureResult, Tuning
+from matcap.capture.result import CaptureResult, Tuning, judged, provenance
 from matcap.capture.settings import CaptureSettings, Effort
-from matcap.capture.start import CaptureStart
 from matcap.capture.target import photograph_target
 from matcap.errors import MatcapError
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
+from matcap.photo.photo import Photo
 from matcap.space.decoder import DecoderConfig, with_drawing
 from matcap.space.drawing import Drawing
 from matcap.space.tuned import TunedDecoder
@@ -40,7 +41,8 @@ from matcap.space.tuning.match import match_photograph
 
 
 def capture_by_decoder(
-    shot: CaptureStart,
+    rectified: Rectified,
+    others: Sequence[Photo],
     settings: CaptureSettings,
     effort: Effort,
     method: Method,
@@ -49,7 +51,8 @@ def capture_by_decoder(
     """Capture a photograph as a fine-tuned decoder.
 
     Args:
-        shot: the photograph, its coarse fit and plane.
+        rectified: the photograph, at the network's resolution.
+        others: more photographs of the same sample.
         settings: of the user.
         effort: steps and windows that follow from the settings.
         method: variant of the method.
@@ -58,11 +61,11 @@ def capture_by_decoder(
     Raises:
         MatcapError: the prior cannot be read, or the picture is too small for `target`.
     """
-    photo, coarse, plane = shot.photo, shot.coarse, shot.plane
-    estimate = _piece(shot, clock) if settings.draws else None
+    photo, coarse, plane = rectified.photo, rectified.coarse, rectified.whole
+    estimate = _piece(rectified, clock) if settings.draws else None
     with clock.stage("statistics"):
         most = None if effort.steps else 1
-        target, joined = photograph_target(shot, settings, method, most)
+        target, joined = photograph_target(rectified, others, settings, method, most)
         drawing = None if estimate is None else Drawing(estimate.example)
         if drawing is not None:  # it has the lattice, at phases of its own
             target = replace(target, waves=())
@@ -70,10 +73,10 @@ def capture_by_decoder(
         tune = _tune(settings, effort, own, photo.name)
 
     on_step = _on_step(clock, own)
-    start = _start(shot, settings, target, tune, clock)
+    start = _start(rectified, settings, target, tune, clock)
     target = replace(target, drawing=drawing)
-    decoder, tuned = _tuned_decoder(shot, start, target, tune, clock, on_step)
-    about = provenance(photo, settings, coarse, effort, joined)
+    decoder, tuned = _tuned_decoder(rectified, start, target, tune, clock, on_step)
+    about = provenance(rectified, settings, effort, joined)
     material = decoder.material(photo.stem, coarse.setup, about)
     if tuned.history and effort.matched:
         # Of several photographs, the first is matched.
@@ -83,17 +86,17 @@ def capture_by_decoder(
 
     if estimate is None and settings.aligned:
         with postponed() as stopped:
-            estimate = _piece(shot, CaptureClock(None))
+            estimate = _piece(rectified, CaptureClock(None))
         clock.interrupted |= stopped()
     went = Tuning(tuned.history, own, drawing is not None)
     if photo.turned:  # all above is as the photograph lies
         material = _upright(material)
-        estimate = estimate and estimate.upright(shot.rectified.waves)
-    return judged(photo, material, shot.rectified, settings, clock, estimate, went)
+        estimate = estimate and estimate.upright(rectified.waves)
+    return judged(rectified, material, settings, clock, estimate, went)
 
 
 def _start(
-    shot: CaptureStart,
+    rectified: Rectified,
     settings: CaptureSettings,
     target: PhotographTarget,
     tune: TuneSettings,
@@ -102,9 +105,9 @@ def _start(
     """The prior's decoder, or a random one; it reads no drawing."""
     with clock.stage("start"):
         return initial_decoder(
-            shot.photo.developed(shot.photo.pixels),  # as the encoder was trained on
-            shot.coarse,
-            shot.plane,
+            rectified.photo.developed(rectified.photo.pixels),  # as the encoder was trained on
+            rectified.coarse,
+            rectified.whole,
             target,
             tune,
             settings.prior,
@@ -114,7 +117,7 @@ def _start(
 
 
 def _tuned_decoder(
-    shot: CaptureStart,
+    rectified: Rectified,
     start: InitialDecoder,
     target: PhotographTarget,
     tune: TuneSettings,
@@ -133,7 +136,7 @@ def _tuned_decoder(
     clock.interrupted |= tuned.interrupted
     network = tuned.decoder.eval().requires_grad_(False)
     made = TunedDecoder(
-        network, start.code, tuned.moments, target.waves, shot.plane.texel_size, target.drawing
+        network, start.code, tuned.moments, target.waves, rectified.whole.texel_size, target.drawing
     )
     return made, tuned
 
@@ -161,9 +164,9 @@ def _on_step(clock: CaptureClock, own: float) -> OnStep:
     return lambda share, error, seconds: clock.tuning(share, *ahead.after(error, seconds))
 
 
-def _piece(shot: CaptureStart, clock: CaptureClock) -> ExemplarEstimate:
+def _piece(rectified: Rectified, clock: CaptureClock) -> ExemplarEstimate:
     """Estimate the exemplar of the (first) photograph, at the coarse fit's exposure."""
-    return estimate_exemplar(shot.rectified, shot.coarse, load_inverse(), clock, absolute=True)
+    return estimate_exemplar(rectified, load_inverse(), clock, absolute=True)
 
 
 def _target(settings: CaptureSettings, own: float, name: str) -> float | None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.settings import DETAIL
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import FlashLight
 from matcap.flash.plane import Plane, read_plane
@@ -84,9 +85,16 @@ def _halved(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     return area_averaged(picture, size)
 
 
-def detail_for(linear: Tensor, valid: Tensor) -> int:
-    """Texels across on which to read an aperiodic texture: DETAIL, or half of it if coarse."""
-    return DETAIL // 2 if coarse_share(linear, valid) > _MOST_COARSE else DETAIL
+def network_input(plane: Plane, waves: tuple[Wave, ...] = ()) -> Plane:
+    """The plane at most DETAIL texels across; half of that if its texture is coarse and aperiodic.
+
+    Waves of any period are inputs of the network, so periodic textures need no coarser grid.
+    """
+    columns = plane.size[0]
+    usual = plane.shrunk(DETAIL) if columns > DETAIL else plane
+    if columns < DETAIL or waves or coarse_share(usual.linear, usual.valid) <= _MOST_COARSE:
+        return usual
+    return plane.shrunk(DETAIL // 2)
 
 
 def lattice_of(plane: Plane) -> tuple[Wave, ...]:
@@ -109,40 +117,25 @@ class Rectified:
     """A photograph rectified to the plane of its sample, and its lattice.
 
     Attributes:
+        photo: the photograph, its tone curve undone; of several, the first, less ambient light.
+        coarse: its coarse fit; of several, with the registered camera.
         whole: the plane at the resolution of the exemplar.
         waves: frequency vectors of its lattice, cycles per texel of `whole`; empty without one.
         network_input: the plane at the resolution that the network takes.
     """
 
+    photo: Photo
+    coarse: CoarseFit
     whole: Plane
     waves: tuple[Wave, ...]
     network_input: Plane
 
     @staticmethod
-    def of(plane: Plane, waves: tuple[Wave, ...] = ()) -> Rectified:
-        """Choose the network's resolution for a plane: DETAIL; half of it if coarse and aperiodic.
-
-        Waves of any period are inputs of the network, so periodic textures need no coarser grid.
-        """
-        columns = plane.size[0]
-        usual = plane.shrunk(DETAIL) if columns > DETAIL else plane
-        suited = usual
-        if columns >= DETAIL and not waves:
-            wanted = detail_for(usual.linear, usual.valid)
-            suited = plane.shrunk(wanted) if wanted != DETAIL else usual
-        return Rectified(plane, waves, suited)
-
-    @staticmethod
-    def of_photo(photo: Photo, fit: Uniform, detail: int) -> Rectified:
-        """Rectify a photograph that has at least `detail` pixels across, and find its lattice.
-
-        Args:
-            photo: the photograph.
-            fit: its coarse fit.
-            detail: texels across.
-        """
-        plane = read_plane(photo, fit.setup, detail)
-        return Rectified.of(lit_mirror(plane, fit), lattice_of(plane))
+    def of(photo: Photo, coarse: CoarseFit, detail: int) -> Rectified:
+        """Rectify a photograph to a grid `detail` texels across, and find its lattice."""
+        plane = read_plane(photo, coarse.setup, detail)
+        whole, waves = lit_mirror(plane, coarse), lattice_of(plane)
+        return Rectified(photo, coarse, whole, waves, network_input(whole, waves))
 
     @property
     def input_waves(self) -> tuple[Wave, ...]:
@@ -152,7 +145,7 @@ class Rectified:
 
     def at_input_resolution(self) -> Rectified:
         """The same photograph with an exemplar at the network's resolution."""
-        return Rectified(self.network_input, self.input_waves, self.network_input)
+        return replace(self, whole=self.network_input, waves=self.input_waves)
 
 
 _THIN = 8  # subsampling, texels, of the uniform material's radiance, which is smooth

@@ -12,10 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from matcap.capture.detail import Rectified
-from matcap.capture.ending import judged, provenance
-from matcap.capture.method import WINDOW, Method
+from matcap.capture.method import Method
 from matcap.capture.outputs import write_outputs
-from matcap.capture.piece.find import PhotographEstimate, estimate_exemplar
+from matcap.capture.piece.find import estimate_exemplar
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import (
     DECODER_STAGES,
@@ -26,28 +25,23 @@ from matcap.capture.progress import (
     CaptureProgress,
 )
 from matcap.capture.registration.keypoints import LONG_SIDE
-from matcap.capture.result import CaptureResult
+from matcap.capture.result import CaptureResult, judged, provenance
 from matcap.capture.settings import (
     DETAIL,
     CaptureSettings,
-    Effort,
     OutputSettings,
     check_photographs,
     resolve,
 )
-from matcap.capture.start import CaptureStart
 from matcap.capture.tilt import fitted
 from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
-from matcap.flash.plane import Plane
 from matcap.photo.camera import read_camera_profile
 from matcap.photo.left_out import leave_out
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
 from matcap.photo.refusals import SHORTEST_SIDE
-
-_WINDOW_STEP = 16  # texels: sides of windows are multiples of this, the decoder's alignment
 
 OnCapture = Callable[[CaptureProgress], None]
 
@@ -197,85 +191,51 @@ def capture_under(
     if settings.generator == "decoder":
         from matcap.capture.by_decoder import capture_by_decoder
 
-        shot = _begun(photo, settings, method, clock, others)
-        shot = replace(shot, rectified=shot.rectified.at_input_resolution())
-        return capture_by_decoder(shot, settings, effort, method, clock)
+        rectified = _rectified(photo, settings, method, clock).at_input_resolution()
+        return capture_by_decoder(rectified, others, settings, effort, method, clock)
     if others:
-        captured = _of_several([photo, *others], settings, effort, method, clock)
+        from matcap.capture.together.find import estimate_together
+
+        # The multi-view solve is limited to DETAIL; preset and time limit may ask for less.
+        detail = settings.detail or min(effort.detail, DETAIL)
+        rectified, estimate = estimate_together(
+            [photo, *others], load_inverse(), detail, clock, union=settings.union
+        )
     else:
-        captured = _of_one(photo, settings, method, clock)
-    estimate, coarse, rectified = captured.estimate, captured.coarse, captured.rectified
+        rectified = _rectified(photo, settings, method, clock)
+        absolute = photo.flash_intensity is not None
+        estimate = estimate_exemplar(
+            rectified, load_inverse(), clock, absolute=absolute, turned=photo.turned
+        )
     several = [] if estimate.several is None else estimate.several.document()["photographs"][1:]
     material = Material(
         name=photo.stem,
         generators={"example": estimate.example},
         texel_size=rectified.whole.texel_size,
-        setup=replace(coarse.setup.dimmed(estimate.scale), turned=estimate.turned),
-        provenance=provenance(captured.photo, settings, coarse, effort, several),
+        setup=replace(rectified.coarse.setup.dimmed(estimate.scale), turned=estimate.turned),
+        provenance=provenance(rectified, settings, effort, several),
     )
-    return judged(captured.photo, material, rectified, settings, clock, estimate)
+    return judged(rectified, material, settings, clock, estimate)
 
 
-def _begun(
-    photo: Photo,
-    settings: CaptureSettings,
-    method: Method,
-    clock: CaptureClock,
-    others: Sequence[Photo] = (),
-) -> CaptureStart:
-    """Fit camera and flash, undo the tone curve and rectify the photograph to its plane."""
+def _rectified(
+    photo: Photo, settings: CaptureSettings, method: Method, clock: CaptureClock
+) -> Rectified:
+    """Fit camera and flash, undo the tone curve and rectify the photograph to its plane.
+
+    Raises:
+        MatcapError: the plane is shorter than SHORTEST_SIDE texels.
+    """
     with clock.stage("coarse fit"):
         coarse = fitted(photo, measured=method.measured_tilt)
         photo = photo.linearised(coarse.tone)
-        detail = settings.detail_of(max(photo.pixels.shape))
-        rectified = Rectified.of_photo(photo, coarse, detail)
-        window = _window(rectified.network_input, WINDOW, photo.name)
-    return CaptureStart(photo, coarse, rectified, window, others)
-
-
-def _of_one(
-    photo: Photo, settings: CaptureSettings, method: Method, clock: CaptureClock
-) -> PhotographEstimate:
-    """Estimate the exemplar of one photograph."""
-    shot = _begun(photo, settings, method, clock)
-    absolute = photo.flash_intensity is not None
-    estimate = estimate_exemplar(
-        shot.rectified,
-        shot.coarse,
-        load_inverse(),
-        clock,
-        absolute=absolute,
-        turned=shot.photo.turned,
-    )
-    return PhotographEstimate(estimate, shot.coarse, shot.rectified, shot.photo)
-
-
-def _of_several(
-    photos: Sequence[Photo],
-    settings: CaptureSettings,
-    effort: Effort,
-    method: Method,
-    clock: CaptureClock,
-) -> PhotographEstimate:
-    """Estimate the exemplar of several photographs of one sample."""
-    from matcap.capture.together.find import estimate_together
-
-    # The multi-view solve is limited to DETAIL; preset and time limit may ask for less.
-    detail = settings.detail or min(effort.detail, DETAIL)
-    return estimate_together(photos, load_inverse(), detail, clock, union=settings.union)
-
-
-def _window(plane: Plane, wanted: int, name: str) -> int:
-    """Side of comparison windows, texels: `wanted`, or the largest multiple of 16 that fits.
-
-    Raises:
-        MatcapError: the plane is shorter than SHORTEST_SIDE texels; `name` is its photograph's.
-    """
-    width, height = plane.size
-    if min(height, width) < SHORTEST_SIDE:
-        raise MatcapError.at(
-            name,
-            f"at this detail the picture is {width} x {height} texels, too few to hold a texture",
-            f"raise --detail, or crop it, until both are at least {SHORTEST_SIDE}",
-        )
-    return min(wanted, *(side // _WINDOW_STEP * _WINDOW_STEP for side in (height, width)))
+        rectified = Rectified.of(photo, coarse, settings.detail_of(max(photo.pixels.shape)))
+        width, height = rectified.network_input.size
+        if min(height, width) < SHORTEST_SIDE:
+            raise MatcapError.at(
+                photo.name,
+                f"at this detail the picture is {width} x {height} texels, "
+                "too few to hold a texture",
+                f"raise --detail, or crop it, until both are at least {SHORTEST_SIDE}",
+            )
+    return rectified

@@ -12,47 +12,54 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from matcap.capture.method import FEATURES, Method
+from matcap.capture.detail import Rectified
+from matcap.capture.method import FEATURES, WINDOW, Method
 from matcap.capture.settings import CaptureSettings
-from matcap.capture.start import CaptureStart
 from matcap.capture.tilt import fitted
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_encode_tensor
+from matcap.photo.photo import Photo
 from matcap.space.tuning.joint import join
 from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.windows import cut_windows
 from matcap.statistics.compare import Features
 from matcap.statistics.filterbank import FilterBank
 
+_WINDOW_STEP = 16  # texels: sides of windows are multiples of this, the decoder's alignment
+
 
 def photograph_target(
-    shot: CaptureStart, settings: CaptureSettings, method: Method, most: int | None = None
+    rectified: Rectified,
+    others: Sequence[Photo],
+    settings: CaptureSettings,
+    method: Method,
+    most: int | None = None,
 ) -> tuple[PhotographTarget, list[dict[str, Any]]]:
     """Windows and statistics for the texture distance, and a JSON entry for each other photograph.
 
     Args:
-        shot: the photograph, with others.
+        rectified: the photograph, at the network's resolution.
+        others: more photographs of the same sample.
         settings: names the statistics.
         method: has the weights.
         most: largest number of windows, or None.
     """
-    plane, coarse = shot.plane, shot.coarse
+    plane, coarse = rectified.whole, rectified.coarse
+    side = min(WINDOW, *(side // _WINDOW_STEP * _WINDOW_STEP for side in plane.size))
     bank = _features(settings)
     target = PhotographTarget(
-        cut_windows(plane, bank, shot.window, most=most),
+        cut_windows(plane, bank, side, most=most),
         coarse.setup,
         plane.encoding,
         bank,
-        shot.waves,
+        rectified.waves,
         plane.texel_size,
         weights=method.weights,
         expected=coarse.logits(),
     )
-    fits = [fitted(photo) for photo in shot.others]
-    others = [
-        (photo.linearised(fit.tone), fit) for photo, fit in zip(shot.others, fits, strict=True)
-    ]
-    return join(target, coarse, others, plane.size[0]) if others else (target, [])
+    fits = ((photo, fitted(photo)) for photo in others)
+    linear = [(photo.linearised(fit.tone), fit) for photo, fit in fits]
+    return join(target, coarse, linear, plane.size[0]) if others else (target, [])
 
 
 def _features(settings: CaptureSettings) -> Features:

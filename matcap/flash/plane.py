@@ -45,6 +45,11 @@ class Plane:
         return self.channels | self.valid
 
     @property
+    def kept(self) -> Tensor:
+        """(H, W) bool: texels of the material; all without a mask."""
+        return torch.ones_like(self.valid) if self.left_out is None else ~self.left_out
+
+    @property
     def size(self) -> tuple[int, int]:
         """(width, height) in texels."""
         return self.linear.shape[-1], self.linear.shape[-2]
@@ -58,6 +63,11 @@ class Plane:
     def extent(self) -> Extent:
         """Extent of its grid on the plane."""
         return self.margins.extent(self.linear.shape[-1] - self.margins.left - self.margins.right)
+
+    @property
+    def unit(self) -> float:
+        """Texels along the photograph's long side, of which a mosaic has more."""
+        return self.extent.unit(self.linear.shape[-1])
 
     def encoded(self) -> Tensor:
         """(3, H, W) texture colour of about unit variance, shading included."""

@@ -7,7 +7,7 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.capture import detail, preview
-from matcap.capture.detail import coarse_share, detail_for, lattice_of
+from matcap.capture.detail import coarse_share, lattice_of, network_input
 from matcap.capture.settings import DETAIL
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import plane_of
@@ -31,7 +31,7 @@ SEEN = torch.ones(HEIGHT, DETAIL, dtype=torch.bool)
     ("scale", "detail"), [(1, 1024), (3, 1024), (4, 1024), (20, 512), (30, 512)]
 )
 def test_blotches_too_large_for_the_network_halve_the_detail(scale, detail):
-    assert detail_for(noise(scale), SEEN) == detail
+    assert network_input(plane_of(noise(scale), SEEN)).size[0] == detail
 
 
 def test_the_share_grows_with_the_size_and_neither_with_contrast_nor_exposure():
@@ -48,7 +48,7 @@ def test_the_flash_alone_is_not_a_coarse_texture():
     )
     squared = x.square() + y.square()
     lit = noise(2) * (1.2**2 / (1.2**2 + squared)) ** 2 + 0.3 * torch.exp(-squared / 0.08)
-    assert detail_for(lit, SEEN) == DETAIL
+    assert network_input(plane_of(lit, SEEN)).size[0] == DETAIL
 
 
 @pytest.mark.parametrize(("share", "period"), [(0.7, 88.0), (0.4, 173.0)])

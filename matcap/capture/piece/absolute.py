@@ -4,8 +4,8 @@ Twice the albedo and F0 under half the flash give the same picture. The scale is
 of materials: dielectrics have F0 near 0.04 (index of refraction 1.5) whatever their albedo, which
 spans two orders of magnitude; metals have a high F0 and no diffuse albedo. So the ratio of F0 to
 albedo, which a highlight measures, determines both: black leather with F0 three times its albedo is
-black. Where texels are classified as metal or dielectric (metal.py), each part has the prior of its
-own class, and metal that of its hue: gold is brighter than steel. See docs/notes/capture.md.
+black. Where texels are classified as metal or dielectric (classes.py), each part has the prior of
+its own class, and metal that of its hue: gold is brighter than steel. See docs/notes/capture.md.
 """
 
 from __future__ import annotations
@@ -83,21 +83,16 @@ def how_metallic(levels: Tensor) -> float:
     return metal - plain
 
 
-def most_probable_scale(exemplar: Exemplar, metal: NDArray[np.float32] | None = None) -> float:
+def most_probable_scale(exemplar: Exemplar, metal: NDArray[np.float32]) -> float:
     """Most probable factor on albedo and F0 (the flash intensity is divided by it).
 
     Args:
         exemplar: fitted maps.
-        metal: (h, w) share of metal in each texel, on any grid; None without metal.
+        metal: (h, w) share of metal in each texel, on any grid.
     """
-    brightest = _MOST_OF
-    if metal is None:
-        factor = DIELECTRIC.scale(*_logs(exemplar, np.ones_like(exemplar.height[0])))[0]
-    else:
-        factor = _factor_of_parts(exemplar, metal)
-        brightest = _MOST_OF_METAL
+    brightest = _MOST_OF_METAL if metal.any() else _MOST_OF
     most = max(_most(exemplar.diffuse, _MOST_OF), _most(exemplar.specular, brightest))
-    return min(math.exp(factor), max(_BRIGHTEST / most, 1.0))
+    return min(math.exp(_factor_of_parts(exemplar, metal)), max(_BRIGHTEST / most, 1.0))
 
 
 def _factor_of_parts(exemplar: Exemplar, metal: NDArray[np.float32]) -> float:

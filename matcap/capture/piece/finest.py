@@ -22,10 +22,11 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS, Reflectance
 from matcap.capture.piece.noise import AROUND, DARKEST
-from matcap.capture.piece.refine import PlaneLight
+from matcap.capture.piece.observation import PlaneLight
 from matcap.capture.piece.smooth import smoothed, split
 from matcap.example.exemplar import Exemplar
 from matcap.flash.plane import Plane
+from matcap.flash.uniform import Uniform
 
 # Detail transfer; docs/notes/capture.md.
 _MOST_RESIDUAL = 1.0  # log radiance; residuals are clipped to +-this
@@ -42,14 +43,17 @@ Floats = NDArray[np.float32]
 
 
 @torch.no_grad()
-def finest(exemplar: Exemplar, plane: Plane, light: PlaneLight) -> Exemplar:
+def finest(exemplar: Exemplar, plane: Plane, coarse: Uniform) -> Exemplar:
     """Enlarge an exemplar to the photograph's plane and add its finest bands.
 
     Args:
-        exemplar: estimated at a lower resolution.
+        exemplar: estimated at a lower resolution; returned unchanged if it has the plane's.
         plane: the photograph.
-        light: the photograph's, at every texel of the plane.
+        coarse: its coarse fit, which has the light.
     """
+    if exemplar.size == plane.size:
+        return exemplar
+    light = PlaneLight(coarse, plane.size)
     maps = _enlarged(exemplar, plane)
     noise = _Noise.of(plane, exemplar.size)
     grain = _unshown(light.rendered(maps)[0], plane, exemplar.size, noise)
@@ -79,13 +83,13 @@ def finest(exemplar: Exemplar, plane: Plane, light: PlaneLight) -> Exemplar:
     )
 
 
-def sharpness(maps: MapSet, plane: Plane, light: PlaneLight) -> float:
+def sharpness(maps: MapSet, plane: Plane, coarse: Uniform) -> float:
     """Amplitude of the finest octave of log radiance, re-rendering over photograph.
 
     1 is as sharp as the photograph. Over valid texels; 1 without any.
     """
     width, height = plane.size
-    rendered = light.rendered(maps)[0]
+    rendered = PlaneLight(coarse, plane.size).rendered(maps)[0]
     observed = plane.linear.clamp_min(DARKEST).log()
     half = ((width + 1) // 2, (height + 1) // 2)
     seen = plane.valid

@@ -21,8 +21,7 @@ from torch import Tensor
 from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
 from matcap.brdf.parameters import Reflectance
 from matcap.capture.piece.noise import DARKEST
-from matcap.capture.piece.observation import Observation
-from matcap.capture.piece.refine import PhotographLight
+from matcap.capture.piece.observation import Observation, PhotographLight
 from matcap.example.exemplar import Exemplar
 from matcap.field.single import one_thread
 from matcap.photo.shrink import area_averaged
@@ -64,7 +63,7 @@ _NEAR = 12  # farthest centre of a disc of the highlight from the mirror point, 
 _UNUSUAL = 4.0  # deviations from the mean over other centres at which a ring stands out
 
 Floats = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+TexelMask = NDArray[np.bool_]
 BlockPlaces = NDArray[np.int64]
 
 
@@ -80,8 +79,7 @@ def inpainted(exemplar: Exemplar, observed: Observation) -> Exemplar:
     distance = (observed.from_mirror_point / plane.texel_size).numpy()
     spot = remaining_highlight(exemplar.diffuse, observed.within.numpy(), distance)
     exemplar = replace(exemplar, confidence=exemplar.confidence * ~spot)
-    left_out = None if plane.left_out is None else plane.left_out.numpy()
-    return transport(exemplar, plane.linear, plane.valid, observed.light, left_out=left_out)
+    return transport(exemplar, plane.linear, plane.valid, plane.kept, observed.light)
 
 
 @dataclass(frozen=True)
@@ -102,14 +100,13 @@ def transport(
     exemplar: Exemplar,
     linear: Tensor,
     valid: Tensor,
+    kept: Tensor,
     light: PhotographLight,
-    *,
-    left_out: Mask | None = None,
 ) -> Exemplar:
     """Copy blocks of maps to where specular light hides them (reflectance transport).
 
-    The chosen block minimises its mismatch with neighbours in the overlap plus the mismatch of its
-    rendering in place with the photograph (texture transfer [efros2001]),
+    A block minimises its mismatch with neighbours in the overlap plus that of its rendering in
+    place with the photograph (texture transfer [efros2001]),
 
         1 - correlation(a, b) + w |log(|a|^2 / |b|^2)|,
 
@@ -120,21 +117,19 @@ def transport(
         exemplar: estimated maps; confidence is not changed.
         linear: (3, H, W) the photograph on its plane.
         valid: (H, W) bool, visible and not clipped.
+        kept: (H, W) bool, the material; masked texels that it surrounds are inpainted, too.
         light: the photograph's, at every texel.
-        left_out: (H, W) bool, masked texels, or None; inpainted if surrounded by the material.
 
     Returns:
         The same object if nothing is hidden, or no block qualifies as a donor.
     """
-    confidence = exemplar.confidence[0]
-    known = np.ones(confidence.shape, np.bool_) if left_out is None else ~left_out
+    confidence, known = exemplar.confidence[0], kept.numpy()
     trusted = confidence / max(float(np.quantile(confidence[known], _WELL_SEEN)), 1e-6)
     most = float(np.quantile(trusted[known], _MOST_HIDDEN)) + 1e-6
     hidden = _around(trusted < min(_TRUSTED, most))
     donors = _donors(~hidden & known)
-    if left_out is not None:
-        # Texels outside of a crop are not inpainted.
-        hidden = (hidden & known) | (_between(known) & ~known)
+    # Texels outside of a crop are not inpainted.
+    hidden = (hidden & known) | (_between(known) & ~known)
     if hidden.mean() < _LEAST_HIDDEN or not len(donors):
         return exemplar
     planes = _map_planes(exemplar, ~hidden)
@@ -239,7 +234,7 @@ def _choose(
     places: list[tuple[int, int]],
     donors: BlockPlaces,
     planes: _MapPlanes,
-    known: Mask,
+    known: TexelMask,
     photograph: _Photograph,
 ) -> dict[tuple[int, int], tuple[int, int]]:
     """Corner of the donor block of every place; distinct places keep their maps, without entry."""
@@ -289,7 +284,7 @@ def _discontinuity(
     blocks: BlockPlaces,
     donor: Floats,
     seen: Floats,
-    known: Mask,
+    known: TexelMask,
 ) -> Floats:
     """(N,) mean squared difference of blocks to known texels of a place, standardised."""
     here = tuple(slice(start, start + _BLOCK, 2) for start in place)
@@ -306,8 +301,8 @@ def _discontinuity(
 
 
 def _sources(
-    chosen: dict[tuple[int, int], tuple[int, int]], hidden: Mask
-) -> tuple[BlockPlaces, Mask]:
+    chosen: dict[tuple[int, int], tuple[int, int]], hidden: TexelMask
+) -> tuple[BlockPlaces, TexelMask]:
     """(2, H, W) source row and column of each texel, and (H, W) bool, which are copied.
 
     In an overlap, a texel takes the block whose border is farther from it.
@@ -326,7 +321,7 @@ def _sources(
     return source, deepest > 0
 
 
-def _map_planes(exemplar: Exemplar, known: Mask) -> _MapPlanes:
+def _map_planes(exemplar: Exemplar, known: TexelMask) -> _MapPlanes:
     """Prepare an exemplar's planes; albedo is standardised over known texels."""
     stacked = exemplar.stacked().astype(np.float32)
     height = exemplar.height[0] / exemplar.texel_size
@@ -341,19 +336,19 @@ def _map_planes(exemplar: Exemplar, known: Mask) -> _MapPlanes:
     return _MapPlanes(stacked, high_passed, features.astype(np.float32))
 
 
-def _around(texels: Mask) -> Mask:
+def _around(texels: TexelMask) -> TexelMask:
     """(H, W) bool: texels, and those within _SPREAD of them."""
     square = np.ones((2 * _SPREAD + 1,) * 2, np.uint8)
     return np.asarray(cv2.dilate(texels.astype(np.uint8), square) > 0)
 
 
-def _between(known: Mask) -> Mask:
+def _between(known: TexelMask) -> TexelMask:
     """(H, W) bool, texels that have a known texel both in their row and in their column."""
     rows, columns = np.asarray(known.any(axis=1)), np.asarray(known.any(axis=0))
     return rows[:, None] & columns[None, :]
 
 
-def _donors(trusted: Mask) -> BlockPlaces:
+def _donors(trusted: TexelMask) -> BlockPlaces:
     """(N, 2) corners of blocks with high confidence nearly everywhere."""
     rows, columns = trusted.shape
     if min(rows, columns) <= _BLOCK:
@@ -376,7 +371,7 @@ def _block(corner: tuple[int, int]) -> tuple[slice, slice]:
     return slice(corner[0], corner[0] + _BLOCK), slice(corner[1], corner[1] + _BLOCK)
 
 
-def composed(maps: Floats, source: BlockPlaces, free: Mask, reach: float) -> Floats:
+def composed(maps: Floats, source: BlockPlaces, free: TexelMask, reach: float) -> Floats:
     """Maps copied from their sources without steps at seams: gradient-domain composition.
 
     Texel p shows v(p) = m(s(p)), with s(p) = p where the maps are kept. The result u minimises,
@@ -424,7 +419,7 @@ def composed(maps: Floats, source: BlockPlaces, free: Mask, reach: float) -> Flo
     return result
 
 
-def _solved(right: NDArray[np.float64], free: Mask, reach: float) -> Floats:
+def _solved(right: NDArray[np.float64], free: TexelMask, reach: float) -> Floats:
     """Conjugate gradients for c in (L + reach^-2) c = right, 0 where not free, (C, h, w) each.
 
     Free texels alone are stored, their channels together; neighbours that are not free share a 0.
@@ -466,14 +461,14 @@ def _ends(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     return ((first, every), (last, every)) if axis == 0 else ((every, first), (every, last))
 
 
-def _at(maps: Floats, places: BlockPlaces, free: Mask) -> tuple[Floats, Floats]:
+def _at(maps: Floats, places: BlockPlaces, free: TexelMask) -> tuple[Floats, Floats]:
     """(C, h, w) maps at places (2, h, w), and (h, w) 1 where those are kept texels, else 0."""
     rows, columns = (np.clip(p, 0, side - 1) for p, side in zip(places, free.shape, strict=True))
     kept = (rows == places[0]) & (columns == places[1]) & ~free[rows, columns]
     return maps[:, rows, columns], kept.astype(np.float32)
 
 
-def remaining_highlight(albedo: Floats, known: Mask, distance: Floats) -> Mask:
+def remaining_highlight(albedo: Floats, known: TexelMask, distance: Floats) -> TexelMask:
     """(H, W) bool: texels around the mirror point whose albedo still has the highlight.
 
     What the fitted lobe misses of a highlight is put into albedo: a white spot, or a ring. A

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -10,24 +11,127 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.parameters import SurfaceParameters
+from matcap.brdf.maps import MapSet
+from matcap.brdf.normals import normals_from_slopes
+from matcap.brdf.parameters import F0_LIMITS, Reflectance, SurfaceParameters
+from matcap.capture.piece.classes import seen_colour, tint
 from matcap.capture.piece.levels import RingTarget
-from matcap.capture.piece.metal import seen_colour, tint
-from matcap.capture.piece.network.inputs import network_inputs
+from matcap.capture.piece.network.inputs import STEP, network_inputs
 from matcap.capture.piece.network.network import NetworkInputs
-from matcap.capture.piece.noise import AROUND, channel_noise, channel_weights
-from matcap.capture.piece.refine import PhotographLight
+from matcap.capture.piece.noise import AROUND, DARKEST, channel_noise, channel_weights
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.piece.strengths import RESPONSE_AROUND, Strengths, measure_strengths
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import flash_mirror_point, plane_points
-from matcap.flash.light import from_vignetting_centre
+from matcap.flash.light import FlashLight, Incidence, cached_rows, from_vignetting_centre, strips
 from matcap.flash.plane import Plane
 from matcap.flash.rectify import inside
+from matcap.flash.uniform import Uniform
 
 _SPREAD_OF_LIGHT = 1.5  # texels, standard deviation of the blur of clipping
 # Radiance (1 at clipping) below which a neighbourhood is unlit: the lowest 8-bit codes, or noise.
 _UNLIT = 1e-3
+
+
+@dataclass(frozen=True)
+class PhotographLight:
+    """The photograph's light at every texel, precomputed.
+
+    Attributes:
+        flash: the light.
+        uniform: (..., 1, 1) each: log parameters of the uniform material, which `departures` are
+            added to.
+        hue: (3, H, W) specular tint, F0 over the mean of its channels; None without metal
+            (classes.py). Departures of F0 are those of its mean.
+    """
+
+    flash: FlashLight
+    uniform: SurfaceParameters
+    hue: Tensor | None = None
+
+    @staticmethod
+    def of(coarse: Uniform, points: Tensor) -> PhotographLight:
+        """Light and uniform material of a coarse fit, at plane points (3, H, W)."""
+        return PhotographLight(FlashLight.of(coarse.setup, points), coarse.parameters().to(points))
+
+    def cut(self, rows: slice, columns: slice) -> PhotographLight:
+        """The light at a rectangle of texels."""
+        hue = None if self.hue is None else self.hue[..., rows, columns]
+        return replace(self, flash=self.flash.cut(rows, columns), hue=hue)
+
+    def maps(self, departures: SurfaceParameters, texel_size: float = 1.0) -> MapSet:
+        """Maps with log parameters `uniform` + departures."""
+        maps = (self.uniform + departures).maps(texel_size)
+        if self.hue is None:
+            return maps
+        return replace(maps, specular=(maps.specular * self.hue).clamp(*F0_LIMITS))
+
+    def departures(self, maps: MapSet) -> SurfaceParameters:
+        """The inverse of maps()."""
+        if self.hue is not None:
+            maps = replace(maps, specular=maps.specular.mean(-3, keepdim=True))
+        return SurfaceParameters.of(maps) - self.uniform
+
+    def logs(self, maps: MapSet | Reflectance, incidence: Incidence) -> tuple[Tensor, Tensor]:
+        """(3, H, W) each: log radiance of maps, and the diffuse share of the radiance."""
+        diffuse = incidence.diffuse(maps.diffuse)
+        mirrored = incidence.specular(maps.specular, maps.roughness)
+        radiance = (diffuse + mirrored).clamp_min(DARKEST)
+        return radiance.log(), diffuse / radiance
+
+    def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
+        """logs() of maps on their own relief, strip by strip."""
+        return _by_strips(self.cut, maps)
+
+    def slope_sensitivity(self, maps: MapSet | Reflectance) -> Tensor:
+        """(2, H, W) d log L / d slope along x and y on a flat surface, L averaged over channels."""
+        one = torch.ones_like(maps.roughness)
+
+        def tilted(x: float, y: float) -> Tensor:
+            incidence = self.flash.onto(normals_from_slopes(x * one, y * one))
+            return self.logs(maps, incidence)[0].mean(0)
+
+        across = tilted(STEP, 0.0) - tilted(-STEP, 0.0)
+        up = tilted(0.0, STEP) - tilted(0.0, -STEP)
+        return torch.stack([across, up]) / (2.0 * STEP)
+
+
+@dataclass(frozen=True)
+class PlaneLight:
+    """A photograph's light at the texels of its plane, computed for each rectangle that is cut.
+
+    Attributes:
+        coarse: the fit whose light it is.
+        size: (width, height) of the plane.
+    """
+
+    coarse: Uniform
+    size: tuple[int, int]
+
+    def cut(self, rows: slice, columns: slice) -> PhotographLight:
+        """The light at a rectangle of texels."""
+        width, height = self.size
+        top, bottom, step = rows.indices(height)
+        points = plane_points(0, top, width, bottom - top, self.size, dtype=torch.float32)
+        return PhotographLight.of(self.coarse, points[:, ::step, columns])
+
+    def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
+        """PhotographLight.logs() of maps on their own relief, strip by strip."""
+        return _by_strips(self.cut, maps)
+
+
+def _by_strips(
+    light: Callable[[slice, slice], PhotographLight], maps: MapSet
+) -> tuple[Tensor, Tensor]:
+    """PhotographLight.logs() of maps on their own relief, under the light of each strip of rows."""
+    log, share = torch.empty_like(maps.diffuse), torch.empty_like(maps.diffuse)
+    normal, (height, width) = maps.normal, maps.diffuse.shape[-2:]
+    for rows in strips(height, cached_rows(width)):
+        cut = (m[..., rows, :] for m in (maps.diffuse, maps.specular, maps.roughness))
+        lit = light(rows, slice(None))
+        incidence = lit.flash.onto(normal[..., rows, :])
+        log[..., rows, :], share[..., rows, :] = lit.logs(Reflectance(*cut), incidence)
+    return log, share
 
 
 @dataclass(frozen=True)
@@ -62,9 +166,7 @@ class Observation:
         points = plane.extent.placed(points)
         # Texels outside of the photograph are mirrored ones, and count as valid inputs.
         own = torch.from_numpy(inside(plane.margins.inside_of((height, width)), coarse.setup))
-        mirrors = ~plane.margins.padded(own)
-        if plane.left_out is not None:
-            mirrors = mirrors | plane.left_out
+        mirrors = ~(plane.margins.padded(own) & plane.kept)
         inputs = network_inputs(plane.linear, plane.valid | mirrors, coarse, points)
         bright = lit(plane.linear)
         shown = (plane.measured | mirrors) & bright

@@ -1,32 +1,52 @@
-"""Refinement by re-rendering: residuals are assigned to maps in proportion to their variance.
+"""Stage refine: maps are changed until they re-render to the photograph.
 
-Gauss-Newton steps at every texel assign the residual of log radiance to albedo, or to F0 of metal,
-in proportion to sensitivity and prior variance (a Wiener filter whose prior is the network's
-prediction with its expected errors). Relief is not changed: misplaced relief would be cancelled
-instead of moved (docs/notes/capture.md). A clipped channel is a lower bound. Low-frequency
-residuals are errors of coarse fit and tone curve, and are left out.
+In come predicted maps with their classes, out go the same maps with other parameters (levelled):
+
+1. flatten: the low frequencies of albedo, which a stationary sample does not have, are removed;
+2. narrowed: relief is scaled down until the highlight is no wider than photographed;
+3. scaled_by_glints: each octave of relief is scaled to the photographed contrast of glints;
+4. with_levels: after 2 and 3, each class's mean parameters are fitted to the highlight (levels.py);
+5. refine: the residual of log radiance is assigned to the albedo of every texel, of metal to F0;
+6. flatten and with_photographed_mean: as 1, and the mean radiance is the photograph's.
+
+Glints (3): where the specular fraction s of radiance is high, contrast is due to slopes, as albedo
+is diluted, and F0 and roughness are constant. So the photographed energy E_b of log radiance in
+octave b, noise subtracted, gives the factor g_b on relief:
+
+    E_b(region) = mean (1 - s)^2 A_b + g_b^2 R_b(region),  of the glossiest and the mattest region,
+
+with the unknown energy A_b of log albedo, and the energy R_b of the re-rendering with constant
+albedo. The matte region yields A_b: under a glaze over a pattern, or on polished limestone, part of
+the contrast is albedo.
+
+Albedo (5): Gauss-Newton steps, by a Wiener filter. Of a residual r of log radiance a parameter with
+sensitivity a = d log L / d parameter and prior variance p, the network's expected error, gets
+
+    a p r / (a^2 p + noise variance).
+
+Relief is not changed: misplaced relief would be cancelled instead of moved (docs/notes/capture.md).
+A clipped channel is a lower bound. Low-frequency residuals are errors of coarse fit and tone curve,
+and are left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.maps import MapSet
-from matcap.brdf.normals import normals_from_slopes
-from matcap.brdf.parameters import F0_LIMITS, Reflectance, SurfaceParameters
-from matcap.capture.piece.network.inputs import STEP
+from matcap.brdf.parameters import SurfaceParameters
+from matcap.capture.piece.levels import LevelPrior, fit_levels
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.noise import DARKEST, channel_weights
-from matcap.capture.piece.smooth import WIDE, smoothed
-from matcap.flash.geometry import plane_points
-from matcap.flash.light import FlashLight, Incidence, cached_rows, strips
-from matcap.flash.uniform import Uniform
+from matcap.capture.piece.observation import Observation, PhotographLight
+from matcap.capture.piece.predict import NetworkPrediction
+from matcap.capture.piece.smooth import WIDE, filled, smoothed, split
 
 # Refinement; docs/notes/capture.md. NSD is the normalised style distance.
 
@@ -51,129 +71,117 @@ _STATIONARY = 8.0
 _RINGS, _SECTORS = 64, 16  # rings across the long side, and their parts
 _MOST_SHIFT = 2.0  # largest factor on the mean radiance
 
+# Mean parameters.
+LEVEL_TEXELS = 384  # short side of the grid of the fit
+# Standard deviations of the mean residual of rings, and of the log scale of relief (`narrowed`).
+_RING_ERROR, _SCALE_LOG = 0.025, 0.5
+# Prior standard deviations of mean parameters (log albedo 3, log F0, logit roughness) around their
+# values before relief is known, of dielectric and metal.
+_PLAIN_LEVELS = [1.0, 1.0, 1.0, 0.15, 0.3]
+_METAL_LEVELS = [0.05, 0.05, 0.05, 0.5, 0.3]
 
-@dataclass(frozen=True)
-class Refined:
-    """Refined maps and residuals of their re-rendering.
+# Glints.
+# Specular fraction of the radiance that bounds the glossiest region, where slopes dominate.
+MIRRORED = 0.4
+LEAST_SHARE = 0.01  # least share of the photograph for that region
+# Share of the photograph, with the least specular fraction, in the mattest region.
+_MATTE_SHARE = 0.33
+_LEAST_FACTOR, _MOST_FACTOR = 0.5, 6.0  # limits of the factors
 
-    Attributes:
-        departures: log parameters of the maps less those of the coarse fit.
-        residual: (3, H, W) log radiance of the photograph less that of the re-rendering.
-        slow: (3, H, W) its low frequencies, which are not assigned to maps.
+
+def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
+    """Fit mean parameters of the classes, then albedo of every texel, to the photograph."""
+    plane, even = observed.plane, evened(observed, prediction)
+    fitted = with_levels(observed, narrowed(observed, even))
+    steep = scaled_by_glints(
+        fitted.departures, plane.linear, plane.measured, observed.light, observed.noise
+    )
+    fitted = with_levels(observed, replace(fitted, departures=steep))
+    photograph, metal = (plane.linear, observed.shown), fitted.classes.metal_share
+    refined = refine(
+        fitted.departures,
+        fitted.errors,
+        *photograph,
+        observed.light,
+        metal=metal,
+        noise=observed.noise,
+    )
+    even = evened(observed, replace(fitted, departures=refined))
+    shifted = with_photographed_mean(even.departures, *photograph, observed.light, metal)
+    return replace(even, departures=shifted)
+
+
+def evened(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
+    """Remove low-frequency trends of albedo, except those of the class shares (flatten)."""
+    plane, levels = observed.plane, prediction.classes.flat()
+    distances = (observed.from_mirror_point, observed.from_cone)
+    even = flatten(
+        prediction.departures - levels,
+        prediction.trusted[0],
+        [(distance / plane.texel_size).numpy() for distance in distances],
+        plane.unit,
+    )
+    return replace(prediction, departures=even + levels)
+
+
+def narrowed(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
+    """Scale relief down until it does not make the highlight wider than photographed.
+
+    Roughness makes up for relief that is too flat; nothing narrows the highlight of relief that is
+    too steep. The scale s <= 1 is the most probable one of half octaves:
+
+        minimise  (r(s) / _RING_ERROR)^2 / 2 + (log s / _SCALE_LOG)^2 / 2,
+
+    with r the mean absolute log residual of rings, their levels fitted to relief s h.
     """
 
-    departures: SurfaceParameters
-    residual: Tensor
-    slow: Tensor
+    def scaled(scale: float) -> NetworkPrediction:
+        departures = prediction.departures
+        return replace(prediction, departures=replace(departures, height=departures.height * scale))
+
+    def cost(scale: float) -> float:
+        _, residual = _fitted_levels(observed, scaled(scale), LEVEL_TEXELS // 2)
+        return (residual / _RING_ERROR) ** 2 + (math.log(scale) / _SCALE_LOG) ** 2
+
+    scale, least = 1.0, cost(1.0)
+    while (lower := cost(scale * math.sqrt(0.5))) < least:
+        scale, least = scale * math.sqrt(0.5), lower
+    return scaled(scale)
 
 
-@dataclass(frozen=True)
-class PhotographLight:
-    """The photograph's light at every texel, precomputed.
+def with_levels(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
+    """Fit the classes' mean parameters to the radial profile of the highlight (levels.py)."""
+    classes = prediction.classes
+    moved, _ = _fitted_levels(observed, prediction, LEVEL_TEXELS)
+    changed = prediction.departures + classes.flat(moved)
+    classes = replace(classes, levels=classes.levels + moved)
+    return replace(prediction, departures=changed, classes=classes)
 
-    Attributes:
-        flash: the light.
-        uniform: (..., 1, 1) each: log parameters of the uniform material, which `departures` are
-            added to.
-        hue: (3, H, W) specular tint, F0 over the mean of its channels; None without metal
-            (metal.py). Departures of F0 are those of its mean.
+
+def _fitted_levels(
+    observed: Observation, prediction: NetworkPrediction, texels: int
+) -> tuple[Tensor, float]:
+    """(K, 5) changes of the classes' mean parameters, and the mean absolute log residual of rings.
+
+    Args:
+        observed: the photograph.
+        prediction: the maps with their classes.
+        texels: short side of the grid of the fit, at least.
     """
-
-    flash: FlashLight
-    uniform: SurfaceParameters
-    hue: Tensor | None = None
-
-    @staticmethod
-    def of(coarse: Uniform, points: Tensor) -> PhotographLight:
-        """Light and uniform material of a coarse fit, at plane points (3, H, W)."""
-        return PhotographLight(FlashLight.of(coarse.setup, points), coarse.parameters().to(points))
-
-    def cut(self, rows: slice, columns: slice) -> PhotographLight:
-        """The light at a rectangle of texels."""
-        hue = None if self.hue is None else self.hue[..., rows, columns]
-        return replace(self, flash=self.flash.cut(rows, columns), hue=hue)
-
-    def maps(self, departures: SurfaceParameters, texel_size: float = 1.0) -> MapSet:
-        """Maps with log parameters `uniform` + departures."""
-        maps = (self.uniform + departures).maps(texel_size)
-        if self.hue is None:
-            return maps
-        return replace(maps, specular=(maps.specular * self.hue).clamp(*F0_LIMITS))
-
-    def departures(self, maps: MapSet) -> SurfaceParameters:
-        """The inverse of maps()."""
-        if self.hue is not None:
-            maps = replace(maps, specular=maps.specular.mean(-3, keepdim=True))
-        return SurfaceParameters.of(maps) - self.uniform
-
-    def logs(self, maps: MapSet | Reflectance, incidence: Incidence) -> tuple[Tensor, Tensor]:
-        """(3, H, W) each: log radiance of maps, and the diffuse share of the radiance."""
-        diffuse = incidence.diffuse(maps.diffuse)
-        mirrored = incidence.specular(maps.specular, maps.roughness)
-        radiance = (diffuse + mirrored).clamp_min(DARKEST)
-        return radiance.log(), diffuse / radiance
-
-    def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
-        """logs() of maps on their own relief, strip by strip."""
-        return _by_strips(self.cut, maps)
-
-    def slope_sensitivity(self, maps: MapSet | Reflectance) -> Tensor:
-        """(2, H, W) d log L / d slope along x and y on a flat surface, L averaged over channels."""
-        one = torch.ones_like(maps.roughness)
-
-        def tilted(x: float, y: float) -> Tensor:
-            incidence = self.flash.onto(normals_from_slopes(x * one, y * one))
-            return self.logs(maps, incidence)[0].mean(0)
-
-        across = tilted(STEP, 0.0) - tilted(-STEP, 0.0)
-        up = tilted(0.0, STEP) - tilted(0.0, -STEP)
-        return torch.stack([across, up]) / (2.0 * STEP)
-
-
-@dataclass(frozen=True)
-class PlaneLight:
-    """A photograph's light at the texels of its plane, computed for each rectangle that is cut.
-
-    Attributes:
-        coarse: the fit whose light it is.
-        size: (width, height) of the plane.
-    """
-
-    coarse: Uniform
-    size: tuple[int, int]
-
-    def cut(self, rows: slice, columns: slice) -> PhotographLight:
-        """The light at a rectangle of texels."""
-        width, height = self.size
-        top, bottom, step = rows.indices(height)
-        points = plane_points(0, top, width, bottom - top, self.size, dtype=torch.float32)
-        return PhotographLight.of(self.coarse, points[:, ::step, columns])
-
-    def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
-        """PhotographLight.logs() of maps on their own relief, strip by strip."""
-        return _by_strips(self.cut, maps)
-
-
-def _by_strips(
-    light: Callable[[slice, slice], PhotographLight], maps: MapSet
-) -> tuple[Tensor, Tensor]:
-    """PhotographLight.logs() of maps on their own relief, under the light of each strip of rows."""
-    log, share = torch.empty_like(maps.diffuse), torch.empty_like(maps.diffuse)
-    normal, (height, width) = maps.normal, maps.diffuse.shape[-2:]
-    for rows in strips(height, cached_rows(width)):
-        cut = (m[..., rows, :] for m in (maps.diffuse, maps.specular, maps.roughness))
-        lit = light(rows, slice(None))
-        incidence = lit.flash.onto(normal[..., rows, :])
-        log[..., rows, :], share[..., rows, :] = lit.logs(Reflectance(*cut), incidence)
-    return log, share
+    classes = prediction.classes
+    target = observed.ring_target(prediction.departures, classes.metal)
+    step = max(1, min(target.distance.shape) // texels)
+    shares = classes.shares[:, ::step, ::step]
+    deviation = torch.tensor([_METAL_LEVELS if metal else _PLAIN_LEVELS for metal in classes.metal])
+    start = torch.zeros_like(classes.levels)
+    return fit_levels(target.thinned(texels), shares, start, LevelPrior(start, deviation))
 
 
 def flatten(
     departures: SurfaceParameters,
     confidence: NDArray[np.float32],
     distances: Sequence[NDArray[np.float32]],
-    *,
-    across: float | None = None,
+    unit: float,
 ) -> SurfaceParameters:
     """Remove from albedo (of metal: F0) low frequencies, and rings around given points: the
     flash's mirror point, and the vignetting's centre.
@@ -184,7 +192,7 @@ def flatten(
         departures: of the exemplar from its classes' mean parameters.
         confidence: (H, W) of albedo, in [0, 1].
         distances: (H, W) each, from these points, texels.
-        across: texels of the photograph's long side, if the exemplar extends beyond it.
+        unit: texels along the photograph's long side.
     """
     weight = torch.from_numpy(confidence).square() + 1e-3
 
@@ -192,7 +200,6 @@ def flatten(
         if not bool(channels.any()):
             return channels
         mean = (channels * weight).sum((1, 2), keepdim=True) / weight.sum()
-        unit = across or max(channels.shape)
         level = np.stack([c - smoothed(c, unit / _STATIONARY) for c in channels.numpy()])
         for distance in distances:
             level -= _rings(level, distance, confidence)
@@ -251,9 +258,9 @@ def refine(
     valid: Tensor,
     light: PhotographLight,
     *,
-    metal: Tensor | None = None,
+    metal: Tensor | float = 0.0,
     noise: Tensor | float = 0.02,
-) -> Refined:
+) -> SurfaceParameters:
     """Refine albedo, of metal F0, so that the maps re-render to the photograph.
 
     Args:
@@ -262,7 +269,7 @@ def refine(
         linear: (3, H, W) the photograph on the plane's grid.
         valid: (H, W) or (3, H, W) bool, visible and not clipped.
         light: the photograph's own.
-        metal: (1, H, W) share of metal in each texel; None without metal.
+        metal: (1, H, W) share of metal in each texel.
         noise: standard deviation of the photograph's log radiance; (3, H, W) or one number.
     """
     observed = linear.clamp_min(DARKEST).log()
@@ -274,7 +281,6 @@ def refine(
     log, shares = light.logs(maps, incidence)
     white = torch.as_tensor(noise).to(linear).expand_as(linear).clamp_min(_LEAST_NOISE)
     weights = channel_weights(white)
-    bare = torch.zeros_like(maps.roughness) if metal is None else metal
     for step in range(_STEPS):
         if step:
             log, shares = light.logs(light.maps(departures), incidence)
@@ -283,11 +289,11 @@ def refine(
         informative = valid | (residual > 0.0)
         share = (weights * shares).sum(0, keepdim=True)
         # d log L / d log albedo, and of metal / d log F0.
-        base = (1.0 - bare) * share + bare * (1.0 - share)
+        base = (1.0 - metal) * share + metal * (1.0 - share)
         counts = weights * informative
         counts = counts / counts.sum(0, keepdim=True).clamp_min(1e-6)
         grey = (counts * residual).sum(0, keepdim=True)
-        uncertain = _GLARE + (_GLARE_METAL - _GLARE) * bare
+        uncertain = _GLARE + (_GLARE_METAL - _GLARE) * metal
         glare = (uncertain * (1.0 - share)).square()
         # The channels' noise is taken as fully correlated, as development blurs it to blotches.
         unknown = (counts * white).sum(0, keepdim=True).square() + glare
@@ -297,10 +303,10 @@ def refine(
         own = chroma * shares * colour / (shares.square() * colour + white.square() + glare)
         departures = replace(
             departures,
-            diffuse=departures.diffuse + (1.0 - bare) * (common + own),
-            specular=departures.specular + bare * common,
+            diffuse=departures.diffuse + (1.0 - metal) * (common + own),
+            specular=departures.specular + metal * common,
         )
-    return remaining(departures, linear, valid, light)
+    return departures
 
 
 @torch.no_grad()
@@ -309,7 +315,7 @@ def with_photographed_mean(
     linear: Tensor,
     valid: Tensor,
     light: PhotographLight,
-    metal: Tensor | None = None,
+    metal: Tensor | float = 0.0,
 ) -> SurfaceParameters:
     """Shift log albedo, and F0 of metal, so that the mean radiance is the photograph's.
 
@@ -324,8 +330,7 @@ def with_photographed_mean(
     """
     log, diffuse_share = light.rendered(light.maps(departures))
     even, _ = light.rendered(light.maps(departures - departures))
-    bare = torch.zeros_like(log[:1]) if metal is None else metal
-    share = (1.0 - bare) * diffuse_share + bare * (1.0 - diffuse_share)
+    share = (1.0 - metal) * diffuse_share + metal * (1.0 - diffuse_share)
     radiance = log.exp()
     weight = valid * share / even.exp()
     photographed = (weight * (linear - (1.0 - share) * radiance)).sum((1, 2))
@@ -334,19 +339,20 @@ def with_photographed_mean(
     shift = ratio.log()[:, None, None]
     return replace(
         departures,
-        diffuse=departures.diffuse + (1.0 - bare) * shift,
-        specular=departures.specular + bare * shift.mean(),
+        diffuse=departures.diffuse + (1.0 - metal) * shift,
+        specular=departures.specular + metal * shift.mean(),
     )
 
 
 def remaining(
     departures: SurfaceParameters, linear: Tensor, valid: Tensor, light: PhotographLight
-) -> Refined:
-    """Departures with the residuals of their re-rendering; arguments as of refine."""
-    maps = light.maps(departures)
-    log, _ = light.rendered(maps)
+) -> tuple[Tensor, Tensor]:
+    """(3, H, W) each: residual of log radiance, photograph less re-rendering, and its low
+    frequencies, which are not the material's; arguments as of refine.
+    """
+    log, _ = light.rendered(light.maps(departures))
     residual = _unexplained(linear.clamp_min(DARKEST).log(), log, valid)
-    return Refined(departures, residual, _slow(residual, valid))
+    return residual, _slow(residual, valid)
 
 
 def _unexplained(observed: Tensor, log: Tensor, valid: Tensor) -> Tensor:
@@ -364,3 +370,65 @@ def _slow(residual: Tensor, valid: Tensor) -> Tensor:
         for plane, weight in zip(residual.clamp(-1, 1).numpy(), weights, strict=True)
     ]
     return torch.from_numpy(np.stack(planes))
+
+
+def scaled_by_glints(
+    departures: SurfaceParameters,
+    linear: Tensor,
+    measured: Tensor,
+    light: PhotographLight,
+    noise: Tensor,
+) -> SurfaceParameters:
+    """Scale each octave of relief by its factor g_b, measured in the glints (module).
+
+    Args:
+        departures: of the exemplar from the coarse fit.
+        linear: (3, H, W) the photograph on the plane's grid.
+        measured: (3, H, W) bool: not clipped.
+        light: the photograph's own.
+        noise: (3, H, W) standard deviation of log radiance.
+    """
+    maps = light.maps(departures)
+    _, diffuse_share = light.rendered(maps)
+    around = max(linear.shape) / WIDE
+    glare = 1.0 - smoothed(diffuse_share.mean(0).numpy(), around / 4.0)
+    seen = measured.all(0).numpy()
+    region = (glare > MIRRORED) & seen
+    if float(region.mean()) < LEAST_SHARE:
+        return departures
+    mean = departures.diffuse.mean((1, 2), keepdim=True)
+    maps = light.maps(replace(departures, diffuse=mean.expand_as(linear)))
+    rendered = light.rendered(maps)[0].mean(0).numpy()
+    photograph = linear.clamp_min(DARKEST).log().mean(0).numpy()
+    variance = (noise.square().mean(0) / 3.0).numpy()
+
+    def energies(where: NDArray[np.bool_]) -> NDArray[np.float64]:
+        energy = _energies(photograph, where, around)
+        # Sensor noise is white: three quarters of its energy are in the finest octave.
+        for octave in range(len(energy) - 1):
+            energy[len(energy) - 2 - octave] -= variance[where].mean() * 0.75 * 0.25**octave
+        return energy.clip(0.0)
+
+    matte = (glare <= np.quantile(glare[seen], _MATTE_SHARE)) & seen
+    diluted = np.square(1.0 - glare).clip(1e-8)
+    share = diluted[region].mean() / diluted[matte].mean()
+    whole = _energies(rendered, region, around)
+    # If both regions are equally sensitive to slope, relief and albedo are hardly separable.
+    relief = (whole - share * _energies(rendered, matte, around)).clip(0.5 * whole)
+    excess = (energies(region) - share * energies(matte)).clip(0.0)
+    gains = np.sqrt(excess / relief.clip(1e-12))
+    gains = gains.clip(_LEAST_FACTOR, _MOST_FACTOR)
+    gains[-1] = 1.0
+    bands = split(departures.height[0].numpy())
+    height = sum(float(g) * band for g, band in zip(gains, bands, strict=True))
+    return replace(departures, height=torch.from_numpy(np.asarray(height, np.float32))[None])
+
+
+def _energies(
+    plane: NDArray[np.float32], region: NDArray[np.bool_], around: float
+) -> NDArray[np.float64]:
+    """(bands,) mean square over a region (H, W) of a plane's bands, longest first."""
+    plane = filled(plane, region)
+    plane = plane - smoothed(plane, around)
+    plane = np.where(region, plane, np.float32(0.0))
+    return np.array([np.square(band[region]).mean() for band in split(plane)], np.float64)

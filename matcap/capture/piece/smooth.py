@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.piece.strengths import BANDS
 from matcap.photo.shrink import area_averaged
 
+# Longest and shortest wavelength of each band, texels.
+BANDS = tuple(pairwise((64.0, 32.0, 16.0, 8.0, 4.0, 2.8, 2.0)))
 # Octave bands of a plane; docs/notes/capture.md.
 COARSER = 8  # subsampling, texels, of wide blurs. Larger values are faster and leave cells.
 # The long side over the standard deviation of the blur that takes light and shading, not texture.

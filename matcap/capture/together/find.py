@@ -17,25 +17,21 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.detail import Rectified
+from matcap.capture.detail import Rectified, network_input
 from matcap.capture.piece.absolute import most_probable_scale, scaled
 from matcap.capture.piece.classes import Classes
 from matcap.capture.piece.find import (
     ExemplarEstimate,
-    NetworkPrediction,
-    PhotographEstimate,
-    confidence,
-    evened,
-    exemplar_of,
     indexed,
     map_set_of,
     refined,
 )
-from matcap.capture.piece.finest import finest, sharpness
+from matcap.capture.piece.finest import finest
 from matcap.capture.piece.inpaint import inpainted
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse
 from matcap.capture.piece.observation import Observation
-from matcap.capture.piece.refine import PlaneLight
+from matcap.capture.piece.predict import NetworkPrediction, confidence, exemplar_of
+from matcap.capture.piece.refine import evened
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.progress import CaptureClock
 from matcap.capture.registration.camera import PosedCamera
@@ -82,12 +78,12 @@ class SinglePrediction:
     Attributes:
         estimate: maps and errors on its plane's texels.
         strengths: relief and albedo energies measured in the photograph, or None.
-        metal: (h, w) share of metal in each texel, or None.
+        metal: (h, w) share of metal in each texel.
     """
 
     estimate: Estimate
     strengths: Strengths | None
-    metal: NDArray[np.float32] | None
+    metal: NDArray[np.float32]
 
 
 @torch.no_grad()
@@ -98,8 +94,11 @@ def estimate_together(
     clock: CaptureClock,
     *,
     union: bool = False,
-) -> PhotographEstimate:
+) -> tuple[Rectified, ExemplarEstimate]:
     """Estimate the exemplar of several photographs; an interrupt ends with the best result so far.
+
+    The first photograph, less ambient light, is returned with it, rectified by its registered
+    camera.
 
     Args:
         photos: two or more; the first one with flash defines the frame.
@@ -118,7 +117,7 @@ def estimate_together(
     begun = by_features(registration, coarse, reach.extent)
     poses, interrupted = _aligned(begun, single.estimate.maps, prediction, clock)
     first = poses.views[0].photo
-    rectified = Rectified.of_photo(first, replace(coarse, setup=poses.setup), detail)
+    rectified = Rectified.of(first, replace(coarse, setup=poses.setup), detail)
     posed = PosedCamera.of(registration.setup), poses.views[0].camera
     maps, tint = achromatic(reframed(prediction.maps, *posed, reach.extent))
     prediction = Estimate(maps, unpredicted(prediction.log_error, reach))
@@ -134,6 +133,7 @@ def estimate_together(
         poses, views, solved = _solved(poses, prediction, tint, clock)
     interrupted |= solved.interrupted
     coarse = replace(coarse, setup=solved.light.onto(poses.setup))
+    rectified = replace(rectified, coarse=coarse)
     with clock.stage("predict"):
         ahead = None if interrupted else predictions(poses, prediction, solved, tint)
     with clock.stage("inpaint"):
@@ -146,9 +146,7 @@ def estimate_together(
     estimate = ExemplarEstimate(
         exemplar, example, strengths, error, 0.0, 1.0, interrupted, report, scale, first.turned
     )
-    light = PlaneLight(coarse, rectified.whole.size)
-    sharp = sharpness(estimate.lying, rectified.whole, light)
-    return PhotographEstimate(replace(estimate, sharpness=sharp), coarse, rectified, first)
+    return rectified, estimate.with_sharpness(rectified)
 
 
 def registered(
@@ -195,11 +193,9 @@ def predict_alone(
     plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock
 ) -> SinglePrediction:
     """Estimate from one photograph alone, on its plane's texels: prediction, relief, classes."""
-    seen = Rectified.of(plane).network_input
+    seen = network_input(plane)
     observed, prediction, strengths = refined(seen, coarse, network, clock)
-    exemplar = exemplar_of(observed, prediction)
-    if plane.size != seen.size:
-        exemplar = finest(exemplar, plane, PlaneLight(coarse, plane.size))
+    exemplar = finest(exemplar_of(observed, prediction), plane, coarse)
     errors = prediction.errors.stacked()
     wide = F.interpolate(errors[None], size=plane.size[::-1], mode="bilinear")[0]
     return SinglePrediction(Estimate(map_set_of(exemplar), wide), strengths, prediction.metal)
@@ -299,27 +295,23 @@ def _inpainted(
         )
     maps = coloured(solved.maps, tint)
     seen = torch.stack([view.seen.float().mean(0) for view in views]).amax(0)
+    seen = seen * observed.plane.kept  # of a mosaic, not where unseen, or seen too obliquely
     errors = ExpectedErrors.from_stacked(solved.estimate.log_error)
-    unit = None
-    if observed.plane.margins.any and observed.plane.left_out is not None:
-        seen = seen * ~observed.plane.left_out  # unseen, or from too oblique a view
-        unit = observed.plane.extent.unit(observed.plane.size[0])
-    trusted = confidence(errors, np.asarray(seen.numpy(), np.float32), unit)
+    trusted = confidence(errors, np.asarray(seen.numpy(), np.float32), observed.plane.unit)
     classes = Classes.whole(observed.specular_fraction.shape, metal=False)
     prediction = NetworkPrediction(observed.light.departures(maps), errors, trusted, None, classes)
-    prediction = replace(prediction, departures=evened(observed, prediction, prediction.departures))
-    return inpainted(exemplar_of(observed, prediction), observed)
+    return inpainted(exemplar_of(observed, evened(observed, prediction)), observed)
 
 
 def _indexed(
     photo: Photo,
     exemplar: Exemplar,
-    metal: NDArray[np.float32] | None,
+    metal: NDArray[np.float32],
     waves: tuple[Wave, ...],
     reach: Reach,
 ) -> tuple[Exemplar, Example, float]:
     """The exemplar, its index, and the factor on its albedo and F0 (absolute.py)."""
     known = photo.flash_intensity is not None
-    own = exemplar.cut(*reach.margins.inside(reach.size)) if reach.margins.any else exemplar
+    own = exemplar.cut(*reach.margins.inside(reach.size))
     scale = 1.0 if known else most_probable_scale(own, metal)
     return *indexed(scaled(exemplar, scale).rounded(), waves, turned=photo.turned), scale

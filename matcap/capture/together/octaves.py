@@ -20,8 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.piece.smooth import smoothed, split, split_all
-from matcap.capture.piece.strengths import BANDS
+from matcap.capture.piece.smooth import BANDS, smoothed, split, split_all
 from matcap.capture.together.surface import texel_slopes
 
 Floats = NDArray[np.float32]

@@ -25,9 +25,8 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO
-from matcap.capture.piece.equalise import equalise
-from matcap.capture.piece.smooth import local_mean, smoothed, split
-from matcap.capture.piece.strengths import BANDS, RESPONSE_AROUND, measure_strengths
+from matcap.capture.piece.smooth import BANDS, local_mean, smoothed, split
+from matcap.capture.piece.strengths import RESPONSE_AROUND, equalise, measure_strengths
 from matcap.capture.registration.camera import Lens, PosedCamera
 from matcap.capture.registration.grid import grid_points, to_pixels
 from matcap.capture.registration.register import RegisteredView

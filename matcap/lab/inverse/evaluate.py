@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.metal import seen_colour, tint
+from matcap.capture.piece.classes import seen_colour, tint
 from matcap.capture.piece.network.network import ERRORS, ExpectedErrors, Inverse, NetworkAnswer
 from matcap.flash.render import shade
 from matcap.lab.experiment.results import markdown

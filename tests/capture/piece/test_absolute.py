@@ -26,8 +26,11 @@ def exemplar(albedo: float, specular: float, *, spread: float = 0.0) -> Exemplar
     )
 
 
+DIELECTRIC = np.zeros((32, 48), np.float32)  # share of metal
+
+
 def coarse_estimate(albedo: float, specular: float) -> tuple[float, float]:
-    factor = most_probable_scale(exemplar(albedo, specular))
+    factor = most_probable_scale(exemplar(albedo, specular), DIELECTRIC)
     return albedo * factor, specular * factor
 
 
@@ -92,14 +95,14 @@ def test_what_is_usual_hardly_moves() -> None:
 
 def test_bright_paper_stays_within_the_light_there_is() -> None:
     piece = exemplar(0.7, 0.02, spread=0.1)
-    bright = scaled(piece, most_probable_scale(piece))
+    bright = scaled(piece, most_probable_scale(piece, DIELECTRIC))
     assert np.quantile(bright.diffuse, 0.99) < 1.0
 
 
 @pytest.mark.parametrize("albedo", [1e-6, 0.02, 0.9])
 @pytest.mark.parametrize("specular", [1e-6, 0.04, 0.95])
 def test_any_piece_has_a_finite_scale(albedo: float, specular: float) -> None:
-    factor = most_probable_scale(exemplar(albedo, specular))
+    factor = most_probable_scale(exemplar(albedo, specular), DIELECTRIC)
     assert math.isfinite(factor) and factor > 0.0
 
 

@@ -8,7 +8,7 @@ import torch
 from photographed import Photographed, photographed
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.detail import Rectified
+from matcap.capture.detail import Rectified, network_input
 from matcap.capture.piece.find import estimate_exemplar, map_set_of
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.network.store import load_inverse
@@ -72,7 +72,7 @@ def test_a_channel_that_is_noise_moves_no_map():
     valid = torch.ones(144, 192, dtype=torch.bool)
 
     def moved(said):
-        found = refine(truth, errors, linear, valid, light, noise=said).departures
+        found = refine(truth, errors, linear, valid, light, noise=said)
         return float((found - truth).diffuse[1:].square().mean().sqrt())
 
     assert moved(noise) < 0.2 * moved(0.01)
@@ -86,8 +86,8 @@ def _found(shot: Photographed, noise: float) -> MapSet:
     )
     linear = (shot.linear + photographed).clamp_min(0.0)
     plane = plane_of(linear, torch.ones(linear.shape[1:], dtype=torch.bool), another)
-    clock = CaptureClock(None)
-    found = estimate_exemplar(Rectified.of(plane), shot.uniform, load_inverse(), clock)
+    rectified = Rectified(None, shot.uniform, plane, (), network_input(plane))
+    found = estimate_exemplar(rectified, load_inverse(), CaptureClock(None))
     return map_set_of(found.exemplar)
 
 

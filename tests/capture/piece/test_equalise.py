@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from photographed import photographed
 
-from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.smooth import split
-from matcap.capture.piece.strengths import BANDS, Strengths, slope_strengths
+from matcap.capture.piece.strengths import BANDS, Strengths, equalise, slope_strengths
 
 
 @cache

@@ -10,15 +10,11 @@ import pytest
 import torch
 from photographed import photographed
 
-from matcap.capture.detail import Rectified
+from matcap.capture.detail import Rectified, network_input
 from matcap.capture.piece.find import (
     ExemplarEstimate,
-    _shift_averaged,
-    confidence,
     estimate_exemplar,
     map_set_of,
-    narrowed,
-    predict_maps,
 )
 from matcap.capture.piece.network.network import (
     ERRORS,
@@ -29,6 +25,8 @@ from matcap.capture.piece.network.network import (
 )
 from matcap.capture.piece.network.store import load_inverse, read_inverse
 from matcap.capture.piece.observation import Observation, lit, seen_share
+from matcap.capture.piece.predict import _shift_averaged, confidence, predict_maps
+from matcap.capture.piece.refine import narrowed
 from matcap.capture.progress import CaptureClock
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import CoarseFit
@@ -45,8 +43,8 @@ def _plane(clip: float = 1e9):
 
 
 def _found(plane: Plane, coarse: CoarseFit, network: Inverse | None = None) -> ExemplarEstimate:
-    clock = CaptureClock(None)
-    return estimate_exemplar(Rectified.of(plane), coarse, network or load_inverse(), clock)
+    rectified = Rectified(None, coarse, plane, (), network_input(plane))
+    return estimate_exemplar(rectified, network or load_inverse(), CaptureClock(None))
 
 
 def test_the_piece_re_renders_to_its_photograph() -> None:
@@ -133,7 +131,7 @@ def _expected(log: float) -> ExpectedErrors:
 
 def test_confidence_falls_with_the_error_to_be_expected() -> None:
     seen = np.ones((64, 96), np.float32)
-    sure, unsure = (confidence(_expected(e), seen) for e in (-4.0, 0.0))
+    sure, unsure = (confidence(_expected(e), seen, max(seen.shape)) for e in (-4.0, 0.0))
     assert (sure > unsure).all()
     assert sure.max() <= 1.0 and unsure.min() >= 0.0
 
@@ -166,7 +164,7 @@ def test_two_channels_show_a_texture_whose_third_one_clips(clipped: int, share: 
 def test_confidence_counts_every_error_in_its_own_units() -> None:
     """Slope's are the smallest that count, then log albedo's; F0's and roughness's are alike."""
     seen = np.ones((64, 96), np.float32)
-    albedo, f0, roughness, slope = confidence(_expected(-1.5), seen).mean((1, 2))
+    albedo, f0, roughness, slope = confidence(_expected(-1.5), seen, max(seen.shape)).mean((1, 2))
     assert slope < 0.7 * albedo and albedo < 0.8 * f0
     assert f0 == roughness
 
@@ -222,5 +220,5 @@ def test_relief_is_no_wider_than_the_highlight(
         prediction.classes.settled(prediction.departures, torch.ones(linear.shape[1:])),
         height=steeper * shot.maps.height / shot.maps.texel_size,
     )
-    found = narrowed(observed, prediction, guess)
+    found = narrowed(observed, replace(prediction, departures=guess)).departures
     assert least <= float(found.height.std() / guess.height.std()) <= most

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from photographed import Photographed, photographed
+from photographed import photographed
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.detail import Rectified
+from matcap.capture.detail import network_input
 from matcap.capture.piece.find import map_set_of
 from matcap.capture.piece.finest import finest, sharpness
-from matcap.capture.piece.refine import PlaneLight
 from matcap.capture.settings import DETAIL
 from matcap.example.exemplar import Exemplar
 from matcap.flash.plane import Plane, plane_of
@@ -45,20 +44,16 @@ def _halved(maps: MapSet) -> Exemplar:
     )
 
 
-def _light(shot: Photographed) -> PlaneLight:
-    return PlaneLight(shot.uniform, shot.maps.size)
-
-
 def test_the_piece_is_as_sharp_as_its_photograph(shot) -> None:
     plane = _plane(shot.linear)
     half = _halved(shot.maps)
-    found = finest(half, plane, _light(shot))
+    found = finest(half, plane, shot.uniform)
     assert found.size == plane.size
     assert found.texel_size == plane.texel_size
-    assert sharpness(map_set_of(found), plane, _light(shot)) == pytest.approx(1.0, abs=0.1)
+    assert sharpness(map_set_of(found), plane, shot.uniform) == pytest.approx(1.0, abs=0.1)
     enlarged = map_set_of(half).map(lambda m: F.interpolate(m[None], scale_factor=2.0)[0])
     blurred = replace(enlarged, texel_size=plane.texel_size)
-    assert sharpness(blurred, plane, _light(shot)) < 0.5
+    assert sharpness(blurred, plane, shot.uniform) < 0.5
 
 
 def test_grain_does_not_make_albedo_paler(shot) -> None:
@@ -66,14 +61,14 @@ def test_grain_does_not_make_albedo_paler(shot) -> None:
     maps = replace(shot.maps, diffuse=(0.15 * (0.6 * grain).exp()).expand(3, -1, -1))
     half = _halved(maps)
     linear = render_flash(maps, shot.uniform.setup, shot.points)
-    found = finest(half, _plane(linear), _light(shot))
+    found = finest(half, _plane(linear), shot.uniform)
     assert np.log(found.diffuse).std() > 1.3 * np.log(half.diffuse).std()
     assert found.diffuse.mean((1, 2)) == pytest.approx(half.diffuse.mean((1, 2)), rel=0.01)
 
 
 def test_grain_of_albedo_comes_back_and_what_is_coarser_stays(shot) -> None:
     half = _halved(shot.maps)
-    found = map_set_of(finest(half, _plane(shot.linear), _light(shot)))
+    found = map_set_of(finest(half, _plane(shot.linear), shot.uniform))
     fine, true = _fine(found), _fine(shot.maps)
     assert float(torch.corrcoef(torch.stack([fine, true]))[0, 1]) > 0.9
     coarse = F.avg_pool2d(found.diffuse[None], 4)[0] / F.avg_pool2d(shot.maps.diffuse[None], 4)[0]
@@ -94,7 +89,7 @@ def test_the_sensors_noise_is_not_drawn_for_grain(shot) -> None:
         )
         plane = _plane((linear + noisy).clamp_min(0.0))
         for noise in (None, result):
-            found = finest(_halved(maps), replace(plane, noise=noise), _light(shot))
+            found = finest(_halved(maps), replace(plane, noise=noise), shot.uniform)
             drawn[name, noise is not None] = _fine(map_set_of(found))
     kept = drawn["smooth", True].std() / drawn["smooth", False].std()
     assert float(kept) < 0.3
@@ -112,7 +107,7 @@ def _fine(maps: MapSet) -> torch.Tensor:
 def test_flat_maps_stay_flat(shot) -> None:
     """Grain of albedo over no relief is not drawn as relief."""
     half = replace(_halved(shot.maps), height=np.zeros((1, 192, 256), np.float32))
-    found = finest(half, _plane(shot.linear), _light(shot))
+    found = finest(half, _plane(shot.linear), shot.uniform)
     assert float(np.abs(found.height).max()) < 1e-6
 
 
@@ -121,7 +116,7 @@ def test_what_clips_is_not_drawn_darker(shot) -> None:
     clipped = shot.linear.clamp_max(clip)
     measured = shot.linear < clip
     plane = replace(plane_of(clipped, measured.all(0)), channels=measured)
-    found = map_set_of(finest(_halved(shot.maps), plane, _light(shot)))
+    found = map_set_of(finest(_halved(shot.maps), plane, shot.uniform))
     ratio = (found.diffuse / shot.maps.diffuse)[~measured]
     assert float(ratio.log().mean()) > -0.1
 
@@ -130,8 +125,5 @@ def test_coarse_textures_are_read_on_half_and_lattices_as_they_are() -> None:
     y, x = torch.meshgrid(torch.arange(768.0), torch.arange(float(DETAIL)), indexing="ij")
     wide = 0.2 * (0.5 * torch.sin(x / 20.0) * torch.sin(y / 20.0)).exp().expand(3, -1, -1)
     plane = _plane(wide.contiguous())
-    read = Rectified.of(plane)
-    assert read.network_input.size == (DETAIL // 2, 384) and read.input_waves == ()
-    wave = Wave(0.05, 0.0)
-    read = Rectified.of(plane, (wave,))
-    assert read.network_input is plane and read.input_waves == (wave,)
+    assert network_input(plane).size == (DETAIL // 2, 384)
+    assert network_input(plane, (Wave(0.05, 0.0),)) is plane

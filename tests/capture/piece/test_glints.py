@@ -10,7 +10,7 @@ import pytest
 import torch
 from photographed import photographed
 
-from matcap.capture.piece.glints import scaled_by_glints
+from matcap.capture.piece.refine import scaled_by_glints
 from matcap.flash.render import render_flash
 
 HEIGHT, WIDTH = 192, 256

@@ -10,10 +10,11 @@ import pytest
 import torch
 from photographed import photographed
 
-from matcap.capture.piece.find import exemplar_of, levelled, predict_maps
 from matcap.capture.piece.inpaint import inpainted, remaining_highlight
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.piece.observation import Observation
+from matcap.capture.piece.predict import exemplar_of, predict_maps
+from matcap.capture.piece.refine import levelled
 from matcap.flash.plane import plane_of
 
 HEIGHT, WIDTH = 384, 512

@@ -34,7 +34,7 @@ def _lent(shot: Photographed, exemplar: Exemplar, hole: tuple[slice, ...] = ()) 
     valid = torch.ones(shot.linear.shape[1:], dtype=torch.bool)
     if hole:
         valid[hole] = False
-    return transport(exemplar, shot.linear, valid, shot.light)
+    return transport(exemplar, shot.linear, valid, torch.ones_like(valid), shot.light)
 
 
 def _likeness(found: Exemplar, shot: Photographed) -> float:

@@ -111,7 +111,7 @@ class NetworkAnswer:
     errors: ExpectedErrors
     """Their expected errors."""
     metal: Tensor
-    """(..., 1, H, W) logit of the share of metal in each texel (metal.py)."""
+    """(..., 1, H, W) logit of the share of metal in each texel (classes.py)."""
 
     @staticmethod
     def from_stacked(stacked: Tensor) -> NetworkAnswer:
