@@ -22,7 +22,7 @@ from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import FlashLight
 from matcap.flash.plane import Plane, read_plane
-from matcap.flash.uniform import Uniform, uniform_radiance
+from matcap.flash.render import Uniform, uniform_radiance
 from matcap.photo.left_out import mirrored
 from matcap.photo.photo import Photo
 from matcap.photo.shrink import area_averaged

@@ -17,8 +17,7 @@ from matcap.flash.geometry import (
     unproject,
 )
 from matcap.flash.light import FlashLight, vignette
-from matcap.flash.render import render_flash
-from matcap.flash.uniform import Uniform, uniform_radiance
+from matcap.flash.render import Uniform, render_flash, uniform_radiance
 
 SETUP = FlashSetup(
     fov=65.0, offset=(0.08, 0.04, 0.0), tilt=(0.05, -0.03), intensity=(6.0, 5.0, 4.0),

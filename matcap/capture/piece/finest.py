@@ -26,7 +26,7 @@ from matcap.capture.piece.observation import PlaneLight
 from matcap.capture.piece.smooth import smoothed, split
 from matcap.example.exemplar import Exemplar
 from matcap.flash.plane import Plane
-from matcap.flash.uniform import Uniform
+from matcap.flash.render import Uniform
 
 # Detail transfer; docs/notes/capture.md.
 _MOST_RESIDUAL = 1.0  # log radiance; residuals are clipped to +-this

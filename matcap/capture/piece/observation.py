@@ -26,7 +26,7 @@ from matcap.flash.geometry import flash_mirror_point, plane_points
 from matcap.flash.light import FlashLight, Incidence, cached_rows, from_vignetting_centre, strips
 from matcap.flash.plane import Plane
 from matcap.flash.rectify import inside
-from matcap.flash.uniform import Uniform
+from matcap.flash.render import Uniform
 
 _SPREAD_OF_LIGHT = 1.5  # texels, standard deviation of the blur of clipping
 # Radiance (1 at clipping) below which a neighbourhood is unlit: the lowest 8-bit codes, or noise.

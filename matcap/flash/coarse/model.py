@@ -35,7 +35,6 @@ class Unknowns:
         vignetting: (2,) with r^2 and with r^4, as FlashSetup has them.
         centre: (2,) of the vignetting, image coordinates.
         tone: (1,) log of the tone curve's exponent.
-        share: (1,) logit of the narrow lobe's, or None.
     """
 
     albedo: Tensor

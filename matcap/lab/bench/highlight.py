@@ -25,7 +25,7 @@ from matcap.flash.coarse.fit import CoarseFit, fit_coarse
 from matcap.flash.geometry import FlashSetup, plane_points, unproject
 from matcap.flash.highlight import CELLS, find_highlight, light_of
 from matcap.flash.light import FlashLight
-from matcap.flash.uniform import uniform_radiance
+from matcap.flash.render import uniform_radiance
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.simulate.materials import random_material

@@ -23,8 +23,7 @@ from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import FlashLight
-from matcap.flash.render import render_flash
-from matcap.flash.uniform import Uniform, uniform_radiance
+from matcap.flash.render import Uniform, render_flash, uniform_radiance
 from matcap.lab.inverse.packed import PackedSet
 from matcap.lab.inverse.pieces import coloured_metal, real_piece
 from matcap.lab.simulate.develop import contrast, drift, exposure, noisy, shoulder

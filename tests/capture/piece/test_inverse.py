@@ -21,8 +21,7 @@ from matcap.capture.piece.network.network import (
 )
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points
 from matcap.flash.light import FlashLight
-from matcap.flash.render import render_flash
-from matcap.flash.uniform import Uniform, uniform_radiance
+from matcap.flash.render import Uniform, render_flash, uniform_radiance
 
 SETUP = FlashSetup(fov=60.0, offset=(0.1, -0.05, 0.0), tilt=(0.05, -0.03), intensity=(8.0,) * 3)
 UNIFORM = Uniform((0.3, 0.2, 0.1), 0.04, 0.5, SETUP)

@@ -12,8 +12,7 @@ from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.piece.levels import LevelPrior, RingTarget, fit_levels
 from matcap.flash.geometry import flash_mirror_point
 from matcap.flash.light import FlashLight
-from matcap.flash.render import render_flash
-from matcap.flash.uniform import Uniform
+from matcap.flash.render import Uniform, render_flash
 
 HEIGHT, WIDTH = 192, 256
 ONE = torch.ones(1, HEIGHT, WIDTH)

@@ -17,7 +17,7 @@ from torch import Tensor
 from matcap.capture.piece.network.network import NetworkInputs
 from matcap.flash.geometry import camera_in_plane
 from matcap.flash.light import FlashLight
-from matcap.flash.uniform import Uniform, uniform_radiance
+from matcap.flash.render import Uniform, uniform_radiance
 
 _FARTHEST = 3.0  # log radiance; residuals from the uniform material are clipped to +-this
 STEP = 0.03  # step of slope and of logit roughness in finite differences of radiance
