@@ -1,4 +1,4 @@
-"""A camera with any pose over the plane, and its lens.
+"""A camera with any pose over the plane, its lens, and photographs looked up on the plane's grid.
 
 The plane frame is the first photograph's (flash/geometry.py). A point p is q = turn (p - place) in
 the frame of a camera, which looks down -z, x right, y up. Its ideal image coordinates are
@@ -11,10 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup, camera_in_plane, setup_rotation
+from matcap.photo.photo import Photo
+from matcap.photo.shrink import area_averaged
 
 Doubles = NDArray[np.float64]
 Points = NDArray[Any]  # of single or double precision
@@ -86,3 +90,50 @@ class PosedCamera:
     def tilt(self) -> float:
         """Angle between optical axis and plane normal, radians."""
         return float(np.arccos(np.clip(self.turn[2, 2], -1.0, 1.0)))
+
+
+def grid_points(
+    across: int, down: int, extent: Extent = OWN, rows: slice = slice(None)
+) -> NDArray[np.float64]:
+    """(3, down, across) plane points of a grid's texels, or of some of its rows.
+
+    The layout is that of geometry.plane_points.
+    """
+    texel = extent.texel(across)
+    x = (np.arange(across) + 0.5 - across / 2.0) * texel + extent.middle[0]
+    y = (down / 2.0 - np.arange(down)[rows] - 0.5) * texel + extent.middle[1]
+    return np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.zeros((len(y), across))])
+
+
+def to_pixels(
+    image: NDArray[np.float64], columns: int, rows: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Columns and rows of image coordinates (2, ...) for cv2.remap; -1e6 for NaN."""
+    x = (image[0] + 1.0) * columns / 2.0 - 0.5
+    y = (rows - image[1] * columns) / 2.0 - 0.5
+    return (
+        np.nan_to_num(x, nan=-1e6).astype(np.float32),
+        np.nan_to_num(y, nan=-1e6).astype(np.float32),
+    )
+
+
+def log_on_grid(
+    photo: Photo, camera: PosedCamera, size: tuple[int, int], wide: int, darkest: float, how: int
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """(down, across) each: log radiance of a photograph on the plane's grid, and where it is seen.
+
+    Args:
+        photo: the photograph; the mean of its channels is looked up.
+        camera: its camera.
+        size: (across, down) texels of the grid.
+        wide: pixels across to which the photograph is averaged before.
+        darkest: radiance below which the logarithm is clamped.
+        how: OpenCV interpolation.
+    """
+    rows, columns = photo.pixels.shape[:2]
+    small = (wide, round(wide * rows / columns))
+    grey = area_averaged(photo.pixels, small).mean(2)
+    log = np.log(np.maximum(grey, darkest)).astype(np.float32)
+    x, y = to_pixels(camera.sees(grid_points(*size)), *small)
+    inside = (x > 1) & (x < small[0] - 2) & (y > 1) & (y < small[1] - 2)
+    return cv2.remap(log, x, y, how, borderMode=cv2.BORDER_REFLECT_101), np.asarray(inside)

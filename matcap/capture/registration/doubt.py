@@ -25,8 +25,7 @@ from matcap.capture.registration.adjust import (
     Pair,
     less_relief,
 )
-from matcap.capture.registration.camera import Doubles, Lens, PosedCamera
-from matcap.capture.registration.grid import grid_points
+from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, grid_points
 
 DOUBTED = 0.002  # standard deviation of a position, over its distance, above which it is reported
 

@@ -38,6 +38,15 @@ _SLOW = 24.0  # standard deviation of the high-pass, pixels
 _AROUND = 40.0  # standard deviation of the local contrast, pixels
 _FAINT = 0.01  # log radiance added to the local contrast, so that noise is not amplified
 
+# Test for periodic patterns.
+_PERIOD_ACROSS = 640  # width of the downsampled photograph, pixels
+_PERIOD_SLOW = 12.0  # larger standard deviation of the band-pass, pixels; the smaller is FINE
+_NEAREST = 4  # least lag, pixels; at smaller ones any smooth texture correlates
+_REACH = 0.2  # largest lag along each axis, as a share of the width
+# Autocorrelation from which a pattern is periodic; leather, stone and plaster have below 0.07,
+# most weaves 0.46 to 0.94 (docs/notes/several.md).
+_ALIKE = 0.35
+
 
 @dataclass(frozen=True)
 class Keypoints:
@@ -219,3 +228,38 @@ def _voted(one: Doubles, other: Doubles, shapes: NDArray[np.complex128]) -> NDAr
     along = (off < 0.03 + 0.3 * far) & (ratio < 0.6) & (far < 0.7)
     votes = (along & (far > 0.02)).sum(1)
     return np.asarray(along[int(np.argmax(votes))])
+
+
+def repeats_itself(photo: Photo) -> bool:
+    """Whether the photographed pattern is periodic: largest autocorrelation above _ALIKE.
+
+    Its matches are ambiguous by whole periods: only aperiodic features (stains, flaws, a border)
+    resolve the ambiguity, and with too few of them the matches are inconsistent.
+    """
+    return likeness_further(photo) > _ALIKE
+
+
+def likeness_further(photo: Photo) -> float:
+    """Largest local maximum of the texture's autocorrelation at lags of 4 pixels or more.
+
+    In [-1, 1]; lags are up to 0.2 of the width along each axis.
+    """
+    rows, columns = photo.pixels.shape[:2]
+    wide = min(columns, _PERIOD_ACROSS)
+    size = (wide, round(wide * rows / columns))
+    grey = area_averaged(photo.pixels.mean(2), size)
+    log = np.log(np.maximum(grey, 1e-5)).astype(np.float32)
+    texture = cv2.GaussianBlur(log, (0, 0), FINE) - cv2.GaussianBlur(log, (0, 0), _PERIOD_SLOW)
+    texture -= texture.mean()
+    fields = [texture, np.ones_like(texture)]
+    whole = tuple(2 * side for side in texture.shape)
+    alike, shared = (
+        np.fft.irfft2(np.abs(np.fft.rfft2(each, whole)) ** 2, whole) for each in fields
+    )
+    reach = round(_REACH * wide)
+    around = np.ix_(np.arange(reach), np.arange(-reach, reach))
+    likeness = (alike[around] / shared[around]).astype(np.float32)
+    highest = likeness == cv2.dilate(likeness, np.ones((5, 5), np.uint8))
+    far = np.hypot(*np.meshgrid(np.arange(reach), np.arange(-reach, reach), indexing="ij"))
+    further = likeness[highest & (far >= _NEAREST)]
+    return float(further.max(initial=-1.0)) / max(float(likeness[0, reach]), 1e-12)

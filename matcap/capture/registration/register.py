@@ -11,17 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.capture.registration.adjust import BENT, Adjusted, Pair, adjust
-from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.camera import PosedCamera, log_on_grid
 from matcap.capture.registration.doubt import doubts
-from matcap.capture.registration.grid import grid_points, to_pixels
-from matcap.capture.registration.keypoints import KeypointFinder
-from matcap.capture.registration.period import repeats_itself
+from matcap.capture.registration.keypoints import KeypointFinder, repeats_itself
 from matcap.capture.registration.sharp import BLURRED, blurring
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.inspect import hot_spot
 from matcap.photo.photo import Photo
-from matcap.photo.shrink import area_averaged
 
 # Limits beyond which a photograph is left out.
 MATCHES = 18  # least number of inliers; by chance there are 6 to 13 (docs/notes/several.md)
@@ -254,17 +251,12 @@ def _texture(
     view: RegisteredView, across: int, down: int
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """(H, W) high-passed log radiance over its local contrast on the plane's grid, and its mask."""
-    rows, columns = view.photo.pixels.shape[:2]
-    size = (across, round(across * rows / columns))
-    grey = area_averaged(view.photo.pixels, size).mean(2)
-    log = np.log(np.maximum(grey, 1e-5)).astype(np.float32)
-    image = view.camera.sees(grid_points(across, down))
-    x, y = to_pixels(image, size[0], size[1])
-    inside = (x > 1) & (x < size[0] - 2) & (y > 1) & (y < size[1] - 2)
-    there = cv2.remap(log, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
+    there, inside = log_on_grid(
+        view.photo, view.camera, (across, down), across, 1e-5, cv2.INTER_LINEAR
+    )
     fine = cv2.GaussianBlur(there, (0, 0), 1.0) - cv2.GaussianBlur(there, (0, 0), 6.0)
     around = np.sqrt(cv2.GaussianBlur(fine * fine, (0, 0), 12.0)) + 1e-4
-    return (fine / around).astype(np.float32), np.asarray(inside)
+    return (fine / around).astype(np.float32), inside
 
 
 # Limits of the falloff.

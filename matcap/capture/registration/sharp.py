@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.registration.camera import PosedCamera
-from matcap.capture.registration.grid import grid_points, to_pixels
+from matcap.capture.registration.camera import PosedCamera, log_on_grid
 from matcap.photo.photo import Photo
 from matcap.photo.shrink import area_averaged
 
@@ -52,14 +51,8 @@ def _fineness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.flo
     """(tiles,) log sharpness on the first photograph's plane; NaN for a tile partly outside."""
     across = _ACROSS
     down = round(across * first.pixels.shape[0] / first.pixels.shape[1])
-    rows, columns = photo.pixels.shape[:2]
-    wide = min(columns, across)
-    size = (wide, round(wide * rows / columns))
-    grey = area_averaged(photo.pixels, size).mean(2)
-    log = np.log(np.maximum(grey, 1e-4)).astype(np.float32)
-    x, y = to_pixels(camera.sees(grid_points(across, down)), *size)
-    inside = (x > 1) & (x < size[0] - 2) & (y > 1) & (y < size[1] - 2)
-    there = cv2.remap(log, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
+    wide = min(photo.pixels.shape[1], across)
+    there, inside = log_on_grid(photo, camera, (across, down), wide, 1e-4, cv2.INTER_CUBIC)
     tiles = (_TILES, max(2, round(_TILES * down / across)))
     fine, long, seen = (
         area_averaged(each, tiles).ravel()

@@ -22,8 +22,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.registration.adjust import Pair, adjust
-from matcap.capture.registration.camera import Doubles, PosedCamera
-from matcap.capture.registration.grid import grid_points
+from matcap.capture.registration.camera import Doubles, PosedCamera, grid_points
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.shared import shared_step
 from matcap.capture.together.surface import surface_of

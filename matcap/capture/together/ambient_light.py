@@ -17,7 +17,7 @@ from torch import Tensor
 
 from matcap.brdf.normals import by_slopes
 from matcap.capture.piece.smooth import local_mean
-from matcap.capture.registration.grid import to_pixels
+from matcap.capture.registration.camera import to_pixels
 from matcap.capture.registration.register import RegisteredView
 from matcap.photo.photo import FULL, Photo
 from matcap.photo.shrink import area_averaged

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.capture.registration.camera import grid_points
 from matcap.capture.registration.doubt import DOUBTED
-from matcap.capture.registration.grid import grid_points
 from matcap.capture.registration.keypoints import LONG_SIDE
 from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order
 from matcap.capture.together.union import reach_of, sees

@@ -27,8 +27,7 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO
 from matcap.capture.piece.smooth import BANDS, local_mean, smoothed, split
 from matcap.capture.piece.strengths import RESPONSE_AROUND, equalise, measure_strengths
-from matcap.capture.registration.camera import Lens, PosedCamera
-from matcap.capture.registration.grid import grid_points, to_pixels
+from matcap.capture.registration.camera import Lens, PosedCamera, grid_points, to_pixels
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.ambient_light import LEAN, LEANING, Views
 from matcap.capture.together.texels import SLOPES, derivatives, points_of

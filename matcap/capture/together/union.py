@@ -21,8 +21,7 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.detail import UNION_TIMES
 from matcap.capture.piece.smooth import filled, smoothed
-from matcap.capture.registration.camera import Doubles, Lens, PosedCamera
-from matcap.capture.registration.grid import grid_points
+from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, grid_points
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
 from matcap.capture.together.tint import on_grid

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.piece.noise import DARKEST
-from matcap.capture.registration.camera import PosedCamera
-from matcap.capture.registration.grid import grid_points, to_pixels
+from matcap.capture.registration.camera import PosedCamera, grid_points, to_pixels
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.ambient_light import AMBIENT_NOISE, LEAN, AmbientLight
 from matcap.capture.together.tint import on_grid

@@ -13,8 +13,7 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.find import map_set_of
 from matcap.capture.pipeline import capture_file
-from matcap.capture.registration.camera import PosedCamera
-from matcap.capture.registration.grid import grid_points
+from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.result import CaptureResult
 from matcap.capture.together.union import STEEPEST, sees
 from matcap.lab.bench.nsd import PhotographSettings

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.registration.camera import Lens, PosedCamera
-from matcap.capture.registration.grid import grid_points
+from matcap.capture.registration.camera import Lens, PosedCamera, grid_points
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import CORNER_SQUARED

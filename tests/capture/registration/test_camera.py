@@ -9,8 +9,7 @@ import torch
 
 from matcap.capture.registration import adjust as adjustment
 from matcap.capture.registration.adjust import Pair, adjust
-from matcap.capture.registration.camera import Lens, PosedCamera
-from matcap.capture.registration.grid import grid_points
+from matcap.capture.registration.camera import Lens, PosedCamera, grid_points
 from matcap.flash.geometry import FlashSetup, project
 from matcap.lab.simulate.hand_held import Hand, hold
 from matcap.lab.simulate.photograph import PhoneCamera

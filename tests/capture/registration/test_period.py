@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from matcap.capture.registration.period import repeats_itself
+from matcap.capture.registration.keypoints import repeats_itself
 from matcap.capture.registration.register import register
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.hand_held import Hand, hold

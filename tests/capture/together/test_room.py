@@ -11,8 +11,7 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_slopes
 from matcap.capture.piece.strengths import slope_strengths
 from matcap.capture.pipeline import capture_into, capture_photo
-from matcap.capture.registration.camera import PosedCamera
-from matcap.capture.registration.grid import grid_points
+from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together.ambient_light import AmbientLight, evenly_lit, without_ambient

@@ -13,8 +13,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.outputs import write_outputs
 from matcap.capture.piece.find import map_set_of
 from matcap.capture.pipeline import capture_photo
-from matcap.capture.registration.camera import PosedCamera
-from matcap.capture.registration.grid import grid_points
+from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together import union

@@ -9,8 +9,7 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import F0
-from matcap.capture.registration.camera import PosedCamera
-from matcap.capture.registration.grid import grid_points
+from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.together.texels import Estimate, parameters_of
 from matcap.capture.together.view_predictions import (
     OwnPlane,
