@@ -30,7 +30,6 @@ from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.anytime import Forecaster, self_difference
 from matcap.space.tuning.finetune import (
     RATE_WITH_DRAWING,
-    OnStep,
     Tuned,
     TuneSettings,
     finetune,
@@ -62,7 +61,12 @@ def capture_by_decoder(
         MatcapError: the prior cannot be read, or the picture is too small for `target`.
     """
     photo, coarse, plane = rectified.photo, rectified.coarse, rectified.whole
-    estimate = _piece(rectified, clock) if settings.draws else None
+
+    def estimated(clock: CaptureClock) -> ExemplarEstimate:
+        """The exemplar at the coarse fit's exposure, which is the decoder's too."""
+        return estimate_exemplar(rectified, load_inverse(), clock, absolute=True)
+
+    estimate = estimated(clock) if settings.draws else None
     with clock.stage("statistics"):
         most = None if effort.steps else 1
         target, joined = photograph_target(rectified, others, settings, method, most)
@@ -70,12 +74,15 @@ def capture_by_decoder(
         if drawing is not None:  # it has the lattice, at phases of its own
             target = replace(target, waves=())
         own = self_difference(target.windows, target.weights)
-        tune = _tune(settings, effort, own, photo.name)
-
-    on_step = _on_step(clock, own)
+        tune = TuneSettings(
+            steps=effort.steps,
+            target=_target(settings, own, photo.name),
+            places=effort.places,
+            seed=settings.seed,
+        )
     start = _start(rectified, settings, target, tune, clock)
     target = replace(target, drawing=drawing)
-    decoder, tuned = _tuned_decoder(rectified, start, target, tune, clock, on_step)
+    decoder, tuned = _tuned_decoder(rectified, start, target, tune, clock, own)
     about = provenance(rectified, settings, effort, joined)
     material = decoder.material(photo.stem, coarse.setup, about)
     if tuned.history and effort.matched:
@@ -86,7 +93,7 @@ def capture_by_decoder(
 
     if estimate is None and settings.aligned:
         with postponed() as stopped:
-            estimate = _piece(rectified, CaptureClock(None))
+            estimate = estimated(CaptureClock(None))
         clock.interrupted |= stopped()
     went = Tuning(tuned.history, own, drawing is not None)
     if photo.turned:  # all above is as the photograph lies
@@ -122,9 +129,9 @@ def _tuned_decoder(
     target: PhotographTarget,
     tune: TuneSettings,
     clock: CaptureClock,
-    on_step: OnStep,
+    own: float,
 ) -> tuple[TunedDecoder, Tuned]:
-    """Fine-tune a decoder, to a drawing if the target has one."""
+    """Fine-tune a decoder, to a drawing if the target has one; `own` is the error that is one."""
     decoder, rate = start.decoder, start.rate
     if target.drawing is not None:
         decoder, rate = with_drawing(decoder), RATE_WITH_DRAWING
@@ -132,7 +139,14 @@ def _tuned_decoder(
         limit = clock.left_for("fine-tuning")
         seconds = limit if math.isfinite(limit) else None
         tune = replace(tune, seconds=seconds, learning_rate=rate)
-        tuned = finetune(decoder, start.code, target, tune, on_step)
+        ahead = Forecaster(own)
+        tuned = finetune(
+            decoder,
+            start.code,
+            target,
+            tune,
+            lambda share, error, taken: clock.tuning(share, *ahead.after(error, taken)),
+        )
     clock.interrupted |= tuned.interrupted
     network = tuned.decoder.eval().requires_grad_(False)
     made = TunedDecoder(
@@ -146,27 +160,6 @@ def _upright(material: Material) -> Material:
     tuned, setup = material.part(TunedDecoder), replace(material.setup, turned=True)
     assert tuned is not None
     return tuned.material(material.name, setup, material.provenance)
-
-
-def _tune(settings: CaptureSettings, effort: Effort, own: float, name: str) -> TuneSettings:
-    """Settings of fine-tuning, except learning rate and time limit."""
-    return TuneSettings(
-        steps=effort.steps,
-        target=_target(settings, own, name),
-        places=effort.places,
-        seed=settings.seed,
-    )
-
-
-def _on_step(clock: CaptureClock, own: float) -> OnStep:
-    """Progress callback of fine-tuning, with a forecast."""
-    ahead = Forecaster(own)
-    return lambda share, error, seconds: clock.tuning(share, *ahead.after(error, seconds))
-
-
-def _piece(rectified: Rectified, clock: CaptureClock) -> ExemplarEstimate:
-    """Estimate the exemplar of the (first) photograph, at the coarse fit's exposure."""
-    return estimate_exemplar(rectified, load_inverse(), clock, absolute=True)
 
 
 def _target(settings: CaptureSettings, own: float, name: str) -> float | None:

@@ -132,7 +132,8 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
             drawn = draw_set(several, lying, blocks[0].width)
             blocks.append(titled(drawn, "Cameras and flashes"))
             if several.reach is not None:
-                whole = block(list(whole_panels(result, result.estimate)))
+                maps = map_set_of(result.estimate.exemplar)
+                whole = block(list(lit_panels(maps, result.rerendered, result.material.setup)))
                 blocks.insert(2, titled(whole, several.reach.says()))
     blocks.insert(0, _headline(result, blocks[0].width))
     return stacked(blocks)
@@ -185,18 +186,13 @@ def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterab
     yield _developed("photograph", result, result.rectified)
     whole = _developed("re-rendered", result, rerendered.values)
     yield replace(whole, close=rerendered.close)
+    yield from lit_panels(maps, rerendered.values, setup)
+
+
+def lit_panels(maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Iterable[Panel]:
+    """Panels of maps under light from two sides (relit), and of each map."""
     for side in _LIGHTS:
-        yield relit(side, maps, rerendered.values, setup)
-    yield from each_map(maps)
-
-
-def whole_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[Panel]:
-    """Panels of an exemplar that extends beyond the first photograph: two lights, and maps."""
-    from matcap.capture.piece.find import map_set_of
-
-    maps = map_set_of(estimate.exemplar)
-    for side in _LIGHTS:
-        yield relit(side, maps, result.rerendered, result.material.setup)
+        yield relit(side, maps, rerendered, setup)
     yield from each_map(maps)
 
 

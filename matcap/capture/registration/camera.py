@@ -136,4 +136,5 @@ def log_on_grid(
     log = np.log(np.maximum(grey, darkest)).astype(np.float32)
     x, y = to_pixels(camera.sees(grid_points(*size)), *small)
     inside = (x > 1) & (x < small[0] - 2) & (y > 1) & (y < small[1] - 2)
-    return cv2.remap(log, x, y, how, borderMode=cv2.BORDER_REFLECT_101), np.asarray(inside)
+    there = cv2.remap(log, x, y, how, borderMode=cv2.BORDER_REFLECT_101)
+    return np.asarray(there, np.float32), np.asarray(inside)

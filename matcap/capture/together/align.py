@@ -127,10 +127,7 @@ def aligned(
         unsure = {n for n, v in enumerate(views) if v.astray >= _SURER * texel}
         moved |= unsure
         for turn in range(rounds if unsure or steps else 0):
-            seen = [
-                ResampledView.of(v, across, down, p, tint)
-                for v, p in zip(views, warps, strict=True)
-            ]
+            seen = Aligned(setup, (*views,), (*warps,), light).on_grid(across, down, tint)
             if turn == 0 or parameters is None:
                 parameters = _begun(seen, parameters, begin, light, steps)
                 relief = _relief(parameters, texel, extent.unit(across))

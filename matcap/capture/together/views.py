@@ -157,15 +157,15 @@ class ResampledView:
         view: RegisteredView,
         across: int,
         down: int,
-        warp: ViewWarp | None = None,
-        tint: Tensor | None = None,
+        warp: ViewWarp,
+        tint: Tensor | None,
     ) -> ResampledView:
         """Resample a registered photograph to a grid of (down, across) texels.
 
         Args:
             view: the photograph.
             across, down: texels.
-            warp: map to plane points; None for the registration by features alone.
+            warp: map to plane points.
             tint: (3, h, w) specular tint of metal on any grid, divided out (tint.py).
         """
         photo = view.photo
@@ -177,7 +177,6 @@ class ResampledView:
         full = (photo.clipped[..., None] & (photo.pixels > FULL)).astype(np.float32)
         clipped = area_averaged(full, size)
         fine = (across * finer, down * finer)
-        warp = warp or ViewWarp(np.eye(3), None, view.camera.place)
         x, y = _looked_up(view, warp, fine, size)
         inside = (x > _BORDER) & (x < size[0] - _BORDER) & (y > _BORDER) & (y < size[1] - _BORDER)
 
