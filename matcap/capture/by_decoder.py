@@ -15,7 +15,7 @@ from dataclasses import replace
 from matcap.capture.detail import Rectified
 from matcap.capture.method import Method
 from matcap.capture.piece.find import ExemplarEstimate, estimate_exemplar
-from matcap.capture.piece.network.store import load_inverse
+from matcap.capture.piece.network.network import load_inverse
 from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning, judged, provenance
 from matcap.capture.settings import CaptureSettings, Effort

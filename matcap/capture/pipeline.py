@@ -15,7 +15,7 @@ from matcap.capture.detail import Rectified
 from matcap.capture.method import Method
 from matcap.capture.outputs import write_outputs
 from matcap.capture.piece.find import estimate_exemplar
-from matcap.capture.piece.network.store import load_inverse
+from matcap.capture.piece.network.network import load_inverse
 from matcap.capture.progress import (
     DECODER_STAGES,
     DRAWING_STAGES,

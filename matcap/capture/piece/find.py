@@ -118,7 +118,7 @@ def estimate_exemplar(
 
     Args:
         rectified: the photograph on its plane.
-        network: the inverse network (network/store.py).
+        network: the inverse network (network/network.py).
         clock: of the stages.
         absolute: whether the flash intensity is known, so that the exposure prior is not used.
         turned: whether the photograph is a portrait.

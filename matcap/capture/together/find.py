@@ -102,7 +102,7 @@ def estimate_together(
 
     Args:
         photos: two or more; the first one with flash defines the frame.
-        network: the inverse network (piece/network/store.py).
+        network: the inverse network (piece/network/network.py).
         detail: texels along the long side.
         clock: of the stages.
         union: estimate all that the photographs show (union.py), not the first one's rectangle.

@@ -18,8 +18,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.capture.piece.network.network import Inverse, InverseConfig
-from matcap.capture.piece.network.store import FORMAT, VERSION, read_inverse
+from matcap.capture.piece.network.network import (
+    FORMAT,
+    VERSION,
+    Inverse,
+    InverseConfig,
+    read_inverse,
+)
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
 from matcap.lab.inverse.losses import WEIGHTS, Compare, compared, loss_parts, total, wanted

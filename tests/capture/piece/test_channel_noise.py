@@ -10,8 +10,7 @@ from photographed import Photographed, photographed
 from matcap.brdf.maps import MapSet
 from matcap.capture.detail import Rectified, network_input
 from matcap.capture.piece.find import estimate_exemplar, map_set_of
-from matcap.capture.piece.network.network import ExpectedErrors
-from matcap.capture.piece.network.store import load_inverse
+from matcap.capture.piece.network.network import ExpectedErrors, load_inverse
 from matcap.capture.piece.noise import channel_noise, channel_weights, code_step
 from matcap.capture.piece.refine import refine
 from matcap.capture.progress import CaptureClock

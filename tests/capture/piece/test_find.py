@@ -22,8 +22,9 @@ from matcap.capture.piece.network.network import (
     ExpectedErrors,
     Inverse,
     InverseConfig,
+    load_inverse,
+    read_inverse,
 )
-from matcap.capture.piece.network.store import load_inverse, read_inverse
 from matcap.capture.piece.observation import Observation, lit, seen_share
 from matcap.capture.piece.predict import _shift_averaged, confidence, predict_maps
 from matcap.capture.piece.refine import narrowed

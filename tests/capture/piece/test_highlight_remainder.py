@@ -11,7 +11,7 @@ import torch
 from photographed import photographed
 
 from matcap.capture.piece.inpaint import inpainted, remaining_highlight
-from matcap.capture.piece.network.store import load_inverse
+from matcap.capture.piece.network.network import load_inverse
 from matcap.capture.piece.observation import Observation
 from matcap.capture.piece.predict import exemplar_of, predict_maps
 from matcap.capture.piece.refine import levelled

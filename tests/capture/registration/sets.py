@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.network.store import load_inverse
+from matcap.capture.piece.network.network import load_inverse
 from matcap.capture.progress import TOGETHER_STAGES, CaptureClock
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.doubt import DOUBTED

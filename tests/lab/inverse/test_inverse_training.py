@@ -11,8 +11,13 @@ import torch
 
 from matcap.brdf.maps import HEIGHT
 from matcap.capture.piece.network.inputs import network_inputs
-from matcap.capture.piece.network.network import ANSWERS, ERRORS, Inverse, InverseConfig
-from matcap.capture.piece.network.store import read_inverse
+from matcap.capture.piece.network.network import (
+    ANSWERS,
+    ERRORS,
+    Inverse,
+    InverseConfig,
+    read_inverse,
+)
 from matcap.lab.inverse.losses import loss_parts, total, wanted
 from matcap.lab.inverse.samples import draw_sample, training_material
 from matcap.lab.inverse.train import TrainSettings, save_inverse, ship, train

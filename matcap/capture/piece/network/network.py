@@ -9,14 +9,20 @@ features of the decoder (FiLM [perez2018]).
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
 
 import torch
 import torch.nn.functional as F
+from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from matcap.brdf.maps import CHANNELS
 from matcap.brdf.parameters import SurfaceParameters
+from matcap.errors import MatcapError
 
 # Number of channels of each input, in order.
 _INPUT_CHANNELS = {
@@ -31,6 +37,13 @@ _WEIGHTINGS = 3  # of the context's means: uniform, by squared slope sensitivity
 _SLOPE = 0.2  # of LeakyReLU
 _SELDOM_METAL = -3.0  # initial bias of the logit of metal
 _GROUPS = 4  # of GroupNorm
+
+# File of the network: weights in half precision, and a model card.
+FORMAT = "matcap-inverse"
+VERSION = 2  # of the file
+SHIPPED = Path(__file__).parent / "weights" / "inverse.safetensors"
+_WIDEST, _DEEPEST = 512, 8
+_REMEDY = "install matcap again, or give another file"
 
 
 @dataclass(frozen=True)
@@ -241,3 +254,40 @@ def _means(features: Tensor, weights: Tensor) -> Tensor:
     total = weights.sum((2, 3)).clamp_min(1e-6)
     means = torch.einsum("bchw,bkhw->bkc", features.abs(), weights) / total[..., None]
     return means.flatten(1)
+
+
+def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
+    """Read a network and its model card.
+
+    Raises:
+        MatcapError: the file is missing, damaged, or of another format or version.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            about = json.loads((file.metadata() or {})["matcap"])
+            if about["format"] != FORMAT or about["version"] != VERSION:
+                raise ValueError(f"it holds {about['format']} of version {about['version']}")
+            widths = tuple(int(width) for width in about["widths"])
+            sizes = (*widths, int(about["context"]))
+            if not (2 <= len(widths) <= _DEEPEST and all(4 <= s <= _WIDEST for s in sizes)):
+                raise ValueError(f"a network of widths {sizes}")
+            network = Inverse(InverseConfig(widths, int(about["context"])))
+            state = {}
+            for name, expected in network.state_dict().items():
+                value = file.get_tensor(name).float()
+                if value.shape != expected.shape or not bool(torch.isfinite(value).all()):
+                    raise ValueError(f"the tensor {name} is not as it should be")
+                state[name] = value
+            network.load_state_dict(state)
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise MatcapError.at(
+            path, f"this is not an inverse network's file, or it is damaged ({error})", _REMEDY
+        ) from error
+    network = network.eval().requires_grad_(False)
+    return network, dict(about["card"])
+
+
+@cache
+def load_inverse() -> Inverse:
+    """Load the network that comes with matcap, once per process."""
+    return read_inverse(SHIPPED)[0]
