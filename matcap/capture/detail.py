@@ -1,6 +1,7 @@
-"""Resolution of the exemplar, and of the grid on which the network reads it.
+"""A photograph rectified to the plane of its sample, at the resolutions of exemplar and network.
 
-The exemplar has the resolution asked for. The network's receptive field is about a hundred texels
+In come a photograph and its coarse fit, out goes a Rectified: both, the plane, and its lattice. The
+exemplar has the resolution asked for. The network's receptive field is about a hundred texels
 and the compared windows have 160; structure of longer wavelength is lost (wood becomes sawdust).
 Such textures are read on half as many texels across, and finer bands are transferred from the
 photograph (piece/finest.py). Figures in docs/notes/capture.md.

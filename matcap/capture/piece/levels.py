@@ -14,6 +14,7 @@ radiance of a partly clipped ring is a lower bound; taken as equality it would b
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -42,12 +43,12 @@ class LevelPrior:
 
     Attributes:
         mean, deviation: (K, 5).
-        contrast: mean and standard deviation of log F0 of class 0 less that of class 1, or None.
+        contrast: mean and standard deviation of log F0 of the first class less that of the last.
     """
 
     mean: Tensor
     deviation: Tensor
-    contrast: tuple[float, float] | None = None
+    contrast: tuple[float, float] = (0.0, math.inf)
 
 
 @dataclass(frozen=True)
@@ -162,10 +163,8 @@ def fit_levels(
     incidence = target.flash.onto(target.normal)
     precision = prior.deviation.flatten().square().reciprocal()
     contrast = torch.zeros_like(start)
-    wanted, belief = 0.0, 0.0
-    if prior.contrast is not None:
-        contrast[0, F0], contrast[1, F0] = 1.0, -1.0
-        wanted, belief = prior.contrast[0], prior.contrast[1] ** -2
+    contrast[0, F0], contrast[-1, F0] = 1.0, -1.0
+    wanted, belief = prior.contrast[0], prior.contrast[1] ** -2
     across = contrast.flatten()
     counts = rings.counts.flatten() / _NOISE**2
     open_share = 1.0 - rings.means((~target.measured).float()).flatten() / BOUND

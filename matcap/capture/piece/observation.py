@@ -1,4 +1,9 @@
-"""Observation: a rectified photograph, its light at every texel, and the network's inputs."""
+"""Observation: a rectified photograph, its light at every texel, and the network's inputs.
+
+PhotographLight renders maps in that light, and gives the derivative of log radiance by slope. All
+stages from here on compare such renderings with the photograph. Maps are `departures`: residuals of
+log parameters (brdf/parameters.py) from the uniform material of the coarse fit.
+"""
 
 from __future__ import annotations
 
@@ -41,13 +46,13 @@ class PhotographLight:
         flash: the light.
         uniform: (..., 1, 1) each: log parameters of the uniform material, which `departures` are
             added to.
-        hue: (3, H, W) specular tint, F0 over the mean of its channels; None without metal
-            (classes.py). Departures of F0 are those of its mean.
+        hue: (3, H, W) specular tint, F0 over the mean of its channels (classes.py); 1 without
+            metal. Departures of F0 are those of its mean.
     """
 
     flash: FlashLight
     uniform: SurfaceParameters
-    hue: Tensor | None = None
+    hue: Tensor | float = 1.0
 
     @staticmethod
     def of(coarse: Uniform, points: Tensor) -> PhotographLight:
@@ -56,21 +61,18 @@ class PhotographLight:
 
     def cut(self, rows: slice, columns: slice) -> PhotographLight:
         """The light at a rectangle of texels."""
-        hue = None if self.hue is None else self.hue[..., rows, columns]
+        hue = self.hue if isinstance(self.hue, float) else self.hue[..., rows, columns]
         return replace(self, flash=self.flash.cut(rows, columns), hue=hue)
 
     def maps(self, departures: SurfaceParameters, texel_size: float = 1.0) -> MapSet:
         """Maps with log parameters `uniform` + departures."""
         maps = (self.uniform + departures).maps(texel_size)
-        if self.hue is None:
-            return maps
         return replace(maps, specular=(maps.specular * self.hue).clamp(*F0_LIMITS))
 
     def departures(self, maps: MapSet) -> SurfaceParameters:
         """The inverse of maps()."""
-        if self.hue is not None:
-            maps = replace(maps, specular=maps.specular.mean(-3, keepdim=True))
-        return SurfaceParameters.of(maps) - self.uniform
+        mean = maps.specular.mean(-3, keepdim=True)
+        return SurfaceParameters.of(replace(maps, specular=mean)) - self.uniform
 
     def logs(self, maps: MapSet | Reflectance, incidence: Incidence) -> tuple[Tensor, Tensor]:
         """(3, H, W) each: log radiance of maps, and the diffuse share of the radiance."""
@@ -229,7 +231,6 @@ class Observation:
             departures: log parameters of the surface less those of the coarse fit.
             metal: whether each of its classes is metal.
         """
-        hue = 1.0 if self.light.hue is None else self.light.hue
         return RingTarget(
             linear=self.plane.linear,
             measured=self.shown,
@@ -238,7 +239,7 @@ class Observation:
             flash=self.light.flash,
             normal=self.light.maps(departures).normal,
             surface=self.light.uniform + departures,
-            hues=tuple(hue if each else 1.0 for each in metal),
+            hues=tuple(self.light.hue if each else 1.0 for each in metal),
         )
 
 

@@ -1,5 +1,6 @@
-"""Estimate the exemplar from several photographs: named stages, from values to values.
+"""The stages that estimate the exemplar of several photographs, in order.
 
+In come photographs, out go the first one, rectified, and an ExemplarEstimate in its frame.
 Registration by features; coarse fit and network prediction of the first photograph; registration by
 rendering; joint estimation of all maps; inpainting and indexing. A mosaic (union.py) also needs the
 predictions of the others, beyond the first photograph.
