@@ -62,8 +62,7 @@ def capture_by_decoder(
     """
     photo, coarse, plane = rectified.photo, rectified.coarse, rectified.whole
 
-    def estimated(clock: CaptureClock) -> ExemplarEstimate:
-        """The exemplar at the coarse fit's exposure, which is the decoder's too."""
+    def estimated(clock: CaptureClock) -> ExemplarEstimate:  # at the coarse fit's exposure
         return estimate_exemplar(rectified, load_inverse(), clock, absolute=True)
 
     estimate = estimated(clock) if settings.draws else None
