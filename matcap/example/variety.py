@@ -35,9 +35,9 @@ _SHARE = 0.5  # largest loss as a share of the exemplar's RMS correlation, if th
 _SEAMS = 0.018
 _BLOCKS_ACROSS = 64  # of a plaid, across the longer side
 # Least share of log albedo's variance that bands of a plaid have in either direction (three of 126
-# photographs 0.20 to 0.32; ginghams 0.18 to 0.22, green paint 0.18, others at most 0.14), and its
-# least standard deviation (plaids 0.19, paint 0.05).
-_BANDS, _VISIBLE = 0.17, 0.1
+# photographs 0.16 to 0.24, other weaves at most 0.12, a cloth of uneven threads 0.00), and its
+# least standard deviation (plaids 0.20, paint 0.05).
+_BANDS, _VISIBLE = 0.14, 0.1
 _DARKEST = 1e-3  # albedo, lower limit of its logarithm
 _MORE_SEAMS = 1.1  # largest share of seams over the least of all varieties, if that is more
 
@@ -87,8 +87,9 @@ def with_chosen_variety(example: Example) -> Example:
 def is_plaid(example: Example) -> bool:
     """Whether much of the albedo is bands across the whole exemplar, in both directions.
 
-    Log albedo of blocks is a(x) + b(y) + rest; both bands have at least _BANDS of its variance. A
-    lattice of cells as large as blocks (gingham, tiles) is kept in phase instead.
+    Log albedo of blocks is a(x) + b(y) + rest; the covariance of neighbouring blocks of a, and that
+    of b, is at least _BANDS of its variance: single threads are narrower. A lattice of cells as
+    large as blocks (gingham, tiles) is kept in phase instead.
     """
     albedo, lattice = example.exemplar.diffuse, example.index.lattice
     waves = () if lattice is None else lattice.waves
@@ -101,7 +102,7 @@ def is_plaid(example: Example) -> bool:
     means = log.reshape(len(log), rows, side, columns, side).mean(axis=(2, 4))
     means = _detrended(means.astype(np.float32))
     whole = float(np.square(means).mean())
-    bands = [float(np.square(means.mean(axis)).mean()) for axis in (1, 2)]
+    bands = [float((band[:, 1:] * band[:, :-1]).mean()) for band in (means.mean(1), means.mean(2))]
     return whole > _VISIBLE**2 and min(bands) > _BANDS * whole
 
 

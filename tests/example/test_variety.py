@@ -176,6 +176,14 @@ def test_a_plaid_repeats_whole_and_boards_do_not(waves):
     assert not is_plaid(Example.of(stripes()))
 
 
+def test_a_cloth_of_uneven_threads_is_no_plaid():
+    draws = np.random.default_rng(3)
+    across, down = (1.0 + 0.3 * draws.standard_normal(n).repeat(8) for n in (64, 48))
+    threads = np.sqrt(down[:, None] * across).clip(0.1, 2.0)
+    diffuse = (0.4 * np.broadcast_to(threads, (3, 384, 512))).clip(0.0, 1.0)
+    assert not is_plaid(Example.of(replace(stripes(), diffuse=diffuse.astype(np.float32))))
+
+
 def test_a_lattice_of_large_cells_is_no_plaid():
     assert not is_plaid(Example.of(plaid(), ((1 / 40, 0.0), (0.0, 1 / 40))))
 
