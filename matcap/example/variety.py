@@ -24,6 +24,7 @@ from matcap.field.plane import Rectangle
 
 # Choice of the variety; docs/notes/field.md.
 _TRIED = (1.0, 0.5, 0.25, 0.1)  # varieties, highest first
+FINE_LATTICE_VARIETY = 0.1  # of a lattice that is straightened (fine_lattice.py)
 _LEVEL = 2  # level of the synthesised samples. Finer takes longer, coarser shows fewer seams.
 _BLOCKS = 2  # samples of each variety; one where the exemplar has fewer levels
 _STEP = 4  # texels that are averaged before the correlation

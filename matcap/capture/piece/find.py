@@ -33,7 +33,7 @@ from matcap.capture.progress import CaptureClock
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
-from matcap.example.variety import with_chosen_variety
+from matcap.example.variety import FINE_LATTICE_VARIETY, with_chosen_variety
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane
 from matcap.statistics.lattice import Wave
@@ -166,7 +166,8 @@ def indexed(
 ) -> tuple[Exemplar, Example]:
     """An exemplar, and its index with the smallest patches that keep its long structures.
 
-    A fine lattice is straightened in what is indexed, not in what is returned beside it.
+    A fine lattice is straightened in what is indexed, not in what is returned beside it, and has
+    large patches: its threads are the same everywhere, and small ones swirl.
 
     Args:
         exemplar: the maps, rounded as in a file.
@@ -179,7 +180,7 @@ def indexed(
     flat = straightened(exemplar, waves)
     if flat is None:
         return exemplar, with_chosen_variety(Example.of_rounded(exemplar, waves))
-    return exemplar, with_chosen_variety(Example.of_rounded(*flat, straight=True))
+    return exemplar, Example.of_rounded(*flat, straight=True).varied(FINE_LATTICE_VARIETY)
 
 
 def measured_relief(observed: Observation, prediction: NetworkPrediction) -> Strengths | None:

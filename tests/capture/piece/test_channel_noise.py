@@ -14,6 +14,7 @@ from matcap.capture.piece.network.network import ExpectedErrors, load_inverse
 from matcap.capture.piece.noise import channel_noise, channel_weights, code_step
 from matcap.capture.piece.refine import refine
 from matcap.capture.progress import CaptureClock
+from matcap.files.srgb import srgb_decode
 from matcap.flash.plane import plane_of
 
 WHOLE = torch.ones(96, 128, dtype=torch.bool)
@@ -57,6 +58,13 @@ def test_channels_alike_weigh_alike_and_all_weights_add_up_to_one():
     weights = channel_weights(noise)
     assert float(weights[0].max()) < 0.01
     torch.testing.assert_close(weights.sum(0), torch.ones(4, 4))
+
+
+def test_a_dark_channel_of_a_saturated_jpeg_hardly_counts():
+    # Yellow cloth 0263: codes 169, 115 and 20, whose fine detail is the same difference of codes.
+    light = srgb_decode(np.array([169.0, 115.0, 20.0]) / 255.0)
+    weights = channel_weights(channel_noise(_plane(tuple(light), developed=True))).mean((1, 2))
+    assert float(weights[2]) < 0.1 and float(weights[1]) > 0.3
 
 
 def test_a_channel_that_is_noise_moves_no_map():
