@@ -91,8 +91,7 @@ _LEAST_FACTOR, _MOST_FACTOR = 0.5, 6.0  # limits of the factors
 
 def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
     """Fit mean parameters of the classes, then albedo of every texel, to the photograph."""
-    plane, even = observed.plane, evened(observed, prediction)
-    fitted = with_levels(observed, narrowed(observed, even))
+    plane, fitted = observed.plane, fitted_to_highlight(observed, prediction)
     steep = scaled_by_glints(
         fitted.departures, plane.linear, plane.measured, observed.light, observed.noise
     )
@@ -109,6 +108,11 @@ def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPre
     even = evened(observed, replace(fitted, departures=refined))
     shifted = with_photographed_mean(even.departures, *photograph, observed.light, metal)
     return replace(even, departures=shifted)
+
+
+def fitted_to_highlight(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
+    """Even albedo; relief and mean parameters of the classes fitted to the highlight's rings."""
+    return with_levels(observed, narrowed(observed, evened(observed, prediction)))
 
 
 def evened(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:

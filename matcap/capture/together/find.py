@@ -32,7 +32,7 @@ from matcap.capture.piece.inpaint import inpainted
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse
 from matcap.capture.piece.observation import Observation
 from matcap.capture.piece.predict import NetworkPrediction, confidence, exemplar_of
-from matcap.capture.piece.refine import evened
+from matcap.capture.piece.refine import fitted_to_highlight
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.progress import CaptureClock
 from matcap.capture.registration.camera import PosedCamera
@@ -289,7 +289,11 @@ def _whole(
 def _inpainted(
     observed: Observation, solved: Solved, tint: Tensor | None, views: Sequence[ResampledView]
 ) -> Exemplar:
-    """The solved maps with the specular tint of metal, inpainted under the highlight."""
+    """The solved maps with the specular tint of metal, inpainted under the highlight.
+
+    Relief and mean parameters are fitted to the first photograph's highlight, as those of a single
+    photograph are: robust weights take a mirrored light that is a little displaced for an outlier.
+    """
     if tint is not None:
         observed = replace(
             observed, light=replace(observed.light, hue=on_grid(tint, solved.maps.size))
@@ -301,7 +305,7 @@ def _inpainted(
     trusted = confidence(errors, np.asarray(seen.numpy(), np.float32), observed.plane.unit)
     classes = Classes.whole(observed.specular_fraction.shape, metal=False)
     prediction = NetworkPrediction(observed.light.departures(maps), errors, trusted, None, classes)
-    return inpainted(exemplar_of(observed, evened(observed, prediction)), observed)
+    return inpainted(exemplar_of(observed, fitted_to_highlight(observed, prediction)), observed)
 
 
 def _indexed(

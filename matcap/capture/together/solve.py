@@ -3,18 +3,16 @@
 MAP estimate by Gauss-Newton steps on log radiance at every texel (texels.py). Geman-McClure weights
 limit the influence of shadows, parallax and other outliers; the prior is Gaussian, with the
 network's predictions as mean and its expected errors as standard deviation. The shared parameters
-(gains, flash position, vignetting) are fitted between rounds to a sample of texels (shared.py). F0
-and roughness are measured only under highlights; elsewhere they are interpolated, weighted by
-precision. Finally slopes are integrated to a height, and albedo, F0 and roughness refitted to it.
+(gains, flash position, vignetting, mean F0 and roughness) are fitted between rounds to a sample of
+texels (shared.py). Finally slopes are integrated to a height, and albedo is refitted to it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -54,9 +52,6 @@ ROUNDS: tuple[int, ...] = (2, 2, 1)
 # (octaves.py), but noise of slopes from two photographs is in all of them. One without flash, which
 # measures albedo alone, counts as five.
 _SLOPE, _WIDER, _UNLIT = 1.0, 0.5, 5
-# Standard deviation of the blur that interpolates F0 and roughness, as a share of the first
-# photograph's long side.
-_AROUND = 0.02
 
 
 @dataclass(frozen=True)
@@ -139,9 +134,6 @@ def solve(
             if measures:
                 off, energies = _slope_statistics(parameters, prior.mean, step.changes)
                 prior = prior.with_least_slope(off)
-            if index == 0:
-                change = parameters - expected.mean
-                prior = replace(prior, mean=_gloss_prior(prior.mean, change, step.precision, unit))
     except KeyboardInterrupt:
         interrupted = True
     height = surface_of(parameters[SLOPES], texel_size, step.relief)
@@ -206,35 +198,6 @@ def _without_slow(slopes: Tensor, unit: float) -> Tensor:
     deviation = SLOW * unit
     slow = [torch.from_numpy(smoothed(plane, deviation)) for plane in slopes.numpy()]
     return slopes - torch.stack(slow)
-
-
-def _gloss_prior(
-    prior_mean: Tensor,
-    off: Tensor,
-    precision: Tensor,
-    unit: float,
-) -> Tensor:
-    """Prior mean with F0 and roughness moved by the precision-weighted local mean of `off`.
-
-    Args:
-        prior_mean: (PARAMETERS, H, W).
-        off: (PARAMETERS, H, W) current parameters less the prior mean.
-        precision: (PARAMETERS, H, W) contributed by the photographs.
-        unit: texels along the first photograph's long side.
-    """
-    prior_mean = prior_mean.clone()
-    deviation = _AROUND * unit
-    for number in (F0, ROUGH):
-        measured = precision[number].numpy()
-        weight = measured / (measured + float(np.median(measured)) + 1e-6)
-        change = off[number].numpy()
-        near, amount = (
-            cv2.GaussianBlur(plane, (0, 0), deviation, borderType=cv2.BORDER_REFLECT)
-            for plane in (change * weight, weight)
-        )
-        whole = float((change * weight).sum() / max(float(weight.sum()), 1e-6))
-        prior_mean[number] += torch.from_numpy((near + 0.05 * whole) / (amount + 0.05))
-    return prior_mean
 
 
 def _step_at_fixed_slopes(

@@ -31,9 +31,9 @@ PARAMETERS = 7
 _ROBUST = 0.25  # s of the weights 1 / (1 + (r / s)^2)^2 of residuals r of log radiance
 # Standard deviation of log radiance in one channel of one photograph, model error included.
 _NOISE = 0.02
-# Least standard deviation of the prior of log albedo, and of log F0 and logit roughness. Smaller
-# keeps closer to the network's prediction.
-_ALBEDO, _GLOSS = 0.25, 0.2
+# Least standard deviation of the prior of log albedo; that of log F0 and logit roughness, which are
+# a class's, not a texel's (wider ones scatter: docs/notes/several.md).
+_ALBEDO, _GLOSS = 0.25, 0.07
 _STEEPEST = 3.0  # limit of slopes
 # Levenberg-Marquardt: share of a parameter's precision added to the diagonal. Less overshoots;
 # more leaves the trade-off of albedo and slope at its initial value.
@@ -105,9 +105,8 @@ class ParameterPrior:
         """Prior from the network's prediction, with least deviations."""
         off = estimate.log_error.clamp(-8.0, 2.0).exp()
         albedo = off[:1].clamp_min(_ALBEDO).expand(3, -1, -1)
-        f0, rough, slope = off[1:].split(1)
-        gloss = (each.clamp_min(_GLOSS) for each in (f0, rough))
-        deviation = torch.cat([albedo, *gloss, slope.expand(2, -1, -1)])
+        gloss = torch.full_like(off[:2], _GLOSS)
+        deviation = torch.cat([albedo, gloss, off[3:].expand(2, -1, -1)])
         return ParameterPrior(parameters_of(estimate.maps), deviation)
 
     @property

@@ -221,6 +221,17 @@ def test_boards_are_kept_whole_as_of_one_photograph():
     assert result.estimate is not None and result.estimate.example.variety < 1.0
 
 
+def test_a_pair_keeps_the_highlight_of_glossy_tiles():
+    (tile,) = subjects(("tile",))
+    shots = take_several(tile.realise, PHONE, hold(PHONE, Hand(), 2, 5), Hand(), 5)
+    photos = [as_photo(one.shot, n, f"tile_{n}") for n, one in enumerate(shots)]
+    settings = CaptureSettings(preset="instant", detail=256)
+    result = capture_photo(photos[0], settings, others=photos[1:])
+    before, after = result.measurements.highlights
+    assert before is not None and after is not None
+    assert 0.9 < after.contrast / before.contrast < 1.2  # 0.7 with relief as solved
+
+
 def test_nothing_in_common_is_refused(held, foreign):
     _, photos = held
     with pytest.raises(MatcapError, match=r"leather_9.*photograph the same sample"):
