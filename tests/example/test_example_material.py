@@ -101,7 +101,7 @@ def test_one_field_by_example_grows_into_another(first, other):
     coloured = other is a_coloured_example
     mask = Mask(np.array([[0, 0, 0, 255, 255, 255]], np.uint8), Rectangle(0, 0, 600, 64))
     source = blend_source(first, second, mask, 4)
-    assert isinstance(source.first, ExampleSource) and isinstance(source.second, ExampleSource)
+    assert isinstance(source.source, ExampleSource) and isinstance(source.second, ExampleSource)
     assert source.specular_channels == (3 if coloured else 1)
     area = Rectangle(0, 0, 600, 64)
     maps = read_source(source, area, 1).stacked()
@@ -131,10 +131,10 @@ def test_a_blend_with_a_material_of_before_is_the_decoders(first, second):
     plain = a_material("plain", seed=5)
     for others in ((first, plain), (plain, second)):
         source = blend_source(*others, mask, 4)
-        assert not isinstance(source.first, ExampleSource)
+        assert not isinstance(source.source, ExampleSource)
         assert not isinstance(source.second, ExampleSource)
     decoders = blend_source(first, second, mask, 4, generator="decoder")
-    assert not isinstance(decoders.first, ExampleSource)
+    assert not isinstance(decoders.source, ExampleSource)
     with pytest.raises(UsageError, match="no exemplar"):
         blend_source(first, plain, mask, 4, generator="example")
 
