@@ -1,17 +1,15 @@
-"""The C loops of relighting, called for a point light in another direction from each pixel."""
+"""Inner functions of the C loops of relighting, called on arrays."""
 
 from __future__ import annotations
 
-from ctypes import byref
+from ctypes import byref, c_int64
 
 import numpy as np
 
-from matcap.relight.loops.library import KeptArrays, address, loops
-from matcap.relight.loops.structures import SPECULAR, CLamp, CPixels
+from matcap.relight.loops.library import KeptArrays, Pointer, address, loops
+from matcap.relight.octahedron import Octahedra
 from matcap.relight.relief import Relief
 from matcap.relight.vectors import Array, Vec, dot, scale
-
-_FAR = 1e4  # plane units: light from here is parallel
 
 
 def unit(vector: Vec) -> Vec:
@@ -21,50 +19,40 @@ def unit(vector: Vec) -> Vec:
 
 def lobe(normal: Vec, to_view: Vec, to_light: Vec, alpha: Array) -> tuple[Array, Array]:
     """D G / (4 (n.l)(n.v)) in 1/sr for cosines above 0, and (1 - l.h)^5; (N,) arrays."""
-    kept, cosine = KeptArrays(), dot(normal, to_light)
-    # F0 of 1 and of 0: radiance is lobe n.l, and that times Schlick's weight.
-    f0, total = np.zeros((3, alpha.size), np.float32), np.zeros((3, alpha.size), np.float32)
-    f0[0] = 1.0
-    pixels = CPixels(
-        count=alpha.size,
-        point=tuple(kept.of(-one) for one in to_light),
-        view=tuple(kept.of(one) for one in to_view),
-        normal=tuple(kept.of(one) for one in normal),
-        n_dot_v=kept.of(np.maximum(dot(normal, to_view), 0.0)),
-        alpha=kept.of(alpha),
-        diffuse=tuple(kept.of(one) for one in f0),
-        specular=tuple(kept.of(one) for one in f0),
-        total=tuple(one.ctypes.data for one in total),
+    kept, count = KeptArrays(), alpha.size
+    values, weight = np.empty((2, count), dtype=np.float32)
+    vectors = (Pointer(kept.of(np.stack(one))) for one in (normal, to_view, to_light))
+    loops().matcap_relight_lobe(
+        c_int64(count), *vectors, Pointer(kept.of(alpha)), address(values), address(weight)
     )
-    lamp = CLamp(colour=(1.0, 1.0, 1.0), power=1.0, even=1.0, parts=SPECULAR)
-    loops().matcap_relight_lamp(byref(pixels), byref(lamp), None)
-    lit = cosine > 0.0
-    value = np.divide(total[0], cosine, out=np.zeros_like(cosine), where=lit)
-    return value, np.divide(total[1], total[0], out=np.zeros_like(cosine), where=lit)
+    return values, weight
 
 
-def lit(relief: Relief, place: tuple[Array, Array], to_light: Vec, distance: Array | None) -> Array:
-    """Whether light arrives at the surface at places (u, v); `distance` None is infinite."""
-    shape = np.broadcast_shapes(*(a.shape for a in (*place, *to_light)))
-    kept, size = KeptArrays(), int(np.prod(shape))
-    visible, cast = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
+def lit(
+    relief: Relief, place: tuple[Array, Array], height: Array, to_light: Vec,
+    distance: Array | None,
+) -> Array:  # fmt: skip
+    """Whether light arrives at places (u, v) in plane units; `distance` None is infinite."""
+    shape = np.broadcast_shapes(*(a.shape for a in (*place, height, *to_light)))
+    kept, visible = KeptArrays(), np.empty(shape, dtype=np.uint8)
 
-    def every(values: Array, dtype: type = np.float32) -> int:
-        return kept.of(np.broadcast_to(values, shape), dtype)
+    def every(values: Array, dtype: type = np.float32) -> Pointer:
+        return Pointer(kept.of(np.broadcast_to(values, shape), dtype))
 
     column, row = relief.texels(*place)
-    far = _FAR if distance is None else distance
-    pixels = CPixels(
-        count=size,
-        column=every(column, np.float64),
-        row=every(row, np.float64),
-        point=tuple(every(-one * far) for one in to_light),
-        normal=tuple(every(one) for one in to_light),
-        facing=every(np.ones(1), np.uint8),
-        wide=every(np.zeros(1)),
+    loops().matcap_relight_lit(
+        byref(relief.field), c_int64(visible.size), every(column, np.float64),
+        every(row, np.float64), every(height), *(every(one) for one in to_light),
+        None if distance is None else every(distance), address(visible),
+    )  # fmt: skip
+    return visible.astype(bool)
+
+
+def radiance(octahedra: Octahedra, direction: Vec, wide: Array) -> Array:
+    """(3, N) radiance along unit vectors, averaged over `wide` radians (root of a solid angle)."""
+    kept, looked_up = KeptArrays(), np.empty((3, wide.size), dtype=np.float32)
+    places = (Pointer(kept.of(one)) for one in (*direction, wide))
+    loops().matcap_relight_radiance(
+        byref(octahedra.as_c(kept)), c_int64(wide.size), *places, address(looked_up)
     )
-    lamp = CLamp(power=1.0, even=1.0)
-    loops().matcap_relight_past(
-        byref(pixels), byref(lamp), byref(relief.field), None, address(visible), address(cast)
-    )
-    return visible > 0.5
+    return looked_up

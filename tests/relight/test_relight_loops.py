@@ -143,7 +143,7 @@ def test_shadows(relief, far):
     height, towards = relief.at(u, v), directions(generator, 4000, tilt=0.5)
     distance = None if far else generator.uniform(0.05, 1.0, u.shape).astype(np.float32)
     expected = plain.shadows.lit(relief, (u, v), height, towards, distance)
-    found = loop_calls.lit(relief, (u, v), towards, distance)
+    found = loop_calls.lit(relief, (u, v), height, towards, distance)
     assert 0.1 < expected.mean() < 0.9
     assert (found != expected).mean() <= 1e-3
 
@@ -161,7 +161,7 @@ def test_no_ray_is_hidden_above_a_clear_tangent(relief, endless):
     for share in (1.0001, 0.5):
         towards = loop_calls.unit((np.cos(turn), np.sin(turn), share * tangent))
         towards = tuple(one.astype(np.float32) for one in towards)
-        hidden.append(~loop_calls.lit(relief, (u, v), towards, None))
+        hidden.append(~loop_calls.lit(relief, (u, v), relief.at(u, v), towards, None))
     assert not hidden[0].any()
     assert hidden[1].mean() > 0.03
 

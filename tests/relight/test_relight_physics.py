@@ -163,7 +163,7 @@ def test_the_shadow_of_a_wall_is_as_long_as_geometry_says():
     for tangent in (0.25, 0.5, 1.0):
         length = math.hypot(1.0, tangent)
         light = vec((1.0 / length, 0.0, tangent / length))
-        lit = loop_calls.lit(relief, (u, v), light, None)[0]
+        lit = loop_calls.lit(relief, (u, v), relief.at(u, np.zeros_like(u)), light, None)[0]
         distance = wall - u[0]  # the light is to the right, shadows fall to the left
         inside = (distance > 2.0 / 64) & (distance < 0.1 / tangent)
         # Beyond the wall's own foot and tip, where its slopes are.
@@ -176,9 +176,10 @@ def test_a_light_between_wall_and_point_is_not_shadowed():
     relief = Relief(ridge(), 1.0, 1.0)
     u, v = np.full((1, 1), -0.2), np.zeros((1, 1))
     light = vec((1.0 / math.hypot(1.0, 0.1), 0.0, 0.1 / math.hypot(1.0, 0.1)))
+    zero = np.zeros((1, 1), dtype=np.float32)
     far, near = np.full((1, 1), 5.0), np.full((1, 1), 0.1)
-    assert not loop_calls.lit(relief, (u, v), light, far).any()
-    assert loop_calls.lit(relief, (u, v), light, near).all()
+    assert not loop_calls.lit(relief, (u, v), zero, light, far).any()
+    assert loop_calls.lit(relief, (u, v), zero, light, near).all()
 
 
 def sawtooth(*, periodic: bool) -> Texture:

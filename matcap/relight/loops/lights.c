@@ -149,3 +149,18 @@ WIDE void matcap_relight_lamp(const Pixels *p, const Lamp *l, const float *lit) 
         add(p, l, first, count, &r, &o);
     }
 }
+
+/* D G / (4 n.l n.v) and Schlick's weight of `count` pairs of directions. */
+WIDE void matcap_relight_lobe(int64_t count, const float *normal, const float *view,
+                              const float *light, const float *alpha, float *lobe,
+                              float *weight) {
+    for (int64_t i = 0; i < count; i++) {
+        float n[3], h[3], nl = 0.0f, nv = 0.0f, half;
+        for (int k = 0; k < 3; k++) {
+            n[k] = normal[k * count + i], h[k] = light[k * count + i] + view[k * count + i];
+            nl += n[k] * light[k * count + i], nv += n[k] * view[k * count + i];
+        }
+        lobe[i] = ggx(n, h, larger(nl, 0.0f), larger(nv, 0.0f), alpha[i], &half);
+        weight[i] = schlick(half);
+    }
+}

@@ -7,6 +7,16 @@ void matcap_relight_heights(const Field *f, int64_t count, const double *column,
     for (int64_t i = 0; i < count; i++) found[i] = surface(f, column[i], row[i]);
 }
 
+/* Whether light from directions (x, y, z), unit vectors, arrives at places on the surface. */
+WIDE void matcap_relight_lit(const Field *f, int64_t count, const double *column,
+                             const double *row, const float *height, const float *x,
+                             const float *y, const float *z, const float *distance,
+                             uint8_t *lit) {
+    for (int64_t i = 0; i < count; i++)
+        lit[i] = z[i] > 0.0f && arrives(f, column[i], row[i], height[i], x[i], y[i], z[i],
+                                        distance ? distance[i] : HUGE_VAL);
+}
+
 typedef struct {
     const float *peaks; /* maximum of the heights within `around` texels of each */
     int32_t around;

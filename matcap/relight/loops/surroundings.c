@@ -32,6 +32,16 @@ INLINE void radiance(const Environment *s, const float d[3], float wide, float l
     }
 }
 
+/* (3, count) radiance of many directions. */
+void matcap_relight_radiance(const Environment *s, int64_t count, const float *x, const float *y,
+                             const float *z, const float *wide, float *found) {
+    for (int64_t i = 0; i < count; i++) {
+        float d[3] = {x[i], y[i], z[i]}, light[3];
+        radiance(s, d, wide[i], light);
+        for (int c = 0; c < 3; c++) found[c * count + i] = light[c];
+    }
+}
+
 /* Reflection of (radiance - mean) in the pixels `which`, (6, count): red, green, blue of the
    scale on F0, then of the bias. */
 WIDE void matcap_relight_sky(const Pixels *p, const Lattice *at, const Environment *s,

@@ -123,7 +123,7 @@ def shadowed(g: np.random.Generator) -> Swept:
     relief, (u, v), lift = _field(g)
     height = relief.at(u, v)
     direction = _directions(g, 0.05)
-    lit = loop_calls.lit(relief, (u, v), direction, None)
+    lit = loop_calls.lit(relief, (u, v), height, direction, None)
     x, y, z = (c.astype(np.float64) for c in direction)
     run = np.hypot(x, y)
     reach = float(((relief.high - height) / z * run).max()) / relief.texel_size
