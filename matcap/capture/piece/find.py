@@ -24,10 +24,7 @@ from matcap.capture.piece.inpaint import inpainted
 from matcap.capture.piece.network.network import Inverse
 from matcap.capture.piece.observation import Observation
 from matcap.capture.piece.predict import NetworkPrediction, exemplar_of, predict_maps
-from matcap.capture.piece.refine import (
-    levelled,
-    remaining,
-)
+from matcap.capture.piece.refine import levelled, remaining
 from matcap.capture.piece.strengths import Strengths, equalise
 from matcap.capture.progress import CaptureClock
 from matcap.example.example import Example
