@@ -23,8 +23,8 @@ from matcap.example.patch_sizes import PatchSizes
 from matcap.field.plane import Rectangle
 
 # Choice of the variety; docs/notes/field.md.
-_TRIED = (1.0, 0.5, 0.25, 0.1)  # varieties, highest first
-FINE_LATTICE_VARIETY = 0.1  # of a lattice that is straightened (fine_lattice.py)
+LOWEST_VARIETY = 0.1  # that is tried; also of a lattice that is straightened (fine_lattice.py)
+_TRIED = (1.0, 0.5, 0.25, LOWEST_VARIETY)  # varieties, highest first
 _LEVEL = 2  # level of the synthesised samples. Finer takes longer, coarser shows fewer seams.
 _BLOCKS = 2  # samples of each variety; one where the exemplar has fewer levels
 _STEP = 4  # texels that are averaged before the correlation
@@ -78,11 +78,11 @@ def with_chosen_variety(example: Example) -> Example:
             return example.varied(one.variety)
         tried.append(one)
     if example.lookup.lattice is not None:
-        return example.varied(_TRIED[-1])
+        return example.varied(LOWEST_VARIETY)
     limit = max(limit, min((one.lost for one in tried), default=0.0))
     seams = max(_SEAMS, _MORE_SEAMS * min((one.seams for one in tried), default=0.0))
     within = (one.variety for one in tried if one.lost <= limit and one.seams <= seams)
-    return example.varied(next(within, _TRIED[-1]))
+    return example.varied(next(within, LOWEST_VARIETY))
 
 
 def is_plaid(example: Example) -> bool:

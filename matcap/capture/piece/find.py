@@ -30,7 +30,7 @@ from matcap.capture.progress import CaptureClock
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
-from matcap.example.variety import FINE_LATTICE_VARIETY, with_chosen_variety
+from matcap.example.variety import LOWEST_VARIETY, with_chosen_variety
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane
 from matcap.statistics.lattice import Wave
@@ -177,7 +177,7 @@ def indexed(
     flat = straightened(exemplar, waves)
     if flat is None:
         return exemplar, with_chosen_variety(Example.of_rounded(exemplar, waves))
-    return exemplar, Example.of_rounded(*flat, straight=True).varied(FINE_LATTICE_VARIETY)
+    return exemplar, Example.of_rounded(*flat, straight=True).varied(LOWEST_VARIETY)
 
 
 def measured_relief(observed: Observation, prediction: NetworkPrediction) -> Strengths | None:
