@@ -34,7 +34,7 @@ from matcap.capture.together.texels import (
     under_fitted_ambient,
 )
 from matcap.capture.together.tint import achromatic
-from matcap.capture.together.views import ResampledView, SetLight, ViewWarp
+from matcap.capture.together.views import ResampledView, SharedLight, ViewWarp
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 
@@ -71,11 +71,14 @@ class Aligned:
     setup: FlashSetup
     views: tuple[RegisteredView, ...]
     warps: tuple[ViewWarp, ...]
-    light: SetLight
+    light: SharedLight
 
     @staticmethod
     def of(
-        views: tuple[RegisteredView, ...], setup: FlashSetup, light: SetLight, extent: Extent = OWN
+        views: tuple[RegisteredView, ...],
+        setup: FlashSetup,
+        light: SharedLight,
+        extent: Extent = OWN,
     ) -> Aligned:
         """Registration by features alone: identity homographies, no parallax."""
         warp = ViewWarp(np.eye(3), None, views[0].camera.place, extent)
@@ -163,7 +166,7 @@ def _begun(
     seen: Sequence[ResampledView],
     parameters: Tensor | None,
     prior: ParameterPrior,
-    light: SetLight,
+    light: SharedLight,
     steps: int,
 ) -> Tensor:
     """(PARAMETERS, H, W) parameters of a grid: upsampled from the last one, then `steps` steps."""

@@ -30,8 +30,8 @@ Views = tuple[RegisteredView, ...]  # at most one without flash, the last
 AMBIENT_NOISE = 0.05  # standard deviation of log radiance from the model of ambient light
 # Standard deviation of the low-pass that separates illumination, as a share of the long side.
 SLOW = 0.08
-LEAN = (0.0, 0.0, 0.5)  # prior mean of AmbientLight.lean
-LEANING = 0.25  # prior standard deviation of its x and y
+UNIFORM_SKY = (0.0, 0.0, 0.5)  # prior mean of AmbientLight.gradient
+GRADIENT_DEVIATION = 0.25  # prior standard deviation of its x and y
 _DARKEST = 0.05  # least irradiance of any normal, over that of a level surface
 _FAINTEST = 0.05  # least share of a pixel's radiance that remains after subtraction
 _BOUND = 0.005  # share of pixels that may be darker than under ambient light alone
@@ -63,7 +63,7 @@ class AmbientLight:
     E(n) = strength (1 + x n_x + y n_y + z (n_z - 1)), relative to a level surface, n = (0, 0, 1).
     """
 
-    lean: Tensor = field(default_factory=lambda: torch.tensor(LEAN))
+    gradient: Tensor = field(default_factory=lambda: torch.tensor(UNIFORM_SKY))
     """(3,) x, y and z; (0, 0, 0.5) under a uniform sky."""
     strength: Tensor | None = None
     """(3, 1, 1) irradiance of a level surface; None for 1."""
@@ -71,7 +71,7 @@ class AmbientLight:
     def onto(self, normal: Tensor) -> AmbientIncidence:
         """Irradiance of a relief with unit normals (3, h, w)."""
         off = torch.cat([normal[:2], normal[2:] - 1.0])
-        lit = 1.0 + torch.tensordot(self.lean.to(off), off, 1)[None]
+        lit = 1.0 + torch.tensordot(self.gradient.to(off), off, 1)[None]
         lit = lit.clamp_min(_DARKEST)
         return AmbientIncidence(lit if self.strength is None else lit * self.strength)
 
@@ -79,13 +79,13 @@ class AmbientLight:
         self, normal: Tensor, specular: Tensor, roughness: Tensor
     ) -> tuple[AmbientIncidence, Tensor, Tensor]:
         """As FlashLight.linearised; of the lobe, only F0 changes the radiance."""
-        lit, lean = self.onto(normal), self.lean.to(normal)[:, None, None]
+        lit, gradient = self.onto(normal), self.gradient.to(normal)[:, None, None]
         level = lit.irradiance[:1]
         if self.strength is not None:
             level = level / self.strength[:1]
         lobe = torch.zeros_like(normal[:1]).repeat(4, 1, 1)
         lobe[0] = 1.0
-        return lit, lobe, by_slopes(normal, lean) / level
+        return lit, lobe, by_slopes(normal, gradient) / level
 
 
 def evenly_lit(log: Tensor, seen: Tensor, rendered: Tensor) -> Tensor:

@@ -56,7 +56,7 @@ from matcap.capture.together.union import (
     unpredicted,
 )
 from matcap.capture.together.view_predictions import ViewPrediction, predict_views, with_others
-from matcap.capture.together.views import ResampledView, SetLight
+from matcap.capture.together.views import ResampledView, SharedLight
 from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
@@ -206,7 +206,7 @@ def by_features(registration: Registration, coarse: CoarseFit, extent: Extent = 
     """Registration by features, with the light of the first photograph's coarse fit."""
     views, photo = registration.views, registration.views[0].photo
     raw = all(view.photo.radiometric for view in views)
-    light = SetLight.of(coarse.setup, len(views), photo.profile, radiometric=raw)
+    light = SharedLight.of(coarse.setup, len(views), photo.profile, radiometric=raw)
     return Aligned.of(views, coarse.setup, light, extent)
 
 

@@ -29,9 +29,9 @@ from matcap.capture.piece.smooth import BANDS, local_mean, smoothed, split
 from matcap.capture.piece.strengths import RESPONSE_AROUND, equalise, measure_strengths
 from matcap.capture.registration.camera import Lens, PosedCamera, grid_points, to_pixels
 from matcap.capture.registration.register import RegisteredView
-from matcap.capture.together.ambient_light import LEAN, LEANING, Views
+from matcap.capture.together.ambient_light import GRADIENT_DEVIATION, UNIFORM_SKY, Views
 from matcap.capture.together.texels import SLOPES, derivatives, points_of
-from matcap.capture.together.views import ResampledView, SetLight, light_at
+from matcap.capture.together.views import ResampledView, SharedLight, light_at
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.shrink import area_averaged
 
@@ -169,7 +169,7 @@ class Ratio:
     use: Floats
 
     @staticmethod
-    def of(views: Sequence[ResampledView], parameters: Tensor, light: SetLight) -> Ratio:
+    def of(views: Sequence[ResampledView], parameters: Tensor, light: SharedLight) -> Ratio:
         """Ratio of the first to the last photograph, linearised about a flat surface.
 
         Args:
@@ -202,16 +202,18 @@ class Ratio:
         return Ratio(left, np.stack(along), shares[0].mean(0).numpy(), use)
 
 
-def with_lean(views: Sequence[ResampledView], parameters: Tensor, light: SetLight) -> SetLight:
-    """Estimate the direction of ambient light (SetLight.lean) from the contrast of the ratio.
+def with_ambient_gradient(
+    views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
+) -> SharedLight:
+    """Estimate the gradient of ambient light (SharedLight.ambient) from the contrast of the ratio.
 
     Isotropic relief of slope energy S has the energy A + S |g - l|^2 / 2 in the ratio, with its
     minimum at g = l. So local energies are fitted by weighted least squares as quadratic in g.
     Returns `light` unchanged if no photograph is without flash. Arguments are those of Ratio.of.
     """
-    if views[-1].ambient is None:
+    if views[-1].flash:
         return light
-    light = replace(light, lean=torch.tensor(LEAN))
+    light = replace(light, ambient=torch.tensor(UNIFORM_SKY))
     ratio = Ratio.of(views, parameters, light)
     around = max(ratio.use.shape) / _WINDOWS
     band = np.sum(split(ratio.log)[:4], axis=0)
@@ -237,15 +239,15 @@ def with_lean(views: Sequence[ResampledView], parameters: Tensor, light: SetLigh
     alike = weight.size * 4.0 * np.pi * around**2 / seen_share / ratio.use.size
     scatter = float((weight * np.square(fitted @ terms - wanted)).mean()) * alike
     variance = scatter * np.linalg.inv(normal).diagonal()
-    lean = fitted[linear] / (2.0 * relief)
-    unsure = (variance[linear] + np.square(2.0 * lean) * variance[squared]) / (2.0 * relief) ** 2
-    lean = lean * LEANING**2 / (LEANING**2 + unsure)
-    lean = np.clip(lean, -2.0 * LEANING, 2.0 * LEANING)
-    return replace(light, lean=torch.tensor([*lean.tolist(), LEAN[2]]))
+    slope = fitted[linear] / (2.0 * relief)
+    unsure = (variance[linear] + np.square(2.0 * slope) * variance[squared]) / (2.0 * relief) ** 2
+    slope = slope * GRADIENT_DEVIATION**2 / (GRADIENT_DEVIATION**2 + unsure)
+    slope = np.clip(slope, -2.0 * GRADIENT_DEVIATION, 2.0 * GRADIENT_DEVIATION)
+    return replace(light, ambient=torch.tensor([*slope.tolist(), UNIFORM_SKY[2]]))
 
 
 def as_steep(
-    height: Tensor, views: Sequence[ResampledView], parameters: Tensor, light: SetLight
+    height: Tensor, views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
 ) -> Tensor:
     """Scale a height's slope energies by octave and direction to those measured in the ratio.
 
@@ -255,7 +257,7 @@ def as_steep(
         height: (1, H, W), plane units.
         views, parameters, light: as of Ratio.of.
     """
-    if len(views) != 2 or views[1].ambient is None:
+    if len(views) != 2 or views[1].flash:
         return height
     texel = views[0].extent.texel(height.shape[-1])
     texels = np.asarray(height[0].numpy() / texel, np.float32)

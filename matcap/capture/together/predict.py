@@ -14,7 +14,7 @@ from torch import Tensor
 
 from matcap.capture.together.align import Aligned
 from matcap.capture.together.solve import Solved, solve
-from matcap.capture.together.texels import Estimate, parameters_of, points_of, rendered
+from matcap.capture.together.texels import Estimate, log_rendered, parameters_of, points_of
 from matcap.capture.together.views import ResampledView, light_at
 
 # Settings of the leave-one-out solves; docs/notes/several.md.
@@ -63,7 +63,7 @@ def predictions(
     down = max(8, round(height * across / width))
     small = prediction.resized((down, across), alignment.extent)
     views = alignment.on_grid(across, down, tint)
-    if sum(view.ambient is None for view in views) < 2:
+    if sum(view.flash for view in views) < 2:
         return None
 
     def by(kept: Sequence[int], begun: Solved | None = None) -> Solved:
@@ -76,10 +76,9 @@ def predictions(
     whole = by(every)
     ahead, own = [], []
     for index, view in enumerate(views):
-        lit = view.ambient is None
-        own.append(left_out_residual(view, whole) if lit else math.nan)
+        own.append(left_out_residual(view, whole) if view.flash else math.nan)
         others = [k for k in every if k != index]
-        ahead.append(left_out_residual(view, by(others, whole)) if lit else math.nan)
+        ahead.append(left_out_residual(view, by(others, whole)) if view.flash else math.nan)
     return Predictions(tuple(ahead), tuple(own))
 
 
@@ -90,8 +89,8 @@ def left_out_residual(view: ResampledView, solved: Solved) -> float:
     """
     points = points_of(view.log.shape[-2:], extent=view.extent)
     light = light_at(0, view, replace(solved.light, gain=torch.zeros(1, 3)), points)
-    (shown,) = rendered(parameters_of(solved.maps), [light])
-    off = view.log - shown.log()
+    (shown,) = log_rendered(parameters_of(solved.maps), [light])
+    off = view.log - shown
     for channel in range(3):
         residual = off[channel][view.seen[channel]]
         if residual.numel():

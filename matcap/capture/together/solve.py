@@ -23,7 +23,7 @@ from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.together.ambient_light import SLOW
 from matcap.capture.together.octaves import denoised, prediction_error, with_energies
-from matcap.capture.together.pair import as_steep, with_lean
+from matcap.capture.together.pair import as_steep, with_ambient_gradient
 from matcap.capture.together.shared import SAMPLED, shared_step
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
@@ -34,15 +34,15 @@ from matcap.capture.together.texels import (
     ParameterPrior,
     Stepped,
     by_map,
+    log_rendered,
     maps_of,
     parameters_of,
     points_of,
-    rendered,
     slopes_of,
     stepped,
     under_fitted_ambient,
 )
-from matcap.capture.together.views import ResampledView, SetLight, light_at
+from matcap.capture.together.views import ResampledView, SharedLight, light_at
 from matcap.flash.light import strips
 
 # Per-texel steps in each round; each begins with a fit of the shared parameters.
@@ -70,7 +70,7 @@ class Solved:
     """
 
     estimate: Estimate
-    light: SetLight
+    light: SharedLight
     residual: tuple[float, ...]
     measured: tuple[float, float, float, float]
     prediction_error: float
@@ -92,7 +92,7 @@ class Solved:
 def solve(
     views: Sequence[ResampledView],
     prediction: Estimate,
-    light: SetLight,
+    light: SharedLight,
     begun: Solved | None = None,
     on_progress: Callable[[float], None] = lambda _share: None,
     *,
@@ -114,9 +114,12 @@ def solve(
     prior = ParameterPrior.of(prediction).with_least_slope(off)
     parameters = prior.mean.clone() if begun is None else _continued(prior.mean, maps, begun)
     total, done, interrupted = sum(rounds) + 2, 0, False
-    light, unit = with_lean(views, prior.mean, light), views[0].extent.unit(parameters.shape[-1])
+    light, unit = (
+        with_ambient_gradient(views, prior.mean, light),
+        views[0].extent.unit(parameters.shape[-1]),
+    )
     lit, expected, step = list(views), prior, Stepped.none(parameters)
-    wider = _WIDER * sum(1 if view.ambient is None else _UNLIT for view in views)
+    wider = _WIDER * sum(1 if view.flash else _UNLIT for view in views)
     try:
         for index, steps in enumerate(rounds):
             lit, before = under_fitted_ambient(views, parameters, light), light.gloss
@@ -175,7 +178,7 @@ def _denoised(
     )
     jackknife = [other[0].numpy() for other in others]
     height_map = denoised(height[0].numpy(), prediction[0].numpy(), jackknife, keep_energy=True)
-    if len(views) == 2 and views[1].ambient is None:
+    if len(views) == 2 and views[1].flash:
         height_map = with_energies(height_map, extent.texel(across), slope_energies)
     return torch.from_numpy(height_map)[None]
 
@@ -204,7 +207,7 @@ def _step_at_fixed_slopes(
     views: Sequence[ResampledView],
     parameters: Tensor,
     prior: ParameterPrior,
-    light: SetLight,
+    light: SharedLight,
 ) -> Tensor:
     """Parameters after a step with slopes fixed, albedo denoised (octaves.py)."""
     step = stepped(views, parameters, prior, light, slopes=False, changed=ALBEDO)
@@ -241,14 +244,16 @@ def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, float, flo
 
 
 def _residuals(
-    views: Sequence[ResampledView], parameters: Tensor, light: SetLight
+    views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
 ) -> tuple[float, ...]:
     """Median absolute residual of log radiance of each photograph, from a quarter of the rows."""
     off: list[list[Tensor]] = [[] for _ in views]
     for rows in strips(parameters.shape[1], ROWS // 4)[::4]:
         points = points_of(parameters.shape[-2:], rows, views[0].extent)
         lit = [light_at(k, view, light, points) for k, view in enumerate(views)]
-        for view, left, shown in zip(views, off, rendered(parameters[:, rows], lit), strict=True):
-            left.append((view.log[:, rows] - shown.log())[view.seen[:, rows]].abs())
+        for view, left, shown in zip(
+            views, off, log_rendered(parameters[:, rows], lit), strict=True
+        ):
+            left.append((view.log[:, rows] - shown)[view.seen[:, rows]].abs())
     every = (torch.cat(each) for each in off)
     return tuple(float(each.median()) if each.numel() else math.nan for each in every)

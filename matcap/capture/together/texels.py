@@ -16,11 +16,12 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_height, normals_from_slopes
 from matcap.brdf.parameters import ALBEDO, F0, ROUGH
+from matcap.capture.piece.noise import DARKEST
 from matcap.capture.together.ambient_light import AmbientLight, evenly_lit
-from matcap.capture.together.views import ResampledView, SetLight, light_at, logarithm, radiance
+from matcap.capture.together.views import FlashOrAmbient, ResampledView, SharedLight, light_at
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import plane_points
-from matcap.flash.light import FlashLight, strips
+from matcap.flash.light import strips
 
 # Besides ALBEDO, F0 and ROUGH: slopes, and both of a kind.
 ACROSS, UP, GLOSS, SLOPES = 5, 6, slice(3, 5), slice(5, 7)
@@ -114,8 +115,8 @@ class ParameterPrior:
         """(PARAMETERS, ...) 1 / deviation^2."""
         return self.deviation.square().reciprocal()
 
-    def with_gloss_of(self, light: SetLight) -> ParameterPrior:
-        """With SetLight.gloss added to the means of log F0 and logit roughness."""
+    def with_gloss_of(self, light: SharedLight) -> ParameterPrior:
+        """With SharedLight.gloss added to the means of log F0 and logit roughness."""
         mean = self.mean.clone()
         mean[GLOSS] += light.gloss[:, None, None]
         return ParameterPrior(mean, self.deviation)
@@ -175,24 +176,30 @@ def points_of(
     return extent.placed(points)
 
 
-def rendered(parameters: Tensor, lights: Sequence[FlashLight | AmbientLight]) -> list[Tensor]:
-    """Radiance (3, h, w) of parameters (PARAMETERS, h, w) in each light."""
+def log_rendered(parameters: Tensor, lights: Sequence[FlashOrAmbient]) -> list[Tensor]:
+    """Log radiance (3, h, w) of parameters (PARAMETERS, h, w) in each light."""
     normal = normals_from_slopes(*parameters[SLOPES].split(1))
     matte, f0 = parameters[ALBEDO].exp(), parameters[F0 : F0 + 1].exp()
     rough = torch.sigmoid(parameters[ROUGH : ROUGH + 1])
-    return [radiance(light, matte, f0, rough, normal) for light in lights]
+    incident = (light.onto(normal) for light in lights)
+    return [_log((lit.matte(matte) + lit.mirrored(f0, rough)) * lit.irradiance) for lit in incident]
+
+
+def _log(radiance: Tensor) -> Tensor:
+    """Log radiance, with radiance bounded below."""
+    return radiance.clamp_min(DARKEST).log()
 
 
 def under_fitted_ambient(
-    views: Sequence[ResampledView], parameters: Tensor, light: SetLight
+    views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
 ) -> list[ResampledView]:
     """Replace the ambient photograph's low frequencies by those of the rendered parameters."""
 
     def even(view: ResampledView) -> ResampledView:
-        shown = rendered(parameters, [AmbientLight(light.lean)])[0].log()
+        (shown,) = log_rendered(parameters, [AmbientLight(light.ambient)])
         return replace(view, log=evenly_lit(view.log, view.seen, shown))
 
-    return [view if view.ambient is None else even(view) for view in views]
+    return [view if view.flash else even(view) for view in views]
 
 
 def weights(residual: Tensor, seen: Tensor, noise: float) -> Tensor:
@@ -205,7 +212,7 @@ def stepped(
     views: Sequence[ResampledView],
     parameters: Tensor,
     prior: ParameterPrior,
-    light: SetLight,
+    light: SharedLight,
     *,
     slopes: bool = True,
     changed: slice | None = None,
@@ -244,7 +251,7 @@ def _systems(
     views: Sequence[ResampledView],
     rows: slice,
     parameters: Tensor,
-    light: SetLight,
+    light: SharedLight,
     *,
     slopes: bool,
 ) -> list[tuple[Tensor, Tensor]]:
@@ -283,7 +290,7 @@ def _systems(
 
 
 def derivatives(
-    parameters: Tensor, lights: Iterable[FlashLight | AmbientLight]
+    parameters: Tensor, lights: Iterable[FlashOrAmbient]
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """In each light log radiance (3, h, w) and its derivatives by the parameters.
 
@@ -304,7 +311,7 @@ def derivatives(
         share = diffuse / same
         gained = (1.0 - share) * lobe[:, None]
         gained[-2:] += slanted[:, None]
-        yield logarithm(same * lit.irradiance), share.flatten(1), gained.flatten(2)
+        yield _log(same * lit.irradiance), share.flatten(1), gained.flatten(2)
 
 
 def jacobian(share: Tensor, gained: Tensor) -> Tensor:

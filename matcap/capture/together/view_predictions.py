@@ -28,7 +28,7 @@ from matcap.capture.together.align import Aligned
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import SLOPES, Estimate, maps_of, parameters_of
 from matcap.capture.together.tint import achromatic
-from matcap.capture.together.views import SetLight, ViewWarp
+from matcap.capture.together.views import SharedLight, ViewWarp
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
@@ -63,7 +63,7 @@ class OwnPlane:
     """Angle of its x axis to the first photograph's, radians anticlockwise."""
 
     @staticmethod
-    def of(camera: PosedCamera, light: SetLight, number: int) -> OwnPlane:
+    def of(camera: PosedCamera, light: SharedLight, number: int) -> OwnPlane:
         """Frame of photograph `number` with its camera and the shared light."""
         distance = camera.place[2] / camera.turn[2, 2]
         origin = (camera.place - distance * camera.turn[2])[:2]

@@ -14,7 +14,7 @@ from torch import Tensor
 from matcap.capture.piece.noise import DARKEST
 from matcap.capture.registration.camera import PosedCamera, grid_points, to_pixels
 from matcap.capture.registration.register import RegisteredView
-from matcap.capture.together.ambient_light import AMBIENT_NOISE, LEAN, AmbientLight
+from matcap.capture.together.ambient_light import AMBIENT_NOISE, UNIFORM_SKY, AmbientLight
 from matcap.capture.together.tint import on_grid
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
@@ -27,12 +27,12 @@ from matcap.photo.shrink import CLIPPED_SHARE, area_averaged
 RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs
 _BORDER = 2.0  # width of a photograph's unused border, pixels
 
-
 Doubles = NDArray[np.float64]
+FlashOrAmbient = FlashLight | AmbientLight
 
 
 @dataclass(frozen=True)
-class SetLight:
+class SharedLight:
     """Shared light parameters of all photographs, and each one's gains.
 
     Attributes:
@@ -43,8 +43,9 @@ class SetLight:
         intensity: (3,) of the first photograph's flash.
         gloss: (2,) change of mean log F0 and mean logit roughness from the prediction; their error
             scales all slopes.
-        lost: (2,) prior standard deviations of `vignetting`, by the camera profile if there is one.
-        lean: (3,) direction of the ambient light (AmbientLight.lean).
+        vignetting_deviation: (2,) prior standard deviations of `vignetting`, by the camera profile
+            if there is one.
+        ambient: (3,) gradient of the ambient light (AmbientLight.gradient).
         coarse_offset: (2,) `offset` by the first photograph's coarse fit, the mean of its prior.
     """
 
@@ -53,8 +54,8 @@ class SetLight:
     gain: Tensor
     intensity: Tensor
     gloss: Tensor = field(default_factory=lambda: torch.zeros(2))
-    lost: tuple[float, float] = (0.4, 0.6)
-    lean: Tensor = field(default_factory=lambda: torch.tensor(LEAN))
+    vignetting_deviation: tuple[float, float] = (0.4, 0.6)
+    ambient: Tensor = field(default_factory=lambda: torch.tensor(UNIFORM_SKY))
     coarse_offset: Tensor = field(default_factory=lambda: torch.zeros(2))
     centre: tuple[float, float] = (0.0, 0.0)
 
@@ -65,15 +66,15 @@ class SetLight:
         profile: CameraProfile | None = None,
         *,
         radiometric: bool = False,
-    ) -> SetLight:
+    ) -> SharedLight:
         """Initial light of `count` photographs, all RAW (`radiometric`) or all developed."""
-        lost = SetLight.lost if profile is None else profile.falloff.deviation
-        return SetLight(
+        known = SharedLight.vignetting_deviation if profile is None else profile.falloff.deviation
+        return SharedLight(
             torch.tensor(setup.offset[:2]).float(),
             torch.tensor([setup.vignetting, setup.vignetting_quartic]),
             torch.zeros(count, 3),
             torch.tensor(setup.intensity).float(),
-            lost=RAW_FALLOFF if radiometric else lost,
+            vignetting_deviation=RAW_FALLOFF if radiometric else known,
             coarse_offset=torch.tensor(setup.offset[:2]).float(),
             centre=setup.vignetting_centre,
         )
@@ -86,7 +87,7 @@ class SetLight:
             setup, offset=(x, y, setup.offset[2]), vignetting=lost, vignetting_quartic=more
         )
 
-    def of_some(self, kept: Sequence[int]) -> SetLight:
+    def of_some(self, kept: Sequence[int]) -> SharedLight:
         """Light of a subset of the photographs; kept[0] becomes the first."""
         gain = self.gain[list(kept)]
         return replace(self, gain=gain - gain[:1], intensity=self.intensity * gain[0].exp())
@@ -135,30 +136,27 @@ class ResampledView:
     """A photograph resampled on the exemplar's grid.
 
     Attributes:
-        name: of its file.
         log: (3, H, W) log radiance.
         seen: (3, H, W) bool, by channel: in the picture and not clipped.
         camera: pose and lens.
-        ambient: the light, if not its flash.
-        noise: standard deviation of log radiance in addition to texels._NOISE.
+        flash: whether its flash lights it, not ambient light.
         extent: of the grid.
     """
 
-    name: str
     log: Tensor
     seen: Tensor
     camera: PosedCamera
-    ambient: AmbientLight | None = None
-    noise: float = 0.0
+    flash: bool = True
     extent: Extent = OWN
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of log radiance in addition to texels._NOISE."""
+        return 0.0 if self.flash else AMBIENT_NOISE
 
     @staticmethod
     def of(
-        view: RegisteredView,
-        across: int,
-        down: int,
-        warp: ViewWarp,
-        tint: Tensor | None,
+        view: RegisteredView, across: int, down: int, warp: ViewWarp, tint: Tensor | None
     ) -> ResampledView:
         """Resample a registered photograph to a grid of (down, across) texels.
 
@@ -176,8 +174,10 @@ class ResampledView:
         pixels = area_averaged(photo.pixels, size)
         full = (photo.clipped[..., None] & (photo.pixels > FULL)).astype(np.float32)
         clipped = area_averaged(full, size)
-        fine = (across * finer, down * finer)
-        x, y = _looked_up(view, warp, fine, size)
+        # A few rows at a time: whole grids of double precision would need much memory.
+        grid = warp.points(across * finer, down * finer)
+        parts = [to_pixels(view.camera.sees(points), *size) for points in grid]
+        x, y = (np.concatenate(each) for each in zip(*parts, strict=True))
         inside = (x > _BORDER) & (x < size[0] - _BORDER) & (y > _BORDER) & (y < size[1] - _BORDER)
 
         def gridded(picture: NDArray[np.float32], how: int) -> NDArray[np.float32]:
@@ -188,33 +188,18 @@ class ResampledView:
         hidden = gridded(clipped, cv2.INTER_LINEAR) > CLIPPED_SHARE
         whole = area_averaged(inside.astype(np.float32), (across, down))
         seen = ~hidden & (whole[..., None] > 0.99)
-        log = np.log(linear)
-        shown = planes_of(log)
-        return ResampledView(
-            photo.name,
-            shown if tint is None else shown - on_grid(tint, (across, down)).log(),
-            planes_of(seen),
-            view.camera,
-            None if view.flash else AmbientLight(),
-            0.0 if view.flash else AMBIENT_NOISE,
-            warp.extent,
-        )
-
-
-def _looked_up(
-    view: RegisteredView, warp: ViewWarp, fine: tuple[int, int], size: tuple[int, int]
-) -> list[NDArray[np.float32]]:
-    """Columns and rows in a photograph of `size` pixels of the texels of a grid `fine`."""
-    parts = [to_pixels(view.camera.sees(points), *size) for points in warp.points(*fine)]
-    return [np.concatenate(each) for each in zip(*parts, strict=True)]
+        log = planes_of(np.log(linear))
+        if tint is not None:
+            log = log - on_grid(tint, (across, down)).log()
+        return ResampledView(log, planes_of(seen), view.camera, view.flash, warp.extent)
 
 
 def light_at(
-    number: int, view: ResampledView, light: SetLight, points: Tensor
-) -> FlashLight | AmbientLight:
+    number: int, view: ResampledView, light: SharedLight, points: Tensor
+) -> FlashOrAmbient:
     """Light of photograph `number` at plane points (3, h, w)."""
-    if view.ambient is not None:
-        return AmbientLight(light.lean, light.gain[number].exp()[:, None, None])
+    if not view.flash:
+        return AmbientLight(light.ambient, light.gain[number].exp()[:, None, None])
     camera = view.camera
     turn = torch.from_numpy(camera.turn).to(points)
     place = torch.from_numpy(camera.place).to(points)
@@ -225,16 +210,3 @@ def light_at(
     lost = log_vignette(image, light.vignetting[0], light.vignetting[1])
     strength = (light.intensity.log() + light.gain[number]).to(points)
     return FlashLight.between(points, place, flash, (strength[:, None, None] + lost).exp())
-
-
-def radiance(
-    light: FlashLight | AmbientLight, matte: Tensor, specular: Tensor, rough: Tensor, normal: Tensor
-) -> Tensor:
-    """(3, h, w) radiance of albedo, F0 and roughness with unit normals (3, h, w)."""
-    lit = light.onto(normal)
-    return ((lit.matte(matte) + lit.mirrored(specular, rough)) * lit.irradiance).clamp_min(DARKEST)
-
-
-def logarithm(radiance: Tensor) -> Tensor:
-    """Log radiance, with radiance bounded below."""
-    return radiance.clamp_min(DARKEST).log()

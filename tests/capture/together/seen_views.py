@@ -6,8 +6,8 @@ from dataclasses import replace
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.together.texels import parameters_of, points_of, rendered
-from matcap.capture.together.views import ResampledView, SetLight, light_at
+from matcap.capture.together.texels import log_rendered, parameters_of, points_of
+from matcap.capture.together.views import ResampledView, SharedLight, light_at
 from matcap.lab.simulate.hand_held import Hand, hold
 from matcap.lab.simulate.photograph import PhoneCamera
 
@@ -18,19 +18,19 @@ OFFSET = (0.04, -0.07)  # the flash's, from the lens
 DOUBT = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.15]))[:, None, None]
 
 
-def seen(pieces: Sequence[MapSet], noise: float = 0.0) -> tuple[list[ResampledView], SetLight]:
+def seen(pieces: Sequence[MapSet], noise: float = 0.0) -> tuple[list[ResampledView], SharedLight]:
     """A photograph of each from elsewhere, its log radiance off by `noise`, and their light."""
     count = len(pieces)
     nowhere, strength = torch.zeros(count, 3), torch.full((3,), 5.0)
-    light = SetLight(torch.tensor(OFFSET), torch.zeros(2), nowhere, strength)
+    light = SharedLight(torch.tensor(OFFSET), torch.zeros(2), nowhere, strength)
     generator = torch.Generator().manual_seed(3)
     views = []
     for number, (camera, maps) in enumerate(
         zip(hold(PHONE, Hand(), count, 1), pieces, strict=True)
     ):
         empty = torch.zeros(3, *SIZE)
-        view = ResampledView("made", empty, empty == 0.0, camera)
+        view = ResampledView(empty, empty == 0.0, camera)
         lit = light_at(number, view, light, points_of(SIZE))
-        log = rendered(parameters_of(maps), [lit])[0].log()
+        log = log_rendered(parameters_of(maps), [lit])[0]
         views.append(replace(view, log=log + noise * torch.randn(log.shape, generator=generator)))
     return views, light

@@ -18,7 +18,7 @@ from matcap.capture.together.texels import (
     ParameterPrior,
     parameters_of,
 )
-from matcap.capture.together.views import RAW_FALLOFF, SetLight
+from matcap.capture.together.views import RAW_FALLOFF, SharedLight
 from matcap.flash.geometry import FlashSetup
 
 RIBS = 4.7  # texels
@@ -49,7 +49,7 @@ def moved():
     views, light = seen([_woven(), _woven(), _woven(), _woven(0.4), _woven()])
     flat = _flat(_woven())
     doubt = DOUBT.expand(4, *SIZE)
-    light = replace(light, lost=RAW_FALLOFF)
+    light = replace(light, vignetting_deviation=RAW_FALLOFF)
     read = Estimate(flat, doubt)
     found = solve(views, read, light)
 
@@ -89,7 +89,7 @@ def laid(held):
         height=torch.zeros(1, rows, columns),
         texel_size=2.0 / columns,
     )
-    light = SetLight.of(
+    light = SharedLight.of(
         FlashSetup(fov=PHONE.fov, intensity=(5.0, 5.0, 5.0)), len(found.views), radiometric=True
     )
     doubt = DOUBT.expand(4, rows, columns)

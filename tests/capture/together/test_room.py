@@ -16,16 +16,16 @@ from matcap.capture.registration.register import RegisteredView, Registration, r
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together.ambient_light import AmbientLight, evenly_lit, without_ambient
 from matcap.capture.together.look import set_quality
-from matcap.capture.together.pair import as_steep, on_albedo, with_lean
+from matcap.capture.together.pair import as_steep, on_albedo, with_ambient_gradient
 from matcap.capture.together.solve import solve
 from matcap.capture.together.texels import (
     SLOPES,
     Estimate,
+    log_rendered,
     parameters_of,
     points_of,
-    rendered,
 )
-from matcap.capture.together.views import RAW_FALLOFF, ResampledView, SetLight, light_at
+from matcap.capture.together.views import RAW_FALLOFF, ResampledView, SharedLight, light_at
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.hand_held import (
@@ -174,12 +174,12 @@ def _maps(seed=0, size=SIZE):
     )
 
 
-def _view(maps, camera, light, number, room=None):
+def _view(maps, camera, light, number, flash=True):
     size = maps.size[::-1]
     empty = torch.zeros(3, *size)
-    view = ResampledView("made", empty, empty == 0.0, camera, room, 0.0)
+    view = ResampledView(empty, empty == 0.0, camera, flash)
     lit = light_at(number, view, light, points_of(size))
-    return replace(view, log=rendered(parameters_of(maps), [lit])[0].log())
+    return replace(view, log=log_rendered(parameters_of(maps), [lit])[0])
 
 
 def test_light_that_is_slow_over_the_piece_is_taken_off():
@@ -199,26 +199,26 @@ def test_an_even_sky_lights_slopes_less_and_a_window_its_side():
     np.testing.assert_allclose(window - sky, 0.4 * normal[0, 0], atol=1e-6)
 
 
-def _pair(maps, lean):
+def _pair(maps, gradient):
     """Views of maps with a flash and in a room of such light, and the light."""
     cameras = hold(PHONE, Hand(), 1, 1)
-    light = SetLight(torch.zeros(2), torch.zeros(2), torch.zeros(2, 3), torch.full((3,), 5.0))
-    true = replace(light, lean=torch.tensor(lean))
+    light = SharedLight(torch.zeros(2), torch.zeros(2), torch.zeros(2, 3), torch.full((3,), 5.0))
+    true = replace(light, ambient=torch.tensor(gradient))
     flash = _view(maps, cameras[0], true, 0)
-    return flash, replace(_view(maps, cameras[0], true, 1, AmbientLight()), noise=0.05), light
+    return flash, _view(maps, cameras[0], true, 1, flash=False), light
 
 
 def test_a_windows_side_is_found_by_the_contrast_of_the_ratio():
     flash, room, light = _pair(_maps(2, (288, 384)), (-0.3, 0.2, 0.5))
     flat = parameters_of(_maps(3, (288, 384)))
-    found = with_lean([flash, room], flat, light)
-    np.testing.assert_allclose(found.lean, (-0.3, 0.2, 0.5), atol=0.12)
+    found = with_ambient_gradient([flash, room], flat, light)
+    np.testing.assert_allclose(found.ambient, (-0.3, 0.2, 0.5), atol=0.12)
 
 
 def test_relief_read_too_weak_becomes_as_steep_as_the_ratio_of_both_says():
     maps = _maps(4, (288, 384))
     flash, room, light = _pair(maps, (-0.3, 0.2, 0.5))
-    light = with_lean([flash, room], parameters_of(maps), light)
+    light = with_ambient_gradient([flash, room], parameters_of(maps), light)
     found = as_steep(0.4 * maps.height, [flash, room], parameters_of(maps), light)
     wanted, seen = (
         slope_strengths(h[0].numpy() / maps.texel_size)[1:4] ** 2 for h in (maps.height, found)
@@ -235,7 +235,7 @@ def test_the_rooms_light_tells_albedo_and_slopes_that_one_flash_does_not():
     off, astray = [], []
     for views in ([flash], [flash, room]):
         some = light.of_some(range(len(views)))
-        some = replace(some, lost=RAW_FALLOFF)
+        some = replace(some, vignetting_deviation=RAW_FALLOFF)
         found = solve(views, Estimate(flat, doubt), some)
         log = (found.maps.diffuse / maps.diffuse).log()
         off.append(float((log - log.median()).abs().mean()))

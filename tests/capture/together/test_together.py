@@ -24,7 +24,7 @@ from matcap.capture.together.texels import (
     ParameterPrior,
     parameters_of,
 )
-from matcap.capture.together.views import RAW_FALLOFF, SetLight
+from matcap.capture.together.views import RAW_FALLOFF, SharedLight
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
@@ -63,7 +63,7 @@ NOTHING_KNOWN = DOUBT.expand(4, *SIZE)
 
 def _solved(views, read, light, log_error=NOTHING_KNOWN):
     """Of RAW photographs."""
-    return solve(views, Estimate(read, log_error), replace(light, lost=RAW_FALLOFF))
+    return solve(views, Estimate(read, log_error), replace(light, vignetting_deviation=RAW_FALLOFF))
 
 
 def _degrees(one, other):
@@ -106,7 +106,7 @@ def test_the_flash_is_found_beside_the_lens():
     maps = _true(3)
     views, light = seen([maps] * 5)
     prior = ParameterPrior.of(Estimate(maps, NOTHING_KNOWN))
-    begun = replace(light, offset=torch.zeros(2), lost=RAW_FALLOFF)
+    begun = replace(light, offset=torch.zeros(2), vignetting_deviation=RAW_FALLOFF)
     found, _ = shared_step(views, prior.mean, prior, begun)
     assert np.abs(found.offset.numpy() - OFFSET).max() < 0.01
 
@@ -131,7 +131,7 @@ def test_the_falloff_of_all_photographs_stays_as_near_as_the_camera_s_profile_sa
     def off(profile):
         lost = {"vignetting": 0.3, "vignetting_quartic": 0.0}  # the photographs lose nothing
         setup = FlashSetup(offset=(*light.offset.tolist(), 0.0), **lost)
-        begun = SetLight.of(setup, 5, profile)
+        begun = SharedLight.of(setup, 5, profile)
         begun = replace(begun, intensity=light.intensity)
         found, _ = shared_step(views, prior.mean, prior, begun)
         return float(found.vignetting.sum())

@@ -18,7 +18,7 @@ from matcap.capture.together.view_predictions import (
     resampled_over,
     with_others,
 )
-from matcap.capture.together.views import SetLight, ViewWarp
+from matcap.capture.together.views import SharedLight, ViewWarp
 from matcap.flash.geometry import camera_in_plane
 from matcap.lab.simulate.hand_held import Hand, hold
 from matcap.lab.simulate.photograph import PhoneCamera
@@ -35,7 +35,7 @@ def cameras():
 def _light(count):
     gain = torch.zeros(count, 3)
     gain[1] = 0.3
-    return SetLight(torch.tensor([0.04, -0.07]), torch.zeros(2), gain, torch.full((3,), 5.0))
+    return SharedLight(torch.tensor([0.04, -0.07]), torch.zeros(2), gain, torch.full((3,), 5.0))
 
 
 def _waves(points, texel_size):
