@@ -8,22 +8,18 @@ residuals of a photograph depend on its six pose parameters and the common ones 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.registration.camera import Lens, PosedCamera
+from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, camera_of
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.least_squares import minimised
-
-Doubles = NDArray[np.float64]
-
 
 _HUBER = 1.0  # threshold of the Huber loss, pixels
 # Largest effective number of a photograph's matches, as the parallax of relief is correlated
@@ -113,18 +109,16 @@ def adjust(
     focal = _KNOWN_FOCAL if known else _ASSUMED_FOCAL
     begun = _Common(0.0, 0.0, 0.0, *setup.tilt)
     bundle = _Bundle(setup, pairs, np.array(begun), np.array([focal, *bent, TILT, TILT]), relief)
-    poses = [_first_guess(begun.first_camera(setup), pair) for pair in pairs]
+    poses = [_initial_pose(begun.first_camera(setup), pair) for pair in pairs]
     start = torch.from_numpy(np.concatenate([bundle.prior, *poses]))
     _, whole = minimised(bundle.cost, bundle.quadratic, start, _STEPS, tolerance=1e-7)
     common, poses = bundle.parts(whole)
     fitted = _Common(*common.tolist())
-    cameras = [fitted.first_camera(setup)]
-    cameras += [
-        fitted.camera(setup, pose, pair.focal) for pose, pair in zip(poses, pairs, strict=True)
-    ]
-    each = (bundle.residuals(*one) for one in bundle.by_photograph(common, poses))
-    off = tuple(float(np.median(np.hypot(*residuals))) for residuals in each)
-    return Adjusted(fitted.adjusted(setup), tuple(cameras), off)
+    cameras, off = [fitted.first_camera(setup)], []
+    for pair, pose in zip(pairs, poses, strict=True):
+        cameras.append(fitted.camera(setup, pose, pair.focal))
+        off.append(float(np.median(np.hypot(*bundle.residuals(pair, common, pose)))))
+    return Adjusted(fitted.adjusted(setup), tuple(cameras), tuple(off))
 
 
 class MatchedPoints(NamedTuple):
@@ -194,9 +188,9 @@ class _Bundle:
     def cost(self, parameters: Tensor) -> float:
         """Cost of parameters (5 + 6 photographs,)."""
         common, poses = self.parts(parameters)
-        each = (self.residuals(*one) for one in self.by_photograph(common, poses))
         prior = float(np.square((common - self.prior) / self.deviation).sum()) / 2.0
-        return prior + sum(_huber(residuals)[0] for residuals in each)
+        both = zip(self.pairs, poses, strict=True)
+        return prior + sum(_huber(self.residuals(pair, common, pose))[0] for pair, pose in both)
 
     def quadratic(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """Its Gauss-Newton Hessian and gradient; a photograph's errors depend on its pose only."""
@@ -204,7 +198,7 @@ class _Bundle:
         normal, gradient = 1e-12 * np.eye(len(parameters)), np.zeros(len(parameters))
         normal[range(_COMMON), range(_COMMON)] += self.deviation**-2
         gradient[:_COMMON] = (common - self.prior) / self.deviation**2
-        for number, (pair, _, pose) in enumerate(self.by_photograph(common, poses)):
+        for number, (pair, pose) in enumerate(zip(self.pairs, poses, strict=True)):
             features = self.features(pair, common)
             here = self.residuals(pair, common, pose, features)
             there = [self.residuals(pair, common + d, pose) for d in STEP * np.eye(_COMMON)]
@@ -216,12 +210,6 @@ class _Bundle:
             normal[np.ix_(places, places)] += weighted.T @ jacobian
             gradient[places] += weighted.T @ here.ravel()
         return torch.from_numpy(normal), torch.from_numpy(gradient)
-
-    def by_photograph(
-        self, common: Doubles, poses: Sequence[Doubles]
-    ) -> Iterator[tuple[Pair, Doubles, Doubles]]:
-        """Arguments of `residuals` for each."""
-        return ((pair, common, pose) for pair, pose in zip(self.pairs, poses, strict=True))
 
 
 def less_relief(residual: Doubles, parallax: Doubles) -> Doubles:
@@ -243,19 +231,8 @@ def _huber(residuals: Doubles) -> tuple[float, Doubles]:
     return each * float(cost.sum()), each * threshold / np.maximum(size, threshold)
 
 
-def _first_guess(first: PosedCamera, pair: Pair) -> Doubles:
-    """(6,) initial pose of a camera from its homography to the first [collins2014]."""
-    points = first.on_plane(pair.first)
-    focal = first.lens.focal * pair.focal
-    # OpenCV's camera looks along +z with y downwards.
-    seen = np.stack([pair.second[0], -pair.second[1]]).T.copy()
-    matrix = np.diag([focal, focal, 1.0])
-    flip = np.diag([1.0, -1.0, -1.0])
-    _, turns, shifts, errors = cv2.solvePnPGeneric(
-        points.T.copy(), seen, matrix, None, flags=cv2.SOLVEPNP_IPPE
-    )
-    best = int(np.argmin(np.ravel(errors)))
-    turn = cv2.Rodrigues(turns[best])[0]
-    place = -turn.T @ shifts[best].ravel()
-    vector = np.asarray(cv2.Rodrigues(flip @ turn)[0], np.float64).ravel()
-    return np.concatenate([vector, place])
+def _initial_pose(first: PosedCamera, pair: Pair) -> Doubles:
+    """(6,) pose of a camera from its homography to the first, without distortion."""
+    lens = Lens(first.lens.focal * pair.focal)
+    camera = camera_of(first.on_plane(pair.first), pair.second, lens)
+    return np.concatenate([cv2.Rodrigues(camera.turn)[0].ravel(), camera.place])

@@ -92,6 +92,25 @@ class PosedCamera:
         return float(np.arccos(np.clip(self.turn[2, 2], -1.0, 1.0)))
 
 
+def camera_of(points: Doubles, image: Doubles, lens: Lens, *, refined: bool = False) -> PosedCamera:
+    """The camera that sees plane points (3, n) at image coordinates (2, n) [collins2014].
+
+    Args:
+        points: with z = 0, plane units.
+        image: where it sees them.
+        lens: its lens.
+        refined: whether to minimise the reprojection error by Levenberg-Marquardt.
+    """
+    # OpenCV's camera looks along +z with y downwards.
+    straight = (lens.undone(image) * np.array([[1.0], [-1.0]])).T.copy()
+    known = points.T.copy(), straight, np.diag([lens.focal, lens.focal, 1.0]), None
+    _, turn, shift = cv2.solvePnP(*known, flags=cv2.SOLVEPNP_IPPE)
+    if refined:
+        turn, shift = cv2.solvePnPRefineLM(*known, turn, shift)
+    rotation = np.asarray(cv2.Rodrigues(turn)[0], np.float64)
+    return PosedCamera(np.diag([1.0, -1.0, -1.0]) @ rotation, -rotation.T @ shift.ravel(), lens)
+
+
 def grid_points(
     across: int, down: int, extent: Extent = OWN, rows: slice = slice(None)
 ) -> NDArray[np.float64]:

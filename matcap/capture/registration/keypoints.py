@@ -21,6 +21,7 @@ from matcap.photo.photo import Photo
 from matcap.photo.shrink import area_averaged
 
 Doubles = NDArray[np.float64]
+EvenContrast = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
 
 _AT_ONCE = 1024  # rows of the distance matrix computed at a time, 25 MB
 
@@ -67,33 +68,27 @@ class KeypointFinder:
 
     def __init__(self) -> None:
         """Start with an empty cache."""
-        self._cached: dict[tuple[int, int], Keypoints] = {}
+        self._cached: dict[tuple[int, EvenContrast], Keypoints] = {}
 
     def matched(self, first: Photo, second: Photo) -> tuple[Doubles, Doubles, float]:
         """(2, n) image coordinates of inlier matches in both, and a pixel's size in the second."""
-        best: tuple[Doubles, Doubles, float] | None = None
-        for number in range(len(_EVEN)):
-            one, other = (self._keypoints(photo, number) for photo in (first, second))
-            candidate = (*matched(one, other), other.pixel)
-            if best is None or candidate[0].shape[1] > best[0].shape[1]:
-                best = candidate
-            if best[0].shape[1] >= _ENOUGH:
+        candidates = []
+        for even in (even_contrast, even_histogram):
+            one, other = (self._keypoints(photo, even) for photo in (first, second))
+            candidates.append((*matched(one, other), other.pixel))
+            if candidates[-1][0].shape[1] >= _ENOUGH:
                 break
-        assert best is not None
-        return best
+        return max(candidates, key=lambda candidate: candidate[0].shape[1])
 
-    def _keypoints(self, photo: Photo, number: int) -> Keypoints:
-        """Keypoints of a photograph after the contrast normalisation _EVEN[number]."""
-        key = (id(photo), number)
+    def _keypoints(self, photo: Photo, even: EvenContrast) -> Keypoints:
+        """Keypoints of a photograph after a contrast normalisation."""
+        key = (id(photo), even)
         if key not in self._cached:
-            self._cached[key] = find_keypoints(photo, _EVEN[number])
+            self._cached[key] = find_keypoints(photo, even)
         return self._cached[key]
 
 
-def find_keypoints(
-    photo: Photo,
-    even: Callable[[NDArray[np.float32]], NDArray[np.uint8]],
-) -> Keypoints:
+def find_keypoints(photo: Photo, even: EvenContrast) -> Keypoints:
     """Keypoints of a photograph after the contrast normalisation `even`."""
     rows, columns = photo.pixels.shape[:2]
     shrunk = min(1.0, LONG_SIDE / columns)
@@ -127,9 +122,6 @@ def even_histogram(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
     level = 0.25 / max(float(np.median(grey)), 1e-6)
     codes = (255.0 * srgb_encode((grey * level).clip(0.0, 1.0))).round().astype(np.uint8)
     return np.asarray(cv2.createCLAHE(3.0, (12, 12)).apply(codes))
-
-
-_EVEN = (even_contrast, even_histogram)
 
 
 def matched(first: Keypoints, second: Keypoints) -> tuple[Doubles, Doubles]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -32,6 +32,10 @@ _SHIFTED = 5  # shift in texels at which the correlation must be lower
 # Prior of distortion, k1 and k2, if only one photograph has flash, as the displacement of
 # its shading looks like it.
 _STRAIGHT = (0.003, 0.001)
+# Largest ratio of centre to border of a photograph without flash; larger values reject more
+# flash photographs, smaller ones accept more ambient ones.
+_FAINT = 1.15
+_SHOWN = 1.3  # least ratio that proves a flash; without such a photograph none counts as ambient
 
 
 @dataclass(frozen=True)
@@ -135,9 +139,11 @@ def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
     while True:
         bent = _STRAIGHT if all(index in dark for index in pairs) else BENT
         adjusted = adjust(setup, list(pairs.values()), known=known, bent=bent)
-        wrong = _wrong(photos, dict(zip(pairs, range(len(pairs)), strict=True)), adjusted)
+        cameras = dict(zip([0, *pairs], adjusted.cameras, strict=True))
+        wrong = _wrong(photos, cameras, dict(zip(pairs, adjusted.off, strict=True)))
         if not wrong:
-            blurred, wrong = _blurred(photos, list(pairs), dark, adjusted)
+            lit = {index: camera for index, camera in cameras.items() if index not in dark}
+            blurred, wrong = _blurred(photos, lit)
         if not wrong:
             break
         # Remove the worst and fit again, as it affects the others.
@@ -146,11 +152,11 @@ def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
         del pairs[index]
     views, worse = _views(photos, pairs, dark, adjusted)
     left_out |= worse
-    names = tuple(
-        LeftOut(photos[index].name, "; ".join([*([dark[index]] if index in dark else []), why]))
+    named = tuple(
+        LeftOut(photos[index].name, f"{dark[index]}; {why}" if index in dark else why)
         for index, why in sorted(left_out.items())
     )
-    return Registration(adjusted.first, views, names, blurred)
+    return Registration(adjusted.first, views, named, blurred)
 
 
 def _views(
@@ -163,12 +169,13 @@ def _views(
     lit, unlit = [RegisteredView(photos[0], adjusted.cameras[0])], dict[int, RegisteredView]()
     unsure = doubts(adjusted, list(pairs.values()))
     for number, (index, pair) in enumerate(pairs.items()):
-        view = RegisteredView(photos[index], adjusted.cameras[number + 1])
-        view = replace(
-            view,
+        camera = adjusted.cameras[number + 1]
+        view = RegisteredView(
+            photos[index],
+            camera,
             matches=pair.first.shape[1],
             off=adjusted.off[number],
-            alike=likeness(lit[0], view),
+            alike=likeness(photos[0], adjusted.cameras[0], photos[index], camera),
             flash=index not in dark,
             doubt=float(unsure.places[number]),
             astray=float(unsure.astray[number]),
@@ -184,27 +191,34 @@ def _views(
 
 
 def _blurred(
-    photos: Sequence[Photo], others: Sequence[int], dark: Container[int], adjusted: Adjusted
+    photos: Sequence[Photo], cameras: Mapping[int, PosedCamera]
 ) -> tuple[bool, list[tuple[int, str]]]:
-    """Whether the first is blurred; and (index, reason) of blurred others, the worst first."""
-    lit = [(0, 0), *((index, n) for n, index in enumerate(others, 1) if index not in dark)]
-    blur = blurring([photos[index] for index, _ in lit], [adjusted.cameras[n] for _, n in lit])
-    ranked = sorted(zip(blur, lit, strict=True), reverse=True)
+    """Whether the first is blurred; and (index, reason) of blurred others, the worst first.
+
+    `cameras` are those of the photographs with flash, by index.
+    """
+    blur = blurring([photos[index] for index in cameras], list(cameras.values()))
+    ranked = sorted(zip(blur, cameras, strict=True), reverse=True)
     return blur[0] > BLURRED, [
         (index, f"it is blurred: its finest detail is {math.exp(-amount):.0%} of the others'")
-        for amount, (index, _) in ranked
+        for amount, index in ranked
         if index and amount > BLURRED
     ]
 
 
 def _wrong(
-    photos: Sequence[Photo], numbers: dict[int, int], adjusted: Adjusted
+    photos: Sequence[Photo], cameras: Mapping[int, PosedCamera], errors: Mapping[int, float]
 ) -> list[tuple[int, str]]:
-    """(index, reason) of photographs with an implausible camera, the worst first."""
+    """(index, reason) of photographs with an implausible camera, the worst first.
+
+    Args:
+        photos: all.
+        cameras: by index, the first one's included.
+        errors: median reprojection errors by index, pixels.
+    """
     wrong = []
-    first = RegisteredView(photos[0], adjusted.cameras[0])
-    for index, number in numbers.items():
-        camera, off = adjusted.cameras[number + 1], adjusted.off[number]
+    for index, off in errors.items():
+        camera = cameras[index]
         if not np.isfinite(camera.place).all() or camera.place[2] <= 0.05:
             wrong.append((math.inf, index, "its matches fit no camera above a flat sample"))
         elif off > _OFF:
@@ -217,54 +231,45 @@ def _wrong(
             )
             wrong.append((1.0, index, why))
         else:
-            alike = likeness(first, RegisteredView(photos[index], camera))
+            alike = likeness(photos[0], cameras[0], photos[index], camera)
             if alike < _ALIKE:
                 why = f"it differs from {photos[0].name} at the same place, or is blurred"
                 wrong.append((1.0 + _ALIKE - alike, index, why))
     return [(index, why) for _, index, why in sorted(wrong, reverse=True)]
 
 
-def likeness(first: RegisteredView, second: RegisteredView) -> float:
+def likeness(
+    first: Photo, first_camera: PosedCamera, second: Photo, second_camera: PosedCamera
+) -> float:
     """Correlation of the fine texture of two registered photographs over their overlap.
 
     In [-1, 1]; -1 without overlap, or if a shift by a few texels correlates better.
     """
-    across = _COMPARED
-    down = round(across * first.photo.pixels.shape[0] / first.photo.pixels.shape[1])
-    seen = [_texture(view, across, down) for view in (first, second)]
-    both = seen[0][1] & seen[1][1]
+    down = round(_COMPARED * first.pixels.shape[0] / first.pixels.shape[1])
+    texture, seen = _texture(first, first_camera, down)
+    other, also = _texture(second, second_camera, down)
+    both = seen & also
     if both.mean() < 0.05:
         return -1.0
 
     def correlation(x: int, y: int) -> float:
-        moved = np.roll(seen[1][0], (y, x), (0, 1))
-        a, b = seen[0][0][both], moved[both]
+        a, b = texture[both], np.roll(other, (y, x), (0, 1))[both]
         return float((a * b).mean() / max(float(np.sqrt((a * a).mean() * (b * b).mean())), 1e-9))
 
-    here = correlation(0, 0)
-    far = _SHIFTED
+    here, far = correlation(0, 0), _SHIFTED
     shifted = max(correlation(x, y) for x, y in ((far, 0), (-far, 0), (0, far), (0, -far)))
     return here if here > shifted else -1.0
 
 
 def _texture(
-    view: RegisteredView, across: int, down: int
+    photo: Photo, camera: PosedCamera, down: int
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """(H, W) high-passed log radiance over its local contrast on the plane's grid, and its mask."""
-    there, inside = log_on_grid(
-        view.photo, view.camera, (across, down), across, 1e-5, cv2.INTER_LINEAR
-    )
+    """(down, _COMPARED) high-passed log radiance over its local contrast on the plane, its mask."""
+    size = (_COMPARED, down)
+    there, inside = log_on_grid(photo, camera, size, _COMPARED, 1e-5, cv2.INTER_LINEAR)
     fine = cv2.GaussianBlur(there, (0, 0), 1.0) - cv2.GaussianBlur(there, (0, 0), 6.0)
     around = np.sqrt(cv2.GaussianBlur(fine * fine, (0, 0), 12.0)) + 1e-4
     return (fine / around).astype(np.float32), inside
-
-
-# Limits of the falloff.
-
-# Largest ratio of centre to border of a photograph without flash; larger values reject more
-# flash photographs, smaller ones accept more ambient ones.
-_FAINT = 1.15
-_SHOWN = 1.3  # least ratio that proves a flash; without such a photograph none counts as ambient
 
 
 def flash_first(photos: Sequence[Photo]) -> list[Photo]:

@@ -22,7 +22,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.registration.adjust import Pair, adjust
-from matcap.capture.registration.camera import Doubles, PosedCamera, grid_points
+from matcap.capture.registration.camera import Doubles, PosedCamera, grid_points, to_pixels
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.shared import shared_step
 from matcap.capture.together.surface import surface_of
@@ -74,13 +74,10 @@ class Aligned:
     light: SharedLight
 
     @staticmethod
-    def of(
-        views: tuple[RegisteredView, ...],
-        setup: FlashSetup,
-        light: SharedLight,
-        extent: Extent = OWN,
-    ) -> Aligned:
-        """Registration by features alone: identity homographies, no parallax."""
+    def of(views: tuple[RegisteredView, ...], setup: FlashSetup, extent: Extent = OWN) -> Aligned:
+        """Registration by features alone, with the light of the first photograph's coarse fit."""
+        raw = all(view.photo.radiometric for view in views)
+        light = SharedLight.of(setup, len(views), views[0].photo.profile, radiometric=raw)
         warp = ViewWarp(np.eye(3), None, views[0].camera.place, extent)
         return Aligned(setup, views, (warp,) * len(views), light)
 
@@ -218,22 +215,9 @@ def reframed(maps: MapSet, old: PosedCamera, new: PosedCamera, extent: Extent = 
     across, down = maps.size
     points = old.on_plane(new.sees(grid_points(across, down, extent)))
     middle = np.asarray(extent.middle)[:, None, None]
-    u, v = (points[:2] - middle) / extent.half
-    x = (u + 1.0) * across / 2.0 - 0.5
-    y = (down - v * across) / 2.0 - 0.5
-    return MapSet.from_stacked(
-        torch.stack([_looked_up(channel, x, y) for channel in maps.stacked().float()]),
-        maps.texel_size,
-    )
-
-
-def _looked_up(channel: Tensor, x: Doubles, y: Doubles) -> Tensor:
-    """Sample a plane (H, W) bilinearly at columns x and rows y."""
-    looked_up = cv2.remap(
-        channel.numpy(),
-        x.astype(np.float32),
-        y.astype(np.float32),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REFLECT_101,
-    )
-    return torch.from_numpy(looked_up)
+    places = to_pixels((points[:2] - middle) / extent.half, across, down)
+    channels = [
+        cv2.remap(channel, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
+        for channel in maps.stacked().float().numpy()
+    ]
+    return MapSet.from_stacked(torch.from_numpy(np.stack(channels)), maps.texel_size)

@@ -9,7 +9,7 @@ predictions of the others, beyond the first photograph.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -21,12 +21,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.detail import Rectified, network_input
 from matcap.capture.piece.absolute import most_probable_scale, scaled
 from matcap.capture.piece.classes import Classes
-from matcap.capture.piece.find import (
-    ExemplarEstimate,
-    indexed,
-    map_set_of,
-    refined,
-)
+from matcap.capture.piece.find import ExemplarEstimate, indexed, map_set_of, refined
 from matcap.capture.piece.finest import finest
 from matcap.capture.piece.inpaint import inpainted
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse
@@ -55,14 +50,13 @@ from matcap.capture.together.union import (
     tint_over,
     unpredicted,
 )
-from matcap.capture.together.view_predictions import ViewPrediction, predict_views, with_others
-from matcap.capture.together.views import ResampledView, SharedLight
+from matcap.capture.together.view_predictions import predict_views, with_others
+from matcap.capture.together.views import ResampledView
 from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.field.single import one_thread
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse, under_flash
-from matcap.flash.extent import OWN, Extent
 from matcap.flash.plane import Plane, read_plane
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
@@ -70,21 +64,6 @@ from matcap.statistics.lattice import Wave
 # Steps per texel in each round, on a grid that starts from the solution of one half as fine.
 _FINER: tuple[int, ...] = (1,)
 _COARSE = 320  # texels across the grid that starts from the network's prediction
-
-
-@dataclass(frozen=True)
-class SinglePrediction:
-    """Estimate from one photograph alone.
-
-    Attributes:
-        estimate: maps and errors on its plane's texels.
-        strengths: relief and albedo energies measured in the photograph, or None.
-        metal: (h, w) share of metal in each texel.
-    """
-
-    estimate: Estimate
-    strengths: Strengths | None
-    metal: NDArray[np.float32]
 
 
 @torch.no_grad()
@@ -112,38 +91,37 @@ def estimate_together(
         MatcapError: no other photograph can be registered to the first.
     """
     registration, coarse, plane = registered(photos, detail, clock)
-    single = predict_alone(plane, coarse, network, clock)
+    single, strengths, metal = predict_alone(plane, coarse, network, clock)
     reach = reach_of(registration.views, plane.size) if union else Reach.own(plane.size)
-    prediction = spread_over(single.estimate, reach.margins)
-    begun = by_features(registration, coarse, reach.extent)
-    poses, interrupted = _aligned(begun, single.estimate.maps, prediction, clock)
+    prediction = spread_over(single, reach.margins)
+    begun = Aligned.of(registration.views, coarse.setup, reach.extent)
+    poses, interrupted = _aligned(begun, single.maps, prediction, clock)
     first = poses.views[0].photo
     rectified = Rectified.of(first, replace(coarse, setup=poses.setup), detail)
     posed = PosedCamera.of(registration.setup), poses.views[0].camera
     maps, tint = achromatic(reframed(prediction.maps, *posed, reach.extent))
     prediction = Estimate(maps, unpredicted(prediction.log_error, reach))
     if reach.margins.any:
-        others = None if interrupted else _predictions(poses, prediction, coarse, network)
-        interrupted |= others is None
-        if others is not None:
-            prediction = with_others(prediction, others)
-            tint = tint_over(tint, others, reach)
-        most = scatter(single.estimate)[:, None, None]
+        if not interrupted:
+            every = _fused(poses, prediction, tint, reach, coarse, network)
+            prediction, tint, interrupted = every
+        most = scatter(single)[:, None, None]
         prediction = replace(prediction, log_error=torch.minimum(prediction.log_error, most))
     with clock.stage("solve"):
         poses, views, solved = _solved(poses, prediction, tint, clock)
     interrupted |= solved.interrupted
-    coarse = replace(coarse, setup=solved.light.onto(poses.setup))
-    rectified = replace(rectified, coarse=coarse)
+    rectified = replace(rectified, coarse=replace(coarse, setup=solved.light.onto(poses.setup)))
     with clock.stage("predict"):
-        ahead = None if interrupted else predictions(poses, prediction, solved, tint)
+        unknown = (), solved.residual
+        ahead, residuals = unknown if interrupted else predictions(poses, prediction, solved, tint)
     with clock.stage("inpaint"):
         reach, whole, solved = _whole(rectified.whole, poses, reach, solved)
-        exemplar = _inpainted(Observation.of(whole, coarse), solved, tint, views)
+        exemplar = _inpainted(Observation.of(whole, rectified.coarse), solved, tint, views)
     with clock.stage("index"):
-        exemplar, example, scale = _indexed(first, exemplar, single.metal, rectified.waves, reach)
-    report = SetReport.of(registration, poses, solved, ahead, reach)
-    strengths, error = single.strengths, solved.residual[0]
+        exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, reach)
+    offset, mosaic = rectified.coarse.setup.offset, reach if reach.margins.any else None
+    left_out, error = registration.left_out, solved.residual[0]
+    report = SetReport(poses.views, residuals, ahead, left_out, solved.measured, offset, mosaic)
     estimate = ExemplarEstimate(
         exemplar, example, strengths, error, 0.0, 1.0, interrupted, report, scale, first.turned
     )
@@ -192,22 +170,18 @@ def _none_fits(registration: Registration) -> MatcapError:
 @torch.no_grad()
 def predict_alone(
     plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock
-) -> SinglePrediction:
-    """Estimate from one photograph alone, on its plane's texels: prediction, relief, classes."""
-    seen = network_input(plane)
-    observed, prediction, strengths = refined(seen, coarse, network, clock)
+) -> tuple[Estimate, Strengths | None, NDArray[np.float32]]:
+    """Estimate from one photograph alone, on its plane's texels.
+
+    Returns:
+        Maps and their errors; relief and albedo energies measured in the photograph, or None; and
+        (h, w) share of metal in each texel.
+    """
+    observed, prediction, strengths = refined(network_input(plane), coarse, network, clock)
     exemplar = finest(exemplar_of(observed, prediction), plane, coarse)
     errors = prediction.errors.stacked()
     wide = F.interpolate(errors[None], size=plane.size[::-1], mode="bilinear")[0]
-    return SinglePrediction(Estimate(map_set_of(exemplar), wide), strengths, prediction.metal)
-
-
-def by_features(registration: Registration, coarse: CoarseFit, extent: Extent = OWN) -> Aligned:
-    """Registration by features, with the light of the first photograph's coarse fit."""
-    views, photo = registration.views, registration.views[0].photo
-    raw = all(view.photo.radiometric for view in views)
-    light = SharedLight.of(coarse.setup, len(views), photo.profile, radiometric=raw)
-    return Aligned.of(views, coarse.setup, light, extent)
+    return Estimate(map_set_of(exemplar), wide), strengths, prediction.metal
 
 
 def _aligned(
@@ -230,18 +204,27 @@ def _aligned(
         return begun, True
 
 
-def _predictions(
-    poses: Aligned, first: Estimate, coarse: CoarseFit, network: Inverse
-) -> list[ViewPrediction] | None:
-    """The network's prediction of each photograph of a mosaic; None if interrupted."""
+def _fused(
+    poses: Aligned,
+    first: Estimate,
+    tint: Tensor | None,
+    reach: Reach,
+    coarse: CoarseFit,
+    network: Inverse,
+) -> tuple[Estimate, Tensor | None, bool]:
+    """Prediction and tint of a mosaic from all photographs, or `first` and `tint` if interrupted.
+
+    Also returns whether it was interrupted.
+    """
 
     def predict(plane: Plane, fit: CoarseFit) -> Estimate:
-        return predict_alone(plane, fit, network, CaptureClock(None)).estimate
+        return predict_alone(plane, fit, network, CaptureClock(None))[0]
 
     try:
-        return predict_views(poses, first, coarse, predict)
+        every = predict_views(poses, first, coarse, predict)
     except KeyboardInterrupt:
-        return None
+        return first, tint, True
+    return with_others(first, every), tint_over(tint, every, reach), False
 
 
 def _solved(

@@ -27,7 +27,13 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO
 from matcap.capture.piece.smooth import BANDS, local_mean, smoothed, split
 from matcap.capture.piece.strengths import RESPONSE_AROUND, equalise, measure_strengths
-from matcap.capture.registration.camera import Lens, PosedCamera, grid_points, to_pixels
+from matcap.capture.registration.camera import (
+    Doubles,
+    PosedCamera,
+    camera_of,
+    grid_points,
+    to_pixels,
+)
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.ambient_light import GRADIENT_DEVIATION, UNIFORM_SKY, Views
 from matcap.capture.together.texels import SLOPES, derivatives, points_of
@@ -36,7 +42,6 @@ from matcap.flash.geometry import FlashSetup
 from matcap.photo.shrink import area_averaged
 
 Floats = NDArray[np.float32]
-Doubles = NDArray[np.float64]
 
 
 # Registration of an ambient photograph, and relief by it; docs/notes/several.md.
@@ -82,9 +87,8 @@ def on_albedo(views: Views, setup: FlashSetup, prediction: MapSet) -> Views:
     points = grid[:, thin, thin].reshape(3, -1)
     second = _seen(views, setup, _moved(points, moved, prediction.size))
     plane = first.camera.on_plane(PosedCamera.of(setup).sees(points))
-    camera = _camera(plane, second, room.camera.lens)
-    refitted = replace(room, camera=camera, astray=_PIXEL)
-    return (*views[:-1], refitted)
+    camera = camera_of(plane, second, room.camera.lens, refined=True)
+    return (*views[:-1], replace(room, camera=camera, astray=_PIXEL))
 
 
 def _seen(views: Views, setup: FlashSetup, points: Doubles) -> Doubles:
@@ -99,17 +103,6 @@ def _moved(points: Doubles, move: Floats, size: tuple[int, int]) -> Doubles:
     x, y, w = move.astype(np.float64) @ np.vstack([texels, np.ones_like(texels[:1])])
     x, y = (x / w + 0.5) * 2.0 / across - 1.0, (down - 2.0 * (y / w + 0.5)) / across
     return np.stack([x, y, np.zeros_like(x)])
-
-
-def _camera(plane: Doubles, image: Doubles, lens: Lens) -> PosedCamera:
-    """The camera that sees points (3, n) of the plane at image coordinates (2, n)."""
-    # OpenCV's camera looks along +z with y downwards.
-    straight = lens.undone(image) * np.array([[1.0], [-1.0]])
-    seen, matrix = straight.T.copy(), np.diag([lens.focal, lens.focal, 1.0])
-    _, turn, shift = cv2.solvePnP(plane.T.copy(), seen, matrix, None, flags=cv2.SOLVEPNP_IPPE)
-    turn, shift = cv2.solvePnPRefineLM(plane.T.copy(), seen, matrix, None, turn, shift)
-    rotation = np.asarray(cv2.Rodrigues(turn)[0], np.float64)
-    return PosedCamera(np.diag([1.0, -1.0, -1.0]) @ rotation, -rotation.T @ shift.ravel(), lens)
 
 
 def _looked_up(view: RegisteredView, image: Doubles) -> Floats:

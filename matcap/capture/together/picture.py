@@ -111,10 +111,9 @@ def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
 
 def _views(report: SetReport, high: float) -> Iterator[_View]:
     corners = np.array([[-1.0, 1.0, 1.0, -1.0], [high, high, -high, -high]])
-    offset = (*report.flash_offset, 0.0)
     for number, view in enumerate(report.views, 1):
         camera = view.camera
-        light = camera.flash(offset) if view.flash else None
+        light = camera.flash(report.flash_offset) if view.flash else None
         yield _View(number, camera.place, light, camera.on_plane(corners))
 
 

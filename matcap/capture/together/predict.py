@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -26,28 +26,14 @@ _ROUNDS, _WITHOUT = (2, 1), (1,)
 _SAMPLED = 1500
 
 
-@dataclass(frozen=True)
-class Predictions:
-    """Leave-one-out prediction errors and residuals, (photographs,) each.
-
-    Median absolute differences of log radiance after a fit of gain and white balance, with maps
-    estimated on the same coarse grid. NaN for a photograph without flash.
-    """
-
-    predicted: tuple[float, ...]
-    """Error of each in a rendering of maps estimated from all others."""
-    residual: tuple[float, ...]
-    """Error of each in a rendering of maps estimated from all photographs."""
-
-
 @torch.no_grad()
 def predictions(
     alignment: Aligned,
     prediction: Estimate,
     solved: Solved,
     tint: Tensor | None = None,
-) -> Predictions | None:
-    """Predict every flash photograph from all others; None with fewer than two.
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Predict every flash photograph from all others.
 
     A photograph's gain is left out of its own prediction; its registration is not, nor is the
     network's prediction of the first.
@@ -57,6 +43,12 @@ def predictions(
         prediction: the network's.
         solved: solution by all, whose light is the initial value.
         tint: (3, H, W) specular tint of metal (tint.py), or None.
+
+    Returns:
+        Median absolute differences of log radiance of each photograph, after a fit of gain and
+        white balance, from renderings of maps on the same coarse grid: estimated from all others,
+        NaN without flash; and estimated from all. With fewer than two flash photographs, none, and
+        those of `solved`.
     """
     width, height = prediction.maps.size
     across = min(alignment.extent.across(_ACROSS), width)
@@ -64,7 +56,7 @@ def predictions(
     small = prediction.resized((down, across), alignment.extent)
     views = alignment.on_grid(across, down, tint)
     if sum(view.flash for view in views) < 2:
-        return None
+        return (), solved.residual
 
     def by(kept: Sequence[int], begun: Solved | None = None) -> Solved:
         light = (begun or solved).light.of_some(kept)
@@ -74,12 +66,14 @@ def predictions(
 
     every = list(range(len(views)))
     whole = by(every)
-    ahead, own = [], []
+    ahead, own = [math.nan] * len(views), list(solved.residual)
     for index, view in enumerate(views):
-        own.append(left_out_residual(view, whole) if view.flash else math.nan)
-        others = [k for k in every if k != index]
-        ahead.append(left_out_residual(view, by(others, whole)) if view.flash else math.nan)
-    return Predictions(tuple(ahead), tuple(own))
+        if view.flash:
+            others = [k for k in every if k != index]
+            ahead[index] = left_out_residual(view, by(others, whole))
+            residual = left_out_residual(view, whole)
+            own[index] = own[index] if math.isnan(residual) else residual
+    return tuple(ahead), tuple(own)
 
 
 def left_out_residual(view: ResampledView, solved: Solved) -> float:

@@ -7,10 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from matcap.capture.registration.doubt import DOUBTED
-from matcap.capture.registration.register import LeftOut, RegisteredView, Registration
-from matcap.capture.together.align import Aligned
-from matcap.capture.together.predict import Predictions
-from matcap.capture.together.solve import Solved
+from matcap.capture.registration.register import LeftOut, RegisteredView
 from matcap.capture.together.union import Reach
 
 
@@ -29,33 +26,15 @@ class SetReport:
     """Photographs that could not be registered, with reasons."""
     measured: tuple[float, float, float, float]
     """Share of albedo, F0, roughness and slope measured by photographs (Solved.measured)."""
-    flash_offset: tuple[float, float]
-    """Position of the flash relative to the lens, x and y in plane units."""
-    bent: tuple[float, float]
-    """Radial distortion of the lens (Lens.bent)."""
+    flash_offset: tuple[float, float, float]
+    """Position of the flash relative to the lens, plane units; the last is 0."""
     reach: Reach | None = None
     """Extent of the mosaic; None if it is the first photograph's rectangle."""
 
-    @staticmethod
-    def of(
-        registration: Registration,
-        alignment: Aligned,
-        solved: Solved,
-        ahead: Predictions | None,
-        reach: Reach | None = None,
-    ) -> SetReport:
-        """Collect the report of a solve; `ahead` are its leave-one-out errors."""
-        x, y = solved.light.offset.tolist()
-        return SetReport(
-            alignment.views,
-            solved.residual if ahead is None else _known(ahead.residual, solved.residual),
-            () if ahead is None else ahead.predicted,
-            registration.left_out,
-            solved.measured,
-            (x, y),
-            alignment.views[0].camera.lens.bent,
-            reach if reach is not None and reach.margins.any else None,
-        )
+    @property
+    def bent(self) -> tuple[float, float]:
+        """Radial distortion of the lens (Lens.bent)."""
+        return self.views[0].camera.lens.bent
 
     def doubted(self) -> str | None:
         """A sentence if a camera's standard deviation exceeds the limit, else None."""
@@ -90,13 +69,7 @@ class SetReport:
             "measured_share": dict(
                 zip(("diffuse", "specular", "roughness", "height"), self.measured, strict=True)
             ),
-            "flash_offset": list(self.flash_offset),
+            "flash_offset": list(self.flash_offset[:2]),
             "lens_distortion": list(self.bent),
             **({} if self.reach is None else {"union": self.reach.document()}),
         }
-
-
-def _known(first: tuple[float, ...], otherwise: tuple[float, ...]) -> tuple[float, ...]:
-    """`first` with its NaNs replaced by the values of `otherwise`."""
-    both = zip(first, otherwise, strict=True)
-    return tuple(other if math.isnan(one) else one for one, other in both)

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO, F0, ROUGH
-from matcap.capture.registration.camera import Doubles, PosedCamera
+from matcap.capture.registration.camera import Doubles, PosedCamera, to_pixels
 from matcap.capture.together.align import Aligned
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import SLOPES, Estimate, maps_of, parameters_of
@@ -158,8 +158,7 @@ def resampled_over(
     width, height = prediction.maps.size
     whole = np.concatenate([*warp.points(*size)], axis=1)
     points = own.here(camera.on_plane(camera.sees(whole)))
-    x = ((points[0] + 1.0) * width / 2.0 - 0.5).astype(np.float32)
-    y = ((height - points[1] * width) / 2.0 - 0.5).astype(np.float32)
+    x, y = to_pixels(points, width, height)
 
     def there(channel: Tensor, how: int = cv2.INTER_CUBIC) -> Tensor:
         resampled = cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)

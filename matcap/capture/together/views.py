@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.piece.noise import DARKEST
-from matcap.capture.registration.camera import PosedCamera, grid_points, to_pixels
+from matcap.capture.registration.camera import Doubles, PosedCamera, grid_points, to_pixels
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.ambient_light import AMBIENT_NOISE, UNIFORM_SKY, AmbientLight
 from matcap.capture.together.tint import on_grid
@@ -27,7 +27,6 @@ from matcap.photo.shrink import CLIPPED_SHARE, area_averaged
 RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs
 _BORDER = 2.0  # width of a photograph's unused border, pixels
 
-Doubles = NDArray[np.float64]
 FlashOrAmbient = FlashLight | AmbientLight
 
 

@@ -22,7 +22,6 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import torch
 from torch import Tensor
 
 from matcap.flash.coarse.cells import CoarseCells, cells_of
@@ -108,15 +107,17 @@ def fit_coarse(
         tilt_prior: Gaussian measurement of the tilt, used as its prior.
     """
     highlight = find_highlight(light_of(photo.pixels))
-    cells = tuple(cells_of(photo, highlight, *grid) for grid in _GRIDS)
-    as_dielectric, as_conductor = (
-        _Begun.of(photo, cells, highlight, hypothesis(photo, tilt, tilt_prior, conductor=metal))
-        for metal in (False, True)
+    coarse, fine = (cells_of(photo, highlight, *grid) for grid in _GRIDS)
+    dielectric, metal = (
+        _fitted_coarsely(
+            photo, coarse, highlight, hypothesis(photo, tilt, tilt_prior, conductor=conductor)
+        )
+        for conductor in (False, True)
     )
-    chosen, dielectric_cost, _ = _fitted(photo, as_dielectric)
+    chosen, dielectric_cost, _ = _fitted(photo, fine, *dielectric)
     # A conductor with the larger cost on coarse cells would have to gain all of _CONDUCTOR_ODDS.
-    if as_conductor.cost <= as_dielectric.cost:
-        conductor, cost, nat = _fitted(photo, as_conductor)
+    if metal[-1][0][0] <= dielectric[-1][0][0]:
+        conductor, cost, nat = _fitted(photo, fine, *metal)
         red, _, blue = conductor.diffuse
         is_metal = (
             dielectric_cost - cost > _CONDUCTOR_ODDS * nat
@@ -128,52 +129,41 @@ def fit_coarse(
     return replace(chosen, tilt_prior=tilt_prior)
 
 
-@dataclass(frozen=True)
-class _Begun:
-    """A hypothesis fitted on coarse cells from every starting point.
+def _fitted_coarsely(
+    photo: Photo, cells: CoarseCells, highlight: Highlight | None, prior: Hypothesis
+) -> tuple[Hypothesis, Problem, list[tuple[float, Tensor]]]:
+    """A hypothesis, its problem, and (cost, parameters) from every start, the least cost first."""
+    unit = _PRIOR_SHARE * HUBER**2
+    problem = Problem(
+        cells=cells,
+        distance=FlashSetup(fov=photo.fov).distance,
+        evidence=None if highlight is None else Evidence(highlight),
+        prior=prior.mean.vector(),
+        precision=unit * prior.precision,
+        unit=unit,
+        shoulder=SHOULDER if photo.tone_mapped else 0.0,
+        conductor=prior.conductor,
+    )
+    begun = starts(cells.observed, prior, highlight, problem.distance)
+    tried = [problem.minimised(start, _FEW) for start in begun]
+    return prior, problem, sorted(tried, key=lambda candidate: candidate[0])
 
-    Attributes:
-        prior: the hypothesis.
-        last: its problem on fine cells.
-        tried: costs and parameters on coarse cells, the least cost first.
+
+def _fitted(
+    photo: Photo,
+    cells: CoarseCells,
+    prior: Hypothesis,
+    problem: Problem,
+    tried: Sequence[tuple[float, Tensor]],
+) -> tuple[CoarseFit, float, float]:
+    """The most probable fit of a hypothesis, its cost, and the cost of a nat of the prior.
+
+    Args:
+        photo: the photograph.
+        cells: fine ones.
+        prior, problem, tried: from _fitted_coarsely.
     """
-
-    prior: Hypothesis
-    last: Problem
-    tried: list[tuple[float, Tensor]]
-
-    @property
-    def cost(self) -> float:
-        """The least on coarse cells."""
-        return self.tried[0][0]
-
-    @staticmethod
-    def of(
-        photo: Photo, cells: Sequence[CoarseCells], highlight: Highlight | None, prior: Hypothesis
-    ) -> _Begun:
-        """Fit coarse cells; `cells` are those of both grids."""
-        unit = _PRIOR_SHARE * HUBER**2
-        first, last = (
-            Problem(
-                cells=each,
-                distance=FlashSetup(fov=photo.fov).distance,
-                evidence=None if highlight is None else Evidence(highlight),
-                prior=prior.mean.vector(),
-                precision=unit * prior.precision,
-                unit=unit,
-                shoulder=SHOULDER if photo.tone_mapped else 0.0,
-                conductor=prior.conductor,
-            )
-            for each in cells
-        )
-        begun = starts(first.cells.observed, prior, highlight, first.distance)
-        tried = [first.minimised(start, _FEW) for start in begun]
-        return _Begun(prior, last, sorted(tried, key=lambda candidate: candidate[0]))
-
-
-def _fitted(photo: Photo, begun: _Begun) -> tuple[CoarseFit, float, float]:
-    """The most probable fit of a hypothesis, its cost, and the cost of a nat of the prior."""
-    last, tried, prior = begun.last, begun.tried, begun.prior
+    last = replace(problem, cells=cells)
     if photo.radiometric:
         last = last.whitened(tried[0][1])
         last = last.trusting(tried[0][1])
@@ -200,7 +190,8 @@ def _best(problem: Problem, tried: Sequence[Tensor]) -> Tensor:
     """The best parameters from several starts, the best start first."""
     worth = distinct(tried)[:_KEPT]
     if problem.cells.hidden:
-        worth.append(matte(tried[0]))
+        unknowns = Unknowns.of(tried[0])
+        worth.append(replace(unknowns, roughness=numbers(_MATTE)).vector())
     minima = [problem.minimised(each, _MANY)[1] for each in worth]
     strict = problem
     if problem.evidence is not None:
@@ -299,12 +290,6 @@ def distinct(fits: Sequence[Tensor]) -> list[Tensor]:
         if all(abs(own - _roughness(one)) > _DISTINCT for one in kept):
             kept.append(candidate)
     return kept
-
-
-def matte(candidate: Tensor) -> Tensor:
-    """Parameters with roughness set near 1, for a matte starting point."""
-    unknowns = Unknowns.of(candidate)
-    return replace(unknowns, roughness=torch.full_like(unknowns.roughness, _MATTE)).vector()
 
 
 def mattest(fits: Sequence[tuple[float, Tensor]]) -> Tensor:

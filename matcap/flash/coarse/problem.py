@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.flash.coarse.cells import CoarseCells
@@ -65,11 +66,6 @@ class Evidence:
         radii = (0.0, self.highlight.width, 0.5 * sum(SURROUNDINGS))
         centre = numbers(*self.highlight.centre)[:, None]
         return torch.cat([centre + radius * _circle() for radius in radii], dim=1)
-
-    @property
-    def weights(self) -> Tensor:
-        """(7,) weight of each residual."""
-        return torch.full((7,), self.weight, dtype=torch.float64)
 
     def residuals(self, mirror: Tensor, log_radiance: Tensor) -> Tensor:
         """(7,) standardised residuals of a model.
@@ -186,7 +182,7 @@ class Problem:
     def weight(self) -> Tensor:
         """(residuals,) weight of each residual."""
         each = self.cells.weight.repeat(3)
-        return each if self.evidence is None else torch.cat([each, self.evidence.weights])
+        return each if self.evidence is None else F.pad(each, (0, 7), value=self.evidence.weight)
 
     @cached_property
     def _image(self) -> Tensor:

@@ -18,8 +18,8 @@ from matcap.capture.progress import TOGETHER_STAGES, CaptureClock
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.doubt import DOUBTED
 from matcap.capture.registration.register import Registration, register
-from matcap.capture.together.align import aligned
-from matcap.capture.together.find import by_features, predict_alone, registered
+from matcap.capture.together.align import Aligned, aligned
+from matcap.capture.together.find import predict_alone, registered
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.lab.experiment.results import Value
@@ -131,8 +131,8 @@ def outcome_of_capture(made: MadeSet, detail: int) -> SetOutcome:
     """The same, after photographs were moved by what no texel explains, as a capture does it."""
     network, clock = load_inverse(), CaptureClock(None, TOGETHER_STAGES)
     found, coarse, plane = registered(made.photos, detail, clock)
-    read = predict_alone(plane, coarse, network, clock).estimate
-    placed = aligned(by_features(found, coarse), read)
+    read, _, _ = predict_alone(plane, coarse, network, clock)
+    placed = aligned(Aligned.of(found.views, coarse.setup), read)
     return compared(made, replace(found, views=placed.views))
 
 

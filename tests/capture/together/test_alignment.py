@@ -18,7 +18,7 @@ from matcap.capture.together.texels import (
     ParameterPrior,
     parameters_of,
 )
-from matcap.capture.together.views import RAW_FALLOFF, SharedLight
+from matcap.capture.together.views import RAW_FALLOFF
 from matcap.flash.geometry import FlashSetup
 
 RIBS = 4.7  # texels
@@ -89,15 +89,13 @@ def laid(held):
         height=torch.zeros(1, rows, columns),
         texel_size=2.0 / columns,
     )
-    light = SharedLight.of(
-        FlashSetup(fov=PHONE.fov, intensity=(5.0, 5.0, 5.0)), len(found.views), radiometric=True
-    )
+    setup = found.setup.with_intensity((5.0, 5.0, 5.0))
     doubt = DOUBT.expand(4, rows, columns)
 
     def over(astray):
         views = tuple(replace(view, astray=astray) for view in found.views)
         lines = []
-        begun = Aligned.of((found.views[0], *views[1:]), found.setup, light)
+        begun = Aligned.of((found.views[0], *views[1:]), setup)
         read = Estimate(maps, doubt)
         by = aligned(begun, read, on_progress=lines.append)
         return found, by, len(lines)

@@ -63,7 +63,7 @@ def test_how_far_cameras_are_known_is_told(looked):
 def test_a_capture_says_where_cameras_are_doubted(looked):
     def result(doubt):
         views = tuple(replace(v, doubt=doubt if n else 0.0) for n, v in enumerate(looked.views))
-        return SetReport(views, (), (), (), (0.0,) * 4, (0.0, 0.0), (0.0, 0.0)).doubted()
+        return SetReport(views, (), (), (), (0.0,) * 4, (0.0,) * 3).doubted()
 
     assert result(0.0015) is None
     assert "0.3 % of their distance (plaster_1, plaster_2)" in result(0.003)

@@ -32,7 +32,7 @@ def report(**changes):
     views = (View(Named("oak_1.jpg"), straight), View(Named("oak_2.jpg"), aside))
     result = SetReport(
         views, (0.02, 0.03), (0.04, 0.05), (LeftOut("cat.jpg", "it shows something else"),),
-        (0.9, 0.3, 0.4, 0.8), (0.0, 0.2), (0.0, 0.0),
+        (0.9, 0.3, 0.4, 0.8), (0.0, 0.2, 0.0),
     )  # fmt: skip
     return replace(result, **changes)
 
