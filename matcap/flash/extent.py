@@ -33,10 +33,6 @@ class Extent:
         """The inverse of unit(), rounded."""
         return round(unit * self.half)
 
-    def within(self, point: tuple[float, float]) -> tuple[float, float]:
-        """Coordinates of a plane point relative to the centre, in halves of the width."""
-        return (point[0] - self.middle[0]) / self.half, (point[1] - self.middle[1]) / self.half
-
     def placed(self, points: Tensor) -> Tensor:
         """Map plane points (3, ...) of a grid over OWN to this rectangle."""
         middle = torch.tensor([*self.middle, 0.0], dtype=points.dtype)
@@ -91,6 +87,3 @@ class Margins:
     def own(self, size: tuple[int, int]) -> Tensor:
         """(H, W) bool on the mosaic: the first photograph's grid of (width, height) texels."""
         return self.padded(torch.ones(size[::-1], dtype=torch.bool))
-
-
-NO_MARGINS = Margins()

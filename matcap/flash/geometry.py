@@ -63,8 +63,9 @@ def stood(setup: FlashSetup, vector: Tensor) -> Tensor:
     return torch.stack([vector[1], -vector[0], vector[2]]) if setup.turned else vector
 
 
-def rotation(tilt_x: Tensor, tilt_y: Tensor) -> Tensor:
-    """(3, 3) R = Ry(tilt_y) Rx(tilt_x), plane frame to camera frame; angles in radians."""
+def setup_rotation(setup: FlashSetup, dtype: torch.dtype = torch.float64) -> Tensor:
+    """(3, 3) R = Ry(tilt_y) Rx(tilt_x) of a setup, plane frame to camera frame."""
+    tilt_x, tilt_y = (torch.tensor(angle, dtype=dtype) for angle in setup.tilt)
     cx, sx, cy, sy = tilt_x.cos(), tilt_x.sin(), tilt_y.cos(), tilt_y.sin()
     zero = torch.zeros_like(cx)
     return torch.stack(
@@ -73,13 +74,6 @@ def rotation(tilt_x: Tensor, tilt_y: Tensor) -> Tensor:
             torch.stack([zero, cx, -sx]),
             torch.stack([-sy, cy * sx, cy * cx]),
         ]
-    )
-
-
-def setup_rotation(setup: FlashSetup, dtype: torch.dtype = torch.float64) -> Tensor:
-    """(3, 3) R of a setup."""
-    return rotation(
-        torch.tensor(setup.tilt[0], dtype=dtype), torch.tensor(setup.tilt[1], dtype=dtype)
     )
 
 

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.flash.extent import NO_MARGINS, Extent, Margins
+from matcap.flash.extent import Extent, Margins
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.rectify import kept, measured, rectify, rectify_noise
 from matcap.photo.photo import Photo
@@ -34,7 +34,7 @@ class Plane:
     """(H, W) bool, masked texels, which are filled by mirrored ones; None without a mask."""
     developed: bool = False
     """Whether the picture is developed (8-bit codes), not RAW."""
-    margins: Margins = NO_MARGINS
+    margins: Margins = Margins()
     """Margins of a mosaic's grid around the photograph's own."""
 
     @property
@@ -133,8 +133,8 @@ def read_plane(photo: Photo, setup: FlashSetup, detail: int) -> Plane:
     """
     linear, valid = rectify(photo, setup, detail)
     whole = plane_of(linear, valid, rectify_noise(photo, setup, detail))
-    part = kept(photo, setup, detail)
-    left_out = None if part is None else ~torch.from_numpy(part)
+    masked = photo.left_out is not None
+    left_out = ~torch.from_numpy(kept(photo, setup, detail)) if masked else None
     return replace(
         whole,
         channels=measured(photo, setup, detail),

@@ -38,7 +38,7 @@ def rectify(photo: Photo, setup: FlashSetup, detail: int) -> tuple[Tensor, Tenso
     linear = _resampled(photo.pixels, setup, detail, cv2.INTER_CUBIC).clip(0.0)
     clipped = _resampled(photo.clipped.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
     valid = inside(linear.shape[:2], setup) & (clipped < CLIPPED_SHARE)
-    valid &= _kept(photo, setup, detail)
+    valid &= kept(photo, setup, detail)
     return planes_of(linear), torch.from_numpy(valid)
 
 
@@ -50,7 +50,7 @@ def measured(photo: Photo, setup: FlashSetup, detail: int) -> Tensor:
     full = photo.clipped[..., None] & (photo.pixels > CLIPPING)
     clipped = _resampled(full.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
     seen = inside(clipped.shape[:2], setup)[..., None] & (clipped < CLIPPED_SHARE)
-    seen &= _kept(photo, setup, detail)[..., None]
+    seen &= kept(photo, setup, detail)[..., None]
     return planes_of(seen)
 
 
@@ -61,18 +61,12 @@ def rectify_noise(photo: Photo, setup: FlashSetup, detail: int) -> Tensor | None
     return planes_of(_resampled(photo.noise, setup, detail, cv2.INTER_CUBIC))
 
 
-def kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_] | None:
-    """(H, W) bool, texels wholly within the material's mask; None without a mask."""
+def kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_]:
+    """(H, W) bool, texels wholly within the material's mask; (1, 1) True without a mask."""
     if photo.left_out is None:
-        return None
+        return np.ones((1, 1), np.bool_)
     share = _resampled(photo.left_out.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
     return np.asarray(share < MOST_LEFT_OUT)
-
-
-def _kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_]:
-    """(H, W) bool, texels within the material's mask; (1, 1) True without a mask."""
-    mask = kept(photo, setup, detail)
-    return np.ones((1, 1), np.bool_) if mask is None else mask
 
 
 def _resampled(

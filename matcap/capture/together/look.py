@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,6 @@ from matcap.errors import MatcapError
 from matcap.photo.checks import Finding, Rating
 from matcap.photo.inspect import Inspection
 from matcap.photo.load import load_photo
-
-_SIDES = ("left", "right", "top", "bottom")
-
 
 # Limits of the coverage checks.
 
@@ -60,21 +58,18 @@ def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection
 
 def set_quality(registration: Registration) -> Inspection:
     """Coverage findings of registered photographs."""
-    first, lit = (
-        registration.views[0].photo.name,
-        [view for view in registration.views if view.flash],
-    )
-    return Inspection(
-        first,
-        (
-            _belonging(registration),
-            *_sides(lit),
-            _places(lit),
-            *_cameras(registration.views),
-            _common(registration.views),
-            *_union(registration.views),
-        ),
-    )
+    views = registration.views
+    lit = [view for view in views if view.flash]
+    findings = [_belonging(registration)]
+    if len(lit) > 1:
+        findings.append(_sides(lit))
+    findings.append(_places(lit))
+    if len(views) > 1:
+        findings.append(_cameras(views))
+    findings.append(_common(views))
+    if len(views) > 1:
+        findings.append(_union(views))
+    return Inspection(views[0].photo.name, tuple(findings))
 
 
 def _belonging(registration: Registration) -> Finding:
@@ -109,42 +104,38 @@ def _room(registration: Registration) -> tuple[str, ...]:
     return tuple(f"{photo.name} was taken without flash: {helps}." for photo in dark)
 
 
-def _sides(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
-    """Light directions; empty for a single photograph."""
-    if len(views) < 2:
-        return ()
+def _sides(views: Sequence[RegisteredView]) -> Finding:
+    """Finding on the sides from which flashes light the sample."""
     leaning = np.stack([view.camera.place[:2] / view.camera.place[2] for view in views])
     if views[0].photo.turned:  # pixels' right is the upright picture's bottom, their top its right
         leaning = np.stack([leaning[:, 1], -leaning[:, 0]], 1)
-    reach = (-leaning[:, 0].min(), leaning[:, 0].max(), leaning[:, 1].max(), -leaning[:, 1].min())
-    value = {side: round(float(far), 3) for side, far in zip(_SIDES, reach, strict=True)}
-    dark = [side for side, far in zip(_SIDES, reach, strict=True) if far < _ASIDE]
+    (left, bottom), (right, top) = -leaning.min(0), leaning.max(0)
+    reach = {"left": left, "right": right, "top": top, "bottom": bottom}
+    value = {side: round(float(far), 3) for side, far in reach.items()}
+    dark = [side for side, far in reach.items() if far < _ASIDE]
     if not dark:
         says = "The sample is lit from all four sides."
-        return (Finding("lit_from", value, Rating.GOOD, says),)
+        return Finding("lit_from", value, Rating.GOOD, says)
     each = "" if len(dark) == 1 else ", once for each"
-    return (
-        Finding(
-            "lit_from",
-            value,
-            Rating.NOT_JUDGED if len(dark) < len(_SIDES) else Rating.DOUBTFUL,
-            f"No photograph lights the sample from the {_listed(dark, 'or')}.",
-            f"Photograph again with the phone moved by a third of its distance to the "
-            f"{_listed(dark, 'and')}{each}.",
-        ),
+    return Finding(
+        "lit_from",
+        value,
+        Rating.NOT_JUDGED if len(dark) < len(reach) else Rating.DOUBTFUL,
+        f"No photograph lights the sample from the {_listed(dark, 'or')}.",
+        f"Photograph again with the phone moved by a third of its distance to the "
+        f"{_listed(dark, 'and')}{each}.",
     )
 
 
 def _places(views: Sequence[RegisteredView]) -> Finding:
     """Finding on cameras that coincide or are tilted too far."""
     same, nearest = [], math.inf
-    for number, one in enumerate(views):
-        for other in views[number + 1 :]:
-            baseline = np.linalg.norm(one.camera.place - other.camera.place)
-            share = float(baseline / np.linalg.norm(one.camera.place))
-            nearest = min(nearest, share)
-            if share < SAME_PLACE:
-                same.append(f"{one.photo.name} and {other.photo.name}")
+    for one, other in combinations(views, 2):
+        baseline = np.linalg.norm(one.camera.place - other.camera.place)
+        share = float(baseline / np.linalg.norm(one.camera.place))
+        nearest = min(nearest, share)
+        if share < SAME_PLACE:
+            same.append(f"{one.photo.name} and {other.photo.name}")
     steep = [v for v in views if math.degrees(v.camera.tilt) > _STEEP]
     value = None if math.isinf(nearest) else round(nearest, 3)
     said = [f"{pair} were taken from nearly the same place." for pair in same]
@@ -154,27 +145,22 @@ def _places(views: Sequence[RegisteredView]) -> Finding:
     ]
     if not said:
         return Finding("places", value, Rating.GOOD, "All were taken from different places.")
-    remedy = "Move the phone by a third of its distance from one to the next." if same else ""
-    remedy += (
-        " Stay within 45 degrees of vertical: the far side is covered by few pixels."
-        if steep
-        else ""
-    )
-    return Finding("places", value, Rating.DOUBTFUL, " ".join(said), remedy.strip())
+    moves = ["Move the phone by a third of its distance from one to the next."] if same else []
+    if steep:
+        moves.append("Stay within 45 degrees of vertical: the far side is covered by few pixels.")
+    return Finding("places", value, Rating.DOUBTFUL, " ".join(said), " ".join(moves))
 
 
-def _cameras(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
-    """Standard deviations of the cameras; empty for a single photograph."""
-    if len(views) < 2:
-        return ()
+def _cameras(views: Sequence[RegisteredView]) -> Finding:
+    """Finding on the standard deviations of the cameras."""
     worst = max(views, key=lambda view: view.doubt)
     value = {view.photo.name: round(view.doubt, 5) for view in views[1:]}
     says = f"Camera positions are uncertain by {100 * worst.doubt:.2f} % of their distance"
     if worst.doubt <= DOUBTED:
-        return (Finding("cameras", value, Rating.GOOD, f"{says}."),)
+        return Finding("cameras", value, Rating.GOOD, f"{says}.")
     says += f" ({worst.photo.name}), because the flash's shading moves with the camera."
     remedy = "None needed: a capture models the shading, which at least halves this."
-    return (Finding("cameras", value, Rating.NOT_JUDGED, says, remedy),)
+    return Finding("cameras", value, Rating.NOT_JUDGED, says, remedy)
 
 
 def _common(views: Sequence[RegisteredView]) -> Finding:
@@ -184,19 +170,14 @@ def _common(views: Sequence[RegisteredView]) -> Finding:
     says = f"{1.0 - alone:.0%} of the sample is in two photographs or more."
     if alone <= _ALONE:
         return Finding("common", round(alone, 3), Rating.GOOD, says)
-    return Finding(
-        "common",
-        round(alone, 3),
-        Rating.DOUBTFUL,
-        says,
-        "Aim the phone at the middle of the sample each time, so that all of it is in the picture.",
+    remedy = (
+        "Aim the phone at the middle of the sample each time, so that all of it is in the picture."
     )
+    return Finding("common", round(alone, 3), Rating.DOUBTFUL, says, remedy)
 
 
-def _union(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
-    """Extent of the mosaic; empty for a single photograph."""
-    if len(views) < 2:
-        return ()
+def _union(views: Sequence[RegisteredView]) -> Finding:
+    """Finding on the extent of the mosaic."""
     rows, columns = views[0].photo.pixels.shape[:2]
     reach = reach_of(views, (LONG_SIDE, round(LONG_SIDE * rows / columns)))
     value = round(reach.times, 2)
@@ -204,7 +185,7 @@ def _union(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
         says = "They show hardly more than the first one: --union makes the maps no larger."
     else:
         says = f"They show {value:g} times the first one's area: --union makes maps of all of it."
-    return (Finding("union", value, Rating.GOOD, says),)
+    return Finding("union", value, Rating.GOOD, says)
 
 
 def _seen(view: RegisteredView, first: RegisteredView) -> NDArray[np.bool_]:

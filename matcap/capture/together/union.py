@@ -26,7 +26,7 @@ from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
 from matcap.capture.together.tint import on_grid
 from matcap.capture.together.view_predictions import UNPREDICTED, ViewPrediction
-from matcap.flash.extent import NO_MARGINS, Extent, Margins
+from matcap.flash.extent import Extent, Margins
 from matcap.flash.light import cached_rows, strips
 
 Marks = NDArray[np.bool_]
@@ -73,7 +73,7 @@ class Reach:
     @staticmethod
     def own(size: tuple[int, int]) -> Reach:
         """Extent of the first photograph's rectangle, (width, height) in texels."""
-        return Reach(NO_MARGINS, size)
+        return Reach(Margins(), size)
 
     def says(self) -> str:
         """Sentence on the size of the mosaic."""

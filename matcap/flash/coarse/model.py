@@ -114,6 +114,8 @@ def mirror_point(unknowns: Unknowns, distance: float) -> Tensor:
 def _places(unknowns: Unknowns, distance: float) -> tuple[Tensor, Tensor, Tensor]:
     """(3,) each, in the camera frame: the plane's normal, places of camera and flash."""
     (sine_x, sine_y), (cosine_x, cosine_y) = unknowns.tilt.sin(), unknowns.tilt.cos()
-    normal = torch.stack([sine_y * cosine_x, -sine_x, cosine_y * cosine_x])  # rotation()[:, 2]
+    normal = torch.stack(
+        [sine_y * cosine_x, -sine_x, cosine_y * cosine_x]
+    )  # setup_rotation()[:, 2]
     camera = numbers(0.0, 0.0, distance)
     return normal, camera, camera + F.pad(unknowns.offset, (0, 1))

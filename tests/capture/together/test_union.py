@@ -34,7 +34,7 @@ from matcap.capture.together.union import (
 from matcap.capture.together.view_predictions import ViewPrediction, with_others
 from matcap.cli.main import main
 from matcap.field.opened import open_photographed
-from matcap.flash.extent import NO_MARGINS, OWN, Margins
+from matcap.flash.extent import OWN, Margins
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.lab.measures.maps import MapsOff
 from matcap.lab.simulate.hand_held import downward, hold, take_several, true_maps_along
@@ -73,7 +73,7 @@ def test_a_larger_piece_has_the_first_photographs_own_texels():
     np.testing.assert_allclose(placed, points, rtol=0.0, atol=1e-12)
     assert margins.own(SIZE).sum() == SIZE[0] * SIZE[1]
     assert margins.extent(SIZE[0]).unit(width) == pytest.approx(SIZE[0])
-    assert NO_MARGINS.extent(128) == OWN and not NO_MARGINS.any
+    assert Margins().extent(128) == OWN and not Margins().any
 
 
 def test_two_photographs_side_by_side_reach_half_as_far_again():
@@ -132,7 +132,7 @@ def _drawn(size, seed=0):
 def test_the_first_reading_goes_on_smoothly_and_is_doubted_by_its_own_scatter():
     maps, doubt = _drawn(SIZE), torch.full((4, *SIZE[::-1]), -2.0)
     read = Estimate(maps, doubt)
-    assert spread_over(read, NO_MARGINS) is read
+    assert spread_over(read, Margins()) is read
     assert unpredicted(doubt, Reach.own(SIZE)) is doubt
 
     margins = Margins(right=64, bottom=20)
