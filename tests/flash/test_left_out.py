@@ -21,9 +21,12 @@ from matcap.photo.left_out import leave_out
 LABEL = (9.0, 0.1, 0.1)
 
 
-def a_photo():
-    setup = a_setup(offset=(0.1, 0.05, 0.0), intensity=10.0)
-    return setup, photograph(setup)
+WIDTH, HEIGHT = 128, 96  # pixels
+
+
+@pytest.fixture(scope="module")
+def photo():
+    return photograph(a_setup())
 
 
 def labelled(photo, rows, columns):
@@ -32,43 +35,36 @@ def labelled(photo, rows, columns):
     return replace(photo, pixels=pixels)
 
 
-def a_mask(path, photo, rows, columns):
-    width, height = photo.original_size
-    mask = np.full((height, width), 255, np.uint8)
+def a_mask(path, rows, columns):
+    mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
     mask[rows, columns] = 0
     cv2.imwrite(str(path), mask)
     return path
 
 
-def test_a_crop_leaves_the_photograph_its_size_and_shows_mirrors():
-    _, photo = a_photo()
-    height, width = photo.pixels.shape[:2]
+def test_a_crop_leaves_the_photograph_its_size_and_shows_mirrors(photo):
     found = leave_out(
-        labelled(photo, slice(None), slice(width - 60, None)),
+        labelled(photo, slice(None), slice(WIDTH - 60, None)),
         Rectangle(0, 0, photo.original_size[0] - 60, photo.original_size[1]),
         None,
     )
     assert found.pixels.shape == photo.pixels.shape and found.pixels.max() < LABEL[0]
     assert found.left_out[:, -60:].all() and not found.left_out[:, :-60].any()
     np.testing.assert_array_equal(found.pixels[:, -55], found.pixels[:, -67])
-    assert found.kept_share == pytest.approx(1.0 - 60 / width)
+    assert found.kept_share == pytest.approx(1.0 - 60 / WIDTH)
     assert leave_out(photo, None, None) is photo
 
 
-def test_a_turned_photograph_is_cropped_as_it_is_looked_at():
-    _, photo = a_photo()
-    height, width = photo.pixels.shape[:2]
-    standing = replace(photo, turned=True, original_size=(height, width))
-    found = leave_out(standing, Rectangle(0, 0, height, width // 2), None)
+def test_a_turned_photograph_is_cropped_as_it_is_looked_at(photo):
+    standing = replace(photo, turned=True, original_size=(HEIGHT, WIDTH))
+    found = leave_out(standing, Rectangle(0, 0, HEIGHT, WIDTH // 2), None)
     # The top of what stands is to the left of what lies, turned anticlockwise.
-    assert found.left_out[:, width // 2 + 1 :].all() and not found.left_out[:, : width // 2].any()
+    assert found.left_out[:, WIDTH // 2 + 1 :].all() and not found.left_out[:, : WIDTH // 2].any()
 
 
-def test_a_fit_beside_a_label_is_that_without_it(tmp_path):
-    setup, photo = a_photo()
-    height, width = photo.pixels.shape[:2]
-    part = slice(height - 90, None), slice(width - 150, None)
-    mask = a_mask(tmp_path / "mask.png", photo, *part)
+def test_a_fit_beside_a_label_is_that_without_it(photo, tmp_path):
+    part = slice(HEIGHT - 90, None), slice(WIDTH - 150, None)
+    mask = a_mask(tmp_path / "mask.png", *part)
     found = leave_out(labelled(photo, *part), None, mask)
     clean, fit = fit_coarse(photo), fit_coarse(found)
     assert fit.setup.offset[:2] == pytest.approx(clean.setup.offset[:2], abs=0.02)
@@ -79,11 +75,9 @@ def test_a_fit_beside_a_label_is_that_without_it(tmp_path):
     )
 
 
-def test_the_plane_knows_what_is_left_out_and_lights_its_mirror(tmp_path):
-    setup, photo = a_photo()
-    height, width = photo.pixels.shape[:2]
-    part = slice(None), slice(width - width // 4, None)
-    mask = a_mask(tmp_path / "mask.png", photo, *part)
+def test_the_plane_knows_what_is_left_out_and_lights_its_mirror(photo, tmp_path):
+    part = slice(None), slice(WIDTH - WIDTH // 4, None)
+    mask = a_mask(tmp_path / "mask.png", *part)
     found = leave_out(labelled(photo, *part), None, mask)
     coarse = fit_coarse(found)
     plane = lit_mirror(read_plane(found, coarse.setup, 128), coarse)
@@ -105,16 +99,15 @@ def test_the_plane_knows_what_is_left_out_and_lights_its_mirror(tmp_path):
         (Rectangle(0, 0, 20, 96), "too few to hold a texture"),
     ],
 )
-def test_a_crop_that_cannot_be_is_said(crop, says):
+def test_a_crop_that_cannot_be_is_said(photo, crop, says):
     with pytest.raises(UsageError, match=says):
-        leave_out(a_photo()[1], crop, None)
+        leave_out(photo, crop, None)
 
 
-def test_a_mask_that_does_not_fit_is_said(tmp_path):
-    _, photo = a_photo()
+def test_a_mask_that_does_not_fit_is_said(photo, tmp_path):
     small = tmp_path / "small.png"
     cv2.imwrite(str(small), np.zeros((8, 9), np.uint8))
-    black = a_mask(tmp_path / "black.png", photo, slice(None), slice(None))
+    black = a_mask(tmp_path / "black.png", slice(None), slice(None))
     (tmp_path / "text.png").write_text("no picture")
     for mask, says in (
         (small, "the mask is 9 x 8 pixels, the photograph"),
@@ -126,14 +119,12 @@ def test_a_mask_that_does_not_fit_is_said(tmp_path):
             leave_out(photo, None, mask)
 
 
-def test_a_mask_of_specks_hides_no_light(tmp_path):
-    setup, photo = a_photo()
+def test_a_mask_of_specks_hides_no_light(photo, tmp_path):
     mask = tmp_path / "specks.png"
-    width, height = photo.original_size
-    rows, columns = np.indices((height, width))
+    rows, columns = np.indices((HEIGHT, WIDTH))
     cv2.imwrite(str(mask), np.where((rows + columns) % 2, 255, 0).astype(np.uint8))
     found = fit_coarse(leave_out(photo, None, mask)).setup
-    assert found.offset[:2] == pytest.approx(setup.offset[:2], abs=0.03)
+    assert found.offset[:2] == pytest.approx((0.1, 0.05), abs=0.03)
 
 
 def test_settings_say_it_where_it_is_set_alone(tmp_path):
@@ -148,19 +139,17 @@ def test_settings_say_it_where_it_is_set_alone(tmp_path):
         CaptureSettings.of({"crop": "1,2,3"})
 
 
-def test_a_border_that_is_another_thing_is_proposed_to_be_cut_off():
-    _, photo = a_photo()
-    height, width = photo.pixels.shape[:2]
+def test_a_border_that_is_another_thing_is_proposed_to_be_cut_off(photo):
     assert border_crop(photo) is None
-    edged = labelled(photo, slice(height - 14, None), slice(None))
+    edged = labelled(photo, slice(HEIGHT - 14, None), slice(None))
     crop = border_crop(edged)
-    assert (crop.x, crop.y, crop.width) == (0, 0, width)
-    assert height - 22 <= crop.height <= height - 14
-    standing = replace(edged, turned=True, original_size=(height, width))
+    assert (crop.x, crop.y, crop.width) == (0, 0, WIDTH)
+    assert HEIGHT - 22 <= crop.height <= HEIGHT - 14
+    standing = replace(edged, turned=True, original_size=(HEIGHT, WIDTH))
     crop = border_crop(standing)
-    assert (crop.y, crop.height) == (0, width) and 14 <= crop.x <= 22
+    assert (crop.y, crop.height) == (0, WIDTH) and 14 <= crop.x <= 22
     result = [found for found in inspect_photo(edged).findings if found.name == "crop"]
     assert "--crop 0,0," in result[0].remedy
     assert not any(found.name == "crop" for found in inspect_photo(photo).findings)
-    spotted = photo.pixels * (1.0 + 0.4 * (np.indices((height, width)).sum(0) // 8 % 2))[..., None]
+    spotted = photo.pixels * (1.0 + 0.4 * (np.indices((HEIGHT, WIDTH)).sum(0) // 8 % 2))[..., None]
     assert border_crop(replace(photo, pixels=spotted.astype(np.float32))) is None

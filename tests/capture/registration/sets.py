@@ -63,7 +63,6 @@ class SetOutcome:
     """What was found of a set.
 
     Attributes:
-        name, kind: of the set.
         errors: by photograph that was used, but the first, camera's error over its distance.
         kept_out: belonging photographs that were left out, with why.
         taken_in: foreign photographs that were used.
@@ -71,8 +70,6 @@ class SetOutcome:
         doubts: by photograph as of errors, what was said that it may be off by.
     """
 
-    name: str
-    kind: str
     errors: tuple[float, ...]
     kept_out: tuple[str, ...]
     taken_in: int
@@ -121,19 +118,18 @@ def make_set(number: int, *, hard: str | None, width: int = 800) -> MadeSet:
     return MadeSet(name, hard or "easy", tuple(photos), tuple(cameras), foreign)
 
 
-def outcome_of(made: MadeSet) -> SetOutcome:
-    """Register a set and compare."""
-    found = register(made.photos, fit_coarse(made.photos[0]).setup)
-    return compared(made, found)
-
-
-def outcome_of_capture(made: MadeSet, detail: int) -> SetOutcome:
-    """The same, after photographs were moved by what no texel explains, as a capture does it."""
-    network, clock = load_inverse(), CaptureClock(None, TOGETHER_STAGES)
-    found, coarse, plane = registered(made.photos, detail, clock)
-    read, _, _ = predict_alone(plane, coarse, network, clock)
-    placed = aligned(Aligned.of(found.views, coarse.setup), read)
-    return compared(made, replace(found, views=placed.views))
+def outcome_of(made: MadeSet, detail: int | None = None) -> SetOutcome:
+    """Register a set and compare; or after a capture of so many texels has moved photographs."""
+    try:
+        if detail is None:
+            return compared(made, register(made.photos, fit_coarse(made.photos[0]).setup))
+        network, clock = load_inverse(), CaptureClock(None, TOGETHER_STAGES)
+        found, coarse, plane = registered(made.photos, detail, clock)
+        read, _, _ = predict_alone(plane, coarse, network, clock)
+        placed = aligned(Aligned.of(found.views, coarse.setup), read)
+        return compared(made, replace(found, views=placed.views))
+    except MatcapError as error:
+        return SetOutcome((), (str(error),), 0, math.nan)
 
 
 def compared(made: MadeSet, found: Registration) -> SetOutcome:
@@ -155,19 +151,12 @@ def compared(made: MadeSet, found: Registration) -> SetOutcome:
     wrong = [one for one in found.left_out if names.index(one.name) not in made.foreign]
     turned = first.turn[2] @ true_first.turn[2]
     return SetOutcome(
-        made.name,
-        made.kind,
         tuple(errors),
         tuple(f"{one.name}: {one.why}" for one in wrong),
         taken_in,
         math.degrees(math.acos(min(1.0, float(turned)))),
         tuple(doubts),
     )
-
-
-def failed(made: MadeSet, error: MatcapError) -> SetOutcome:
-    """Of a set that was refused in a sentence."""
-    return SetOutcome(made.name, made.kind, (), (str(error),), 0, math.nan)
 
 
 def verdict(outcome: SetOutcome) -> Verdict:
@@ -220,19 +209,16 @@ def sets_experiment(
     """
     kind_of = {f"{number}": kind for number, kind in enumerate(kinds(count), seed)}
 
-    def found(made: MadeSet, _seed: int) -> SetOutcome:
-        try:
-            return outcome_of(made) if detail is None else outcome_of_capture(made, detail)
-        except MatcapError as error:
-            return failed(made, error)
-
     return Experiment(
         "registration",
         {
             name: partial(make_set, int(name), hard=kind, width=width)
             for name, kind in kind_of.items()
         },
-        {kind or "easy": Configuration(found) for kind in kind_of.values()},
+        {
+            kind or "easy": Configuration(lambda made, _seed: outcome_of(made, detail))
+            for kind in kind_of.values()
+        },
         (columns,),
         skips=lambda name, kind: kind != (kind_of[name] or "easy"),
         settings=(width, detail),

@@ -16,6 +16,7 @@ from matcap.lab.simulate.photograph import PhoneCamera
 
 SETUP = FlashSetup(fov=65.0, tilt=(0.1, -0.05))
 POINTS = grid_points(16, 12)
+PHONE = PhoneCamera(width=800, height=600)
 
 
 @pytest.mark.parametrize("bent", [(0.0, 0.0), (0.03, -0.01), (-0.03, 0.01)])
@@ -49,11 +50,10 @@ def _pairs(cameras, noise=0.0):
 
 
 def test_exact_matches_give_the_cameras_back(monkeypatch):
-    phone = PhoneCamera(width=800, height=600)
-    cameras = hold(phone, Hand(bent=(0.02, -0.005)), 5, 2)
+    cameras = hold(PHONE, Hand(bent=(0.02, -0.005)), 5, 2)
     monkeypatch.setattr(adjustment, "_COUNTED", 1e6)
-    found = adjust(FlashSetup(fov=phone.fov), _pairs(cameras), known=True, relief=0.0)
-    assert found.first.fov == pytest.approx(phone.fov, abs=0.05)
+    found = adjust(FlashSetup(fov=PHONE.fov), _pairs(cameras), known=True, relief=0.0)
+    assert found.first.fov == pytest.approx(PHONE.fov, abs=0.05)
     distance = float(np.linalg.norm(cameras[0].place))
     for camera, true in zip(found.cameras, cameras, strict=True):
         assert np.linalg.norm(camera.place - true.place) < 0.002 * distance
@@ -61,9 +61,8 @@ def test_exact_matches_give_the_cameras_back(monkeypatch):
 
 
 def test_matches_off_by_half_a_pixel_cost_half_a_percent():
-    phone = PhoneCamera(width=800, height=600)
-    cameras = hold(phone, Hand(), 5, 3)
-    found = adjust(FlashSetup(fov=phone.fov), _pairs(cameras, 0.5 / 400.0), known=True)
+    cameras = hold(PHONE, Hand(), 5, 3)
+    found = adjust(FlashSetup(fov=PHONE.fov), _pairs(cameras, 0.5 / 400.0), known=True)
     for camera, true in zip(found.cameras[1:], cameras[1:], strict=True):
         first = found.cameras[0]
         apart = first.turn @ (camera.place - first.place)
@@ -72,9 +71,8 @@ def test_matches_off_by_half_a_pixel_cost_half_a_percent():
 
 
 def test_a_wrong_start_is_left_behind():
-    phone = PhoneCamera(width=800, height=600)
-    cameras = hold(phone, Hand(), 4, 4)
-    leaning = replace(FlashSetup(fov=phone.fov), tilt=(0.08, -0.06))
+    cameras = hold(PHONE, Hand(), 4, 4)
+    leaning = replace(FlashSetup(fov=PHONE.fov), tilt=(0.08, -0.06))
     found = adjust(leaning, _pairs(cameras), known=True)
-    true = PosedCamera.of(FlashSetup(fov=phone.fov, tilt=found.first.tilt))
+    true = PosedCamera.of(FlashSetup(fov=PHONE.fov, tilt=found.first.tilt))
     assert np.abs(true.turn - cameras[0].turn).max() < 0.01

@@ -35,6 +35,12 @@ def _matched(seed, noise, depths, count=800):
     return cameras, pairs
 
 
+def _adjusted(seed, noise, depths):
+    """True cameras, matches, and what is fitted to them."""
+    true, pairs = _matched(seed, noise, depths)
+    return true, pairs, adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
+
+
 def _off(true, found):
     first = found.cameras[0]
     return np.array(
@@ -71,15 +77,13 @@ def _bumps(rng, count):
 
 
 def test_features_of_a_flat_piece_leave_no_doubt():
-    _, pairs = _matched(1, 0.1, _flat)
-    found = adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
+    _, pairs, found = _adjusted(1, 0.1, _flat)
     assert doubts(found, pairs).places.max() < DOUBTED
 
 
 def test_shading_that_moves_cameras_is_said():
     for seed in range(3):
-        true, pairs = _matched(seed, 0.4, _bumps)
-        found = adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
+        true, pairs, found = _adjusted(seed, 0.4, _bumps)
         off, said = _off(true, found), doubts(found, pairs).places
         assert off.max() > DOUBTED  # else this tells nothing
         assert (said[off > DOUBTED] > DOUBTED).all()
@@ -89,27 +93,23 @@ def test_shading_that_moves_cameras_is_said():
 
 def test_how_far_photographs_lie_beside_each_other_is_said():
     for seed in range(3):
-        true, pairs = _matched(seed, 0.4, _bumps)
-        found = adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
+        true, pairs, found = _adjusted(seed, 0.4, _bumps)
         off, said = _beside(true, found), doubts(found, pairs).astray
         assert 0.3 < np.sqrt(np.mean((off / said) ** 2)) < 2.0
-    _, pairs = _matched(0, 0.1, _flat)
-    surer = doubts(adjust(FlashSetup(fov=PHONE.fov), pairs, known=True), pairs).astray
-    assert (surer < 0.25 * said).all()
+    _, pairs, found = _adjusted(0, 0.1, _flat)
+    assert (doubts(found, pairs).astray < 0.25 * said).all()
 
 
 @pytest.mark.parametrize("more", [1.0, 2.0])
 def test_more_scatter_is_more_doubt(more, monkeypatch):
-    _, pairs = _matched(2, 0.4, lambda rng, count: more * _bumps(rng, count))
-    found = adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
+    _, pairs, found = _adjusted(2, 0.4, lambda rng, count: more * _bumps(rng, count))
     both = doubts(found, pairs).places
     monkeypatch.setattr(doubt, "_ALIKE", 0.0)
     assert (both > 1.5 * doubts(found, pairs).places).all()
 
 
 def test_fewer_matches_are_more_doubt(monkeypatch):
-    _, pairs = _matched(3, 0.5, _flat)
-    found = adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
+    _, pairs, found = _adjusted(3, 0.5, _flat)
     few = [Pair(p.first[:, ::8], p.second[:, ::8], p.pixel) for p in pairs]
     monkeypatch.setattr(doubt, "_ALIKE", 0.0)
     assert (doubts(found, few).places > 1.5 * doubts(found, pairs).places).all()

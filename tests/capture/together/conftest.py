@@ -7,23 +7,22 @@ from matcap.lab.simulate.photograph import PhoneCamera, as_photo
 from matcap.lab.simulate.specimen import EXAMPLES
 
 PHONE = PhoneCamera(width=640, height=480, supersampling=1)
-HAND = Hand()
+
+
+def taken(name, count, seed, first=0):
+    """(cameras, photographs) of a material, numbered from `first`."""
+    cameras = hold(PHONE, Hand(), count, seed)
+    shots = take_several(EXAMPLES[name].realise, PHONE, cameras, Hand(), seed)
+    return cameras, [as_photo(s.shot, n, f"{name}_{n}") for n, s in enumerate(shots, first)]
 
 
 @pytest.fixture(scope="session")
 def held():
     """(cameras, photographs) of plaster."""
-    assert "plaster" in EXAMPLES
-    plaster = EXAMPLES["plaster"]
-    cameras = hold(PHONE, HAND, 3, 5)
-    shots = take_several(plaster.realise, PHONE, cameras, HAND, 5)
-    return cameras, [as_photo(one.shot, n, f"plaster_{n}") for n, one in enumerate(shots)]
+    return taken("plaster", 3, 5)
 
 
 @pytest.fixture(scope="session")
 def foreign():
     """A photograph of leather."""
-    leather = EXAMPLES["leather"]
-    cameras = hold(PHONE, HAND, 1, 6)
-    (shot,) = take_several(leather.realise, PHONE, cameras, HAND, 6)
-    return as_photo(shot.shot, 9, "leather_9")
+    return taken("leather", 1, 6, 9)[1][0]

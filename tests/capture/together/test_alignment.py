@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from seen_views import DOUBT, PHONE, SIZE, seen
+from seen_views import DOUBT, PHONE, SIZE, flattened, grainy, seen
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.registration.register import register
@@ -38,16 +38,11 @@ def _woven(astray=0.0, size=SIZE):
     )
 
 
-def _flat(maps):
-    mean = maps.diffuse.mean((1, 2), keepdim=True).expand_as(maps.diffuse).contiguous()
-    return replace(maps, diffuse=mean)
-
-
 @pytest.fixture(scope="module")
 def moved():
     """(texels, held) to the right by which one of five is moved that lies 0.4 texels further."""
     views, light = seen([_woven(), _woven(), _woven(), _woven(0.4), _woven()])
-    flat = _flat(_woven())
+    flat = flattened(_woven())
     doubt = DOUBT.expand(4, *SIZE)
     light = replace(light, vignetting_deviation=RAW_FALLOFF)
     read = Estimate(flat, doubt)
@@ -81,23 +76,15 @@ def laid(held):
     """Photographs of plaster laid over each other, as sure of their places as is said."""
     _, photos = held
     found = register(photos, FlashSetup(fov=PHONE.fov))
-    rows, columns = 96, 128
-    maps = MapSet(
-        diffuse=torch.full((3, rows, columns), 0.4),
-        specular=torch.full((1, rows, columns), 0.04),
-        roughness=torch.full((1, rows, columns), 0.6),
-        height=torch.zeros(1, rows, columns),
-        texel_size=2.0 / columns,
-    )
+    maps = flattened(grainy(0, (96, 128)))
     setup = found.setup.with_intensity((5.0, 5.0, 5.0))
-    doubt = DOUBT.expand(4, rows, columns)
+    doubt = DOUBT.expand(4, 96, 128)
 
     def over(astray):
         views = tuple(replace(view, astray=astray) for view in found.views)
         lines = []
         begun = Aligned.of((found.views[0], *views[1:]), setup)
-        read = Estimate(maps, doubt)
-        by = aligned(begun, read, on_progress=lines.append)
+        by = aligned(begun, Estimate(maps, doubt), on_progress=lines.append)
         return found, by, len(lines)
 
     return over

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 import torch
+from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.together.tint import achromatic, coloured, on_grid
@@ -29,12 +31,17 @@ def rusty() -> MapSet:
     )
 
 
-def test_what_is_taken_off_is_put_back() -> None:
-    maps = rusty()
-    grey, hue = achromatic(maps)
+@pytest.fixture(scope="module")
+def grey_and_hue() -> tuple[MapSet, Tensor]:
+    """Rust beside copper without its hue."""
+    grey, hue = achromatic(rusty())
     assert hue is not None and len(grey.specular) == 1
-    back = coloured(grey, hue)
-    assert torch.allclose(back.stacked(), maps.stacked(), rtol=1e-3, atol=1e-5)
+    return grey, hue
+
+
+def test_what_is_taken_off_is_put_back(grey_and_hue) -> None:
+    back = coloured(*grey_and_hue)
+    assert torch.allclose(back.stacked(), rusty().stacked(), rtol=1e-3, atol=1e-5)
 
 
 def test_grey_maps_are_left_alone() -> None:
@@ -44,18 +51,14 @@ def test_grey_maps_are_left_alone() -> None:
     assert same is grey and hue is None and coloured(grey, None) is grey
 
 
-def test_a_photograph_less_its_hue_is_one_of_grey_metal() -> None:
-    maps = rusty()
-    grey, hue = achromatic(maps)
-    assert hue is not None
-    setup = FlashSetup(fov=45.0)
-    off = render_rectified(maps, setup).log() - hue.log() - render_rectified(grey, setup).log()
-    assert float(off.abs().max()) < 0.01  # what Schlick adds
+def test_a_photograph_less_its_hue_is_one_of_grey_metal(grey_and_hue) -> None:
+    grey, hue = grey_and_hue
+    whole, less = (render_rectified(maps, FlashSetup(fov=45.0)).log() for maps in (rusty(), grey))
+    assert float((whole - hue.log() - less).abs().max()) < 0.01  # what Schlick adds
 
 
-def test_hue_follows_the_grid() -> None:
-    _, hue = achromatic(rusty())
-    assert hue is not None
+def test_hue_follows_the_grid(grey_and_hue) -> None:
+    _, hue = grey_and_hue
     fine = on_grid(hue, (64, 48))
     assert fine.shape == (3, 48, 64)
     assert torch.allclose(fine[:, 20, 60], hue[:, 10, 30], rtol=0.02)

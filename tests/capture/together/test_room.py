@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from seen_views import flattened, grainy, seen_by
 
-from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_slopes
 from matcap.capture.piece.strengths import slope_strengths
 from matcap.capture.pipeline import capture_into, capture_photo
@@ -21,11 +21,9 @@ from matcap.capture.together.solve import solve
 from matcap.capture.together.texels import (
     SLOPES,
     Estimate,
-    log_rendered,
     parameters_of,
-    points_of,
 )
-from matcap.capture.together.views import RAW_FALLOFF, ResampledView, SharedLight, light_at
+from matcap.capture.together.views import RAW_FALLOFF, SharedLight
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.hand_held import (
@@ -42,7 +40,7 @@ from matcap.lab.simulate.write_dng import write_dng
 
 PHONE = PhoneCamera(width=640, height=480, supersampling=1)
 HAND = Hand(room=Room(0.1), balanced=0.0)
-SIZE = (72, 96)
+SIZE, LARGE = (72, 96), (288, 384)  # texels
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +105,7 @@ def test_a_photograph_without_flash_is_registered_on_albedo(lit):
 def test_without_a_dark_photograph_registration_is_unchanged(lit):
     registration = _registration(lit)
     flashes = registration.views[:-1]
-    assert on_albedo(flashes, registration.setup, _maps()) is flashes
+    assert on_albedo(flashes, registration.setup, grainy(0)) is flashes
 
 
 def test_a_photograph_of_another_surface_is_refused_in_a_sentence(lit):
@@ -154,36 +152,8 @@ def test_what_was_clipped_stays_so(lit):
     assert (cleaned[0].photo.pixels[full] == 1.0).all()
 
 
-def _maps(seed=0, size=SIZE):
-    rng = torch.Generator().manual_seed(seed)
-
-    def grain(deviation):
-        from matcap.capture.piece.smooth import smoothed
-
-        noise = smoothed(torch.randn(size, generator=rng).numpy(), 4.0 * deviation)
-        return torch.from_numpy(noise / noise.std())[None]
-
-    texel = 2.0 / size[1]
-    albedo = 0.3 * torch.exp(0.4 * grain(0.4))
-    return MapSet(
-        diffuse=albedo.expand(3, -1, -1).clamp(0.02, 0.9),
-        specular=torch.full((1, *size), 0.04),
-        roughness=torch.full((1, *size), 0.6),
-        height=0.25 * texel * grain(0.5),
-        texel_size=texel,
-    )
-
-
-def _view(maps, camera, light, number, flash=True):
-    size = maps.size[::-1]
-    empty = torch.zeros(3, *size)
-    view = ResampledView(empty, empty == 0.0, camera, flash)
-    lit = light_at(number, view, light, points_of(size))
-    return replace(view, log=log_rendered(parameters_of(maps), [lit])[0])
-
-
 def test_light_that_is_slow_over_the_piece_is_taken_off():
-    maps = _maps()
+    maps = grainy(0, SIZE, albedo=0.4)
     even = (maps.diffuse + maps.specular).log()
     uneven = even + torch.linspace(-0.5, 0.5, SIZE[1])
     found = evenly_lit(uneven, torch.ones_like(even, dtype=torch.bool), even)
@@ -204,19 +174,18 @@ def _pair(maps, gradient):
     cameras = hold(PHONE, Hand(), 1, 1)
     light = SharedLight(torch.zeros(2), torch.zeros(2), torch.zeros(2, 3), torch.full((3,), 5.0))
     true = replace(light, ambient=torch.tensor(gradient))
-    flash = _view(maps, cameras[0], true, 0)
-    return flash, _view(maps, cameras[0], true, 1, flash=False), light
+    return *(seen_by(cameras[0], n, maps, true, flash=n == 0) for n in (0, 1)), light
 
 
 def test_a_windows_side_is_found_by_the_contrast_of_the_ratio():
-    flash, room, light = _pair(_maps(2, (288, 384)), (-0.3, 0.2, 0.5))
-    flat = parameters_of(_maps(3, (288, 384)))
+    flash, room, light = _pair(grainy(2, LARGE, albedo=0.4), (-0.3, 0.2, 0.5))
+    flat = parameters_of(grainy(3, LARGE, albedo=0.4))
     found = with_ambient_gradient([flash, room], flat, light)
     np.testing.assert_allclose(found.ambient, (-0.3, 0.2, 0.5), atol=0.12)
 
 
 def test_relief_read_too_weak_becomes_as_steep_as_the_ratio_of_both_says():
-    maps = _maps(4, (288, 384))
+    maps = grainy(4, LARGE, albedo=0.4)
     flash, room, light = _pair(maps, (-0.3, 0.2, 0.5))
     light = with_ambient_gradient([flash, room], parameters_of(maps), light)
     found = as_steep(0.4 * maps.height, [flash, room], parameters_of(maps), light)
@@ -227,16 +196,14 @@ def test_relief_read_too_weak_becomes_as_steep_as_the_ratio_of_both_says():
 
 
 def test_the_rooms_light_tells_albedo_and_slopes_that_one_flash_does_not():
-    maps = _maps(1)
+    maps = grainy(1, SIZE, albedo=0.4)
     flash, room, light = _pair(maps, (-0.3, -0.1, 0.5))
-    mean = maps.diffuse.mean((1, 2), keepdim=True).expand(3, *SIZE).contiguous()
-    flat = replace(maps, diffuse=mean, height=torch.zeros(1, *SIZE))
     doubt = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.5]))[:, None, None].expand(4, *SIZE)
     off, astray = [], []
     for views in ([flash], [flash, room]):
         some = light.of_some(range(len(views)))
         some = replace(some, vignetting_deviation=RAW_FALLOFF)
-        found = solve(views, Estimate(flat, doubt), some)
+        found = solve(views, Estimate(flattened(maps), doubt), some)
         log = (found.maps.diffuse / maps.diffuse).log()
         off.append(float((log - log.median()).abs().mean()))
         slopes = parameters_of(found.maps)[SLOPES] - parameters_of(maps)[SLOPES]

@@ -1,11 +1,12 @@
 """Cameras and lights as they are drawn."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
 from matcap.capture.registration.camera import PosedCamera
-from matcap.capture.registration.register import LeftOut
+from matcap.capture.registration.register import LeftOut, RegisteredView
 from matcap.capture.together.picture import draw_set, set_report_lines
 from matcap.capture.together.set_report import SetReport
 from matcap.flash.geometry import FlashSetup
@@ -14,22 +15,11 @@ PIECE = np.full((48, 64, 3), 0.5, np.float32)
 BLUE, GREEN, SPARK = (120, 200, 255), (140, 230, 150), (255, 214, 90)
 
 
-@dataclass
-class Named:
-    name: str
-
-
-@dataclass
-class View:
-    photo: Named
-    camera: PosedCamera
-    flash: bool = True
-
-
 def report(**changes):
     straight = PosedCamera.of(FlashSetup(fov=60.0))
     aside = replace(straight, place=straight.place + np.array([0.9, 0.0, 0.0]))
-    views = (View(Named("oak_1.jpg"), straight), View(Named("oak_2.jpg"), aside))
+    cameras = {"oak_1.jpg": straight, "oak_2.jpg": aside}
+    views = tuple(RegisteredView(SimpleNamespace(name=n), c) for n, c in cameras.items())
     result = SetReport(
         views, (0.02, 0.03), (0.04, 0.05), (LeftOut("cat.jpg", "it shows something else"),),
         (0.9, 0.3, 0.4, 0.8), (0.0, 0.2, 0.0),

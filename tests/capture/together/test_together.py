@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from seen_views import DOUBT, OFFSET, PHONE, SIZE, seen
+from seen_views import DOUBT, OFFSET, PHONE, SIZE, flattened, grainy, seen
 
-from matcap.brdf.maps import MapSet
 from matcap.capture.outputs import write_outputs
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.progress import TOGETHER_STAGES
@@ -32,32 +31,6 @@ from matcap.lab.simulate.photograph import as_photo
 from matcap.lab.simulate.specimen import subjects
 from matcap.photo.camera import CameraProfile, Falloff
 
-
-def _true(seed=0):
-    """Maps of a rough relief, whose albedo has blots that know nothing of it."""
-    rng = np.random.default_rng(seed)
-    import cv2
-
-    def grain(deviation):
-        noise = cv2.GaussianBlur(rng.normal(size=SIZE), (0, 0), deviation)
-        return torch.from_numpy(noise / noise.std()).float()[None]
-
-    texel = 2.0 / SIZE[1]
-    return MapSet(
-        diffuse=(0.3 * (0.2 * grain(3.0)).exp()).expand(3, -1, -1).contiguous(),
-        specular=torch.full((1, *SIZE), 0.04),
-        roughness=torch.full((1, *SIZE), 0.6),
-        height=0.25 * texel * grain(2.0),
-        texel_size=texel,
-    )
-
-
-def _flat(maps):
-    """What says nothing: the mean of everything, and no relief."""
-    mean = maps.diffuse.mean((1, 2), keepdim=True).expand(3, *SIZE).contiguous()
-    return replace(maps, diffuse=mean, height=torch.zeros(1, *SIZE))
-
-
 NOTHING_KNOWN = DOUBT.expand(4, *SIZE)
 
 
@@ -71,10 +44,10 @@ def _degrees(one, other):
 
 
 def test_five_photographs_tell_relief_that_nothing_else_does():
-    maps = _true()
+    maps = grainy(0)
     views, light = seen([maps] * 5, 0.005)
-    found = _solved(views, _flat(maps), light)
-    assert _degrees(found.maps, maps) < 0.2 * _degrees(_flat(maps), maps)
+    found = _solved(views, flattened(maps), light)
+    assert _degrees(found.maps, maps) < 0.2 * _degrees(flattened(maps), maps)
     off = (found.maps.diffuse.log() - maps.diffuse.log()).abs().mean()
     assert off < 0.03
     assert max(found.residual) < 0.02
@@ -82,39 +55,42 @@ def test_five_photographs_tell_relief_that_nothing_else_does():
 
 
 def test_more_photographs_tell_more():
-    maps = _true(1)
+    maps = grainy(1)
     off = []
     for count in (2, 3, 5):
         views, light = seen([maps] * count, 0.01)
-        found = _solved(views, _flat(maps), light)
+        found = _solved(views, flattened(maps), light)
         off.append(_degrees(found.maps, maps))
     assert off[0] > 1.2 * off[1] and off[1] > 1.2 * off[2]
 
 
 def test_a_photograph_is_predicted_from_the_others():
-    maps = _true(2)
+    maps = grainy(2)
     views, light = seen([maps] * 5, 0.01)
     some = light.of_some([0, 1, 2, 4])
     kept = [views[k] for k in (0, 1, 2, 4)]
-    found = _solved(kept, _flat(maps), some)
+    found = _solved(kept, flattened(maps), some)
     assert left_out_residual(views[3], found) < 3.0 * max(found.residual)
-    flat = replace(found, estimate=replace(found.estimate, maps=_flat(maps)))
+    flat = replace(found, estimate=replace(found.estimate, maps=flattened(maps)))
     assert left_out_residual(views[3], flat) > 3.0 * left_out_residual(views[3], found)
 
 
-def test_the_flash_is_found_beside_the_lens():
-    maps = _true(3)
-    views, light = seen([maps] * 5)
-    prior = ParameterPrior.of(Estimate(maps, NOTHING_KNOWN))
+@pytest.fixture(scope="module")
+def five():
+    """Photographs of a piece that is known, their light, and what is known."""
+    maps = grainy(3)
+    return *seen([maps] * 5), ParameterPrior.of(Estimate(maps, NOTHING_KNOWN))
+
+
+def test_the_flash_is_found_beside_the_lens(five):
+    views, light, prior = five
     begun = replace(light, offset=torch.zeros(2), vignetting_deviation=RAW_FALLOFF)
     found, _ = shared_step(views, prior.mean, prior, begun)
     assert np.abs(found.offset.numpy() - OFFSET).max() < 0.01
 
 
-def test_shading_that_is_not_the_flash_s_does_not_move_it_off_the_phone():
-    maps = _true(3)
-    views, light = seen([maps] * 5)
-    prior = ParameterPrior.of(Estimate(maps, NOTHING_KNOWN))
+def test_shading_that_is_not_the_flash_s_does_not_move_it_off_the_phone(five):
+    views, light, prior = five
     begun = replace(light, coarse_offset=light.offset)
     width = views[0].log.shape[-1]
     shaded = [replace(view, log=view.log + torch.linspace(-2.0, 2.0, width)) for view in views]
@@ -123,10 +99,8 @@ def test_shading_that_is_not_the_flash_s_does_not_move_it_off_the_phone():
     assert np.abs(begun.offset.numpy() - OFFSET).max() < 0.16
 
 
-def test_the_falloff_of_all_photographs_stays_as_near_as_the_camera_s_profile_says():
-    maps = _true(3)
-    views, light = seen([maps] * 5)
-    prior = ParameterPrior.of(Estimate(maps, NOTHING_KNOWN))
+def test_the_falloff_of_all_photographs_stays_as_near_as_the_camera_s_profile_says(five):
+    views, light, prior = five
 
     def off(profile):
         lost = {"vignetting": 0.3, "vignetting_quartic": 0.0}  # the photographs lose nothing
@@ -143,7 +117,7 @@ def test_the_falloff_of_all_photographs_stays_as_near_as_the_camera_s_profile_sa
 
 def test_gloss_that_was_read_wrong_does_not_scale_relief():
     """Nor a network that thinks itself sure of a relief half as steep."""
-    maps = _true(6)
+    maps = grainy(6)
     views, light = seen([maps] * 5, 0.005)
     read = replace(maps, roughness=maps.roughness - 0.2, height=0.5 * maps.height)
     sure = torch.log(torch.tensor([0.5, 0.05, 0.2, 0.02]))[:, None, None].expand(4, *SIZE)
@@ -156,11 +130,11 @@ def test_gloss_that_was_read_wrong_does_not_scale_relief():
 
 def test_a_photograph_beside_its_place_is_brought_back_though_texels_explain_it():
     """The maps that are begun with are what the shifted photograph made of them."""
-    maps = _true(4)
+    maps = grainy(4)
     views, light = seen([maps] * 5)
     # By two texels to the right: what is looked up there lay two texels further left.
     shifted = [*views[:3], replace(views[3], log=views[3].log.roll(2, dims=2)), *views[4:]]
-    flat = _flat(maps)
+    flat = flattened(maps)
     found = _solved(shifted, flat, light)
     prior = ParameterPrior.of(Estimate(flat, NOTHING_KNOWN))
     numbers = parameters_of(found.maps)
@@ -173,14 +147,14 @@ def test_a_photograph_beside_its_place_is_brought_back_though_texels_explain_it(
 
 
 def test_slopes_stay_finite_where_nothing_is_seen():
-    maps = _true(5)
+    maps = grainy(5)
     views, light = seen([maps] * 3)
     blind = [replace(view, seen=torch.zeros_like(view.seen)) for view in views]
     found = solve(blind, Estimate(maps, NOTHING_KNOWN), light)
     for channel in found.maps.stacked():
         assert torch.isfinite(channel).all()
     # As it was read, but for what is slow.
-    assert _degrees(found.maps, maps) < 0.4 * _degrees(_flat(maps), maps)
+    assert _degrees(found.maps, maps) < 0.4 * _degrees(flattened(maps), maps)
     torch.testing.assert_close(found.maps.diffuse, maps.diffuse, atol=0.01, rtol=0.0)
     assert torch.isfinite(found.estimate.log_error).all()
 
@@ -249,9 +223,9 @@ def test_a_hand_holds_the_phone_as_it_is_told():
 @pytest.mark.parametrize("steep", [1.0, 1.5])
 def test_two_photographs_tell_how_strong_relief_is_of_which_half_was_read(steep):
     """Nothing is measured across their baseline: a mean of both reliefs is weaker than either."""
-    one, two = (replace(maps, height=steep * maps.height) for maps in (_true(7), _true(8)))
+    one, two = (replace(maps, height=steep * maps.height) for maps in (grainy(7), grainy(8)))
     views, light = seen([one] * 2, 0.005)
-    read = replace(_flat(one), height=0.5 * (one.height + two.height))
+    read = replace(flattened(one), height=0.5 * (one.height + two.height))
     found = _solved(views, read, light)
     true, before, after = (
         float(parameters_of(maps)[SLOPES].square().mean()) for maps in (one, read, found.maps)
@@ -261,9 +235,9 @@ def test_two_photographs_tell_how_strong_relief_is_of_which_half_was_read(steep)
 
 
 def test_energies_of_octaves_belong_to_wavelengths_not_to_texels():
-    maps = _true(7)
+    maps = grainy(7)
     views, light = seen([maps] * 2, 0.005)
-    found = _solved(views, _flat(maps), light)
+    found = _solved(views, flattened(maps), light)
     finer = maps.map(lambda m: m.repeat_interleave(2, -1).repeat_interleave(2, -2))
     assert len(found.slope_energies) == 6  # from 256 to 4 texels
     assert found.slope_statistics_on(maps) == (found.prediction_error, found.slope_energies)
