@@ -126,8 +126,7 @@ def _brightest(light: Luminance) -> Highlight | None:
     u, v = (c.ravel() for c in _coordinates(light))
     smooth = _blur(light, _SEED_BLUR / cell)
     row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)
-    centre, profile = np.array([u[column], v[row]]), None
-    reach = 2.0 * _RING
+    centre, reach = np.array([u[column], v[row]]), 2.0 * _RING
     for _ in range(_ROUNDS):
         distance = np.hypot(u[None, :] - centre[0], v[:, None] - centre[1])
         profile = _profile(light, distance, reach)
@@ -147,9 +146,7 @@ def _brightest(light: Luminance) -> Highlight | None:
         centre = moved
         if done:
             break
-    if profile is None:
-        return None
-    peak, surroundings, half = profile[0], max(profile[1], 1e-6), profile[2]
+    surroundings = max(surroundings, 1e-6)
     ring = (distance > SURROUNDINGS[0]) & (distance < SURROUNDINGS[1])
     if peak < FAINTEST_HIGHLIGHT * float(np.quantile(light[ring], _USUAL)):
         return None

@@ -61,8 +61,8 @@ def doubts(fit: Adjusted, pairs: Sequence[Pair]) -> Doubts:
     first, *others = fit.cameras
     known = list(zip(others, _covariances(fit, pairs), strict=True))
     return Doubts(
-        np.array([_off(first, camera, covariance) for camera, covariance in known]),
-        np.array([_misregistration(first, camera, covariance) for camera, covariance in known]),
+        np.array([_off(first, *each) for each in known]),
+        np.array([_misregistration(first, *each) for each in known]),
     )
 
 

@@ -63,29 +63,17 @@ class Keypoints:
     """(n,) complex: the modulus is the size in image coordinates, the argument the orientation."""
 
 
-class KeypointFinder:
-    """Matches of photographs, with a cache of their keypoints."""
-
-    def __init__(self) -> None:
-        """Start with an empty cache."""
-        self._cached: dict[tuple[int, EvenContrast], Keypoints] = {}
-
-    def matched(self, first: Photo, second: Photo) -> tuple[Doubles, Doubles, float]:
-        """(2, n) image coordinates of inlier matches in both, and a pixel's size in the second."""
-        candidates = []
-        for even in (even_contrast, even_histogram):
-            one, other = (self._keypoints(photo, even) for photo in (first, second))
-            candidates.append((*matched(one, other), other.pixel))
-            if candidates[-1][0].shape[1] >= _ENOUGH:
-                break
-        return max(candidates, key=lambda candidate: candidate[0].shape[1])
-
-    def _keypoints(self, photo: Photo, even: EvenContrast) -> Keypoints:
-        """Keypoints of a photograph after a contrast normalisation."""
-        key = (id(photo), even)
-        if key not in self._cached:
-            self._cached[key] = find_keypoints(photo, even)
-        return self._cached[key]
+def match_photographs(
+    keypoints_of_first: Callable[[EvenContrast], Keypoints], second: Photo
+) -> tuple[Doubles, Doubles, float]:
+    """(2, n) image coordinates of inlier matches in both, and a pixel's size in the second."""
+    candidates = []
+    for even in (even_contrast, even_histogram):
+        other = find_keypoints(second, even)
+        candidates.append((*matched(keypoints_of_first(even), other), other.pixel))
+        if candidates[-1][0].shape[1] >= _ENOUGH:
+            break
+    return max(candidates, key=lambda candidate: candidate[0].shape[1])
 
 
 def find_keypoints(photo: Photo, even: EvenContrast) -> Keypoints:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 
 import cv2
 import numpy as np
@@ -13,7 +14,11 @@ from numpy.typing import NDArray
 from matcap.capture.registration.adjust import BENT, Adjusted, Pair, adjust
 from matcap.capture.registration.camera import PosedCamera, log_on_grid
 from matcap.capture.registration.doubt import doubts
-from matcap.capture.registration.keypoints import KeypointFinder, repeats_itself
+from matcap.capture.registration.keypoints import (
+    find_keypoints,
+    match_photographs,
+    repeats_itself,
+)
 from matcap.capture.registration.sharp import BLURRED, blurring
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
@@ -112,7 +117,7 @@ def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
     Raises:
         MatcapError: the first was taken without the flash that the others show.
     """
-    finder = KeypointFinder()
+    keypoints_of_first = cache(partial(find_keypoints, photos[0]))
     pairs, left_out = dict[int, Pair](), dict[int, str]()
     dark = without_flash(photos)
     if 0 in dark:
@@ -122,7 +127,7 @@ def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
             "name a photograph with flash first, from the middle",
         )
     for index in range(1, len(photos)):
-        first, second, pixel = finder.matched(photos[0], photos[index])
+        first, second, pixel = match_photographs(keypoints_of_first, photos[index])
         if first.shape[1] < MATCHES:
             why = (
                 f"only {first.shape[1]} of its features match {photos[0].name}, "

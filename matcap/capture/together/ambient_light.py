@@ -104,23 +104,21 @@ def evenly_lit(log: Tensor, seen: Tensor, rendered: Tensor) -> Tensor:
     return rendered + torch.from_numpy(left)
 
 
-def without_ambient(views: Views) -> tuple[Views, float]:
-    """Subtract ambient light from flash photographs; also its share of the first one's radiance.
+def without_ambient(views: Views) -> Views:
+    """Subtract ambient light from flash photographs.
 
-    Returns the photographs unchanged, and 0, if none is without flash or an exposure is unknown.
+    Returns the photographs unchanged if none is without flash or an exposure is unknown.
     """
     *lit, ambient = views
     if ambient.flash:
-        return views, 0.0
-    cleaned, shares = [], []
+        return views
+    cleaned = []
     for view in lit:
         amount = _amount(view.photo, ambient.photo)
         if amount is None:
-            return views, 0.0
-        photo, share = _without(view, ambient, amount)
-        cleaned.append(replace(view, photo=photo))
-        shares.append(share)
-    return (*cleaned, ambient), shares[0]
+            return views
+        cleaned.append(replace(view, photo=_without(view, ambient, amount)))
+    return (*cleaned, ambient)
 
 
 def _amount(flash: Photo, ambient: Photo) -> NDArray[np.float64] | None:
@@ -136,10 +134,8 @@ def _amount(flash: Photo, ambient: Photo) -> NDArray[np.float64] | None:
     return flash.exposure / ambient.exposure * balance
 
 
-def _without(
-    view: RegisteredView, ambient: RegisteredView, amount: NDArray[np.float64]
-) -> tuple[Photo, float]:
-    """A flash photograph less `amount` times the ambient one, and the median share of that."""
+def _without(view: RegisteredView, ambient: RegisteredView, amount: NDArray[np.float64]) -> Photo:
+    """A flash photograph less `amount` times the ambient one; the median share of that is noted."""
     photo = view.photo
     added = _seen_from(view, ambient) * amount.astype(np.float32)
     # No pixel can be darker than under ambient light alone; exposure metadata can be wrong.
@@ -157,7 +153,7 @@ def _without(
         f"{100.0 * share:.0f} % of its light was ambient, measured by {ambient.photo.name} and "
         "subtracted."
     )
-    return replace(photo, pixels=left, notes=(*photo.notes, note)), share
+    return replace(photo, pixels=left, notes=(*photo.notes, note))
 
 
 def _seen_from(view: RegisteredView, ambient: RegisteredView) -> Picture:

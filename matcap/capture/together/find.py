@@ -141,20 +141,17 @@ def registered(
         if len(registration.views) < 2:
             raise _none_fits(registration)
     with clock.stage("coarse fit"):
-        first, setup = without_ambient(registration.views)[0][0].photo, registration.setup
+        first, setup = without_ambient(registration.views)[0].photo, registration.setup
         with one_thread():
             coarse = fit_coarse(replace(first, fov=setup.fov), tilt=setup.tilt)
         coarse = under_flash(coarse, first.flash_intensity)
-        linear = tuple(
+        views = tuple(
             replace(view, photo=view.photo.linearised(coarse.tone)) for view in registration.views
-        )
-        first, registration = (
-            without_ambient(linear)[0][0].photo,
-            replace(registration, views=linear),
         )
         # The registered camera replaces the coarse fit's.
         camera = replace(coarse.setup, fov=setup.fov, tilt=setup.tilt)
-        plane = read_plane(first, camera, detail)
+        plane = read_plane(without_ambient(views)[0].photo, camera, detail)
+        registration = replace(registration, views=views)
     return registration, replace(coarse, setup=camera), plane
 
 
@@ -197,7 +194,7 @@ def _aligned(
     """
     try:
         with clock.stage("align"):
-            views, _ = without_ambient(on_albedo(begun.views, begun.setup, own))
+            views = without_ambient(on_albedo(begun.views, begun.setup, own))
             begun, on_progress = replace(begun, views=views), clock.callback("align")
             return aligned(begun, prediction, on_progress=on_progress), False
     except KeyboardInterrupt:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from matcap.brdf.maps import CHANNELS
 from matcap.capture.together.set_report import SetReport
 from matcap.flash.extent import OWN
 
@@ -102,8 +103,8 @@ def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
         yield said, number
     for one in report.left_out:
         yield f"left out: {one.name}, {one.why}", 0
-    names = ("diffuse", "specular", "roughness", "height")
-    shares = [f"{name} {100.0 * s:.0f} %" for name, s in zip(names, report.measured, strict=True)]
+    measured = zip(CHANNELS, report.measured, strict=True)
+    shares = [f"{name} {100.0 * share:.0f} %" for name, share in measured]
     yield "measured, not predicted: " + ", ".join(shares), None
     if report.reach is not None:
         yield report.reach.says(), None

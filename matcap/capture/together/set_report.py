@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from matcap.brdf.maps import CHANNELS
 from matcap.capture.registration.doubt import DOUBTED
 from matcap.capture.registration.register import LeftOut, RegisteredView
 from matcap.capture.together.union import Reach
@@ -66,9 +67,7 @@ class SetReport:
                 for view, residual, ahead in zip(self.views, self.residuals, predicted, strict=True)
             ],
             "left_out": [{"name": one.name, "why": one.why} for one in self.left_out],
-            "measured_share": dict(
-                zip(("diffuse", "specular", "roughness", "height"), self.measured, strict=True)
-            ),
+            "measured_share": dict(zip(CHANNELS, self.measured, strict=True)),
             "flash_offset": list(self.flash_offset[:2]),
             "lens_distortion": list(self.bent),
             **({} if self.reach is None else {"union": self.reach.document()}),
