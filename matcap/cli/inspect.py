@@ -116,9 +116,9 @@ def _photo(
 
 def _set(paths: Sequence[Path], fov: float | None) -> tuple[dict[str, Any], str]:
     """Checks of several photographs of one sample, for JSON and as text."""
-    from matcap.capture.together.look import look_at_files
+    from matcap.capture.together.coverage import coverage_of_files
 
-    quality = look_at_files(paths, fov)
+    quality = coverage_of_files(paths, fov)
     lines = [f"{len(paths)} photographs together: {quality.rating.value}"]
     lines += [f"  {_MARKS[f.rating.value]} {f.name:<13} {f.line()}" for f in quality.findings]
     return quality.document(), "\n".join(lines)

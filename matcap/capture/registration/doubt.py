@@ -44,11 +44,11 @@ _OWN = 6  # parameters of each photograph alone: rotation and position
 class Doubts:
     """Standard deviations of camera positions and registration, (photographs - 1,) each."""
 
-    places: Doubles
+    positions: Doubles
     """Each camera's position relative to the first, over its distance."""
-    astray: Doubles
-    """Each photograph's registration to the first, plane units; much less than `places`, as errors
-    of position and rotation nearly cancel on the plane."""
+    misregistration: Doubles
+    """Each photograph's registration to the first, plane units; much less than `positions`, as
+    errors of position and rotation nearly cancel on the plane."""
 
 
 def doubts(fit: Adjusted, pairs: Sequence[Pair]) -> Doubts:

@@ -21,7 +21,7 @@ from matcap.photo.photo import Photo
 from matcap.photo.shrink import area_averaged
 
 Doubles = NDArray[np.float64]
-EvenContrast = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
+ContrastNormalisation = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
 
 _AT_ONCE = 1024  # rows of the distance matrix computed at a time, 25 MB
 
@@ -64,11 +64,11 @@ class Keypoints:
 
 
 def match_photographs(
-    keypoints_of_first: Callable[[EvenContrast], Keypoints], second: Photo
+    keypoints_of_first: Callable[[ContrastNormalisation], Keypoints], second: Photo
 ) -> tuple[Doubles, Doubles, float]:
     """(2, n) image coordinates of inlier matches in both, and a pixel's size in the second."""
     candidates = []
-    for even in (even_contrast, even_histogram):
+    for even in (normalise_contrast, equalise_histogram):
         other = find_keypoints(second, even)
         candidates.append((*matched(keypoints_of_first(even), other), other.pixel))
         if candidates[-1][0].shape[1] >= _ENOUGH:
@@ -76,7 +76,7 @@ def match_photographs(
     return max(candidates, key=lambda candidate: candidate[0].shape[1])
 
 
-def find_keypoints(photo: Photo, even: EvenContrast) -> Keypoints:
+def find_keypoints(photo: Photo, even: ContrastNormalisation) -> Keypoints:
     """Keypoints of a photograph after the contrast normalisation `even`."""
     rows, columns = photo.pixels.shape[:2]
     shrunk = min(1.0, LONG_SIDE / columns)
@@ -96,7 +96,7 @@ def find_keypoints(photo: Photo, even: EvenContrast) -> Keypoints:
     return Keypoints(image, np.sqrt(share, dtype=np.float32), 1.0 / half, shape)
 
 
-def even_contrast(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
+def normalise_contrast(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
     """8-bit high-passed log radiance over its local mean amplitude."""
     log = np.log(np.maximum(grey, 1e-5))
     fine = blurred(log, FINE) - blurred(log, _SLOW)
@@ -104,7 +104,7 @@ def even_contrast(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.asarray((128.0 + 48.0 * fine / size).clip(0, 255).round().astype(np.uint8))
 
 
-def even_histogram(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
+def equalise_histogram(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
     """8-bit sRGB code after contrast-limited adaptive equalisation (CLAHE [zuiderveld1994])."""
     # Normalise exposure by the median.
     level = 0.25 / max(float(np.median(grey)), 1e-6)
@@ -120,7 +120,7 @@ def matched(first: Keypoints, second: Keypoints) -> tuple[Doubles, Doubles]:
     nothing = np.zeros((2, 0))
     if min(len(first.described), len(second.described)) < 8:
         return nothing, nothing
-    i, j = best_both_ways(first.described, second.described, _RATIO)
+    i, j = mutual_nearest(first.described, second.described, _RATIO)
     if len(i) < 8:
         return nothing, nothing
     one, other = first.image[:, i], second.image[:, j]
@@ -134,7 +134,7 @@ def matched(first: Keypoints, second: Keypoints) -> tuple[Doubles, Doubles]:
     return one[:, chosen], other[:, chosen]
 
 
-def best_both_ways(
+def mutual_nearest(
     first: NDArray[np.float32], second: NDArray[np.float32], ratio: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Indices of mutual nearest neighbours of descriptors (n, 128) and (m, 128).
@@ -210,16 +210,16 @@ def _voted(one: Doubles, other: Doubles, shapes: NDArray[np.complex128]) -> NDAr
     return np.asarray(along[int(np.argmax(votes))])
 
 
-def repeats_itself(photo: Photo) -> bool:
+def is_periodic(photo: Photo) -> bool:
     """Whether the photographed pattern is periodic: largest autocorrelation above _ALIKE.
 
     Its matches are ambiguous by whole periods: only aperiodic features (stains, flaws, a border)
     resolve the ambiguity, and with too few of them the matches are inconsistent.
     """
-    return likeness_further(photo) > _ALIKE
+    return largest_autocorrelation(photo) > _ALIKE
 
 
-def likeness_further(photo: Photo) -> float:
+def largest_autocorrelation(photo: Photo) -> float:
     """Largest local maximum of the texture's autocorrelation at lags of 4 pixels or more.
 
     In [-1, 1]; lags are up to 0.2 of the width along each axis.

@@ -16,10 +16,10 @@ from matcap.capture.registration.camera import PosedCamera, log_on_grid
 from matcap.capture.registration.doubt import doubts
 from matcap.capture.registration.keypoints import (
     find_keypoints,
+    is_periodic,
     match_photographs,
-    repeats_itself,
 )
-from matcap.capture.registration.sharp import BLURRED, blurring
+from matcap.capture.registration.sharp import BLURRED, losses_of_sharpness
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.inspect import hot_spot
@@ -72,7 +72,7 @@ class RegisteredView:
     doubt: float = 0.0
     """Standard deviation of the camera's position relative to the first, over its distance
     (doubt.py)."""
-    astray: float = 0.0
+    misregistration: float = 0.0
     """Standard deviation of its registration to the first, plane units (doubt.py)."""
 
 
@@ -133,7 +133,7 @@ def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
                 f"only {first.shape[1]} of its features match {photos[0].name}, "
                 f"at least {MATCHES} are needed"
             )
-            if repeats_itself(photos[0]):
+            if is_periodic(photos[0]):
                 why += "; its pattern repeats: show a border or a mark in all photographs"
             left_out[index] = why
             continue
@@ -182,8 +182,8 @@ def _views(
             off=adjusted.off[number],
             alike=likeness(photos[0], adjusted.cameras[0], photos[index], camera),
             flash=index not in dark,
-            doubt=float(unsure.places[number]),
-            astray=float(unsure.astray[number]),
+            doubt=float(unsure.positions[number]),
+            misregistration=float(unsure.misregistration[number]),
         )
         if view.flash:
             lit.append(view)
@@ -202,7 +202,7 @@ def _blurred(
 
     `cameras` are those of the photographs with flash, by index.
     """
-    blur = blurring([photos[index] for index in cameras], list(cameras.values()))
+    blur = losses_of_sharpness([photos[index] for index in cameras], list(cameras.values()))
     ranked = sorted(zip(blur, cameras, strict=True), reverse=True)
     return blur[0] > BLURRED, [
         (index, f"it is blurred: its finest detail is {math.exp(-amount):.0%} of the others'")

@@ -31,23 +31,23 @@ _FINE = (0.7, 1.4)  # standard deviations of the two Gaussians of the finest ban
 _LONG = (2.8, 5.6)  # standard deviations of the two Gaussians of the longer band, texels
 
 
-def blurring(photos: Sequence[Photo], cameras: Sequence[PosedCamera]) -> list[float]:
+def losses_of_sharpness(photos: Sequence[Photo], cameras: Sequence[PosedCamera]) -> list[float]:
     """Log loss of sharpness of each photograph relative to the median one; positive is blurred.
 
     Compared where it and the first photograph overlap; 0 without overlap.
     """
     both = zip(photos, cameras, strict=True)
-    finenesses = [_fineness(photo, camera, photos[0]) for photo, camera in both]
-    first = finenesses[0]
+    each_sharpness = [_sharpness(photo, camera, photos[0]) for photo, camera in both]
+    first = each_sharpness[0]
     amounts = []
-    for each in finenesses:
+    for each in each_sharpness:
         seen = np.isfinite(each) & np.isfinite(first)
         amounts.append(float(np.median((first - each)[seen])) if seen.sum() > 4 else 0.0)
     middle = sorted(amounts)[(len(amounts) - 1) // 2]  # of two, the sharper one
     return [each - middle for each in amounts]
 
 
-def _fineness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.float64]:
+def _sharpness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.float64]:
     """(tiles,) log sharpness on the first photograph's plane; NaN for a tile partly outside."""
     across = _ACROSS
     down = round(across * first.pixels.shape[0] / first.pixels.shape[1])

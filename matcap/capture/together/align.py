@@ -124,7 +124,7 @@ def aligned(
         small = replace(prediction, maps=prior).resized((down, across), extent)
         small = replace(small, maps=reframed(small.maps, start, views[0].camera, extent))
         texel, begin = small.maps.texel_size, ParameterPrior.of(small)
-        unsure = {n for n, v in enumerate(views) if v.astray >= _SURER * texel}
+        unsure = {n for n, v in enumerate(views) if v.misregistration >= _SURER * texel}
         moved |= unsure
         for turn in range(rounds if unsure or steps else 0):
             seen = Aligned(setup, (*views,), (*warps,), light).on_grid(across, down, tint)
@@ -134,7 +134,7 @@ def aligned(
             seen = under_fitted_ambient(seen, parameters, light)
             light, moves = shared_step(seen, parameters, begin, light, moved=unsure)
             first, both = views[0].camera.place, zip(warps, moves, strict=True)
-            warps = [ViewWarp(p.nudge @ m, relief, first, extent) for p, m in both]
+            warps = [ViewWarp(p.homography @ m, relief, first, extent) for p, m in both]
             done += 1
             on_progress(done / effort)
             if _farthest(moves) < _SETTLED * texel:
@@ -191,7 +191,7 @@ def _posed(
     inside = np.abs(first).max(0) < 1.0
     pairs = []
     for view, warp in zip(views[1:], warps[1:], strict=True):
-        seen = view.camera.sees(_moved(warp.nudge, points))
+        seen = view.camera.sees(_moved(warp.homography, points))
         both = inside & (np.abs(seen).max(0) < 1.0)
         ratio = view.camera.lens.focal / views[0].camera.lens.focal
         pairs.append(Pair(first[:, both], seen[:, both], _PIXEL, ratio))
@@ -200,7 +200,7 @@ def _posed(
     return (
         adjusted.first,
         cameras,
-        [replace(p, nudge=np.eye(3), first=cameras[0].camera.place) for p in warps],
+        [replace(p, homography=np.eye(3), first=cameras[0].camera.place) for p in warps],
     )
 
 

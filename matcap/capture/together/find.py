@@ -34,8 +34,8 @@ from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.register import Registration, register_in_any_order
 from matcap.capture.together.align import Aligned, aligned, reframed
 from matcap.capture.together.ambient_light import SLOW, without_ambient
+from matcap.capture.together.leave_one_out import leave_one_out
 from matcap.capture.together.pair import on_albedo
-from matcap.capture.together.predict import predictions
 from matcap.capture.together.set_report import SetReport
 from matcap.capture.together.solve import ROUNDS, Solved, solve
 from matcap.capture.together.texels import Estimate
@@ -113,7 +113,9 @@ def estimate_together(
     rectified = replace(rectified, coarse=replace(coarse, setup=solved.light.onto(poses.setup)))
     with clock.stage("predict"):
         unknown = (), solved.residual
-        ahead, residuals = unknown if interrupted else predictions(poses, prediction, solved, tint)
+        ahead, residuals = (
+            unknown if interrupted else leave_one_out(poses, prediction, solved, tint)
+        )
     with clock.stage("inpaint"):
         reach, whole, solved = _whole(rectified.whole, poses, reach, solved)
         exemplar = _inpainted(Observation.of(whole, rectified.coarse), solved, tint, views)

@@ -75,8 +75,8 @@ def on_albedo(views: Views, setup: FlashSetup, prediction: MapSet) -> Views:
     first, room = views[0], views[-1]
     if room.flash:
         return views
-    if room.astray < _SURER * prediction.texel_size:
-        return (*views[:-1], replace(room, astray=_PIXEL))
+    if room.misregistration < _SURER * prediction.texel_size:
+        return (*views[:-1], replace(room, misregistration=_PIXEL))
     grid = grid_points(*prediction.size)
     there = _seen(views, setup, grid)
     albedo = _evened(prediction.diffuse.clamp_min(1e-3).log().mean(0).numpy())
@@ -88,7 +88,7 @@ def on_albedo(views: Views, setup: FlashSetup, prediction: MapSet) -> Views:
     second = _seen(views, setup, _moved(points, moved, prediction.size))
     plane = first.camera.on_plane(PosedCamera.of(setup).sees(points))
     camera = camera_of(plane, second, room.camera.lens, refined=True)
-    return (*views[:-1], replace(room, camera=camera, astray=_PIXEL))
+    return (*views[:-1], replace(room, camera=camera, misregistration=_PIXEL))
 
 
 def _seen(views: Views, setup: FlashSetup, points: Doubles) -> Doubles:
@@ -239,7 +239,7 @@ def with_ambient_gradient(
     return replace(light, ambient=torch.tensor([*slope.tolist(), UNIFORM_SKY[2]]))
 
 
-def as_steep(
+def scaled_by_ratio(
     height: Tensor, views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
 ) -> Tensor:
     """Scale a height's slope energies by octave and direction to those measured in the ratio.

@@ -21,8 +21,8 @@ class SetReport:
     residuals: tuple[float, ...]
     """Median |log radiance of photograph - re-rendering| of each."""
     predicted: tuple[float, ...]
-    """Residuals of maps from all other photographs (predict.py); NaN without flash; empty if not
-    computed."""
+    """Residuals of maps from all other photographs (leave_one_out.py); NaN without flash; empty if
+    not computed."""
     left_out: tuple[LeftOut, ...]
     """Photographs that could not be registered, with reasons."""
     measured: tuple[float, float, float, float]

@@ -50,7 +50,7 @@ _FARTHEST = 2.0  # largest displacement of a photograph in a step, texels
 # of the change of mean log F0 and mean logit roughness from the prediction, and the same where one
 # photograph alone has flash, which the prediction has already used; of the log gain of a
 # photograph, and the same if no texel of a mosaic is in two photographs.
-_OFFSET_DEVIATION, _ASTRAY = 0.06, 0.004
+_OFFSET_DEVIATION, _MISREGISTRATION = 0.06, 0.004
 # Largest distance of the flash, along each axis, from where the coarse fit has it, plane units:
 # shading that is not the flash's (folds of cloth, room light) moved it beyond any phone.
 _FARTHEST_FLASH = 0.15
@@ -132,7 +132,7 @@ def _deviations(
     whole = [_OFFSET_DEVIATION, _OFFSET_DEVIATION, *light.vignetting_deviation]
     whole += _KNOWN_GLOSS if alone else _GLOSS_DEVIATION
     for number in range(1, len(views)):
-        moves = _ASTRAY if number in moved else 1e-9
+        moves = _MISREGISTRATION if number in moved else 1e-9
         whole += [gain] * _GAINS + [moves] * (bool(moved) * _MOVES)
     return torch.tensor(whole, dtype=torch.float64)
 

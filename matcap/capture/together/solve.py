@@ -23,7 +23,7 @@ from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.together.ambient_light import SLOW
 from matcap.capture.together.octaves import denoised, prediction_error, with_energies
-from matcap.capture.together.pair import as_steep, with_ambient_gradient
+from matcap.capture.together.pair import scaled_by_ratio, with_ambient_gradient
 from matcap.capture.together.shared import SAMPLED, shared_step
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
@@ -142,7 +142,7 @@ def solve(
     height = surface_of(parameters[SLOPES], texel_size, step.relief)
     if not interrupted:
         height = _denoised(height, lit, step.changes, prior, energies)
-        height = as_steep(height, lit, parameters, light)
+        height = scaled_by_ratio(height, lit, parameters, light)
     parameters[SLOPES] = slopes_of(height, texel_size)
     if not interrupted:
         parameters = _step_at_fixed_slopes(lit, parameters, expected, light)

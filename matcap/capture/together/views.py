@@ -97,13 +97,13 @@ class ViewWarp:
     """Map from texels to the plane points at which a photograph is sampled.
 
     Attributes:
-        nudge: (3, 3) homography of the plane (align.py).
+        homography: (3, 3) homography of the plane (align.py).
         relief: (h, w) height on any grid, plane units, for parallax; None for a flat plane.
         first: (3,) position of the first camera: texels lie on its rays.
         extent: of the grid.
     """
 
-    nudge: Doubles
+    homography: Doubles
     relief: NDArray[np.float32] | None
     first: Doubles
     extent: Extent = OWN
@@ -113,7 +113,7 @@ class ViewWarp:
 
         Single precision rounds a pixel's place by a thousandth.
         """
-        first, nudge = (np.asarray(each, np.float32) for each in (self.first, self.nudge))
+        first, homography = (np.asarray(each, np.float32) for each in (self.first, self.homography))
         relief = self.relief
         if relief is not None:
             wide = cv2.resize(relief, (across, down), interpolation=cv2.INTER_LINEAR)
@@ -124,7 +124,7 @@ class ViewWarp:
                 points += relief[rows] / first[2] * (first[:, None, None] - points)
             raised = points[2].copy()
             points[2] = 1.0
-            points = np.tensordot(nudge, points, 1)
+            points = np.tensordot(homography, points, 1)
             points /= points[2].copy()
             points[2] = raised
             yield points

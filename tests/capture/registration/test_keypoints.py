@@ -8,10 +8,10 @@ import pytest
 
 from matcap.capture.registration.keypoints import (
     Keypoints,
-    best_both_ways,
-    even_contrast,
     find_keypoints,
     matched,
+    mutual_nearest,
+    normalise_contrast,
 )
 from matcap.capture.registration.register import MATCHES
 from matcap.photo.photo import Photo
@@ -27,7 +27,7 @@ def _grain():
 def test_features_lie_where_they_are_whichever_way_the_picture_is_held():
     photo = _grain()
     turned = replace(photo, pixels=np.ascontiguousarray(photo.pixels[::-1, ::-1]))
-    one, other = (find_keypoints(each, even_contrast) for each in (photo, turned))
+    one, other = (find_keypoints(each, normalise_contrast) for each in (photo, turned))
     pairs = cv2.BFMatcher(crossCheck=True).match(one.described, other.described)
     first = one.image[:, [pair.queryIdx for pair in pairs]]
     second = -other.image[:, [pair.trainIdx for pair in pairs]]
@@ -85,4 +85,4 @@ def test_features_are_matched_that_are_nearest_both_ways(ratio):
         if a.distance < ratio * b.distance and back[a.trainIdx] == a.queryIdx
     ]
     assert 500 < len(plain) < 1800
-    assert list(zip(*best_both_ways(first, second, ratio), strict=True)) == plain
+    assert list(zip(*mutual_nearest(first, second, ratio), strict=True)) == plain

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from matcap.capture.registration.keypoints import repeats_itself
+from matcap.capture.registration.keypoints import is_periodic
 from matcap.capture.registration.register import register
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.hand_held import Hand, hold
@@ -61,7 +61,7 @@ def _photographs(albedo):
 def test_a_weave_with_flaws_is_laid_in_its_place(thread, clouds, flaws):
     cameras, photos = _photographs(_weave(thread, clouds, flaws))
     found = register(photos, FlashSetup(fov=PHONE.fov))
-    assert len(found.views) == 2 and repeats_itself(photos[0])
+    assert len(found.views) == 2 and is_periodic(photos[0])
     points = np.stack([*np.random.default_rng(0).uniform(-0.5, 0.5, (2, 200)), np.zeros(200)])
     first, second = (view.camera for view in found.views)
     there = second.on_plane(cameras[1].sees(cameras[0].on_plane(first.sees(points))))
@@ -77,4 +77,4 @@ def test_a_weave_without_a_flaw_is_refused_in_a_sentence():
 
 def test_grain_does_not_repeat_itself():
     _, photos = _photographs(_weave(1e9, 0.1, 0.3))  # of one thread
-    assert not repeats_itself(photos[0])
+    assert not is_periodic(photos[0])

@@ -81,7 +81,7 @@ def laid(held):
     doubt = DOUBT.expand(4, 96, 128)
 
     def over(astray):
-        views = tuple(replace(view, astray=astray) for view in found.views)
+        views = tuple(replace(view, misregistration=astray) for view in found.views)
         lines = []
         begun = Aligned.of((found.views[0], *views[1:]), setup)
         by = aligned(begun, Estimate(maps, doubt), on_progress=lines.append)

@@ -15,8 +15,8 @@ from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together.ambient_light import AmbientLight, evenly_lit, without_ambient
-from matcap.capture.together.look import set_quality
-from matcap.capture.together.pair import as_steep, on_albedo, with_ambient_gradient
+from matcap.capture.together.coverage import coverage
+from matcap.capture.together.pair import on_albedo, scaled_by_ratio, with_ambient_gradient
 from matcap.capture.together.solve import solve
 from matcap.capture.together.texels import (
     SLOPES,
@@ -84,7 +84,7 @@ def test_a_photograph_without_flash_is_registered_on_albedo(lit):
     registration = _registration(lit)
     room, cameras = registration.views[-1], [shot.camera for shot in lit[0]]
     astray = replace(room.camera, place=room.camera.place + np.array([0.012, -0.02, 0.01]))
-    off = (*registration.views[:-1], replace(room, camera=astray, astray=0.02))
+    off = (*registration.views[:-1], replace(room, camera=astray, misregistration=0.02))
     leather = EXAMPLES["leather"]
     on_plane = true_maps_along(
         leather.realise, PHONE, cameras, 0, PosedCamera.of(registration.setup)
@@ -97,7 +97,7 @@ def test_a_photograph_without_flash_is_registered_on_albedo(lit):
         for one in (astray, found[-1].camera)
     )
     assert after < 1.0 < 3.0 < before
-    sure = (*registration.views[:-1], replace(room, astray=0.001))
+    sure = (*registration.views[:-1], replace(room, misregistration=0.001))
     assert on_albedo(sure, registration.setup, maps)[-1].camera is room.camera
 
 
@@ -187,7 +187,7 @@ def test_relief_read_too_weak_becomes_as_steep_as_the_ratio_of_both_says():
     maps = grainy(4, LARGE, albedo=0.4)
     flash, room, light = _pair(maps, (-0.3, 0.2, 0.5))
     light = with_ambient_gradient([flash, room], parameters_of(maps), light)
-    found = as_steep(0.4 * maps.height, [flash, room], parameters_of(maps), light)
+    found = scaled_by_ratio(0.4 * maps.height, [flash, room], parameters_of(maps), light)
     wanted, seen = (
         slope_strengths(h[0].numpy() / maps.texel_size)[1:4] ** 2 for h in (maps.height, found)
     )
@@ -241,7 +241,7 @@ def test_a_blurred_photograph_is_named(held):
     assert [one.name for one in found.left_out] == ["smeared_plaster_2"]
     assert "it is blurred" in found.left_out[0].why
     assert not found.blurred
-    assert "smeared_plaster_2 does not belong" in set_quality(found)["belong"].says
+    assert "smeared_plaster_2 does not belong" in coverage(found)["belong"].says
 
 
 def test_a_blurred_first_photograph_gives_no_frame(held):

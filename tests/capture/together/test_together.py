@@ -14,7 +14,7 @@ from matcap.capture.pipeline import capture_photo
 from matcap.capture.progress import TOGETHER_STAGES
 from matcap.capture.report import warnings
 from matcap.capture.settings import CaptureSettings, OutputSettings
-from matcap.capture.together.predict import left_out_residual
+from matcap.capture.together.leave_one_out import left_out_residual
 from matcap.capture.together.shared import shared_step
 from matcap.capture.together.solve import solve
 from matcap.capture.together.texels import (

@@ -36,7 +36,7 @@ _ALONE = 0.25  # largest share of the sample that only one photograph shows
 _GRID = 64  # points across the grid on which coverage is determined
 
 
-def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection:
+def coverage_of_files(paths: Sequence[Path], fov: float | None = None) -> Inspection:
     """Register the photographs of a set and check its coverage.
 
     Args:
@@ -53,10 +53,10 @@ def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection
             "give two or more of one sample",
         )
     photos = [load_photo(path, long_side=LONG_SIDE, fov=fov, noise=False) for path in paths]
-    return set_quality(register_in_any_order(photos))
+    return coverage(register_in_any_order(photos))
 
 
-def set_quality(registration: Registration) -> Inspection:
+def coverage(registration: Registration) -> Inspection:
     """Coverage findings of registered photographs."""
     views = registration.views
     lit = [view for view in views if view.flash]

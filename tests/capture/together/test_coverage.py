@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from matcap.capture.registration.register import register
-from matcap.capture.together.look import SAME_PLACE, look_at_files, set_quality
+from matcap.capture.together.coverage import SAME_PLACE, coverage, coverage_of_files
 from matcap.capture.together.set_report import SetReport
 from matcap.cli.main import main
 from matcap.errors import MatcapError
@@ -37,7 +37,7 @@ def test_cameras_are_found_and_a_foreign_photograph_is_named(held, looked):
 
 
 def test_a_set_is_told_what_it_lacks(looked):
-    values = set_quality(looked)
+    values = coverage(looked)
     assert values["belong"].value == {"used": 3, "left_out": ["leather_9"]}
     assert "leather_9 does not belong" in values["belong"].says
     # The second camera is moved to the right, the third to the top.
@@ -50,10 +50,10 @@ def test_a_set_is_told_what_it_lacks(looked):
 
 
 def test_how_far_cameras_are_known_is_told(looked):
-    found = set_quality(looked)["cameras"]
+    found = coverage(looked)["cameras"]
     assert set(found.value) == {"plaster_1", "plaster_2"} and min(found.value.values()) > 0.0
     sure, unsure = (
-        set_quality(replace(looked, views=tuple(replace(v, doubt=d) for v in looked.views)))
+        coverage(replace(looked, views=tuple(replace(v, doubt=d) for v in looked.views)))
         for d in (0.001, 0.004)
     )
     assert sure["cameras"].rating is Rating.GOOD and "0.10 %" in sure["cameras"].says
@@ -71,20 +71,20 @@ def test_a_capture_says_where_cameras_are_doubted(looked):
 
 def test_directions_are_those_of_the_upright_picture(looked):
     views = tuple(replace(v, photo=replace(v.photo, turned=True)) for v in looked.views)
-    values = set_quality(replace(looked, views=views))
+    values = coverage(replace(looked, views=views))
     # Turned back clockwise what lay at the right lies at the bottom, and the top at the right.
     assert values["lit_from"].says == "No photograph lights the sample from the left or top."
 
 
 def test_two_from_the_same_place_are_named(looked):
     again = replace(looked.views[1], photo=replace(looked.views[1].photo, name="again"))
-    values = set_quality(replace(looked, views=(*looked.views, again)))
+    values = coverage(replace(looked, views=(*looked.views, again)))
     assert values["places"].says == "plaster_1 and again were taken from nearly the same place."
     assert values["places"].value < SAME_PLACE
 
 
 def test_one_alone_is_poor(looked):
-    values = set_quality(replace(looked, views=looked.views[:1]))
+    values = coverage(replace(looked, views=looked.views[:1]))
     assert values.rating is Rating.FAILED
     assert values["belong"].says.startswith(
         "No other photograph shows the same sample as plaster_0."
@@ -93,7 +93,7 @@ def test_one_alone_is_poor(looked):
 
 def test_one_photograph_is_no_set(tmp_path):
     with pytest.raises(MatcapError, match="two or more"):
-        look_at_files([tmp_path / "a.jpg"])
+        coverage_of_files([tmp_path / "a.jpg"])
 
 
 def test_names_that_count_are_a_series():

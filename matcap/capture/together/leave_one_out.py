@@ -27,7 +27,7 @@ _SAMPLED = 1500
 
 
 @torch.no_grad()
-def predictions(
+def leave_one_out(
     alignment: Aligned,
     prediction: Estimate,
     solved: Solved,
