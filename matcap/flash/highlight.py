@@ -18,7 +18,6 @@ Luminance = NDArray[np.float64]
 CELLS = 256  # across the long side: a spot of 0.4 % of it is one cell
 SURROUNDINGS = (0.5, 0.7)  # plane units from the centre: outside most highlights
 
-
 # Settings of the detection of the highlight; docs/notes/capture.md.
 
 # Standard deviation of the blur that removes glints for the first centre, plane units.

@@ -29,7 +29,6 @@ from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, grid_
 
 DOUBTED = 0.002  # standard deviation of a position, over its distance, above which it is reported
 
-
 # Prior standard deviations and noise model; docs/notes/several.md.
 _ALIKE = 3.0  # standard deviation of the features' common apparent depth over that of single ones
 # Tangent of the light's angle at which the displacement by shading is half the linear one.

@@ -25,7 +25,6 @@ ContrastNormalisation = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
 
 _AT_ONCE = 1024  # rows of the distance matrix computed at a time, 25 MB
 
-
 # Settings of detection and matching.
 LONG_SIDE = 1600  # pixels along the long side of the downsampled photograph
 _MOST = 6000  # largest number of features of a photograph

@@ -19,7 +19,6 @@ from matcap.photo.shrink import area_averaged
 
 ChannelPlane = NDArray[np.float32]
 
-
 # Settings of the detection of blurred photographs; docs/notes/several.md.
 
 # Log loss of sharpness against the median from which a photograph is blurred; sharp ones vary by

@@ -91,11 +91,6 @@ class Aligned:
         both = zip(self.views, self.warps, strict=True)
         return [ResampledView.of(view, across, down, warp, tint) for view, warp in both]
 
-    def with_relief(self, height: Tensor) -> Aligned:
-        """The same with the parallax of a height (1, h, w) on any grid, plane units."""
-        relief = np.asarray(height[0].numpy(), np.float32)
-        return replace(self, warps=tuple(replace(p, relief=relief) for p in self.warps))
-
 
 @torch.no_grad()
 def aligned(
@@ -113,8 +108,7 @@ def aligned(
     prior, tint = achromatic(prediction.maps)
     views, setup, light, extent = list(begun.views), begun.setup, begun.light, begun.extent
     # The prediction is on the plane of a lens without distortion.
-    start = PosedCamera.of(setup)
-    warps = [ViewWarp(np.eye(3), None, start.place, extent) for _ in views]
+    warps, start = list(begun.warps), PosedCamera.of(setup)
     (width, height), finest = prior.size, min(extent.unit(prior.size[0]), _FINEST)
     parameters, relief, moved = None, None, set[int]()
     done, effort = 0, len(_LEVELS) * (1 + max(_ROUNDS))

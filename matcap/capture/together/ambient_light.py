@@ -25,7 +25,6 @@ from matcap.photo.shrink import area_averaged
 Picture = NDArray[np.float32]
 Views = tuple[RegisteredView, ...]  # at most one without flash, the last
 
-
 # Model of ambient light; docs/notes/several.md.
 AMBIENT_NOISE = 0.05  # standard deviation of log radiance from the model of ambient light
 # Standard deviation of the low-pass that separates illumination, as a share of the long side.

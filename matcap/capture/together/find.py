@@ -247,7 +247,8 @@ def _solved(
         small = prediction.resized(half, poses.extent)
         begun = solve(views, small, light, on_progress=clock.callback("solve", 0.0, done))
         light, rounds = begun.light, _FINER
-        poses = poses.with_relief(begun.maps.height)
+        relief = np.asarray(begun.maps.height[0].numpy(), np.float32)
+        poses = replace(poses, warps=tuple(replace(w, relief=relief) for w in poses.warps))
     views = poses.on_grid(across, down, tint)
     on_progress = clock.callback("solve", done, 1.0)
     return poses, views, solve(views, prediction, light, begun, on_progress, rounds=rounds)

@@ -43,7 +43,6 @@ from matcap.photo.shrink import area_averaged
 
 Floats = NDArray[np.float32]
 
-
 # Registration of an ambient photograph, and relief by it; docs/notes/several.md.
 
 # Longest and shortest wavelength of each compared octave, texels.

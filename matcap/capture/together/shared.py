@@ -40,7 +40,6 @@ _GAINS, _MOVES = 3, 8
 _FOURTH = ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0))
 _ROUNDING = 1e-5  # damping of the diagonal against rounding in single precision
 
-
 # Estimation of the shared parameters; docs/notes/several.md.
 SAMPLED = 4000  # texels to which they are fitted
 _STEPS = 3  # Gauss-Newton steps

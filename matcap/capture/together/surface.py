@@ -15,7 +15,6 @@ from matcap.capture.together.texels import slopes_of
 
 Floats = NDArray[np.float32]
 
-
 # Settings of the integration of slopes to heights; docs/notes/several.md.
 _MODEL = 0.03  # standard deviation of slopes due to model errors: shadows, parallax, bend
 _STEPS = 4  # conjugate gradient steps; more restore shorter wavelengths, and their noise

@@ -27,7 +27,6 @@ from matcap.flash.light import strips
 ACROSS, UP, GLOSS, SLOPES = 5, 6, slice(3, 5), slice(5, 7)
 PARAMETERS = 7
 
-
 # Of the multi-view solution; docs/notes/several.md.
 _ROBUST = 0.25  # s of the weights 1 / (1 + (r / s)^2)^2 of residuals r of log radiance
 # Standard deviation of log radiance in one channel of one photograph, model error included.
@@ -178,11 +177,16 @@ def points_of(
 
 def log_rendered(parameters: Tensor, lights: Sequence[FlashOrAmbient]) -> list[Tensor]:
     """Log radiance (3, h, w) of parameters (PARAMETERS, h, w) in each light."""
-    normal = normals_from_slopes(*parameters[SLOPES].split(1))
-    matte, f0 = parameters[ALBEDO].exp(), parameters[F0 : F0 + 1].exp()
-    rough = torch.sigmoid(parameters[ROUGH : ROUGH + 1])
+    normal, matte, f0, rough = _surface(parameters)
     incident = (light.onto(normal) for light in lights)
     return [_log((lit.matte(matte) + lit.mirrored(f0, rough)) * lit.irradiance) for lit in incident]
+
+
+def _surface(parameters: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Normals, diffuse albedo, F0 and roughness of parameters (PARAMETERS, h, w)."""
+    normal = normals_from_slopes(*parameters[SLOPES].split(1))
+    matte, f0 = parameters[ALBEDO].exp(), parameters[F0 : F0 + 1].exp()
+    return normal, matte, f0, torch.sigmoid(parameters[ROUGH : ROUGH + 1])
 
 
 def _log(radiance: Tensor) -> Tensor:
@@ -301,9 +305,7 @@ def derivatives(
         parameters: (PARAMETERS, h, w).
         lights: incident at those texels.
     """
-    matte, f0 = parameters[ALBEDO].exp(), parameters[F0 : F0 + 1].exp()
-    rough = torch.sigmoid(parameters[ROUGH : ROUGH + 1])
-    normal = normals_from_slopes(*parameters[SLOPES].split(1))
+    normal, matte, f0, rough = _surface(parameters)
     for light in lights:
         lit, lobe, slanted = light.linearised(normal, f0, rough)
         diffuse = lit.matte(matte)

@@ -31,7 +31,6 @@ from matcap.flash.light import cached_rows, strips
 
 Marks = NDArray[np.bool_]
 
-
 # Limits of the mosaic; docs/notes/several.md.
 
 # Largest angle of a ray to the plane's normal, degrees; at 60, foreshortening is one half.

@@ -38,8 +38,6 @@ UNPREDICTED = 4.0  # log error of a prediction outside of its photograph
 _NOTHING = 1e-8  # weight of a prediction at its border, whose log error then exceeds UNPREDICTED
 
 Floats = NDArray[np.float32]
-PredictAlone = Callable[[Plane, CoarseFit], Estimate]  # predicts a photograph on its own plane
-
 
 # How predictions are fused; docs/notes/several.md.
 _ACROSS = 384  # texels across the grid of fusion; finer detail is the first photograph's
@@ -112,7 +110,7 @@ def predict_views(
     alignment: Aligned,
     first: Estimate,
     coarse: CoarseFit,
-    predict: PredictAlone,
+    predict: Callable[[Plane, CoarseFit], Estimate],
 ) -> list[ViewPrediction]:
     """The network's predictions of the photographs with flash and without too large a tilt.
 
@@ -120,7 +118,7 @@ def predict_views(
         alignment: registration and light of the photographs.
         first: prediction of the first, in the estimated frame.
         coarse: fit of the first, whose mean material all share.
-        predict: predicts the maps of one photograph.
+        predict: predicts the maps of one photograph on its own plane.
     """
     extent = alignment.extent
     width, height = first.maps.size

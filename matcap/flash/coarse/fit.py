@@ -165,8 +165,7 @@ def _fitted(
     """
     last = replace(problem, cells=cells)
     if photo.radiometric:
-        last = last.whitened(tried[0][1])
-        last = last.trusting(tried[0][1])
+        last = last.whitened(tried[0][1]).trusting(tried[0][1])
     best = _best(last, [start for _, start in tried])
     rest = last.differences(best)[last.cells.above == 1.0]
     own = None

@@ -23,29 +23,21 @@ _TILT_RADIOMETRIC = 0.1
 # about x and 4 about y (root mean square; docs/guide/paper.md).
 _TILTS = 0.087
 _FIXED = 1e-4  # standard deviation of a parameter that is known
-_MEAN = Unknowns(
-    albedo=numbers(*[math.log(0.2)] * 3),
-    specular=numbers(math.log(0.04)),
-    roughness=numbers(0.0),
-    intensity=numbers(3.0),
-    hue=numbers(0.0, 0.0),
-    offset=numbers(0.0, 0.0),
-    tilt=numbers(0.0, 0.0),
-    vignetting=numbers(0.0, 0.0),
-    centre=numbers(0.0, 0.0),
-    tone=numbers(0.12),
-)
-_DEVIATION = Unknowns(
-    albedo=numbers(1.5, 1.5, 1.5),
-    specular=numbers(0.15),
-    roughness=numbers(1.5),
-    intensity=numbers(5.0),
-    hue=numbers(0.3, 0.3),  # white balance is the whole picture's, not the flash's
-    offset=numbers(0.12, 0.12),
-    tilt=numbers(0.05, 0.05),
-    vignetting=numbers(1.0, 1.0),
-    centre=numbers(0.2, 0.2),
-    tone=numbers(0.08),
+# Mean and standard deviation of each unknown.
+_PRIORS = {
+    "albedo": ([math.log(0.2)] * 3, [1.5] * 3),
+    "specular": ([math.log(0.04)], [0.15]),
+    "roughness": ([0.0], [1.5]),
+    "intensity": ([3.0], [5.0]),
+    "hue": ([0.0] * 2, [0.3] * 2),  # white balance is the whole picture's, not the flash's
+    "offset": ([0.0] * 2, [0.12] * 2),
+    "tilt": ([0.0] * 2, [0.05] * 2),
+    "vignetting": ([0.0] * 2, [1.0] * 2),
+    "centre": ([0.0] * 2, [0.2] * 2),
+    "tone": ([0.12], [0.08]),
+}
+_MEAN, _DEVIATION = (
+    Unknowns(**{name: numbers(*prior[k]) for name, prior in _PRIORS.items()}) for k in (0, 1)
 )
 CONDUCTOR_F0 = (math.log(0.5), 0.5)  # mean and standard deviation of log F0
 
