@@ -4,12 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from matcap.capture.settings import (
-    PRESETS,
-    UNLIMITED,
-    CaptureSettings,
-    resolve,
-)
+from matcap.capture.settings import PRESETS, UNLIMITED, CaptureSettings, resolve
 from matcap.errors import UsageError
 
 

@@ -14,11 +14,7 @@ from numpy.typing import NDArray
 from matcap.capture.registration.adjust import BENT, Adjusted, Pair, adjust
 from matcap.capture.registration.camera import PosedCamera, log_on_grid
 from matcap.capture.registration.doubt import doubts
-from matcap.capture.registration.keypoints import (
-    find_keypoints,
-    is_periodic,
-    match_photographs,
-)
+from matcap.capture.registration.keypoints import find_keypoints, is_periodic, match_photographs
 from matcap.capture.registration.sharp import BLURRED, losses_of_sharpness
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup

@@ -3,17 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from sets import (
-    HARD,
-    SetOutcome,
-    columns,
-    compared,
-    kinds,
-    make_set,
-    outcome_of,
-    unsaid,
-    verdict,
-)
+from sets import HARD, SetOutcome, columns, compared, kinds, make_set, outcome_of, unsaid, verdict
 
 from matcap.capture.registration.register import register
 from matcap.flash.coarse.fit import fit_coarse

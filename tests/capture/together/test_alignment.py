@@ -13,11 +13,7 @@ from matcap.capture.together import align
 from matcap.capture.together.align import Aligned, aligned
 from matcap.capture.together.shared import shared_step
 from matcap.capture.together.solve import solve
-from matcap.capture.together.texels import (
-    Estimate,
-    ParameterPrior,
-    parameters_of,
-)
+from matcap.capture.together.texels import Estimate, ParameterPrior, parameters_of
 from matcap.capture.together.views import RAW_FALLOFF
 from matcap.flash.geometry import FlashSetup
 

@@ -18,11 +18,7 @@ from matcap.capture.together.ambient_light import AmbientLight, evenly_lit, with
 from matcap.capture.together.coverage import coverage
 from matcap.capture.together.pair import on_albedo, scaled_by_ratio, with_ambient_gradient
 from matcap.capture.together.solve import solve
-from matcap.capture.together.texels import (
-    SLOPES,
-    Estimate,
-    parameters_of,
-)
+from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
 from matcap.capture.together.views import RAW_FALLOFF, SharedLight
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup

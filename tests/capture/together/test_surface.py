@@ -6,11 +6,7 @@ import pytest
 import torch
 
 from matcap.capture.together import surface
-from matcap.capture.together.surface import (
-    surface_of,
-    texel_slopes,
-    transposed,
-)
+from matcap.capture.together.surface import surface_of, texel_slopes, transposed
 from matcap.capture.together.texels import slopes_of
 
 SIZE = (75, 100)

@@ -17,12 +17,7 @@ from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together.leave_one_out import left_out_residual
 from matcap.capture.together.shared import shared_step
 from matcap.capture.together.solve import solve
-from matcap.capture.together.texels import (
-    SLOPES,
-    Estimate,
-    ParameterPrior,
-    parameters_of,
-)
+from matcap.capture.together.texels import SLOPES, Estimate, ParameterPrior, parameters_of
 from matcap.capture.together.views import RAW_FALLOFF, SharedLight
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
@@ -185,23 +180,21 @@ def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
     assert all(0.0 <= share <= 1.0 for share in several["measured_share"].values())
 
 
+def _captured(name, detail):
+    """Two photographs of a subject as one material."""
+    (subject,) = subjects((name,))
+    shots = take_several(subject.realise, PHONE, hold(PHONE, Hand(), 2, 5), Hand(), 5)
+    photos = [as_photo(one.shot, n, f"{name}_{n}") for n, one in enumerate(shots)]
+    settings = CaptureSettings(preset="instant", detail=detail)
+    return capture_photo(photos[0], settings, others=photos[1:])
+
+
 def test_boards_are_kept_whole_as_of_one_photograph():
-    (planks,) = subjects(("planks",))
-    cameras = hold(PHONE, Hand(), 2, 5)
-    shots = take_several(planks.realise, PHONE, cameras, Hand(), 5)
-    photos = [as_photo(one.shot, n, f"planks_{n}") for n, one in enumerate(shots)]
-    settings = CaptureSettings(preset="instant", detail=128)
-    result = capture_photo(photos[0], settings, others=photos[1:])
-    assert result.estimate is not None and result.estimate.example.variety < 1.0
+    assert _captured("planks", 128).estimate.example.variety < 1.0
 
 
 def test_a_pair_keeps_the_highlight_of_glossy_tiles():
-    (tile,) = subjects(("tile",))
-    shots = take_several(tile.realise, PHONE, hold(PHONE, Hand(), 2, 5), Hand(), 5)
-    photos = [as_photo(one.shot, n, f"tile_{n}") for n, one in enumerate(shots)]
-    settings = CaptureSettings(preset="instant", detail=256)
-    result = capture_photo(photos[0], settings, others=photos[1:])
-    before, after = result.measurements.highlights
+    before, after = _captured("tile", 256).measurements.highlights
     assert before is not None and after is not None
     assert 0.9 < after.contrast / before.contrast < 1.2  # 0.7 with relief as solved
 

@@ -32,10 +32,22 @@ def cameras():
     return hold(PHONE, Hand(turned=0.2), 3, 4)
 
 
-def _light(count):
-    gain = torch.zeros(count, 3)
-    gain[1] = 0.3
+def _light():
+    gain = torch.tensor([0.0, 0.3, 0.0])[:, None].expand(3, 3)
     return SharedLight(torch.tensor([0.04, -0.07]), torch.zeros(2), gain, torch.full((3,), 5.0))
+
+
+@pytest.fixture(scope="module")
+def brought(cameras):
+    """Its plane, and a function that brings maps read on it over the first photograph."""
+    own = OwnPlane.of(cameras[1], _light(), 1)
+    warp = ViewWarp(np.eye(3), None, cameras[0].place)
+
+    def over(maps):
+        doubt = torch.full((4, *maps.size[::-1]), -2.0)
+        return resampled_over(Estimate(maps, doubt), own, cameras[1], warp, SIZE[::-1])
+
+    return own, over
 
 
 def _waves(points, texel_size):
@@ -52,7 +64,7 @@ def _waves(points, texel_size):
 
 
 def test_a_camera_on_its_own_plane_stands_where_it_does(cameras):
-    own = OwnPlane.of(cameras[1], replace(_light(3), centre=(0.1, 0.2)), 1)
+    own = OwnPlane.of(cameras[1], replace(_light(), centre=(0.1, 0.2)), 1)
     points = grid_points(16, 12)
     here = np.concatenate([own.here(points), np.zeros((1, 12, 16))])
     seen = PosedCamera.of(own.setup).sees(here)
@@ -67,16 +79,13 @@ def test_a_camera_on_its_own_plane_stands_where_it_does(cameras):
     np.testing.assert_allclose(own.setup.intensity[0] / away**2, irradiance, rtol=1e-6)
 
 
-def test_a_reading_is_brought_over_the_first(cameras):
-    own = OwnPlane.of(cameras[1], _light(3), 1)
+def test_a_reading_is_brought_over_the_first(cameras, brought):
+    own, over = brought
     # The other plane's texels, as points of the first's.
     across, down = 256, 192
     theirs = PosedCamera.of(own.setup).sees(grid_points(across, down))
     maps = _waves(cameras[1].on_plane(theirs), 2.0 / across)
-    maps = replace(maps, height=maps.height / own.scale)
-    place = ViewWarp(np.eye(3), None, cameras[0].place)
-    doubt = torch.full((4, down, across), -2.0)
-    read = resampled_over(Estimate(maps, doubt), own, cameras[1], place, (SIZE[1], SIZE[0]))
+    read = over(replace(maps, height=maps.height / own.scale))
     true = parameters_of(_waves(grid_points(SIZE[1], SIZE[0]), 2.0 / SIZE[1]))
     known = (read.log_error[3] < -1.9)[None].expand_as(true)
     known = known & (torch.nn.functional.avg_pool2d(known.float(), 5, 1, 2) > 0.999)
@@ -84,12 +93,8 @@ def test_a_reading_is_brought_over_the_first(cameras):
     assert float((read.parameters - true)[known].abs().max()) < 0.03
 
 
-def test_no_border_of_a_reading_is_seen(cameras):
-    own = OwnPlane.of(cameras[1], _light(3), 1)
-    even = _waves(np.zeros((2, 192, 256)), 2.0 / 256)
-    place = ViewWarp(np.eye(3), None, cameras[0].place)
-    doubt = torch.full((4, 192, 256), -2.0)
-    theirs = resampled_over(Estimate(even, doubt), own, cameras[1], place, (SIZE[1], SIZE[0]))
+def test_no_border_of_a_reading_is_seen(brought):
+    theirs = brought[1](_waves(np.zeros((2, 192, 256)), 2.0 / 256))
     otherwise = parameters_of(_waves(np.zeros((2, *SIZE)), 2.0 / SIZE[1]))
     otherwise[F0] += 1.0
     both = parameters_of(
