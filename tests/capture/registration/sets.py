@@ -41,18 +41,8 @@ Verdict = Literal["right", "near", "refused", "wrong"]
 
 @dataclass(frozen=True)
 class MadeSet:
-    """Photographs of one piece, and what is true of them.
+    """Photographs of one piece, true cameras, and numbers of photographs that do not belong."""
 
-    Attributes:
-        name: for tables.
-        kind: "easy" or one of HARD.
-        photos: the first one's frame is the piece's.
-        cameras: true ones.
-        foreign: numbers of photographs that do not belong.
-    """
-
-    name: str
-    kind: str
     photos: tuple[Photo, ...]
     cameras: tuple[PosedCamera, ...]
     foreign: frozenset[int] = frozenset()
@@ -99,7 +89,8 @@ def make_set(number: int, *, hard: str | None, width: int = 800) -> MadeSet:
         hand = replace(hand, aside=float(rng.uniform(0.6, 1.2)))
     cameras = hold(phone, hand, int(rng.integers(3, 6)), number)
     if hard == "apart":
-        cameras = [cameras[0], *(_squared(camera) for camera in cameras[1:])]
+        # Straight down from their places: about a third of the first's view is seen.
+        cameras = [cameras[0], *(replace(camera, turn=np.eye(3)) for camera in cameras[1:])]
     shots = take_several(realise, phone, cameras, hand, number)
     photos = [as_photo(one.shot, number + n, f"p{n}") for n, one in enumerate(shots)]
     foreign = frozenset[int]()
@@ -109,13 +100,15 @@ def make_set(number: int, *, hard: str | None, width: int = 800) -> MadeSet:
         stranger = take_several(piece, phone, cameras[1:2], hand, number)[0]
         photos[-1] = as_photo(stranger.shot, number, "foreign")
         foreign = frozenset({len(photos) - 1})
-    elif hard == "blurred":
-        photos[-1] = replace(photos[-1], pixels=_smeared(photos[-1].pixels, width / 100.0))
+    elif hard == "blurred":  # by a hand that moves sideways
+        kernel = np.ones((1, max(3, round(width / 100.0) | 1)), np.float32)
+        smeared = cv2.filter2D(photos[-1].pixels, -1, kernel / kernel.size)
+        photos[-1] = replace(photos[-1], pixels=smeared)
     elif hard == "exposed":
         photos = [photos[0], *(_otherwise(photo, rng) for photo in photos[1:])]
-        cameras = [cameras[0], *(_turned_round(c) for c in cameras[1:])]
-    name = f"{number} {'plain' if hard == 'plain' else material}"
-    return MadeSet(name, hard or "easy", tuple(photos), tuple(cameras), foreign)
+        around = np.diag([-1.0, -1.0, 1.0])
+        cameras = [cameras[0], *(replace(c, turn=around @ c.turn) for c in cameras[1:])]
+    return MadeSet(tuple(photos), tuple(cameras), foreign)
 
 
 def outcome_of(made: MadeSet, detail: int | None = None) -> SetOutcome:
@@ -242,24 +235,9 @@ def _plain(seed: int) -> Realise:
     return piece
 
 
-def _squared(camera: PosedCamera) -> PosedCamera:
-    """From the same place straight down: about a third of the first's view is seen."""
-    return replace(camera, turn=np.eye(3))
-
-
-def _smeared(pixels: np.ndarray, length: float) -> np.ndarray:
-    """By a hand that moves sideways, pixels."""
-    kernel = np.ones((1, max(3, round(length) | 1)), np.float32)
-    return cv2.filter2D(pixels, -1, kernel / kernel.size)
-
-
 def _otherwise(photo: Photo, rng: np.random.Generator) -> Photo:
     """Two stops darker or one lighter, another white balance, and upside down."""
     stops, balance = rng.uniform(-2.0, 1.0), np.exp(rng.normal(0.0, 0.25, 3))
     pixels = (photo.pixels * 2.0**stops * balance).clip(0.0, 1.0).astype(np.float32)
     pixels = np.ascontiguousarray(pixels[::-1, ::-1])
     return replace(photo, pixels=pixels, clipped=(pixels >= 1.0).any(-1))
-
-
-def _turned_round(camera: PosedCamera) -> PosedCamera:
-    return replace(camera, turn=np.diag([-1.0, -1.0, 1.0]) @ camera.turn)
