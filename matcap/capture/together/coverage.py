@@ -81,7 +81,7 @@ def _belonging(registration: Registration) -> Finding:
     says = " ".join(
         [
             says,
-            *_room(registration),
+            *_ambient(registration),
             *(f"{one.name} does not belong: {one.why.rstrip('.')}." for one in out),
         ]
     )
@@ -95,7 +95,7 @@ def _belonging(registration: Registration) -> Finding:
     return Finding("belong", value, Rating.FAILED if used < 2 else Rating.DOUBTFUL, says, remedy)
 
 
-def _room(registration: Registration) -> tuple[str, ...]:
+def _ambient(registration: Registration) -> tuple[str, ...]:
     """Sentence on a photograph without flash; empty without one."""
     dark = [view.photo for view in registration.views if not view.flash]
     known = all(view.photo.exposure is not None for view in registration.views)

@@ -71,23 +71,23 @@ def on_albedo(views: Views, setup: FlashSetup, prediction: MapSet) -> Views:
     Returns:
         `views`, unchanged if none is without flash, or its correlation is too small.
     """
-    first, room = views[0], views[-1]
-    if room.flash:
+    first, ambient = views[0], views[-1]
+    if ambient.flash:
         return views
-    if room.misregistration < _SURER * prediction.texel_size:
-        return (*views[:-1], replace(room, misregistration=_PIXEL))
+    if ambient.misregistration < _SURER * prediction.texel_size:
+        return (*views[:-1], replace(ambient, misregistration=_PIXEL))
     grid = grid_points(*prediction.size)
     there = _seen(views, setup, grid)
     albedo = _evened(prediction.diffuse.clamp_min(1e-3).log().mean(0).numpy())
-    moved = _correlated(albedo, _evened(_looked_up(room, there)))
+    moved = _correlated(albedo, _evened(_looked_up(ambient, there)))
     if moved is None:
         return views
     thin = slice(None, None, _THINNED)
     points = grid[:, thin, thin].reshape(3, -1)
     second = _seen(views, setup, _moved(points, moved, prediction.size))
     plane = first.camera.on_plane(PosedCamera.of(setup).sees(points))
-    camera = camera_of(plane, second, room.camera.lens, refined=True)
-    return (*views[:-1], replace(room, camera=camera, misregistration=_PIXEL))
+    camera = camera_of(plane, second, ambient.camera.lens, refined=True)
+    return (*views[:-1], replace(ambient, camera=camera, misregistration=_PIXEL))
 
 
 def _seen(views: Views, setup: FlashSetup, points: Doubles) -> Doubles:
@@ -184,8 +184,8 @@ class Ratio:
             shares.append(share.unflatten(-1, size))
         share = shares[0] / shares[1].clamp_min(1e-3)
 
-        def ratio(flash: Tensor, room: Tensor) -> Floats:
-            return np.asarray((flash - share * room).mean(0).numpy(), np.float32)
+        def ratio(flash: Tensor, ambient: Tensor) -> Floats:
+            return np.asarray((flash - share * ambient).mean(0).numpy(), np.float32)
 
         along = [smoothed(ratio(*both), RESPONSE_AROUND) for both in zip(*slopes, strict=True)]
         use = (views[0].seen & views[-1].seen).all(0).numpy().astype(np.float32)
