@@ -42,8 +42,8 @@ from matcap.capture.together.texels import Estimate
 from matcap.capture.together.tint import achromatic, coloured, on_grid
 from matcap.capture.together.union import (
     Reach,
+    extrapolated,
     reach_of,
-    rounded_off,
     scatter,
     seen_by_any,
     spread_over,
@@ -261,7 +261,7 @@ def _whole(
     if not reach.margins.any:
         return reach, plane, solved
     known = seen_by_any(poses.views, reach)
-    maps = rounded_off(solved.maps, known, SLOW * plane.size[0])
+    maps = extrapolated(solved.maps, known, SLOW * plane.size[0])
     return (
         replace(reach, known=float(known.float().mean())),
         plane.over(reach.margins, known),

@@ -111,22 +111,19 @@ def reach_of(views: Sequence[RegisteredView], size: tuple[int, int]) -> Reach:
         views: photographs with their cameras, the first one first.
         size: (width, height) of the first one's grid, texels.
     """
-    cells = _CELLS
-    rows = max(1, round(cells * size[1] / size[0]))
-    points = _cells(cells, rows, size, _FARTHEST)
-    seen = _any_sees(views, points)
+    rows = max(1, round(_CELLS * size[1] / size[0]))
+    seen = _any_sees(views, _cells(rows, size))
     most = min(MOST, max(1.0, _TEXELS / (size[0] * size[1])))
-    at = seen, (rows, cells), _FARTHEST, LEAST
-    box = _box(*at, most * rows * cells)
-    limited = box != _box(*at, math.inf)
+    box = _box(seen, rows, most * rows * _CELLS)
+    limited = box != _box(seen, rows, math.inf)
     beyond = (
         _FARTHEST - box[0].start,
         box[0].stop - _FARTHEST - rows,
         _FARTHEST - box[1].start,
-        box[1].stop - _FARTHEST - cells,
+        box[1].stop - _FARTHEST - _CELLS,
     )
     top, bottom, left, right = (
-        round(count * size[0] / cells) if count >= _THINNEST else 0 for count in beyond
+        round(count * size[0] / _CELLS) if count >= _THINNEST else 0 for count in beyond
     )
     covered = float(seen[box].sum()) / max(float(seen.sum()), 1.0)
     margins = Margins(left, right, top, bottom)
@@ -170,24 +167,25 @@ def sees(camera: PosedCamera, points: Doubles, up: float, steepest: float) -> Ma
     return np.asarray(upright & near & (np.abs(u) < 1.0) & (np.abs(v) < up))
 
 
-def _cells(cells: int, rows: int, size: tuple[int, int], far: int) -> Doubles:
-    """(3, h, w) centres of the cells, plane units, with `far` cells around the first photograph."""
-    across, up = 2.0 / cells, size[1] / size[0]
-    x = (np.arange(-far, cells + far) + 0.5) * across - 1.0
+def _cells(rows: int, size: tuple[int, int]) -> Doubles:
+    """(3, h, w) centres of cells, plane units: `rows` of them in the first photograph's grid of
+    (width, height), and _FARTHEST on each side of it.
+    """
+    across, up, far = 2.0 / _CELLS, size[1] / size[0], _FARTHEST
+    x = (np.arange(-far, _CELLS + far) + 0.5) * across - 1.0
     beyond = up + (np.arange(far) + 0.5) * across
     own = up - (np.arange(rows) + 0.5) * 2.0 * up / rows
     y = np.concatenate([beyond[::-1], own, -beyond])
     return np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.zeros((len(y), len(x)))])
 
 
-def _box(
-    seen: Marks, own: tuple[int, int], far: int, least: float, most: float
-) -> tuple[slice, slice]:
+def _box(seen: Marks, rows: int, most: float) -> tuple[slice, slice]:
     """Rows and columns of the box around visible cells, including the first photograph's.
 
-    The side with the smallest visible share is cut off until each has at least `least` and the box
-    at most `most` cells.
+    The side with the smallest visible share is cut off until each has at least LEAST and the box at
+    most `most` cells.
     """
+    own, far = (rows, _CELLS), _FARTHEST
     wanted = seen.copy()
     wanted[far : far + own[0], far : far + own[1]] = True
     spans = [np.flatnonzero(wanted.any(axis)) for axis in (1, 0)]
@@ -203,7 +201,7 @@ def _box(
                     share = float(np.take(seen, [line], axis).ravel()[across].mean())
                     sides.append((share, -beyond, axis, edge is low))
         small = (high[0] - low[0]) * (high[1] - low[1]) <= most
-        if not sides or (small and min(sides)[0] >= least):
+        if not sides or (small and min(sides)[0] >= LEAST):
             return slice(low[0], high[0]), slice(low[1], high[1])
         _, _, axis, lower = min(sides)
         if lower:
@@ -225,8 +223,8 @@ def spread_over(prediction: Estimate, margins: Margins) -> Estimate:
         return prediction
     own = margins.own(prediction.maps.size)
     known = own.numpy()
-    padded = margins.padded(prediction.maps.stacked().float())
-    wide = torch.from_numpy(np.stack([filled(plane.numpy(), known) for plane in padded]))
+    padded = margins.padded(prediction.maps.stacked().float()).numpy()
+    wide = torch.from_numpy(np.stack([filled(plane, known) for plane in padded]))
     beyond = scatter(prediction)[:, None, None]
     log_error = torch.where(own, margins.padded(prediction.log_error), beyond)
     return Estimate(MapSet.from_stacked(wide, prediction.maps.texel_size), log_error)
@@ -241,7 +239,7 @@ def scatter(prediction: Estimate) -> Tensor:
     return 0.5 * (own + off).log()
 
 
-def rounded_off(maps: MapSet, known: Tensor, slow: float) -> MapSet:
+def extrapolated(maps: MapSet, known: Tensor, slow: float) -> MapSet:
     """Extrapolate maps smoothly over unseen texels, and high-pass the height.
 
     Biased slopes of a photograph accumulate over a mosaic, and unseen texels leave steps in height.
@@ -267,17 +265,16 @@ def tint_over(
         predictions: of photographs, the first one first.
         reach: of the mosaic.
     """
-    if tint is None:
+    if tint is None or len(predictions) < 2:
         return tint
     total, weights = torch.zeros(3, 1, 1), torch.zeros(1, 1)
     for one in predictions[1:]:
         weight = (-2.0 * one.log_error[1]).exp()
         total = total + weight * (torch.ones(3, 1, 1) if one.tint is None else one.tint)
         weights = weights + weight
-    if weights.shape == (1, 1):
-        return tint
-    beyond = on_grid(total / weights, (tint.shape[-1], tint.shape[-2]))
-    counted = on_grid(weights[None], (tint.shape[-1], tint.shape[-2])) > math.exp(-UNPREDICTED)
+    size = tint.shape[-1], tint.shape[-2]
+    beyond = on_grid(total / weights, size)
+    counted = on_grid(weights[None], size) > math.exp(-UNPREDICTED)
     return torch.where(counted & ~reach.margins.own(reach.size), beyond, tint)
 
 

@@ -75,7 +75,11 @@ class Evidence:
             log_radiance: (3, 3 * directions) at `image`.
         """
         highlight = self.highlight
-        off = (mirror - numbers(*highlight.centre)) / _deviation(_CENTRE_DEVIATION, highlight)
+        off_deviation, middle_deviation = (
+            least + share * highlight.width
+            for least, share in (_CENTRE_DEVIATION, _MIDDLE_DEVIATION)
+        )
+        off = (mirror - numbers(*highlight.centre)) / off_deviation
         radiance = log_radiance.exp()
         light = radiance.clamp_max(max(1.0, highlight.peak)).mean(0).log()  # as the camera clips
         rings = light.unflatten(0, (3, _DIRECTIONS))
@@ -84,12 +88,7 @@ class Evidence:
         half_way = 0.5 * (highlight.peak + highlight.surroundings)
         expected = torch.tensor([highlight.peak, half_way, highlight.surroundings]).double().log()
         levels = (rings.mean(1) - expected) / _LEVEL_DEVIATION
-        return torch.cat([off, middle / _deviation(_MIDDLE_DEVIATION, highlight), levels])
-
-
-def _deviation(parts: tuple[float, float], highlight: Highlight) -> float:
-    """Standard deviation of a position: plane units, plus a share of the half width."""
-    return parts[0] + parts[1] * highlight.width
+        return torch.cat([off, middle / middle_deviation, levels])
 
 
 @cache
