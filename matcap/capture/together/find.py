@@ -77,8 +77,7 @@ def estimate_together(
 ) -> tuple[Rectified, ExemplarEstimate]:
     """Estimate the exemplar of several photographs; an interrupt ends with the best result so far.
 
-    The first photograph, less ambient light, is returned with it, rectified by its registered
-    camera.
+    Also returns the first photograph, less ambient light, rectified by its registered camera.
 
     Args:
         photos: two or more; the first one with flash defines the frame.
