@@ -78,11 +78,14 @@ def draw_set(report: SetReport, piece: NDArray[np.float32], width: int) -> Image
         piece: (H, W, 3) the exemplar from above, sRGB code values in [0, 1].
         width: of the picture, pixels.
     """
-    views = list(_views(report, _high(report, piece)))
-    part, tall = width // 3, width // 4
+    extent = OWN if report.reach is None else report.reach.extent
+    half = extent.half * np.array([[1.0], [piece.shape[0] / piece.shape[1]]])
+    # x and y of the exemplar's bottom left and top right corner, plane units.
+    rim = np.array(extent.middle)[:, None] + half * np.array([[-1.0, 1.0]])
+    views, part, tall = list(_views(report, piece)), width // 3, width // 4
     sheet = Image.new("RGB", (width, tall), _PAPER)
-    sheet.paste(_from_above(views, piece, _rim(report, piece), part, tall), (0, 0))
-    sheet.paste(_from_the_side(views, _rim(report, piece), part, tall), (part, 0))
+    sheet.paste(_from_above(views, piece, rim, part, tall), (0, 0))
+    sheet.paste(_from_the_side(views, rim, part, tall), (part, 0))
     sheet.paste(_words(report, width - 2 * part, tall), (2 * part, 0))
     return sheet
 
@@ -110,7 +113,9 @@ def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
         yield report.reach.says(), None
 
 
-def _views(report: SetReport, high: float) -> Iterator[_View]:
+def _views(report: SetReport, piece: NDArray[np.float32]) -> Iterator[_View]:
+    down, across = piece.shape[:2] if report.reach is None else report.reach.size[::-1]
+    high = down / across  # of the first photograph, over its width
     corners = np.array([[-1.0, 1.0, 1.0, -1.0], [high, high, -high, -high]])
     for number, view in enumerate(report.views, 1):
         camera = view.camera
@@ -118,25 +123,14 @@ def _views(report: SetReport, high: float) -> Iterator[_View]:
         yield _View(number, camera.place, light, camera.on_plane(corners))
 
 
-def _high(report: SetReport, piece: NDArray[np.float32]) -> float:
-    """Height of the first photograph over its width."""
-    down, across = piece.shape[:2] if report.reach is None else report.reach.size[::-1]
-    return down / across
-
-
-def _rim(report: SetReport, piece: NDArray[np.float32]) -> Doubles:
-    """(2, 2) x and y of the exemplar's bottom left and top right corner, plane units."""
-    extent = OWN if report.reach is None else report.reach.extent
-    half = extent.half * np.array([[1.0], [piece.shape[0] / piece.shape[1]]])
-    return np.array(extent.middle)[:, None] + half * np.array([[-1.0, 1.0]])
-
-
 def _from_above(
     views: list[_View], piece: NDArray[np.float32], rim: Doubles, width: int, height: int
 ) -> Image.Image:
-    frame = _Frame.around(
-        np.concatenate([rim, *(_ground(view) for view in views)], axis=1), width, height
-    )
+    points = [rim]
+    for view in views:
+        places = [view.place] if view.flash is None else [view.place, view.flash]
+        points += [view.seen[:2], *(place[:2, None] for place in places)]
+    frame = _Frame.around(np.concatenate(points, axis=1), width, height)
     sheet, ink = _blank(width, height, "from above")
     (left, bottom), (right, top) = frame.at(rim[:, 0]), frame.at(rim[:, 1])
     size = max(1, round(right - left)), max(1, round(bottom - top))
@@ -153,18 +147,14 @@ def _from_above(
 def _from_the_side(views: list[_View], rim: Doubles, width: int, height: int) -> Image.Image:
     sheet, ink = _blank(width, height, "from the side")
     ends = np.array([rim[0], [0.0, 0.0]])
-    across = (0, 2)
-    points = [view.place[[0, 2]][:, None] for view in views]
-    points += [view.seen[[0, 2]] for view in views]
+    points = [np.column_stack([view.place, view.seen])[[0, 2]] for view in views]
     frame = _Frame.around(np.concatenate([ends, *points], axis=1), width, height)
     ink.line([frame.at(ends[:, 0]), frame.at(ends[:, 1])], fill=_INK, width=3)
     for view in views:
-        place = view.place[[0, 2]]
-        edges = view.seen[0]
-        for edge in (edges.min(), edges.max()):
-            ink.line([frame.at(place), frame.at(np.array([edge, 0.0]))], fill=_FAINT)
+        for edge in (view.seen[0].min(), view.seen[0].max()):
+            ink.line([frame.at(view.place[[0, 2]]), frame.at(np.array([edge, 0.0]))], fill=_FAINT)
     for view in views:
-        _camera(ink, view, frame, across)
+        _camera(ink, view, frame, (0, 2))
     return sheet
 
 
@@ -193,12 +183,6 @@ def _wrapped(
         else:
             lines[-1] = longer
     return lines
-
-
-def _ground(view: _View) -> Doubles:
-    """(2, n) plane points below a camera, its flash and the corners of its picture."""
-    points = [view.place] if view.flash is None else [view.place, view.flash]
-    return np.concatenate([view.seen[:2], *(point[:2, None] for point in points)], axis=1)
 
 
 def _camera(ink: ImageDraw.ImageDraw, view: _View, frame: _Frame, axes: tuple[int, int]) -> None:
