@@ -106,9 +106,8 @@ def aligned(
         on_progress: called with the completed share, in [0, 1].
     """
     prior, tint = achromatic(prediction.maps)
-    views, setup, light, extent = list(begun.views), begun.setup, begun.light, begun.extent
     # The prediction is on the plane of a lens without distortion.
-    warps, start = list(begun.warps), PosedCamera.of(setup)
+    now, extent, start = begun, begun.extent, PosedCamera.of(begun.setup)
     (width, height), finest = prior.size, min(extent.unit(prior.size[0]), _FINEST)
     parameters, relief, moved = None, None, set[int]()
     done, effort = 0, len(_LEVELS) * (1 + max(_ROUNDS))
@@ -116,29 +115,32 @@ def aligned(
         across = extent.across(max(64, round(level * finest)))
         down = max(8, round(height * across / width))
         small = replace(prediction, maps=prior).resized((down, across), extent)
-        small = replace(small, maps=reframed(small.maps, start, views[0].camera, extent))
+        small = replace(small, maps=reframed(small.maps, start, now.views[0].camera, extent))
         texel, begin = small.maps.texel_size, ParameterPrior.of(small)
-        unsure = {n for n, v in enumerate(views) if v.misregistration >= _SURER * texel}
+        unsure = {n for n, v in enumerate(now.views) if v.misregistration >= _SURER * texel}
         moved |= unsure
         for turn in range(rounds if unsure or steps else 0):
-            seen = Aligned(setup, (*views,), (*warps,), light).on_grid(across, down, tint)
+            seen = now.on_grid(across, down, tint)
             if turn == 0 or parameters is None:
-                parameters = _begun(seen, parameters, begin, light, steps)
+                parameters = _begun(seen, parameters, begin, now.light, steps)
                 relief = _relief(parameters, texel, extent.unit(across))
-            seen = under_fitted_ambient(seen, parameters, light)
-            light, moves = shared_step(seen, parameters, begin, light, moved=unsure)
-            first, both = views[0].camera.place, zip(warps, moves, strict=True)
-            warps = [ViewWarp(p.homography @ m, relief, first, extent) for p, m in both]
+            seen = under_fitted_ambient(seen, parameters, now.light)
+            light, moves = shared_step(seen, parameters, begin, now.light, moved=unsure)
+            warps = tuple(
+                replace(warp, homography=warp.homography @ move, relief=relief)
+                for warp, move in zip(now.warps, moves, strict=True)
+            )
+            now = replace(now, warps=warps, light=light)
             done += 1
             on_progress(done / effort)
             if _farthest(moves) < _SETTLED * texel:
                 break
         if unsure:
-            setup, views, warps = _posed(begun.setup, views, warps)
-    views = [
-        replace(v, doubt=_DOUBTFUL * v.doubt) if n in moved else v for n, v in enumerate(views)
-    ]
-    return Aligned(setup, tuple(views), tuple(warps), light)
+            now = _posed(begun.setup, now)
+    views = (
+        replace(v, doubt=_DOUBTFUL * v.doubt) if n in moved else v for n, v in enumerate(now.views)
+    )
+    return replace(now, views=tuple(views))
 
 
 def _farthest(moves: Sequence[Doubles]) -> float:
@@ -174,28 +176,22 @@ def _begun(
     return parameters
 
 
-def _posed(
-    setup: FlashSetup,
-    views: Sequence[RegisteredView],
-    warps: Sequence[ViewWarp],
-) -> tuple[FlashSetup, list[RegisteredView], list[ViewWarp]]:
+def _posed(setup: FlashSetup, now: Aligned) -> Aligned:
     """Refit the cameras to the homographies of the photographs by bundle adjustment."""
     points = grid_points(24, 18).reshape(3, -1)
-    first = views[0].camera.sees(points)
+    camera, pairs = now.views[0].camera, []
+    first = camera.sees(points)
     inside = np.abs(first).max(0) < 1.0
-    pairs = []
-    for view, warp in zip(views[1:], warps[1:], strict=True):
+    for view, warp in zip(now.views[1:], now.warps[1:], strict=True):
         seen = view.camera.sees(_moved(warp.homography, points))
         both = inside & (np.abs(seen).max(0) < 1.0)
-        ratio = view.camera.lens.focal / views[0].camera.lens.focal
+        ratio = view.camera.lens.focal / camera.lens.focal
         pairs.append(Pair(first[:, both], seen[:, both], _PIXEL, ratio))
     adjusted = adjust(setup, pairs, known=True, relief=0.0)
-    cameras = [replace(v, camera=c) for v, c in zip(views, adjusted.cameras, strict=True)]
-    return (
-        adjusted.first,
-        cameras,
-        [replace(p, homography=np.eye(3), first=cameras[0].camera.place) for p in warps],
-    )
+    views = tuple(replace(v, camera=c) for v, c in zip(now.views, adjusted.cameras, strict=True))
+    place = views[0].camera.place
+    warps = tuple(replace(warp, homography=np.eye(3), first=place) for warp in now.warps)
+    return replace(now, setup=adjusted.first, views=views, warps=warps)
 
 
 def _moved(homography: Doubles, points: Doubles) -> Doubles:
