@@ -64,24 +64,21 @@ class AmbientLight:
 
     gradient: Tensor = field(default_factory=lambda: torch.tensor(UNIFORM_SKY))
     """(3,) x, y and z; (0, 0, 0.5) under a uniform sky."""
-    strength: Tensor | None = None
-    """(3, 1, 1) irradiance of a level surface; None for 1."""
+    strength: Tensor = field(default_factory=lambda: torch.ones(1, 1, 1))
+    """(1 or 3, 1, 1) irradiance of a level surface."""
 
     def onto(self, normal: Tensor) -> AmbientIncidence:
         """Irradiance of a relief with unit normals (3, h, w)."""
         off = torch.cat([normal[:2], normal[2:] - 1.0])
         lit = 1.0 + torch.tensordot(self.gradient.to(off), off, 1)[None]
-        lit = lit.clamp_min(_DARKEST)
-        return AmbientIncidence(lit if self.strength is None else lit * self.strength)
+        return AmbientIncidence(lit.clamp_min(_DARKEST) * self.strength)
 
     def linearised(
         self, normal: Tensor, specular: Tensor, roughness: Tensor
     ) -> tuple[AmbientIncidence, Tensor, Tensor]:
         """As FlashLight.linearised; of the lobe, only F0 changes the radiance."""
         lit, gradient = self.onto(normal), self.gradient.to(normal)[:, None, None]
-        level = lit.irradiance[:1]
-        if self.strength is not None:
-            level = level / self.strength[:1]
+        level = lit.irradiance[:1] / self.strength[:1]
         lobe = torch.zeros_like(normal[:1]).repeat(4, 1, 1)
         lobe[0] = 1.0
         return lit, lobe, by_slopes(normal, gradient) / level

@@ -76,23 +76,23 @@ def on_albedo(views: Views, setup: FlashSetup, prediction: MapSet) -> Views:
         return views
     if ambient.misregistration < _SURER * prediction.texel_size:
         return (*views[:-1], replace(ambient, misregistration=_PIXEL))
+    predicted = PosedCamera.of(setup)
+
+    def on_plane(points: Doubles) -> Doubles:
+        """Points of the prediction's plane on that of the registered camera."""
+        return first.camera.on_plane(predicted.sees(points))
+
     grid = grid_points(*prediction.size)
-    there = _seen(views, setup, grid)
+    there = ambient.camera.sees(on_plane(grid))
     albedo = _evened(prediction.diffuse.clamp_min(1e-3).log().mean(0).numpy())
     moved = _correlated(albedo, _evened(_looked_up(ambient, there)))
     if moved is None:
         return views
     thin = slice(None, None, _THINNED)
     points = grid[:, thin, thin].reshape(3, -1)
-    second = _seen(views, setup, _moved(points, moved, prediction.size))
-    plane = first.camera.on_plane(PosedCamera.of(setup).sees(points))
-    camera = camera_of(plane, second, ambient.camera.lens, refined=True)
+    image = ambient.camera.sees(on_plane(_moved(points, moved, prediction.size)))
+    camera = camera_of(on_plane(points), image, ambient.camera.lens, refined=True)
     return (*views[:-1], replace(ambient, camera=camera, misregistration=_PIXEL))
-
-
-def _seen(views: Views, setup: FlashSetup, points: Doubles) -> Doubles:
-    """(2, ...) image coordinates in the ambient photograph of plane points (3, ...) of a setup."""
-    return views[-1].camera.sees(views[0].camera.on_plane(PosedCamera.of(setup).sees(points)))
 
 
 def _moved(points: Doubles, move: Floats, size: tuple[int, int]) -> Doubles:
