@@ -47,22 +47,6 @@ class _Octave:
     gain: np.float32
     error: np.float32
 
-    @staticmethod
-    def of(
-        measured: Floats, others: Floats, predicted: Floats, noise: Floats, wave: float
-    ) -> _Octave:
-        """Estimate g and T; `others`: without the first photograph, `wave`: longest, texels."""
-        weight = 1.0 / noise
-        # g has the prior 1 +- 1, and is never negative.
-        count = measured.size / wave**2
-        few = float((weight * noise).mean()) / count
-        gain = max(float((weight * others * predicted).mean()) + few, 0.0) / (
-            float((weight * predicted * predicted).mean()) + few
-        )
-        left = np.square(measured - np.float32(gain) * predicted) - noise
-        error = max(float((weight * left).sum() / weight.sum()), _LEAST)
-        return _Octave(measured, predicted, noise, np.float32(gain), np.float32(error))
-
     def posterior(self, gain: np.float32) -> Floats:
         """(H, W) gain m + sqrt(T / (T + nu)) (y - g m)."""
         kept = np.sqrt(self.error / (self.error + self.noise), dtype=np.float32)
@@ -133,7 +117,7 @@ def with_energies(height: Floats, texel_size: float, energies: Sequence[float]) 
 def _octaves(
     measured: Floats, predicted: Floats, changes: Sequence[Floats] | Floats
 ) -> Iterator[_Octave]:
-    """Octave bands of both maps, and the low-pass remainder."""
+    """Octave bands of both maps and the low-pass remainder, with estimates of g and T."""
     # (n - 1) / n of the jackknife, but not 0 for one photograph
     share = np.float32(max(0.5, 1.0 - 1.0 / len(changes)))
     waves = [*(longest for longest, _ in _OCTAVES), 2.0 * _OCTAVES[0][0]]
@@ -142,4 +126,12 @@ def _octaves(
         noise = np.full_like(measured, _LEAST)
         for change in changed:
             noise += share * np.square(change)
-        yield _Octave.of(y, y + changed[0], m, smoothed(noise, _AROUND * wave), wave)
+        noise = smoothed(noise, _AROUND * wave)
+        weight = 1.0 / noise
+        # g has the prior 1 +- 1, and is never negative.
+        few = float((weight * noise).mean()) / (y.size / wave**2)
+        without_first = float((weight * (y + changed[0]) * m).mean())
+        gain = max(without_first + few, 0.0) / (float((weight * m * m).mean()) + few)
+        left = np.square(y - np.float32(gain) * m) - noise
+        error = max(float((weight * left).sum() / weight.sum()), _LEAST)
+        yield _Octave(y, m, noise, np.float32(gain), np.float32(error))
