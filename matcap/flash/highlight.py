@@ -179,12 +179,8 @@ def _profile(
             continue
         value = float(np.median(light[inside]))
         if value < middle:
-            share = (last - middle) / max(last - value, 1e-12)
-            return (
-                peak,
-                surroundings,
-                last_radius + float(np.clip(share, 0.0, 1.0)) * (radius - last_radius),
-            )
+            share = float(np.clip((last - middle) / max(last - value, 1e-12), 0.0, 1.0))
+            return peak, surroundings, last_radius + share * (radius - last_radius)
         last_radius, last = radius, value
     return None
 

@@ -74,34 +74,26 @@ def coverage(registration: Registration) -> Inspection:
 
 def _belonging(registration: Registration) -> Finding:
     """Finding on which photographs could be registered."""
-    used, out = len(registration.views), registration.left_out
-    says = f"{used} photographs show the same sample."
-    if used < 2:
-        says = f"No other photograph shows the same sample as {registration.views[0].photo.name}."
-    says = " ".join(
-        [
-            says,
-            *_ambient(registration),
-            *(f"{one.name} does not belong: {one.why.rstrip('.')}." for one in out),
-        ]
-    )
-    value = {"used": used, "left_out": [one.name for one in out]}
-    if not out and used > 1:
-        return Finding("belong", value, Rating.GOOD, says)
+    views, out = registration.views, registration.left_out
+    first, last, alone = views[0].photo.name, views[-1], len(views) < 2
+    says = [f"{len(views)} photographs show the same sample."]
+    if alone:
+        says = [f"No other photograph shows the same sample as {first}."]
+    if not last.flash:
+        known = all(view.photo.exposure is not None for view in views)
+        also = " and is subtracted from the others" if known else ""
+        helps = f"its ambient light separates albedo from relief{also}"
+        says.append(f"{last.photo.name} was taken without flash: {helps}.")
+    says += [f"{one.name} does not belong: {one.why.rstrip('.')}." for one in out]
+    value = {"used": len(views), "left_out": [one.name for one in out]}
+    if not out and not alone:
+        return Finding("belong", value, Rating.GOOD, " ".join(says))
     remedy = "Leave it out" if len(out) == 1 else "Leave them out"
     remedy += (
         ", or photograph again: the same sample, sharp, with flash, with an overlap of two thirds."
     )
-    return Finding("belong", value, Rating.FAILED if used < 2 else Rating.DOUBTFUL, says, remedy)
-
-
-def _ambient(registration: Registration) -> tuple[str, ...]:
-    """Sentence on a photograph without flash; empty without one."""
-    dark = [view.photo for view in registration.views if not view.flash]
-    known = all(view.photo.exposure is not None for view in registration.views)
-    also = " and is subtracted from the others" if known else ""
-    helps = f"its ambient light separates albedo from relief{also}"
-    return tuple(f"{photo.name} was taken without flash: {helps}." for photo in dark)
+    rating = Rating.FAILED if alone else Rating.DOUBTFUL
+    return Finding("belong", value, rating, " ".join(says), remedy)
 
 
 def _sides(views: Sequence[RegisteredView]) -> Finding:

@@ -90,15 +90,11 @@ def cells_of(
     if right - left < 4 or bottom - top < 4:
         return whole
     fine = patch_across / (2.0 * reach / pixel)
-    size = (
-        min(right - left, max(4, round(fine * (right - left)))),
-        min(bottom - top, max(4, round(fine * (bottom - top)))),
-    )
-    patch = _averaged(photo, (left, top, right, bottom), size)
-    outside = (whole.image[0] < left * pixel - 1.0) | (whole.image[0] > right * pixel - 1.0)
-    outside |= (whole.image[1] > rows / columns - top * pixel) | (
-        whole.image[1] < rows / columns - bottom * pixel
-    )
+    wide, high = (min(side, max(4, round(fine * side))) for side in (right - left, bottom - top))
+    patch = _averaged(photo, (left, top, right, bottom), (wide, high))
+    x, y = whole.image
+    above, below = (rows / columns - edge * pixel for edge in (top, bottom))
+    outside = (x < left * pixel - 1.0) | (x > right * pixel - 1.0) | (y > above) | (y < below)
     if not outside.any():
         return patch
     share = float(outside.double().mean())
