@@ -167,28 +167,26 @@ def _views(
     adjusted: Adjusted,
 ) -> tuple[tuple[RegisteredView, ...], dict[int, str]]:
     """Views with flash, then the best one without; and reasons by index for the others without."""
-    lit, unlit = [RegisteredView(photos[0], adjusted.cameras[0])], dict[int, RegisteredView]()
-    unsure = doubts(adjusted, list(pairs.values()))
+    first = adjusted.cameras[0]
+    views, unsure = {0: RegisteredView(photos[0], first)}, doubts(adjusted, list(pairs.values()))
     for number, (index, pair) in enumerate(pairs.items()):
         camera = adjusted.cameras[number + 1]
-        view = RegisteredView(
+        views[index] = RegisteredView(
             photos[index],
             camera,
             matches=pair.first.shape[1],
             off=adjusted.off[number],
-            alike=likeness(photos[0], adjusted.cameras[0], photos[index], camera),
+            alike=likeness(photos[0], first, photos[index], camera),
             flash=index not in dark,
             doubt=float(unsure.positions[number]),
             misregistration=float(unsure.misregistration[number]),
         )
-        if view.flash:
-            lit.append(view)
-        else:
-            unlit[index] = view
-    best = sorted(unlit, key=lambda index: -unlit[index].matches)
-    better = f"{unlit[best[0]].photo.name} shows the ambient light better" if best else ""
-    worse = {index: better for index in best[1:]}
-    return (*lit, *(unlit[index] for index in best[:1])), worse
+    unlit = sorted((n for n in views if n in dark), key=lambda n: -views[n].matches)
+    lit = (view for view in views.values() if view.flash)
+    worse = {
+        index: f"{photos[unlit[0]].name} shows the ambient light better" for index in unlit[1:]
+    }
+    return (*lit, *(views[index] for index in unlit[:1])), worse
 
 
 def _blurred(
