@@ -25,7 +25,7 @@ class SetReport:
     not computed."""
     left_out: tuple[LeftOut, ...]
     """Photographs that could not be registered, with reasons."""
-    measured: tuple[float, float, float, float]
+    measured: tuple[float, ...]
     """Share of albedo, F0, roughness and slope measured by photographs (Solved.measured)."""
     flash_offset: tuple[float, float, float]
     """Position of the flash relative to the lens, plane units; the last is 0."""

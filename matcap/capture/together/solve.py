@@ -72,7 +72,7 @@ class Solved:
     estimate: Estimate
     light: SharedLight
     residual: tuple[float, ...]
-    measured: tuple[float, float, float, float]
+    measured: tuple[float, ...]
     prediction_error: float
     slope_energies: tuple[float, ...]
     interrupted: bool = False
@@ -236,11 +236,10 @@ def _log_errors(precision: Tensor, prior: ParameterPrior) -> Tensor:
     return by_map((0.25 * precision + prior.precision).rsqrt()).log()
 
 
-def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, float, float, float]:
+def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, ...]:
     """Photographs' share in the posterior precision of each map, median over texels."""
     share = precision / (precision + prior.precision)
-    every = [share[part].flatten().median().item() for part in (ALBEDO, F0, ROUGH, SLOPES)]
-    return every[0], every[1], every[2], every[3]
+    return tuple(share[part].flatten().median().item() for part in (ALBEDO, F0, ROUGH, SLOPES))
 
 
 def _residuals(
