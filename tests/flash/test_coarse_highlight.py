@@ -20,14 +20,10 @@ def polished(*, roughness, intensity=10.0, offset=(0.1, 0.05, 0.0), tilt=(0.0, 0
     return photograph(setup, roughness=roughness, size=(256, 192), **material)
 
 
-def both(photo, fit):
-    """Highlights of the photograph and of the fit's re-rendering, clipped as the camera clips."""
-    again = find_highlight(rerendered(fit, photo).mean(axis=2))
-    return find_highlight(light_of(photo.pixels)), again
-
-
 def assert_kept(photo, fit):
-    there, again = both(photo, fit)
+    """The fit's re-rendering, clipped as the camera clips, has the photograph's highlight."""
+    again = find_highlight(rerendered(fit, photo).mean(axis=2))
+    there = find_highlight(light_of(photo.pixels))
     assert there is not None and again is not None
     assert math.dist(there.centre, again.centre) < 0.03
     assert again.width == pytest.approx(there.width, rel=0.2)
@@ -56,35 +52,29 @@ def test_rougher_is_wider():
     assert widths[0] < 0.85 * widths[1] < 0.72 * widths[2]
 
 
+def patches(seed, least):
+    """(192, 256, 1) bool, blots that cover less the more deviations they are above the mean."""
+    noise = np.random.default_rng(seed).standard_normal((192, 256)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 3.0)
+    return (smooth > least * smooth.std())[..., None]
+
+
 def test_patches_of_metal_make_one_highlight_together():
     """Between rust every patch is as bright as a highlight is, and far smaller than this one."""
-    setup = a_setup(offset=(0.1, 0.05, 0.0), intensity=10.0)
-    metal = photograph(setup, roughness=0.3, size=(256, 192), specular=0.5, diffuse=(0.02,) * 3)
-    rust = photograph(setup, roughness=0.9, size=(256, 192), diffuse=(0.1, 0.05, 0.02))
-    noise = np.random.default_rng(0).standard_normal((192, 256)).astype(np.float32)
-    patches = cv2.GaussianBlur(noise, (0, 0), 3.0)
-    bare = (patches > 0.5 * patches.std())[..., None]
-    pixels = np.where(bare, metal.pixels, rust.pixels).astype(np.float32)
-    alone, found = (find_highlight(light_of(p)) for p in (metal.pixels, pixels))
+    metal = polished(roughness=0.3, specular=0.5, diffuse=(0.02,) * 3).pixels
+    rust = polished(roughness=0.9, diffuse=(0.1, 0.05, 0.02)).pixels
+    alone, found = (
+        find_highlight(light_of(p)) for p in (metal, np.where(patches(0, 0.5), metal, rust))
+    )
     assert math.dist(found.centre, alone.centre) < 0.08
     assert found.width == pytest.approx(alone.width, rel=0.2)
 
 
 def test_pale_leaves_on_dark_ground_have_none():
     """The brightest of them is one of many; seldom do they happen to crowd into a spot."""
-    setup = a_setup(offset=(0.1, 0.05, 0.0), intensity=10.0)
-    leaf, ground = (
-        photograph(setup, roughness=0.9, size=(256, 192), diffuse=(albedo,) * 3).pixels
-        for albedo in (0.5, 0.08)
-    )
-
-    def strewn(seed):
-        noise = np.random.default_rng(seed).standard_normal((192, 256)).astype(np.float32)
-        patches = cv2.GaussianBlur(noise, (0, 0), 3.0)
-        return np.where((patches > 1.4 * patches.std())[..., None], leaf, ground)
-
-    found = [find_highlight(light_of(strewn(seed).astype(np.float32))) for seed in range(16)]
-    assert sum(each is None for each in found) >= 8
+    leaf, ground = (polished(roughness=0.9, diffuse=(a,) * 3).pixels for a in (0.5, 0.08))
+    strewn = (np.where(patches(seed, 1.4), leaf, ground) for seed in range(16))
+    assert sum(find_highlight(light_of(each)) is None for each in strewn) >= 8
 
 
 def test_matt_and_plaid_have_none():
