@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -94,9 +94,8 @@ class Reach:
 
     def document(self) -> dict[str, Any]:
         """JSON (report.py describes the keys)."""
-        m = self.margins
         return {
-            "margins": {"left": m.left, "right": m.right, "top": m.top, "bottom": m.bottom},
+            "margins": asdict(self.margins),
             "times": self.times,
             "covered_share": self.covered,
             "limited": self.limited,

@@ -68,18 +68,19 @@ class SharedLight:
     ) -> SharedLight:
         """Initial light of `count` photographs, all RAW (`radiometric`) or all developed."""
         known = SharedLight.vignetting_deviation if profile is None else profile.falloff.deviation
+        offset = torch.tensor(setup.offset[:2]).float()
         return SharedLight(
-            torch.tensor(setup.offset[:2]).float(),
+            offset,
             torch.tensor([setup.vignetting, setup.vignetting_quartic]),
             torch.zeros(count, 3),
             torch.tensor(setup.intensity).float(),
             vignetting_deviation=RAW_FALLOFF if radiometric else known,
-            coarse_offset=torch.tensor(setup.offset[:2]).float(),
+            coarse_offset=offset,
             centre=setup.vignetting_centre,
         )
 
     def onto(self, setup: FlashSetup) -> FlashSetup:
-        """The first photograph's setup with this offset, vignetting and intensity."""
+        """The first photograph's setup with this offset and vignetting."""
         x, y = self.offset.tolist()
         lost, more = self.vignetting.tolist()
         return replace(
