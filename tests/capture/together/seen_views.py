@@ -11,14 +11,21 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.together.texels import log_rendered, parameters_of, points_of
 from matcap.capture.together.views import ResampledView, SharedLight, light_at
-from matcap.lab.simulate.hand_held import Hand, hold
-from matcap.lab.simulate.photograph import PhoneCamera
+from matcap.lab.simulate.hand_held import Hand, hold, take_several
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo
 
-PHONE = PhoneCamera(width=640, height=480)
+PHONE, HAND = PhoneCamera(width=640, height=480), Hand()
 SIZE = (48, 64)  # texels
 OFFSET = (0.04, -0.07)  # the flash's, from the lens
 # As of a network that hardly knows: log of what each number is off by, (4, 1, 1).
 DOUBT = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.15]))[:, None, None]
+
+
+def photographed(subject, phone, count, seed, hand=HAND, first=0):
+    """Cameras and photographs of a subject by a hand-held phone, numbered from `first`."""
+    cameras = hold(phone, hand, count, seed)
+    shots = enumerate(take_several(subject.realise, phone, cameras, hand, seed), first)
+    return cameras, [as_photo(one.shot, n, f"{subject.name}_{n}") for n, one in shots]
 
 
 def grainy(seed: int, size: tuple[int, int] = SIZE, *, albedo: float = 0.2) -> MapSet:
@@ -62,9 +69,7 @@ def seen(pieces: Sequence[MapSet], noise: float = 0.0) -> tuple[list[ResampledVi
     light = SharedLight(torch.tensor(OFFSET), torch.zeros(2), nowhere, strength)
     generator = torch.Generator().manual_seed(3)
     views = []
-    for number, (camera, maps) in enumerate(
-        zip(hold(PHONE, Hand(), count, 1), pieces, strict=True)
-    ):
+    for number, (camera, maps) in enumerate(zip(hold(PHONE, HAND, count, 1), pieces, strict=True)):
         view = seen_by(camera, number, maps, light)
         off = noise * torch.randn(view.log.shape, generator=generator)
         views.append(replace(view, log=view.log + off))

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from seen_views import flattened, grainy, seen_by
+from seen_views import flattened, grainy, photographed, seen_by
 
 from matcap.brdf.normals import normals_from_slopes
 from matcap.capture.piece.strengths import slope_strengths
@@ -105,12 +105,10 @@ def test_without_a_dark_photograph_registration_is_unchanged(lit):
 
 def test_a_photograph_of_another_surface_is_refused_in_a_sentence(lit):
     _, _, room = lit
-    plaster = EXAMPLES["plaster"]
-    cameras = hold(PHONE, HAND, 1, 5)
-    flash = take_several(plaster.realise, PHONE, cameras, HAND, 5)[0]
-    photos = [_photo(flash, 1, "plaster"), _photo(room, 2, "leather")]
+    _, (plaster,) = photographed(EXAMPLES["plaster"], PHONE, 1, 5, hand=HAND)
+    settings, others = CaptureSettings(preset="instant", detail=192), [_photo(room, 2, "leather")]
     with pytest.raises(MatcapError, match="no other photograph can be registered to plaster"):
-        capture_photo(photos[0], CaptureSettings(preset="instant", detail=192), others=photos[1:])
+        capture_photo(plaster, settings, others=others)
 
 
 def test_exposures_that_are_not_known_change_nothing(lit):

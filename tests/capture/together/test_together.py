@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from seen_views import DOUBT, OFFSET, PHONE, SIZE, flattened, grainy, seen
+from seen_views import DOUBT, OFFSET, PHONE, SIZE, flattened, grainy, photographed, seen
 
 from matcap.capture.outputs import write_outputs
 from matcap.capture.pipeline import capture_photo
@@ -21,8 +21,7 @@ from matcap.capture.together.texels import SLOPES, Estimate, ParameterPrior, par
 from matcap.capture.together.views import RAW_FALLOFF, SharedLight
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.hand_held import Hand, hold, take_several
-from matcap.lab.simulate.photograph import as_photo
+from matcap.lab.simulate.hand_held import Hand, hold
 from matcap.lab.simulate.specimen import subjects
 from matcap.photo.camera import CameraProfile, Falloff
 
@@ -183,8 +182,7 @@ def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
 def _captured(name, detail):
     """Two photographs of a subject as one material."""
     (subject,) = subjects((name,))
-    shots = take_several(subject.realise, PHONE, hold(PHONE, Hand(), 2, 5), Hand(), 5)
-    photos = [as_photo(one.shot, n, f"{name}_{n}") for n, one in enumerate(shots)]
+    _, photos = photographed(subject, PHONE, 2, 5)
     settings = CaptureSettings(preset="instant", detail=detail)
     return capture_photo(photos[0], settings, others=photos[1:])
 

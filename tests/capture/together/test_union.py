@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from seen_views import photographed
 
 from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
@@ -37,8 +38,8 @@ from matcap.field.opened import open_photographed
 from matcap.flash.extent import OWN, Margins
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.lab.measures.maps import MapsOff
-from matcap.lab.simulate.hand_held import downward, hold, take_several, true_maps_along
-from matcap.lab.simulate.photograph import PhoneCamera, as_photo
+from matcap.lab.simulate.hand_held import downward, true_maps_along
+from matcap.lab.simulate.photograph import PhoneCamera
 from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.photo.photo import Photo
 
@@ -194,9 +195,7 @@ def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():
 def captured():
     """(cameras, leather, result) of two photographs, each of which shows half of the other."""
     leather = EXAMPLES["leather"]
-    cameras = hold(PHONE, BESIDE, 2, 5)
-    shots = take_several(leather.realise, PHONE, cameras, BESIDE, 5)
-    photos = [as_photo(one.shot, n, f"leather_{n}") for n, one in enumerate(shots)]
+    cameras, photos = photographed(leather, PHONE, 2, 5, hand=BESIDE)
     settings = CaptureSettings(preset="instant", detail=192, union=True)
     return cameras, leather, capture_photo(photos[0], settings, others=photos[1:])
 
