@@ -167,9 +167,8 @@ def _begun(
         parameters = F.interpolate(parameters[None], size=prior.mean.shape[1:], mode="bilinear")[0]
     else:
         parameters = prior.mean
-        light, _ = shared_step(
-            under_fitted_ambient(seen, parameters, light), parameters, prior, light
-        )
+        lit = under_fitted_ambient(seen, parameters, light)
+        light, _ = shared_step(lit, parameters, prior, light)
     seen, prior = under_fitted_ambient(seen, parameters, light), prior.with_gloss_of(light)
     for _ in range(steps):
         parameters = stepped(seen, parameters, prior, light).parameters

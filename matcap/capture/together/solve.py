@@ -114,10 +114,8 @@ def solve(
     prior = ParameterPrior.of(prediction).with_least_slope(off)
     parameters = prior.mean.clone() if begun is None else _continued(prior.mean, maps, begun)
     total, done, interrupted = sum(rounds) + 2, 0, False
-    light, unit = (
-        with_ambient_gradient(views, prior.mean, light),
-        views[0].extent.unit(parameters.shape[-1]),
-    )
+    light = with_ambient_gradient(views, prior.mean, light)
+    unit = views[0].extent.unit(parameters.shape[-1])
     lit, expected, step = list(views), prior, Stepped.none(parameters)
     wider = _WIDER * sum(1 if view.flash else _UNLIT for view in views)
     try:
@@ -187,9 +185,8 @@ def _continued(prior_mean: Tensor, prior: MapSet, begun: Solved) -> Tensor:
     """(PARAMETERS, H, W) prior mean plus upsampled (estimate - prior mean) of a coarse grid."""
     size = begun.maps.size[::-1]
     small = F.interpolate(prior.stacked()[None].float(), size=size, mode="area")[0]
-    change = parameters_of(begun.maps) - parameters_of(
-        MapSet.from_stacked(small, begun.maps.texel_size)
-    )
+    coarse = MapSet.from_stacked(small, begun.maps.texel_size)
+    change = parameters_of(begun.maps) - parameters_of(coarse)
     return prior_mean + F.interpolate(change[None], size=prior_mean.shape[1:], mode="bilinear")[0]
 
 
@@ -250,9 +247,8 @@ def _residuals(
     for rows in strips(parameters.shape[1], ROWS // 4)[::4]:
         points = points_of(parameters.shape[-2:], rows, views[0].extent)
         lit = [light_at(k, view, light, points) for k, view in enumerate(views)]
-        for view, left, shown in zip(
-            views, off, log_rendered(parameters[:, rows], lit), strict=True
-        ):
-            left.append((view.log[:, rows] - shown)[view.seen[:, rows]].abs())
+        shown = log_rendered(parameters[:, rows], lit)
+        for view, left, log in zip(views, off, shown, strict=True):
+            left.append((view.log[:, rows] - log)[view.seen[:, rows]].abs())
     every = (torch.cat(each) for each in off)
     return tuple(float(each.median()) if each.numel() else math.nan for each in every)
