@@ -17,7 +17,6 @@ from matcap.photo.shrink import area_averaged
 
 Values = NDArray[np.float64]
 
-
 # Thresholds of a border.
 _CELLS = 64  # along the long side; a step is one or two cells wide
 _LEAST = (0.15, 0.15, 0.35)  # least step of the two log hues and log brightness

@@ -205,12 +205,9 @@ def _pose(corners: Values, on_card: Values, shape: Any, fov: float) -> tuple[flo
 
 def _best_chart(picture: NDArray[np.uint8], photo: Photo, seen: _Board | None) -> ChartFit | None:
     """The best fit among OpenCV's candidates of a chart, each refined; None if none is good."""
-    best: ChartFit | None = None
-    for box in _boxes(picture, seen):
-        fit = _settled(box, photo)
-        if fit is not None and fit.residual < _WORST_FIT:
-            best = fit if best is None or fit.residual < best.residual else best
-    return best
+    fits = (_settled(box, photo) for box in _boxes(picture, seen))
+    good = [fit for fit in fits if fit is not None and fit.residual < _WORST_FIT]
+    return min(good, key=lambda fit: fit.residual, default=None)
 
 
 def _boxes(picture: NDArray[np.uint8], seen: _Board | None) -> Iterator[Values]:

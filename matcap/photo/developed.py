@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError
 from matcap.files.color import Linearise, largest_code
 from matcap.files.stated_color import StatedColor
-from matcap.photo.decoded import Decoded
+from matcap.photo.photo import Decoded
 from matcap.photo.shrink import Rows, area_averaged, shrink, shrunk_size
 
 _WHITE = 0.995  # linear value at which inks and CIELAB count as clipped
@@ -84,15 +84,16 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
         return light, clipped
 
     pixels, clipped = shrink(read, coded.width, coded.height, long_side)
+    opacity, transparent = _opacity(coded, long_side)
     return Decoded(
         pixels,
         clipped,
         coded.size or (coded.width, coded.height),
         orientation,
-        notes=coded.notes + notes + _constant_alpha_notes(coded),
+        notes=coded.notes + notes + transparent,
         clipped_share=at_limit / (coded.width * coded.height),
         linear=coded.other is None and _is_linear(linearise, coded.dtype),
-        opacity=_opacity(coded, long_side),
+        opacity=opacity,
     )
 
 
@@ -112,21 +113,20 @@ def three_channels(codes: NDArray[Any]) -> NDArray[Any]:
     return codes[..., :3]
 
 
-def _opacity(coded: Coded, long_side: int | None) -> NDArray[np.float32] | None:
-    """(h, w) share of a pixel's area with alpha above 0.5; None without alpha, or if constant."""
-    codes = coded.opacity
-    if codes is None or codes.min() == codes.max():
-        return None
-    shown = np.where(codes > 0.5 * largest_code(codes.dtype), np.uint8(255), np.uint8(0))
-    size = shrunk_size(coded.width, coded.height, long_side)
-    resized = area_averaged(shown, size)
-    return np.asarray(resized / np.float32(255.0), np.float32)
+def _opacity(
+    coded: Coded, long_side: int | None
+) -> tuple[NDArray[np.float32] | None, tuple[str, ...]]:
+    """(h, w) share of a pixel's area with alpha above 0.5, or None; and notes.
 
-
-def _constant_alpha_notes(coded: Coded) -> tuple[str, ...]:
-    """Note on a picture of constant alpha below 1."""
+    Constant alpha is ignored, with a note if it is below 1.
+    """
     codes = coded.opacity
-    if codes is None or codes.min() != codes.max():
-        return ()
-    says = "All of the picture is equally transparent: its transparency is ignored."
-    return () if codes.flat[0] >= largest_code(codes.dtype) else (says,)
+    if codes is None:
+        return None, ()
+    largest = largest_code(codes.dtype)
+    if codes.min() == codes.max():
+        says = "All of the picture is equally transparent: its transparency is ignored."
+        return None, () if codes.flat[0] >= largest else (says,)
+    shown = np.where(codes > 0.5 * largest, np.uint8(255), np.uint8(0))
+    resized = area_averaged(shown, shrunk_size(coded.width, coded.height, long_side))
+    return np.asarray(resized / np.float32(255.0), np.float32), ()

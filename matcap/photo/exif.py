@@ -132,7 +132,7 @@ def read_exif(source: Path | bytes, xmp: bytes = b"") -> Exif:
         xmp: XMP packet that belongs to Exif bytes; ignored for a file.
     """
     if isinstance(source, bytes):
-        return _interpret(_tags(io.BytesIO(source.removeprefix(b"Exif\0\0"))), xmp)
+        return _interpret(exif_tags(io.BytesIO(source.removeprefix(b"Exif\0\0"))), xmp)
     with source.open("rb") as file:
         head = file.read(16)
         if head.startswith(b"\x89PNG"):
@@ -141,7 +141,7 @@ def read_exif(source: Path | bytes, xmp: bytes = b"") -> Exif:
             chunks = dict(riff_chunks(source))
             return read_exif(chunks.get(b"EXIF", b""), chunks.get(b"XMP ", b""))
         file.seek(0)
-        tags = _tags(file)
+        tags = exif_tags(file)
     return _interpret(tags, _xmp_of(source, head))
 
 
@@ -262,7 +262,8 @@ def _ratio(tags: dict[str, Any], name: str) -> float | None:
     return value if 0.0 < value < 1e9 else None
 
 
-def _tags(file: BinaryIO) -> dict[str, Any]:
+def exif_tags(file: BinaryIO) -> dict[str, Any]:
+    """Exif tags of an open file by name, as exifread reads them; empty if there are none."""
     import exifread
 
     try:

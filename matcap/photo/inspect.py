@@ -37,8 +37,6 @@ _LEAST_DETAIL = 1e-5  # least squared gradient of log radiance, per pixel, of a 
 # hues.
 _USUAL = (0.4, 0.6, 0.15, 0.15)
 _TILES = 8  # along the long side
-
-
 _CELLS = 4.0  # cells of the coarser grid of a wide blur to its deviation
 _HDR = "HDR gain map"  # in notes that have a finding of their own
 
@@ -85,11 +83,11 @@ def inspect_photo(photo: Photo, tilt: tuple[float, float] | None = None) -> Insp
         photo.name,
         (
             _flash(photo, falloff),
-            _clipped(photo),
+            CHECKS["clipped"].finding(photo.clipped_share),
             _hot_spot(photo, place),
             _tilt(photo, tilt),
             _sharpness(photo),
-            _stationarity(photo),
+            _stationarity(photo, place),
             _radiometric(photo),
             _shading_map(photo),
             _gain_map(photo),
@@ -191,10 +189,6 @@ def _flash(photo: Photo, falloff: float) -> Finding:
     return CHECKS["flash"].finding(falloff, max(severity, 0.0), fired=says)
 
 
-def _clipped(photo: Photo) -> Finding:
-    return CHECKS["clipped"].finding(photo.clipped_share)
-
-
 def _border(photo: Photo) -> tuple[Finding, ...]:
     """Proposal of a crop, if the border is not the material."""
     crop = None if photo.left_out is not None else border_crop(photo)
@@ -244,8 +238,8 @@ def _sharpness(photo: Photo) -> Finding:
     return finding
 
 
-def _stationarity(photo: Photo) -> Finding:
-    tiles = unevenness(photo.pixels, hot_spot(photo)[0])
+def _stationarity(photo: Photo, place: tuple[float, float]) -> Finding:
+    tiles = unevenness(photo.pixels, place)
     value = float(np.sqrt(np.mean(tiles**2)))
     rows, columns = tiles.shape
     row, column = divmod(int(tiles.argmax()), columns)
@@ -263,13 +257,8 @@ def _radiometric(photo: Photo) -> Finding:
     says = "A developed picture: albedo is relative"
     if photo.tone is not None:
         says += f", its tone curve raises contrast to the power {photo.tone.exponent:.2f}"
-    return Finding(
-        "radiometric",
-        False,
-        Rating.NOT_JUDGED,
-        f"{says}.",
-        "Photograph RAW (DNG) where the phone can.",
-    )
+    remedy = "Photograph RAW (DNG) where the phone can."
+    return Finding("radiometric", False, Rating.NOT_JUDGED, f"{says}.", remedy)
 
 
 def _shading_map(photo: Photo) -> Finding:
@@ -290,13 +279,8 @@ def _gain_map(photo: Photo) -> Finding:
     notes = [note for note in photo.notes if _HDR in note]
     if not notes:
         return Finding("gain_map", False, Rating.GOOD, "It carries no HDR gain map.")
-    return Finding(
-        "gain_map",
-        True,
-        Rating.NOT_JUDGED,
-        notes[0],
-        "Switch HDR off: it brightens parts of the picture differently.",
-    )
+    remedy = "Switch HDR off: it brightens parts of the picture differently."
+    return Finding("gain_map", True, Rating.NOT_JUDGED, notes[0], remedy)
 
 
 def _upright(photo: Photo, x: float, y: float) -> tuple[float, float]:

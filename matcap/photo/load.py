@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.quiet import quiet_decoders
-from matcap.photo.decoded import Decoded
 from matcap.photo.dng import Corrections, read_corrections
 from matcap.photo.exif import Exif, phone_fov, read_exif
 from matcap.photo.jxl import read_jxl
@@ -21,7 +20,7 @@ from matcap.photo.left_out import leave_transparent_out
 from matcap.photo.lossless import read_png_or_tiff
 from matcap.photo.lossy import read_heic, read_jpeg, read_webp_or_avif
 from matcap.photo.orient import quarter_turn, upright
-from matcap.photo.photo import Photo
+from matcap.photo.photo import Decoded, Photo
 from matcap.photo.raw import read_raw
 from matcap.photo.refusals import SHORTEST_SIDE
 from matcap.photo.tone import ToneCurve

@@ -19,10 +19,10 @@ from matcap.errors import MatcapError
 from matcap.files.color import LINEAR, REC709_TO_D50, ColorSpace, Linearise
 from matcap.files.exr import forget_error
 from matcap.files.stated_color import StatedColor, stated_color
-from matcap.photo.decoded import Decoded
 from matcap.photo.developed import Coded, decode, three_channels
 from matcap.photo.exif import Exif, read_exif
 from matcap.photo.lossy import inks
+from matcap.photo.photo import Decoded
 from matcap.photo.refusals import check_size, decoding, unreadable, unsupported
 
 # TIFF 6.0, and the supplements 1 and 2: PhotometricInterpretation.

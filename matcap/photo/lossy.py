@@ -22,9 +22,9 @@ from matcap.files.color import Linearise
 from matcap.files.icc import inks_lineariser_of
 from matcap.files.jpeg_coding import unsupported_jpeg
 from matcap.files.stated_color import StatedColor, stated_color
-from matcap.photo.decoded import Decoded
 from matcap.photo.developed import Coded, decode, three_channels
 from matcap.photo.exif import Exif, FocalPlane, read_exif
+from matcap.photo.photo import Decoded
 from matcap.photo.refusals import check_size, decoding, missing_extra, unsupported
 
 # Clip level, as lossy coding may decode 255 to 254.

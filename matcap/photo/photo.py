@@ -1,4 +1,4 @@
-"""Photo: linear pixels, clipping mask and metadata of a photograph file."""
+"""Photo: linear pixels, clipping mask and metadata of a photograph file; Decoded, before checks."""
 
 from __future__ import annotations
 
@@ -12,6 +12,36 @@ from matcap.photo.camera import CameraProfile
 from matcap.photo.tone import ToneCurve
 
 FULL = 0.95  # of the clip level: channels of a clipped pixel above this count as clipped
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """A reader's result: a linear picture, in the orientation in which the file stores it.
+
+    Attributes:
+        pixels: (h, w, 3) float32 linear Rec.709, at least 0, downsampled.
+        clipped: (h, w) bool.
+        size: (width, height) as stored, before downsampling.
+        orientation: EXIF's 1 to 8, not yet applied.
+        radiometric, gain_map_applied, notes, noise, balance: see Photo.
+        linear: whether codes are proportional to light, so that a tone curve is unlikely.
+        clipped_share: share of the stored pixels (of a RAW: of the photosites of the colour that
+            clips most) at the clip level, or None if only `clipped` is known.
+        opacity: (h, w) float32 in [0, 1], or None if all is opaque.
+    """
+
+    pixels: NDArray[np.float32]
+    clipped: NDArray[np.bool_]
+    size: tuple[int, int]
+    orientation: int = 1
+    radiometric: bool = False
+    linear: bool = False
+    gain_map_applied: bool = False
+    notes: tuple[str, ...] = ()
+    clipped_share: float | None = None
+    noise: NDArray[np.float32] | None = None
+    balance: tuple[float, float, float] | None = None
+    opacity: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True)

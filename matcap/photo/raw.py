@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.photo.decoded import Decoded
 from matcap.photo.dng import Corrections
 from matcap.photo.gainmap import GainMap, Shading
+from matcap.photo.photo import Decoded
 from matcap.photo.refusals import check_size, decoding, unreadable
 from matcap.photo.sensor_noise import find_noise
 from matcap.photo.shrink import Rows, shrink
