@@ -31,7 +31,6 @@ def identity(
     prior: str,
     card: str = "",
     profile: CameraProfile | None = None,
-    version: str = MAKER_VERSION,
 ) -> str:
     """SHA-256 of a material's inputs, 64 hexadecimal digits.
 
@@ -56,7 +55,7 @@ def identity(
     what: dict[str, Any] = {
         "photographs": [file_hash(photo) for photo in photos],
         "settings": chosen,
-        "matcap": version,
+        "matcap": MAKER_VERSION,
         "prior": prior,
         "card": card,
     }

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
@@ -16,6 +17,7 @@ from matcap.errors import MatcapError
 from matcap.files.names import series, usable_name
 from matcap.files.quiet import quiet_decoders
 from matcap.photo.camera import CameraProfile
+from matcap.photo.exif import exif_tags
 from matcap.photo.kind import RAW_SUFFIXES
 
 Grouping = Literal["none", "name", "dir", "time"]
@@ -82,7 +84,7 @@ def find_samples(
         what = "this is a file" if source.is_file() else "there is no such folder"
         raise MatcapError.at(source, what, "give a folder of photographs")
     passed_over = {path.resolve() for path in without}
-    grouped: list[tuple[Path, str, tuple[Path, ...], tuple[Path, ...]]] = []
+    grouped: list[tuple[Path, ShotSample]] = []
     for folder, names in _folders(source, passed_over):
         written = files_written(names)
         files = [folder / name for name in names if name not in written]
@@ -90,18 +92,22 @@ def find_samples(
         shots = _pairs(files)
         if not shots:
             continue
-        inside = folder.relative_to(source)
+        place = inside = folder.relative_to(source)
         if group == "dir":
-            label = "-".join(inside.parts) or source.resolve().name or "photographs"
-            grouped.append((inside, label, *_joined(shots)))
-            continue
-        if group == "time":
+            runs = [shots]
+        elif group == "time":
             runs = _runs(shots, gap, taken or taken_at)
         else:
             runs = _by_name(shots) if group == "name" else [[s] for s in shots]
         for run in runs:
-            label = usable_name("-".join((*inside.parts, run[0][0].stem)))
-            grouped.append((inside / run[0][0].name, label, *_joined(run)))
+            photos = tuple(photo for photo, _ in run)
+            if group == "dir":
+                label = "-".join(inside.parts) or source.resolve().name or "photographs"
+            else:
+                label = usable_name("-".join((*inside.parts, photos[0].stem)))
+                place = inside / photos[0].name
+            superseded = tuple(other for _, others in run for other in others)
+            grouped.append((place, ShotSample(label, photos, superseded)))
     if not grouped:
         raise MatcapError.at(
             source,
@@ -113,14 +119,11 @@ def find_samples(
 
 def taken_at(path: Path) -> float | None:
     """Time at which a photograph was taken, in seconds, from its Exif; None if it has none."""
-    import exifread
-
     try:
         with path.open("rb") as file, quiet_decoders():
-            tags = exifread.process_file(file, details=False, extract_thumbnail=False)
-        text = str(tags["EXIF DateTimeOriginal"].values)
+            text = str(exif_tags(file)["EXIF DateTimeOriginal"].values)
         return datetime.strptime(text, "%Y:%m:%d %H:%M:%S").timestamp()
-    except Exception:  # exifread raises anything at all on broken tags
+    except (OSError, KeyError, AttributeError, ValueError, OverflowError):
         return None
 
 
@@ -202,27 +205,17 @@ def _by_name(shots: Sequence[_Shot]) -> list[list[_Shot]]:
     return [[shots[position] for position in each] for each in sorted(sets, key=min)]
 
 
-def _joined(shots: Sequence[_Shot]) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
-    return (
-        tuple(photo for photo, _ in shots),
-        tuple(other for _, superseded in shots for other in superseded),
-    )
-
-
-def _named(
-    grouped: Sequence[tuple[Path, str, tuple[Path, ...], tuple[Path, ...]]],
-) -> list[ShotSample]:
+def _named(grouped: Sequence[tuple[Path, ShotSample]]) -> list[ShotSample]:
     """Give the samples unique names: equal ones get a hash of their own path appended.
 
     A photograph added later thus renames no other sample, unless their names collide.
     """
-    count: dict[str, int] = {}
-    for _, label, _, _ in grouped:
-        count[label.casefold()] = count.get(label.casefold(), 0) + 1
+    count = Counter(sample.name.casefold() for _, sample in grouped)
     samples = []
-    for place, label, photos, superseded in grouped:
+    for place, sample in grouped:
+        label = sample.name
         plain = label.lstrip(".") or "photograph"
         if count[label.casefold()] > 1 or plain.casefold() in _TAKEN or plain != label:
             plain += "-" + hashlib.sha256(place.as_posix().encode()).hexdigest()[:6]
-        samples.append(ShotSample(plain, photos, superseded))
+        samples.append(replace(sample, name=plain))
     return samples

@@ -73,13 +73,12 @@ def photo_pixels(path: Path) -> tuple[int, bool]:
         return _USUAL_PIXELS, path.suffix.lower() not in (".jpg", ".jpeg", ".png")
 
 
-def pool_size(wanted: int | None, each: int, jobs: int, free: int | None = None) -> int:
+def pool_size(wanted: int | None, each: int, jobs: int) -> int:
     """Number of workers: `wanted`, else the cores; at most what fits in memory, and `jobs`.
 
     Args:
         wanted: by the user, or None.
         each: bytes of a worker.
-        free: bytes of free memory; by default measured.
     """
-    fit = int(_SPARE * (free_bytes() if free is None else free)) // max(1, each)
+    fit = int(_SPARE * free_bytes()) // max(1, each)
     return max(1, min(wanted or cores(), fit, jobs))

@@ -67,7 +67,9 @@ def _rows(
 ) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
     rows, pictures = [], []
     for entry in entries:
-        rows.append(_stated(entry))
+        row = _row_of(entry.record, _STATES[entry.state], entry.sample.name)
+        photographs = [str(path) for path in entry.sample.photos]
+        rows.append(row | {"photographs": photographs, "reason": entry.reason})
         pictures.append(_pictures(read_record(out / entry.sample.name) or {}))
     names = {entry.sample.name for entry in entries}
     for folder in sorted(out.iterdir()):
@@ -76,13 +78,6 @@ def _rows(
             rows.append(_row_of(record, "done", folder.name))
             pictures.append(_pictures(record))
     return rows, pictures
-
-
-def _stated(entry: BatchEntry) -> dict[str, Any]:
-    row = _row_of(entry.record, _STATES[entry.state], entry.sample.name)
-    row["photographs"] = [str(path) for path in entry.sample.photos]
-    row["reason"] = entry.reason
-    return row
 
 
 def _row_of(record: dict[str, Any], state: str, name: str) -> dict[str, Any]:

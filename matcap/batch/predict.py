@@ -96,7 +96,7 @@ def predict(prepared: Prepared) -> Prediction:
     From materials in the output that were made with the same steps and detail; else from a trial
     capture, which is discarded; of a decoder, with a few steps.
     """
-    todo, settings = prepared.todo, prepared.settings
+    todo, settings, out = prepared.todo, prepared.settings, prepared.out
     seconds, size, how = None, settings.outputs.room, "nothing measured"
     if todo:
         before = _from_before(prepared)
@@ -116,7 +116,7 @@ def predict(prepared: Prepared) -> Prediction:
         seconds,
         size,
         prepared.worker_bytes,
-        shutil.disk_usage(_existing(prepared.out)).free,
+        shutil.disk_usage(next(p for p in (out, *out.parents) if p.exists())).free,
         how,
     )
 
@@ -127,10 +127,8 @@ def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
     steps = resolve(capture).steps
     for file in sorted(prepared.out.glob(f"*/{FILE}")):
         record = read_record(file.parent)
-        if record and (record.get("steps"), record.get("detail")) == (
-            steps,
-            capture.most_detail,
-        ):
+        made = record and (record.get("steps"), record.get("detail"))
+        if record and made == (steps, capture.most_detail):
             earlier.append((float(record["seconds"]), sum(record["files"].values())))
     if not earlier:
         return None
@@ -165,9 +163,3 @@ def _trial(photos: Sequence[Path], settings: BatchSettings) -> tuple[float, int]
     seconds = spent + pace * (work - steps)
     limit = wanted.time_limit
     return seconds if limit is None else min(seconds, max(limit, spent)), size
-
-
-def _existing(folder: Path) -> Path:
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    return folder

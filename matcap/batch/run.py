@@ -76,11 +76,14 @@ class Batch:
         page: Callable[[], None],
         card: Calibration | None = None,
     ) -> None:
-        self._card = card
         self._entries, self._run, self._workers = entries, run, workers
         self._settings, self._policy, self._show, self._page = settings, policy, show, page
-        todo = [entry for entry in entries if entry.state == "todo"]
-        self._waiting = deque(_Task(entry, self._job(entry)) for entry in todo)
+        self._waiting: deque[_Task] = deque()
+        for entry in (entry for entry in entries if entry.state == "todo"):
+            sample, detail = entry.sample, settings.capture.most_detail
+            of_sample = (sample.name, sample.photos, entry.identity)
+            job = BatchJob(*of_sample, settings, run, detail, card=card, profile=sample.profile)
+            self._waiting.append(_Task(entry, job))
         self._elsewhere: deque[_Task] = deque()
         self._alone: deque[_Task] = deque()
         self._tasks: dict[str, _Task] = {}
@@ -123,19 +126,6 @@ class Batch:
                 if entry.state == "todo":
                     entry.state, entry.reason = "left", self._stop or "the batch ended early"
             self._page()
-
-    def _job(self, entry: BatchEntry) -> BatchJob:
-        sample, detail = entry.sample, self._settings.capture.most_detail
-        return BatchJob(
-            sample.name,
-            sample.photos,
-            entry.identity,
-            self._settings,
-            self._run,
-            detail,
-            card=self._card,
-            profile=sample.profile,
-        )
 
     def _fill(self) -> None:
         """Start jobs on all idle workers."""
@@ -215,14 +205,11 @@ class Batch:
     def _following(self, task: _Task, failure: Failure, again: bool) -> tuple[_Task, str] | None:
         """The next attempt and its description: alone, then at half the detail; None gives up."""
         job, tries = task.job, task.tries + 1
-        if failure.kind == "crash":
-            if again and not job.alone:
-                return _Task(task.entry, replace(job, alone=True), tries), " by itself"
-            return None
+        others = failure.kind == "memory" and self._workers.size > 1
+        if failure.kind in ("memory", "crash") and not job.alone and (again or others):
+            return _Task(task.entry, replace(job, alone=True), tries), " by itself"
         if failure.kind != "memory":
             return None
-        if not job.alone and (self._workers.size > 1 or again):
-            return _Task(task.entry, replace(job, alone=True), tries), " by itself"
         half = job.detail // 2
         if half < _LEAST_DETAIL or job.detail < self._settings.capture.most_detail:
             return None

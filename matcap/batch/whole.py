@@ -104,13 +104,12 @@ def _cards(source: Path, wanted: str, out: Path) -> list[Path]:
         return [Path(wanted)]
     if wanted == "none" or not source.is_dir():
         return []
-    cards = [
+    return [
         file
         for sample in find_samples(source, without=(out,))
         if sample.photos[0].stem.casefold().startswith("card")
         for file in (*sample.photos, *sample.superseded)
     ]
-    return cards
 
 
 def work_off(

@@ -148,7 +148,7 @@ def _serve(pipe: Connection, work: DoWork, prepare: Prepare) -> None:
     settle_child()
     prepare()
 
-    def tell(now: Progress) -> None:
+    def on_progress(now: Progress) -> None:
         pipe.send(("progress", now))
 
     while True:
@@ -156,7 +156,7 @@ def _serve(pipe: Connection, work: DoWork, prepare: Prepare) -> None:
             job = pipe.recv()
         except (EOFError, OSError):
             return
-        pipe.send(("done", work(job, tell)))
+        pipe.send(("done", work(job, on_progress)))
 
 
 class Machines:

@@ -8,6 +8,7 @@ import pytest
 from kills import make_shoot
 from rich.console import Console
 
+from matcap.batch import memory
 from matcap.batch.entries import BatchEntry, Policy
 from matcap.batch.input_folder import ShotSample
 from matcap.batch.memory import photo_pixels, pool_size, worker_bytes
@@ -99,12 +100,16 @@ def test_what_is_wrong_is_said_before_any_work(shoot, tmp_path, capsys, argument
     assert not (tmp_path / "out").exists()
 
 
-def test_fewer_workers_where_memory_or_work_is_short():
-    assert pool_size(4, 1_000, 10, free=100_000) == 4
-    assert pool_size(4, 1_000, 2, free=100_000) == 2
-    assert pool_size(4, 1_000, 10, free=2_500) == 2
-    assert pool_size(4, 1_000, 10, free=10) == 1
-    assert pool_size(None, 1, 1_000, free=100_000) >= 1
+def test_fewer_workers_where_memory_or_work_is_short(monkeypatch):
+    for free, wanted, jobs, size in (
+        (100_000, 4, 10, 4),
+        (100_000, 4, 2, 2),
+        (2_500, 4, 10, 2),
+        (10, 4, 10, 1),
+    ):
+        monkeypatch.setattr(memory, "free_bytes", lambda free=free: free)
+        assert pool_size(wanted, 1_000, jobs) == size
+    assert pool_size(None, 1, 1_000) >= 1
 
 
 def test_memory_grows_with_photograph_detail_and_map_set(shoot):
