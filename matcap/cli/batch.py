@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -86,26 +87,21 @@ def _print_results(entries: Sequence[BatchEntry], out: Path, *, as_json: bool, q
     if as_json:
         rows = [_document(entry, out) for entry in entries]
         typer.echo(json.dumps({"out": str(out), "materials": rows}, indent=2))
-    counts = {
-        state: sum(entry.state == state for entry in entries)
-        for state in ("made", "kept", "failed", "left")
-    }
-    doubtful = [entry for entry in entries if entry.record.get("doubtful")]
+    counts = Counter(entry.state for entry in entries)
+    doubtful = [entry.sample.name for entry in entries if entry.record.get("doubtful")]
     if not quiet:
         said = [f"{counts['made']} made", f"{counts['kept']} done before"]
         said += [f"{counts[state]} {state}" for state in ("failed", "left") if counts[state]]
         typer.echo(f"{', '.join(said)}; see {out / 'index.html'}", err=True)
         if doubtful:
-            names = ", ".join(entry.sample.name for entry in doubtful[:8])
             more = f" and {len(doubtful) - 8} more" if len(doubtful) > 8 else ""
-            typer.echo(f"{len(doubtful)} doubtful shots: {names}{more}", err=True)
-    bad = [entry for entry in entries if entry.state in ("failed", "left")]
-    left = [entry for entry in bad if entry.state == "left"]
-    for entry in bad:
-        if entry.state == "failed":
-            typer.echo(f"matcap: {entry.reason}", err=True)
+            names = f"{', '.join(doubtful[:8])}{more}"
+            typer.echo(f"{len(doubtful)} doubtful shots: {names}", err=True)
+    failed, left = ([e.reason for e in entries if e.state == state] for state in ("failed", "left"))
+    for reason in failed:
+        typer.echo(f"matcap: {reason}", err=True)
     if left:
-        typer.echo(f"matcap: {len(left)} not begun: {left[0].reason}.", err=True)
+        typer.echo(f"matcap: {len(left)} not begun: {left[0]}.", err=True)
 
 
 def _document(entry: BatchEntry, out: Path) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import QuietOption, ReplaceOption
+from matcap.cli.options import QuietOption, ReplaceOption, printer
 from matcap.field.draw_options import BlendOptions
 
 _MARK = "matcap blend"  # in its strip's metadata
@@ -63,8 +63,8 @@ def blend(
         for name, material in zip(names, materials, strict=True):
             material.save(stage / name)
         write_picture(between.strip(materials, seed=asked.seed), stage / _STRIP, _MARK)
-    if not quiet:
-        if between.loses_patterns(one, other):
-            typer.echo(_PATTERNLESS, err=True)
-        for name in (*names, _STRIP):
-            typer.echo(f"wrote {out / name}", err=True)
+    say = printer(quiet=quiet)
+    if between.loses_patterns(one, other):
+        say(_PATTERNLESS)
+    for name in (*names, _STRIP):
+        say(f"wrote {out / name}")

@@ -9,7 +9,7 @@ import typer
 
 from matcap.capture.settings import CaptureSettings
 from matcap.cli.fields import NOTHING, Fields, Given, with_settings
-from matcap.cli.options import QuietOption
+from matcap.cli.options import QuietOption, printer
 from matcap.errors import MatcapError
 
 
@@ -46,5 +46,4 @@ def camera(
             "give five or more usable ones of different materials",
         )
     write_camera_profile(out, profile)
-    if not quiet:
-        typer.echo(f"wrote {out}. {profile.says()}", err=True)
+    printer(quiet=quiet)(f"wrote {out}. {profile.says()}")

@@ -84,7 +84,9 @@ def capture(
                 break
     if as_json:
         typer.echo(json.dumps({"photographs": results}, indent=2))
-    raise typer.Exit(_exit_code([_state(result, strict=strict) for result in results]))
+    states = [_state(result, strict=strict) for result in results]
+    done = ExitCode.of(states.count("done"), len(states))
+    raise typer.Exit(ExitCode.INTERRUPTED if "interrupted" in states else done)
 
 
 def _jobs(photos: Sequence[Path], out: Path) -> list[_Job]:
@@ -166,9 +168,3 @@ def _state(result: dict[str, Any], *, strict: bool) -> str:
     """State that determines the exit code: the outcome and, with --strict, the verdict."""
     state: str = result["status"]
     return "failed" if state == "done" and strict and not result["verdict"]["fit"] else state
-
-
-def _exit_code(states: Sequence[str]) -> ExitCode:
-    if "interrupted" in states:
-        return ExitCode.INTERRUPTED
-    return ExitCode.of(states.count("done"), len(states))

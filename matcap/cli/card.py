@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli.options import QuietOption
+from matcap.cli.options import QuietOption, printer
 
 
 def card(
@@ -25,5 +25,4 @@ def card(
     from matcap.photo.card import write_card
 
     write_card(out)
-    if not quiet:
-        typer.echo(f"wrote {out}; print it at 100 %", err=True)
+    printer(quiet=quiet)(f"wrote {out}; print it at 100 %")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.options import JsonOption, QuietOption, ReplaceOption
+from matcap.cli.options import JsonOption, QuietOption, ReplaceOption, printer
 from matcap.errors import UsageError
 
 if TYPE_CHECKING:
@@ -74,9 +74,8 @@ def _own(capture: Compared, *, quiet: bool) -> Path | None:
     file = capture.photograph
     if file is None or file.is_file():
         return file
-    if not quiet:
-        said = f"{capture.name}: its photograph {file} does not exist; give it with --photo."
-        typer.echo(said, err=True)
+    said = f"{capture.name}: its photograph {file} does not exist; give it with --photo."
+    printer(quiet=quiet)(said)
     return None
 
 

@@ -1,4 +1,4 @@
-"""Progress displays on stderr, of captures and of batches: live on a terminal, else plain lines."""
+"""Progress displays on stderr: live on a terminal, else plain lines."""
 
 from __future__ import annotations
 
@@ -18,9 +18,13 @@ if TYPE_CHECKING:
     from matcap.batch.entries import BatchEntry
     from matcap.capture.progress import CaptureProgress
     from matcap.files.progress import Progress as WorkProgress
+    from matcap.synth.request import SynthProgress
 
+_NAMED = (TextColumn("{task.description}", markup=False), BarColumn())
+_PERCENT = TextColumn("{task.percentage:>3.0f} %")
 _STAGE = TextColumn("{task.fields[stage]}")
 _LEFT = TextColumn("{task.fields[left]}", style="dim")
+_EVERY = 10.0  # seconds between lines of a synthesis where there is no terminal
 
 
 class _Shown:
@@ -32,7 +36,7 @@ class _Shown:
     """
 
     columns: ClassVar[tuple[ProgressColumn, ...]]
-    """Of the live display, between the bar and the remaining time."""
+    """Of the live display."""
     indent: ClassVar[str] = ""
     """Before notes."""
     transient: ClassVar[bool] = False
@@ -49,9 +53,7 @@ class _Shown:
         if quiet or not console.is_terminal or console.is_dumb_terminal:
             yield cls(console, None, quiet=quiet)
             return
-        name = TextColumn("{task.description}", markup=False)
-        columns = (name, BarColumn(), *cls.columns, _LEFT)
-        with Progress(*columns, console=console, transient=cls.transient) as bars:
+        with Progress(*cls.columns, console=console, transient=cls.transient) as bars:
             yield cls(console, bars, quiet=quiet)
 
     def note(self, sentence: str) -> None:
@@ -67,7 +69,7 @@ class _Shown:
 class CaptureDisplay(_Shown):
     """Shows the progress of captures."""
 
-    columns = (_STAGE, TextColumn("{task.fields[error]}", style="cyan"))
+    columns = (*_NAMED, _STAGE, TextColumn("{task.fields[error]}", style="cyan"), _LEFT)
     indent = "  "
     _task: TaskID | None = None
     _stage, _interrupted = "", False
@@ -122,10 +124,33 @@ class CaptureDisplay(_Shown):
             self._task = None
 
 
+class SynthDisplay(_Shown):
+    """Shows the progress of a synthesis."""
+
+    columns = (_PERCENT, BarColumn(), TextColumn("{task.fields[rate]}"))
+    transient = True
+
+    def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:
+        super().__init__(console, bars, quiet=quiet)
+        self._task = None if bars is None else bars.add_task("texels", total=1.0, rate="")
+        self._printed = time.monotonic()
+
+    def progress(self, now: SynthProgress) -> None:
+        """Show the share done, texels per second, and the remaining time."""
+        left = now.seconds_left
+        rate = f"{now.rate / 1e6:.2f} million texels/s"
+        rate += "" if left is None else f", {spoken_duration(left)} left"
+        if self._bars is not None and self._task is not None:
+            self._bars.update(self._task, completed=now.fraction, rate=rate)
+        elif not self._quiet and time.monotonic() - self._printed >= _EVERY:
+            self._printed = time.monotonic()
+            self._say(f"  {now.fraction:6.1%}  {rate}")
+
+
 class BatchDisplay(_Shown):
     """Shows the progress of a batch."""
 
-    columns = (TextColumn("{task.percentage:>3.0f} %"), _STAGE)
+    columns = (*_NAMED, _PERCENT, _STAGE, _LEFT)
     transient = True
 
     def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:

@@ -22,8 +22,9 @@ from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type
 
 import typer
 
-from matcap.cli.options import in_range, typed
+from matcap.cli.options import typed
 from matcap.files.settings import Setting, settings_in
+from matcap.files.values import number
 
 Given = Mapping[str, Any]
 NOTHING: Given = MappingProxyType({})
@@ -88,7 +89,7 @@ def _parameter(one: Setting) -> inspect.Parameter:
     elif rule.parse is not None:
         kind, more = Any, {"parser": typed(rule.parse)}
     elif kind is float and rule.metavar:
-        kind, more = Any, {"parser": in_range(rule.least, rule.most)}
+        kind, more = Any, {"parser": typed(number(rule.least, rule.most))}
     elif math.isfinite(rule.least):
         more = {"min": kind(rule.least), "max": kind(rule.most)}
     flag = f"{one.flag}/--no-{one.flag[2:]}" if kind is bool else one.flag

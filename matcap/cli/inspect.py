@@ -18,6 +18,7 @@ from matcap.errors import ExitCode, MatcapError, UsageError
 
 if TYPE_CHECKING:
     from matcap.photo.camera import CameraProfile
+    from matcap.photo.inspect import Inspection
 
 _MARKS = {"good": "ok", "not judged": "  ", "usable": "- ", "doubtful": "? ", "failed": "! "}
 
@@ -101,8 +102,7 @@ def _photo(
 
     inspected = inspect_file(path, detail, fov, profile)
     quality, relief = inspected.quality, inspected.strengths
-    lines = [f"{path}: {quality.rating.value}"]
-    lines += [f"  {_MARKS[f.rating.value]} {f.name:<13} {f.line()}" for f in quality.findings]
+    lines = _rated(str(path), quality)
     strengths = relief.document() if relief else None
     lines += [f"     {name:<13} {says}" for name, says in _strengths(strengths)]
     if inspected.tilt is not None:
@@ -119,9 +119,13 @@ def _set(paths: Sequence[Path], fov: float | None) -> tuple[dict[str, Any], str]
     from matcap.capture.together.coverage import coverage_of_files
 
     quality = coverage_of_files(paths, fov)
-    lines = [f"{len(paths)} photographs together: {quality.rating.value}"]
-    lines += [f"  {_MARKS[f.rating.value]} {f.name:<13} {f.line()}" for f in quality.findings]
-    return quality.document(), "\n".join(lines)
+    return quality.document(), "\n".join(_rated(f"{len(paths)} photographs together", quality))
+
+
+def _rated(name: str, quality: Inspection) -> list[str]:
+    """Lines of an inspection: its rating, and a line a finding."""
+    findings = (f"{_MARKS[f.rating.value]} {f.name:<13} {f.line()}" for f in quality.findings)
+    return [f"{name}: {quality.rating.value}", *(f"  {finding}" for finding in findings)]
 
 
 def _strengths(measured: dict[str, Any] | None) -> list[tuple[str, str]]:

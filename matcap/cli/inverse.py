@@ -91,8 +91,7 @@ def pack(
     from matcap.lab.inverse.packed import pack as run
 
     count = run(folder, out)
-    if not quiet:
-        typer.echo(f"wrote {out}: {count} materials", err=True)
+    printer(quiet=quiet)(f"wrote {out}: {count} materials")
 
 
 @app.command()
@@ -163,5 +162,4 @@ def ship(
     from matcap.lab.inverse.train import ship as run
 
     card = run(folder, out, before, share if before else 1.0)
-    if not quiet:
-        typer.echo(f"wrote {out}: {card['steps']} steps", err=True)
+    printer(quiet=quiet)(f"wrote {out}: {card['steps']} steps")

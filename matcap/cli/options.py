@@ -14,7 +14,6 @@ import typer
 from typer.core import TyperCommand
 
 from matcap.errors import MatcapError
-from matcap.files import values
 from matcap.files.mark import mark_of
 
 T = TypeVar("T")
@@ -31,11 +30,6 @@ def typed(parse: Callable[[Any], T]) -> Callable[[Any], T]:
             raise typer.BadParameter(str(error)) from error
 
     return parsed
-
-
-def in_range(least: float, most: float) -> Callable[[Any], float]:
-    """A parser for typer of finite numbers within limits, which metavar or help state."""
-    return typed(values.number(least, most))
 
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the results as JSON.")]

@@ -52,9 +52,8 @@ def corpus(
     built.pack.save(out)
     for name, why in built.skipped:
         typer.echo(f"left out {name}: {why}", err=True)
-    if not quiet:
-        size = out.stat().st_size / 1e6
-        typer.echo(f"wrote {out}: {len(built.pack.entries)} photographs, {size:.1f} MB", err=True)
+    size = out.stat().st_size / 1e6
+    printer(quiet=quiet)(f"wrote {out}: {len(built.pack.entries)} photographs, {size:.1f} MB")
 
 
 @app.command()
@@ -102,8 +101,7 @@ def finish(
     state.load(training)
     kept = state.average
     run(kept.encoder, kept.decoder, Pack.load(pack).training, {"steps": state.step}).save(out)
-    if not quiet:
-        typer.echo(f"wrote {out}", err=True)
+    printer(quiet=quiet)(f"wrote {out}")
 
 
 @app.command()
@@ -154,8 +152,7 @@ def make(
 
     check_writable(out.parent, 200_000_000)
     make_prior(folder, recipe or SHIPPED.parent / "make.toml", out, printer(quiet=quiet))
-    if not quiet:
-        typer.echo(f"wrote {out}", err=True)
+    printer(quiet=quiet)(f"wrote {out}")
 
 
 @app.command()
@@ -174,8 +171,7 @@ def anchors(
     from matcap.space.prior.store import load_prior
 
     with_anchors(load_prior(prior), Pack.load(pack).training).save(out)
-    if not quiet:
-        typer.echo(f"wrote {out}", err=True)
+    printer(quiet=quiet)(f"wrote {out}")
 
 
 @app.command()

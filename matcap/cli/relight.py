@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import JsonOption, QuietOption, ReplaceOption, files_read
+from matcap.cli.options import JsonOption, QuietOption, ReplaceOption, files_read, printer
 from matcap.field.options import ReadOptions
 from matcap.relight.options import RelightOptions
 
@@ -123,8 +123,7 @@ def relight(
             write_tiles(rendering, explain_map)
         plan = rendering.plan
     _report(plan, out, as_json=json, explain=explain)
-    if not quiet and not json:
-        typer.echo(f"{maps_from or path}: {out}", err=True)
+    printer(quiet=quiet or json)(f"{maps_from or path}: {out}")
 
 
 def _scene(name: str | None, lights: Sequence[str], size: values.Size | None) -> Scene:
@@ -167,9 +166,8 @@ def _renderer(
     if asked.maps_from is None:
         return Renderer(open_source(path, read), scene, seed=asked.seed)
     foreign = read_foreign(asked.maps_from, normal=asked.normal)
-    if not quiet:
-        for note in foreign.notes:
-            typer.echo(f"{asked.maps_from}: {note}", err=True)
+    for note in foreign.notes:
+        printer(quiet=quiet)(f"{asked.maps_from}: {note}")
     return Renderer(foreign.texture, scene, seed=asked.seed)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import QuietOption, ReplaceOption
+from matcap.cli.options import QuietOption, ReplaceOption, printer
 from matcap.field.draw_options import DrawOptions, SampleOptions
 
 if TYPE_CHECKING:
@@ -70,9 +70,8 @@ def sample(
             for material in drawn:
                 material.save(stage / f"{material.name}.matcap")
                 written.append(materials / f"{material.name}.matcap")
-    if not quiet:
-        for path in written:
-            typer.echo(f"wrote {path}", err=True)
+    for path in written:
+        printer(quiet=quiet)(f"wrote {path}")
 
 
 def _called(like: Path | None) -> str:

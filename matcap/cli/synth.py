@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,19 +9,15 @@ import typer
 
 from matcap.capture.settings import OutputSettings
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import OverwriteOption, PlainCommand, QuietOption
+from matcap.cli.options import OverwriteOption, PlainCommand, QuietOption, printer
 from matcap.errors import ExitCode, UsageError
 from matcap.field.draw_options import DrawOptions
 from matcap.field.options import ReadOptions
-from matcap.files import values
 from matcap.synth.request import SynthArea, SynthRequest, Work
 
 if TYPE_CHECKING:
     from matcap.field.material import Material
     from matcap.synth.precision import ChosenPrecision
-    from matcap.synth.request import SynthProgress
-
-_EVERY = 10.0  # seconds between lines of progress where there is no terminal
 
 
 class SynthCommand(PlainCommand):
@@ -72,6 +65,7 @@ def synth(
     """
     import os
 
+    from matcap.cli.display import SynthDisplay
     from matcap.files.memory import keep_memory
     from matcap.synth.synthesise import synthesise
     from matcap.synth.unfinished import unfinished_bytes
@@ -102,26 +96,24 @@ def synth(
     which = "" if is_piece else f"_{area.width}x{area.height}_seed{asked.seed}"
     folder = out or Path(f"{name}{which}{slug}")
 
+    say = printer(quiet=quiet)
+
     def on_precision(choice: ChosenPrecision) -> None:
-        if asked.precision == "auto" and not quiet:
-            typer.echo(choice.sentence(), err=True)
+        if asked.precision == "auto":
+            say(choice.sentence())
 
     left = 0 if working.get("resume") else unfinished_bytes(folder, name)
-    if left and not quiet:
-        typer.echo(
+    if left:
+        say(
             f"note: an interrupted run left {left / 1e6:.1f} MB of partial files here, which are "
-            "discarded; --resume would continue them",
-            err=True,
+            "discarded; --resume would continue them"
         )
     try:
-        with _progress(quiet=quiet) as on_progress:
-            inputs = tuple(
-                file
-                for file in (subject, asked_area.blend, asked_area.mask)
-                if isinstance(file, Path)
-            )
+        with SynthDisplay.open(quiet=quiet) as shown:
+            given_files = (subject, asked_area.blend, asked_area.mask)
+            inputs = tuple(file for file in given_files if isinstance(file, Path))
             working = {"workers": os.cpu_count() or 1, **working}
-            work = Work(progress=on_progress, overwrite=overwrite, inputs=inputs, **working)
+            work = Work(progress=shown.progress, overwrite=overwrite, inputs=inputs, **working)
             document = synthesise(asked, folder, work, on_precision)
     except KeyboardInterrupt:
         typer.echo("matcap: interrupted; the same command with --resume continues.", err=True)
@@ -129,12 +121,9 @@ def synth(
     for target in targets:
         from matcap.export.targets import export_mapset
 
-        done = export_mapset(document, target)
-        if not quiet:
-            for note in done.notes:
-                typer.echo(f"note: {target}: {note}", err=True)
-    if not quiet:
-        typer.echo(f"wrote {document}", err=True)
+        for note in export_mapset(document, target).notes:
+            say(f"note: {target}: {note}")
+    say(f"wrote {document}")
 
 
 def _slug(asked: SynthRequest) -> str:
@@ -175,38 +164,3 @@ def _subject(material: Path | None, seed: int, near: Given) -> tuple[Path | Mate
 
     drawn = drawing(chosen(DrawOptions, near))(seed)
     return drawn, drawn.name
-
-
-@contextmanager
-def _progress(*, quiet: bool) -> Iterator[Callable[[SynthProgress], None]]:
-    """Show progress: a bar on a terminal, a line now and then elsewhere."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
-
-    console = Console(stderr=True)
-    if quiet or not console.is_terminal or console.is_dumb_terminal:
-        said = time.monotonic()
-
-        def on_progress(now: SynthProgress) -> None:
-            nonlocal said
-            if not quiet and time.monotonic() - said >= _EVERY:
-                said = time.monotonic()
-                typer.echo(f"  {now.fraction:6.1%}  {_rate(now)}", err=True)
-
-        yield on_progress
-        return
-    columns = (
-        TextColumn("{task.percentage:>3.0f} %"),
-        BarColumn(),
-        TextColumn("{task.fields[rate]}"),
-    )
-    with Progress(*columns, console=console, transient=True) as bars:
-        task = bars.add_task("texels", total=1.0, rate="")
-        yield lambda now: bars.update(task, completed=now.fraction, rate=_rate(now))
-
-
-def _rate(now: SynthProgress) -> str:
-    """Texels a second, and the remaining time."""
-    left = now.seconds_left
-    time_left = "" if left is None else f", {values.spoken_duration(left)} left"
-    return f"{now.rate / 1e6:.2f} million texels/s{time_left}"

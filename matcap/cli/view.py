@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import QuietOption, ReplaceOption
+from matcap.cli.options import QuietOption, ReplaceOption, printer
 from matcap.field.options import ReadOptions
 from matcap.view.options import ViewOptions
 
@@ -43,8 +43,7 @@ def view(
 
     def announce(address: str) -> None:
         typer.echo(address)
-        if not quiet:
-            typer.echo("Ctrl-C ends it.", err=True)
+        printer(quiet=quiet)("Ctrl-C ends it.")
 
     read, asked = chosen(ReadOptions, reading), chosen(ViewOptions, given)
     blend, photo, html = asked.blend, asked.photo, asked.html
@@ -68,8 +67,7 @@ def view(
     references = find_references(path, subject.facts.name, photo, material)
     if html is not None:
         write_page(sealed_page(subject, asked.tile, references, read.adjustments), html)
-        if not quiet:
-            typer.echo(f"wrote {html}", err=True)
+        printer(quiet=quiet)(f"wrote {html}")
         return
     app = partial(make_app, subject, references=references, adjust=read.adjustments)
     serve(app, announce=announce, port=port, opens=opens)

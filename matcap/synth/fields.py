@@ -61,10 +61,8 @@ def open_field(request: SynthRequest) -> tuple[SynthRequest, OpenedField]:
             }
         )
     exemplified = None
-    if isinstance(request.material, Path) and request.blend is None:
-        exemplified = (
-            None if request.read.generator == "decoder" else read_exemplified(request.material)
-        )
+    if isinstance(request.material, Path) and request.read.generator != "decoder":
+        exemplified = None if request.blend else read_exemplified(request.material)
     if request.blend is not None:
         source, name, provenance, choice = _blend(request, request.blend)
     elif exemplified is not None:
@@ -72,7 +70,11 @@ def open_field(request: SynthRequest) -> tuple[SynthRequest, OpenedField]:
     else:
         source, name, provenance, choice = _of_material(request)
     if choice is None:
-        _refuse_networks_options(request)
+        refuse_options(
+            {"--precision": request.precision != "fp32", "--device": request.device == "cuda"},
+            "only the decoder (the paper's network) has a choice of precision and device",
+            "leave it out, or give --generator decoder",
+        )
     if request.tile == "piece":
         width, height = source.period or (0, 0)
         request = replace(request, area=Rectangle(0, 0, width or 0, height or 0))
@@ -83,16 +85,8 @@ def open_field(request: SynthRequest) -> tuple[SynthRequest, OpenedField]:
     info = MapSetInfo(
         request.name or name, request.seed, (request.area.x, request.area.y), provenance
     )
-    return request, OpenedField(adjusted_source(source, adjust), info, choice)
-
-
-def _refuse_networks_options(request: SynthRequest) -> None:
-    """Raise UsageError for precision and device of an exemplar, which has neither choice."""
-    refuse_options(
-        {"--precision": request.precision != "fp32", "--device": request.device == "cuda"},
-        "only the decoder (the paper's network) has a choice of precision and device",
-        "leave it out, or give --generator decoder",
-    )
+    source = AdjustedSource(source, adjust) if adjust.changes else source
+    return request, OpenedField(source, info, choice)
 
 
 _FieldParts = tuple["Source", str, dict[str, Any], "ChosenPrecision | None"]
@@ -102,8 +96,9 @@ def _of_exemplar(request: SynthRequest, exemplified: Exemplified) -> _FieldParts
     """The field of an exemplar; imports no PyTorch."""
     example = exemplified.example
     if request.tile == "piece":
-        return example.repeating_source(), exemplified.name, dict(exemplified.provenance), None
-    source = example.varied(request.read.variety).source(request.seed, request.period)
+        source: Source = example.repeating_source()
+    else:
+        source = example.varied(request.read.variety).source(request.seed, request.period)
     return source, exemplified.name, dict(exemplified.provenance), None
 
 
@@ -173,8 +168,3 @@ class AdjustedSource(DerivedSource):
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
         """(9 or 11, height, width) maps and normal of a block."""
         return adjusted_planes(self.source.planes(block, normal), self.adjustments)
-
-
-def adjusted_source(source: Source, adjustments: Adjustments) -> Source:
-    """The source with adjustments; the source itself without any."""
-    return AdjustedSource(source, adjustments) if adjustments.changes else source

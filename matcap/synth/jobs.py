@@ -30,11 +30,9 @@ class Future(Protocol[T_co]):
 
     def result(self) -> T_co:
         """Wait for the value and return it."""
-        ...
 
     def cancel(self) -> object:
         """Cancel it if it has not started."""
-        ...
 
 
 @dataclass(frozen=True)

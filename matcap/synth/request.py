@@ -145,8 +145,6 @@ class SynthProgress(Progress):
 
     rate: float = 0.0
     """Texels per second, without those of a resumed run."""
-    resumed: float = 0.0
-    """Share of the texels that an interrupted run had written."""
 
 
 @dataclass(frozen=True)

@@ -114,11 +114,11 @@ def _missing(
             if files.lacks(part) or mapset.shows(part):
                 yield part, mapset
             else:
-                clock.skip(part.texels)
+                clock.count(skipped=part.texels)
 
     for (part, _), result in pool.run(missing()):
         yield part, result
-        clock.done(part.texels)
+        clock.count(part.texels)
 
 
 class _Clock:
@@ -126,19 +126,14 @@ class _Clock:
 
     def __init__(self, total: int, on_progress: Callable[[SynthProgress], None]) -> None:
         self._total, self._on_progress = total, on_progress
-        self._texels = self._resumed = 0
+        self._written = self._skipped = 0
         self._start = time.monotonic()
 
-    def skip(self, texels: int) -> None:
-        """Count texels that an interrupted run had written."""
-        self._resumed += texels
-        self.done(texels)
-
-    def done(self, texels: int) -> None:
-        """Count texels that are written now, and report."""
-        self._texels += texels
-        seconds = time.monotonic() - self._start
-        rate = (self._texels - self._resumed) / max(seconds, 1e-9)
-        left = (self._total - self._texels) / rate if rate else None
-        share, resumed = (texels / self._total for texels in (self._texels, self._resumed))
-        self._on_progress(SynthProgress("", share, seconds, left, rate, resumed))
+    def count(self, written: int = 0, skipped: int = 0) -> None:
+        """Count texels that are written now, or that an interrupted run had written; report."""
+        self._written += written
+        self._skipped += skipped
+        seconds, done = time.monotonic() - self._start, self._written + self._skipped
+        rate = self._written / max(seconds, 1e-9)
+        left = (self._total - done) / rate if rate else None
+        self._on_progress(SynthProgress("", done / self._total, seconds, left, rate))

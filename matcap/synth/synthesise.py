@@ -28,7 +28,6 @@ def synthesise(
     """Write a request's map set into a folder, all files or none; return the path of its JSON file.
 
     Args:
-        request: the request.
         folder: created if missing.
         work: workers, progress callback and overwriting.
         on_precision: called with a network's precision once it is chosen.

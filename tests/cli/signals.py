@@ -18,6 +18,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
+import numpy as np
+import torch
+
+from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
+from matcap.brdf.maps import MapSet
+from matcap.field.material import Material
+
 MATCAP = (sys.executable, "-m", "matcap.cli.start")
 COMMANDS = {
     "capture": ("capture", "photo.jpg", "--preset", "draft", "--detail", "256", "--size", "256"),
@@ -47,10 +55,7 @@ class Struck:
 
 
 def prepare(folder: Path) -> None:
-    """Photographs to be captured."""
-    import cv2
-    import numpy as np
-
+    """Photographs to be captured, and a map set."""
     rng = np.random.default_rng(1)
     y, x = np.mgrid[-0.75:0.75:192j, -1.0:1.0:256j]
     grain = cv2.GaussianBlur(rng.normal(0.0, 1.0, (192, 256, 3)), (0, 0), 1.5)
@@ -59,15 +64,6 @@ def prepare(folder: Path) -> None:
     (folder / "shoot").mkdir()
     for name in ("photo.jpg", "shoot/a.jpg", "shoot/b.jpg"):
         cv2.imwrite(str(folder / name), picture)
-    _prepare_maps(folder)
-
-
-def _prepare_maps(folder: Path) -> None:
-    import torch
-
-    from matcap.brdf.folder import MapSetInfo, write_mapset
-    from matcap.brdf.maps import MapSet
-
     stack = 0.2 + 0.5 * torch.rand(6, 256, 256, generator=torch.Generator().manual_seed(1))
     stack[5] *= 0.01
     write_mapset(MapSet.from_stacked(stack, 2.0 / 256), folder / "set", MapSetInfo("moss"))
@@ -129,9 +125,6 @@ def _captured(folder: Path, struck: Struck) -> list[str]:
 
 def _whole(folder: Path, *, needed: bool) -> list[str]:
     """A captured material's folder: all of it or none."""
-    from matcap.brdf.folder import read_mapset
-    from matcap.field.material import Material
-
     if not folder.exists():
         return ["nothing was written"] if needed else []
     hidden = [file.name for file in folder.iterdir() if file.name.startswith(".")]
@@ -142,8 +135,6 @@ def _whole(folder: Path, *, needed: bool) -> list[str]:
 
 
 def _synthesised(folder: Path, struck: Struck) -> list[str]:
-    from matcap.brdf.folder import read_mapset
-
     more = folder / "more"
     if struck.code == 0:
         read_mapset(more)
@@ -162,8 +153,6 @@ def _batched(folder: Path, struck: Struck) -> list[str]:
 
 
 def _relit(folder: Path, struck: Struck) -> list[str]:
-    import cv2
-
     return _all_or_none(
         folder / "relit", struck, lambda place: cv2.imread(str(place / "a.png")).shape[1] == 1500
     )

@@ -92,7 +92,6 @@ def test_a_blend_has_both_materials_at_its_ends(matcap, material, tmp_path):
         Field(Material.load(tmp_path / f"{name}.matcap"), 3).read(0, 0, 160, 48)
         for name in ("leather", "cloth")
     )
-    cloth = cloth.map(lambda m: m)
     assert_stored(maps.crop(0, 0, 60, 48), leather.crop(0, 0, 60, 48))
     assert_stored(maps.crop(100, 0, 60, 48), cloth.crop(100, 0, 60, 48))
     middle = maps.crop(70, 0, 20, 48).diffuse
@@ -104,17 +103,17 @@ def test_an_interrupted_run_goes_on(matcap, material, tmp_path, monkeypatch):
     assert matcap(*arguments, "-o", "whole").code == 0
     from matcap.synth import stream
 
-    done = stream._Clock.done
+    count = stream._Clock.count
 
-    def interrupt(self, texels):
-        done(self, texels)
+    def interrupt(self, written):
+        count(self, written)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(stream._Clock, "done", interrupt)
+    monkeypatch.setattr(stream._Clock, "count", interrupt)
     said = matcap(*arguments, "-o", "cut")
     assert said.code == 130 and "--resume" in said.err
     assert [file.name for file in (tmp_path / "cut").iterdir()] == [".leather.matcap-part"]
-    monkeypatch.setattr(stream._Clock, "done", done)
+    monkeypatch.setattr(stream._Clock, "count", count)
     said = matcap(*arguments, "--seed", "1", "-o", "cut", "--resume")
     assert said.code == 3 and "other settings" in said.err
     assert matcap(*arguments, "-o", "cut", "--resume").code == 0

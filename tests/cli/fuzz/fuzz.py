@@ -23,11 +23,26 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
+import torch
 from inputs import spoil, write_inputs
 
+from matcap.batch.record import FILE, is_done, read_record
+from matcap.batch.settings import BatchSettings, read_settings
 from matcap.batch.worker_pool import Processes
+from matcap.brdf.folder import read_mapset
+from matcap.errors import MatcapError
+from matcap.field.material import Material
+from matcap.files.environment import read_picture
+from matcap.files.exr import read_exr
+from matcap.files.mask import read_mask
+from matcap.files.note import Note
 from matcap.files.progress import OnProgress
+from matcap.photo.load import load_photo
+from matcap.relight.foreign.read import read_foreign
+from matcap.relight.scenefile import read_scene
+from matcap.relight.surfaces.mesh import load_mesh
 
 LONGEST = 10.0  # seconds
 LARGEST = 2 << 30  # bytes
@@ -59,8 +74,6 @@ class Fault:
 
 def read(job: Input, tell: OnProgress) -> tuple[str, str]:
     """Read an input, in a worker: ("good" or "refused" or "fault", details)."""
-    from matcap.errors import MatcapError
-
     try:
         _READERS[job.kind](job.path)
     except MatcapError as error:
@@ -87,15 +100,7 @@ def most_held() -> int:
 
 
 def prepare() -> None:
-    """Once a worker: imports outside the time of the first input, and a bound on memory."""
-    import cv2
-    import torch
-
-    import matcap.field.material
-    import matcap.photo.load
-    import matcap.relight.scenefile  # noqa: F401
-    from matcap.files.note import Note
-
+    """Once a worker: one thread, and a bound on memory."""
     warnings.simplefilter("error")  # what a user would see on the terminal is a fault, too
     warnings.simplefilter("ignore", Note)
     torch.set_num_threads(1)
@@ -105,29 +110,17 @@ def prepare() -> None:
 
 
 def _photo(path: Path) -> None:
-    from matcap.photo.load import load_photo
-
     photo = load_photo(path, long_side=64)
     assert np.isfinite(photo.pixels).all() and photo.pixels.min() >= 0.0
     assert photo.pixels.shape[1] >= photo.pixels.shape[0] and 0.0 < photo.fov < 180.0
 
 
-def _exr(path: Path) -> None:
-    from matcap.files.exr import read_exr
-
-    read_exr(path)
-
-
 def _picture(path: Path) -> None:
-    from matcap.files.environment import read_picture
-
     picture = read_picture(path)
     assert picture.shape[2] == 3 and np.isfinite(picture).all() and picture.min() >= 0.0
 
 
 def _foreign(path: Path) -> None:
-    from matcap.relight.foreign.read import read_foreign
-
     texture = read_foreign(path.parent).texture
     for kind in ("diffuse", "specular", "roughness", "height", "slopes"):
         values = getattr(texture, kind)
@@ -136,57 +129,31 @@ def _foreign(path: Path) -> None:
 
 
 def _mask(path: Path) -> None:
-    from matcap.files.mask import read_mask
-
     mask = read_mask(path)
     assert mask.ndim == 2 and 0.0 <= mask.min() <= mask.max() <= 1.0
 
 
 def _material(path: Path) -> None:
-    from matcap.field.material import Material
-
     material = Material.load(path)
     assert Path(material.name).name == material.name and len(material.name) < 200
     material.maps(16, 16)
 
 
-def _mapset(path: Path) -> None:
-    from matcap.brdf.folder import read_mapset
-
-    read_mapset(path)
-
-
-def _scene(path: Path) -> None:
-    from matcap.relight.scenefile import read_scene
-
-    read_scene(path)
-
-
 def _settings(path: Path) -> None:
-    from matcap.batch.settings import BatchSettings, read_settings
-
     settings = BatchSettings.of(read_settings(path))
     assert settings.capture.most_detail >= 64 and settings.outputs.room > 0
 
 
 def _record(path: Path) -> None:
-    from matcap.batch.record import FILE, is_done, read_record
-
     path.rename(path.with_name(FILE))
     read_record(path.parent)
     is_done(path.parent, "i")
 
 
-def _mesh(path: Path) -> None:
-    from matcap.relight.surfaces.mesh import load_mesh
-
-    load_mesh(path, 2.0)
-
-
 _READERS = {
-    "photo": _photo, "exr": _exr, "picture": _picture, "material": _material, "mapset": _mapset,
-    "scene": _scene, "settings": _settings, "record": _record, "mesh": _mesh,
-    "foreign": _foreign, "mask": _mask,
+    "photo": _photo, "exr": read_exr, "picture": _picture, "material": _material,
+    "mapset": read_mapset, "scene": read_scene, "settings": _settings, "record": _record,
+    "mesh": lambda path: load_mesh(path, 2.0), "foreign": _foreign, "mask": _mask,
 }  # fmt: skip
 
 

@@ -28,11 +28,17 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "docs" / "tools"))
 
+import cv2
+import numpy as np
+import torch
 from fuzz import most_held, outcome
-from inputs import write_example, write_material
+from inputs import random_maps, write_example, write_material
 from reference.commands import parameters
 
 from matcap.batch.worker_pool import Processes
+from matcap.brdf.folder import MapSetInfo, write_mapset
+from matcap.cli.main import app
+from matcap.cli.main import main as matcap
 from matcap.files.progress import OnProgress
 
 LONGEST, LARGEST = 30.0, 3 << 30  # seconds, bytes
@@ -78,8 +84,6 @@ _READS = {
 @cache
 def options_of(command: str) -> dict[str, tuple[str, ...]]:
     """Every option of a command, with values to draw from; none of a switch."""
-    from matcap.cli.main import app
-
     (function,) = (one.callback for one in app.registered_commands if one.name == command)
     found = {}
     for one in parameters(function):
@@ -127,12 +131,10 @@ def drawn(chance: random.Random) -> tuple[str, ...]:
 
 def answer(line: Line, tell: OnProgress) -> tuple[str, str]:
     """Run a line, in a worker: ("good", "refused" or "fault", what was said)."""
-    from matcap.cli.main import main
-
     os.chdir(line.place / "work")
     said = io.StringIO()
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-        code = main(list(line.words))
+        code = matcap(list(line.words))
     text = said.getvalue()
     if code not in (0, 2, 3, 4) or "Traceback" in text or "internal error" in text:
         return "fault", f"exit {code}: {text[-600:]}"
@@ -143,19 +145,11 @@ def answer(line: Line, tell: OnProgress) -> tuple[str, str]:
 
 def prepare() -> None:
     """Once a worker."""
-    import torch
-
     torch.set_num_threads(1)
 
 
 def write_place(place: Path) -> None:
     """A folder `work` with things to read, and beside it what must stay as it is."""
-    import cv2
-    import numpy as np
-    from random_maps import random_maps
-
-    from matcap.brdf.folder import MapSetInfo, write_mapset
-
     work = place / "work"
     work.mkdir(parents=True)
     write_material(work / "small.matcap")
