@@ -24,10 +24,10 @@ from matcap.example.interpolate import interpolated
 from matcap.example.variety import with_chosen_variety
 from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.render import render_rectified
 from matcap.space.decoder import Decoder, with_cells, with_drawing
 from matcap.space.drawing import Drawing
 from matcap.space.freeze import freeze
+from matcap.space.prior.sample import flash_picture
 from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave, find_lattice
 
@@ -161,13 +161,8 @@ def blend_waves(
 
 def strip(materials: Sequence[Material], size: int = 256, seed: int = 0) -> NDArray[np.float32]:
     """(size, size * N, 3) linear image: each material rendered under its own flash, in a row."""
-    pictures = []
-    for material in materials:
-        maps = material.maps(size, size, seed=seed)
-        with torch.inference_mode():
-            picture = render_rectified(maps, material.setup)
-        pictures.append(picture.permute(1, 2, 0).numpy())
-    return np.concatenate(pictures, axis=1)
+    pictures = [flash_picture(material, size, seed) for material in materials]
+    return torch.cat(pictures, dim=2).permute(1, 2, 0).numpy()
 
 
 def _blend_setups(first: FlashSetup, second: FlashSetup, share: float) -> FlashSetup:

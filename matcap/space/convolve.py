@@ -22,7 +22,6 @@ def convolve(
         parts: (B, C_i, H, W), in channels_last memory format.
         weights: (out, C_i, k, k), likewise.
         bias: (out,).
-        activate: apply the ReLU.
 
     Returns:
         (B, out, H - k + 1, W - k + 1), likewise.
@@ -47,8 +46,7 @@ def _convolve_fused(
     parts: Sequence[Tensor], weights: Sequence[Tensor], bias: Tensor, activate: bool
 ) -> Tensor:
     shape = ([0, 0], [1, 1], [1, 1], 1)  # padding, stride, dilation, groups
-    last = "relu" if activate else "none"
-    ends = [*["none"] * (len(parts) - 1), last]
+    ends = [*["none"] * (len(parts) - 1), "relu" if activate else "none"]
     total = torch.ops.mkldnn._convolution_pointwise(
         parts[0], weights[0], bias, *shape, ends[0], [], ""
     )

@@ -133,13 +133,10 @@ class ConvolutionLayer(nn.Module):
 
     def convolve(self, features: Tensor, periodic: bool) -> Tensor:
         """The convolution alone, of the input's size; zero padding where not periodic."""
-        kernel = self.convolution.weight.shape[-1]
-        if kernel == 1:
-            return F.conv2d(features, self.convolution.weight)
-        if periodic:
-            features = wrap(features)
-            return F.conv2d(features, self.convolution.weight)
-        return F.conv2d(features, self.convolution.weight, padding=1)
+        border = self.convolution.weight.shape[-1] // 2  # of 1 x 1 and 3 x 3 kernels
+        if periodic and border:
+            features, border = wrap(features), 0
+        return F.conv2d(features, self.convolution.weight, padding=border)
 
 
 class Decoder(nn.Module):
@@ -312,8 +309,6 @@ def ascend(
         skips: features of the way down, full resolution first.
         read: what each level reads besides features, or empty.
         up: layers by block, coarsest first.
-        head: the last layer.
-        periodic: upsample as a torus.
     """
     features = skips[-1]
     for level, block in zip(reversed(range(DEPTH)), up, strict=True):
@@ -328,11 +323,9 @@ def ascend(
 
 def upsample(features: Tensor, periodic: bool) -> Tensor:
     """(B, C, 2 H, 2 W) of (B, C, H, W), bilinear; as a torus where periodic."""
-    if not periodic:
-        return F.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)
-    padded = wrap(features)
+    padded = wrap(features) if periodic else features
     doubled = F.interpolate(padded, scale_factor=2, mode="bilinear", align_corners=False)
-    return doubled[..., 2:-2, 2:-2]
+    return doubled[..., 2:-2, 2:-2] if periodic else doubled
 
 
 def maps_from_raw(raw: Tensor, texel_size: float, *, periodic: bool = False) -> MapSet:

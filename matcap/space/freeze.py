@@ -8,11 +8,10 @@ around it alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.field.plane import Rectangle, Span
@@ -23,6 +22,7 @@ from matcap.space.decoder import (
     Decoder,
     DecoderConfig,
     Moments,
+    descend,
     upsample,
 )
 from matcap.space.drawing import Drawing
@@ -118,21 +118,26 @@ class FoldedDecoder:
 
     def to(self, device: torch.device) -> FoldedDecoder:
         """A copy on another device."""
-        down = tuple(tuple(layer.to(device) for layer in block) for block in self.down)
-        up = tuple(tuple(layer.to(device) for layer in block) for block in self.up)
-        return replace(self, down=down, up=up, head=self.head.to(device))
+        return replace(self._changed(lambda layer, _: layer.to(device)), head=self.head.to(device))
 
     def lowered(self, finest: int = 0) -> FoldedDecoder:
         """A copy that computes level `finest` and all coarser levels in bfloat16.
 
         The head stays in float32: its outputs are the maps, which need more than eight bits.
         """
+        return self._changed(
+            lambda layer, level: layer.to(torch.bfloat16) if level >= finest else layer
+        )
 
-        def lower(level: int, block: tuple[FoldedLayer, ...]) -> tuple[FoldedLayer, ...]:
-            return tuple(layer.to(torch.bfloat16) for layer in block) if level >= finest else block
-
-        down = tuple(lower(level, block) for level, block in enumerate(self.down))
-        up = tuple(lower(DEPTH - 1 - index, block) for index, block in enumerate(self.up))
+    def _changed(self, change: Callable[[FoldedLayer, int], FoldedLayer]) -> FoldedDecoder:
+        """A copy with each layer but the head changed, by the layer and its level."""
+        down = tuple(
+            tuple(change(layer, level) for layer in block) for level, block in enumerate(self.down)
+        )
+        up = tuple(
+            tuple(change(layer, DEPTH - 1 - index) for layer in block)
+            for index, block in enumerate(self.up)
+        )
         return replace(self, down=down, up=up)
 
     def decode(self, field: RandomField, rows: Spans, columns: Spans) -> Tensor:
@@ -149,13 +154,8 @@ class FoldedDecoder:
             return features[..., high, wide].contiguous(memory_format=torch.channels_last)
 
         waves = field.waves if self.has_waves else ()
-        features, skips = field.noise, []
-        for level, block in enumerate(self.down):
-            if level > 0:
-                features = F.max_pool2d(features, 2)
-            for layer in block:
-                features = layer(features)
-            skips.append(features)
+        skips = descend(field.noise, self.down)
+        features = skips[-1]
         covered = (rows.risen[DEPTH], columns.risen[DEPTH])
         for level, (first, *others) in zip(reversed(range(DEPTH)), self.up, strict=True):
             joined = (rows.joined[level], columns.joined[level])
@@ -176,7 +176,6 @@ def fold(
     """Fold a decoder's AdaIN into its convolutions.
 
     Args:
-        decoder: fine-tuned.
         code: (CODE_SIZE,) latent vector.
         moments: frozen statistics, one a layer.
         has_waves: keep the weights of lattice channels.

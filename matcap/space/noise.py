@@ -57,20 +57,13 @@ def noise_field(patch: Patch, channels: int) -> Tensor:
 
     Args:
         patch: of level 0.
-        channels: number of independent channels.
     """
     columns, rows = patch.places()
     return noise_at(patch.seed, channels, columns[None, :], rows[:, None])
 
 
 def noise_at(seed: int, channels: int, columns: Tensor, rows: Tensor) -> Tensor:
-    """noise_field at given texels.
-
-    Args:
-        seed: of the realisation.
-        channels: number of independent channels.
-        columns, rows: int64, broadcast to (height, width).
-    """
+    """noise_field at texels; columns and rows are int64, broadcast to (height, width)."""
     hashes = -(-channels // _CHANNELS_PER_HASH)
     chosen = keys(seed, 2 * hashes).tolist()
     # NumPy's: torch.broadcast_shapes imports PyTorch's compiler, which takes a third of a second.

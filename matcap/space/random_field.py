@@ -46,14 +46,17 @@ def random_field(
 
     Args:
         patch: of level 0; its sides, corner and period are multiples of 2^levels.
-        noise_channels: of white noise.
-        waves: of the lattice.
         levels: that have lattice channels.
-        cells: channels of cell noise.
-        structured: channels of structured noise.
     """
-    stack = tuple(lattice_field(patch.at_level(k), waves, cells)[None] for k in range(levels))
-    return RandomField(noise_of(patch, noise_channels, structured)[None], stack)
+    noise = noise_of(patch, noise_channels, structured)[None]
+    return RandomField(noise, lattice_levels(patch, waves, cells, levels))
+
+
+def lattice_levels(
+    patch: Patch, waves: tuple[Wave, ...], cells: int, levels: int
+) -> tuple[Tensor, ...]:
+    """Lattice channels of a patch at the finest `levels` levels; see RandomField.waves."""
+    return tuple(lattice_field(patch.at_level(k), waves, cells)[None] for k in range(levels))
 
 
 def noise_of(patch: Patch, white: int, structured: int) -> Tensor:
@@ -61,8 +64,7 @@ def noise_of(patch: Patch, white: int, structured: int) -> Tensor:
 
     Args:
         patch: of level 0.
-        white: channels of white noise.
-        structured: channels of structured noise, the first ones of structured_field.
+        white, structured: numbers of channels; structured ones are the first of structured_field.
     """
     noise = noise_field(patch, white)
     if not structured:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -25,25 +24,6 @@ from matcap.space.spans import Spans, spans_of
 from matcap.statistics.lattice import Wave
 
 
-class Seeded(Protocol):
-    """Inputs of a random field."""
-
-    @property
-    def seed(self) -> int:
-        """Seed of the realisation."""
-        ...
-
-    @property
-    def period(self) -> Period | None:
-        """Period along (x, y), texels; None if the field never repeats."""
-        ...
-
-    @property
-    def device(self) -> torch.device:
-        """Device that computes it."""
-        ...
-
-
 @dataclass(frozen=True)
 class BlockSpans:
     """A block, and the spans of every level that decoding it reads."""
@@ -51,6 +31,11 @@ class BlockSpans:
     block: Rectangle
     rows: Spans
     columns: Spans
+
+    def rectangle(self, rows: Span, columns: Span, level: int = 0) -> Rectangle:
+        """The field's texels that spans of a level cover, in texels of that level."""
+        x, y = (self.block.x >> level) + columns.start, (self.block.y >> level) + rows.start
+        return Rectangle(x, y, columns.size, rows.size)
 
 
 def spans_of_block(block: Rectangle, convolutions: tuple[int, int]) -> BlockSpans:
@@ -61,40 +46,33 @@ def spans_of_block(block: Rectangle, convolutions: tuple[int, int]) -> BlockSpan
     return BlockSpans(block, rows, columns)
 
 
-def read_noise(source: Seeded, spans: BlockSpans, white: int, structured: int = 0) -> Tensor:
+def read_noise(source: DecoderSource, spans: BlockSpans) -> Tensor:
     """(1, white + structured, H, W) noise of a block's spans."""
-    columns, rows = spans.columns.down[0], spans.rows.down[0]
-    x, y = spans.block.x + columns.start, spans.block.y + rows.start
-    part = Rectangle(x, y, columns.size, rows.size)
+    part = spans.rectangle(spans.rows.down[0], spans.columns.down[0])
     patch = Patch(source.seed, part, period=source.period, device=source.device)
-    return noise_of(patch, white, structured)[None]
+    decoder = source.decoder
+    return noise_of(patch, decoder.noise_channels, decoder.structured_channels)[None]
 
 
-def read_lattice(
-    source: Seeded, spans: BlockSpans, waves: tuple[Wave, ...], cells: int
-) -> tuple[Tensor, ...]:
+def read_lattice(source: DecoderSource, spans: BlockSpans) -> tuple[Tensor, ...]:
     """Per level (1, WAVE_CHANNELS + cells, H, W) lattice channels of a block's spans, if any."""
-    if not waves:
+    if not source.waves:
         return ()
     stack = []
-    for level, (columns, rows) in enumerate(
-        zip(spans.columns.joined, spans.rows.joined, strict=True)
-    ):
-        x, y = (spans.block.x >> level) + columns.start, (spans.block.y >> level) + rows.start
-        part = Rectangle(x, y, columns.size, rows.size)
+    for level, reached in enumerate(zip(spans.rows.joined, spans.columns.joined, strict=True)):
+        part = spans.rectangle(*reached, level)
         patch = Patch(source.seed, part, level, source.period, source.device)
-        field = lattice_field(patch, waves, cells)
+        field = lattice_field(patch, source.waves, source.decoder.cells)
         stack.append(field[None].contiguous(memory_format=torch.channels_last))
     return tuple(stack)
 
 
-def read_drawing(source: Seeded, spans: BlockSpans, drawing: Drawing | None) -> tuple[Tensor, ...]:
+def read_drawing(source: DecoderSource, spans: BlockSpans) -> tuple[Tensor, ...]:
     """Per level (1, DRAWING_CHANNELS, H, W) of a block's spans; empty without a drawing."""
-    if drawing is None:
+    if source.drawing is None:
         return ()
     rows, columns = _reached(spans.rows.joined), _reached(spans.columns.joined)
-    x, y = spans.block.x + columns.start, spans.block.y + rows.start
-    levels = drawing.levels(source.seed, Rectangle(x, y, columns.size, rows.size), source.period)
+    levels = source.drawing.levels(source.seed, spans.rectangle(rows, columns), source.period)
     stack = []
     for k, plane in enumerate(levels):
         high, wide = (
@@ -158,13 +136,8 @@ class DecoderSource:
             return self._lying().maps(_lying(block)).rot90(-1, (1, 2)).contiguous()
         spans = spans_of_block(block, self.decoder.convolutions)
         with torch.inference_mode(), repeatable(self.device):
-            field = RandomField(
-                read_noise(
-                    self, spans, self.decoder.noise_channels, self.decoder.structured_channels
-                ),
-                read_lattice(self, spans, self.waves, self.decoder.cells),
-                read_drawing(self, spans, self.drawing),
-            )
+            noise, lattice = read_noise(self, spans), read_lattice(self, spans)
+            field = RandomField(noise, lattice, read_drawing(self, spans))
             raw = self.decoder.decode(field, spans.rows, spans.columns)[0].contiguous()
             # Vectorised sigmoids round the last few texels of a row differently. They must see
             # whole blocks, so that a texel has the same bits whatever rectangle is read.

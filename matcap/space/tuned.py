@@ -89,16 +89,8 @@ class TunedDecoder:
         """
         check_seed(seed)
         check_period(period, self.alignment)
-        decoder = self.folded.to(device)
-        return DecoderSource(
-            decoder,
-            self.waves,
-            self.texel_size,
-            seed,
-            period,
-            drawing=self.drawing,
-            turned=self.turned,
-        )
+        field = (self.folded.to(device), self.waves, self.texel_size, seed, period)
+        return DecoderSource(*field, drawing=self.drawing, turned=self.turned)
 
     def varied(self, variety: float) -> TunedDecoder:
         """Decoders have no variety.
@@ -148,7 +140,6 @@ def read(about: Mapping[str, Any], file: safe_open, path: Path) -> TunedDecoder 
     Args:
         about: the file's JSON description.
         file: opened for PyTorch.
-        path: of the file.
 
     Raises:
         MatcapError: a tensor is missing or of a wrong shape.

@@ -34,7 +34,6 @@ def numbers(coarse: CoarseFit, contrast: Tensor, detail: int) -> Tensor:
     """(NUMBERS,) parameters of the coarse fit, each about standard normal.
 
     Args:
-        coarse: the fit.
         contrast: (3,) from tuning.start.log_contrast.
         detail: texels across the photograph.
     """

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from torch import Tensor, nn
+from torch import Tensor
 
 from matcap.errors import MatcapError, UsageError
 from matcap.field.draw_options import SPREAD
@@ -49,6 +49,9 @@ SHIPPED = Path(__file__).parent / "weights" / "prior.safetensors"
 
 _MOST_ANCHORS = 1_000_000  # limits the memory that a hostile file can claim
 DETAIL = 1024  # texels across two plane units of a drawn material
+_MEAN_SHAPES = {
+    "matrix": (VARYING, CODE_SIZE), "offset": (VARYING,), "spread": (VARYING, VARYING),
+}  # fmt: skip
 _REMEDY = "install matcap again, or train a prior with `matcap prior train`"
 
 
@@ -148,7 +151,7 @@ class Prior:
         """Write the file in half precision, atomically."""
         tensors = {
             f"{part}.{name}": tensor.half()
-            for part, module in self._modules().items()
+            for part, module in (("encoder", self.encoder), ("decoder", self.decoder))
             for name, tensor in module.state_dict().items()
         }
         for name, tensor in vars(self.conditional_mean).items():
@@ -164,9 +167,6 @@ class Prior:
             "about": dict(self.about),
         }
         write_tensors(path, tensors, {"matcap": json.dumps(about)})
-
-    def _modules(self) -> dict[str, nn.Module]:
-        return {"encoder": self.encoder, "decoder": self.decoder}
 
 
 def load_prior(path: Path | None = None) -> Prior:
@@ -184,25 +184,14 @@ def load_prior(path: Path | None = None) -> Prior:
             about = _about(file.metadata(), path)
             stored = StoredTensors(file, path, _REMEDY)
             encoder = Encoder(_encoder_config(about["encoder"]))
-            prior = Prior(
-                encoder=encoder,
-                decoder=empty_decoder(decoder_config(about["decoder"])),
-                conditional_mean=ConditionalMean(
-                    *(
-                        stored.tensor(f"habits.{name}", shape)
-                        for name, shape in (
-                            ("matrix", (VARYING, CODE_SIZE)),
-                            ("offset", (VARYING,)),
-                            ("spread", (VARYING, VARYING)),
-                        )
-                    )
-                ),
+            decoder = empty_decoder(decoder_config(about["decoder"]))
+            return Prior(
+                encoder=stored.load(encoder, "encoder."),
+                decoder=stored.load(decoder, "decoder."),
+                conditional_mean=ConditionalMean(**_tensors(stored, "habits", _MEAN_SHAPES)),
                 about=about["about"],
                 anchors=_anchors(stored, int(about.get("anchors", 0))),
             )
-            for part, module in prior._modules().items():
-                stored.load(module, f"{part}.")
-            return prior
     except (SafetensorError, OSError) as error:
         raise MatcapError.at(
             path, f"this is not a prior, or it is damaged ({error})", _REMEDY
@@ -220,7 +209,13 @@ def _anchors(stored: StoredTensors, count: int) -> Anchors | None:
     if not 0 < count <= _MOST_ANCHORS:
         raise ValueError(f"{count} anchors")
     shapes = {"codes": (count, CODE_SIZE), "rests": (count, VARYING), "waves": (count, 2, 2)}
-    return Anchors(**{name: stored.tensor(f"anchors.{name}", s) for name, s in shapes.items()})
+    return Anchors(**_tensors(stored, "anchors", shapes))
+
+
+def _tensors(
+    stored: StoredTensors, part: str, shapes: Mapping[str, tuple[int, ...]]
+) -> dict[str, Tensor]:
+    return {name: stored.tensor(f"{part}.{name}", shape) for name, shape in shapes.items()}
 
 
 def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:

@@ -33,18 +33,13 @@ def self_difference(windows: Windows, weights: Weights) -> float:
 
     Args:
         windows: of one photograph.
-        weights: of the statistics.
     """
     first, second = side_by_side(windows.points, windows.size)
     if not len(first):
         return math.nan
     target = windows.target
-    difference = distance(
-        target.select(first),
-        target.select(second),
-        replace(weights, mean=0.0),
-    )
-    return float(difference.mean())
+    pairs = target.select(first), target.select(second)
+    return float(distance(*pairs, replace(weights, mean=0.0)).mean())
 
 
 def forecast(history: History, seconds: float) -> float | None:
@@ -53,8 +48,7 @@ def forecast(history: History, seconds: float) -> float | None:
     Never more than the present error, as the best decoder is kept; None with too few steps.
 
     Args:
-        history: of fine-tuning.
-        seconds: after its end.
+        seconds: after the history's end.
     """
     if not history:
         return None

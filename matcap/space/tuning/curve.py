@@ -18,7 +18,6 @@ def draw_history(history: History, self_difference: float = math.nan) -> Image.I
     """Draw the error over seconds.
 
     Args:
-        history: of fine-tuning.
         self_difference: of the photograph, drawn as a line unless NaN.
     """
     picture = Image.new("RGB", _SIZE, _PAPER)

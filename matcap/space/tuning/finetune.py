@@ -14,7 +14,7 @@ the best decoder so far (rollback.py).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -26,7 +26,7 @@ from matcap.space.decoder import DEPTH, Decoder, DecoderConfig, Moments, maps_fr
 from matcap.space.freeze import freeze
 from matcap.space.noise import wrap64
 from matcap.space.patch import Patch
-from matcap.space.random_field import RandomField, random_field
+from matcap.space.random_field import RandomField, lattice_levels, noise_of
 from matcap.space.tuning.likeness import PhotographTarget, compare_windows, render_windows, shuffled
 from matcap.space.tuning.penalty import Penalties, price
 from matcap.space.tuning.renormalise import Renormalisation
@@ -89,10 +89,7 @@ def finetune(
     """Fine-tune a decoder to a photograph, in place.
 
     Args:
-        decoder: to start from; it is changed.
         code: (CODE_SIZE,) latent vector, fixed.
-        scene: the photograph.
-        settings: limits, rates and penalties.
         report: called after every step.
     """
     if not settings.steps:
@@ -156,16 +153,11 @@ def decode_window(
     size = scene.windows.size
     margin = MARGIN if scene.waves or lesson else 0
     full = size + 2 * margin
-    noise = random_field(
-        Patch(seed, Rectangle(0, 0, full, full), period=(full, full)),
-        config.noise_channels,
-        (),
-        levels=0,
-        structured=config.structured_channels,
-    ).noise
-    waves = random_field(
-        Patch(seed, Rectangle(0, 0, full, full)), 1, scene.waves, levels=DEPTH, cells=config.cells
-    ).waves
+    patch = Patch(seed, Rectangle(0, 0, full, full))
+    noise = noise_of(
+        replace(patch, period=(full, full)), config.noise_channels, config.structured_channels
+    )[None]
+    waves = lattice_levels(patch, scene.waves, config.cells, DEPTH)
     with torch.autocast("cpu", torch.bfloat16, enabled=half_precision and computes_bfloat16()):
         drawing = () if lesson is None else lesson.drawing
         raw = decode(RandomField(noise, waves, drawing))

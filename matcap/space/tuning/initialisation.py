@@ -50,10 +50,7 @@ def initial_decoder(
 
     Args:
         pixels: (H, W, 3) linear, of the photograph as taken.
-        coarse: its coarse fit.
-        plane: the photograph rectified.
-        target: of fine-tuning.
-        tune: settings of fine-tuning.
+        coarse, plane: of the photograph, the plane at the capture's resolution.
         prior: "auto" (the shipped one), "none" (a random decoder) or a file.
         shape: configuration of a random decoder.
         search: tune several random decoders for a few steps each and take the best.

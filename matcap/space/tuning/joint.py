@@ -36,8 +36,7 @@ def join(
     """Add the windows of other photographs to a target; also a JSON entry of each one's fit.
 
     Args:
-        scene: target of the first photograph.
-        coarse: fit of the first photograph.
+        scene, coarse: of the first photograph.
         others: more photographs of the same sample, with their fits.
         detail: texels across each.
 

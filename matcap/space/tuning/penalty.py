@@ -50,9 +50,7 @@ def price(maps: MapSet, expected: Tensor | None, weights: Penalties, share: floa
     """Penalty of maps (B, ., H, W), a differentiable scalar.
 
     Args:
-        maps: of one step.
         expected: (5,) logits of the coarse fit's diffuse albedo, F0 and roughness, or None.
-        weights: of the terms.
         share: completed share of the steps, in [0, 1].
     """
     normal = maps.normal

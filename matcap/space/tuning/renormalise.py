@@ -36,16 +36,8 @@ class Renormalisation:
         def adapt(layer: ConvolutionLayer, features: Tensor) -> Tensor:
             ratio, shift = self._correction(layer, features.detach().float(), wide)
             mean, deviation = (target.float() for target in layer.adain.target(code))
-            return F.batch_norm(
-                features,
-                None,
-                None,
-                deviation * ratio,
-                mean + deviation * shift,
-                True,
-                0.0,
-                EPSILON,
-            )
+            scale, offset = deviation * ratio, mean + deviation * shift
+            return F.batch_norm(features, None, None, scale, offset, True, 0.0, EPSILON)
 
         return decoder.run(field, adapt)
 

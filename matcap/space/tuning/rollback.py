@@ -47,7 +47,6 @@ class Rollback:
 
         Args:
             loss: texture distance, whose running mean is the error.
-            penalty: added to the loss.
             pace: share of the learning rate.
         """
         self._step += 1
@@ -60,7 +59,10 @@ class Rollback:
             parameters = self.decoder.parameters()
             slope = float(torch.nn.utils.clip_grad_norm_(parameters, _LONGEST_GRADIENT))
         if not math.isfinite(slope):
-            self._back()
+            self.decoder.load_state_dict(self._best)
+            self.error = self._best_error if math.isfinite(self._best_error) else math.nan
+            self._rate *= 0.5
+            self._optimiser = Adam(self.decoder)
             return False
         self._optimiser.step(self._rate * pace)
         smoothing = max(_SMOOTHING, 1.0 / self._step)
@@ -75,12 +77,6 @@ class Rollback:
         """Restore the best decoder."""
         if self._best_error < self.error:
             self.decoder.load_state_dict(self._best)
-
-    def _back(self) -> None:
-        self.decoder.load_state_dict(self._best)
-        self.error = self._best_error if math.isfinite(self._best_error) else math.nan
-        self._rate *= 0.5
-        self._optimiser = Adam(self.decoder)
 
 
 class Adam:

@@ -67,11 +67,8 @@ def untrained(
     """A random decoder with the mean maps of a coarse fit; for the latent vector zero.
 
     Args:
-        config: of the decoder.
-        coarse: the fit.
         contrast: (3,) from log_contrast.
         seed: of the weights.
-        kind: class of the decoder.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
