@@ -26,7 +26,6 @@ from matcap.view.moments import (
     edged,
     halved,
     moments_of,
-    wrapped,
 )  # fmt: skip
 
 if TYPE_CHECKING:
@@ -154,13 +153,10 @@ class NetworkLevels:
             return self._mixed(level, area)
         wanted = _finest(level, area)
         block = _aligned(wanted, self.material.alignment)
-        stacked = self._decoded(block)
+        stacked = self.source.maps(block).numpy()
         x, y = wanted.x - block.x, wanted.y - block.y
         cut = stacked[:, y : y + wanted.height + 2 * RING, x : x + wanted.width + 2 * RING]
         return _coarser(moments_of(cut, self.texel_size), level)
-
-    def _decoded(self, block: Rectangle) -> Planes:
-        return self.source.maps(block).numpy()
 
     @cached_property
     def _tile(self) -> Pyramid:
@@ -206,11 +202,6 @@ class NetworkLevels:
         for part in (mixed[:SLOPE_X], mixed[SQUARES]):
             np.maximum(part, np.float32(1e-9), out=part)
         return mixed
-
-
-def from_maps(stacked: Planes, texel_size: float) -> Pyramid:
-    """Mip levels of a map set, which repeats beyond its borders."""
-    return Pyramid(moments_of(wrapped(stacked), texel_size))
 
 
 def _cells(start: int, count: int, size: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

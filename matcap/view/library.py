@@ -32,7 +32,11 @@ class Library:
 
     def shelf(self) -> list[dict[str, str]]:
         """Name of each file, rating and sentence of its verdict or "", in their order."""
-        return [_entry(file) for file in self.files]
+        return [
+            {"name": file.stem, "rating": rating, "sentence": sentence}
+            for file in self.files
+            for rating, sentence in (read_verdict(file.parent) or ("", ""),)
+        ]
 
     def subject(self, first: int, second: int | None = None) -> Materials:
         """Open a material, or two to compare; the last _OPENED are cached.
@@ -85,11 +89,6 @@ def find_library(path: Path) -> list[Path]:
     if len(own) == 1:
         return []
     return [*own, *sorted(path.glob("*/*.matcap"))]
-
-
-def _entry(file: Path) -> dict[str, str]:
-    rating, sentence = read_verdict(file.parent) or ("", "")
-    return {"name": file.stem, "rating": rating, "sentence": sentence}
 
 
 def numbers(name: str, count: int) -> tuple[int, int | None] | None:

@@ -54,11 +54,6 @@ def edged(stacked: Planes) -> Planes:
     return grown
 
 
-def wrapped(stacked: Planes) -> Planes:
-    """Pad stacked maps by RING texels, circularly."""
-    return np.pad(stacked, ((0, 0), (RING, RING), (RING, RING)), mode="wrap")
-
-
 def mean_of(moments: Planes) -> tuple[float, ...]:
     """Mean of each plane."""
     return tuple(float(one) for one in moments.mean(axis=(1, 2), dtype=np.float64))

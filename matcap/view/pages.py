@@ -112,20 +112,16 @@ class Pages:
         self._makers.shutdown(wait=True, cancel_futures=True)
 
     def _make(self, place: Place) -> Page:
-        area, step = place.area, 1 << check_level(place.level)
-        if max(abs(area.x), abs(area.y)) * step > COORDINATE_LIMIT:
+        area, level = place.area, place.level
+        if not 0 <= level <= MOST_LEVEL:
+            says = f"there is no level {level}"
+            raise UsageError(says, remedy=f"give one from 0 to {MOST_LEVEL}")
+        if max(abs(area.x), abs(area.y)) << level > COORDINATE_LIMIT:
             raise UsageError("this page lies beyond 2^40 texels", remedy="stay nearer")
         moments, texel_size = self._subject.moments(
-            place.level, area, seed=place.seed, share=place.share, piece=place.piece
+            level, area, seed=place.seed, share=place.share, piece=place.piece
         )
         return packed(moments, texel_size)
-
-
-def check_level(level: int) -> int:
-    """Return the level; raise UsageError outside [0, MOST_LEVEL]."""
-    if not 0 <= level <= MOST_LEVEL:
-        raise UsageError(f"there is no level {level}", remedy=f"give one from 0 to {MOST_LEVEL}")
-    return level
 
 
 def packed(moments: Planes, texel_size: float) -> Page:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import webbrowser
 from collections.abc import Callable
@@ -83,16 +84,11 @@ def listen(port: int) -> socket.socket:
     Raises:
         MatcapError: the port is taken or needs permission.
     """
-    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listening.bind((HOST, port))
-        listening.listen(64)
+        return socket.create_server((HOST, port), backlog=64)
     except OSError as error:
-        listening.close()
         raise MatcapError.at(
             "--port",
-            f"the port {port} cannot be used ({error.strerror})",
+            f"the port {port} cannot be used ({os.strerror(error.errno or 0)})",
             "choose another, or leave it out",
         ) from error
-    return listening

@@ -7,6 +7,8 @@ from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
+
 from matcap.errors import UsageError
 from matcap.example.example import Example
 from matcap.field.options import AS_IT_IS, ReadOptions
@@ -79,7 +81,6 @@ class Viewable(Protocol):
     @property
     def facts(self) -> ViewFacts:
         """Description for the page."""
-        ...
 
     def moments(
         self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
@@ -96,7 +97,6 @@ class Viewable(Protocol):
         Raises:
             UsageError: a seed or share out of range, or no exemplar.
         """
-        ...
 
 
 class Materials:
@@ -231,9 +231,12 @@ class Maps:
 
     @cached_property
     def _pyramid(self) -> Pyramid:
-        from matcap.view.level_of_detail import from_maps
+        from matcap.view.level_of_detail import Pyramid
+        from matcap.view.moments import RING, moments_of
 
-        return from_maps(self.maps.stacked().numpy(), self.maps.texel_size)
+        around = ((0, 0), (RING, RING), (RING, RING))
+        wrapped = np.pad(self.maps.stacked().numpy(), around, mode="wrap")
+        return Pyramid(moments_of(wrapped, self.maps.texel_size))
 
 
 def _no_piece() -> UsageError:

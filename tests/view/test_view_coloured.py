@@ -10,14 +10,23 @@ import torch
 from example.exemplars import an_example
 from four_metals import METALS, metal, repeated, side_by_side
 from materials import a_material
-from shown import HEIGHT, STEP, WIDTH, around, expected, inner, picture, room_light
+from shown import (
+    HEIGHT,
+    SETUP,
+    STEP,
+    WIDTH,
+    around,
+    expected,
+    inner,
+    of_the_piece,
+    picture,
+    room_light,
+    under_flash,
+)  # fmt: skip
 
 from matcap.brdf.adjust import adjusted, parse_adjustments
-from matcap.capture.piece.find import map_set_of
 from matcap.example.example import Example
 from matcap.field.plane import Rectangle
-from matcap.flash.geometry import FlashSetup
-from matcap.flash.render import render_rectified
 from matcap.relight.output import encode
 from matcap.relight.scene import Film
 from matcap.view.document import sealed_page
@@ -33,9 +42,6 @@ testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' no
 server = pytest.importorskip("matcap.view.server")
 
 ADDRESS = server.Address(8123, "secret-token")
-SETUP = FlashSetup(
-    60.0, (0.1, 0.05, 0.0), (0.03, -0.04), (5.0, 4.5, 4.0), 0.3, vignetting_centre=(0.1, -0.3)
-)
 HIGH, GRAZING = (-0.25, 0.2, 1.0), (-0.9, 0.3, 0.15)
 
 
@@ -264,13 +270,6 @@ def test_an_endless_field_from_its_file_and_enclosed(tab, served, tmp_path):
     assert np.abs(shown - wanted).max() <= 2 * STEP
 
 
-def of_the_piece(shown, exemplar):
-    """What a picture that is a texel a pixel shows of the piece."""
-    wide, tall = exemplar.size
-    left, top = WIDTH // 2 - wide // 2, HEIGHT // 2 - tall // 2
-    return shown[top : top + tall, left : left + wide]
-
-
 def test_the_piece_under_its_own_flash_as_the_capture_renders_it(tab, served):
     material = golden()
     exemplar = material.part(Example).exemplar
@@ -282,9 +281,8 @@ def test_the_piece_under_its_own_flash_as_the_capture_renders_it(tab, served):
         middle = {"span": WIDTH, "x": home["x"], "y": home["y"]}
         shown = picture(page, left="flash", right="piece", wipe=1, **middle)
         relit = picture(page, left="flash", right="piece", wipe=0, lamp=HIGH, **middle)
-    flash = render_rectified(map_set_of(exemplar), SETUP).movedim(0, -1).numpy()
-    off = np.abs(of_the_piece(shown, exemplar) - encode(flash, Film()))[2:-2, 2:-2]
-    assert off.max() <= 2 * STEP
+    flash = encode(under_flash(exemplar), Film())
+    assert np.abs(of_the_piece(shown, exemplar) - flash)[2:-2, 2:-2].max() <= 2 * STEP
     assert np.ptp(of_the_piece(relit, exemplar), axis=2).max() > 20 * STEP
 
 
@@ -315,8 +313,7 @@ def test_the_enclosed_piece_has_its_colour(tab, tmp_path):
     exemplar = golden_exemplar()
     home = page.ask("matcap.view.initial()")
     shown = picture(page, left="flash", right="piece", wipe=1, span=WIDTH, x=home["x"], y=home["y"])
-    flash = render_rectified(map_set_of(exemplar), SETUP).movedim(0, -1).numpy()
-    off = np.abs(of_the_piece(shown, exemplar) - encode(flash, Film()))[2:-2, 2:-2]
+    off = np.abs(of_the_piece(shown, exemplar) - encode(under_flash(exemplar), Film()))[2:-2, 2:-2]
     assert np.quantile(off, 0.99) <= 6 * STEP  # a JPEG, and steps
 
 

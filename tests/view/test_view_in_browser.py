@@ -19,24 +19,24 @@ from PIL import Image
 from shown import (
     HEIGHT,
     LAMP,
+    SETUP,
     STEP,
     WIDTH,
     all_around,
     around,
     expected,
     inner,
+    of_the_piece,
     picture,
     room_light,
+    under_flash,
 )  # fmt: skip
 
 from matcap.brdf.adjust import adjusted, parse_adjustments
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
-from matcap.capture.piece.find import map_set_of
 from matcap.example.example import Example
 from matcap.files.exr import write_exr
 from matcap.files.srgb import srgb_decode, srgb_picture
-from matcap.flash.geometry import FlashSetup
-from matcap.flash.render import render_rectified
 from matcap.relight.output import encode
 from matcap.relight.scene import EnvironmentLight, Film
 from matcap.space.between import blend
@@ -62,6 +62,14 @@ def address(subject, served):
 def page(address, shared_tab):
     """One page for all that only look at pictures."""
     return shared_tab(address.url)
+
+
+@pytest.fixture
+def own(tab, address):
+    """A page of one's own, all of it there."""
+    page = tab(address.url)
+    page.loaded()
+    return page
 
 
 @pytest.mark.parametrize(("x", "y", "span", "exposure"), PLANES)
@@ -214,11 +222,9 @@ def expected_diffuse(maps):
     return encode(values, Film())
 
 
-def test_nothing_is_fetched_from_elsewhere(tab, address):
-    page = tab(address.url)
-    page.loaded()
-    assert {urlsplit(url).netloc for url in page.shown()} == {f"127.0.0.1:{address.port}"}
-    assert all(urlsplit(url).path.startswith(f"/{address.token}/") for url in page.shown())
+def test_nothing_is_fetched_from_elsewhere(own, address):
+    assert {urlsplit(url).netloc for url in own.shown()} == {f"127.0.0.1:{address.port}"}
+    assert all(urlsplit(url).path.startswith(f"/{address.token}/") for url in own.shown())
 
 
 def test_first_picture_within_two_seconds(tab, subject, served):
@@ -319,30 +325,28 @@ def test_zooming_has_no_end_but_single_texels_and_a_thousand_million(page, mater
     assert np.abs(texels[HEIGHT // 2, WIDTH // 2] - here).max() <= 2 * STEP
 
 
-def test_keys_pointer_and_wheel(tab, address):
-    page = tab(address.url)
-    page.loaded()
-    before = page.ask("matcap.view.state")
-    page.page.focus("#canvas")
+def test_keys_pointer_and_wheel(own):
+    before = own.ask("matcap.view.state")
+    own.page.focus("#canvas")
     for key in ("ArrowRight", "Shift+ArrowUp", "+", "]", "n", "s", "3", "l"):
-        page.page.keyboard.press(key)
-    after = page.ask("matcap.view.state")
+        own.page.keyboard.press(key)
+    after = own.ask("matcap.view.state")
     assert after["x"] == pytest.approx(before["x"] + before["span"] / 20)
     assert after["lamp"][1] == pytest.approx(before["lamp"][1] + 0.1)
     assert after["span"] == pytest.approx(before["span"] * 0.8)
     assert (after["exposure"], after["seed"]) == (0.25, before["seed"] + 1)
     assert (after["shape"], after["map"], after["light"]) == ("sphere", "specular", "studio")
-    page.page.keyboard.press("Home")
-    page.page.mouse.move(130, 250)
-    assert page.ask("matcap.view.state.lamp[0]") < -0.3
-    page.page.mouse.down()
-    page.page.mouse.move(230, 250, steps=3)
-    page.page.mouse.up()
-    assert page.ask("matcap.view.state.x") < before["x"] - 50
-    page.page.mouse.wheel(0, -400)
-    page.until(f"matcap.view.state.span < {before['span'] * 0.6}")
-    page.loaded()
-    assert "texels across" in page.page.get_attribute("#canvas", "aria-label")
+    own.page.keyboard.press("Home")
+    own.page.mouse.move(130, 250)
+    assert own.ask("matcap.view.state.lamp[0]") < -0.3
+    own.page.mouse.down()
+    own.page.mouse.move(230, 250, steps=3)
+    own.page.mouse.up()
+    assert own.ask("matcap.view.state.x") < before["x"] - 50
+    own.page.mouse.wheel(0, -400)
+    own.until(f"matcap.view.state.span < {before['span'] * 0.6}")
+    own.loaded()
+    assert "texels across" in own.page.get_attribute("#canvas", "aria-label")
 
 
 def test_two_fingers_zoom_and_move(tab, address):
@@ -380,17 +384,15 @@ def test_two_fingers_zoom_and_move(tab, address):
     page.loaded()
 
 
-def test_full_screen_comes_and_goes(tab, address):
-    page = tab(address.url)
-    page.loaded()
-    page.page.click("#large")
-    page.until("document.fullscreenElement === document.getElementById('stage')")
-    page.until("matcap.view.canvas.clientWidth === innerWidth")
-    page.loaded()
-    page.page.keyboard.press("b")
-    page.until("!document.fullscreenElement")
-    page.until("matcap.view.canvas.clientWidth < innerWidth")
-    page.loaded()
+def test_full_screen_comes_and_goes(own):
+    own.page.click("#large")
+    own.until("document.fullscreenElement === document.getElementById('stage')")
+    own.until("matcap.view.canvas.clientWidth === innerWidth")
+    own.loaded()
+    own.page.keyboard.press("b")
+    own.until("!document.fullscreenElement")
+    own.until("matcap.view.canvas.clientWidth < innerWidth")
+    own.loaded()
 
 
 def test_no_mode_complains(tab, served):
@@ -430,14 +432,12 @@ def test_every_control_has_a_name(page):
     assert nameless == []
 
 
-def test_saved_picture_is_what_is_shown(tab, address):
-    page = tab(address.url)
-    page.loaded()
-    with page.page.expect_download() as download:
-        page.page.click("#save")
+def test_saved_picture_is_what_is_shown(own):
+    with own.page.expect_download() as download:
+        own.page.click("#save")
     saved = download.value
     assert saved.suggested_filename == "test_plane_lit_seed0.png"
-    size = page.ask("[matcap.view.canvas.width, matcap.view.canvas.height]")
+    size = own.ask("[matcap.view.canvas.width, matcap.view.canvas.height]")
     with Image.open(saved.path()) as stored:
         assert stored.size == tuple(size)
 
@@ -473,19 +473,17 @@ def test_adjustments_as_relight_draws_them(page, material):
         assert np.quantile(np.abs(shown - wanted)[inner(seen)], 0.999) <= most
 
 
-def test_sliders_adjust_and_say_how_commands_would(tab, address):
-    page = tab(address.url)
-    page.loaded()
-    page.page.click("#adjusting summary")
-    page.page.fill("#relief", "1.5")
-    page.page.fill("#roughness", "-0.1")
-    assert page.page.inner_text("#adjust-text") == "--adjust relief=1.5,roughness=-0.1"
-    with page.page.expect_download() as download:
-        page.page.click("#sidecar")
+def test_sliders_adjust_and_say_how_commands_would(own):
+    own.page.click("#adjusting summary")
+    own.page.fill("#relief", "1.5")
+    own.page.fill("#roughness", "-0.1")
+    assert own.page.inner_text("#adjust-text") == "--adjust relief=1.5,roughness=-0.1"
+    with own.page.expect_download() as download:
+        own.page.click("#sidecar")
     kept = parse_adjustments(str(renamed(download.value, "kept.json")))
     assert kept.text == "relief=1.5,roughness=-0.1"
-    page.page.click("#unadjust")
-    assert page.page.inner_text("#adjust-text") == ""
+    own.page.click("#unadjust")
+    assert own.page.inner_text("#adjust-text") == ""
 
 
 def renamed(download, name):
@@ -494,54 +492,48 @@ def renamed(download, name):
     return path
 
 
-def test_the_address_keeps_the_view(tab, address):
-    page = tab(address.url)
-    page.loaded()
-    page.ask("""matcap.set({shape: "sphere", map: "normal", x: 700.5, seed: 4, exposure: -1,
+def test_the_address_keeps_the_view(own, address):
+    own.ask("""matcap.set({shape: "sphere", map: "normal", x: 700.5, seed: 4, exposure: -1,
       lamp: [0.1, 0.2, 0.7], adjust: {...matcap.view.state.adjust, relief: 2}})""")
-    before = page.ask("matcap.view.state")
-    page.until("location.hash.includes('relief')")
-    page.page.reload()
-    page.loaded()
-    assert page.ask("matcap.view.state") == before
-    page.page.goto(address.url + "#shape=cube&seed=1.5&x=what&lamp=1&adjust=relief%3D-4")
-    page.page.reload()
-    page.loaded()
-    assert page.ask("matcap.view.state") == page.ask("matcap.view.initial()")
+    before = own.ask("matcap.view.state")
+    own.until("location.hash.includes('relief')")
+    own.page.reload()
+    own.loaded()
+    assert own.ask("matcap.view.state") == before
+    own.page.goto(address.url + "#shape=cube&seed=1.5&x=what&lamp=1&adjust=relief%3D-4")
+    own.page.reload()
+    own.loaded()
+    assert own.ask("matcap.view.state") == own.ask("matcap.view.initial()")
 
 
-def test_an_invalid_seed_is_said(tab, address):
-    page = tab(address.url)
-    page.loaded()
+def test_an_invalid_seed_is_said(own):
     for wrong in ("1.5", "many", "", "99999999999999999999"):
-        page.page.fill("#seed", wrong)
-        page.page.press("#seed", "Enter")
-        page.page.locator("#seed").blur()
-        assert "whole number" in page.page.inner_text("#seed-trouble"), wrong
-    assert page.ask("matcap.view.state.seed") == 0
-    page.page.fill("#seed", "-12")
-    page.page.locator("#seed").blur()
-    assert page.ask("matcap.view.state.seed") == -12
-    assert not page.page.is_visible("#seed-trouble")
-    page.loaded()
+        own.page.fill("#seed", wrong)
+        own.page.press("#seed", "Enter")
+        own.page.locator("#seed").blur()
+        assert "whole number" in own.page.inner_text("#seed-trouble"), wrong
+    assert own.ask("matcap.view.state.seed") == 0
+    own.page.fill("#seed", "-12")
+    own.page.locator("#seed").blur()
+    assert own.ask("matcap.view.state.seed") == -12
+    assert not own.page.is_visible("#seed-trouble")
+    own.loaded()
 
 
-def test_the_hint_goes_with_the_first_drag_and_keys_fit_their_panel(tab, address):
-    page = tab(address.url)
-    page.loaded()
-    assert "drag to wander" in page.page.inner_text("#hint")
-    page.page.mouse.move(200, 200)
-    page.page.mouse.down()
-    page.page.mouse.move(240, 210, steps=2)
-    page.page.mouse.up()
-    assert page.ask("document.getElementById('hint').className") == "gone"
-    page.page.keyboard.press("?")
-    box = page.page.locator("#keys-dialog").bounding_box()
+def test_the_hint_goes_with_the_first_drag_and_keys_fit_their_panel(own):
+    assert "drag to wander" in own.page.inner_text("#hint")
+    own.page.mouse.move(200, 200)
+    own.page.mouse.down()
+    own.page.mouse.move(240, 210, steps=2)
+    own.page.mouse.up()
+    assert own.ask("document.getElementById('hint').className") == "gone"
+    own.page.keyboard.press("?")
+    box = own.page.locator("#keys-dialog").bounding_box()
     assert box["y"] >= 0 and box["y"] + box["height"] <= 500
-    assert page.ask("(d => d.scrollHeight <= d.clientHeight + 1)(document.querySelector('dialog'))")
-    page.page.keyboard.press("Escape")
-    assert not page.page.is_visible("#keys-dialog")
-    page.loaded()
+    assert own.ask("(d => d.scrollHeight <= d.clientHeight + 1)(document.querySelector('dialog'))")
+    own.page.keyboard.press("Escape")
+    assert not own.page.is_visible("#keys-dialog")
+    own.loaded()
 
 
 def test_light_and_dark(tab, address):
@@ -554,24 +546,12 @@ def test_light_and_dark(tab, address):
     page.loaded()
 
 
-SETUP = FlashSetup(
-    60.0, (0.1, 0.05, 0.0), (0.03, -0.04), (5.0, 4.5, 4.0), 0.3, vignetting_centre=(0.1, -0.3)
-)
-
-
 def photographed():
     """A material that knows its piece, and what lies beside it."""
     material = replace(a_material(example=an_example()), setup=SETUP)
     shade = doubt_picture(material.part(Example).exemplar)
     result = References(EncodedPicture(jpeg(), "image/jpeg"), shade, ("usable", "Look at it."))
     return material, result
-
-
-def of_the_piece(shown, exemplar):
-    """What a picture that is a texel a pixel shows of the piece, and the piece's left part."""
-    wide, tall = exemplar.size
-    left, top = WIDTH // 2 - wide // 2, HEIGHT // 2 - tall // 2
-    return shown[top : top + tall, left : left + wide]
 
 
 def test_the_wipe_between_photograph_own_flash_relit_piece_and_field(tab, served):
@@ -612,7 +592,7 @@ def test_the_wipe_between_photograph_own_flash_relit_piece_and_field(tab, served
     wanted = encode(field.diffuse.movedim(0, -1).numpy(), Film())
     assert np.abs(relit[:, WIDTH // 2 :] - wanted).max() <= 2 * STEP
     # On the right what the flash renderer makes of the piece, on the left the photograph.
-    flash = render_rectified(map_set_of(exemplar), SETUP).movedim(0, -1).numpy()
+    flash = under_flash(exemplar)
     assert 0.1 < flash.mean() < 0.9
     off = np.abs(of_the_piece(both, exemplar) - encode(flash, Film()))[2:-2, half:-2]
     assert off.max() <= 2 * STEP
@@ -654,17 +634,15 @@ def test_the_wipe_between_two_materials(tab, address, subject):
     page.until("matcap.view.state.wipe < 0.25")
 
 
-def test_turntable_and_export(tab, address):
-    page = tab(address.url)
-    page.loaded()
-    lamp = page.ask("matcap.view.state.lamp")
-    page.page.click("#turn")
-    page.until(f"Math.abs(matcap.view.state.lamp[0] - {lamp[0]}) > 0.01")
-    page.page.click("#turn")
-    page.page.select_option("#target", "raw")
-    page.page.select_option("#export select[name=size]", "512")
-    with page.page.expect_download() as download:
-        page.page.click("#export button")
+def test_turntable_and_export(own):
+    lamp = own.ask("matcap.view.state.lamp")
+    own.page.click("#turn")
+    own.until(f"Math.abs(matcap.view.state.lamp[0] - {lamp[0]}) > 0.01")
+    own.page.click("#turn")
+    own.page.select_option("#target", "raw")
+    own.page.select_option("#export select[name=size]", "512")
+    with own.page.expect_download() as download:
+        own.page.click("#export button")
     assert download.value.suggested_filename == "test_raw.zip"
     assert zipfile.is_zipfile(download.value.path())
 
@@ -709,9 +687,8 @@ def test_enclosed_page_plays_as_well(tab, tmp_path):
     page.loaded()
     assert page.shown() == []
     exemplar = material.part(Example).exemplar
-    flash = render_rectified(map_set_of(exemplar), SETUP).movedim(0, -1).numpy()
-    half = exemplar.size[0] // 2
-    off = np.abs(of_the_piece(shown, exemplar) - encode(flash, Film()))[2:-2, half:-2]
+    half, flash = exemplar.size[0] // 2, encode(under_flash(exemplar), Film())
+    off = np.abs(of_the_piece(shown, exemplar) - flash)[2:-2, half:-2]
     assert np.quantile(off, 0.99) <= 6 * STEP  # a JPEG, and steps
     assert np.abs(of_the_piece(shown, exemplar)[:, :half] - 90 / 255).max() <= 2 * STEP
 

@@ -181,8 +181,3 @@ function cellAt(column, row) {
   const wrap = (value) => ((value % CELLS) + CELLS) % CELLS;
   return 12 * (wrap(row) * CELLS + wrap(column));
 }
-
-// Uniforms that map texels to cells of the table's level.
-export const TABLE_GLSL = `
-const float CELLS = ${CELLS}.0;
-`;

@@ -3,7 +3,7 @@
 // photograph, 45 degrees across the long side, straight above.
 
 import { ADJUST_GLSL } from "./adjust.js";
-import { TABLE_GLSL } from "./pages.js";
+import { CELLS } from "./pages.js";
 import { SURROUNDINGS_GLSL } from "./surroundings.js";
 
 const VERTEX = `#version 300 es
@@ -253,7 +253,8 @@ export const UNIT = Object.fromEntries([...UNITS, "spare"].map((name, unit) => [
 // Compile and link; throws an error with the driver's message.
 export function buildProgram(gl, { width, height, apron }) {
   const source = FRAGMENT.replace("SURROUNDINGS", SURROUNDINGS_GLSL + BITS_GLSL)
-    .replace("ADJUST", ADJUST_GLSL).replace("TABLE", `${TABLE_GLSL}
+    .replace("ADJUST", ADJUST_GLSL).replace("TABLE", `
+const float CELLS = ${CELLS}.0;
 const vec2 PAGE = vec2(${width}.0, ${height}.0);
 const float APRON = ${apron}.0;`);
   const program = gl.createProgram();
