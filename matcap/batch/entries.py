@@ -68,10 +68,14 @@ def make_plan(
     """
     entries = []
     for sample in samples:
-        entry = _entry(sample, settings, prior, card)
-        if entry.state == "todo":
-            look_again(entry, out, settings, policy)
-        entries.append(entry)
+        photos, profile = sample.photos, sample.profile
+        try:
+            wanted = identity(photos, settings, prior=prior, card=card, profile=profile)
+        except MatcapError as error:
+            entries.append(BatchEntry(sample, "", "failed", str(error)))
+            continue
+        entries.append(BatchEntry(sample, wanted, "todo"))
+        look_again(entries[-1], out, settings, policy)
     return entries
 
 
@@ -91,11 +95,3 @@ def look_again(entry: BatchEntry, out: Path, settings: BatchSettings, policy: Po
             refuse_to_replace_longer_capture(folder, settings.capture, len(entry.sample.photos))
     except MatcapError as error:
         entry.state, entry.reason, entry.record = "failed", str(error), read_record(folder) or {}
-
-
-def _entry(sample: ShotSample, settings: BatchSettings, prior: str, card: str) -> BatchEntry:
-    try:
-        wanted = identity(sample.photos, settings, prior=prior, card=card, profile=sample.profile)
-        return BatchEntry(sample, wanted, "todo")
-    except MatcapError as error:
-        return BatchEntry(sample, "", "failed", str(error))

@@ -9,7 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 from matcap.files.values import spoken_duration
 from matcap.photo.checks import Rating
@@ -25,6 +32,7 @@ _PERCENT = TextColumn("{task.percentage:>3.0f} %")
 _STAGE = TextColumn("{task.fields[stage]}")
 _LEFT = TextColumn("{task.fields[left]}", style="dim")
 _EVERY = 10.0  # seconds between lines of a synthesis where there is no terminal
+_SHORT = 2.0  # seconds of rendering for which no bar is shown
 
 
 class _Shown:
@@ -145,6 +153,24 @@ class SynthDisplay(_Shown):
         elif not self._quiet and time.monotonic() - self._printed >= _EVERY:
             self._printed = time.monotonic()
             self._say(f"  {now.fraction:6.1%}  {rate}")
+
+
+class RelightDisplay(_Shown):
+    """Shows the share done and the remaining time of a picture, on a terminal only."""
+
+    columns = (TextColumn("relighting"), BarColumn(), TimeRemainingColumn())
+    transient = True
+
+    def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:
+        super().__init__(console, bars, quiet=quiet)
+        self._task = None if bars is None else bars.add_task("", total=1.0, visible=False)
+        self._began = time.monotonic()
+
+    def progress(self, share: float) -> None:
+        """Show the share done."""
+        if self._bars is not None and self._task is not None:
+            long = time.monotonic() - self._began > _SHORT
+            self._bars.update(self._task, completed=share, visible=long)
 
 
 class BatchDisplay(_Shown):

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from time import monotonic
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -48,6 +46,7 @@ def relight(
     """Show a material under another light."""
     from itertools import chain
 
+    from matcap.cli.display import RelightDisplay
     from matcap.errors import UsageError
     from matcap.files.mark import check_replaceable
     from matcap.files.memory import check_memory
@@ -116,8 +115,8 @@ def relight(
         picture, plan = light_sheet(renderer, *sheet, tolerance=limit, effects=effects)
         write_still(picture, out, film)
     else:
-        with _shown(quiet=quiet or json) as progress:
-            rendering = renderer.render(progress=progress, tolerance=limit, effects=effects)
+        with RelightDisplay.open(quiet=quiet or json) as shown:
+            rendering = renderer.render(progress=shown.progress, tolerance=limit, effects=effects)
         write_still(rendering.radiance, out, film)
         if explain_map is not None:
             write_tiles(rendering, explain_map)
@@ -179,30 +178,3 @@ def _report(plan: Plan, out: Path, *, as_json: bool, explain: bool) -> None:
         typer.echo(json.dumps(report, indent=2, allow_nan=False))
     elif explain:
         typer.echo(plan.table())
-
-
-@contextmanager
-def _shown(*, quiet: bool) -> Iterator[Callable[[float], None]]:
-    """A progress callback that prints the share done and the remaining time.
-
-    Only on a terminal, and only after two seconds.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    columns = (TextColumn("relighting"), BarColumn(), TimeRemainingColumn())
-    bar = Progress(*columns, console=console, transient=True)
-    task = bar.add_task("relighting", total=1.0)
-    start, visible = monotonic(), not quiet and console.is_terminal
-
-    def progress(share: float) -> None:
-        if visible and monotonic() - start > 2.0:
-            bar.start()
-            bar.update(task, completed=share)
-
-    try:
-        yield progress
-    finally:
-        if bar.live.is_started:
-            bar.stop()

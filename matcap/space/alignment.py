@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,7 +31,7 @@ from matcap.files.tensors import StoredTensors, write_tensors
 from matcap.photo.photo import Photo
 from matcap.space.convergence import ESTIMATES, convergence
 from matcap.space.picture import PICTURE_CHANNELS, picture
-from matcap.space.residual import ResidualBlock
+from matcap.space.residual import residual_block
 
 WIDTH = 256  # columns of the input image
 CONDITIONS = 3  # scalar inputs
@@ -115,13 +116,12 @@ class PictureTilt(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        layers: list[nn.Module] = [nn.Conv2d(PICTURE_CHANNELS, 16, 5, 2, 2), nn.ReLU(inplace=True)]
-        channels = 16
-        for width in _WIDTHS:
-            layers.append(ResidualBlock(channels, width, 2))
-            channels = width
-        self.features = nn.Sequential(*layers)
-        inputs = channels * _GRID[0] * _GRID[1] + 3 * _BLURRED[0] * _BLURRED[1] + CONDITIONS
+        self.features = nn.Sequential(
+            nn.Conv2d(PICTURE_CHANNELS, 16, 5, 2, 2),
+            nn.ReLU(inplace=True),
+            *(residual_block(before, width, 2) for before, width in pairwise((16, *_WIDTHS))),
+        )
+        inputs = _WIDTHS[-1] * _GRID[0] * _GRID[1] + 3 * _BLURRED[0] * _BLURRED[1] + CONDITIONS
         self.hidden = nn.Sequential(
             nn.Linear(inputs, 192), nn.ReLU(), nn.Linear(192, 64), nn.ReLU()
         )

@@ -9,15 +9,15 @@ few materials.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from matcap.errors import UsageError
 from matcap.space.decoder import CODE_SIZE
 from matcap.space.picture import PICTURE_CHANNELS
-from matcap.space.residual import ResidualBlock, norm, shortcut
+from matcap.space.residual import Shortcut, convolution, residual_block
 
 NUMBERS = 16  # parameters of the coarse fit (space/prior/encoder_input.py)
 TEXTURE = 231  # texture statistics at full resolution (space/prior/encoder_input.py)
@@ -39,27 +39,17 @@ class EncoderConfig:
     width: int = 256
 
 
-class Bottleneck(nn.Module):
+def bottleneck(inputs: int, outputs: int, stride: int) -> Shortcut:
     """ResNet-50's block: 1 x 1, 3 x 3, 1 x 1 convolutions with a shortcut."""
-
-    def __init__(self, inputs: int, outputs: int, stride: int) -> None:
-        super().__init__()
-        inner = outputs // 4
-        self.body = nn.Sequential(
-            nn.Conv2d(inputs, inner, 1, bias=False),
-            norm(inner),
-            nn.ReLU(inplace=True),
-            nn.Conv2d(inner, inner, 3, stride, 1, bias=False),
-            norm(inner),
-            nn.ReLU(inplace=True),
-            nn.Conv2d(inner, outputs, 1, bias=False),
-            norm(outputs),
-        )
-        self.shortcut = shortcut(inputs, outputs, stride)
-
-    def forward(self, features: Tensor) -> Tensor:
-        """(B, inputs, h, w) to (B, outputs, h / stride, w / stride)."""
-        return F.relu(self.body(features) + self.shortcut(features))
+    inner = outputs // 4
+    layers = [
+        *convolution(inputs, inner, 1),
+        nn.ReLU(inplace=True),
+        *convolution(inner, inner, 3, stride),
+        nn.ReLU(inplace=True),
+        *convolution(inner, outputs, 1),
+    ]
+    return Shortcut(layers, inputs, outputs, stride)
 
 
 class Encoder(nn.Module):
@@ -114,26 +104,23 @@ def pool(features: Tensor) -> Tensor:
 def _small() -> tuple[nn.Module, int]:
     widths = (32, 64, 96, 128, 192)
     layers: list[nn.Module] = [
-        nn.Conv2d(PICTURE_CHANNELS, widths[0], 5, 2, 2, bias=False),
-        norm(widths[0]),
+        *convolution(PICTURE_CHANNELS, widths[0], 5, 2),
         nn.ReLU(inplace=True),
+        *(residual_block(inputs, outputs, 2) for inputs, outputs in pairwise(widths)),
+        residual_block(widths[-1], widths[-1], 1),
     ]
-    for inputs, outputs in zip(widths[:-1], widths[1:], strict=True):
-        layers.append(ResidualBlock(inputs, outputs, 2))
-    layers.append(ResidualBlock(widths[-1], widths[-1], 1))
     return nn.Sequential(*layers), widths[-1]
 
 
 def _resnet50() -> tuple[nn.Module, int]:
     layers: list[nn.Module] = [
-        nn.Conv2d(PICTURE_CHANNELS, 64, 7, 2, 3, bias=False),
-        norm(64),
+        *convolution(PICTURE_CHANNELS, 64, 7, 2),
         nn.ReLU(inplace=True),
         nn.MaxPool2d(3, 2, 1),
     ]
     channels = 64
     for blocks, outputs, stride in ((3, 256, 1), (4, 512, 2), (6, 1024, 2), (3, 2048, 2)):
         for index in range(blocks):
-            layers.append(Bottleneck(channels, outputs, stride if index == 0 else 1))
+            layers.append(bottleneck(channels, outputs, stride if index == 0 else 1))
             channels = outputs
     return nn.Sequential(*layers), channels

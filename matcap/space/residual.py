@@ -1,6 +1,8 @@
-"""The residual block [he2016] of encoder and alignment branch."""
+"""Residual blocks [he2016] of encoder and alignment branch."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -8,32 +10,34 @@ from torch import Tensor, nn
 _GROUP = 16  # channels normalised together
 
 
-class ResidualBlock(nn.Module):
-    """Two 3 x 3 convolutions with a shortcut."""
+class Shortcut(nn.Module):
+    """Layers with a shortcut: identity, or a 1 x 1 convolution where the shape changes."""
 
-    def __init__(self, inputs: int, outputs: int, stride: int) -> None:
+    def __init__(self, layers: Sequence[nn.Module], inputs: int, outputs: int, stride: int) -> None:
         super().__init__()
-        self.body = nn.Sequential(
-            nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False),
-            norm(outputs),
-            nn.ReLU(inplace=True),
-            nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False),
-            norm(outputs),
-        )
-        self.shortcut = shortcut(inputs, outputs, stride)
+        self.body = nn.Sequential(*layers)
+        self.shortcut: nn.Module = nn.Identity()
+        if inputs != outputs or stride != 1:
+            self.shortcut = nn.Sequential(*convolution(inputs, outputs, 1, stride))
 
     def forward(self, features: Tensor) -> Tensor:
         """(B, inputs, h, w) to (B, outputs, h / stride, w / stride)."""
         return F.relu(self.body(features) + self.shortcut(features))
 
 
-def norm(channels: int) -> nn.GroupNorm:
-    """Group normalisation in groups of _GROUP channels."""
-    return nn.GroupNorm(channels // _GROUP, channels)
+def residual_block(inputs: int, outputs: int, stride: int) -> Shortcut:
+    """Two 3 x 3 convolutions with a shortcut."""
+    layers = [
+        *convolution(inputs, outputs, 3, stride),
+        nn.ReLU(inplace=True),
+        *convolution(outputs, outputs, 3),
+    ]
+    return Shortcut(layers, inputs, outputs, stride)
 
 
-def shortcut(inputs: int, outputs: int, stride: int) -> nn.Module:
-    """The skip connection: identity, or a 1 x 1 convolution where the shape changes."""
-    if inputs == outputs and stride == 1:
-        return nn.Identity()
-    return nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), norm(outputs))
+def convolution(inputs: int, outputs: int, side: int, stride: int = 1) -> list[nn.Module]:
+    """A convolution with group normalisation."""
+    return [
+        nn.Conv2d(inputs, outputs, side, stride, side // 2, bias=False),
+        nn.GroupNorm(outputs // _GROUP, outputs),
+    ]

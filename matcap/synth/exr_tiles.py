@@ -134,34 +134,26 @@ class Layout:
             for kind in (_HALF if channel.half else _FLOAT,)
         )
         mode = _MIPMAP | _ROUND_DOWN << 4 if self.mipmap else 0
-        attributes: list[tuple[str, str, bytes]] = [
-            ("channels", "chlist", listed + b"\0"),
-            ("chromaticities", "chromaticities", struct.pack("<8f", *REC709)),
-            ("compression", "compression", bytes([_ZIP])),
-            ("dataWindow", "box2i", window),
-            ("displayWindow", "box2i", window),
-            ("lineOrder", "lineOrder", bytes([_RANDOM_ORDER])),
-            ("pixelAspectRatio", "float", struct.pack("<f", 1.0)),
-            ("screenWindowCenter", "v2f", struct.pack("<2f", 0.0, 0.0)),
-            ("screenWindowWidth", "float", struct.pack("<f", 1.0)),
-            ("tiles", "tiledesc", struct.pack("<2IB", TILE, TILE, mode)),
+        attributes = [
+            (b"channels", b"chlist", listed + b"\0"),
+            (b"chromaticities", b"chromaticities", struct.pack("<8f", *REC709)),
+            (b"compression", b"compression", bytes([_ZIP])),
+            (b"dataWindow", b"box2i", window),
+            (b"displayWindow", b"box2i", window),
+            (b"lineOrder", b"lineOrder", bytes([_RANDOM_ORDER])),
+            (b"pixelAspectRatio", b"float", struct.pack("<f", 1.0)),
+            (b"screenWindowCenter", b"v2f", struct.pack("<2f", 0.0, 0.0)),
+            (b"screenWindowWidth", b"float", struct.pack("<f", 1.0)),
+            (b"tiles", b"tiledesc", struct.pack("<2IB", TILE, TILE, mode)),
         ]
         if self.wrap:
-            attributes.append(("textureformat", "string", b"Plain Texture"))
-            attributes.append(("wrapmodes", "string", self.wrap.encode()))
-        return (
-            struct.pack("<2i", _MAGIC, _VERSION_TILED)
-            + b"".join(
-                name.encode()
-                + b"\0"
-                + kind.encode()
-                + b"\0"
-                + struct.pack("<i", len(value))
-                + value
-                for name, kind, value in attributes
-            )
-            + b"\0"
+            attributes.append((b"textureformat", b"string", b"Plain Texture"))
+            attributes.append((b"wrapmodes", b"string", self.wrap.encode()))
+        written = (
+            b"%b\0%b\0%b%b" % (name, kind, struct.pack("<i", len(value)), value)
+            for name, kind, value in attributes
         )
+        return struct.pack("<2i", _MAGIC, _VERSION_TILED) + b"".join(written) + b"\0"
 
 
 def tiles_over(area: Area, level: int = 0) -> Iterator[Tile]:

@@ -110,75 +110,49 @@ def faults(command: str, folder: Path, struck: Struck, *, twice: bool = False) -
         found.append(f"exit code {struck.code}")
     if struck.code == 130 and "interrupted" not in struck.said:
         found.append("nothing was said")
-    check = {
-        "capture": _captured, "synth": _synthesised, "batch": _batched, "relight": _relit,
-        "export": _exported, "view": _page,
-    }[command]  # fmt: skip
-    return [*found, *check(folder, struck)]
-
-
-def _captured(folder: Path, struck: Struck) -> list[str]:
-    """What was said to be the best so far is there."""
-    needed = struck.code == 0 or BEST_SO_FAR in struck.said
-    return _whole(folder / "out" / "photo", needed=needed)
-
-
-def _whole(folder: Path, *, needed: bool) -> list[str]:
-    """A captured material's folder: all of it or none."""
-    if not folder.exists():
-        return ["nothing was written"] if needed else []
-    hidden = [file.name for file in folder.iterdir() if file.name.startswith(".")]
-    json.loads((folder / "report.json").read_text())
-    read_mapset(folder / f"{folder.name}.json")
-    Material.load(folder / f"{folder.name}.matcap")
-    return hidden
-
-
-def _synthesised(folder: Path, struck: Struck) -> list[str]:
-    more = folder / "more"
-    if struck.code == 0:
-        read_mapset(more)
-        return []
-    if not more.exists():
-        return []
-    shown = [file.name for file in more.iterdir() if not file.name.startswith(".")]
-    return [f"half a map set: {shown}"] if shown else []
-
-
-def _batched(folder: Path, struck: Struck) -> list[str]:
-    found = []
-    for name in ("a", "b"):
-        found += _whole(folder / "materials" / name, needed=struck.code == 0)
+    if command == "synth":
+        return [*found, *_synthesised(folder / "more", struck)]
+    needed = struck.code == 0 or (command == "capture" and BEST_SO_FAR in struck.said)
+    for name, whole in _WHOLE[command].items():
+        found += _all_or_none(folder / name, whole, needed=needed)
     return found
 
 
-def _relit(folder: Path, struck: Struck) -> list[str]:
-    return _all_or_none(
-        folder / "relit", struck, lambda place: cv2.imread(str(place / "a.png")).shape[1] == 1500
-    )
+def _captured(folder: Path) -> bool:
+    json.loads((folder / "report.json").read_text())
+    read_mapset(folder / f"{folder.name}.json")
+    Material.load(folder / f"{folder.name}.matcap")
+    return True
 
 
-def _exported(folder: Path, struck: Struck) -> list[str]:
-    def whole(place: Path) -> bool:
-        about = json.loads((place / "moss_polyhaven.json").read_text())
-        return all((place / file).stat().st_size for file in about["files"])
-
-    return _all_or_none(folder / "exported", struck, whole)
+def _exported(folder: Path) -> bool:
+    about = json.loads((folder / "moss_polyhaven.json").read_text())
+    return all((folder / file).stat().st_size for file in about["files"])
 
 
-def _page(folder: Path, struck: Struck) -> list[str]:
-    return _all_or_none(
-        folder / "page",
-        struck,
-        lambda place: (place / "a.html").read_text().rstrip().endswith("</html>"),
-    )
+# By command the folders that it makes, and whether one is whole.
+_WHOLE: dict[str, dict[str, Callable[[Path], bool]]] = {
+    "capture": {"out/photo": _captured},
+    "batch": {"materials/a": _captured, "materials/b": _captured},
+    "relight": {"relit": lambda place: cv2.imread(str(place / "a.png")).shape[1] == 1500},
+    "export": {"exported": _exported},
+    "view": {"page": lambda place: (place / "a.html").read_text().rstrip().endswith("</html>")},
+}
 
 
-def _all_or_none(folder: Path, struck: Struck, whole: Callable[[Path], bool]) -> list[str]:
+def _synthesised(more: Path, struck: Struck) -> list[str]:
+    if struck.code == 0:
+        read_mapset(more)
+        return []
+    shown = [file.name for file in more.glob("[!.]*")]
+    return [f"half a map set: {shown}"] if shown else []
+
+
+def _all_or_none(folder: Path, whole: Callable[[Path], bool], *, needed: bool) -> list[str]:
     """A folder that a command made is whole, or is not there."""
     if not folder.exists():
-        return ["nothing was written"] if struck.code == 0 else []
-    hidden = [file.name for file in folder.iterdir() if file.name.startswith(".")]
+        return ["nothing was written"] if needed else []
+    hidden = [file.name for file in folder.glob(".*")]
     return hidden + ([] if whole(folder) else ["half of it stands there"])
 
 

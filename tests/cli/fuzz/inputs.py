@@ -92,7 +92,7 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
     for name, pixels, form in (
         ("16.png", code, "uint16"), ("16.tif", code, "uint16"), ("light.exr", light, "half"),
     ):  # fmt: skip
-        _write(folder / name, pixels, form)
+        oiio.ImageBuf(pixels).write(str(folder / name), form)
     (folder / "scene.toml").write_text(SCENE)
     (folder / "matcap.toml").write_text(SETTINGS)
     write_material(folder / "small.matcap")
@@ -165,7 +165,7 @@ def _write_surroundings(folder: Path) -> list[Path]:
     wide = np.random.default_rng(2).uniform(0.1, 0.9, (8, 16, 3)).astype(np.float32)
     for name, form in (("sky.exr", "half"), ("sky.hdr", "float"), ("sky.png", "uint8")):
         stored = (255 * wide).astype(np.uint8) if form == "uint8" else wide
-        _write(folder / name, stored, form)
+        oiio.ImageBuf(stored).write(str(folder / name), form)
     Image.fromarray((255 * wide).astype(np.uint8)).save(folder / "sky.jpg")
     plain = (folder / "sky.hdr").read_bytes()
     (folder / "turned.hdr").write_bytes(
@@ -191,7 +191,8 @@ def _write_foreign(folder: Path, colour: np.ndarray) -> list[Path]:
     Image.fromarray(normal).save(place / "w_Normal.tga")
     Image.fromarray(layer).save(place / "w_MaskMap.tif")
     Image.fromarray(colour).save(place / "w_AO.webp")
-    _write(place / "w_Displacement.exr", np.float32(colour / 255.0), "half")
+    height = oiio.ImageBuf(np.float32(colour / 255.0))
+    height.write(str(place / "w_Displacement.exr"), "half")
     Image.fromarray(grey).save(place / "w_Roughness.jpg")
     Image.fromarray(layer).save(folder / "mask.png")
     Image.fromarray(grey).save(folder / "mask.tif")
@@ -338,11 +339,3 @@ def _changed(value: object, chance: random.Random) -> object:
         (0, -1, 1, 10**30, 1e308, float("nan"), float("inf"), None, True, "", "../../x", "\0", [],
          {}, [1] * 100, 4096, 1024, [[[[]]]], "x" * 5000, 0.5, 2**63)
     )  # fmt: skip
-
-
-def _write(path: Path, pixels: np.ndarray, form: str) -> None:
-    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, form)
-    out = oiio.ImageOutput.create(str(path))
-    out.open(str(path), spec)
-    out.write_image(pixels)
-    out.close()
