@@ -154,7 +154,10 @@ def open_run(out: Path) -> Iterator[Run]:
         raise write_error(out, error) from error
     for other in folder.parent.iterdir():
         if other != folder and other.is_dir():
-            _clear_if_dead(out, other)
+            # A dead run's lock is free.
+            with suppress(OSError, NotImplementedError), FileLock(_alive(other), timeout=0):
+                _clear(out, other)
+                _alive(other).unlink(missing_ok=True)
     run = Run(out, folder)
     try:
         yield run
@@ -178,14 +181,6 @@ def _acquired(path: Path) -> FileLock | None:
     except NotImplementedError:
         pass
     return lock
-
-
-def _clear_if_dead(out: Path, run: Path) -> None:
-    """Clean up after a run whose lock is free."""
-    lock = FileLock(_alive(run), timeout=0)
-    with suppress(OSError, NotImplementedError), lock:
-        _clear(out, run)
-        _alive(run).unlink(missing_ok=True)
 
 
 def _alive(run: Path) -> Path:

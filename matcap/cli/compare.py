@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +15,6 @@ from matcap.errors import UsageError
 
 if TYPE_CHECKING:
     from matcap.capture.compare import Compared
-    from matcap.photo.photo import Photo
 
 
 _MARK = "matcap compare"  # in its picture's metadata
@@ -44,6 +44,7 @@ def compare(
     from matcap.files.mark import check_replaceable, pillow_mark
     from matcap.files.names import check_suffix
     from matcap.files.staging import check_writable, staged_file
+    from matcap.photo.load import load_photo
 
     photos = list(photo or [])
     if len(photos) > 2:
@@ -57,7 +58,9 @@ def compare(
     shown: Sequence[Path | None] = given or [_own(one, quiet=quiet) for one in captures]
     read = [file for file in shown if file is not None]
     check_replaceable([out], _MARK, inputs=read, overwrite=overwrite)
-    sheet = comparison(captures, [_read(file) for file in shown])
+    loaded = partial(load_photo, long_side=1024, noise=False)
+    pictures = [None if file is None else loaded(file) for file in shown]
+    sheet = comparison(captures, pictures)
     with staged_file(out) as file:
         sheet.save(file, "PNG", pnginfo=pillow_mark(_MARK))
     if as_json:
@@ -77,9 +80,3 @@ def _own(capture: Compared, *, quiet: bool) -> Path | None:
     said = f"{capture.name}: its photograph {file} does not exist; give it with --photo."
     printer(quiet=quiet)(said)
     return None
-
-
-def _read(file: Path | None) -> Photo | None:
-    from matcap.photo.load import load_photo
-
-    return None if file is None else load_photo(file, long_side=1024, noise=False)

@@ -130,7 +130,8 @@ class _Camera:
 
     def neutral_of(self, white: tuple[float, float]) -> Matrix:
         """(3,) camera colours of a white (x, y)."""
-        return np.asarray(self._from_xyz(white) @ _xyz(white))
+        x, y = white
+        return np.asarray(self._from_xyz(white) @ [x / y, 1.0, (1.0 - x - y) / y])
 
     def white_of(self, neutral: Matrix) -> tuple[float, float]:
         """White (x, y) of camera colours, iteratively, as the matrix depends on its temperature."""
@@ -179,11 +180,6 @@ def temperature(white: tuple[float, float]) -> float:
     """Correlated colour temperature of (x, y) in kelvin [mccamy1992], clamped to [1500, 50000]."""
     n = (white[0] - 0.3320) / (0.1858 - white[1])
     return float(np.clip(((449.0 * n + 3525.0) * n + 6823.3) * n + 5520.33, 1500.0, 50_000.0))
-
-
-def _xyz(white: tuple[float, float]) -> Matrix:
-    x, y = white
-    return np.array([x / y, 1.0, (1.0 - x - y) / y])
 
 
 def _stated_neutral(tags: Mapping[int, Any]) -> Matrix | None:

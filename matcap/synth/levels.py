@@ -7,7 +7,7 @@ is not added to it.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from matcap.synth.exr_tiles import (
     Area,
-    Layout,
     Tile,
     TileFile,
     encode_tile,
@@ -34,7 +33,9 @@ def write_levels(picture: PictureFile, file: TileFile, workers: int) -> None:
     with ThreadPoolExecutor(workers) as pool:
         for level in range(1, file.layout.levels):
             file.flush()
-            missing = (tile for tile in _tiles(file.layout, level) if tile not in file)
+            width, height = file.layout.size(level)
+            tiles = tiles_over((slice(0, height), slice(0, width)), level)
+            missing = (tile for tile in tiles if tile not in file)
             while some := list(itertools.islice(missing, _TOGETHER)):
                 chunks = pool.map(lambda tile: _average(picture, file, tile), some)
                 for tile, chunk in zip(some, chunks, strict=True):
@@ -89,8 +90,3 @@ def read_planes(file: TileFile, level: int, area: Area) -> Sequence[NDArray[np.g
         for plane, part in zip(planes, file.read(tile), strict=True):
             plane[relative(inner, area)] = part[relative(inner, whole)]
     return planes
-
-
-def _tiles(layout: Layout, level: int) -> Iterator[Tile]:
-    width, height = layout.size(level)
-    return tiles_over((slice(0, height), slice(0, width)), level)

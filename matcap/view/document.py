@@ -10,7 +10,6 @@ maps (enclosed.py).
 
 from __future__ import annotations
 
-import base64
 import json
 import re
 from dataclasses import asdict
@@ -25,7 +24,7 @@ from matcap.example.example import Example
 from matcap.files.names import check_suffix
 from matcap.view.enclosed import packed_piece, packed_tile
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH
-from matcap.view.references import EncodedPicture, References
+from matcap.view.references import References
 from matcap.view.subject import Maps, Materials, Viewable, ViewFacts
 
 if TYPE_CHECKING:
@@ -106,8 +105,8 @@ def sealed_page(
     scripts = f'<script type="module">\n{joined}</script>'
     references = references or References()
     about = _about(facts, adjust, references) | {
-        "photo": references.photo and _data_url(references.photo),
-        "doubt": references.doubt and _data_url(references.doubt),
+        "photo": references.photo and references.photo.url,
+        "doubt": references.doubt and references.doubt.url,
         "second": "",
         "period": list(maps.size),
         "tile": packed_tile(maps),
@@ -208,7 +207,3 @@ def _document(
         assert mark, name
         text = before + value + after
     return text
-
-
-def _data_url(picture: EncodedPicture) -> str:
-    return f"data:{picture.kind};base64,{base64.b64encode(picture.data).decode()}"

@@ -47,6 +47,7 @@ from matcap.view.moments import (
     halved,
     moments_of,
 )  # fmt: skip
+from matcap.view.references import EncodedPicture
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -100,11 +101,12 @@ def packed_piece(exemplar: Exemplar, side: int) -> dict[str, Any]:
         words = np.rint((plane - low) / span * steps).astype("<u1" if steps == 255 else "<u2")
         words = np.diff(words.ravel(), prepend=words.dtype.type(0))
         parts.append(words.view(np.uint8).reshape(words.size, -1).T.ravel())
+    diffuse = jpeg_bytes(moments[DIFFUSE].transpose(1, 2, 0), _QUALITY, subsampling=0)
     return {
         "size": [moments.shape[2], moments.shape[1]],
         "level": level,
         "specular_channels": len(moments[F0]),
-        "diffuse": _jpeg(moments[DIFFUSE]),
+        "diffuse": EncodedPicture(diffuse, "image/jpeg").url,
         "low": [low for low, _ in ends],
         "span": [span for _, span in ends],
         "data": _text(np.concatenate(parts)),
@@ -128,11 +130,6 @@ def _shortened(halves: NDArray[np.uint16]) -> NDArray[np.uint16]:
 def _ends(plane: NDArray[np.float32]) -> tuple[float, float]:
     low, high = float(plane.min()), float(plane.max())
     return low, high - low or 1.0
-
-
-def _jpeg(albedo: Planes) -> str:
-    data = jpeg_bytes(albedo.transpose(1, 2, 0), _QUALITY, subsampling=0)
-    return f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
 
 
 def _text(data: NDArray[np.uint8]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,6 +38,11 @@ class EncodedPicture:
     """Bytes of the file."""
     kind: str
     """Media type."""
+
+    @property
+    def url(self) -> str:
+        """The picture as a data URL."""
+        return f"data:{self.kind};base64,{base64.b64encode(self.data).decode()}"
 
 
 @dataclass(frozen=True)
