@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +13,8 @@ from matcap.brdf.stated import NormalStyle
 from matcap.errors import MatcapError
 from matcap.files.pixels import Pixels, linear_colours, read_pixels
 from matcap.files.udim import TOKEN, tile_names
-from matcap.relight.foreign.exported import Stated, stated_export
-from matcap.relight.foreign.names import NamedFile, assigned, usual_style
+from matcap.relight.foreign.exported import stated_export
+from matcap.relight.foreign.names import NamedFile, SetFiles, assigned, usual_style
 from matcap.relight.foreign.normals import gradient, looks_like_normals, slopes_of, style_of
 from matcap.relight.vectors import Array
 
@@ -58,8 +58,8 @@ class SetChannels:
     exact: bool
     conserving: bool
     periodic: bool
-    notes: tuple[str, ...] = ()
-    files: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...]
+    files: Mapping[str, str]
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -81,25 +81,15 @@ def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> S
     if not folder.is_dir():
         raise MatcapError.at(folder, "no such folder", "check the path")
     with tempfile.TemporaryDirectory(prefix="matcap-") as place:
-        return _read_folder(folder, stated_export(folder, Path(place)), normal)
-
-
-def _read_folder(folder: Path, stated: Stated | None, normal: NormalStyle | None) -> SetChannels:
-    assignment = stated.files if stated else assigned(folder)
-    if "base" not in assignment.files:
-        unused = f" (not used: {', '.join(assignment.left_out)})" if assignment.left_out else ""
-        raise MatcapError.at(
-            folder,
-            f"there is no map of base colour in this folder{unused}",
-            "name one ..._Color, ..._diff, ..._albedo or ..._basecolor",
-        )
-    set_ = _Set(dict(assignment.files), stated.grid if stated else None)
-    channels = set_.channels(stated, normal)
-    left_out = (*assignment.left_out, *set_.left_out)
-    if left_out:
-        set_.notes.append(f"not used: {', '.join(left_out)}")
-    names = {kind: file.path.name for kind, file in set_.files.items()}
-    return replace(channels, notes=tuple(set_.notes), files=names)
+        about = stated_export(folder, Path(place)) or assigned(folder)
+        if "base" not in about.files:
+            unused = f" (not used: {', '.join(about.left_out)})" if about.left_out else ""
+            raise MatcapError.at(
+                folder,
+                f"there is no map of base colour in this folder{unused}",
+                "name one ..._Color, ..._diff, ..._albedo or ..._basecolor",
+            )
+        return _Set(about, dict(about.files), left_out=[*about.left_out]).channels(normal)
 
 
 @dataclass
@@ -108,48 +98,60 @@ class _Set:
 
     Attributes:
         files: by map; maps that turn out unusable are removed.
-        grid: (columns, rows) of UDIM tiles; None for plain files.
         notes: as SetChannels.
         left_out: files that are not used, with the reason.
     """
 
+    about: SetFiles
     files: dict[str, NamedFile]
-    grid: tuple[int, int] | None
+    left_out: list[str]
     notes: list[str] = field(default_factory=list)
-    left_out: list[str] = field(default_factory=list)
     _opened: dict[Path, Pixels] = field(default_factory=dict)
 
-    def channels(self, stated: Stated | None, normal: NormalStyle | None) -> SetChannels:
-        """All maps, without notes and file names."""
+    def channels(self, normal: NormalStyle | None) -> SetChannels:
+        """All maps, with notes."""
+        about = self.about
         self._leave_out_what_is_not_there()
         self._judge_height()
         sizes = [self._pixels(k).size for k in ("base", "normal", "height") if k in self.files]
         size = max(sizes, key=lambda one: one[0] * one[1])
-        texel = stated.texel if stated else 2.0 / size[0]
+        texel = 2.0 / size[0] if about.texel is None else about.texel
         scalars = {kind: self._scalar(kind, size) for kind in ("roughness", "gloss", "metallic")}
-        height, whole = self._height(size, stated)
+        height, whole = self._height(size)
         base = self._colour("base", size)
         assert base is not None
+        roughness = self._roughness(scalars)
+        specular = self._colour("specular", size)
+        if specular is not None and about.f0 is not None:
+            specular = np.minimum(specular * np.float32(about.f0), np.float32(1.0))
+        level = self._scalar("specular level", size)
+        slopes = self._slopes(size, height, texel, normal)
+        # F0 with gloss in alpha is Unity's and glTF's, which use base (1 - F0).
+        packed = "specular" in self.files and "gloss" in self.files["specular"].channels
+        if self.left_out:
+            self.notes.append(f"not used: {', '.join(self.left_out)}")
         return SetChannels(
             base=base,
-            roughness=self._roughness(scalars),
+            roughness=roughness,
             metallic=scalars["metallic"],
-            specular=self._scaled(self._colour("specular", size), stated),
-            level=self._scalar("specular level", size),
-            dielectric=DIELECTRIC if stated is None or stated.f0 is None else stated.f0,
+            specular=specular,
+            level=level,
+            dielectric=DIELECTRIC if about.f0 is None else about.f0,
             height=height,
             whole=whole,
-            slopes=self._slopes(size, height, texel, normal),
+            slopes=slopes,
             texel=texel,
-            exact=stated is not None,
-            conserving=stated.conserving if stated else self._is_packed_specular(),
-            periodic=stated.periodic if stated else True,
+            exact=about.texel is not None,
+            conserving=about.conserving or packed,
+            periodic=about.periodic,
+            notes=tuple(self.notes),
+            files={kind: file.path.name for kind, file in self.files.items()},
         )
 
     def _pixels(self, kind: str) -> Pixels:
         path = self.files[kind].path
         if path not in self._opened:
-            self._opened[path] = _read(path, self.grid)
+            self._opened[path] = _read(path, self.about.grid)
         return self._opened[path]
 
     def _leave_out_what_is_not_there(self) -> None:
@@ -194,14 +196,14 @@ class _Set:
         self._note_colours(pixels, self.files[kind])
         return self._fitted(self._clipped(pixels.channel(role)[None], pixels), size, pixels)
 
-    def _height(self, size: tuple[int, int], stated: Stated | None) -> tuple[Array | None, bool]:
+    def _height(self, size: tuple[int, int]) -> tuple[Array | None, bool]:
         if "height" not in self.files:
             return None, False
         pixels, file = self._pixels("height"), self.files["height"]
         self._note_colours(pixels, file)
         height = self._fitted(pixels.channel(file.channels["height"])[None], size, pixels)
-        if stated is not None and stated.height is not None:
-            scale, midlevel = stated.height
+        if self.about.height is not None:
+            scale, midlevel = self.about.height
             height = (height - np.float32(midlevel)) * np.float32(scale)
         return height, pixels.whole
 
@@ -230,12 +232,6 @@ class _Set:
             slopes if named == "gl" else slopes * np.array([1.0, -1.0], np.float32)[:, None, None]
         )
 
-    @staticmethod
-    def _scaled(specular: Array | None, stated: Stated | None) -> Array | None:
-        if specular is None or stated is None or stated.f0 is None:
-            return specular
-        return np.minimum(specular * np.float32(stated.f0), np.float32(1.0))
-
     def _roughness(self, scalars: Mapping[str, Array | None]) -> Array | None:
         if scalars["roughness"] is not None:
             if scalars["gloss"] is not None and self.files["gloss"].path not in (
@@ -244,10 +240,6 @@ class _Set:
                 self.left_out.append(f"{self.files['gloss'].path.name} (roughness is taken)")
             return scalars["roughness"]
         return None if scalars["gloss"] is None else 1.0 - scalars["gloss"]
-
-    def _is_packed_specular(self) -> bool:
-        """Whether gloss is in the alpha of F0, as in Unity and glTF, which use base (1 - F0)."""
-        return "specular" in self.files and "gloss" in self.files["specular"].channels
 
     def _note_colours(self, pixels: Pixels, file: NamedFile) -> None:
         if len(file.channels) > 1 or pixels.grey or "B" not in pixels.roles:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from matcap.files.names import name_fault, plain_name
 from matcap.files.note import note
 from matcap.files.udim import tile_names
 from matcap.files.values import bounded, whole
-from matcap.relight.foreign.names import Assigned, NamedFile, Packing
+from matcap.relight.foreign.names import NamedFile, Packing, SetFiles
 
 _FORMAT, _VERSION = "matcap export", 2
 # Beginnings of a texture's `meaning` in the sidecar, and the maps that it holds.
@@ -43,30 +42,7 @@ _INSIDE = ("gltf",)  # targets whose textures are inside the document
 _CONSERVING = ("gltf", "unity-hdrp", "unity-urp", "usd")
 
 
-@dataclass(frozen=True)
-class Stated:
-    """Content of a sidecar.
-
-    Attributes:
-        files: the textures by map.
-        texel: a texel's side in plane units.
-        height: (scale, midlevel): height in plane units = (value - midlevel) scale.
-        conserving: diffuse albedo is base (1 - F0).
-        grid: (columns, rows) of UDIM tiles; None for plain files.
-        periodic: whether the maps tile seamlessly.
-        f0: of a .glb, F0 where its specular texture is 1; without such a texture, of dielectrics.
-    """
-
-    files: Assigned
-    texel: float
-    height: tuple[float, float] | None
-    conserving: bool
-    grid: tuple[int, int] | None
-    periodic: bool
-    f0: float | None = None
-
-
-def stated_export(folder: Path, place: Path) -> Stated | None:
+def stated_export(folder: Path, place: Path) -> SetFiles | None:
     """Read the sidecar in a folder; None where there is none.
 
     Args:
@@ -117,7 +93,7 @@ def _read(file: Path) -> dict[str, Any] | None:
     return about
 
 
-def _stated(folder: Path, about: Mapping[str, Any], place: Path) -> Stated:
+def _stated(folder: Path, about: Mapping[str, Any], place: Path) -> SetFiles:
     unit = 1.0
     if about["unit"] == "mm":
         unit = bounded(about["provenance"][SCALE], f"'{SCALE}'", 1e-9, 1e9)
@@ -148,8 +124,8 @@ def _stated(folder: Path, about: Mapping[str, Any], place: Path) -> Stated:
     if grid is not None:
         columns, rows = grid
         grid = whole(columns, "'udim'", 1, 10), whole(rows, "'udim'", 1, 900)
-    assignment = Assigned(files, tuple(left_out))
-    return Stated(assignment, texel, height, conserving, grid, about["periodic"] is True, f0)
+    periodic = about["periodic"] is True
+    return SetFiles(files, tuple(left_out), texel, height, conserving, grid, periodic, f0)
 
 
 def _named(folder: Path, name: str, entry: Mapping[str, str]) -> NamedFile:

@@ -122,7 +122,6 @@ class NamedFile:
     """A file, and the maps that its name says it holds.
 
     Attributes:
-        path: of the file.
         channels: of each map; empty where the name names none.
         style: direction of green that the name states: "gl" up, "dx" down, or "".
         rank: of two files of the same map the one of lower rank is used.
@@ -139,16 +138,28 @@ class NamedFile:
 
 
 @dataclass(frozen=True)
-class Assigned:
-    """The files of a set.
+class SetFiles:
+    """The files of a set, and what is stated of them: by the sidecar of matcap's export alone.
 
     Attributes:
         files: by map.
         left_out: files that are not used, each with the reason.
+        texel: a texel's side in plane units.
+        height: (scale, midlevel): height in plane units = (value - midlevel) scale.
+        conserving: diffuse albedo is base (1 - F0).
+        grid: (columns, rows) of UDIM tiles; None for plain files.
+        periodic: whether the maps tile seamlessly.
+        f0: of a .glb, F0 where its specular texture is 1; without such a texture, of dielectrics.
     """
 
     files: Mapping[str, NamedFile]
     left_out: tuple[str, ...]
+    texel: float | None = None
+    height: tuple[float, float] | None = None
+    conserving: bool = False
+    grid: tuple[int, int] | None = None
+    periodic: bool = True
+    f0: float | None = None
 
 
 @dataclass(frozen=True)
@@ -167,7 +178,7 @@ class _Word:
 _VOCABULARY = frozenset((*_KIND, *_STYLE, *_QUALIFIERS, *SHORT))
 
 
-def assigned(folder: Path) -> Assigned:
+def assigned(folder: Path) -> SetFiles:
     """Choose the file of each map in a folder.
 
     Raises:
@@ -197,7 +208,7 @@ def assigned(folder: Path) -> Assigned:
             left_out[file.path] = " and ".join(file.channels) or "its name names no map"
         elif len(taken) == len(wanted):
             left_out[file.path] = f"{files[taken[0]].path.name} is taken"
-    return Assigned(files, tuple(f"{path.name} ({why})" for path, why in sorted(left_out.items())))
+    return SetFiles(files, tuple(f"{path.name} ({why})" for path, why in sorted(left_out.items())))
 
 
 def usual_style(files: Iterable[NamedFile]) -> Literal["gl", "dx"]:
