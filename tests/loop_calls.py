@@ -53,6 +53,6 @@ def radiance(octahedra: Octahedra, direction: Vec, wide: Array) -> Array:
     kept, looked_up = KeptArrays(), np.empty((3, wide.size), dtype=np.float32)
     places = (Pointer(kept.of(one)) for one in (*direction, wide))
     loops().matcap_relight_radiance(
-        byref(octahedra.as_c(kept)), c_int64(wide.size), *places, address(looked_up)
+        byref(octahedra.as_c()), c_int64(wide.size), *places, address(looked_up)
     )
     return looked_up

@@ -53,8 +53,6 @@ class Block:
     """Pixels, and the radiance that lights and effects have added so far.
 
     Attributes:
-        context: inputs shared by all blocks.
-        plan: the context's.
         hits: intersections of the pixels' rays with the surface.
         column, row: the same on the material, in texels, float64.
         height: of the relief there, where shadow rays start; None without parallax and shadows.
@@ -121,7 +119,8 @@ class Block:
         return self.tiles[np.flatnonzero(np.diff(self.tiles, prepend=-1))]
 
     @cached_property
-    def _as_c(self) -> tuple[CPixels, KeptArrays]:
+    def as_c(self) -> CPixels:
+        """The block as a C structure (loops/structures.py)."""
         kept, hits, sample = KeptArrays(), self.hits, self.sample
 
         def vector(arrays: tuple[Array, ...] | list[Array]) -> tuple[int, ...]:
@@ -154,9 +153,4 @@ class Block:
             pixels.strength, pixels.near = vector(self.strength), kept.of(self._near)
             pixels.lost, pixels.lost_size = kept.of(lost), lost.size
             pixels.lost_step = albedo().lost_step
-        return pixels, kept
-
-    @property
-    def as_c(self) -> CPixels:
-        """The block as a C structure (loops/structures.py)."""
-        return self._as_c[0]
+        return kept.kept_by(pixels)

@@ -26,15 +26,15 @@ class View:
     """Half the picture's long side: at distance 1 (perspective), or in plane units."""
     size: tuple[int, int]
     """(width, height) in pixels."""
-    perspective: bool
-    """Rays start in `position`; else they are parallel."""
+    camera: Camera
+    """Projection and vignetting."""
     columns: tuple[int, int] | None = None
     """Half-open range of columns that rays are generated for; None is all."""
-    vignetting: float = 0.0
-    vignetting_quartic: float = 0.0
-    """Exponents at r = 1, see Camera."""
-    vignetting_centre: tuple[float, float] = (0.0, 0.0)
-    """See Camera."""
+
+    @property
+    def perspective(self) -> bool:
+        """Whether rays start in `position`; else they are parallel."""
+        return self.camera.type == "perspective"
 
     @property
     def across(self) -> tuple[int, int]:
@@ -63,25 +63,24 @@ class View:
 
     def share(self, top: int, bottom: int) -> Array:
         """(bottom - top, W) vignetting: exp(-(v r^2 + q r^4)), r = 1 in a 4:3 picture's corner."""
-        centre = self.vignetting_centre
-        offsets = zip(self.screen(top, bottom), centre, strict=True)
+        offsets = zip(self.screen(top, bottom), self.camera.vignetting_centre, strict=True)
         across, down = (place / self.reach - middle for place, middle in offsets)
         squared = (across * across + down * down) / _CORNER_SQUARED
-        exponent = squared * (self.vignetting + self.vignetting_quartic * squared)
+        exponent = squared * (self.camera.vignetting + self.camera.vignetting_quartic * squared)
         return np.exp(-exponent).astype(np.float32)
 
     @property
     def vignetted(self) -> bool:
         """Whether the lens loses any light."""
-        return self.vignetting != 0.0 or self.vignetting_quartic != 0.0
+        return self.camera.vignetting != 0.0 or self.camera.vignetting_quartic != 0.0
 
     @property
     def brightest(self) -> float:
         """Largest factor of the vignetting in the picture, above 1 where the lens brightens."""
-        sides = zip(self.size, self.vignetting_centre, strict=True)
+        sides = zip(self.size, self.camera.vignetting_centre, strict=True)
         farthest = (side / max(self.size) + abs(centre) for side, centre in sides)
         corner = sum(side * side for side in farthest) / _CORNER_SQUARED
-        first, second = self.vignetting, self.vignetting_quartic
+        first, second = self.camera.vignetting, self.camera.vignetting_quartic
         # The exponent is a parabola in r^2: extreme at centre, corner, or its vertex.
         turn = -0.5 * first / second if second else 0.0
         places = (0.0, corner, min(max(turn, 0.0), corner))
@@ -111,7 +110,7 @@ def view_of(camera: Camera | None, film: Film, long_side: float) -> View:
     if camera is None:
         reach = math.tan(math.radians(22.5))
         place = np.array([0.0, 0.0, long_side / 2.0 / reach])
-        return View(place, np.diag([1.0, 1.0, -1.0]), reach, size, True)
+        return View(place, np.diag([1.0, 1.0, -1.0]), reach, size, Camera())
     place = np.asarray(camera.position, dtype=np.float64)
     forward = unit3(tuple(np.asarray(camera.target) - place))
     upright = unit3(camera.up)
@@ -121,18 +120,6 @@ def view_of(camera: Camera | None, film: Film, long_side: float) -> View:
     right = np.cross(forward, upright)
     right = right / np.linalg.norm(right)
     axes = np.stack([right, np.cross(right, forward), forward])
-    if camera.type == "perspective":
-        reach = math.tan(math.radians(camera.fov / 2.0))
-    else:
-        reach = camera.scale
-    perspective = camera.type == "perspective"
-    return View(
-        place,
-        axes,
-        reach,
-        size,
-        perspective,
-        vignetting=camera.vignetting,
-        vignetting_quartic=camera.vignetting_quartic,
-        vignetting_centre=camera.vignetting_centre,
-    )
+    angle = math.radians(camera.fov / 2.0)
+    reach = math.tan(angle) if camera.type == "perspective" else camera.scale
+    return View(place, axes, reach, size, camera)

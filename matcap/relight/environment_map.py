@@ -96,10 +96,9 @@ class Environment:
         if not over.any():
             return self, ()
         without_suns = np.minimum(top, np.float32(limit))
-        towards = self.texel_directions(*np.nonzero(over))
-        edges = np.cos(np.arange(height + 1) * math.pi / height)
-        solid = (edges[:-1] - edges[1:]) * 2.0 * math.pi / width
-        power = (top - without_suns)[over] * solid[np.nonzero(over)[0]][:, None]
+        rows, columns = np.nonzero(over)
+        towards = _directions(rows, columns, (height, width), self.rotation)
+        power = (top - without_suns)[over] * _solid_angles(height, width)[rows][:, None]
         suns = []
         for one in np.unique(cell[over]):
             part = cell[over] == one
@@ -129,8 +128,8 @@ class Environment:
 
         top = self.levels[0]
         height, width = top.shape[:2]
-        rows, columns = np.divmod(np.arange(height * width), width)
-        z = self.texel_directions(rows, columns)[:, 2].reshape(height, width)
+        rows, columns = np.indices((height, width))
+        z = _directions(rows, columns, (height, width), self.rotation)[..., 2]
         # Bilinear lookups above the plane also read the first texels below it: keep those.
         padded = np.pad((z > 0.0).astype(np.uint8), ((1, 1), (1, 1)), "wrap")
         near = cv2.dilate(padded, np.ones((3, 3), np.uint8))[1:-1, 1:-1] > 0
@@ -140,14 +139,6 @@ class Environment:
         seen = (top.astype(np.float64) * weights[..., None]).sum((0, 1)) / weights.sum()
         picture = np.where(near[..., None], top, seen.astype(np.float32))
         return Environment(_pyramid(picture), self.rotation)
-
-    def texel_directions(self, rows: Array, columns: Array) -> Array:
-        """(N, 3) unit vectors of the scene to the centres of texels of the finest level."""
-        height, width = self.levels[0].shape[:2]
-        azimuth = ((columns + 0.5) / width - 0.5) * 2.0 * math.pi - self.rotation
-        polar = (rows + 0.5) * math.pi / height
-        ring = np.sin(polar)
-        return np.stack([-np.sin(azimuth) * ring, np.cos(polar), np.cos(azimuth) * ring], axis=-1)
 
     @cached_property
     def octahedra(self) -> Octahedra:
@@ -188,17 +179,12 @@ class Environment:
         The quadrature of all integrals; the mean's part has a closed form.
         """
         width, height = _SUMMED, _SUMMED // 2
-        azimuth = ((np.arange(width) + 0.5) / width - 0.5) * 2.0 * math.pi - self.rotation
-        edges = np.cos(np.arange(height + 1) * math.pi / height)
-        polar = (np.arange(height) + 0.5) * math.pi / height
-        y, ring = np.cos(polar)[:, None], np.sin(polar)[:, None]
-        towards = np.stack(
-            np.broadcast_arrays(-np.sin(azimuth) * ring, y, np.cos(azimuth) * ring), axis=-1
-        ).reshape(-1, 3)
-        solid = np.repeat((edges[:-1] - edges[1:]) * 2.0 * math.pi / width, width)
+        rows, columns = np.indices((height, width)).reshape(2, -1)
+        towards = _directions(rows, columns, (height, width), self.rotation)
+        solid = _solid_angles(height, width)[rows]
         # A level no finer than the grid: every texel counts.
         level = max(0, math.ceil(math.log2(self.levels[0].shape[1] / width)))
-        seen = self.radiance(tuple(towards.T), level)  # type: ignore[arg-type]
+        seen = self.radiance(tuple(towards.T), level)
         return towards.astype(np.float32), ((seen.T - self.mean) * solid[:, None]).astype(
             np.float32
         )
@@ -206,8 +192,7 @@ class Environment:
     def vector(self, *, above: bool) -> Array:
         """(3, 3) integral of (radiance - mean) times direction: rows are axes, columns colours.
 
-        Args:
-            above: over directions with z > 0; else over all.
+        Over directions with z > 0 if `above`, else over all.
         """
         return self._vectors[0 if above else 1]
 
@@ -282,6 +267,21 @@ def environment_of(light: EnvironmentLight) -> Environment:
         return Environment((np.broadcast_to(picture, (2, 4, 3)).copy(),), 0.0)
     picture = read_picture(light.file) * np.float32(light.scale)
     return Environment(_pyramid(picture), math.radians(light.rotation))
+
+
+def _directions(rows: Array, columns: Array, size: tuple[int, int], rotation: float) -> Array:
+    """(..., 3) unit vectors of the scene to centres of texels of a (height, width) map."""
+    height, width = size
+    azimuth = ((columns + 0.5) / width - 0.5) * 2.0 * math.pi - rotation
+    polar = (rows + 0.5) * math.pi / height
+    ring = np.sin(polar)
+    return np.stack([-np.sin(azimuth) * ring, np.cos(polar), np.cos(azimuth) * ring], axis=-1)
+
+
+def _solid_angles(height: int, width: int) -> Array:
+    """(height,) solid angle of a texel of each row, in steradians."""
+    edges = np.cos(np.arange(height + 1) * math.pi / height)
+    return (edges[:-1] - edges[1:]) * 2.0 * math.pi / width
 
 
 def _pyramid(picture: Array) -> tuple[Array, ...]:

@@ -59,8 +59,6 @@ class _WalkState:
 
     walk: CWalk
     """Parameters for the loops."""
-    kept: KeptArrays
-    """Arrays that `walk` points to."""
     walked: Array
     """(H W,) uint8, 1 at the first texel of each group of LANES that is done."""
     transfer: Array | None
@@ -134,11 +132,7 @@ class Horizons:
 
     def prepare(self, *, coarse: bool, fine: bool) -> None:
         """Allocate what threads share, before they start."""
-        assert self._plain is not None
-        if coarse:
-            assert self._coarse is not None
-        if fine:
-            assert self._fine is not None
+        _ = self._plain, coarse and self._coarse, fine and self._fine
 
     @cached_property
     def _plain(self) -> _WalkState:
@@ -168,7 +162,7 @@ class Horizons:
             self.relief.texture.size[0], self._reach, stride, float(self._padded.max()),
         )  # fmt: skip
         transfer = np.empty((size, CHANNELS), dtype=np.float32) if transfers else None
-        return _WalkState(walk, kept, np.zeros(size, dtype=np.uint8), transfer)
+        return _WalkState(kept.kept_by(walk), np.zeros(size, dtype=np.uint8), transfer)
 
     @cached_property
     def _steps(self) -> list[int]:
@@ -192,9 +186,7 @@ class Horizons:
     @cached_property
     def _padded(self) -> Array:
         """(rows, columns) heights in texels, padded by `_reach`."""
-        width, height = self.relief.texture.size
-        field: Array = self.relief.heights.reshape(height, width)
-        return self._wrapped(field / np.float32(self.relief.texel_size))
+        return self._wrapped(self.relief.grid)
 
     def _wrapped(self, field: Array) -> Array:
         """A field padded by the longest step, and by a group of LANES on the right."""
@@ -207,9 +199,7 @@ class Horizons:
 
         Its scalar product with (e l) is the radiance a texel sends under irradiance e from l.
         """
-        width, height = self.relief.texture.size
-        field = self.relief.heights.reshape(height, width) / np.float32(self.relief.texel_size)
-        wide = np.pad(field, 1, mode=self.relief.around)
+        wide = np.pad(self.relief.grid, 1, mode=self.relief.around)
         x = 0.5 * (wide[1:-1, 2:] - wide[1:-1, :-2])
         y = 0.5 * (wide[:-2, 1:-1] - wide[2:, 1:-1])
         z = 1.0 / np.sqrt(1.0 + x * x + y * y)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,14 +96,8 @@ def turntable(scene: Scene, frames: int) -> list[Scene]:
     scenes = []
     for index in range(frames):
         angle = -2.0 * math.pi * index / frames
-        turned = replace(
-            camera,
-            position=_rotated(camera.position, angle, 1),
-            target=_rotated(camera.target, angle, 1),
-            up=_rotated(camera.up, angle, 1),
-        )
         lights = tuple(_turned(one, angle, 1) for one in scene.lights)
-        scenes.append(replace(scene, camera=turned, lights=lights))
+        scenes.append(replace(scene, camera=_turned(camera, angle, 1), lights=lights))
     return scenes
 
 
@@ -129,22 +124,19 @@ def sheet_lights(columns: int, rows: int) -> list[PointLight]:
     return lights
 
 
-def _turned(light: Light, angle: float, axis: int) -> Light:
-    """A light turned about the y (1) or z (2) axis; environments turn about y only."""
-    if isinstance(light, EnvironmentLight):
-        turn = math.degrees(angle) if axis == 1 else 0.0
-        return replace(light, rotation=light.rotation + turn)
-    if isinstance(light, DirectionalLight):
-        return replace(light, direction=_rotated(light.direction, angle, axis))
-    place = _rotated(light.position, angle, axis)
-    if isinstance(light, RectangleLight):
-        return replace(
-            light,
-            position=place,
-            normal=_rotated(light.normal, angle, axis),
-            up=_rotated(light.up, angle, axis),
-        )
-    return replace(light, position=place)
+Placed = TypeVar("Placed", bound=Camera | Light)
+
+
+def _turned(placed: Placed, angle: float, axis: int) -> Placed:
+    """A camera or light turned about the y (1) or z (2) axis; environments turn about y only."""
+    turned: dict[str, Any] = {
+        one.name: _rotated(getattr(placed, one.name), angle, axis)
+        for one in fields(placed)
+        if one.type == "Vector"
+    }
+    if isinstance(placed, EnvironmentLight) and axis == 1:
+        turned = {"rotation": placed.rotation + math.degrees(angle)}
+    return replace(placed, **turned)
 
 
 def _rotated(

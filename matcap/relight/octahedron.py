@@ -34,17 +34,13 @@ class Octahedra:
     sides: Array
     """(levels,) texels along a side of each level, border excluded."""
 
-    @property
-    def finest(self) -> float:
-        """Square root of the mean solid angle of a texel of the finest level, in radians."""
-        return math.sqrt(4.0 * math.pi) / float(self.sides[0])
-
-    def as_c(self, kept: KeptArrays) -> CEnvironment:
+    def as_c(self) -> CEnvironment:
         """The levels as a C structure (loops/structures.py)."""
-        return CEnvironment(
-            kept.of(self.atlas), kept.of(self.tops), kept.of(self.sides),
-            self.atlas.shape[1], len(self.sides), self.finest,
-        )  # fmt: skip
+        kept, width = KeptArrays(), self.atlas.shape[1]
+        arrays = (kept.of(one) for one in (self.atlas, self.tops, self.sides))
+        # Square root of the mean solid angle of a texel of the finest level, in radians.
+        finest = math.sqrt(4.0 * math.pi) / float(self.sides[0])
+        return kept.kept_by(CEnvironment(*arrays, width, len(self.sides), finest))
 
 
 def unfolded(u: Array, v: Array) -> Vec:

@@ -61,7 +61,7 @@ def write_still(radiance: Radiance, path: Path, film: Film) -> None:
         if path.suffix.lower() == ".exr":
             write_exr(file, radiance, half=False, mark=MARK)
         else:
-            if not all(np.isfinite(part).all() for part in _strips(radiance)):
+            if not all(np.isfinite(row).all() for row in radiance):
                 raise MatcapError.at(
                     path.name,
                     "the picture has values that are not finite",
@@ -101,11 +101,6 @@ def write_tiles(rendering: Rendering, path: Path) -> None:
         file.write_bytes(png_bytes(np.vstack(rows), MARK))
 
 
-def _strips(radiance: Radiance) -> list[Radiance]:
-    """The picture as views of _STRIP rows."""
-    return [radiance[top : top + _STRIP] for top in range(0, len(radiance), _STRIP)]
-
-
 def files_of(path: Path, frames: int | None = None) -> list[Path]:
     """Files of a picture, or of an animation of `frames` frames."""
     if frames is None or path.suffix.lower() != ".exr":
@@ -141,8 +136,9 @@ def write_movie(frames: Iterable[Radiance], path: Path, film: Film) -> None:
 
 def _codes(frame: Radiance, film: Film) -> NDArray[np.uint8]:
     codes = np.empty(frame.shape, dtype=np.uint8)
-    for part, strip in zip(_strips(frame), range(0, len(frame), _STRIP), strict=True):
-        codes[strip : strip + _STRIP] = np.rint(encode(part, film) * 255.0)
+    for top in range(0, len(frame), _STRIP):
+        strip = slice(top, top + _STRIP)
+        codes[strip] = np.rint(encode(frame[strip], film) * 255.0)
     return codes
 
 

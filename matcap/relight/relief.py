@@ -42,6 +42,12 @@ class Relief:
         return np.ascontiguousarray(self.texture.height[0] * factor).ravel()
 
     @cached_property
+    def grid(self) -> Array:
+        """(H, W) heights of the texels, scaled, in texels."""
+        width, height = self.texture.size
+        return self.heights.reshape(height, width) / np.float32(self.texel_size)
+
+    @cached_property
     def low(self) -> float:
         """The lowest height."""
         return float(self.heights.min())
@@ -64,22 +70,19 @@ class Relief:
     @cached_property
     def field(self) -> CField:
         """The C structure of the loops; valid while this object lives."""
-        return self._field()
-
-    @cached_property
-    def bounded_field(self) -> CField:
-        """`field` with clear_tangents: loops that cast many rays from a place skip clear ones."""
-        c_field = self._field()
-        c_field.clear = self.clear_tangents.ctypes.data
-        return c_field
-
-    def _field(self) -> CField:
         width, height = self.texture.size
         lift, ends = _LIFT * (self.high - self.low), int(not self.endless)
         return CField(
             self.heights.ctypes.data, width, height, ends, lift, self.high, self.low,
             self.texel_size,
         )  # fmt: skip
+
+    @cached_property
+    def bounded_field(self) -> CField:
+        """`field` with clear_tangents: loops that cast many rays from a place skip clear ones."""
+        c_field = CField.from_buffer_copy(self.field)
+        c_field.clear = self.clear_tangents.ctypes.data
+        return c_field
 
     def at(self, u: Array, v: Array) -> Array:
         """Heights at places (u, v) in plane units, float32."""
@@ -105,19 +108,17 @@ class Relief:
         _NEAR texels the bound is the steepest slope; in each ring beyond, the highest texel's
         height over the ring's inner radius.
         """
-        width, height = self.texture.size
-        field = self.heights.reshape(height, width) / np.float32(self.texel_size)
-        wide = np.pad(field, 1, mode=self.around)
+        wide = np.pad(self.grid, 1, mode=self.around)
         across, down = np.abs(np.diff(wide, axis=1)), np.abs(np.diff(wide, axis=0))
         # Steepest slope of each cell of four texels, then of the four cells around a texel.
         cells = np.hypot(np.maximum(across[:-1], across[1:]), np.maximum(down[:, :-1], down[:, 1:]))
         steep = np.maximum(cells[:-1], cells[1:])
         steep = np.maximum(steep[:, :-1], steep[:, 1:])
-        lowest = field - steep * np.float32(math.sqrt(0.5))
+        lowest = self.grid - steep * np.float32(math.sqrt(0.5))
         upper = _highest(steep, _NEAR, self.around)
         nearest = float(_NEAR)
         for reach in _RINGS:
-            peaks = _highest(field, reach, self.around)
+            peaks = _highest(self.grid, reach, self.around)
             upper = np.maximum(upper, (peaks - lowest) / nearest)
             nearest = reach - 0.5
         highest = np.float32(self.high / self.texel_size)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,8 @@ from matcap.relight.scene import (
 )
 from matcap.relight.scene_bounds import gather
 from matcap.relight.shade import shade
-from matcap.relight.surfaces.shape import Shape, shape_of
+from matcap.relight.surfaces.hits import Shape
+from matcap.relight.surfaces.shape import shape_of
 from matcap.relight.tally import TILE, Tally
 from matcap.relight.texture import Texture
 
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
 _BLOCK = 32768
 # Top, bottom, left and right of a rectangle of pixels, half open.
 Cut = tuple[int, int, int, int]
-Item = TypeVar("Item")
 OnShare = Callable[[float], None]
 # Effects that may run in some tiles only.
 BY_TILES = ("area", "environment", "parallax", "shadows", "visibility", "interreflection")
@@ -200,7 +200,7 @@ class Renderer:
                 picture[top:bottom, left:right] = np.moveaxis(radiance, 0, -1)
 
         blocks = list(_blocks(view.size, whole_tiles=adaptive))
-        _in_parallel(block, blocks, lambda done: progress(done / len(blocks)))
+        _in_parallel(block, blocks, progress)
         if not all(np.isfinite(row).all() for row in picture):
             raise too_bright(scene.lights)
         done = plan.done(tally.seconds, tally.shares())
@@ -290,16 +290,12 @@ def _blocks(size: tuple[int, int], *, whole_tiles: bool) -> Iterator[Cut]:
             yield top, min(top + rows, height), left, min(left + columns, width)
 
 
-def _in_parallel(
-    work: Callable[[Item], None],
-    items: Iterable[Item],
-    on_progress: Callable[[int], None] = lambda _done: None,
-) -> None:
-    """Call `work` on all items in threads; report the number finished, in the items' order."""
+def _in_parallel(work: Callable[[Cut], None], blocks: list[Cut], progress: OnShare) -> None:
+    """Call `work` on all blocks in threads; report the share finished, in the blocks' order."""
     pool = ThreadPoolExecutor(_workers())
     try:
-        for index, _ in enumerate(pool.map(work, items)):
-            on_progress(index + 1)
+        for done, _ in enumerate(pool.map(work, blocks), start=1):
+            progress(done / len(blocks))
     finally:
         # After an interruption, wait for running items only.
         pool.shutdown(cancel_futures=True)

@@ -8,10 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from matcap.relight.lobes import alpha_of
 from matcap.relight.loops.library import KeptArrays, Pointer, address, loops
 from matcap.relight.loops.structures import CTexels
-from matcap.relight.texture import Texture
+from matcap.relight.texture import Texture, alpha_of
 from matcap.relight.vectors import Array, Vec
 
 # Distance from texel centres, in texels, within which lookups return the texels themselves.
@@ -72,7 +71,7 @@ class Sampler:
                 return aligned
             return self._unpacked(between(self._rows, self.texture.size, column, row))
         wide = self.covered(footprint)
-        return self._unpacked(read(*self._pyramid, column, row, wide))
+        return self._unpacked(read(self._pyramid, column, row, wide))
 
     def _aligned(self, column: Array, row: Array) -> SurfaceSample | None:
         """Texels themselves, where places are a grid of adjacent texel centres; else None."""
@@ -119,8 +118,8 @@ class Sampler:
         return np.ascontiguousarray(stack.reshape(len(stack), -1).T)
 
     @cached_property
-    def _pyramid(self) -> tuple[CTexels, KeptArrays]:
-        """All levels as a C structure, and the arrays it points to.
+    def _pyramid(self) -> CTexels:
+        """All levels as a C structure.
 
         Means, and as slope variance mean(s^2) - mean(s)^2, summed over x and y.
         """
@@ -156,17 +155,14 @@ def between(rows: Array, size: tuple[int, int], column: Array, row: Array) -> Ar
         size: (width, height) in texels.
         column, row: places in texels; texel centres are whole numbers.
     """
-    return read(*_texels(rows, [size]), column, row, None)
+    return read(_texels(rows, [size]), column, row, None)
 
 
-def read(
-    texels: CTexels, _kept: KeptArrays, column: Array, row: Array, wide: Array | None
-) -> Array:
+def read(texels: CTexels, column: Array, row: Array, wide: Array | None) -> Array:
     """(C, ...) trilinear lookups in a repeating texture.
 
     Args:
         texels: mip pyramid, as a C structure.
-        _kept: the arrays it points to: a reference, to keep them alive.
         column, row: places in texels of the finest level; texel centres are whole numbers.
         wide: side of the footprint in texels; None is bilinear in the finest level.
     """
@@ -181,11 +177,12 @@ def read(
     return looked_up
 
 
-def _texels(rows: Array, sizes: list[tuple[int, int]]) -> tuple[CTexels, KeptArrays]:
+def _texels(rows: Array, sizes: list[tuple[int, int]]) -> CTexels:
     kept = KeptArrays()
     starts = np.cumsum([0, *(width * height for width, height in sizes[:-1])])
     widths, heights = np.array(sizes).T
-    return CTexels(
+    texels = CTexels(
         kept.of(rows), kept.of(starts, np.int64), kept.of(widths, np.int32),
         kept.of(heights, np.int32), rows.shape[1], len(sizes),
-    ), kept  # fmt: skip
+    )  # fmt: skip
+    return kept.kept_by(texels)

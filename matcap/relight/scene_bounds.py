@@ -14,7 +14,6 @@ import numpy as np
 
 from matcap.relight.camera import View
 from matcap.relight.environment_map import Environment
-from matcap.relight.lobes import alpha_of
 from matcap.relight.scene import (
     DirectionalLight,
     EnvironmentLight,
@@ -24,7 +23,7 @@ from matcap.relight.scene import (
     Scene,
     SphereLight,
 )
-from matcap.relight.texture import Texture
+from matcap.relight.texture import Texture, alpha_of
 from matcap.relight.vectors import unit3
 
 # Upper bound of the specular lobe's directional albedo, with the error of the albedo tables.
@@ -146,8 +145,6 @@ def gather(
     """Compute the bounds of a scene.
 
     Args:
-        scene: its lights and surface.
-        region: box around the visible points.
         footprint: largest side of a pixel's footprint, in texels.
         environments: one for each environment light.
     """

@@ -10,10 +10,10 @@ from ctypes import byref
 
 import numpy as np
 
-from matcap.relight.lobes import alpha_of
 from matcap.relight.loops.library import KeptArrays, loops
 from matcap.relight.loops.structures import DIFFUSE, SPECULAR, CLamp, CPixels
 from matcap.relight.scene import DirectionalLight
+from matcap.relight.texture import alpha_of
 from matcap.relight.vectors import Array, unit3
 
 

@@ -13,6 +13,13 @@ from matcap.relight.vectors import Array
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
+MIN_ROUGHNESS = 1e-3  # as matcap.brdf
+
+
+def alpha_of(roughness: Array) -> Array:
+    """GGX alpha of perceptual roughness: its square, at least 1e-6."""
+    return np.square(np.maximum(roughness, roughness.dtype.type(MIN_ROUGHNESS)))
+
 
 @dataclass(frozen=True)
 class Extremes:
@@ -65,20 +72,10 @@ class Texture:
             raise ValueError("maps with batch dimensions cannot be rendered: pass one map set")
         normal = maps.normal
         slopes = -normal[:2] / normal[2:]
-
-        def array(tensor: object) -> Array:
-            return tensor.detach().cpu().float().contiguous().numpy()  # type: ignore[attr-defined]
-
-        check_heights(array(maps.height), "the material")
-        return Texture(
-            array(maps.diffuse),
-            array(maps.specular),
-            array(maps.roughness),
-            array(maps.height),
-            array(slopes),
-            maps.texel_size,
-            maps.periodic,
-        )
+        tensors = (maps.diffuse, maps.specular, maps.roughness, maps.height, slopes)
+        a, b, c, d, e = (one.detach().cpu().float().contiguous().numpy() for one in tensors)
+        check_heights(d, "the material")
+        return Texture(a, b, c, d, e, maps.texel_size, maps.periodic)
 
     @property
     def size(self) -> tuple[int, int]:

@@ -9,7 +9,7 @@ from loop_calls import lobe
 from plain.lobes import ggx_smith, schlick_weight
 
 from matcap.brdf import cook_torrance as reference
-from matcap.relight.lobes import alpha_of
+from matcap.relight.texture import alpha_of
 from matcap.relight.vectors import dot
 
 

@@ -83,7 +83,7 @@ def bound(limits: SceneBounds) -> Bound:
 def add(block: Block, light: AreaLight) -> None:
     """Add the light's radiance to a block."""
     plan, relief = block.plan, block.context.relief
-    c_light, _ = _as_c(
+    c_light = _as_c(
         light,
         falls=plan.on("falloff"),
         diffuse=plan.on("diffuse"),
@@ -97,16 +97,14 @@ def add(block: Block, light: AreaLight) -> None:
     with block.context.tally.timed("area"):
         loops().matcap_relight_area(
             byref(block.as_c), byref(c_light), field,
-            byref(directions(SAMPLES)[0]), Whole(block.adaptive), address(ran),
+            byref(directions(SAMPLES)), Whole(block.adaptive), address(ran),
         )  # fmt: skip
     block.ran("area", ran > 0)
     block.ran("shadows", ran > 1)
 
 
 @lru_cache(maxsize=64)
-def _as_c(
-    light: AreaLight, *, falls: bool, diffuse: bool, specular: bool
-) -> tuple[CAreaLight, KeptArrays]:
+def _as_c(light: AreaLight, *, falls: bool, diffuse: bool, specular: bool) -> CAreaLight:
     """The light as a C structure, with the quadrature rules of all orders."""
     kept, central = KeptArrays(), max(sum(c * c for c in light.position), 1e-12)
     c_light = CAreaLight(
@@ -125,7 +123,7 @@ def _as_c(
         parted = 12 if number > len(ORDERS) else max(4 * math.ceil(order / 4), 8)
         c_light.parted[number] = _rule(rule(light, parted, parts=True), parted, kept)
     c_light.probe = _rule(rule(light, 4), 4, kept)
-    return c_light, kept
+    return kept.kept_by(c_light)
 
 
 def _rule(rule: Rule, order: int, kept: KeptArrays) -> CRule:

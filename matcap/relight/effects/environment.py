@@ -28,7 +28,7 @@ from matcap.relight.block import Block
 from matcap.relight.effects import direct
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
 from matcap.relight.environment_map import Environment
-from matcap.relight.loops.library import KeptArrays, address, loops
+from matcap.relight.loops.library import address, loops
 from matcap.relight.loops.structures import CHorizon, directions
 from matcap.relight.scene_bounds import LARGEST_ALBEDO, SceneBounds
 from matcap.relight.surfaces.hits import Hits, to_frame, to_scene
@@ -152,7 +152,7 @@ def _sampled(block: Block, rest: Environment, horizon: CHorizon, which: Array) -
     It is the reflection of the environment with occlusion, less that of its mean without, at pixels
     `which`.
     """
-    c_directions, _ = directions(block.context.samples)
+    c_directions = directions(block.context.samples)
     if rest.varying == 0.0:
         hidden = np.empty((2, len(which)), dtype=np.float32)
         loops().matcap_relight_hidden(
@@ -160,8 +160,7 @@ def _sampled(block: Block, rest: Environment, horizon: CHorizon, which: Array) -
             address(which), address(hidden),
         )  # fmt: skip
         return -rest.mean.astype(np.float32)[None, :, None] * hidden[:, None]
-    correction, kept = np.empty((2, 3, len(which)), dtype=np.float32), KeptArrays()
-    maps = rest.octahedra.as_c(kept)
+    correction, maps = np.empty((2, 3, len(which)), dtype=np.float32), rest.octahedra.as_c()
     maps.blur, maps.mean = _BLUR, tuple(float(one) for one in rest.mean)
     loops().matcap_relight_sky(
         byref(block.as_c), byref(c_directions), byref(maps), byref(horizon), c_int64(len(which)),

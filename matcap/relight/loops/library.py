@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -49,6 +49,21 @@ class KeptArrays:
         array: Array = np.ascontiguousarray(values, dtype=dtype)
         self._arrays.append(array)
         return array.ctypes.data
+
+    def kept_by(self, structure: Holder) -> Holder:
+        """The structure, which keeps the arrays alive from now on."""
+        structure.kept = self
+        return structure
+
+
+class ArrayStructure(ctypes.Structure):
+    """A C structure that points to arrays."""
+
+    kept: KeptArrays
+    """Keeps them alive."""
+
+
+Holder = TypeVar("Holder", bound=ArrayStructure)
 
 
 def address(array: Array) -> Any:  # noqa: ANN401

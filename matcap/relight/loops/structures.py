@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from matcap.relight.loops.library import LANES, KeptArrays, Pointer, Real, Whole
+from matcap.relight.loops.library import LANES, ArrayStructure, KeptArrays, Pointer, Real, Whole
 from matcap.relight.visible_normals import lattice
 
 _Three, _Nine = Pointer * 3, Pointer * 9
@@ -26,7 +26,7 @@ class CField(ctypes.Structure):
     )  # fmt: skip
 
 
-class CPixels(ctypes.Structure):
+class CPixels(ArrayStructure):
     """Structure of a block of pixels."""
 
     _fields_ = (
@@ -39,7 +39,7 @@ class CPixels(ctypes.Structure):
     )  # fmt: skip
 
 
-class CLattice(ctypes.Structure):
+class CLattice(ArrayStructure):
     """Lattice: samples of visible normals."""
 
     _fields_ = (
@@ -66,7 +66,7 @@ class CRule(ctypes.Structure):
     )  # fmt: skip
 
 
-class CAreaLight(ctypes.Structure):
+class CAreaLight(ArrayStructure):
     """AreaLight: a sphere or rectangle, and its quadrature rules."""
 
     _fields_ = (
@@ -87,7 +87,7 @@ class CSearch(ctypes.Structure):
     )  # fmt: skip
 
 
-class CTexels(ctypes.Structure):
+class CTexels(ArrayStructure):
     """Texels: a mip pyramid."""
 
     _fields_ = (
@@ -96,7 +96,7 @@ class CTexels(ctypes.Structure):
     )  # fmt: skip
 
 
-class CEnvironment(ctypes.Structure):
+class CEnvironment(ArrayStructure):
     """Environment: prefiltered octahedral maps."""
 
     _fields_ = (
@@ -113,7 +113,7 @@ class CHorizon(ctypes.Structure):
     )  # fmt: skip
 
 
-class CWalk(ctypes.Structure):
+class CWalk(ArrayStructure):
     """Walk: steps of the horizon maps' computation."""
 
     _fields_ = (
@@ -127,8 +127,8 @@ class CWalk(ctypes.Structure):
 
 
 @cache
-def directions(samples: int) -> tuple[CLattice, KeptArrays]:
+def directions(samples: int) -> CLattice:
     """A lattice of at least `samples` visible normals, padded to a multiple of LANES."""
     rows, kept = np.array(lattice(samples), dtype=np.float32).T, KeptArrays()
     rows = np.pad(rows, ((0, 0), (0, -rows.shape[1] % LANES)))
-    return CLattice(*(kept.of(row) for row in rows), rows.shape[1]), kept
+    return kept.kept_by(CLattice(*(kept.of(row) for row in rows), rows.shape[1]))

@@ -7,58 +7,70 @@ the tangent plane; outlines stay smooth.
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from matcap.relight.camera import View
-from matcap.relight.surfaces.hits import Hits, TangentFrame, to_frame
+from matcap.relight.relief import Relief
+from matcap.relight.scene import Film
+from matcap.relight.scene_bounds import VisibleRegion
+from matcap.relight.surfaces.hits import Hits, Shape, to_frame
 from matcap.relight.vectors import Array, Vec
 
-
-def sphere_hits(view: View, top: int, bottom: int, radius: float) -> Hits:
-    """Intersect the rays of rows with a sphere."""
-    origin, direction = view.rays(top, bottom)
-    along, seen = _nearest(
-        (direction * direction).sum(0),
-        (origin * direction).sum(0),
-        (origin * origin).sum(0) - radius**2,
-    )
-    point = origin + along * direction
-    normal = point / np.maximum(np.sqrt((point * point).sum(0)), 1e-30)
-    longitude = np.arctan2(normal[0], normal[2])
-    latitude = np.arcsin(np.clip(normal[1], -1.0, 1.0))
-    zero = np.zeros_like(longitude)
-    tangent = np.stack([np.cos(longitude), zero, -np.sin(longitude)])
-    bitangent = np.cross(normal, tangent, axis=0)
-    place = radius * longitude, radius * latitude
-    frame = frame_of(tangent, bitangent, normal)
-    return hits_of(view, point, frame, place, seen, along, direction)
+# Picture's short side over a curved surface's diameter, with the default camera.
+_MARGIN = 1.25
 
 
-def cylinder_hits(view: View, top: int, bottom: int, radius: float, height: float) -> Hits:
-    """Intersect the rays of rows with an upright cylinder's outside."""
-    origin, direction = view.rays(top, bottom)
-    flat_o, flat_d = origin * [[[1.0]], [[0.0]], [[1.0]]], direction * [[[1.0]], [[0.0]], [[1.0]]]
-    along, seen = _nearest(
-        (flat_d * flat_d).sum(0), (flat_o * flat_d).sum(0), (flat_o * flat_o).sum(0) - radius**2
-    )
-    point = origin + along * direction
-    seen = seen & (np.abs(point[1]) <= height / 2.0)
-    longitude = np.arctan2(point[0], point[2])
-    zero, one = np.zeros_like(longitude), np.ones_like(longitude)
-    sine, cosine = np.sin(longitude), np.cos(longitude)
-    frame = frame_of(
-        np.stack([cosine, zero, -sine]), np.stack([zero, one, zero]), np.stack([sine, zero, cosine])
-    )
-    place = radius * longitude, point[1]
-    return hits_of(view, point, frame, place, seen, along, direction)
+@dataclass(frozen=True)
+class Round(Shape):
+    """A sphere, or an upright cylinder as high as it is wide."""
+
+    radius: float
+    cylinder: bool
+
+    def framed(self, film: Film) -> float:
+        """Span of the picture's long side at the origin that shows all of it, plane units."""
+        sides = max(film.width, film.height) / min(film.width, film.height)
+        return 2.0 * self.radius * _MARGIN * sides
+
+    def hits(self, view: View, top: int, bottom: int) -> Hits:
+        """Intersections of the rays of rows [top, bottom) of the picture."""
+        origin, direction = view.rays(top, bottom)
+        # Seen along y, a cylinder is a circle.
+        axes = np.array([1.0, 0.0 if self.cylinder else 1.0, 1.0])[:, None, None]
+        o, d = origin * axes, direction * axes
+        along, seen = _nearest((d * d).sum(0), (o * d).sum(0), (o * o).sum(0) - self.radius**2)
+        point = origin + along * direction
+        if self.cylinder:
+            seen = seen & (np.abs(point[1]) <= self.radius)
+            longitude, up = np.arctan2(point[0], point[2]), point[1]
+            zero = np.zeros_like(longitude)
+            sine, cosine = np.sin(longitude), np.cos(longitude)
+            tangent, normal = np.stack([cosine, zero, -sine]), np.stack([sine, zero, cosine])
+            bitangent = np.stack([zero, zero + 1.0, zero])
+        else:
+            normal = point / np.maximum(np.sqrt((point * point).sum(0)), 1e-30)
+            longitude = np.arctan2(normal[0], normal[2])
+            up = self.radius * np.arcsin(np.clip(normal[1], -1.0, 1.0))
+            zero = np.zeros_like(longitude)
+            tangent = np.stack([np.cos(longitude), zero, -np.sin(longitude)])
+            bitangent = np.cross(normal, tangent, axis=0)
+        frame, place = (tangent, bitangent, normal), (self.radius * longitude, up)
+        return hits_of(view, point, frame, place, seen, along, direction)
+
+    def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
+        """Box around the visible points; footprints are unbounded towards the outline."""
+        r = self.radius + max(abs(relief.low), abs(relief.high))
+        return VisibleRegion((-r, -r, -r), (r, r, r), flat=False), math.inf
 
 
 def hits_of(
     view: View,
     point: Array,
-    frame: TangentFrame,
+    axes: tuple[Array, Array, Array],
     place: tuple[Array, Array],
     seen: Array,
     along: Array,
@@ -68,19 +80,20 @@ def hits_of(
 
     Args:
         point: (3, rows, W) intersections.
-        frame: tangent, bitangent, normal.
+        axes: tangent, bitangent and normal there, (3, rows, W) unit vectors.
         place: (u, v) on the material, (rows, W).
         seen: (rows, W) False where rays miss.
         along: (rows, W) distances along the rays.
         direction: (3, rows, W) unit vectors of the rays.
     """
+    frame = (_vec(axes[0]), _vec(axes[1]), _vec(axes[2]))
     to_view = to_frame(_vec(-direction), frame)
     pixel = view.pixel * (along if view.perspective else np.ones_like(along))
     footprint = (pixel / np.maximum(to_view[2], 1e-3)).astype(np.float32)
     # Rays that miss look up the middle of the material: any valid place.
-    place = tuple(np.where(seen, p, 0.0) for p in place)  # type: ignore[assignment]
+    u, v = (np.where(seen, one, 0.0) for one in place)
     footprint = np.where(seen, footprint, np.float32(0.0))
-    return Hits(_vec(point), frame, place, to_view, np.asarray(seen), footprint)
+    return Hits(_vec(point), frame, (u, v), to_view, np.asarray(seen), footprint)
 
 
 def _nearest(a: Array, half_b: Array, c: Array) -> tuple[Array, Any]:
@@ -96,8 +109,3 @@ def _nearest(a: Array, half_b: Array, c: Array) -> tuple[Array, Any]:
 def _vec(array: Array) -> Vec:
     x, y, z = array.astype(np.float32)
     return x, y, z
-
-
-def frame_of(tangent: Array, bitangent: Array, normal: Array) -> TangentFrame:
-    """The frame of (3, ...) unit vectors, in float32."""
-    return _vec(tangent), _vec(bitangent), _vec(normal)

@@ -1,4 +1,4 @@
-"""Ray-surface intersections."""
+"""Ray-surface intersections, and the interface of surfaces."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from matcap.relight.camera import View
+from matcap.relight.relief import Relief
+from matcap.relight.scene import Film
+from matcap.relight.scene_bounds import VisibleRegion
 from matcap.relight.vectors import Array, Vec, add, dot, scale
 
 TangentFrame = tuple[Vec, Vec, Vec]
@@ -48,6 +52,26 @@ class Hits:
         place = (every(self.place[0]), every(self.place[1]))
         footprint = every(self.footprint)
         return Hits(vector(self.point), frame, place, vector(self.to_view), None, footprint)
+
+
+class Shape:
+    """A surface in the scene."""
+
+    def framed(self, film: Film) -> float:
+        """Span of the picture's long side at the origin that shows all of it, in plane units."""
+        raise NotImplementedError
+
+    def seen_by(self, view: View) -> Shape:
+        """This shape, prepared for a view: a mesh rasterises the face that each pixel sees."""
+        return self
+
+    def hits(self, view: View, top: int, bottom: int) -> Hits:
+        """Intersections of the rays of rows [top, bottom) of the picture."""
+        raise NotImplementedError
+
+    def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
+        """Box around the visible points, and the largest side of a pixel's footprint."""
+        raise NotImplementedError
 
 
 def to_frame(vector: Vec, frame: TangentFrame | None) -> Vec:

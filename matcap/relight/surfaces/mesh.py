@@ -22,8 +22,8 @@ from matcap.relight.camera import View
 from matcap.relight.relief import Relief
 from matcap.relight.scene import Film
 from matcap.relight.scene_bounds import VisibleRegion
-from matcap.relight.surfaces.curved import frame_of, hits_of
-from matcap.relight.surfaces.hits import Hits
+from matcap.relight.surfaces.curved import hits_of
+from matcap.relight.surfaces.hits import Hits, Shape
 from matcap.relight.vectors import Array
 
 # Pairs of a triangle and a pixel that are rasterised together, to bound memory.
@@ -35,7 +35,7 @@ _FARTHEST_SPOT = 1e6  # largest texture coordinate: single precision resolves no
 
 
 @dataclass(frozen=True)
-class Mesh:
+class Mesh(Shape):
     """Triangles with attributes of their corners."""
 
     corners: Array
@@ -70,17 +70,18 @@ class Mesh:
         normal = np.moveaxis((self.normals[face] * weights).sum(axis=-2), -1, 0)
         normal = normal / np.maximum(np.sqrt((normal * normal).sum(0)), 1e-12)
         place = (self.places[face] * weights).sum(axis=-2)
-        tangent = np.moveaxis(self._tangents[face], -1, 0)
+        tangents, handedness = self._tangents
+        tangent = np.moveaxis(tangents[face], -1, 0)
         tangent = tangent - normal * (normal * tangent).sum(0)
         length = np.sqrt((tangent * tangent).sum(0))
         tangent = np.where(length > 1e-9, tangent / np.maximum(length, 1e-9), _aside(normal))
         # Mirrored texture coordinates reverse the bitangent.
-        bitangent = np.cross(normal, tangent, axis=0) * self._handedness[face]
+        bitangent = np.cross(normal, tangent, axis=0) * handedness[face]
         along = np.where(seen, along, 1.0)
         point = origin + along * direction
         spot = (place[..., 0], place[..., 1])
-        frame = frame_of(tangent, bitangent, normal)
-        return hits_of(view, point, frame, spot, seen, along, direction)
+        axes = (tangent, bitangent, normal)
+        return hits_of(view, point, axes, spot, seen, along, direction)
 
     def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
         """Box around the visible points, and the largest side of a pixel's footprint."""
@@ -90,19 +91,17 @@ class Mesh:
         return VisibleRegion(tuple(low), tuple(high), flat=False), float("inf")
 
     @property
-    def _tangents(self) -> Array:
-        """(F, 3) dP/du of each triangle, not normalised; 0 where (u, v) are degenerate."""
+    def _tangents(self) -> tuple[Array, Array]:
+        """(F, 3) dP/du of each triangle, not normalised, 0 where (u, v) are degenerate.
+
+        And (F,) -1 where (u, v) are mirrored, else 1.
+        """
         edge1, edge2 = (self.corners[:, i] - self.corners[:, 0] for i in (1, 2))
         d1, d2 = (self.places[:, i] - self.places[:, 0] for i in (1, 2))
         area = d1[:, 0] * d2[:, 1] - d2[:, 0] * d1[:, 1]
         safe = np.where(np.abs(area) > 1e-18, area, np.inf)
-        return (edge1 * d2[:, 1:] - edge2 * d1[:, 1:]) / safe[:, None]
-
-    @property
-    def _handedness(self) -> Array:
-        """(F,) -1 where (u, v) are mirrored, else 1."""
-        d1, d2 = (self.places[:, i] - self.places[:, 0] for i in (1, 2))
-        return np.where(d1[:, 0] * d2[:, 1] - d2[:, 0] * d1[:, 1] < 0.0, -1.0, 1.0)
+        tangents = (edge1 * d2[:, 1:] - edge2 * d1[:, 1:]) / safe[:, None]
+        return tangents, np.where(area < 0.0, -1.0, 1.0)
 
 
 def load_mesh(path: Path, size: float) -> Mesh:

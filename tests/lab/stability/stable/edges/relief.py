@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.relight.effects import parallax
-from matcap.relight.lobes import alpha_of
 from matcap.relight.relief import Relief
 from matcap.relight.sampling import Sampler
-from matcap.relight.texture import Texture
+from matcap.relight.texture import Texture, alpha_of
 from matcap.relight.vectors import Vec
 from stable.edges.swept import Swept, compared, log_uniform
 

@@ -15,7 +15,6 @@ from matcap.brdf.cook_torrance import cook_torrance
 from matcap.files.exr import write_exr
 from matcap.relight.camera import view_of
 from matcap.relight.effects import multiscatter
-from matcap.relight.lobes import alpha_of
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     Camera,
@@ -30,7 +29,7 @@ from matcap.relight.scene import (
     Surface,
 )
 from matcap.relight.tables import albedo
-from matcap.relight.texture import Texture
+from matcap.relight.texture import Texture, alpha_of
 from matcap.relight.vectors import dot
 from stable.edges.swept import Swept, compared, log_uniform
 from stable.reflectance import CASES, SMOOTH
