@@ -70,6 +70,15 @@ def test_a_turned_camera_sees_the_same_plane(maps):
     np.testing.assert_allclose(turned[2:-2, 2:-2], straight[2:-2, 2:-2], rtol=2e-3)
 
 
+def test_a_camera_that_looks_along_its_up_still_has_a_top(maps):
+    light = (PointLight((0.5, 1.0, 2.0), (5.0, 5.0, 5.0)),)
+    above, along = (
+        relight(maps, Scene(Film(64, 48), Camera(up=up), Surface(), light))
+        for up in ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    )
+    np.testing.assert_array_equal(along, above)
+
+
 def test_orthographic_camera():
     """All pixels look straight down: a flat plane under a far light is evenly lit."""
     camera = Camera("orthographic", (0.0, 0.0, 5.0), scale=1.0)
