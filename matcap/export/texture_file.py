@@ -67,16 +67,12 @@ class TextureFile:
             UsageError: the format has not this depth.
         """
         depth, container = job.depth or usual, job.container
-        if container in ("jpg", "webp"):
-            if not lossy:
-                return TextureFile(
-                    make, job.depth or usual, srgb, meaning, udim=job.tiles is not None
-                )
-            depth = job.depth or "8"
-        elif container == "exr":
-            depth = job.depth or (usual if usual in CONTAINERS["exr"] else "half")
-        elif container is None:
+        if container is None:
             container = "png" if depth in CONTAINERS["png"] else "exr"
+        elif container in ("jpg", "webp") and not lossy:
+            container = "png"
+        if job.depth is None and usual not in CONTAINERS[container]:
+            depth = "half" if container == "exr" else CONTAINERS[container][-1]
         if depth not in CONTAINERS[container]:
             raise UsageError.at(
                 "--bits",
@@ -181,7 +177,8 @@ class TextureFile:
         if self.container == "exr" and not job.tiled:
             write_exr(path, self.pixels(job).astype(np.float32), half=self.depth == "half")
         elif self.container in ("exr", "tx"):
-            _write_tiled(path, self.pixels(job), srgb=self.colour_space == "sRGB", wrap=job.wrap)
+            wrap = "periodic" if job.maps.periodic else "clamp"
+            _write_tiled(path, self.pixels(job), srgb=self.colour_space == "sRGB", wrap=wrap)
         else:
             path.write_bytes(self.encoded(job))
 

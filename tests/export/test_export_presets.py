@@ -377,6 +377,14 @@ def test_libraries_ship_small_files_too(tmp_path, container):
     assert np.abs(grey - job.roughness).mean() < 0.03
 
 
+def test_heights_beside_small_files_are_codes_of_16_bits(tmp_path):
+    job = moss(container="jpg")
+    write_export(job, "raw", tmp_path)
+    about = json.loads((tmp_path / "moss_raw.json").read_text())["height_code"]
+    found = (picture(tmp_path / "moss_height.png") - about["midlevel"]) * about["scale"]
+    assert np.abs(found - job.height).max() < 1e-5 * about["scale"]
+
+
 @pytest.mark.parametrize("options", [{"container": "tx"}, {"container": "exr", "tiled": True}])
 def test_renderers_can_page_tiles_in(tmp_path, options):
     import OpenImageIO as oiio
