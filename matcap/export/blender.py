@@ -7,26 +7,28 @@ displacement are in metres, Blender's unit.
 
 from __future__ import annotations
 
+from functools import partial
 from importlib.resources import files as resources
 
 from matcap.export.job import ExportJob
-from matcap.export.textures import Export, Standard
+from matcap.export.textures import (
+    Export,
+    by_file,
+    file_names,
+    height_entry,
+    standard_surface,
+    standard_textures,
+)
 
 
 def blender(job: ExportJob) -> Export:
     """NAME_blender.py and its textures."""
-    textures = Standard.of(job)
-    files = textures.files(job.name)
+    textures = standard_textures(job)
     script = resources("matcap.export.scripts").joinpath("blender_material.py").read_bytes()
-    kinds = ("diffuse", "specular", "roughness", "normal_gl", "height")
-    entries = {
-        "textures": dict(zip(kinds, files, strict=True)),
-        "height_code": {"scale": job.unit_length, "midlevel": 0.0, "unit": job.unit},
-    }
     return Export(
-        dict(files),
-        {f"{job.name}_blender.py": lambda _: script},
-        {"exact": textures.surface},
+        by_file(job.name, textures),
+        {f"{job.name}_blender.py": script},
+        {"exact": partial(standard_surface, textures)},
         ("needs Blender 4.3 or later, and Cycles for the exact reflectance", *job.size_notes()),
-        entries,
+        {"textures": file_names(job.name, textures)} | height_entry(job, 1.0, 0.0),
     )

@@ -16,7 +16,7 @@ import math
 import struct
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -52,16 +52,6 @@ _REPEAT, _LINEAR, _MIPMAPS = 10497, 9729, 9987
 _MIME: dict[Container, str] = {"png": "image/png", "jpg": "image/jpeg", "webp": "image/webp"}
 
 
-@dataclass(frozen=True)
-class _GltfMaterial:
-    """The textures of a glTF material by name, and its factors."""
-
-    textures: dict[str, TextureFile]
-    ior: float
-    metallic: float
-    factor: float | None = None
-
-
 def gltf_specular(job: ExportJob) -> Export:
     """NAME.glb in the specular workflow: colours in 8 bits, roughness and normals in 16.
 
@@ -73,7 +63,6 @@ def gltf_specular(job: ExportJob) -> Export:
     job.check_formats("glTF", tuple(_MIME), floats=False)
     largest = brightest(job, SHADING)
     limit = min(max(largest, _LEAST_F0), _LARGEST_F0)
-    channels = job.maps.specular.shape[-3]
 
     def tint(piece: MapRows) -> Picture:
         return rgb(specular_colour(piece, SHADING) / np.float32(largest))
@@ -91,7 +80,7 @@ def gltf_specular(job: ExportJob) -> Export:
     }
 
     def surface(seen: dict[str, TextureFile], read: Reader) -> TargetSurface:
-        f0 = (read(seen["specular_color"])[:channels] * largest).clamp(max=1.0)
+        f0 = (read(seen["specular_color"]) * largest).clamp(max=1.0)
         return TargetSurface(
             read(seen["base_color"]),
             f0,
@@ -107,11 +96,9 @@ def gltf_specular(job: ExportJob) -> Export:
         "read with 16 bits": partial(surface, textures),
         "of a single bounce": lambda read: replace(surface(textures, read), shading=_LITERAL),
     }
-
-    material = _GltfMaterial(textures, ior(limit), 0.0, largest / limit)
+    glb = partial(_glb, job, textures, ior(limit), largest / limit)
     notes = (*clipping_notes(job, SHADING), *job.size_notes())
-    entries = occlusion_entry(job)
-    return Export({}, {f"{job.name}.glb": partial(_glb, job, material)}, surfaces, notes, entries)
+    return Export({}, {f"{job.name}.glb": glb}, surfaces, notes, occlusion_entry(job))
 
 
 def gltf_metallic(job: ExportJob) -> Export:
@@ -125,13 +112,10 @@ def gltf_metallic(job: ExportJob) -> Export:
     model = start.nearest(job, lambda tried: partial(_seen, tried, _metallic_textures(job, tried)))
     textures = _metallic_textures(job, model)
     in_browsers = {kind: one.in_browsers() for kind, one in textures.items()}
-    material = _GltfMaterial(textures, ior(model.dielectric[0]), 1.0)
-    documents: dict[str, Callable[[Path], bytes]] = {
-        f"{job.name}.glb": partial(_glb, job, material)
-    }
+    glb = partial(_glb, job, textures, ior(model.dielectric[0]), None)
     surfaces: dict[str, MadeSurface] = {"metallic": partial(_seen, model, in_browsers)}
     entries = occlusion_entry(job) | {"metallic": model.form}
-    return Export({}, documents, surfaces, job.size_notes(), entries)
+    return Export({}, {f"{job.name}.glb": glb}, surfaces, job.size_notes(), entries)
 
 
 def _metallic_textures(job: ExportJob, model: EngineModel) -> dict[str, TextureFile]:
@@ -165,9 +149,47 @@ def ior(f0: float) -> float:
     return (1.0 + math.sqrt(f0)) / (1.0 - math.sqrt(f0))
 
 
-def _glb(job: ExportJob, material: _GltfMaterial, _: Path) -> bytes:
+def _glb(
+    job: ExportJob, textures: dict[str, TextureFile], index: float, factor: float | None, _: Path
+) -> bytes:
+    """The file of textures by name.
+
+    Args:
+        index: of refraction.
+        factor: on the specular colour; None in the metallic workflow.
+    """
     binary = _Binary()
-    return binary.glb(_document(job, binary, material))
+    # Untagged: glTF defines the colour space, and browsers would apply gAMA.
+    with ThreadPoolExecutor(WRITERS) as pool:
+        coded = pool.map(lambda one: one.encoded(job, tagged=False), textures.values())
+        images = [
+            {
+                "bufferView": binary.view(data),
+                "mimeType": _MIME[picture.container],
+                "name": f"{job.name}_{kind}",
+            }
+            for (kind, picture), data in zip(textures.items(), coded, strict=True)
+        ]
+    texture = {kind: {"index": number} for number, kind in enumerate(textures)}
+    extensions: dict[str, Any] = {"KHR_materials_ior": {"ior": index}}
+    if factor is not None:
+        extensions["KHR_materials_specular"] = {
+            "specularColorFactor": [factor] * 3,
+            "specularColorTexture": texture["specular_color"],
+        }
+    material = {
+        "name": job.name,
+        "pbrMetallicRoughness": {
+            "baseColorTexture": texture["base_color"],
+            "metallicRoughnessTexture": texture["roughness"],
+            "metallicFactor": 1.0 if factor is None else 0.0,
+            "roughnessFactor": 1.0,
+        },
+        "normalTexture": texture["normal"],
+        "occlusionTexture": texture["roughness"],
+        "extensions": extensions,
+    }
+    return binary.glb(_document(job, binary, material, images))
 
 
 class _Binary:
@@ -198,69 +220,31 @@ class _Binary:
         return b"".join([header, text, struct.pack("<I4s", self._length, b"BIN\0"), *self._parts])
 
 
-def _document(job: ExportJob, binary: _Binary, material: _GltfMaterial) -> dict[str, Any]:
-    # Untagged: glTF defines the colour space, and browsers would apply gAMA.
-    with ThreadPoolExecutor(WRITERS) as pool:
-        coded = pool.map(lambda one: one.encoded(job, tagged=False), material.textures.values())
-        images = [
-            {
-                "bufferView": binary.view(data),
-                "mimeType": _MIME[picture.container],
-                "name": f"{job.name}_{kind}",
-            }
-            for (kind, picture), data in zip(material.textures.items(), coded, strict=True)
-        ]
-    texture = {kind: {"index": index} for index, kind in enumerate(material.textures)}
-    extensions: dict[str, Any] = {"KHR_materials_ior": {"ior": material.ior}}
-    if material.factor is not None:
-        extensions["KHR_materials_specular"] = {
-            "specularColorFactor": [material.factor] * 3,
-            "specularColorTexture": texture["specular_color"],
-        }
+def _document(
+    job: ExportJob, binary: _Binary, material: dict[str, Any], images: list[dict[str, Any]]
+) -> dict[str, Any]:
     accessors, primitive = _plane(job, binary)
-    used, textures = _textures(material)
+    sources: list[dict[str, Any]] = [{"source": number} for number in range(len(images))]
+    used = []
+    if images[0]["mimeType"] == _MIME["webp"]:
+        used = ["EXT_texture_webp"]
+        sources = [{"extensions": {used[0]: source}} for source in sources]
     return {
         "asset": {"version": "2.0", "generator": MAKER},
-        "extensionsUsed": sorted([*extensions, *used]),
+        "extensionsUsed": sorted([*material["extensions"], *used]),
         **({"extensionsRequired": used} if used else {}),
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": job.name}],
         "meshes": [{"name": job.name, "primitives": [primitive]}],
         "accessors": accessors,
-        "materials": [
-            {
-                "name": job.name,
-                "pbrMetallicRoughness": {
-                    "baseColorTexture": texture["base_color"],
-                    "metallicRoughnessTexture": texture["roughness"],
-                    "metallicFactor": material.metallic,
-                    "roughnessFactor": 1.0,
-                },
-                "normalTexture": texture["normal"],
-                "occlusionTexture": texture["roughness"],
-                "extensions": extensions,
-            }
-        ],
-        "textures": textures,
+        "materials": [material],
+        "textures": [{**source, "sampler": 0} for source in sources],
         "images": images,
         "samplers": [
             {"magFilter": _LINEAR, "minFilter": _MIPMAPS, "wrapS": _REPEAT, "wrapT": _REPEAT}
         ],
     }
-
-
-def _textures(material: _GltfMaterial) -> tuple[list[str], list[dict[str, Any]]]:
-    """The extensions that the textures need, and the `textures` array."""
-    used: list[str] = []
-    textures: list[dict[str, Any]] = []
-    for index, picture in enumerate(material.textures.values()):
-        if picture.container == "webp":
-            used = ["EXT_texture_webp"]
-            textures.append({"extensions": {used[0]: {"source": index}}, "sampler": 0})
-        else:
-            textures.append({"source": index, "sampler": 0})
-    return used, textures
 
 
 def _plane(job: ExportJob, binary: _Binary) -> tuple[list[dict[str, Any]], dict[str, Any]]:

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -97,11 +97,6 @@ class ExportJob:
     def repeats(self) -> bool:
         """Whether the exported maps, or the whole texture set, tile seamlessly."""
         return self.maps.periodic if self.tiles is None else self.tiles.period is not None
-
-    @property
-    def wrap(self) -> Literal["periodic", "clamp"]:
-        """Wrap mode for texture files."""
-        return "periodic" if self.maps.periodic else "clamp"
 
     def size_notes(self) -> tuple[str, ...]:
         """Note for targets in metres, if the size was not measured."""

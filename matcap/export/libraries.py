@@ -6,14 +6,13 @@ from matcap.export.presets import (
     Preset,
     PresetTexture,
     bent,
-    cavity,
     height,
     normal,
     occlusion,
     packed,
     plain,
 )
-from matcap.export.textures import DIFFUSE, ROUGHNESS, SPECULAR
+from matcap.export.textures import CAVITY, DIFFUSE, ROUGHNESS, SPECULAR
 
 LIBRARIES: dict[str, Preset] = {
     "polyhaven": Preset(
@@ -55,7 +54,7 @@ LIBRARIES: dict[str, Preset] = {
             "specular": PresetTexture("specular", "half", plain("specular"), SPECULAR, srgb=None),
             "roughness": PresetTexture("roughness", "half", plain("roughness"), ROUGHNESS),
             "occlusion": occlusion("ao", "half"),
-            "cavity": cavity("cavity", "half"),
+            "cavity": PresetTexture("cavity", "half", plain("cavity"), CAVITY),
             "bent": bent("bent_normal_gl", "half"),
             "height": height("height", "float"),
             "normal": normal("half"),

@@ -14,10 +14,11 @@ All displace by the height, in metres if the size was measured.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -36,7 +37,14 @@ from matcap.export.specular_workflow import (
 )
 from matcap.export.surface import MadeSurface, Reader, TargetSurface, nearest
 from matcap.export.texture_file import TextureFile
-from matcap.export.textures import BASE, Export, Standard, signed
+from matcap.export.textures import (
+    BASE,
+    Export,
+    by_file,
+    signed,
+    standard_surface,
+    standard_textures,
+)
 
 VERSION = "1.39"
 # Indices of refraction that are tried, by their F0.
@@ -47,27 +55,23 @@ _LEAST_INDEX = 0.02  # least F0 of the dielectric in the metallic workflow
 def materialx(job: ExportJob) -> Export:
     """NAME.mtlx, NAME_openpbr.mtlx and NAME_standard_surface.mtlx and their textures."""
     job.check_formats("MaterialX", ("png", "jpg", "exr", "tx"), floats=True)
-    textures = Standard.of(job)
-    standard = textures.files(job.name)
+    textures = standard_textures(job)
+    standard = by_file(job.name, textures)
     layered = {shader: Layered.of(job, shader) for shader in INPUTS}
     # If both shaders take the same kind of textures, they share them.
-    kinds = {one.second[0] for one in layered.values()}
-    stems = {shader: job.name for shader in INPUTS}
-    if len(kinds) > 1:
+    stems = dict.fromkeys(INPUTS, job.name)
+    if len({one.kind for one in layered.values()}) > 1:
         stems["standard_surface"] += "_standard"
     else:
         layered["standard_surface"] = layered["open_pbr_surface"]
     textures_of = {shader: one.files(stems[shader]) for shader, one in layered.items()}
-    documents: dict[str, Callable[[Path], bytes]] = {
-        f"{job.name}.mtlx": partial(_exact, job, standard)
+    documents: dict[str, bytes | Callable[[Path], bytes]] = {
+        f"{job.name}.mtlx": _exact(job, standard)
     }
+    surfaces: dict[str, MadeSurface] = {"exact": partial(standard_surface, textures)}
     for shader, label in (("open_pbr_surface", "openpbr"), ("standard_surface",) * 2):
         files = textures_of[shader] | dict(list(standard.items())[2:])
-        documents[f"{job.name}_{label}.mtlx"] = partial(
-            _layered, job, files, shader, layered[shader]
-        )
-    surfaces: dict[str, MadeSurface] = {"exact": textures.surface}
-    for shader in INPUTS:
+        documents[f"{job.name}_{label}.mtlx"] = _layered(job, files, shader, layered[shader])
         surfaces[shader] = partial(layered[shader].surface, textures, shader=shader)
     return Export(
         standard | textures_of["open_pbr_surface"] | textures_of["standard_surface"],
@@ -88,12 +92,12 @@ class Layered:
 
     base: TextureFile
     """Base colour."""
-    tint: TextureFile | None
-    """Tint of the specular lobe; None with a metalness."""
+    second: TextureFile
+    """Tint of the specular lobe, or metalness."""
+    kind: Literal["tint", "metalness"]
+    """Which of them."""
     shading: TargetShading
     """Shading model of the shaders."""
-    metalness: TextureFile | None = None
-    """Metalness; None with a tint."""
 
     @staticmethod
     def of(job: ExportJob, shader: str = "open_pbr_surface") -> Layered:
@@ -104,7 +108,7 @@ class Layered:
         tried = [Layered.at(job, index) for index in indices]
         if float(job.specular.max()) >= FIRST_METAL:
             tried.append(Layered.metallic(job))
-        standard = Standard.of(job)
+        standard = standard_textures(job)
         return tried[nearest(job, [partial(one.surface, standard, shader=shader) for one in tried])]
 
     @staticmethod
@@ -118,6 +122,7 @@ class Layered:
         return Layered(
             TextureFile.of(job, lambda piece: base_colour(piece, shading), "16", BASE, srgb=True),
             TextureFile.of(job, tint, "16", f"F0 / {index:g}", srgb=job.coloured),
+            "tint",
             shading,
         )
 
@@ -136,18 +141,10 @@ class Layered:
 
         return Layered(
             TextureFile.of(job, lambda piece: made(piece).base, "16", BASE, srgb=True),
-            None,
-            shading,
             TextureFile.of(job, lambda piece: made(piece).metallic, "16", "metalness"),
+            "metalness",
+            shading,
         )
-
-    @property
-    def second(self) -> tuple[str, TextureFile]:
-        """Kind, "tint" or "metalness", and texture that go with the base colour."""
-        if self.metalness is not None:
-            return "metalness", self.metalness
-        assert self.tint is not None
-        return "tint", self.tint
 
     @property
     def ior(self) -> float:
@@ -156,38 +153,24 @@ class Layered:
 
     def files(self, name: str) -> dict[str, TextureFile]:
         """Both textures by file name."""
-        kind, second = self.second
-        label = "specular_color" if kind == "tint" else "base_metalness"
-        return {
-            f"{name}_base_color{self.base.suffix}": self.base,
-            f"{name}_{label}{second.suffix}": second,
-        }
+        label = "specular_color" if self.kind == "tint" else "base_metalness"
+        return by_file(name, {"base_color": self.base, label: self.second})
 
     def surface(
-        self, others: Standard, read: Reader, shader: str = "open_pbr_surface"
+        self, others: Mapping[str, TextureFile], read: Reader, shader: str = "open_pbr_surface"
     ) -> TargetSurface:
-        """The reflectance that a shader renders, with roughness and normal of `others`."""
-        if self.metalness is not None:
-            base, share = read(self.base), read(self.metalness)
-            index = torch.full_like(share, self.shading.index or 0.0)
-            return TargetSurface(
-                base * (1.0 - share),
-                index,
-                read(others.roughness),
-                signed(read(others.normal)),
-                layer=index,
-                shading=replace(self.shading, conductor=shader == "standard_surface"),
-                metal=base,
-                share=share,
-            )
-        f0 = read(self.second[1]) * (self.shading.index or 0.0)
+        """The reflectance that a shader renders, with roughness and normal_gl of `others`."""
+        base, second = read(self.base), read(self.second)
+        rest = read(others["roughness"]), signed(read(others["normal_gl"]))
+        index = self.shading.index or 0.0
+        if self.kind == "tint":
+            f0 = second * index
+            return TargetSurface(base, f0, *rest, layer=f0, shading=self.shading)
+        f0 = torch.full_like(second, index)
+        shading = replace(self.shading, conductor=shader == "standard_surface")
+        diffuse = base * (1.0 - second)
         return TargetSurface(
-            read(self.base),
-            f0,
-            read(others.roughness),
-            signed(read(others.normal)),
-            layer=f0,
-            shading=self.shading,
+            diffuse, f0, *rest, layer=f0, shading=shading, metal=base, share=second
         )
 
 
@@ -251,7 +234,7 @@ class _Document:
         return ET.tostring(self.root, encoding="utf-8", xml_declaration=True) + b"\n"
 
 
-def _exact(job: ExportJob, files: dict[str, TextureFile], _: Path) -> bytes:
+def _exact(job: ExportJob, files: dict[str, TextureFile]) -> bytes:
     """The .mtlx file with matcap's reflectance; `files` are the five textures in order."""
     second = ("specular", "color3" if job.coloured else "float")
     made = _Document(job, files, ("diffuse", "color3"), second)
@@ -303,12 +286,9 @@ INPUTS = {
 }
 
 
-def _layered(
-    job: ExportJob, files: dict[str, TextureFile], shader: str, layered: Layered, _: Path
-) -> bytes:
+def _layered(job: ExportJob, files: dict[str, TextureFile], shader: str, layered: Layered) -> bytes:
     """The .mtlx file of a standard shader; `files` are the five textures in order."""
-    kind = layered.second[0]
-    second = ("metalness", "float")
+    kind, second = layered.kind, ("metalness", "float")
     if kind == "tint":
         second = ("f0", "color3" if job.coloured else "float")
     made = _Document(job, files, ("base_color", "color3"), second)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from functools import partial
 from importlib.resources import files as resources
 
 import numpy as np
@@ -22,7 +23,14 @@ from matcap.export.job import ExportJob, MapRows
 from matcap.export.shading import TargetShading
 from matcap.export.surface import Reader, TargetSurface
 from matcap.export.texture_file import TextureFile
-from matcap.export.textures import Export, Standard, signed
+from matcap.export.textures import (
+    Export,
+    by_file,
+    file_names,
+    signed,
+    standard_surface,
+    standard_textures,
+)
 
 _SCRIPT = "matcap_bsdf.py"
 _LARGEST_SHARE = 0.98
@@ -34,7 +42,8 @@ _VERSION = "3.6.0"
 def mitsuba(job: ExportJob) -> Export:
     """NAME.xml, NAME_exact.xml, matcap_bsdf.py and the textures."""
     job.check_formats("Mitsuba", ("png", "jpg", "exr"), floats=True)
-    textures = Standard.of(job)
+    textures = standard_textures(job)
+    exact_surface = partial(standard_surface, textures)
     bare = float(job.diffuse.max()) < _NO_DIFFUSE
     blend = (
         {}
@@ -49,42 +58,40 @@ def mitsuba(job: ExportJob) -> Export:
             ),
         }
     )
-    standard = textures.files(job.name)
-    names = {kind: f"{job.name}_{kind}{made.suffix}" for kind, made in blend.items()}
+    names = file_names(job.name, textures | blend)
 
     def surface(read: Reader) -> TargetSurface:
         if bare:
-            return replace(textures.surface(read), shading=TargetShading(masking="separable"))
+            return replace(exact_surface(read), shading=TargetShading(masking="separable"))
         share = read(blend["share"])
         return TargetSurface(
             read(blend["blend_diffuse"]) * (1.0 - share),
             read(blend["blend_specular"]) * share,
-            read(textures.roughness),
-            signed(read(textures.normal)),
+            read(textures["roughness"]),
+            signed(read(textures["normal_gl"])),
             f90=share,
             shading=TargetShading(masking="separable"),
         )
 
-    diffuse_file, specular_file, roughness_file, normal_file, _ = standard
     exact = _element("bsdf", "matcap")
-    _texture(exact, "diffuse", diffuse_file, colour=True)
-    _texture(exact, "specular", specular_file, colour=job.coloured)
-    _texture(exact, "roughness", roughness_file)
+    _texture(exact, "diffuse", names["diffuse"], colour=True)
+    _texture(exact, "specular", names["specular"], colour=job.coloured)
+    _texture(exact, "roughness", names["roughness"])
     gloss = _element("bsdf", "principled")
     ET.SubElement(gloss, "float", name="metallic", value="1")
-    mirrored = specular_file if bare else names["blend_specular"]
+    mirrored = names["specular" if bare else "blend_specular"]
     _texture(gloss, "base_color", mirrored, colour=job.coloured)
-    _texture(gloss, "roughness", roughness_file)
+    _texture(gloss, "roughness", names["roughness"])
     plain = gloss if bare else _blended(gloss, names)
     script = resources("matcap.export.scripts").joinpath(_SCRIPT).read_bytes()
     return Export(
-        standard | {names[kind]: one for kind, one in blend.items()},
+        by_file(job.name, textures | blend),
         {
-            f"{job.name}.xml": lambda _: _scene(job, plain, normal_file),
-            f"{job.name}_exact.xml": lambda _: _scene(job, exact, normal_file),
-            _SCRIPT: lambda _: script,
+            f"{job.name}.xml": _scene(job, plain, names["normal_gl"]),
+            f"{job.name}_exact.xml": _scene(job, exact, names["normal_gl"]),
+            _SCRIPT: script,
         },
-        {"metal" if bare else "blend": surface, "exact": textures.surface},
+        {"metal" if bare else "blend": surface, "exact": exact_surface},
         (f"the residual is of {job.name}.xml; {job.name}_exact.xml with {_SCRIPT} has none",),
     )
 

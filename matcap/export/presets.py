@@ -34,7 +34,6 @@ from matcap.export.surface import MadeSurface, Reader, TargetSurface, nearest
 from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (
     BENT,
-    CAVITY,
     CODED_HEIGHT,
     HEIGHT,
     NORMAL,
@@ -229,11 +228,6 @@ def occlusion(label: str, depth: Depth = "8") -> PresetTexture:
     return PresetTexture(label, depth, plain("occlusion"), OCCLUSION)
 
 
-def cavity(label: str, depth: Depth = "8") -> PresetTexture:
-    """Texture of occlusion by texels within CAVITY_REACH."""
-    return PresetTexture(label, depth, plain("cavity"), CAVITY)
-
-
 def bent(label: str, depth: Depth = "8") -> PresetTexture:
     """Texture of bent normals (mean unoccluded directions), +Y up."""
 
@@ -270,13 +264,13 @@ def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) ->
     names = _names(job, packed, pattern, preset.thousand)
     textures = {names[kind]: made for kind, (_, made) in packed.items()}
     surfaces: dict[str, MadeSurface] = {}
-    documents: dict[str, Callable[[Path], bytes]] = {}
+    documents: dict[str, bytes | Callable[[Path], bytes]] = {}
     if model is not None and not wanted:
         kinds = {kind: made for kind, (_, made) in packed.items()}
         surfaces = {model.workflow: partial(engine_surface, model, kinds)}
     if preset.documents is not None and model is not None and not wanted:
         texts = preset.documents(job, names, model)
-        documents = {name: _encoded(text) for name, text in texts.items()}
+        documents = {name: text.encode() for name, text in texts.items()}
     entries = _entries(job, preset, wanted) | {"textures": names}
     if model is not None and model.workflow == "metallic":
         entries["metallic"] = model.form
@@ -324,10 +318,6 @@ def _names(
     return names
 
 
-def _encoded(text: str) -> Callable[[Path], bytes]:
-    return lambda _: text.encode()
-
-
 def _entries(job: ExportJob, preset: Preset, wanted: Sequence[str]) -> dict[str, Any]:
     there = wanted or list(preset.textures)
     entries: dict[str, Any] = {}
@@ -352,9 +342,7 @@ def _made(job: ExportJob, model: EngineModel | None, texture: PresetTexture) -> 
 def _height(job: ExportJob, texture: PresetTexture) -> TextureFile:
     """The height texture: integers hold coded heights, floats plane units."""
     made = TextureFile.of(job, coded_height, texture.depth, CODED_HEIGHT, lossy=False)
-    if made.whole:
-        return made
-    return TextureFile.of(job, picture("height"), texture.depth, HEIGHT, lossy=False)
+    return made if made.whole else replace(made, make=picture("height"), meaning=HEIGHT)
 
 
 def _normal(job: ExportJob, depth: Depth, *, dx: bool) -> TextureFile:
@@ -364,9 +352,8 @@ def _normal(job: ExportJob, depth: Depth, *, dx: bool) -> TextureFile:
     made = TextureFile.of(job, make, depth, f"{NORMAL}, {up}")
     if made.whole:
         return made
-    return TextureFile.of(
-        job, lambda piece: 2.0 * make(piece) - 1.0, depth, f"{SIGNED_NORMAL}, {up}"
-    )
+    meaning = f"{SIGNED_NORMAL}, {up}"
+    return replace(made, make=lambda piece: 2.0 * make(piece) - 1.0, meaning=meaning)
 
 
 def engine_surface(

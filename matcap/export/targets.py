@@ -287,7 +287,7 @@ def _write(
         for number, tile in ((tile_number(0, 0), job), *job.others()):
             _write_textures(export.textures, tile, stage, number)
         for file, content in export.documents.items():
-            (stage / file).write_bytes(content(stage))
+            (stage / file).write_bytes(content if isinstance(content, bytes) else content(stage))
         text = json.dumps(about, indent=2, allow_nan=False, default=str)
         (stage / sidecar_name(job.name, about["target"])).write_text(text + "\n")
         return tuple(sorted(file.name for file in stage.iterdir()))
@@ -308,12 +308,9 @@ def _write_textures(
 
 def _nearest(errors: Mapping[Workflow | None, Residual | None]) -> Workflow | None:
     """The form with the smallest residual; of equal ones, the target's first."""
-    least = min(_mean(off) for off in errors.values())
-    return next(form for form, off in errors.items() if _mean(off) <= (1.0 + _AS_NEAR) * least)
-
-
-def _mean(off: Residual | None) -> float:
-    return 0.0 if off is None else off.mean
+    means = {form: 0.0 if off is None else off.mean for form, off in errors.items()}
+    most = (1.0 + _AS_NEAR) * min(means.values())
+    return next(form for form, mean in means.items() if mean <= most)
 
 
 def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -40,8 +40,9 @@ class Export:
 
     textures: dict[str, TextureFile]
     """Textures by file name."""
-    documents: dict[str, Callable[[Path], bytes]]
-    """Functions from the folder, with all textures written, to a file's content, by file name."""
+    documents: dict[str, bytes | Callable[[Path], bytes]]
+    """Contents of the other files by file name, or functions that compute them from the folder,
+    with all textures written."""
     surfaces: dict[str, MadeSurface]
     """Reflectance that the target renders, by form or reader, the main one first; empty for
     unconverted maps."""
@@ -51,47 +52,37 @@ class Export:
     """Further entries of the sidecar; JSON."""
 
 
-@dataclass(frozen=True)
-class Standard:
-    """The five textures of targets that add diffuse and specular lobe as matcap does."""
+def standard_textures(job: ExportJob) -> dict[str, TextureFile]:
+    """Textures by kind, of targets that add diffuse and specular lobe as matcap does.
 
-    diffuse: TextureFile
-    specular: TextureFile
-    roughness: TextureFile
-    normal: TextureFile
-    height: TextureFile
+    diffuse, specular, roughness, normal_gl, height. By default 16-bit PNGs, colours sRGB-encoded;
+    the height in 32-bit float, plane units.
+    """
+    return {
+        "diffuse": TextureFile.of(job, picture("diffuse"), "16", DIFFUSE, srgb=True),
+        "specular": TextureFile.of(job, picture("specular"), "16", SPECULAR, srgb=job.coloured),
+        "roughness": TextureFile.of(job, picture("roughness"), "16", ROUGHNESS),
+        "normal_gl": TextureFile.of(job, coded_normal, "16", f"{NORMAL}, +Y up (OpenGL)"),
+        "height": float_height(job),
+    }
 
-    @staticmethod
-    def of(job: ExportJob) -> Standard:
-        """By default 16-bit PNGs, colours sRGB-encoded; the height in 32-bit float, plane units."""
-        return Standard(
-            TextureFile.of(job, picture("diffuse"), "16", DIFFUSE, srgb=True),
-            TextureFile.of(job, picture("specular"), "16", SPECULAR, srgb=job.coloured),
-            TextureFile.of(job, picture("roughness"), "16", ROUGHNESS),
-            TextureFile.of(job, coded_normal, "16", f"{NORMAL}, +Y up (OpenGL)"),
-            float_height(job),
-        )
 
-    def files(self, name: str) -> dict[str, TextureFile]:
-        """The textures by file name."""
-        return {
-            f"{name}_{kind}{texture.suffix}": texture
-            for kind, texture in (
-                ("diffuse", self.diffuse),
-                ("specular", self.specular),
-                ("roughness", self.roughness),
-                ("normal_gl", self.normal),
-                ("height", self.height),
-            )
-        }
+def standard_surface(textures: Mapping[str, TextureFile], read: Reader) -> TargetSurface:
+    """The reflectance that a target renders of standard_textures."""
+    from matcap.export.surface import TargetSurface
 
-    def surface(self, read: Reader) -> TargetSurface:
-        """The reflectance that the target renders."""
-        from matcap.export.surface import TargetSurface
+    diffuse, specular, roughness, normal = (read(one) for one in list(textures.values())[:4])
+    return TargetSurface(diffuse, specular, roughness, signed(normal))
 
-        return TargetSurface(
-            read(self.diffuse), read(self.specular), read(self.roughness), signed(read(self.normal))
-        )
+
+def file_names(name: str, textures: Mapping[str, TextureFile]) -> dict[str, str]:
+    """File names of textures by kind: NAME_KIND and the suffix."""
+    return {kind: f"{name}_{kind}{texture.suffix}" for kind, texture in textures.items()}
+
+
+def by_file(name: str, textures: Mapping[str, TextureFile]) -> dict[str, TextureFile]:
+    """The textures by their file_names."""
+    return dict(zip(file_names(name, textures).values(), textures.values(), strict=True))
 
 
 def picture(kind: str) -> Callable[[MapRows], Picture]:

@@ -21,7 +21,7 @@ import re
 import struct
 import zipfile
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -43,13 +43,15 @@ from matcap.export.textures import (
     ROUGHNESS,
     SPECULAR,
     Export,
-    Standard,
+    by_file,
     coded_height,
     coded_normal,
+    file_names,
     height_entry,
     occlusion_entry,
     picture,
     signed,
+    standard_textures,
 )
 from matcap.files.maker import MAKER
 
@@ -64,33 +66,6 @@ _HEADER = 30  # bytes of a zip's local header, without name and extra field
 _DATE = (1980, 1, 1, 0, 0, 0)
 
 
-@dataclass(frozen=True)
-class _UsdMaterial:
-    """The textures and constants of a USD material."""
-
-    inputs: dict[str, TextureFile]
-    """Textures of UsdPreviewSurface by kind."""
-    specular: bool
-    """Whether useSpecularWorkflow is on."""
-    ior: float
-    """Index of refraction."""
-    layered: Layered
-    """Textures and index of refraction of the MaterialX network."""
-    coloured: bool
-    """Whether F0 has three channels."""
-
-    def files(self, name: str) -> dict[str, str]:
-        """File names of all textures by kind."""
-        textures = self.textures()
-        return {kind: f"{name}_{kind}{made.suffix}" for kind, made in textures.items()}
-
-    def textures(self) -> dict[str, TextureFile]:
-        """All textures by kind."""
-        kind, second = self.layered.second
-        label = "mtlx_specular" if kind == "tint" else "mtlx_metalness"
-        return self.inputs | {"mtlx_base": self.layered.base, label: second}
-
-
 def usd_specular(job: ExportJob) -> Export:
     """NAME.usda with its textures, and NAME.usdz with all of them inside; specular workflow.
 
@@ -102,45 +77,48 @@ def usd_specular(job: ExportJob) -> Export:
     def tint(piece: MapRows) -> Picture:
         return rgb(specular_colour(piece, SHADING))
 
-    channels = job.maps.specular.shape[-3]
-
-    shared = _shared(job)
     inputs = {
         "base_color": TextureFile.of(job, lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
         # sRGB-encoded: three.js decodes it regardless of the stage's sourceColorSpace.
         "specular": TextureFile.of(job, tint, "16", SPECULAR, srgb=True),
         "roughness": TextureFile.of(job, picture("roughness"), "16", ROUGHNESS),
-        **shared,
+        **_shared(job),
     }
-    material = _UsdMaterial(inputs, True, _MIRROR, Layered.of(job), job.coloured)
-
-    def surface(read: Reader) -> TargetSurface:
-        specular = read(inputs["specular"])[:channels]
-        return TargetSurface(
-            read(inputs["base_color"]),
-            specular,
-            read(inputs["roughness"]),
-            signed(read(inputs["normal_gl"])),
-            layer=specular,
-            shading=SHADING,
-        )
-
-    in_browsers = replace(
-        material, inputs={kind: one.in_browsers() for kind, one in inputs.items()}
-    )
-
-    def doubled(read: Reader) -> TargetSurface:
-        seen = _fallback(in_browsers, read)
-        return replace(
-            seen, normal=seen.normal * seen.normal.new_tensor([2.0, 2.0, 1.0])[:, None, None]
-        )
-
+    in_browsers = {kind: one.in_browsers() for kind, one in inputs.items()}
+    tinted = ((_MIRROR - 1.0) / (_MIRROR + 1.0)) ** 2
     surfaces: dict[str, MadeSurface] = {
-        "specular": surface,
-        "without it": partial(_fallback, material),
-        "in three.js": doubled,
+        "specular": partial(_seen_specular, inputs),
+        "without it": partial(_seen_specular, inputs, factor=tinted, shading=_FALLBACK),
+        "in three.js": partial(
+            _seen_specular, in_browsers, factor=tinted, shading=_FALLBACK, relief=2.0
+        ),
     }
-    return _export(job, material, surfaces)
+    return _export(job, inputs, _MIRROR, surfaces)
+
+
+def _seen_specular(
+    inputs: dict[str, TextureFile],
+    read: Reader,
+    factor: float = 1.0,
+    shading: TargetShading = SHADING,
+    relief: float = 1.0,
+) -> TargetSurface:
+    """The reflectance that renderers show of the specular workflow.
+
+    Args:
+        factor: on the specular colour; below 1 in programs that ignore `useSpecularWorkflow`.
+        relief: factor on slopes, as three.js takes the scale of the normal texture.
+    """
+    f0 = read(inputs["specular"]) * factor
+    normal = signed(read(inputs["normal_gl"]))
+    return TargetSurface(
+        read(inputs["base_color"]),
+        f0,
+        read(inputs["roughness"]),
+        normal * normal.new_tensor([relief, relief, 1.0])[:, None, None],
+        layer=f0,
+        shading=shading,
+    )
 
 
 def usd_metallic(job: ExportJob) -> Export:
@@ -156,8 +134,7 @@ def usd_metallic(job: ExportJob) -> Export:
         job, lambda tried: partial(_seen, tried, _metallic_inputs(job, tried, shared))
     )
     inputs, index = _metallic_inputs(job, model, shared), ior(model.dielectric[0])
-    material = _UsdMaterial(inputs, False, index, Layered.of(job), job.coloured)
-    made = _export(job, material, {"metallic": partial(_seen, model, inputs)})
+    made = _export(job, inputs, index, {"metallic": partial(_seen, model, inputs)})
     return replace(made, entries=made.entries | {"metallic": model.form})
 
 
@@ -201,38 +178,32 @@ def _shared(job: ExportJob) -> dict[str, TextureFile]:
     }
 
 
-def _fallback(material: _UsdMaterial, read: Reader) -> TargetSurface:
-    """The reflectance as rendered by programs that ignore `useSpecularWorkflow`."""
-    f0 = read(material.inputs["specular"]) * ((material.ior - 1.0) / (material.ior + 1.0)) ** 2
-    return TargetSurface(
-        read(material.inputs["base_color"]),
-        f0,
-        read(material.inputs["roughness"]),
-        signed(read(material.inputs["normal_gl"])),
-        layer=f0,
-        shading=_FALLBACK,
-    )
-
-
 def _export(
-    job: ExportJob, material: _UsdMaterial, surfaces: dict[str, Callable[[Reader], TargetSurface]]
+    job: ExportJob,
+    inputs: dict[str, TextureFile],
+    index: float,
+    surfaces: dict[str, MadeSurface],
 ) -> Export:
-    def openpbr(read: Reader) -> TargetSurface:
-        return material.layered.surface(Standard.of(job), read)
+    """The export of textures of UsdPreviewSurface by kind, and its index of refraction."""
+    layered = Layered.of(job)
+    label = "mtlx_specular" if layered.kind == "tint" else "mtlx_metalness"
+    textures = inputs | {"mtlx_base": layered.base, label: layered.second}
+    files = file_names(job.name, textures)
+    stage = _stage(job, index, layered, files).encode()
 
-    files, textures = material.files(job.name), material.textures()
-    stage = _stage(job, material, files).encode()
+    def openpbr(read: Reader) -> TargetSurface:
+        return layered.surface(standard_textures(job), read)
 
     def package(folder: Path) -> bytes:
         # Read one by one, to bound memory.
         contents = ((file, (folder / file).read_bytes()) for file in files.values())
         return _package(chain([(f"{job.name}.usda", stage)], contents))
 
-    documents: dict[str, Callable[[Path], bytes]] = {f"{job.name}.usda": lambda _: stage}
+    documents: dict[str, bytes | Callable[[Path], bytes]] = {f"{job.name}.usda": stage}
     if job.tiles is None:  # readers of .usdz do not support UDIM
         documents[f"{job.name}.usdz"] = package
     return Export(
-        {file: textures[kind] for kind, file in files.items()},
+        by_file(job.name, textures),
         documents,
         surfaces | {"mtlx": openpbr},
         (*clipping_notes(job, SHADING), *job.size_notes()),
@@ -240,7 +211,7 @@ def _export(
     )
 
 
-def _stage(job: ExportJob, material: _UsdMaterial, files: dict[str, str]) -> str:
+def _stage(job: ExportJob, index: float, layered: Layered, files: dict[str, str]) -> str:
     """The text of the .usda file."""
     x, y = (side * job.metres / 2.0 for side in job.extent)
     columns, rows = job.grid or (1, 1)
@@ -254,7 +225,7 @@ def _stage(job: ExportJob, material: _UsdMaterial, files: dict[str, str]) -> str
         _texture("Height", files["height"], "float outputs:r", scale=scale, bias=-scale * midlevel),
         _texture("Occlusion", files["occlusion"], "float outputs:r"),
     ]
-    if material.specular:
+    if "specular" in files:
         textures.append(_texture("Specular", files["specular"], "float3 outputs:rgb", "sRGB"))
         link = f"</{name}/Material/Specular.outputs:rgb>"
         workflow = f"""color3f inputs:specularColor.connect = {link}
@@ -264,7 +235,7 @@ def _stage(job: ExportJob, material: _UsdMaterial, files: dict[str, str]) -> str
         textures.append(_texture("Metallic", files["metallic"], "float outputs:r"))
         workflow = f"""float inputs:metallic.connect = </{name}/Material/Metallic.outputs:r>
             int inputs:useSpecularWorkflow = 0"""
-    textures.append(_network(material, files))
+    textures.append(_network(job, layered, files))
     shaders = "\n".join(text.replace("@ROOT@", f"/{name}/Material") for text in textures)
     return f'''#usda 1.0
 (
@@ -313,7 +284,7 @@ def Xform "{name}" (
         {{
             uniform token info:id = "UsdPreviewSurface"
             color3f inputs:diffuseColor.connect = </{name}/Material/BaseColor.outputs:rgb>
-            float inputs:ior = {material.ior!r}
+            float inputs:ior = {index!r}
             normal3f inputs:normal.connect = </{name}/Material/Normal.outputs:rgb>
             float inputs:roughness.connect = </{name}/Material/Roughness.outputs:r>
             float inputs:occlusion.connect = </{name}/Material/Occlusion.outputs:r>
@@ -347,17 +318,20 @@ def Xform "{name}" (
 '''  # noqa: E501
 
 
-def _network(material: _UsdMaterial, files: dict[str, str]) -> str:
+def _network(job: ExportJob, layered: Layered, files: dict[str, str]) -> str:
     """The OpenPBR network in USD (UsdMtlx)."""
     taken = INPUTS["open_pbr_surface"]
     kinds = {"color3": "color3f", "float": "float", "vector3": "float3"}
-    second = ("color3", "srgb_texture") if material.coloured else ("float", "raw")
-    kind, node, grey = "tint", "MtlxSpecular", not material.coloured
-    if material.layered.metalness is not None:
-        second, kind, node, grey = ("float", "raw"), "metalness", "MtlxMetalness", False
+    is_tint = layered.kind == "tint"
+    grey = is_tint and not job.coloured
+    second = ("color3", "srgb_texture") if is_tint and job.coloured else ("float", "raw")
     sources = {
         "base_color": ("MtlxBase", files["mtlx_base"], "color3", "srgb_texture"),
-        kind: (node, next(reversed(files.values())), *second),
+        layered.kind: (
+            "MtlxSpecular" if is_tint else "MtlxMetalness",
+            next(reversed(files.values())),
+            *second,
+        ),
         "roughness": ("MtlxRoughness", files["roughness"], "float", "raw"),
         "normal": ("MtlxNormalTexture", files["normal_gl"], "vector3", "raw"),
     }
@@ -371,7 +345,7 @@ def _network(material: _UsdMaterial, files: dict[str, str]) -> str:
     text = f"""        def Shader "OpenPBR"
         {{
             uniform token info:id = "ND_open_pbr_surface_surfaceshader"
-{"".join(links)}            float inputs:{taken["ior"][0]} = {material.layered.ior!r}
+{"".join(links)}            float inputs:{taken["ior"][0]} = {layered.ior!r}
             token outputs:out
         }}
 

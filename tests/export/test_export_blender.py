@@ -2,6 +2,7 @@
 
 import json
 import re
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -24,28 +25,6 @@ def test_the_script_finds_all_it_reads(tmp_path, made):
     assert sidecar["height_code"] == {"scale": 85.0, "midlevel": 0.0, "unit": "mm"}
 
 
-class Any:
-    """Whatever a script does with it, and what it set."""
-
-    def __init__(self):
-        self.__dict__["kept"] = {}
-
-    def __getattr__(self, name):
-        return self.kept.setdefault(name, Any())
-
-    def __setattr__(self, name, value):
-        self.kept[name] = value
-
-    def __getitem__(self, name):
-        return self.kept.setdefault(name, Any())
-
-    def __setitem__(self, name, value):
-        self.kept[name] = value
-
-    def __call__(self, *_, **__):
-        return self.kept.setdefault("made", Any())
-
-
 @pytest.mark.parametrize(("unit", "width"), [(85.0, 0.17), (None, 2.0)])
 def test_the_plane_and_the_relief_are_in_metres(tmp_path, made, monkeypatch, unit, width):
     """Millimetres taken for metres made a leather of 170 metres."""
@@ -54,19 +33,16 @@ def test_the_plane_and_the_relief_are_in_metres(tmp_path, made, monkeypatch, uni
 
     done = write_export(ExportJob(made["leather"], "leather", unit), "blender", tmp_path)
     assert any("not measured" in note for note in done.notes) == (unit is None)
-    corner = Any()
-    corner.co = Any()
+    corner, blender = MagicMock(), MagicMock()
     corner.co.x, corner.co.y = 0.5, 0.5
-    blender = Any()
     blender.context.object.data.vertices = [corner]
-    corner.uv = Any()
     corner.uv.x, corner.uv.y = 1.0, 1.0
     blender.context.object.data.uv_layers.active.data = [corner]
     monkeypatch.setitem(sys.modules, "bpy", blender)
     spec = importlib.util.spec_from_file_location("script", tmp_path / "leather_blender.py")
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
-    script.plane(Any(), tmp_path / "leather_blender.json")
+    script.plane(MagicMock(), tmp_path / "leather_blender.json")
     assert 2.0 * corner.co.x == pytest.approx(width)
     assert (corner.uv.x, corner.uv.y) == (1.0, 1.0)  # one tile
     assert 2.0 * corner.co.y == pytest.approx(width * 32 / 48)
