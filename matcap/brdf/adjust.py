@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import UsageError
+from matcap.files.document import read_document
 from matcap.files.rec709 import LUMINANCE
 from matcap.files.srgb import srgb_decode
 
@@ -202,17 +203,11 @@ def _number(name: str, value: str) -> float:
 
 
 def _read(path: Path) -> str:
-    import json
-
-    try:
-        if path.stat().st_size > _LONGEST:
-            raise ValueError("too long")
-        document = json.loads(path.read_text(encoding="utf-8"))
-        text = document.get(KEY, document.get("provenance", {}).get(KEY))
-        if not isinstance(text, str):
-            raise ValueError("no adjustments")
-    except (OSError, ValueError, AttributeError) as error:
-        raise UsageError.at(
-            path, "this file has no adjustments", "give relief=1.3 or the like"
-        ) from error
+    short = path.is_file() and path.stat().st_size <= _LONGEST
+    document = (read_document(path) if short else None) or {}
+    provenance = document.get("provenance")
+    stated = provenance.get(KEY) if isinstance(provenance, dict) else None
+    text = document.get(KEY, stated)
+    if not isinstance(text, str):
+        raise UsageError.at(path, "this file has no adjustments", "give relief=1.3 or the like")
     return text

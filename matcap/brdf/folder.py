@@ -234,8 +234,8 @@ def refuse_to_replace(folder: Path, new: dict[str, Any], names: Iterable[str]) -
     Raises:
         MatcapError: a set of that name that differs, naming the entries; or a file of no set.
     """
-    old = _load_any(folder / f"{new['name']}.json")
-    if old is None:
+    old = read_document(folder / f"{new['name']}.json") or {}
+    if not str(old.get("format", "")).startswith("matcap"):
         foreign = [name for name in names if (folder / name).exists()]
         if foreign:
             raise MatcapError.at(
@@ -379,12 +379,6 @@ def _find_document(path: Path) -> Path:
             "name the JSON file of one of them",
         )
     return documents[0]
-
-
-def _load_any(file: Path) -> dict[str, Any] | None:
-    """A JSON document of matcap, of any version; None for any other file."""
-    document = read_document(file) or {}
-    return document if str(document.get("format", "")).startswith("matcap") else None
 
 
 def _load_document(file: Path) -> dict[str, Any] | None:

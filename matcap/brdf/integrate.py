@@ -45,7 +45,8 @@ def integrate(across: HeightPlane, down: HeightPlane) -> HeightPlane:
     height, width = across.shape[0], down.shape[1]
     divergence = np.zeros((height + height % 2, width + width % 2), np.float32)
     # cv2.dct requires even sides; an added row or column of zero rise hardly changes the result.
-    across, down = _even(across, (height % 2, width % 2)), _even(down, (height % 2, width % 2))
+    added = [(0, height % 2), (0, width % 2)]
+    across, down = np.pad(across, added), np.pad(down, added)
     divergence[:, :-1] += across
     divergence[:, 1:] -= across
     divergence[:-1] += down
@@ -66,8 +67,3 @@ def poisson(divergence: HeightPlane, across: float = 1.0, down: float = 1.0) -> 
     waves = cv2.dct(divergence) / laplacian.astype(np.float32)
     waves[0, 0] = 0.0
     return np.asarray(cv2.idct(waves), np.float32)
-
-
-def _even(rise: HeightPlane, more: tuple[int, int]) -> HeightPlane:
-    """Append `more` = (rows, columns) of zeros."""
-    return np.pad(rise, [(0, more[0]), (0, more[1])])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -75,20 +76,13 @@ class MapSet:
     @staticmethod
     def from_stacked(stacked: Tensor, texel_size: float, *, periodic: bool = False) -> MapSet:
         """The inverse of stacked()."""
-        diffuse, specular, roughness, height = split_stacked(stacked)
-        return MapSet(diffuse, specular, roughness, height, texel_size, periodic)
+        return MapSet(*split_stacked(stacked), texel_size, periodic)
 
     def map(self, change: Callable[[Tensor], Tensor]) -> MapSet:
         """The same set with `change` applied to each stored map (a dtype, a device, a crop)."""
-        return MapSet(
-            change(self.diffuse),
-            change(self.specular),
-            change(self.roughness),
-            change(self.height),
-            self.texel_size,
-            self.periodic,
-            None if self.painted is None else change(self.painted),
-        )
+        changed: dict[str, Any] = {name: change(getattr(self, name)) for name in CHANNELS}
+        painted = None if self.painted is None else change(self.painted)
+        return replace(self, **changed, painted=painted)
 
     def turned(self, quarters: int) -> MapSet:
         """The set rotated by `quarters` quarter turns anticlockwise, painted normals included."""

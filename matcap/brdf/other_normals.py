@@ -35,13 +35,7 @@ _WITHOUT = "correct the file, or leave out --normals file"
 
 
 def note_other_normals(maps: MapSet, document: dict[str, Any], folder: Path) -> None:
-    """Note if the normal file disagrees with the height, or cannot be read.
-
-    Args:
-        maps: the map set.
-        document: its JSON document.
-        folder: of its files.
-    """
+    """Note if the normal file disagrees with the height, or cannot be read."""
     name, channels = _stated(document)
     if name_fault(name) or not (folder / name).is_file():
         return
@@ -60,8 +54,6 @@ def painted_normals(document: dict[str, Any], folder: Path, size: tuple[int, int
     """(3, H, W) unit normals of the file, +Y up.
 
     Args:
-        document: the map set's JSON document.
-        folder: of its files.
         size: (width, height) of the maps, in texels.
 
     Raises:

@@ -20,14 +20,8 @@ def seam_ratio(maps: MapSet) -> float:
     on one. About 1 or less without a seam, 1 for constant maps; up to 1.15 is invisible, since
     single lines of a texture scatter by as much.
     """
-    return max(
-        sum(_ratio(channels, axis) for channels in _each(maps)) / len(_each(maps))
-        for axis in (-1, -2)
-    )
-
-
-def _each(maps: MapSet) -> tuple[Tensor, ...]:
-    return maps.diffuse, maps.specular, maps.roughness, maps.height
+    each = (maps.diffuse, maps.specular, maps.roughness, maps.height)
+    return max(sum(_ratio(one, axis) for one in each) / len(each) for axis in (-1, -2))
 
 
 def _ratio(channels: Tensor, axis: int) -> float:

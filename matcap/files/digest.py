@@ -20,11 +20,7 @@ def digest_prefix(metadata: Mapping[str, str]) -> bytes:
 
 
 def digest_matches(path: Path, metadata: Mapping[str, str]) -> bool:
-    """Whether a file's content has the digest in its metadata; False if there is none.
-
-    Args:
-        path: of a valid safetensors file.
-        metadata: of the file.
+    """Whether a valid safetensors file has the digest in its metadata; False if there is none.
 
     Raises:
         OSError: the file cannot be read.

@@ -96,17 +96,13 @@ def _radiance(picture: EnvironmentPicture, where: str) -> EnvironmentPicture:
 
 def _looks_like(width: int, height: int) -> str:
     """The projection for which a picture's shape is usual, as a clause; "" for none."""
-    ratio = width / height
-    for usual, what in (
-        (1.0, ", as a mirror ball or an angular map"),
-        (4.0 / 3.0, ", as a cube map's cross"),
-        (0.75, ", as a cube map's cross"),
-        (6.0, ", as a cube map's strip"),
-        (1.0 / 6.0, ", as a cube map's strip"),
-    ):
-        if abs(ratio / usual - 1.0) < 0.01:
-            return what
-    return ""
+    usual = {
+        1.0: ", as a mirror ball or an angular map",
+        **dict.fromkeys((4.0 / 3.0, 0.75), ", as a cube map's cross"),
+        **dict.fromkeys((6.0, 1.0 / 6.0), ", as a cube map's strip"),
+    }
+    near = (what for ratio, what in usual.items() if abs(width / height / ratio - 1.0) < 0.01)
+    return next(near, "")
 
 
 def _from_cube(cube: EnvironmentPicture, where: str) -> EnvironmentPicture:

@@ -174,13 +174,10 @@ def _full_parameters(kind: int, values: list[float]) -> tuple[float, ...]:
     """Types 0 to 4 as (g, a, b, c, d, e, f): (a x + b)^g + e from d on, c x + f below."""
     if kind == 0:
         return (values[0], 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    gamma, a, b = values[:3]
-    if kind in (1, 2):
-        floor = values[3] if kind == 2 else 0.0
-        return (gamma, a, b, 0.0, -b / a if a else 0.0, floor, floor)
-    c, d = values[3:5]
-    e, f = values[5:7] if kind == 4 else (0.0, 0.0)
-    return (gamma, a, b, c, d, e, f)
+    if kind >= 3:
+        return (*values, 0.0, 0.0)[:7]
+    gamma, a, b, floor = (*values, 0.0)[:4]
+    return (gamma, a, b, 0.0, -b / a if a else 0.0, floor, floor)
 
 
 def _description(tags: dict[bytes, bytes]) -> str:

@@ -76,7 +76,11 @@ def check_replaceable(
         UsageError: an output is an input.
         MatcapError: an output exists, and the command has not written it.
     """
-    read = {file for given in inputs for file in _files(given)}
+    read = {
+        file.resolve()
+        for given in inputs
+        for file in (given.iterdir() if given.is_dir() else (given,))
+    }
     for path in paths:
         if path.resolve() in read:
             raise UsageError.at(path, "the same command reads this file", "choose another name")
@@ -90,10 +94,6 @@ def check_replaceable(
                 f"a file exists here, which {mark} has not written",
                 f"{_ELSEWHERE}, or give --overwrite",
             )
-
-
-def _files(given: Path) -> list[Path]:
-    return [file.resolve() for file in (given.iterdir() if given.is_dir() else (given,))]
 
 
 def _of_picture(path: Path) -> str:

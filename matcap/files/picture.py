@@ -30,11 +30,6 @@ def jpeg_bytes(linear: NDArray[np.float32], quality: int, **options: int) -> byt
 def write_picture(image: NDArray[np.float32], path: Path, mark: str = "") -> None:
     """Write a linear Rec.709 picture (H, W, 3): .exr as float32 radiance, .png as 8-bit sRGB.
 
-    Args:
-        image: of finite values.
-        path: of the file.
-        mark: the writing command (mark.py).
-
     Raises:
         UsageError: another suffix.
         MatcapError: values that are not finite, or the file cannot be written.

@@ -28,7 +28,7 @@ from matcap.files.rec709 import rec709_from
 from matcap.files.stated_color import stated_color
 
 MOST_PIXELS = 2**28  # 16384 x 16384; a header may claim any size
-_COLOURS = ("R", "G", "B")
+_RGB = {"R": 0, "G": 1, "B": 2}
 # Roles of channels by name, in lower case and without the layer.
 _ROLES = {
     **{"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B"},
@@ -89,7 +89,7 @@ class Pixels:
         Raises:
             KeyError: a colour is missing.
         """
-        places = [self.roles[role] for role in _COLOURS]
+        places = [self.roles[role] for role in _RGB]
         return np.ascontiguousarray(self.stored[..., places])
 
 
@@ -153,7 +153,7 @@ def _from_jpeg(path: Path) -> Pixels:
         raise _broken(path) from error
     stored = np.asarray(image.convert("L") if image.mode == "1" else image)
     stored = stored[..., None] if stored.ndim == 2 else stored
-    return Pixels(path, stored, dict.fromkeys(_COLOURS, 0) if stored.shape[2] == 1 else _rgb())
+    return Pixels(path, stored, dict.fromkeys(_RGB, 0) if stored.shape[2] == 1 else _RGB)
 
 
 def _from_radiance(path: Path) -> Pixels:
@@ -171,7 +171,7 @@ def _from_radiance(path: Path) -> Pixels:
         ) from error
     except MatcapError as error:
         raise MatcapError.at(path, error.what, error.remedy) from error
-    return Pixels(path, header.upright(stored), _rgb(), header.primaries)
+    return Pixels(path, header.upright(stored), _RGB, header.primaries)
 
 
 def _decoded(path: Path, outside: float | None) -> Pixels:
@@ -210,10 +210,6 @@ def _decoded(path: Path, outside: float | None) -> Pixels:
     )
 
 
-def _rgb() -> dict[str, int]:
-    return {role: place for place, role in enumerate(_COLOURS)}
-
-
 def _roles(path: Path, names: Sequence[str]) -> dict[str, int]:
     """Index of the channel by role; of several layers, those of the first with colours."""
     layers: dict[str, dict[str, int]] = {}
@@ -230,7 +226,7 @@ def _roles(path: Path, names: Sequence[str]) -> dict[str, int]:
         known = _ROLES | (_AXES if {"x", "y"} <= set(tails) else {})
         roles = {known[tail]: place for tail, place in tails.items() if tail in known}
         if "R" in roles:
-            return roles if "G" in roles else roles | dict.fromkeys(_COLOURS, roles["R"])
+            return roles if "G" in roles else roles | dict.fromkeys(_RGB, roles["R"])
     tails = next(iter(layers.values()))
     alpha = next((tail for tail in tails if _ROLES.get(tail) == "A"), None)
     others = {tail: place for tail, place in tails.items() if tail != alpha} or tails
@@ -240,7 +236,7 @@ def _roles(path: Path, names: Sequence[str]) -> dict[str, int]:
             path, f"none of its channels ({', '.join(names)[:80]}) is red or grey", "save it as RGB"
         )
     grey = (named or list(others.values()))[0]
-    return dict.fromkeys(_COLOURS, grey) | ({} if alpha is None else {"A": tails[alpha]})
+    return dict.fromkeys(_RGB, grey) | ({} if alpha is None else {"A": tails[alpha]})
 
 
 def _in_display_window(

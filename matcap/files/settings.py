@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from matcap.errors import UsageError
+from matcap.files.names import shown
 
 _KINDS: Mapping[str, type] = {"int": int, "float": float, "bool": bool, "Path": Path}
 _WORDS = {int: "a whole number", float: "a number", bool: "true or false"}
@@ -221,5 +222,4 @@ def refuse_options(given: Mapping[str, object], what: str, remedy: str) -> None:
 
 
 def _short(value: object) -> str:
-    text = f"{value:g}" if isinstance(value, float) else repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return f"{value:g}" if isinstance(value, float) else shown(value)

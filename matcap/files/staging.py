@@ -9,10 +9,10 @@ import errno
 import math
 import os
 import shutil
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory, TemporaryFile
 
 from matcap.errors import MatcapError
 from matcap.files.names import StagedFolder
@@ -48,7 +48,11 @@ def staged(folder: Path, *, replacing: Iterable[str] = ()) -> Iterator[StagedFol
             the like.
     """
     try:
-        with new_folder(folder), _stage(folder) as stage:
+        with (
+            new_folder(folder),
+            TemporaryDirectory(prefix=HIDDEN, dir=folder, ignore_cleanup_errors=True) as made,
+        ):
+            stage = StagedFolder(made)
             yield stage
             names = [file.name for file in stage.iterdir()]
             if folder.name.startswith(HIDDEN):  # itself a staging folder
@@ -58,15 +62,6 @@ def staged(folder: Path, *, replacing: Iterable[str] = ()) -> Iterator[StagedFol
                 publish(stage, names, folder, replacing=replacing)
     except OSError as error:
         raise write_error(culprit(folder, error), error) from error
-
-
-@contextmanager
-def _stage(folder: Path) -> Iterator[StagedFolder]:
-    stage = StagedFolder(tempfile.mkdtemp(prefix=HIDDEN, dir=folder))
-    try:
-        yield stage
-    finally:
-        shutil.rmtree(stage, ignore_errors=True)
 
 
 @contextmanager
@@ -93,7 +88,7 @@ def check_writable(folder: Path, space: int, names: Iterable[str] = ()) -> None:
             disk has too little space.
     """
     try:
-        with new_folder(folder), tempfile.TemporaryFile(dir=folder):
+        with new_folder(folder), TemporaryFile(dir=folder):
             free = shutil.disk_usage(folder).free
             refuse_folders(folder, names)
     except OSError as error:

@@ -62,13 +62,7 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[s
 
 @dataclass(frozen=True)
 class StoredTensors:
-    """An open safetensors file.
-
-    Attributes:
-        file: opened for PyTorch.
-        path: of the file, for errors.
-        remedy: of errors.
-    """
+    """An open safetensors file, with the path and the remedy that errors give."""
 
     file: safe_open
     path: Path
