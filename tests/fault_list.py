@@ -630,10 +630,10 @@ FAULTS = (
     Fault("colour: shares of rust are light", "example flatten", "len(maps[SPECULAR]) == COLOURED",
           "False", "example/test_coloured_example.py -k slow_light"),
     Fault("colour: gloss of green", "brdf adjusted_planes", "(4, 5) if not coloured else (6, 7)",
-          "(4, 5)", "brdf/test_coloured_files.py -k gloss"),
+          "(4, 5)", "brdf/test_coloured.py -k gloss"),
     Fault("colour: any number of channels", "brdf stated_specular",
           "isinstance(found, bool) or found not in (1, 3)", "False",
-          "brdf/test_coloured_files.py -k agree"),
+          "brdf/test_coloured.py -k agree"),
     Fault("colour: the plan looks at red", "relight Texture.extremes", "self.specular.max()",
           "self.specular[0].max()", "relight/test_relight_coloured.py -k knows_the_brightest"),
     # Several photographs.

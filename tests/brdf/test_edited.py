@@ -4,9 +4,9 @@ import struct
 import warnings
 
 import numpy as np
-import OpenEXR
 import pytest
 import torch
+from other_exr import write_other_exr
 
 from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
 from matcap.errors import MatcapError
@@ -18,9 +18,7 @@ INFO = MapSetInfo("leather")
 
 
 def resave(file, *planes, names="RGBA"):
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    held = {n: np.ascontiguousarray(p, np.float32) for n, p in zip(names, planes, strict=False)}
-    OpenEXR.File(header, held).write(str(file))
+    write_other_exr(file, dict(zip(names, planes, strict=False)))
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+from other_exr import write_other_exr
 from PIL import Image
 
 from matcap.errors import MatcapError
@@ -18,11 +19,7 @@ PICTURE = np.random.default_rng(0).uniform(0.1, 4.0, (ROWS, COLUMNS, 3)).astype(
 
 
 def exr(path, picture, **header):
-    import OpenEXR
-
-    whole = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage} | header
-    OpenEXR.File(whole, {"RGB": np.ascontiguousarray(picture, np.float32)}).write(str(path))
-    return path
+    return write_other_exr(path, {"RGB": picture}, **header)
 
 
 def radiance(path, stored, *lines, resolution=f"-Y {ROWS} +X {COLUMNS}", form="rgbe"):

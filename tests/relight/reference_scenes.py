@@ -1,5 +1,7 @@
 """The scenes that matcap and Mitsuba 3 both render; see make_references.py."""
 
+from dataclasses import replace
+
 from relight_samples import bumpy
 
 from matcap.relight.scene import (
@@ -33,18 +35,14 @@ RELIEF = 0.35
 def flat_maps():
     """Varying maps and normals, to be laid out without displacement."""
     maps = bumpy(FILM.width, FILM.height, seed=3, relief=0.05)
-    return type(maps)(
-        maps.diffuse, maps.specular, 0.3 + 0.6 * maps.roughness, maps.height, maps.texel_size, True
-    )
+    return replace(maps, roughness=0.3 + 0.6 * maps.roughness)
 
 
 def embossed_maps():
     """Large bumps, bright and dull."""
     maps = bumpy(FILM.width, FILM.height, seed=5, relief=RELIEF)
     dull = 0.02 + 0.0 * maps.specular
-    return type(maps)(
-        0.7 + 0.25 * maps.diffuse, dull, 0.8 + 0.0 * dull, maps.height, maps.texel_size, True
-    )
+    return replace(maps, diffuse=0.7 + 0.25 * maps.diffuse, specular=dull, roughness=0.8 + 0 * dull)
 
 
 def flat_scene(light) -> Scene:

@@ -11,7 +11,6 @@ from loop_calls import lobe
 from relight_samples import bumpy, flat
 from test_relight_physics import mirrored_rule
 
-from matcap.brdf import cook_torrance as reference
 from matcap.brdf.maps import MapSet
 from matcap.relight.effects import multiscatter
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
@@ -116,37 +115,6 @@ def test_a_plan_knows_the_brightest_channel():
     assert steps["specular"] > 5.0 * least["specular"]
 
 
-def test_a_flat_metal_shines_as_the_formula_says():
-    """Straight below camera and light, and aside: against the reflectance in double precision."""
-    metal = replace(flat(1, 1, diffuse=0.0, roughness=0.35), specular=COLOUR)
-    for place in ((0.0, 0.0, 2.0), (1.5, 0.4, 1.0), (3.0, 0.0, 0.4)):
-        eye = (-0.8, 0.3, 1.7)
-        scene = Scene(
-            Film(1, 1), Camera("orthographic", eye, (0.0, 0.0, 0.0), scale=1e-4),
-            Surface(), (PointLight(place, (3.0, 2.0, 1.0)),),
-        )  # fmt: skip
-        found = relight(metal, scene, effects="none,+specular,+falloff")[0, 0]
-        expected = _closed_form(eye, place, 0.35) * np.array([3.0, 2.0, 1.0])
-        np.testing.assert_allclose(found, expected, rtol=2e-5)
-
-
-def _closed_form(eye, place, roughness):
-    """Radiance of a metal of GOLD's F0 at the origin, of a light of intensity 1."""
-
-    def field(vector):
-        unit = torch.tensor(vector, dtype=torch.float64)
-        return (unit / unit.norm())[:, None, None]
-
-    up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)[:, None, None]
-    to_light = field(place)
-    angles = reference.Angles.exact(up, to_light, field(eye))
-    value = reference.specular_lobe(
-        COLOUR.double(), torch.full((1, 1, 1), roughness, dtype=torch.float64), angles
-    )
-    received = float(to_light[2, 0, 0]) / sum(c * c for c in place)
-    return (value[:, 0, 0] * received).numpy()
-
-
 @pytest.mark.parametrize("roughness", [0.3, 0.6, 0.9])
 def test_an_even_sky_on_gold_is_what_its_lobe_reflects(roughness):
     """Single bounces by brute force, and more of them by the series they are."""
@@ -179,14 +147,6 @@ def test_an_even_sky_on_gold_is_what_its_lobe_reflects(roughness):
     assert whole[2] / whole[0] < single[2] / single[0] + 1e-6
     strength, _ = multiscatter.terms(np.ones(1, np.float32), near, np.full(1, mu, np.float32))
     assert strength[0] * math.pi * (1.0 - mean) == pytest.approx(missing, rel=1e-3)
-
-
-def test_far_away_a_metal_is_averaged_channel_by_channel():
-    maps = coloured(bumpy(64, 64, relief=0.0))
-    camera = Camera(position=(0.0, -6.0, 6.0), target=(0.0, 0.0, 0.0))
-    scene = Scene(Film(12, 12), camera, Surface(size=None, repeat=4.0), (LIGHTS["directional"],))
-    found = relight(maps, scene, effects="all")
-    np.testing.assert_allclose(found, alone(maps, scene, "all"), rtol=2e-6, atol=1e-7)
 
 
 def test_neighbours_of_a_metal_send_it_no_diffuse_light():

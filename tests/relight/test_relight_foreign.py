@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import tifffile
 import torch
+from other_exr import write_other_exr
 from PIL import Image
 from relight_samples import bumpy
 
@@ -210,12 +211,9 @@ def test_floats_are_light(plain):
 
 
 def exr_normals(folder, normal, names=("R", "G", "B")):
-    import OpenEXR
-
     (folder / "a_NormalGL.png").unlink()
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    planes = {name: np.ascontiguousarray(normal[..., i]) for i, name in enumerate(names)}
-    OpenEXR.File(header, planes).write(str(folder / "a_NormalGL.exr"))
+    planes = {name: normal[..., i] for i, name in enumerate(names)}
+    write_other_exr(folder / "a_NormalGL.exr", planes)
 
 
 @pytest.mark.parametrize("signed", [False, True])
@@ -448,17 +446,13 @@ def test_codings_that_are_not_supported_are_not_called_damaged(plain):
 
 
 def test_channels_of_no_known_name_are_refused_rather_than_guessed(plain):
-    import OpenEXR
-
     folder, pictures, _ = plain
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    plane = np.ascontiguousarray(pictures["rough"][..., 0])
+    plane = pictures["rough"][..., 0]
     (folder / "a_Roughness.png").unlink()
-    file = str(folder / "a_Roughness.exr")
-    OpenEXR.File(header, {"one": plane, "two": plane}).write(file)
+    write_other_exr(folder / "a_Roughness.exr", {"one": plane, "two": plane})
     with pytest.raises(MatcapError, match=r"none of its channels \(one, two\)"):
         read_foreign(folder)
-    OpenEXR.File(header, {"one": plane}).write(file)
+    write_other_exr(folder / "a_Roughness.exr", {"one": plane})
     np.testing.assert_array_equal(read_foreign(folder).texture.roughness[0], plane)
 
 

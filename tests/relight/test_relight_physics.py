@@ -1,6 +1,7 @@
 """What physics demands of the effects, each against a closed form or a brute force."""
 
 import math
+from dataclasses import replace
 
 import loop_calls
 import numpy as np
@@ -184,12 +185,9 @@ def test_a_light_between_wall_and_point_is_not_shadowed():
 
 def sawtooth(*, periodic: bool) -> Texture:
     """A gentle slope that is a cliff where it meets its own repetition."""
-    texture = ridge(height=0.0)
+    texture = replace(ridge(height=0.0), periodic=periodic)
     texture.height[:] = np.linspace(0.0, 0.2, 64, dtype=np.float32)
-    return Texture(
-        texture.diffuse, texture.specular, texture.roughness, texture.height, texture.slopes,
-        texture.texel_size, periodic,
-    )  # fmt: skip
+    return texture
 
 
 def test_the_border_of_a_piece_is_no_cliff():
