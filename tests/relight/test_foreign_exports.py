@@ -12,6 +12,7 @@ from matcap.errors import MatcapError
 from matcap.export.job import ExportJob
 from matcap.export.targets import write_export
 from matcap.files.note import Note
+from matcap.relight.foreign.channels import read_channels
 from matcap.relight.foreign.read import read_foreign
 from matcap.relight.texture import Texture
 
@@ -71,7 +72,7 @@ def test_a_sidecar_of_another_version_or_none_at_all_is_told(tmp_path):
         read_foreign(tmp_path)
     sidecar.write_text(stated[:100])
     with pytest.warns(Note, match="not readable as JSON"):
-        by_names = read_foreign(tmp_path)
+        by_names = read_channels(tmp_path)
     assert by_names.files["roughness"] == "leather_orm.png"
 
 

@@ -12,7 +12,6 @@ names.py recognises files, channels.py reads them.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,12 +42,10 @@ class Foreign:
     Attributes:
         texture: the material.
         notes: what was guessed or not used, a sentence each.
-        files: file names by map.
     """
 
     texture: Texture
     notes: tuple[str, ...]
-    files: Mapping[str, str]
 
 
 def read_foreign(folder: str | Path, *, normal: NormalStyle | None = None) -> Foreign:
@@ -72,7 +69,7 @@ def read_foreign(folder: str | Path, *, normal: NormalStyle | None = None) -> Fo
     maps = (diffuse, specular, roughness, height, slopes)
     a, b, c, d, e = (np.ascontiguousarray(one, dtype=np.float32) for one in maps)
     texture = Texture(a, b, c, d, e, channels.texel, channels.periodic)
-    return Foreign(texture, tuple(notes), channels.files)
+    return Foreign(texture, tuple(notes))
 
 
 def metallic_of(base: Array, metallic: Array, dielectric: Array | float = DIELECTRIC) -> Array:
