@@ -56,14 +56,16 @@ def _block(context: ShadingContext, hits: Hits, index: Array | None, tiles: Arra
             sample = sampler.read(flat.place, flat.footprint)
         elif index is None and height is None:
             # Unflattened places let the sampler see that pixels are texels: no interpolation.
-            sample = _flat(sampler.read(hits.place), tiles.shape)
+            sample = _flattened(sampler.read(hits.place), tiles.shape)
         else:
             sample = sampler.read(flat.place)
     tiles = tiles.ravel() if index is None else tiles.reshape(-1)[index]
     return Block(context, flat, height, sample, tiles)
 
 
-def _flat(sample: SurfaceSample, shape: tuple[int, ...]) -> SurfaceSample:
+def _flattened(sample: SurfaceSample, shape: tuple[int, ...]) -> SurfaceSample:
+    """The sample broadcast to a block, row by row."""
+
     def every(array: Array) -> Array:
         return np.broadcast_to(array, shape).ravel()
 

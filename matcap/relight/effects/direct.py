@@ -85,10 +85,10 @@ def add(block: Block, light: PointLight | DirectionalLight | SphereLight | Recta
                 address(lit), address(cast),
             )  # fmt: skip
             block.ran("shadows", cast > 0)
-    shine(block, lamp, lit)
+    add_lamp(block, lamp, lit)
 
 
-def shine(block: Block, lamp: CLamp, lit: Array | None) -> None:
+def add_lamp(block: Block, lamp: CLamp, lit: Array | None) -> None:
     """Add a point light. One loop adds all its terms; its time counts as the costliest's.
 
     Args:
@@ -104,7 +104,7 @@ def sun(direction: tuple[float, float, float], irradiance: tuple[float, float, f
     return CLamp(place=direction, colour=irradiance, far=1, power=1.0, parts=SPECULAR)
 
 
-def above(block: Block, lamp: CLamp, horizon: CHorizon) -> Array:
+def above_horizon(block: Block, lamp: CLamp, horizon: CHorizon) -> Array:
     """(N,) 1 where a light is above the horizon map, else 0."""
     lit = np.ones(block.tiles.size, dtype=np.float32)
     loops().matcap_relight_past(

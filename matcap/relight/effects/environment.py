@@ -82,9 +82,9 @@ def add(block: Block, environment: Environment) -> None:
                 lambert = sample.diffuse[channel] * np.float32(1.0 / math.pi)
                 block.total[channel] += lambert * irradiance[channel]
         if plan.on("specular") and varied:
-            _mirror(block, environment)
+            _add_specular(block, environment)
         elif plan.on("specular"):
-            _reflect(block, *(mean[:, None] * (one * seen) for one in _even(block)))
+            _add_reflection(block, *(mean[:, None] * (one * seen) for one in _lobe_albedo(block)))
     if block.share:
         with tally.timed("multiscatter"):
             for channel in range(3):
@@ -96,7 +96,7 @@ def add(block: Block, environment: Environment) -> None:
                 block.vector_irradiance[3 * channel + axis] += vector_irradiance[axis]
 
 
-def _reflect(block: Block, scale: Array, bias: Array) -> None:
+def _add_reflection(block: Block, scale: Array, bias: Array) -> None:
     """Add F0 scale + bias, both (3, N) radiance."""
     for channel in range(3):
         f0 = block.sample.specular[channel % len(block.sample.specular)]
@@ -105,7 +105,7 @@ def _reflect(block: Block, scale: Array, bias: Array) -> None:
         block.total[channel] += np.maximum(mirror, np.float32(0.0))
 
 
-def _even(block: Block) -> tuple[Array, Array]:
+def _lobe_albedo(block: Block) -> tuple[Array, Array]:
     """(N,) scale and bias of the lobe's albedo, F0 scale + bias: reflection of radiance 1."""
     tables = albedo()
     rows = tables.rows(block.sample.alpha)
@@ -113,7 +113,7 @@ def _even(block: Block) -> tuple[Array, Array]:
     return tables.lookup(tables.fine_total, block.n_dot_v, rows) - bias, bias
 
 
-def _mirror(block: Block, environment: Environment) -> None:
+def _add_specular(block: Block, environment: Environment) -> None:
     """Add the specular reflection: the mean's by tables, the rest sampled, suns as lights.
 
     Under a constant environment only occlusion is sampled, and with a budget only in pixels where
@@ -121,7 +121,7 @@ def _mirror(block: Block, environment: Environment) -> None:
     """
     context, rest, needed = block.context, environment.without_suns, block.facing
     mean = rest.mean.astype(np.float32)
-    scale, bias = (mean[:, None] * one for one in _even(block))
+    scale, bias = (mean[:, None] * one for one in _lobe_albedo(block))
     if context.budget is not None and rest.varying == 0.0:
         # Occlusion removes no more than the whole reflection.
         allowed = context.budget.radiance("environment", block.total)
@@ -139,11 +139,11 @@ def _mirror(block: Block, environment: Environment) -> None:
         scale[:, which] += plain
         bias[:, which] += mixed
         block.ran("environment", which)
-    _reflect(block, scale, bias)
+    _add_reflection(block, scale, bias)
     for sun in environment.suns:
         lamp = direct.sun(sun.direction, sun.irradiance)
         hides = bool(horizon.tangents)
-        direct.shine(block, lamp, direct.above(block, lamp, horizon) if hides else None)
+        direct.add_lamp(block, lamp, direct.above_horizon(block, lamp, horizon) if hides else None)
 
 
 def _sampled(block: Block, rest: Environment, horizon: CHorizon, which: Array) -> Array:
