@@ -10,7 +10,6 @@ from read_gltf import complaints, has_validator, opened, surface
 from target_surfaces import residual
 
 from matcap.brdf.maps import MapSet
-from matcap.errors import UsageError
 from matcap.export.job import ExportJob
 from matcap.export.options import ExportOptions
 from matcap.export.targets import write_export
@@ -89,11 +88,6 @@ def test_more_light_than_a_layer_allows_is_told(tmp_path):
     )
     assert "clipped" in done.notes[0]
     assert done.residual.mean > 0.1
-
-
-def test_floats_are_refused(tmp_path, made):
-    with pytest.raises(UsageError, match="no float textures"):
-        write_export(ExportJob(made["leather"], "leather", depth="half"), "gltf", tmp_path)
 
 
 @pytest.mark.skipif(

@@ -60,6 +60,12 @@ def test_unknown_targets_name_the_nearest(tmp_path, made):
         write_export(ExportJob(made["leather"], "leather"), "unral", tmp_path)
 
 
+@pytest.mark.parametrize("target", ["usd", "gltf"])
+def test_floats_are_refused_where_none_can_be(tmp_path, made, target):
+    with pytest.raises(UsageError, match="no float textures"):
+        write_export(ExportJob(made["leather"], "leather", depth="half"), target, tmp_path)
+
+
 def test_a_known_size_goes_into_every_export(tmp_path, made):
     info = MapSetInfo("leather", provenance={"millimetres_per_unit": 85.0})
     write_mapset(made["leather"], tmp_path, info)

@@ -7,7 +7,6 @@ import pytest
 from exported import MATERIALS, METALS
 from target_surfaces import residual
 
-from matcap.errors import UsageError
 from matcap.export.job import ExportJob
 from matcap.export.targets import write_export
 
@@ -85,8 +84,3 @@ def test_files_lie_at_multiples_of_64_bytes(tmp_path, made):
             assert info.compress_type == zipfile.ZIP_STORED
             name, extra = struct.unpack_from("<HH", content, info.header_offset + 26)
             assert (info.header_offset + 30 + name + extra) % 64 == 0
-
-
-def test_floats_are_refused(tmp_path, made):
-    with pytest.raises(UsageError, match="no float textures"):
-        write_export(ExportJob(made["leather"], "leather", depth="half"), "usd", tmp_path)
