@@ -97,6 +97,7 @@ class _Set:
     """A set while it is read; each file is opened once.
 
     Attributes:
+        about: the files, and what is stated of them.
         files: by map; maps that turn out unusable are removed.
         notes: as SetChannels.
         left_out: files that are not used, with the reason.
