@@ -12,7 +12,6 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from matcap.capture.registration.camera import grid_points
 from matcap.capture.registration.doubt import DOUBTED
@@ -157,7 +156,10 @@ def _cameras(views: Sequence[RegisteredView]) -> Finding:
 
 def _common(views: Sequence[RegisteredView]) -> Finding:
     """Finding on the share of the sample that two photographs or more show."""
-    seen = np.stack([_seen(view, views[0]) for view in views]).sum(0)
+    up = [view.photo.pixels.shape[0] / view.photo.pixels.shape[1] for view in views]
+    points = grid_points(_GRID, round(_GRID * up[0]))
+    each = (sees(view.camera, points, high, 90.0) for view, high in zip(views, up, strict=True))
+    seen = np.stack(list(each)).sum(0)
     alone = float((seen < 2).mean())
     says = f"{1.0 - alone:.0%} of the sample is in two photographs or more."
     if alone <= _ALONE:
@@ -178,12 +180,6 @@ def _union(views: Sequence[RegisteredView]) -> Finding:
     else:
         says = f"They show {value:g} times the first one's area: --union makes maps of all of it."
     return Finding("union", value, Rating.GOOD, says)
-
-
-def _seen(view: RegisteredView, first: RegisteredView) -> NDArray[np.bool_]:
-    """(h, w) bool, whether a photograph shows points of the first one's rectangle."""
-    aspects = [one.photo.pixels.shape[0] / one.photo.pixels.shape[1] for one in (view, first)]
-    return sees(view.camera, grid_points(_GRID, round(_GRID * aspects[1])), aspects[0], 90.0)
 
 
 def _listed(words: Sequence[str], joint: str) -> str:

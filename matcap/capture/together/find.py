@@ -140,7 +140,12 @@ def registered(
     with clock.stage("register"):
         registration = register_in_any_order(photos)
         if len(registration.views) < 2:
-            raise _none_fits(registration)
+            each = "; ".join(f"{one.name}: {one.why}" for one in registration.left_out)
+            name = registration.views[0].photo.name
+            raise MatcapError(
+                f"no other photograph can be registered to {name} ({each})",
+                remedy="photograph the same sample again, sharp, with an overlap of two thirds",
+            )
     with clock.stage("coarse fit"):
         first, setup = without_ambient(registration.views)[0].photo, registration.setup
         with one_thread():
@@ -154,15 +159,6 @@ def registered(
         plane = read_plane(without_ambient(views)[0].photo, camera, detail)
         registration = replace(registration, views=views)
     return registration, replace(coarse, setup=camera), plane
-
-
-def _none_fits(registration: Registration) -> MatcapError:
-    """The error if only the first photograph is registered."""
-    each = "; ".join(f"{one.name}: {one.why}" for one in registration.left_out)
-    return MatcapError(
-        f"no other photograph can be registered to {registration.views[0].photo.name} ({each})",
-        remedy="photograph the same sample again, sharp, with an overlap of two thirds",
-    )
 
 
 @torch.no_grad()

@@ -33,7 +33,6 @@ from matcap.capture.together.texels import (
     Estimate,
     ParameterPrior,
     Stepped,
-    by_map,
     log_rendered,
     maps_of,
     parameters_of,
@@ -230,7 +229,9 @@ def _slope_statistics(
 def _log_errors(precision: Tensor, prior: ParameterPrior) -> Tensor:
     """(4, H, W) log standard deviation of log albedo, log F0, logit roughness and slope."""
     # The precision of a parameter alone is optimistic: the others are correlated with it.
-    return by_map((0.25 * precision + prior.precision).rsqrt()).log()
+    deviation = (0.25 * precision + prior.precision).rsqrt()
+    albedo, slope = deviation[ALBEDO].mean(0), deviation[SLOPES].mean(0)
+    return torch.stack([albedo, deviation[F0], deviation[ROUGH], slope]).log()
 
 
 def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, ...]:

@@ -23,8 +23,8 @@ from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import strips
 
-# Besides ALBEDO, F0 and ROUGH: slopes, and both of a kind.
-ACROSS, UP, GLOSS, SLOPES = 5, 6, slice(3, 5), slice(5, 7)
+# Besides ALBEDO, F0 and ROUGH: the slope along x, and both of a kind.
+ACROSS, GLOSS, SLOPES = 5, slice(3, 5), slice(5, 7)
 PARAMETERS = 7
 
 # Of the multi-view solution; docs/notes/several.md.
@@ -149,12 +149,6 @@ def maps_of(parameters: Tensor, height: Tensor, texel_size: float) -> MapSet:
         height=height,
         texel_size=texel_size,
     )
-
-
-def by_map(parameters: Tensor) -> Tensor:
-    """(PARAMETERS, H, W) to (4, H, W): means over the albedo channels, and over both slopes."""
-    albedo, slope = parameters[ALBEDO].mean(0), parameters[SLOPES].mean(0)
-    return torch.stack([albedo, parameters[F0], parameters[ROUGH], slope])
 
 
 def slopes_of(height: Tensor, texel_size: float) -> Tensor:
