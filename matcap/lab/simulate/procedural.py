@@ -104,6 +104,22 @@ def bumps(canvas: Canvas, label: str, spectrum: Spectrum) -> Raster:
     return _synthesise(canvas, label, spectrum, unit_slope=True)
 
 
+def displacement(
+    canvas: Canvas, label: str, spectrum: Spectrum, deviation: float
+) -> tuple[Raster, Raster]:
+    """Independent noise fields along x and y of a standard deviation, plane units."""
+    return (
+        deviation * noise(canvas, f"{label} x", spectrum),
+        deviation * noise(canvas, f"{label} y", spectrum),
+    )
+
+
+def rms_slope(height: Raster, texel_size: float) -> float:
+    """Root mean square slope of heights."""
+    down, right = np.gradient(height, texel_size)
+    return float(np.sqrt((down**2 + right**2).mean()))
+
+
 def _synthesise(canvas: Canvas, label: str, spectrum: Spectrum, *, unit_slope: bool) -> Raster:
     width, height = canvas.width, canvas.height
     extent_x, extent_y = canvas.extent

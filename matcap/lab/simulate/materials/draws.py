@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.lab.simulate.procedural import Canvas, Raster
+from matcap.lab.simulate.procedural import Canvas, Raster, mix, smoothstep
 
 Whole = NDArray[np.int64]
 Colours = NDArray[np.float64]  # (3,) linear Rec.709 albedo
@@ -135,8 +135,6 @@ def piece(canvas: Canvas, label: str, *indices: Whole) -> Raster:
 def streaks(canvas: Canvas, label: str, across: Raster, *indices: Whole) -> Raster:
     """Smooth random lines in [-1, 1]: a function of `across` for each tuple of indices."""
     first = np.floor(across).astype(np.int64)
-    t = across - first
-    t = t * t * (3.0 - 2.0 * t)
     low = piece(canvas, label, first, *indices)
     high = piece(canvas, label, first + 1, *indices)
-    return 2.0 * (low + (high - low) * t) - 1.0
+    return 2.0 * mix(low, high, smoothstep(0.0, 1.0, across - first)) - 1.0

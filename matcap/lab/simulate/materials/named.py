@@ -15,6 +15,7 @@ from matcap.lab.simulate.procedural import (
     bumps,
     cells,
     colour,
+    displacement,
     mix,
     noise,
     pick,
@@ -28,8 +29,7 @@ _PORE = 0.021
 
 def leather(canvas: Canvas) -> MapSet:
     """Grained leather: domed pebbles parted by creases, pores, a dyed, varnished skin."""
-    bend = Spectrum(coarse=0.12, fine=0.04)
-    warp = (0.0045 * noise(canvas, "bend x", bend), 0.0045 * noise(canvas, "bend y", bend))
+    warp = displacement(canvas, "bend", Spectrum(coarse=0.12, fine=0.04), 0.0045)
     pebbles = cells(canvas, "pebbles", _PEBBLE, jitter=0.85, stretch=1.25, angle=0.5, warp=warp)
     folds = cells(canvas, "folds", 0.45 * _PEBBLE, warp=warp)
     pores = cells(canvas, "pores", _PORE, jitter=0.9)
@@ -107,8 +107,7 @@ _GRANITE_PALETTE = np.array(
 
 def granite(canvas: Canvas) -> MapSet:
     """Polished granite: interlocking crystals of feldspar, quartz and mica."""
-    bend = Spectrum(coarse=0.05, fine=0.008)
-    warp = (0.0045 * noise(canvas, "bend x", bend), 0.0045 * noise(canvas, "bend y", bend))
+    warp = displacement(canvas, "bend", Spectrum(coarse=0.05, fine=0.008), 0.0045)
     crystals = cells(canvas, "crystals", _GRANITE_CRYSTAL, warp=warp)
     grains = cells(canvas, "grains", 0.45 * _GRANITE_CRYSTAL, warp=warp)
     flakes = cells(canvas, "flakes", 0.52 * _GRANITE_CRYSTAL, warp=warp)

@@ -19,6 +19,7 @@ from matcap.lab.simulate.procedural import (
     Spectrum,
     VoronoiCells,
     cells,
+    displacement,
     noise,
     smoothstep,
     weave,
@@ -191,11 +192,8 @@ def _cells(canvas: Canvas, label: str, shape: PatternShape) -> VoronoiCells:
     warp = None
     if shape.irregularity > 0.3:
         bend = Spectrum(coarse=1.5 * shape.scale, fine=max(shape.fine, 0.4 * shape.scale))
-        reach = 0.12 * shape.scale * shape.irregularity
-        warp = (
-            reach * noise(canvas, label + " bend x", bend),
-            reach * noise(canvas, label + " bend y", bend),
-        )
+        deviation = 0.12 * shape.scale * shape.irregularity
+        warp = displacement(canvas, label + " bend", bend, deviation)
     return cells(
         canvas,
         label,

@@ -16,12 +16,22 @@ from matcap.brdf.maps import MapSet
 from matcap.lab.simulate.materials.assemble import assemble
 from matcap.lab.simulate.materials.draws import Draws
 from matcap.lab.simulate.materials.patterns import PATTERNS, PatternShape
-from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, colour, mix, noise, smoothstep
+from matcap.lab.simulate.procedural import (
+    Canvas,
+    Raster,
+    Spectrum,
+    colour,
+    mix,
+    noise,
+    rms_slope,
+    smoothstep,
+)
 
 Colour = tuple[float, float, float]
 
 # Excluded from training: networks are evaluated on them.
 HELD_OUT_PATTERNS = ("creases", "woven")
+_WEIGHTS = {"clouds": 3.0, "creases": 1.5, "grains": 1.5, "woven": 1.5}  # 1 of the others
 
 
 @dataclass(frozen=True)
@@ -135,8 +145,8 @@ def _lay(canvas: Canvas, label: str, layer: Layer) -> tuple[Raster, Raster, Rast
 
 
 def _random_layer(rng: Draws, hue: Colour) -> Layer:
-    names = list(PATTERNS)
-    pattern = str(rng.choice(names, p=_weights(names)))
+    weights = [_WEIGHTS.get(name, 1.0) for name in PATTERNS]
+    pattern = str(rng.choice(list(PATTERNS), p=[weight / sum(weights) for weight in weights]))
     scale = rng.log_uniform(0.018, 0.16)
     fine = min(rng.log_uniform(0.006, 0.03), 0.7 * scale)
     shape = PatternShape(
@@ -184,17 +194,7 @@ def _unit_slopes(layer: Layer) -> tuple[float, float]:
     relief = PATTERNS[layer.pattern](canvas, "base", layer.shape)[1]
     grain = noise(canvas, "base grain", layer.grain)
 
-    def slope(field: Raster) -> float:
-        down, right = np.gradient(field, texel)
-        return max(float(np.sqrt((down**2 + right**2).mean())), 1.0)
-
-    return slope(relief), slope(grain)
-
-
-def _weights(names: list[str]) -> list[float]:
-    often = {"clouds": 3.0, "creases": 1.5, "grains": 1.5, "woven": 1.5}
-    weights = [often.get(name, 1.0) for name in names]
-    return [weight / sum(weights) for weight in weights]
+    return max(rms_slope(relief, texel), 1.0), max(rms_slope(grain, texel), 1.0)
 
 
 def _natural_colour(rng: Draws) -> Colour:

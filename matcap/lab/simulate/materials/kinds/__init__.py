@@ -26,7 +26,7 @@ from matcap.lab.simulate.materials.kinds import (
     wood,
 )
 from matcap.lab.simulate.materials.kinds.surface_fields import Kind, finish
-from matcap.lab.simulate.procedural import Canvas, Raster
+from matcap.lab.simulate.procedural import Canvas, Raster, rms_slope
 
 __all__ = ["COLOURED_METALS", "KINDS", "RandomKind", "kind_of", "kinds_known", "random_kind"]
 
@@ -119,6 +119,4 @@ def kind_of(kind: str, number: int) -> RandomKind:
     steepness = Draws.of([number, 1]).log_uniform(*kinds_known()[kind].slopes)
     width, height, texel = _SAMPLE
     relief = RandomKind(kind, number, 1.0)._lay(Canvas(width, height, texel, 0), 1.0)[1]
-    down, right = np.gradient(relief, texel)
-    slope = float(np.sqrt((down**2 + right**2).mean()))
-    return RandomKind(kind, number, steepness / max(slope, 1e-9))
+    return RandomKind(kind, number, steepness / max(rms_slope(relief, texel), 1e-9))

@@ -117,20 +117,16 @@ def strokes(canvas: Canvas, rng: Draws) -> SurfaceFields:
     slender, spread, curved = rng.uniform(0.3, 0.7), rng.uniform(0.3, 2.0), rng.uniform(0.0, 0.6)
     favoured, soft, rim_height = rng.angle(), rng.uniform(0.05, 0.6), rng.uniform(0.0, 0.25)
 
-    sweeps = scatter(
-        canvas,
-        "sweeps",
-        0.4 * size,
-        lambda stream, count: size * (0.6 + 0.4 * stream.random(count)),
-    )
+    x, y, sizes = scatter(canvas, "sweeps", 0.4 * size)
+    count = x.size
+    reach = size * (0.6 + 0.4 * sizes.random(count))
     own = canvas.stream("own")
-    count = sweeps.count
     turn, level = favoured + spread * own.standard_normal(count), own.random(count)
     arc = curved * own.standard_normal(count)
 
     def place(dx: Raster, dy: Raster, which: Whole) -> tuple[Raster, Raster]:
         u, v = spun(dx, dy, turn[which])
-        radius = sweeps.reach[which]
+        radius = reach[which]
         u = u / radius
         return u, v / (radius * slender) + arc[which] * u * u
 
@@ -141,10 +137,9 @@ def strokes(canvas: Canvas, rng: Draws) -> SurfaceFields:
         body = (0.4 + 0.5 * level[which] + 0.2 * u) * smoothstep(0.0, soft, inside)
         return np.where(inside > 0.0, body + ridge, -np.inf)
 
-    height, index = splat(canvas, sweeps, profile)
+    height, index = splat(canvas, x, y, reach, profile, 0.0)
     index = np.maximum(index, 0)
-    height = np.where(np.isfinite(height), height, 0.0)
-    u, v = place(canvas.x - sweeps.x[index], canvas.y - sweeps.y[index], index)
+    u, v = place(canvas.x - x[index], canvas.y - y[index], index)
     fine = rng.uniform(2.5, 6.0)
     bristle = streaks(canvas, "bristle", fine * v, index)
     bristle = 0.7 * bristle + 0.4 * streaks(canvas, "hair", 2.3 * fine * v, index)
@@ -164,32 +159,28 @@ def sand(canvas: Canvas, rng: Draws) -> SurfaceFields:
     hue = rng.natural(STONES) if rng.chance(0.7) else rng.dye()
     loose = rng.uniform(0.3, 0.9)
 
-    grains = scatter(
-        canvas,
-        "grains",
-        0.75 * size,
-        lambda stream, count: size * (0.3 + 0.4 * stream.random(count)),
-    )
+    x, y, sizes = scatter(canvas, "grains", 0.75 * size)
+    count = x.size
+    reach = size * (0.3 + 0.4 * sizes.random(count))
     own = canvas.stream("own")
-    level = loose * own.random(grains.count)
+    level = loose * own.random(count)
 
     def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
-        radius = grains.reach[which]
+        radius = reach[which]
         body = 1.0 - (dx * dx + dy * dy) / radius**2
         high = radius * np.sqrt(np.maximum(body, 0.0)) + size * level[which]
         return np.where(body > 0.0, high, -np.inf)
 
-    height, index = splat(canvas, grains, profile)
+    height, index = splat(canvas, x, y, reach, profile, 0.1 * size)
     bare = index < 0
-    height = np.where(bare, 0.1 * size, height)
     turn, period = rng.uniform(0.0, math.pi), rng.log_uniform(0.06, 0.16)
     ripple = noise(canvas, "ripple", Spectrum(period, 0.6 * period, 0.5, stretch=3.0, angle=turn))
     height = height + rng.choice([0.0, 0.6]) * size * ripple
     tones = rng.shades(hue, 12, rng.uniform(0.05, 0.5))
     if rng.chance(0.4):
         tones = np.concatenate([tones, rng.shades(rng.natural(STONES), 4, 0.3)])
-    diffuse = pick(tones, own.random(grains.count)[index])
-    glint = rng.uniform(0.0, 0.2) * own.standard_normal(grains.count)[index]
+    diffuse = pick(tones, own.random(count)[index])
+    glint = rng.uniform(0.0, 0.2) * own.standard_normal(count)[index]
     rough = rng.uniform(0.4, 0.9) + glint
     cavity = np.maximum(bare, smoothstep(0.9 * size, 0.1 * size, height))
     return SurfaceFields(diffuse, rng.dielectric(), rough, height, cavity)

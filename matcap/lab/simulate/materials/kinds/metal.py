@@ -27,23 +27,17 @@ def hammered(canvas: Canvas, rng: Draws) -> SurfaceFields:
     size = rng.log_uniform(0.035, 0.16)
     spread, raised = rng.uniform(0.02, 0.25), rng.chance(0.2)
 
-    marks = scatter(
-        canvas,
-        "marks",
-        0.8 * size,
-        lambda stream, count: (
-            0.95 * size * np.exp(spread * np.clip(stream.standard_normal(count), -2.5, 0.0))
-        ),
-    )
-    blow = spread * size * canvas.stream("blow").standard_normal(marks.count)
+    x, y, sizes = scatter(canvas, "marks", 0.8 * size)
+    reach = 0.95 * size * np.exp(spread * np.clip(sizes.standard_normal(x.size), -2.5, 0.0))
+    blow = spread * size * canvas.stream("blow").standard_normal(x.size)
 
     def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
-        radius = marks.reach[which]
+        radius = reach[which]
         depth = (radius**2 - dx * dx - dy * dy) / size
         return np.where(depth > 0.0, depth + 0.3 * blow[which], -np.inf)
 
-    deep, index = splat(canvas, marks, profile)
-    deep = np.where(index >= 0, deep, 0.0) / size
+    deep, _ = splat(canvas, x, y, reach, profile, 0.0)
+    deep = deep / size
     height = deep if raised else -deep
     top = smoothstep(0.55, 0.05, deep) if not raised else smoothstep(0.1, 0.6, deep)
     tarnish = noise(canvas, "tarnish", Spectrum(0.15, 0.015, slope=1.3))

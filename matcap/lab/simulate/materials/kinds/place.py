@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from matcap.lab.simulate.materials.draws import Whole
-from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, VoronoiCells, noise
+from matcap.lab.simulate.procedural import (
+    Canvas,
+    Raster,
+    Spectrum,
+    VoronoiCells,
+    displacement,
+    noise,
+)
 
 # Evaluations of a stamp's profile worked on at a time: small enough to stay in the cache.
 _CHUNK = 200_000
@@ -41,10 +47,7 @@ def turned(
 def warp(canvas: Canvas, label: str, size: float, reach: float) -> tuple[Raster, Raster]:
     """Two displacement fields of wavelength `size` and deviation `reach`, plane units."""
     spectrum = Spectrum(coarse=1.5 * size, fine=0.4 * size)
-    return (
-        reach * noise(canvas, label + " warp x", spectrum),
-        reach * noise(canvas, label + " warp y", spectrum),
-    )
+    return displacement(canvas, label + " warp", spectrum, reach)
 
 
 def rim(canvas: Canvas, cell: VoronoiCells) -> Raster:
@@ -54,36 +57,17 @@ def rim(canvas: Canvas, cell: VoronoiCells) -> Raster:
     return border / np.maximum(np.hypot(down, right), 0.3 * float(np.hypot(down, right).mean()))
 
 
-@dataclass(frozen=True)
-class Scatter:
-    """Randomly placed stamps.
-
-    Attributes:
-        x, y: (N,) centres in plane units, y downwards; some lie outside the canvas.
-        reach: (N,) half the side of each one's bounding square, in plane units.
-    """
-
-    x: Raster
-    y: Raster
-    reach: Raster
-
-    @property
-    def count(self) -> int:
-        """Number of stamps."""
-        return self.x.size
-
-
 # Offsets from the centre (n, P, P) in plane units, right and down, and which stamps (n, 1, 1):
 # heights (n, P, P), -inf outside the stamp.
 Profile = Callable[[Raster, Raster, Whole], Raster]
 
 
-def scatter(
-    canvas: Canvas, label: str, pitch: float, reach: Callable[[np.random.Generator, int], Raster]
-) -> Scatter:
+def scatter(canvas: Canvas, label: str, pitch: float) -> tuple[Raster, Raster, np.random.Generator]:
     """One stamp to each square of side `pitch`, plane units, uniformly distributed in it.
 
-    `reach`, of (generator, N), gives (N,) half sides in plane units, at most 8 pitches.
+    Returns:
+        (N,) x and y of the centres in plane units, y downwards, some of them outside the canvas;
+        and the generator that drew them, for their sizes: at most 8 pitches.
     """
     margin = 8 if pitch < 0.02 else 4
     columns, rows = (math.ceil(side / pitch) + 2 * margin for side in canvas.extent)
@@ -91,22 +75,31 @@ def scatter(
     shift, jitter = generator.random(2), generator.random((2, rows, columns))
     x = (np.arange(columns)[None, :] + jitter[0] + shift[0] - margin - 0.5) * pitch
     y = (np.arange(rows)[:, None] + jitter[1] + shift[1] - margin - 0.5) * pitch
-    return Scatter(x.ravel(), y.ravel(), reach(generator, x.size))
+    return x.ravel(), y.ravel(), generator
 
 
-def splat(canvas: Canvas, stamps: Scatter, profile: Profile) -> tuple[Raster, Whole]:
+def splat(
+    canvas: Canvas, x: Raster, y: Raster, reach: Raster, profile: Profile, floor: float
+) -> tuple[Raster, Whole]:
     """Upper envelope of overlapping stamps.
 
+    Args:
+        canvas: rectangle.
+        x, y: (N,) centres in plane units, y downwards.
+        reach: (N,) half the side of each stamp's bounding square, plane units.
+        profile: heights of stamps.
+        floor: height where there is no stamp.
+
     Returns:
-        (H, W) height, -inf where there is no stamp, and (H, W) index of the top stamp, else -1.
+        (H, W) height, `floor` where there is no stamp, and (H, W) index of the top stamp, else -1.
     """
     texel = canvas.texel_size
     shape = (canvas.height, canvas.width)
     top = np.full(shape[0] * shape[1], -np.inf)
     seen = np.full(top.size, -1, dtype=np.int64)
-    left = np.ceil((stamps.x - stamps.reach) / texel - 0.5).astype(np.int64)
-    first = np.ceil((stamps.y - stamps.reach) / texel - 0.5).astype(np.int64)
-    side = np.maximum(1, np.ceil(2.0 * stamps.reach / texel).astype(np.int64))
+    left = np.ceil((x - reach) / texel - 0.5).astype(np.int64)
+    first = np.ceil((y - reach) / texel - 0.5).astype(np.int64)
+    side = np.maximum(1, np.ceil(2.0 * reach / texel).astype(np.int64))
     visible = (
         (left < shape[1]) & (left + side > 0) & (first < shape[0]) & (first + side > 0)
     ).nonzero()[0]
@@ -122,8 +115,8 @@ def splat(canvas: Canvas, stamps: Scatter, profile: Profile) -> tuple[Raster, Wh
         steps = np.arange(int(side[chosen].max()))
         column = left[chosen, None, None] + steps[None, None, :]
         row = first[chosen, None, None] + steps[None, :, None]
-        dx = (column + 0.5) * texel - stamps.x[chosen, None, None]
-        dy = (row + 0.5) * texel - stamps.y[chosen, None, None]
+        dx = (column + 0.5) * texel - x[chosen, None, None]
+        dy = (row + 0.5) * texel - y[chosen, None, None]
         height = profile(dx, dy, chosen[:, None, None])
         inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
         kept = (inside & (height > -np.inf)).nonzero()
@@ -132,7 +125,7 @@ def splat(canvas: Canvas, stamps: Scatter, profile: Profile) -> tuple[Raster, Wh
         np.maximum.at(top, place, high)
         winner = high >= top[place]
         seen[place[winner]] = chosen[kept[0][winner]]
-    return top.reshape(shape), seen.reshape(shape)
+    return np.where(seen >= 0, top, floor).reshape(shape), seen.reshape(shape)
 
 
 def spun(dx: Raster, dy: Raster, turn: Raster) -> tuple[Raster, Raster]:
@@ -171,9 +164,8 @@ def paths(
     pieces: int,
     step: float,
     curl: float,
-    direction: Callable[[np.random.Generator, int], Raster],
-    reach: float,
-) -> tuple[Scatter, Raster, Whole]:
+    direction: tuple[float, float],
+) -> tuple[Raster, Raster, Raster, Whole]:
     """Chains of short straight pieces: fibres, scratches.
 
     Args:
@@ -183,11 +175,10 @@ def paths(
         pieces: number of pieces to a chain.
         step: length of a piece, plane units.
         curl: standard deviation of the angle between successive pieces, radians.
-        direction: (generator, N) to (N,) the chains' directions, radians.
-        reach: half the width of a piece, plane units.
+        direction: mean and standard deviation of the chains' directions, radians.
 
     Returns:
-        The pieces as stamps, (N,) their directions, radians, and (N,) the index of their chain.
+        (N,) x and y of the pieces' centres, their directions, radians, and their chain's index.
     """
     span = 0.5 * pieces * step
     width, height = canvas.extent
@@ -199,12 +190,12 @@ def paths(
     # Constant curvature makes arcs, random curvature wriggles.
     steady = generator.standard_normal((count, 1)) * np.arange(pieces)
     unsteady = np.cumsum(generator.standard_normal((count, pieces)), axis=1)
-    turn = direction(generator, count)[:, None] + curl * (0.5 * steady + unsteady)
+    turn = direction[0] + direction[1] * generator.standard_normal(count)[:, None]
+    turn = turn + curl * (0.5 * steady + unsteady)
     right, down = step * np.cos(turn), -step * np.sin(turn)
     x = start_x.reshape(-1, 1) + np.cumsum(right, axis=1)
     y = start_y.reshape(-1, 1) + np.cumsum(down, axis=1)
     x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
     x, y = x + start_x.reshape(-1, 1), y + start_y.reshape(-1, 1)
     whose = np.repeat(np.arange(count), pieces)
-    half = np.full(x.size, 0.5 * step + 1.5 * reach)
-    return Scatter(x.ravel(), y.ravel(), half), turn.ravel(), whose
+    return x.ravel(), y.ravel(), turn.ravel(), whose

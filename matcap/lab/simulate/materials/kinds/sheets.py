@@ -24,28 +24,17 @@ def felt(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Wavy fibres over one another: felt, fleece, coir."""
     width = rng.log_uniform(0.005, 0.012)
     pieces, step = 14, width * rng.uniform(1.5, 3.5)
-    curl, loose, favoured = (
-        rng.uniform(0.1, 0.5),
-        rng.choice([0.3, 3.0, 3.0]),
-        rng.uniform(0, np.pi),
-    )
+    curl, loose = rng.uniform(0.1, 0.5), rng.choice([0.3, 3.0, 3.0])
+    favoured = rng.uniform(0, np.pi)
 
     pitch = np.sqrt(width * pieces * step) * rng.uniform(0.75, 1.1)
-    fibres, turn, whose = paths(
-        canvas,
-        "fibres",
-        pitch,
-        pieces,
-        step,
-        curl,
-        lambda stream, count: favoured + loose * stream.standard_normal(count),
-        width,
-    )
+    x, y, turn, whose = paths(canvas, "fibres", pitch, pieces, step, curl, (favoured, loose))
+    reach = np.full(x.size, 0.5 * step + 1.5 * width)
     own = canvas.stream("own")
     count = int(whose.max()) + 1
     level, slant = own.random(count), own.standard_normal(count)
     thick = width * (0.6 + 0.8 * own.random(count))
-    order = np.arange(fibres.count) % pieces / (pieces - 1.0) - 0.5
+    order = np.arange(x.size) % pieces / (pieces - 1.0) - 0.5
 
     def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         u, v = spun(dx, dy, turn[which])
@@ -56,10 +45,8 @@ def felt(canvas: Canvas, rng: Draws) -> SurfaceFields:
         high = high + thick[chain] * np.sqrt(np.maximum(1.0 - far**2, 0.0))
         return np.where(far < 1.0, high, -np.inf)
 
-    height, index = splat(canvas, fibres, profile)
+    height, index = splat(canvas, x, y, reach, profile, -width)
     fibre = whose[index]
-    floor = -1.0 * width
-    height = np.where(index >= 0, height, floor)
     tones = rng.shades(rng.dye(), 9, rng.choice([0.05, 0.2, 0.5]))
     if rng.chance(0.2):
         tones = np.concatenate([tones, rng.shades(rng.dye(), 5, 0.2)])
@@ -75,35 +62,31 @@ def loops(canvas: Canvas, rng: Draws) -> SurfaceFields:
     thick = rng.uniform(0.28, 0.45)
     favoured, loose = rng.uniform(0.0, np.pi), rng.choice([0.25, 0.8, 3.0])
 
-    tufts = scatter(
-        canvas,
-        "tufts",
-        size * rng.uniform(0.55, 0.8),
-        lambda stream, count: size * (0.8 + 0.4 * stream.random(count)),
-    )
+    x, y, sizes = scatter(canvas, "tufts", size * rng.uniform(0.55, 0.8))
+    count = x.size
+    reach = size * (0.8 + 0.4 * sizes.random(count))
     own = canvas.stream("own")
-    turn = favoured + loose * own.standard_normal(tufts.count)
-    level, bow = 0.5 * own.random(tufts.count), 0.3 * own.standard_normal(tufts.count)
+    turn = favoured + loose * own.standard_normal(count)
+    level, bow = 0.5 * own.random(count), 0.3 * own.standard_normal(count)
 
     def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         u, v = spun(dx, dy, turn[which])
-        u, v = u / tufts.reach[which], v / tufts.reach[which]
+        u, v = u / reach[which], v / reach[which]
         far = (v - bow[which] * (1.0 - u * u)) / thick
         arch = 1.0 - u * u
         body = 1.0 - far * far
         high = 0.9 * np.sqrt(np.maximum(arch, 0.0)) + thick * np.sqrt(np.maximum(body, 0.0))
         return np.where((arch > 0.0) & (body > 0.0), high + level[which], -np.inf)
 
-    height, index = splat(canvas, tufts, profile)
-    height = np.where(index >= 0, height, 0.0)
+    height, index = splat(canvas, x, y, reach, profile, 0.0)
     index = np.maximum(index, 0)
-    u, v = spun(canvas.x - tufts.x[index], canvas.y - tufts.y[index], turn[index])
+    u, v = spun(canvas.x - x[index], canvas.y - y[index], turn[index])
     twist = np.sin((u / size + v / size) * rng.uniform(8.0, 16.0)) * (size > 0.03)
     tones = rng.shades(rng.dye(), 9, rng.choice([0.03, 0.12, 0.35]))
     if rng.chance(0.3):
         tones = np.concatenate([tones, rng.shades(rng.dye(), 3, 0.1)])
-    diffuse = pick(tones, own.random(tufts.count)[index]) * np.exp(0.06 * twist)
-    rough = rng.uniform(0.55, 0.92) + 0.04 * own.standard_normal(tufts.count)[index]
+    diffuse = pick(tones, own.random(count)[index]) * np.exp(0.06 * twist)
+    rough = rng.uniform(0.55, 0.92) + 0.04 * own.standard_normal(count)[index]
     cavity = smoothstep(1.2, 0.1, height)
     return SurfaceFields(diffuse, rng.dielectric(), rough, size * (height + 0.03 * twist), cavity)
 

@@ -24,22 +24,19 @@ def gravel(canvas: Canvas, rng: Draws) -> SurfaceFields:
     stretch = rng.uniform(0.0, 0.5)
     tones = _mixed(rng, rng.uniform(0.1, 0.4))
 
-    stones = scatter(
-        canvas,
-        "stones",
-        0.42 * size,
-        lambda stream, count: 0.65 * size * np.exp(-spread * np.abs(stream.standard_normal(count))),
-    )
+    x, y, sizes = scatter(canvas, "stones", 0.42 * size)
+    count = x.size
+    reach = 0.65 * size * np.exp(-spread * np.abs(sizes.standard_normal(count)))
     own = canvas.stream("own")
-    inside = polygons(own, stones.count, 7, ragged)
-    turn = own.uniform(0.0, np.pi, stones.count)
-    long = np.exp(stretch * own.standard_normal(stones.count) ** 2 * 0.3)
-    level = own.random(stones.count)
-    lean = 0.35 * own.standard_normal((2, stones.count))
+    inside = polygons(own, count, 7, ragged)
+    turn = own.uniform(0.0, np.pi, count)
+    long = np.exp(stretch * own.standard_normal(count) ** 2 * 0.3)
+    level = own.random(count)
+    lean = 0.35 * own.standard_normal((2, count))
 
     def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         u, v = spun(dx, dy, turn[which])
-        radius = stones.reach[which]
+        radius = reach[which]
         u, v = u / radius, v * long[which] / radius
         corner = inside(u, v, which)
         ball = 1.0 - u * u - v * v
@@ -48,22 +45,18 @@ def gravel(canvas: Canvas, rng: Draws) -> SurfaceFields:
         high = high + radius * 0.3 * (u * lean[0][which] + v * lean[1][which])
         return np.where(body > 0.0, high, -np.inf)
 
-    height, index = splat(canvas, stones, profile)
+    height, index = splat(canvas, x, y, reach, profile, -0.15 * size)
     bare = index < 0
-    floor = -0.15 * size
-    height = np.where(bare, floor, height)
     vein = noise(canvas, "vein", Spectrum(0.5 * size, 0.008, slope=0.8))
-    each = np.where(bare, 0.0, own.random(stones.count)[index])
+    each = np.where(bare, 0.0, own.random(count)[index])
     diffuse = pick(tones, each) * np.exp(rng.uniform(0.02, 0.25) * vein)
     diffuse = np.where(bare, 0.5 * diffuse, diffuse)
-    gloss = own.standard_normal(stones.count)[index]
+    gloss = own.standard_normal(count)[index]
     wet = rng.uniform(0.25, 0.85)
     rough = wet + rng.uniform(0.0, 0.12) * gloss + 0.02 * vein
-    specular = np.clip(
-        rng.dielectric() + 0.004 * own.standard_normal(stones.count)[index], 0.025, 0.07
-    )
+    specular = rng.dielectric() + 0.004 * own.standard_normal(count)[index]
     cavity = smoothstep(0.55 * size, -0.1 * size, height)
-    return SurfaceFields(diffuse, specular, rough, height, cavity)
+    return SurfaceFields(diffuse, specular.clip(0.025, 0.07), rough, height, cavity)
 
 
 def asphalt(canvas: Canvas, rng: Draws) -> SurfaceFields:
@@ -73,36 +66,33 @@ def asphalt(canvas: Canvas, rng: Draws) -> SurfaceFields:
     tones = _mixed(rng, 0.3)
     binder = rng.natural(STONES[[2, 3]] if rng.chance(0.7) else STONES) * 0.8
 
-    stones = scatter(
-        canvas,
-        "stones",
-        0.55 * size,
-        lambda stream, count: 0.6 * size * stream.random(count) ** 1.2 + 0.1 * size,
-    )
+    x, y, sizes = scatter(canvas, "stones", 0.55 * size)
+    count = x.size
+    reach = 0.6 * size * sizes.random(count) ** 1.2 + 0.1 * size
     own = canvas.stream("own")
-    inside = polygons(own, stones.count, 5, ragged)
-    level = own.normal(0.0, 1.0, stones.count)
-    lean = rng.uniform(0.1, 0.5) * own.standard_normal((2, stones.count))
+    inside = polygons(own, count, 5, ragged)
+    level = own.normal(0.0, 1.0, count)
+    lean = rng.uniform(0.1, 0.5) * own.standard_normal((2, count))
     plateau = rng.uniform(0.15, 0.5)
 
     def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
-        radius = stones.reach[which]
+        radius = reach[which]
         u, v = dx / radius, dy / radius
         body = inside(u, v, which)
         top = smoothstep(0.0, plateau, body) + 0.3 * level[which]
         top = top + u * lean[0][which] + v * lean[1][which]
         return np.where(body > 0.0, radius * top, -np.inf)
 
-    stone, index = splat(canvas, stones, profile)
+    stone, index = splat(canvas, x, y, reach, profile, -np.inf)
     tar = noise(canvas, "tar", Spectrum(2.0 * size, 0.008, slope=1.1))
     fill = size * (rng.uniform(0.0, 0.45) + 0.14 * tar)
     out = smoothstep(-0.06 * size, 0.06 * size, np.maximum(stone, -size) - fill)
     height = np.maximum(stone, fill)
-    each = own.random(stones.count)[index]
+    each = own.random(count)[index]
     grit = noise(canvas, "grit", Spectrum(0.03, 0.006, slope=0.4))
     diffuse = pick(tones, each) * np.exp(0.12 * grit)
     diffuse = mix(binder[:, None, None] * np.exp(0.2 * grit), diffuse, out)
-    rough_stone = rng.uniform(0.35, 0.85) + 0.1 * own.standard_normal(stones.count)[index]
+    rough_stone = rng.uniform(0.35, 0.85) + 0.1 * own.standard_normal(count)[index]
     rough = mix(rng.uniform(0.35, 0.9) + 0.04 * grit, rough_stone, out)
     height = height + 0.03 * size * grit
     return SurfaceFields(diffuse, rng.dielectric(), rough, height, 1.0 - out)
@@ -115,30 +105,27 @@ def terrazzo(canvas: Canvas, rng: Draws) -> SurfaceFields:
     cement = rng.natural(STONES)
     sparse, power = rng.uniform(0.45, 0.9), rng.uniform(0.8, 3.0)
 
-    chips = scatter(
-        canvas,
-        "chips",
-        sparse * size,
-        lambda stream, count: 0.6 * size * stream.random(count) ** power + 0.06 * size,
-    )
+    x, y, sizes = scatter(canvas, "chips", sparse * size)
+    count = x.size
+    reach = 0.6 * size * sizes.random(count) ** power + 0.06 * size
     own = canvas.stream("own")
-    inside = polygons(own, chips.count, 6, 1.0)
-    level, long = own.random(chips.count), np.exp(0.35 * np.abs(own.standard_normal(chips.count)))
-    turn = own.uniform(0.0, np.pi, chips.count)
+    inside = polygons(own, count, 6, 1.0)
+    level, long = own.random(count), np.exp(0.35 * np.abs(own.standard_normal(count)))
+    turn = own.uniform(0.0, np.pi, count)
 
     def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         u, v = spun(dx, dy, turn[which])
-        radius = chips.reach[which]
+        radius = reach[which]
         within = inside(u / radius, long[which] * v / radius, which)
         return np.where(within > 0.0, level[which] * 10.0 + np.minimum(within, 0.3), -np.inf)
 
-    high, index = splat(canvas, chips, profile)
+    _, index = splat(canvas, x, y, reach, profile, 0.0)
     chip = (index >= 0).astype(np.float64)
     vein = noise(canvas, "vein", Spectrum(0.06, 0.007, slope=0.9))
-    diffuse = pick(tones, own.random(chips.count)[index]) * np.exp(rng.uniform(0, 0.2) * vein)
+    diffuse = pick(tones, own.random(count)[index]) * np.exp(rng.uniform(0, 0.2) * vein)
     diffuse = np.where(index >= 0, diffuse, cement[:, None, None] * np.exp(0.08 * vein))
     polish, dull = rng.log_uniform(0.08, 0.4), rng.uniform(0.0, 0.25)
-    rough = polish + dull * (1.0 - chip) + 0.04 * own.standard_normal(chips.count)[index] * chip
+    rough = polish + dull * (1.0 - chip) + 0.04 * own.standard_normal(count)[index] * chip
     pit = smoothstep(1.9, 2.4, noise(canvas, "pits", Spectrum(0.03, 0.007, slope=0.0)))
     height = 0.1 * chip - 0.6 * pit + 0.06 * noise(canvas, "wave", Spectrum(0.16, 0.08))
     rough = rough + 0.3 * pit
@@ -177,24 +164,18 @@ def pitted(canvas: Canvas, rng: Draws) -> SurfaceFields:
     steep = rng.uniform(0.5, 2.0)
     stretch, turn = rng.log_uniform(1.0, 2.5), rng.uniform(0.0, np.pi)
 
-    pits = scatter(
-        canvas,
-        "pits",
-        dense * size,
-        lambda stream, count: 0.5 * size * np.exp(-spread * np.abs(stream.standard_normal(count))),
-    )
-    own = canvas.stream("own")
-    inside = polygons(own, pits.count, 6, 0.7)
+    x, y, sizes = scatter(canvas, "pits", dense * size)
+    reach = 0.5 * size * np.exp(-spread * np.abs(sizes.standard_normal(x.size)))
+    inside = polygons(canvas.stream("own"), x.size, 6, 0.7)
 
     def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
-        u, v = spun(dx, dy, np.full(pits.count, turn)[which])
-        radius = pits.reach[which]
+        u, v = spun(dx, dy, np.full(x.size, turn)[which])
+        radius = reach[which]
         u, v = u / radius, stretch * v / radius
         body = mix(1.0 - np.hypot(u, v), inside(u, v, which), np.array(0.4))
         return np.where(body > 0.0, radius * smoothstep(0.0, 1.0 / steep, body), -np.inf)
 
-    deep, index = splat(canvas, pits, profile)
-    deep = np.where(index >= 0, deep, 0.0)
+    deep, _ = splat(canvas, x, y, reach, profile, 0.0)
     crumb = noise(canvas, "crumb", Spectrum(0.7 * size, 0.008, slope=1.0))
     swell = noise(canvas, "swell", Spectrum(0.16, 0.05, slope=1.5))
     height = -deep + 0.02 * size * rng.uniform(0.2, 1.5) * crumb + 0.03 * size * swell

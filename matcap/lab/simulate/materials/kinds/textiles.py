@@ -9,7 +9,7 @@ import numpy as np
 from matcap.lab.simulate.materials.draws import WOODS, Draws, Whole, piece, streaks
 from matcap.lab.simulate.materials.kinds.place import turned
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, noise, pick, smoothstep
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise, pick, smoothstep
 
 
 def _fuzz(canvas: Canvas, size: float) -> Raster:
@@ -116,10 +116,13 @@ def ribs(canvas: Canvas, rng: Draws) -> SurfaceFields:
     )
 
 
-def _over(rng: Draws, twill: bool) -> tuple[int, int, int, bool]:
-    """Draft of a weave: threads over, under, shift from thread to thread, whether it zigzags."""
-    if not twill:
-        return (1, 1, 1, False)
+# Draft of a weave: threads over, under, shift from thread to thread, whether it zigzags.
+_Draft = tuple[int, int, int, bool]
+
+
+def weave(canvas: Canvas, rng: Draws) -> SurfaceFields:
+    """Plain, twill and satin weaves of round yarns."""
+    size = rng.log_uniform(0.014, 0.06)
     drafts = [
         (2, 1, 1),
         (2, 2, 1),
@@ -131,12 +134,7 @@ def _over(rng: Draws, twill: bool) -> tuple[int, int, int, bool]:
         (1, 1, 1),
     ]
     over, under, step = drafts[rng.integers(len(drafts))]
-    return over, under, step, rng.chance(0.3)
-
-
-def weave(canvas: Canvas, rng: Draws) -> SurfaceFields:
-    """Plain, twill and satin weaves of round yarns."""
-    return _woven(canvas, rng, rng.log_uniform(0.014, 0.06), _over(rng, True), 1, Draws.dye)
+    return _woven(canvas, rng, size, (over, under, step, rng.chance(0.3)), 1, Draws.dye)
 
 
 def basket(canvas: Canvas, rng: Draws) -> SurfaceFields:
@@ -149,14 +147,14 @@ def basket(canvas: Canvas, rng: Draws) -> SurfaceFields:
     def hue(rng: Draws) -> Raster:
         return rng.natural(WOODS) if rng.chance(0.6) else rng.dye()
 
-    return _woven(canvas, rng, size, _over(rng, False), together, hue)
+    return _woven(canvas, rng, size, (1, 1, 1, False), together, hue)
 
 
 def _woven(
     canvas: Canvas,
     rng: Draws,
     size: float,
-    draft: tuple[int, int, int, bool],
+    draft: _Draft,
     together: int,
     hue: Callable[[Draws], Raster],
 ) -> SurfaceFields:
@@ -172,13 +170,11 @@ def _woven(
             i = np.abs(i % (2 * turn) - turn)
         return np.where((i + step * j) % (over + under) < over, 1.0, -1.0)
 
-    def rise(first: Raster, second: Raster, t: Raster) -> Raster:
-        return first + (second - first) * smoothstep(0.1, 0.9, t)
-
     below, left = np.floor(v - 0.5).astype(np.int64), np.floor(u - 0.5).astype(np.int64)
     depth = rng.uniform(0.2, 0.45) * together**0.5
-    rise_u = depth * rise(on_top(column, below), on_top(column, below + 1), v - 0.5 - below)
-    rise_v = -depth * rise(on_top(left, row), on_top(left + 1, row), u - 0.5 - left)
+    across_u, across_v = (smoothstep(0.1, 0.9, w) for w in (v - 0.5 - below, u - 0.5 - left))
+    rise_u = depth * mix(on_top(column, below), on_top(column, below + 1), across_u)
+    rise_v = -depth * mix(on_top(left, row), on_top(left + 1, row), across_v)
     fill, flat = rng.uniform(0.82, 1.0), rng.uniform(2.0, 4.0)
     side_u, side_v = (2.0 * (w - np.floor(w)) - 1.0 for w in (u, v))
 

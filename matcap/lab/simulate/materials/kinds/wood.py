@@ -68,30 +68,22 @@ def varnish(canvas: Canvas, rng: Draws) -> SurfaceFields:
     width = rng.log_uniform(0.0025, 0.006)
 
     pitch = rng.log_uniform(0.05, 0.15)
-    stamps, turn, whose = paths(
-        canvas,
-        "scratches",
-        pitch,
-        12,
-        rng.uniform(0.01, 0.04),
-        0.05,
-        lambda stream, count: favoured + loose * stream.standard_normal(count),
-        2.0 * width,
-    )
+    step = rng.uniform(0.01, 0.04)
+    x, y, turn, whose = paths(canvas, "scratches", pitch, 12, step, 0.05, (favoured, loose))
+    reach = np.full(x.size, 0.5 * step + 3.0 * width)
     own = canvas.stream("own")
-    force = own.random(stamps.count + 1)
-    thick = width * (0.5 + own.random(stamps.count + 1))
+    force = own.random(x.size + 1)
+    thick = width * (0.5 + own.random(x.size + 1))
 
     def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         chain = whose[which]
         u, v = spun(dx, dy, turn[which])
-        half = stamps.reach[which] - 3.0 * width
+        half = reach[which] - 3.0 * width
         far = np.hypot(np.maximum(np.abs(u) - half, 0.0), v) / thick[chain]
         depth = (0.25 + 0.75 * force[chain]) * np.exp(-(far**2))
         return np.where(depth > 0.02, depth, -np.inf)
 
-    depth, _ = splat(canvas, stamps, profile)
-    scratch = np.maximum(depth, 0.0)
+    scratch, _ = splat(canvas, x, y, reach, profile, 0.0)
     wave = noise(canvas, "orange peel", Spectrum(0.05, 0.02))
     height = -0.5 * width * scratch + rng.uniform(0.0, 0.15) * width * wave
     pale = rng.uniform(-0.5, 0.9)
@@ -109,14 +101,10 @@ def chipboard(canvas: Canvas, rng: Draws) -> SurfaceFields:
     slender, spread = rng.uniform(0.25, 0.5), rng.uniform(0.3, 1.5)
     favoured = rng.angle()
 
-    flakes = scatter(
-        canvas,
-        "flakes",
-        0.38 * size,
-        lambda stream, count: size * (0.4 + 0.6 * stream.random(count)),
-    )
+    x, y, sizes = scatter(canvas, "flakes", 0.38 * size)
+    count = x.size
+    reach = size * (0.4 + 0.6 * sizes.random(count))
     own = canvas.stream("own")
-    count = flakes.count
     turn = favoured + spread * own.standard_normal(count)
     level, lean = own.random(count), 0.25 * own.standard_normal((2, count))
     skew = 0.4 * own.standard_normal(count)
@@ -124,7 +112,7 @@ def chipboard(canvas: Canvas, rng: Draws) -> SurfaceFields:
 
     def place(dx: Raster, dy: Raster, which: Whole) -> tuple[Raster, Raster]:
         u, v = spun(dx, dy, turn[which])
-        radius = flakes.reach[which]
+        radius = reach[which]
         return u / radius, v / (radius * wide[which])
 
     def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
@@ -133,10 +121,9 @@ def chipboard(canvas: Canvas, rng: Draws) -> SurfaceFields:
         high = level[which] * 1.6 + lean[0][which] * u + lean[1][which] * v * 0.5
         return np.where(inside > 0.0, high, -np.inf)
 
-    height, index = splat(canvas, flakes, profile)
+    height, index = splat(canvas, x, y, reach, profile, -0.5)
     index = np.maximum(index, 0)
-    height = np.where(np.isfinite(height), height, -0.5)
-    u, v = place(canvas.x - flakes.x[index], canvas.y - flakes.y[index], index)
+    u, v = place(canvas.x - x[index], canvas.y - y[index], index)
     fine = rng.uniform(4.0, 9.0)
     lines = streaks(canvas, "lines", fine * (v + 0.15 * np.sin(3.0 * u)), index)
     lines = 0.6 * lines + 0.5 * streaks(canvas, "broad", 0.35 * fine * v, index)
@@ -158,31 +145,27 @@ def scales(canvas: Canvas, rng: Draws) -> SurfaceFields:
     under = rng.shade(hue * 0.45, 0.3, 0.1)
     curl = rng.uniform(-0.1, 0.5)
 
-    flakes = scatter(
-        canvas,
-        "flakes",
-        0.5 * size,
-        lambda stream, count: size * (0.25 + 0.5 * stream.random(count)),
-    )
+    x, y, sizes = scatter(canvas, "flakes", 0.5 * size)
+    count = x.size
+    reach = size * (0.25 + 0.5 * sizes.random(count))
     own = canvas.stream("own")
-    inside = polygons(own, flakes.count, 7, 0.9)
-    level, lean = own.random(flakes.count), 0.5 * own.standard_normal((2, flakes.count))
+    inside = polygons(own, count, 7, 0.9)
+    level, lean = own.random(count), 0.5 * own.standard_normal((2, count))
 
     def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
-        radius = flakes.reach[which]
+        radius = reach[which]
         u, v = dx / radius, dy / radius
         body = inside(u, v, which)
         high = level[which] * 1.5 + 0.3 * (lean[0][which] * u + lean[1][which] * v)
         high = high + curl * (1.0 - np.clip(body, 0.0, 1.0)) ** 3
         return np.where(body > 0.0, high, -np.inf)
 
-    height, index = splat(canvas, flakes, profile)
-    height = np.where(index >= 0, height, -0.3)
+    height, index = splat(canvas, x, y, reach, profile, -0.3)
     crumb = noise(canvas, "crumb", Spectrum(0.4 * size, 0.007, slope=0.7))
     tones = rng.shades(hue, 12, rng.uniform(0.15, 0.4))
-    diffuse = pick(tones, own.random(flakes.count)[index]) * np.exp(0.15 * crumb)
+    diffuse = pick(tones, own.random(count)[index]) * np.exp(0.15 * crumb)
     depth = smoothstep(0.9, -0.2, height)
     diffuse = mix(diffuse, under[:, None, None], 0.8 * depth)
-    rough = rng.uniform(0.5, 0.9) + 0.07 * own.standard_normal(flakes.count)[index] + 0.03 * crumb
+    rough = rng.uniform(0.5, 0.9) + 0.07 * own.standard_normal(count)[index] + 0.03 * crumb
     height = 0.15 * size * (height + 0.08 * crumb)
     return SurfaceFields(diffuse, rng.dielectric(), rough, height, depth)
