@@ -19,7 +19,7 @@ from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
-from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take, true_maps
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo
 from matcap.lab.simulate.specimen import Specimen
 from matcap.lab.simulate.write_jpeg import PHONE
 from matcap.photo.camera import CameraProfile
@@ -60,11 +60,11 @@ def camera_experiment(
     def simulated(specimen: Specimen) -> CameraSubject:
         lost, more = falloff
         setup = replace(specimen.setup, vignetting=lost, vignetting_quartic=more)
-        piece = specimen.realise
-        photo = as_photo(take(piece, _PHONE, setup), specimen.seed, specimen.name)
+        specimen = replace(specimen, setup=setup)
+        photo = as_photo(specimen.take(_PHONE), specimen.seed, specimen.name)
         if developed:
             photo = replace(photo, radiometric=False, pixels=PHONE.developed(photo.pixels))
-        return CameraSubject(photo, true_maps(piece, _PHONE, setup), sum(falloff))
+        return CameraSubject(photo, specimen.truth(_PHONE), sum(falloff))
 
     def real(path: Path) -> CameraSubject:
         return CameraSubject(load_photo(path, long_side=_WIDTH, noise=False))
@@ -81,15 +81,14 @@ def camera_experiment(
             raise MatcapError("there are too few photographs", remedy="give five or more")
         return profiled
 
-    def under_profile(subject: CameraSubject, _seed: int) -> CoarseFit:
-        return fitted(replace(subject.photo, profile=profile()))
-
     return Experiment(
         "camera",
         prepared,
         {
             "alone": Configuration(lambda subject, _seed: fitted(subject.photo)),
-            "one camera": Configuration(under_profile),
+            "one camera": Configuration(
+                lambda subject, _seed: fitted(replace(subject.photo, profile=profile()))
+            ),
         },
         (fit_errors,),
         settings=(falloff, developed, list(prepared)),
@@ -99,7 +98,7 @@ def camera_experiment(
 def fit_errors(subject: CameraSubject, fit: CoarseFit) -> Mapping[str, Value]:
     """Parameters of a coarse fit, and their errors against the truth."""
     lost = fit.setup.vignetting + fit.setup.vignetting_quartic
-    said = {
+    fitted_values = {
         "lost": lost,
         "exponent": fit.tone.exponent,
         "metal": float(fit.conductor),
@@ -107,7 +106,7 @@ def fit_errors(subject: CameraSubject, fit: CoarseFit) -> Mapping[str, Value]:
     }
     names = ("lost off", "roughness off", "F0 off", "albedo off", "F0 over albedo off")
     if subject.truth is None:
-        return said | dict.fromkeys(names, math.nan)
+        return fitted_values | dict.fromkeys(names, math.nan)
     true = subject.truth
     specular = math.log(fit.specular / float(true.specular.mean()))
     diffuse = math.log(sum(fit.diffuse) / 3.0 / float(true.diffuse.mean()))
@@ -115,4 +114,4 @@ def fit_errors(subject: CameraSubject, fit: CoarseFit) -> Mapping[str, Value]:
         lost - subject.lost, fit.roughness - float(true.roughness.mean()), specular, diffuse,
         specular - diffuse,
     )  # fmt: skip
-    return said | dict(zip(names, map(abs, off), strict=True))
+    return fitted_values | dict(zip(names, map(abs, off), strict=True))

@@ -23,6 +23,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.simulate.photograph import PhoneCamera, Shot, as_photo, take
+from matcap.lab.simulate.procedural import rms_slope
 
 ABOUT = (
     "Estimated roughness and F0; off: error of roughness; near: 1 if that is within 0.05; clipped: "
@@ -54,9 +55,7 @@ class PlainMaterial:
         heights = np.random.default_rng(3).standard_normal((count, count)).astype(np.float32)
         side = max(width, height)
         bumps = cv2.resize(heights, (side, side), interpolation=cv2.INTER_CUBIC)[:height, :width]
-        down, across = np.gradient(bumps / texel_size)
-        steep = float(np.sqrt(np.mean(down**2 + across**2)))
-        bumps = np.asarray(bumps * (self.slope / steep), np.float32)
+        bumps = np.asarray(bumps * (self.slope / rms_slope(bumps / texel_size, 1.0)), np.float32)
         colour = torch.tensor(self.albedo)[:, None, None].expand(3, height, width)
         return MapSet(
             colour.clone(),
@@ -67,13 +66,7 @@ class PlainMaterial:
         )
 
 
-@dataclass(frozen=True)
-class Gloss:
-    """Mean estimates of one photograph, and its share of clipped pixels."""
-
-    roughness: float
-    specular: float
-    clipped: float
+PlainShot = tuple[PlainMaterial, Shot]
 
 
 def materials(slopes: Sequence[float]) -> Iterator[PlainMaterial]:
@@ -93,50 +86,43 @@ def gloss_experiment(
     *,
     exemplar: bool = False,
     camera: PhoneCamera | None = None,
-) -> Experiment[tuple[PlainMaterial, Shot], Gloss]:
+) -> Experiment[PlainShot, Mapping[str, Value]]:
     """Photograph materials at exposure offsets (EV) and estimate their parameters.
 
     With `exemplar` the maps of a capture are measured, else the coarse fit alone.
     """
     phone = camera or PhoneCamera()
 
-    def prepare(material: PlainMaterial) -> tuple[PlainMaterial, Shot]:
+    def prepare(material: PlainMaterial) -> PlainShot:
         return material, take(material.realise, phone, SETUP)
 
     return Experiment(
         "gloss",
         {material.name: partial(prepare, material) for material in chosen},
-        {f"{ev:+d} EV": Configuration(partial(_capture_gloss, ev, exemplar)) for ev in evs},
-        (gloss,),
+        {f"{ev:+d} EV": Configuration(partial(_estimates, ev, exemplar)) for ev in evs},
         settings=(exemplar, phone),
     )
 
 
-def gloss(subject: tuple[PlainMaterial, Shot], fitted: Gloss) -> Mapping[str, Value]:
-    """The estimates, and whether roughness is near the true one."""
-    off = fitted.roughness - subject[0].roughness
-    return {
-        "roughness": fitted.roughness,
-        "off": off,
-        "near": float(abs(off) <= WITHIN),
-        "F0": fitted.specular,
-        "clipped": fitted.clipped,
-    }
-
-
-def _capture_gloss(
-    ev: int, exemplar: bool, subject: tuple[PlainMaterial, Shot], _seed: int
-) -> Gloss:
-    shot = subject[1]
-    gain = 2.0**ev
+def _estimates(ev: int, exemplar: bool, subject: PlainShot, _seed: int) -> Mapping[str, Value]:
+    """Mean estimates of one photograph, `ev` EV above the automatic exposure."""
+    (material, shot), gain = subject, 2.0**ev
     setup = shot.setup.with_intensity((gain * shot.setup.intensity[0],) * 3)
     brighter = replace(shot, linear=gain * shot.linear, setup=setup)
     photo = as_photo(brighter, 1, "plain")
-    clipped = float((brighter.linear.max(-1) >= 1.0).mean())
-    if not exemplar:
+    if exemplar:
+        estimate = capture_photo(photo, CaptureSettings("instant", detail=512)).estimate
+        assert estimate is not None
+        maps = estimate.exemplar
+        roughness, specular = float(maps.roughness.mean()), float(maps.specular.mean())
+    else:
         fit = fit_coarse(photo)
-        return Gloss(fit.roughness, fit.specular, clipped)
-    result = capture_photo(photo, CaptureSettings(preset="instant", detail=512))
-    assert result.estimate is not None
-    maps = result.estimate.exemplar
-    return Gloss(float(maps.roughness.mean()), float(maps.specular.mean()), clipped)
+        roughness, specular = fit.roughness, fit.specular
+    off = roughness - material.roughness
+    return {
+        "roughness": roughness,
+        "off": off,
+        "near": float(abs(off) <= WITHIN),
+        "F0": specular,
+        "clipped": float((brighter.linear.max(-1) >= 1.0).mean()),
+    }

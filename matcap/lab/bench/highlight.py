@@ -17,7 +17,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.brdf.maps import MapSet
 from matcap.capture.verdict.findings import plain
 from matcap.errors import MatcapError
 from matcap.files.picture import write_picture
@@ -30,7 +29,8 @@ from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.simulate.materials import random_material
 from matcap.lab.simulate.materials.kinds import random_kind
-from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo
+from matcap.lab.simulate.specimen import Specimen
 from matcap.photo.exif import phone_fov
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
@@ -67,8 +67,12 @@ def highlight_experiment(
         return photo, None
 
     def pair(seen: Seen, fit: CoarseFit) -> Mapping[str, Value]:
-        if seen[1] is None:
-            _write_pair(fit, seen[0], out / f"{Path(seen[0].name).stem}.png")
+        photo, truth = seen
+        if truth is None:
+            again = rerendered(fit, photo).astype(np.float32)
+            small = cv2.resize(photo.pixels, again.shape[1::-1], interpolation=cv2.INTER_AREA)
+            both = np.concatenate([np.minimum(small, 1.0), again], axis=1)
+            write_picture(both, out / f"{Path(photo.name).stem}.png")
         return {}
 
     return Experiment(
@@ -120,14 +124,6 @@ def rerendered(fit: CoarseFit, photo: Photo) -> NDArray[np.float64]:
     return np.minimum(fit.tone.developed(picture), 1.0)
 
 
-def _write_pair(fit: CoarseFit, photo: Photo, path: Path) -> None:
-    """Photograph and re-rendering side by side, sRGB."""
-    again = rerendered(fit, photo).astype(np.float32)
-    height, width = again.shape[:2]
-    small = cv2.resize(photo.pixels, (width, height), interpolation=cv2.INTER_AREA)
-    write_picture(np.concatenate([np.minimum(small, 1.0), again], axis=1), path)
-
-
 def simulated(count: int, seed: int, *, has_fov: bool = True) -> dict[str, Callable[[], Seen]]:
     """`count` RAW photographs by name, of random field of view, flash offset and tilt."""
     rng = np.random.default_rng(seed)
@@ -146,20 +142,14 @@ def simulated(count: int, seed: int, *, has_fov: bool = True) -> dict[str, Calla
         focal_length = round(18.0 / half)
         camera = PhoneCamera(width, height, focal_length, supersampling=1, blur=0.5)
         name = f"{getattr(material, 'kind', 'pattern')} {seed}/{number}"
-        subjects[name] = partial(_taken, material.realise, number, camera, setup, has_fov=has_fov)
+        specimen = Specimen(name, material.realise, number, setup)
+        subjects[name] = partial(_taken, specimen, camera, has_fov)
     return subjects
 
 
-def _taken(
-    realise: Callable[[int, int, int, float], MapSet],
-    number: int,
-    camera: PhoneCamera,
-    setup: FlashSetup,
-    *,
-    has_fov: bool,
-) -> Seen:
-    shot = take(lambda w, h, texel: realise(w, h, number, texel), camera, setup)
-    photo = as_photo(shot, number, f"{number}")
+def _taken(specimen: Specimen, camera: PhoneCamera, has_fov: bool) -> Seen:
+    shot = specimen.take(camera)
+    photo = as_photo(shot, specimen.seed, f"{specimen.seed}")
     if not has_fov:
         photo = replace(photo, fov=phone_fov(*photo.original_size), fov_source="assumed")
     return photo, shot.setup

@@ -1,6 +1,6 @@
 """`matcap bench metals`: F0 of metals by channel, its hue, and F0 of dielectric parts.
 
-The true maps (simulate/photograph.py, true_maps) separate metal from dielectric texels. Errors are
+The true maps separate metal from dielectric texels. Errors are
 absolute: no scale is fitted.
 """
 
@@ -21,7 +21,7 @@ from matcap.capture.settings import CaptureSettings
 from matcap.lab.bench.methods import exemplar_maps
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
-from matcap.lab.simulate.photograph import PhoneCamera, Shot, true_maps
+from matcap.lab.simulate.photograph import PhoneCamera, Shot
 from matcap.lab.simulate.specimen import Specimen, photograph
 
 ABOUT = (
@@ -59,9 +59,7 @@ def metals_experiment(
     """
 
     def prepare(subject: Specimen) -> PhotographedMetal:
-        path, shot = photograph(subject, camera, out)
-        truth = true_maps(subject.realise, camera, subject.setup)
-        return PhotographedMetal(path, shot, truth)
+        return PhotographedMetal(*photograph(subject, camera, out), subject.truth(camera))
 
     def run(metal: PhotographedMetal, _seed: int) -> MapSet:
         photo = read_photograph(metal.path, settings)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from matcap.lab.bench.nsd import PhotographSettings
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
-from matcap.lab.measures.maps import MapsOff, compared_numbers
+from matcap.lab.measures.maps import compared_numbers, map_errors
 from matcap.lab.simulate.hand_held import (
     Hand,
     Room,
@@ -146,7 +146,7 @@ def off(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """Errors of maps over the first photograph's rectangle."""
     assert result.estimate is not None
     maps = map_set_of(result.estimate.framed)
-    return asdict(MapsOff.of(maps, taken.true_on(result)(*maps.size)))
+    return map_errors(maps, taken.true_on(result)(*maps.size))
 
 
 def residuals(_taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
@@ -188,7 +188,7 @@ def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
         planes[:, here] = torch.cat([true.stacked(), true.normal]).float()[:, here]
         known, left = known | here, left & ~here
     whole = replace(MapSet.from_stacked(planes[:6], exemplar.texel_size), painted=planes[6:])
-    errors = asdict(MapsOff.of(exemplar, whole, known))
+    errors = map_errors(exemplar, whole, known)
     return {"times": reach.times, **{f"{name} beyond": value for name, value in errors.items()}}
 
 

@@ -119,10 +119,10 @@ def synth_experiment(settings: SynthSettings) -> Experiment[SynthSubject, Costs]
             for block in settings.blocks:
                 for precision in _precisions():
                     name = f"memory {allocator}, {workers} workers, {block}, {precision}"
-                    run = partial(_alone, settings, allocator, workers, block, precision)
-                    ways[name] = Configuration(run, allocator)
+                    given = settings, allocator == "kept", workers, block, precision
+                    ways[name] = Configuration(partial(_alone, field_costs, given), allocator)
     for precision in _precisions():
-        run = partial(_efficiency_alone, precision, settings.repeats)
+        run = partial(_alone, _efficiency_of, (precision, settings.repeats))
         ways[f"convolutions, {precision}"] = Configuration(run, "convolutions")
     for name, step in _steps(settings).items():
         ways[name] = Configuration(step, BY_EXAMPLE)
@@ -137,25 +137,11 @@ def synth_experiment(settings: SynthSettings) -> Experiment[SynthSubject, Costs]
 
 
 def _alone(
-    settings: SynthSettings,
-    allocator: str,
-    workers: int,
-    block: str,
-    precision: str,
-    subject: SynthSubject,
-    _seed: int,
+    measure: Callable[..., Costs], given: tuple[object, ...], subject: SynthSubject, _seed: int
 ) -> Costs:
     """Costs in a new process, since threads' heaps are reused whatever the allocator's setting."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
-        work = alone.submit(
-            field_costs, settings, subject.name, allocator == "kept", (workers, block, precision)
-        )
-        return work.result()
-
-
-def _efficiency_alone(precision: str, repeats: int, subject: SynthSubject, _seed: int) -> Costs:
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
-        return alone.submit(_efficiency_of, subject.name, precision, repeats).result()
+        return alone.submit(measure, subject.name, *given).result()
 
 
 def _efficiency_of(network: str, precision: str, repeats: int) -> Costs:
@@ -164,22 +150,21 @@ def _efficiency_of(network: str, precision: str, repeats: int) -> Costs:
 
 
 def field_costs(
-    settings: SynthSettings, network: str, keeps: bool, way: tuple[int, str, str]
+    network: str, settings: SynthSettings, keeps: bool, workers: int, block: str, precision: str
 ) -> Costs:
     """Costs of the field and of the paper's form of the same network, named in NETWORKS.
 
-    With `keeps` the allocator keeps memory; `way` is (workers, block, precision).
+    With `keeps` the allocator keeps freed memory.
     """
     if keeps:
         keep_memory()
-    subject, (workers, block, precision) = material(NETWORKS[network]), way
-    width, height = settings.size
+    subject, (width, height) = material(NETWORKS[network]), settings.size
     config = subject.decoder.config
     noise = noise_of(
         Patch(1, Rectangle(0, 0, width, height)), config.noise_channels, config.structured_channels
     )
     noise = noise[None].contiguous()
-    source = _source(subject, _grid(block), precision)
+    source = _source(subject, Grid(*map(int, block.split("x"))), precision)
 
     def ours() -> None:
         read_source(source, Rectangle(0, 0, width, height), workers)
@@ -298,13 +283,10 @@ def efficiency(subject: TunedDecoder, precision: str, repeats: int) -> dict[str,
 
     with single_threaded(1) as pool:
         times = [
-            (
-                pool.submit(_processor, lambda: source.maps(block)).result(),
-                pool.submit(_processor, plain).result(),
-            )
+            [pool.submit(_processor, call).result() for call in (lambda: source.maps(block), plain)]
             for _ in range(max(repeats, 2))
         ]
-    ours, theirs = (min(column) for column in zip(*times, strict=True))
+    ours, theirs = map(min, zip(*times, strict=True))
     return {
         "GMAC": count / ours / 1e9, "GMAC plain": count / theirs / 1e9, "share": theirs / ours
     }  # fmt: skip
@@ -343,11 +325,6 @@ def _source(subject: TunedDecoder, grid: Grid, precision: str) -> DecoderSource:
 
 def _precisions() -> tuple[str, ...]:
     return ("fp32", "bf16") if multiplies_bfloat16(torch.device("cpu")) else ("fp32",)
-
-
-def _grid(block: str) -> Grid:
-    width, height = block.split("x")
-    return Grid(int(width), int(height))
 
 
 def _blurred(features: Tensor) -> Tensor:

@@ -9,8 +9,9 @@ deviations.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -24,6 +25,7 @@ from matcap.lab.experiment.results import markdown
 from matcap.lab.inverse.losses import loss_parts, total, wanted
 from matcap.lab.inverse.packed import PackedSet
 from matcap.lab.inverse.samples import HELD_OUT, Sample, draw_sample
+from matcap.lab.measures.lights import spherical
 from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.varied import random_material
 from matcap.lab.simulate.photograph import RealiseAt
@@ -133,11 +135,7 @@ def relit_error(maps: MapSet, truth: MapSet, sample: Sample) -> float:
     camera = torch.tensor([0.0, 0.0, sample.uniform.setup.distance])
     errors = []
     for polar, around, far in _LIGHTS:
-        polar, around = math.radians(polar), math.radians(around)
-        radius = far * math.sin(polar)
-        place = torch.tensor(
-            [radius * math.cos(around), radius * math.sin(around), far * math.cos(polar)]
-        )
+        place = torch.tensor(spherical(far, math.radians(polar), math.radians(around)))
         intensity = torch.tensor([math.pi * far**3 / float(place[2])])
         estimated, true = (
             (shade(m, points, camera, place, intensity) + _DARKEST).log() for m in (maps, truth)
@@ -190,12 +188,10 @@ def table(results: Mapping[str, Mapping[str, float]]) -> str:
 def _left_out(rng: np.random.Generator) -> RealiseAt:
     """Draw a held-out material: half of kinds, half of patterns."""
     if rng.random() < 0.5:
-        name = str(rng.choice(HELD_OUT))
-        return lambda width, height, seed, texel: realise(name, width, height, seed, texel)
+        return partial(realise, str(rng.choice(HELD_OUT)))
     while not (material := random_material(rng)).is_held_out:
         pass
-    made: Callable[[int, int, int, float], MapSet] = material.realise
-    return made
+    return material.realise
 
 
 def _slopes(normal: Tensor) -> Tensor:

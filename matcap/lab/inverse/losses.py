@@ -26,6 +26,7 @@ from matcap.capture.piece.classes import seen_colour, tint
 from matcap.capture.piece.network.network import ExpectedErrors, NetworkAnswer
 from matcap.flash.light import FlashLight
 from matcap.lab.inverse.samples import Sample
+from matcap.lab.measures.lights import spherical
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
 from matcap.statistics.gram import gram
 
@@ -205,7 +206,7 @@ def _tinted(reflectance: Reflectance, hue: Tensor) -> Reflectance:
     return reflectance._replace(specular=(reflectance.specular * hue).clamp_max(_MOST_F0))
 
 
-def _lights(sample: Sample, rng: np.random.Generator) -> tuple[list[float], list[float]]:
+def _lights(sample: Sample, rng: np.random.Generator) -> tuple[Sequence[float], Sequence[float]]:
     """Positions of a light whose mirror point lies in the picture, and of a far one."""
     height, width = sample.points.shape[-2:]
     x = float(sample.points[0, 0, int(rng.integers(width))])
@@ -214,9 +215,7 @@ def _lights(sample: Sample, rng: np.random.Generator) -> tuple[list[float], list
     there = 1.0 + up / sample.uniform.setup.distance
     polar, around = math.radians(rng.uniform(15.0, 68.0)), rng.uniform(0.0, 2.0 * math.pi)
     distance = rng.uniform(1.3, 3.0)
-    radius = distance * math.sin(polar)
-    afar = [radius * math.cos(around), radius * math.sin(around), distance * math.cos(polar)]
-    return [x * there, y * there, up], afar
+    return (x * there, y * there, up), spherical(distance, polar, around)
 
 
 def _slopes(height: Tensor) -> list[Tensor]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import cv2
 import numpy as np
@@ -95,8 +95,7 @@ def training_material(rng: np.random.Generator) -> RealiseAt:
     """Draw a material for training: any but the held-out ones."""
     which = rng.random()
     if which < _NAMED_SHARE:
-        name = str(rng.choice(_NAMED))
-        return lambda width, height, seed, texel: realise(name, width, height, seed, texel)
+        return partial(realise, str(rng.choice(_NAMED)))
     if which < _NAMED_SHARE + _KIND_SHARE:
         return random_kind(rng).realise
     while (material := random_material(rng)).is_held_out:

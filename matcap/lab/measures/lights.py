@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -48,6 +49,12 @@ class BenchScene:
     lights: tuple[BenchLight, ...]
 
 
+def spherical(distance: float, polar: float, azimuth: float) -> tuple[float, float, float]:
+    """Point at a distance from the origin, at angles from the normal and from x, radians."""
+    aside = distance * math.sin(polar)
+    return aside * math.cos(azimuth), aside * math.sin(azimuth), distance * math.cos(polar)
+
+
 def bench_scene(flash: FlashSetup) -> BenchScene:
     """The photograph's camera and the bench's fixed lights, spread over the hemisphere in a spiral.
 
@@ -60,13 +67,8 @@ def bench_scene(flash: FlashSetup) -> BenchScene:
         polar = math.radians(_NEAREST + (_FURTHEST - _NEAREST) * share)
         # Near and far alternate, so that height and distance are uncorrelated.
         distance = _DISTANCES[0] + (_DISTANCES[1] - _DISTANCES[0]) * ((3 * index) % LIGHTS) / 9.0
-        around = index * _GOLDEN_ANGLE
-        place = (
-            distance * math.sin(polar) * math.cos(around),
-            distance * math.sin(polar) * math.sin(around),
-            distance * math.cos(polar),
-        )
         strength = (distance / flash.distance) ** 2 / math.cos(polar)
+        place = spherical(distance, polar, index * _GOLDEN_ANGLE)
         lights.append(BenchLight(place, strength))
     return BenchScene(flash.distance, tuple(lights))
 
@@ -87,49 +89,6 @@ def mirrored_scene(flash: FlashSetup) -> BenchScene:
     return BenchScene(flash.distance, tuple(lights))
 
 
-def relight(
-    maps: MapSet,
-    intensity: tuple[float, float, float],
-    scene: BenchScene,
-    light: BenchLight,
-    *,
-    size: tuple[int, int] | None = None,
-    blur: float = 0.0,
-) -> Tensor:
-    """(3, H, W) float32 sRGB picture in [0, 1] of maps in the middle of the plane.
-
-    The light's strength is relative to the flash estimated with the maps, so the scale between
-    flash and albedo, ambiguous in one photograph, cancels. The picture is exposed like the
-    photograph, and clipped at 1.
-
-    Args:
-        maps: one map set without batch dimensions.
-        intensity: radiant intensity of the flash estimated with the maps.
-        scene: the camera.
-        light: the light.
-        size: (H, W) of the picture, the maps' by default: radiance of finer maps is averaged over
-            its pixels as a sensor does, that of coarser ones interpolated.
-        blur: standard deviation of the lens's blur before resampling, in texels.
-    """
-    width, height = maps.size
-    camera = torch.tensor([0.0, 0.0, scene.distance])
-    place = torch.tensor(light.place)
-    power = torch.tensor(intensity) * light.strength
-    # plane_points counts in half widths of its grid.
-    half_width = maps.texel_size * width / 2.0
-
-    def shaded(strip: MapSet, first: int) -> Tensor:
-        grid = plane_points(0, first, *strip.size, (width, height), dtype=torch.float32)
-        return shade(strip.map(lambda m: m.float()), half_width * grid, camera, place, power)
-
-    linear = in_strips(maps, shaded, _ROWS)
-    if blur:
-        linear = torch.from_numpy(
-            cv2.GaussianBlur(linear.permute(1, 2, 0).contiguous().numpy(), (0, 0), blur)
-        ).permute(2, 0, 1)
-    return srgb_encode_tensor(_resized(linear, size or (height, width)).clamp(0.0, 1.0))
-
-
 def relight_all(
     maps: MapSet,
     intensity: tuple[float, float, float],
@@ -138,10 +97,41 @@ def relight_all(
     size: tuple[int, int] | None = None,
     blur: float = 0.0,
 ) -> Tensor:
-    """(L, 3, H, W) pictures under each light of a scene."""
-    pictures = [
-        relight(maps, intensity, scene, light, size=size, blur=blur) for light in scene.lights
-    ]
+    """(L, 3, H, W) float32 sRGB pictures in [0, 1] of maps in the middle of the plane, by light.
+
+    A light's strength is relative to the flash estimated with the maps, so the scale between
+    flash and albedo, ambiguous in one photograph, cancels. Pictures are exposed like the
+    photograph, and clipped at 1.
+
+    Args:
+        maps: one map set without batch dimensions.
+        intensity: radiant intensity of the flash estimated with the maps.
+        scene: camera and lights.
+        size: (H, W) of the picture, the maps' by default: radiance of finer maps is averaged over
+            its pixels as a sensor does, that of coarser ones interpolated.
+        blur: standard deviation of the lens's blur before resampling, in texels.
+    """
+    width, height = maps.size
+    camera = torch.tensor([0.0, 0.0, scene.distance])
+    # plane_points counts in half widths of its grid.
+    half_width = maps.texel_size * width / 2.0
+
+    def shaded(light: BenchLight, strip: MapSet, first: int) -> Tensor:
+        grid = half_width * plane_points(
+            0, first, *strip.size, (width, height), dtype=torch.float32
+        )
+        place, power = torch.tensor(light.place), torch.tensor(intensity) * light.strength
+        return shade(strip.map(lambda m: m.float()), grid, camera, place, power)
+
+    pictures = []
+    for light in scene.lights:
+        linear = in_strips(maps, partial(shaded, light), _ROWS)
+        if blur:
+            linear = torch.from_numpy(
+                cv2.GaussianBlur(linear.permute(1, 2, 0).contiguous().numpy(), (0, 0), blur)
+            ).permute(2, 0, 1)
+        seen = _resized(linear, size or (height, width))
+        pictures.append(srgb_encode_tensor(seen.clamp(0.0, 1.0)))
     return torch.stack(pictures)
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
@@ -30,36 +28,24 @@ def map_statistics(maps: MapSet) -> dict[str, float]:
     }
 
 
-@dataclass(frozen=True)
-class MapsOff:
-    """Errors of maps against true maps of the same texels."""
+def map_errors(estimate: MapSet, true: MapSet, where: Tensor | None = None) -> dict[str, float]:
+    """Errors over all texels, or over those of `where`, (H, W) bool, by name.
 
-    normals: float
-    """Mean angle between normals, degrees, where the true tilt exceeds 3; NaN if nowhere."""
-
-    flat: float
-    """The same error of a flat normal map, degrees: the mean true tilt there."""
-
-    albedo: float
-    """Mean absolute difference of log albedo, after subtracting the median difference."""
-
-    roughness: float
-    """Mean absolute difference of perceptual roughness."""
-
-    @staticmethod
-    def of(estimate: MapSet, true: MapSet, where: Tensor | None = None) -> MapsOff:
-        """Errors over all texels, or over those of `where`, (H, W) bool."""
-        here = torch.ones(estimate.size[::-1], dtype=torch.bool) if where is None else where
-        off = (true.normal.float() * estimate.normal).sum(0).clamp(-1.0, 1.0).acos().rad2deg()
-        lean = true.normal[2].clamp(-1.0, 1.0).acos().rad2deg()
-        steep = (lean > _STEEP) & here
-        log = (estimate.diffuse.mean(0) + 1e-3).log() - (true.diffuse.mean(0) + 1e-3).log()
-        return MapsOff(
-            float(off[steep].mean()) if steep.any() else math.nan,
-            float(lean[steep].mean()) if steep.any() else math.nan,
-            float((log - log[here].median())[here].abs().mean()),
-            float((estimate.roughness - true.roughness)[0][here].abs().mean()),
-        )
+    normals: mean angle between normals, degrees, where the true tilt exceeds 3; flat: that of a
+    flat normal map, the mean true tilt there; albedo: mean absolute difference of log albedo, after
+    subtracting the median difference; roughness: mean absolute difference.
+    """
+    here = torch.ones(estimate.size[::-1], dtype=torch.bool) if where is None else where
+    off = (true.normal.float() * estimate.normal).sum(0).clamp(-1.0, 1.0).acos().rad2deg()
+    lean = true.normal[2].clamp(-1.0, 1.0).acos().rad2deg()
+    steep = (lean > _STEEP) & here
+    log = (estimate.diffuse.mean(0) + _DARK).log() - (true.diffuse.mean(0) + _DARK).log()
+    return {
+        "normals": float(off[steep].mean()),  # NaN of none
+        "flat": float(lean[steep].mean()),
+        "albedo": float((log - log[here].median())[here].abs().mean()),
+        "roughness": float((estimate.roughness - true.roughness)[0][here].abs().mean()),
+    }
 
 
 def compared_numbers(estimate: MapSet, truths: Sequence[MapSet]) -> dict[str, float]:

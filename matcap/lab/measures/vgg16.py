@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 import torch.nn.functional as F
 from safetensors import SafetensorError, safe_open
-from torch import Tensor
+from torch import Tensor, nn
 
 from matcap.errors import MatcapError
 from matcap.files.tensors import StoredTensors
@@ -33,18 +33,16 @@ class Vgg16Style:
         Raises:
             MatcapError: missing, or a tensor is missing or of another shape.
         """
-        self._layers: list[list[tuple[Tensor, Tensor]]] = []
+        layers = {
+            f"conv{block}_{n}": nn.Conv2d(
+                outputs if n > 1 else inputs, outputs, 3, padding=1, device="meta"
+            )
+            for block, (inputs, outputs, count) in enumerate(_BLOCKS, 1)
+            for n in range(1, count + 1)
+        }
         try:
             with safe_open(path, framework="pt") as file:
-                stored = StoredTensors(file, path, _REMEDY)
-                for block, (inputs, outputs, count) in enumerate(_BLOCKS, 1):
-                    sizes = [inputs] + [outputs] * count
-                    self._layers.append([])
-                    for n in range(1, count + 1):
-                        name, shape = f"conv{block}_{n}", (sizes[n], sizes[n - 1], 3, 3)
-                        weight = stored.tensor(f"{name}.weight", shape)
-                        bias = stored.tensor(f"{name}.bias", shape[:1])
-                        self._layers[-1].append((weight, bias))
+                self._layers = StoredTensors(file, path, _REMEDY).load(nn.ModuleDict(layers))
         except (SafetensorError, OSError) as error:
             raise MatcapError.at(
                 path, f"the weights of VGG-16 cannot be read ({error})", _REMEDY
@@ -54,11 +52,11 @@ class Vgg16Style:
         """Responses (B, C, h, w) of each block to sRGB pictures (B, 3, H, W) in [0, 1]."""
         features = 255.0 * pictures - torch.tensor(_MEAN)[:, None, None]
         activations = []
-        for block, layers in enumerate(self._layers):
-            if block:
+        for block, (_, _, count) in enumerate(_BLOCKS, 1):
+            if block > 1:
                 features = F.max_pool2d(features, 2)
-            for weight, bias in layers:
-                features = F.relu(F.conv2d(features, weight, bias, padding=1))
+            for n in range(1, count + 1):
+                features = F.relu(self._layers[f"conv{block}_{n}"](features))
             activations.append(features)
         return activations
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import zlib
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,7 +115,7 @@ def displacement(
     )
 
 
-def rms_slope(height: Raster, texel_size: float) -> float:
+def rms_slope(height: NDArray[Any], texel_size: float) -> float:
     """Root mean square slope of heights."""
     down, right = np.gradient(height, texel_size)
     return float(np.sqrt((down**2 + right**2).mean()))

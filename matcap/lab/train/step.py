@@ -14,6 +14,7 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.slopes import energy_between, relief_difference, shown_energy
 from matcap.field.plane import Rectangle
 from matcap.flash.light import FlashLight
+from matcap.lab.measures.lights import spherical
 from matcap.lab.train.state import Model, TrainConfig
 from matcap.lab.train.trainer import mixed
 from matcap.lab.train.training_windows import TrainingSample
@@ -183,8 +184,7 @@ _UNSEEN = 0.02  # root-mean-square slope below which a surface is flat to the ey
 def side_light(rng: np.random.Generator) -> Tensor:
     """(3,) random direction of a far light, 30 to 70 degrees from the normal."""
     azimuth, angle = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(_LOWEST, _HIGHEST)
-    across, up = math.sin(angle) * math.cos(azimuth), math.sin(angle) * math.sin(azimuth)
-    return torch.tensor((across, up, math.cos(angle)))
+    return torch.tensor(spherical(1.0, angle, azimuth))
 
 
 def relit_distance(

@@ -12,12 +12,13 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, camera_in_plane
 from matcap.lab.measures.lights import (
+    BenchScene,
     bench_scene,
     highlight_contrast,
     imprint,
     mirror_point,
     mirrored_scene,
-    relight,
+    relight_all,
 )
 from matcap.lab.simulate.photograph import PhoneCamera
 from matcap.lab.simulate.specimen import EXAMPLES
@@ -30,6 +31,11 @@ MIRRORED = mirrored_scene(FLASH)
 def even(size, texel=2.0 / 256, *, albedo=0.5, specular=0.0, roughness=1.0):
     one = torch.ones(1, size, size)
     return MapSet(albedo * one.expand(3, -1, -1), specular * one, roughness * one, 0.0 * one, texel)
+
+
+def relight(maps, light, intensity=FLASH.intensity, **options):
+    """A picture under one light."""
+    return relight_all(maps, intensity, BenchScene(FLASH.distance, (light,)), **options)[0]
 
 
 @pytest.mark.parametrize("example", EXAMPLES.values(), ids=EXAMPLES)
@@ -55,7 +61,7 @@ def test_ten_lights_are_spread_over_the_hemisphere():
 def test_every_light_gives_the_flash_s_brightness_in_the_middle():
     expected = 0.5 / math.pi * 2.0 / FLASH.distance**2
     for light in BENCH.lights:
-        middle = relight(even(65), FLASH.intensity, BENCH, light)[:, 32, 32]
+        middle = relight(even(65), light)[:, 32, 32]
         linear = ((middle + 0.055) / 1.055) ** 2.4
         # Schlick's term leaves a little specular even at F0 = 0.
         np.testing.assert_allclose(linear, expected, rtol=0.05)
@@ -63,8 +69,8 @@ def test_every_light_gives_the_flash_s_brightness_in_the_middle():
 
 def test_gain_between_flash_and_albedo_cancels():
     for light in BENCH.lights[:3]:
-        first = relight(even(32), FLASH.intensity, BENCH, light)
-        second = relight(even(32, albedo=0.25), (4.0, 4.0, 4.0), BENCH, light)
+        first = relight(even(32), light)
+        second = relight(even(32, albedo=0.25), light, (4.0, 4.0, 4.0))
         assert torch.allclose(first, second, atol=0.01)
 
 
@@ -73,16 +79,16 @@ def test_strips_do_not_show():
     maps = even(300)
     height = 0.3 * maps.texel_size * torch.arange(300.0)[None, :, None].expand(1, 300, 300)
     tilted = replace(maps, height=height)
-    picture = relight(tilted, FLASH.intensity, BENCH, BENCH.lights[4])
+    picture = relight(tilted, BENCH.lights[4])
     assert (picture[:, 2:] - 2 * picture[:, 1:-1] + picture[:, :-2]).abs().max() < 1e-3
 
 
 def test_finer_maps_are_averaged():
     light = BENCH.lights[2]
-    coarse = relight(even(64), FLASH.intensity, BENCH, light)
-    fine = relight(even(128, 1.0 / 256), FLASH.intensity, BENCH, light, size=(64, 64))
+    coarse = relight(even(64), light)
+    fine = relight(even(128, 1.0 / 256), light, size=(64, 64))
     torch.testing.assert_close(fine, coarse, atol=1e-4, rtol=0)
-    blurred = relight(even(64), FLASH.intensity, BENCH, light, blur=0.8)
+    blurred = relight(even(64), light, blur=0.8)
     torch.testing.assert_close(blurred, coarse, atol=2e-3, rtol=0)
 
 
@@ -90,8 +96,8 @@ def test_what_pixels_show_of_finer_maps_is_their_mean_radiance():
     # A checkerboard of black and white: half of white's light, not half of its code.
     board = (torch.arange(64)[:, None] + torch.arange(64)) % 2
     maps = even(64, albedo=0.5 * board)
-    seen = relight(maps, FLASH.intensity, BENCH, BENCH.lights[2], size=(32, 32))
-    grey = relight(even(32, 2.0 / 128), (1.0, 1.0, 1.0), BENCH, BENCH.lights[2])
+    seen = relight(maps, BENCH.lights[2], size=(32, 32))
+    grey = relight(even(32, 2.0 / 128), BENCH.lights[2], (1.0, 1.0, 1.0))
     torch.testing.assert_close(seen, grey, atol=2e-3, rtol=0)
 
 
