@@ -68,7 +68,6 @@ class TakenSubject:
 
     cameras: Sequence[PosedCamera]
     evaluator: Evaluator
-    hand: Hand
 
     def true_on(self, result: CaptureResult) -> Callable[[int, int], MapSet]:
         """Function of (columns, rows) to true maps on the estimated plane."""
@@ -104,7 +103,7 @@ def several_experiment(
             shot = take_without_flash(realise, phone, cameras, hand, subject.seed + 1)
             unlit = [subject.write(shot.shot, out, len(paths), jpeg=jpeg)]
         evaluator = Evaluator(subject, shots[0].shot.setup, evaluation, {"NSD": style})
-        return TakenSubject(subject, paths, unlit, cameras, evaluator, hand)
+        return TakenSubject(subject, paths, unlit, cameras, evaluator)
 
     def capture(
         count: int, with_unlit: bool, union: bool, taken: TakenSubject, _seed: int

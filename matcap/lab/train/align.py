@@ -18,14 +18,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
-import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.files.srgb import srgb_encode
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.coarse.hypotheses import TiltPrior
 from matcap.flash.geometry import FlashSetup
@@ -34,7 +32,8 @@ from matcap.lab.simulate.develop import contrast, drift, exposure, noisy, should
 from matcap.lab.simulate.materials.kinds import KINDS, RandomKind, kind_of
 from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
 from matcap.lab.simulate.photograph import PhoneCamera, take
-from matcap.lab.train.pack import decode
+from matcap.lab.train.corpus import srgb_bytes
+from matcap.lab.train.pack import decode, encode
 from matcap.lab.train.trainer import RateSchedule, Reporting, Training, fit, mixed
 from matcap.photo.exif import phone_fov
 from matcap.photo.photo import Photo
@@ -79,9 +78,7 @@ class Tilted:
 
     def at(self, chosen: Tensor) -> Tilted:
         """The photographs of some indices."""
-        return Tilted(
-            self.radiance[chosen], self.fov[chosen], self.offset[chosen], self.tilt[chosen]
-        )
+        return Tilted(*(values[chosen] for values in vars(self).values()))
 
 
 @dataclass(frozen=True)
@@ -271,11 +268,7 @@ def written(taken: Tilted, rng: np.random.Generator, name: str, radiometric: boo
     height, width = done.linear.shape[-2:]
     pixels = np.ascontiguousarray(done.linear[0].permute(1, 2, 0).numpy())
     if not radiometric:
-        coded = np.round(srgb_encode(pixels) * 255.0).astype(np.uint8)
-        encoded = cv2.imencode(
-            ".jpg", np.ascontiguousarray(coded[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
-        )[1]
-        photo = decode(encoded.tobytes(), name, float(done.fov[0]))
+        photo = decode(encode(srgb_bytes(pixels), _QUALITY), name, float(done.fov[0]))
         if bool(done.known[0]):
             return replace(photo, fov_source="exif")
         return replace(photo, fov=phone_fov(width, height), fov_source="assumed")

@@ -24,9 +24,8 @@ from matcap.flash.plane import read_plane
 from matcap.lab.simulate.materials.kinds import RandomKind, random_kind
 from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
-from matcap.lab.train.pack import WAVE_DETAIL, Entry, Pack, decode, read_code
+from matcap.lab.train.pack import WAVE_DETAIL, Entry, Pack, decode, encode, read_code
 from matcap.photo.exif import phone_fov
-from matcap.photo.photo import Photo
 from matcap.space.tuning.start import log_contrast
 from matcap.statistics.lattice import find_lattice
 
@@ -186,8 +185,8 @@ def entry(
     tilt: tuple[float, float] | None = None,
 ) -> Entry:
     """Pack a developed picture (H, W, 3) uint8 BGR, W >= H."""
-    jpeg = cv2.imencode(".jpg", code, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
-    photo: Photo = decode(jpeg, name, fov)
+    jpeg = encode(code, QUALITY)
+    photo = decode(jpeg, name, fov)
     coarse = fit_coarse(photo)
     plane = read_plane(photo, coarse.setup, WAVE_DETAIL)
     return Entry(

@@ -1,5 +1,8 @@
 """Evaluation of a prior and ablations, on held-out photographs.
 
+Pictures of a material are compared in the middle of the photograph, under its own flash: style by
+random filters that no capture optimises, colours by XYZ histograms, and diversity of realisations.
+
 *Evaluation*: held-out photographs captured with and without the prior, and the photograph as albedo
 as a baseline. *Ablation* (paper, section 5.4): FULL starts from the prior and fine-tunes. SINGLE
 starts from random weights. NONTUNED does not fine-tune. DECODERONLY starts from random weights and
@@ -20,27 +23,38 @@ import numpy as np
 import torch
 from torch import Tensor, zeros
 
+from matcap.brdf.maps import MapSet
+from matcap.field.material import Material
 from matcap.files.png import write_png
+from matcap.files.srgb import srgb_encode_tensor
+from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.flash.plane import Plane, read_plane
+from matcap.flash.render import render_flash
 from matcap.lab.bench.methods import photo_as_albedo
 from matcap.lab.experiment.results import Trial, Value, table
 from matcap.lab.experiment.runner import Configuration, Experiment, run
-from matcap.lab.train.decoder_only import DecoderOnly
-from matcap.lab.train.measure import (
-    DETAIL,
-    SIZE,
-    Made,
-    Photographed,
-    capture,
-    compared,
-    photographed,
-)
+from matcap.lab.measures.nsd import style_distance
+from matcap.lab.measures.paper_metrics import diversity, xyz_difference
+from matcap.lab.measures.style import RandomFilters
+from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
 from matcap.lab.train.pack import Entry, Pack, first_of_each, read_code
 from matcap.lab.train.pictures import write_grid
+from matcap.photo.photo import Photo
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.prior.encoder_input import FEATURES
 from matcap.space.prior.store import Prior
-from matcap.space.tuning.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR
+from matcap.space.tuned import TunedDecoder
+from matcap.space.tuning.finetune import (
+    RATE_FROM_NOTHING,
+    RATE_FROM_PRIOR,
+    TuneSettings,
+    finetune,
+)
+from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.start import log_contrast, untrained
+from matcap.space.tuning.windows import cut_windows
 from matcap.statistics.compare import Weights
+from matcap.statistics.filterbank import FilterBank
 
 ABOUT = (
     "Held-out photographs under their own flash, in their middle. Style: error of the statistics "
@@ -49,12 +63,107 @@ ABOUT = (
     "features of realisations, place by place, 0 for the same picture, at most 2. The photograph "
     "as albedo is its corner laid in its middle and lit once more."
 )
+SIZE = 384  # texels a side of the pictures compared
+DETAIL = 1024  # texels along the photograph's long side
+_WINDOW = 160
+_FIRST_SEED = 5
 REALISATIONS = 3  # of each material, for diversity
 UNSEEN = 1_000_000  # seeds from here on show simulated materials that training never draws
 ALBEDO = "photograph as albedo"  # which is not ours to publish: not on the sheet
 
+
+@dataclass(frozen=True)
+class Photographed:
+    """A photograph of the pack, decoded, rectified, and as the target of fine-tuning."""
+
+    entry: Entry
+    photo: Photo
+    plane: Plane
+    scene: PhotographTarget
+
+    @property
+    def middle(self) -> tuple[int, int]:
+        """Left top texel (x, y) of the compared square."""
+        width, height = self.plane.size
+        return (width - SIZE) // 2, (height - SIZE) // 2
+
+    @property
+    def truth(self) -> Tensor:
+        """(3, SIZE, SIZE) sRGB, the middle of the photograph."""
+        x, y = self.middle
+        return _shown(self.plane.linear[:, y : y + SIZE, x : x + SIZE])
+
+    def lit(self, maps: MapSet, setup: FlashSetup | None = None) -> Tensor:
+        """(3, SIZE, SIZE) sRGB of maps of SIZE texels a side in the middle, under the flash.
+
+        `setup` is the coarse fit's by default.
+        """
+        points = plane_points(*self.middle, SIZE, SIZE, self.plane.size, dtype=torch.float32)
+        with torch.inference_mode():
+            return _shown(render_flash(maps, setup or self.scene.setup, points))
+
+
+def _shown(linear: Tensor) -> Tensor:
+    """Code values of a picture."""
+    return srgb_encode_tensor(linear.clamp(0.0, 1.0))
+
+
+def photographed(entry: Entry) -> Photographed:
+    """Decode, rectify and describe a photograph of the pack."""
+    photo, setup = entry.photo(), entry.coarse.setup
+    plane, bank = read_plane(photo, setup, DETAIL), FilterBank(FEATURES)
+    windows = cut_windows(plane, bank, _WINDOW)
+    scene = PhotographTarget(windows, setup, plane.encoding, bank, entry.waves, plane.texel_size)
+    return Photographed(entry, photo, plane, scene)
+
+
+@dataclass(frozen=True)
+class Made:
+    """Result of a method on a photograph."""
+
+    pictures: Tensor
+    """(N, 3, SIZE, SIZE) sRGB realisations under the photograph's flash."""
+
+    seconds: float
+    """Run time of the method, without rendering."""
+
+
+def compared(shown: Photographed, made: Made) -> Mapping[str, Value]:
+    """Errors of a method's pictures against the photograph's, and their diversity."""
+    first, truth, style = made.pictures[0], shown.truth, RandomFilters()
+    return {
+        "seconds": made.seconds,
+        "style": style_distance(style, first[None], truth[None]),
+        "XYZ": xyz_difference(first, truth),
+        "diversity": diversity(made.pictures),
+    }
+
+
 Begin = Callable[[Photographed], tuple[Decoder, Tensor]]
 Ways = Mapping[str, Configuration[Photographed, Made]]
+
+
+def capture(tuned: Photographed, begin: Begin, steps: int, rate: float = RATE_FROM_NOTHING) -> Made:
+    """Fine-tune a decoder to a photograph, freeze it, and render some of its realisations."""
+    started = time.perf_counter()
+    decoder, code = begin(tuned)
+    scene = tuned.scene
+    outcome = finetune(
+        decoder, code, scene, TuneSettings(steps=steps, learning_rate=rate), lambda *_: None
+    )
+    seconds = time.perf_counter() - started
+    if outcome.interrupted:
+        raise KeyboardInterrupt  # half a capture is no measurement
+    decoder = outcome.decoder.eval().requires_grad_(False)
+    frozen = (decoder, code, outcome.moments, scene.waves, scene.texel_size)
+    material: Material | Unfolded
+    if isinstance(decoder, DecoderOnly):
+        material = Unfolded(*frozen)
+    else:
+        material = TunedDecoder(*frozen).material("", scene.setup)
+    seeds = range(_FIRST_SEED, _FIRST_SEED + REALISATIONS)
+    pictures = [tuned.lit(material.maps(SIZE, SIZE, seed=seed)) for seed in seeds]
+    return Made(torch.stack(pictures), seconds)
 
 
 @dataclass(frozen=True)
@@ -106,22 +215,18 @@ def measured(
     changing that, or the pack, remove the CSV.
     """
 
-    def picture(shown: Photographed, made: Made) -> Mapping[str, Value]:
-        path = _picture(out / name, shown.entry.material, made.method)
+    def pictured(method: str, shown: Photographed, seed: int) -> Made:
+        made = ways[method].run(shown, seed)
+        path = _picture(out / name, shown.entry.material, method)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_png(path, made.pictures[0].permute(1, 2, 0).numpy(), bits=8)
-        return {}
-
-    def named(
-        method: str, way: Configuration[Photographed, Made]
-    ) -> Configuration[Photographed, Made]:
-        return replace(way, run=lambda s, seed: replace(way.run(s, seed), method=method))
+        return made
 
     experiment = Experiment(
         name,
         {entry.material: partial(photographed, entry) for entry in entries},
-        {method: named(method, way) for method, way in ways.items()},
-        (compared, picture),
+        {method: replace(way, run=partial(pictured, method)) for method, way in ways.items()},
+        (compared,),
         any_version=True,
     )
     return run(experiment, out / f"{name}.csv", on_progress)
@@ -135,10 +240,7 @@ def ways_of(prior: Prior, settings: EvaluateSettings) -> Ways:
         begin: Begin, steps: int, rate: float = RATE_FROM_NOTHING
     ) -> Configuration[Photographed, Made]:
         follows = (REALISATIONS, rate, known if begin is start else "")
-        return Configuration(
-            lambda shown, _: capture(shown, partial(begin, shown), steps, REALISATIONS, rate),
-            settings=follows,
-        )
+        return Configuration(lambda shown, _: capture(shown, begin, steps, rate), settings=follows)
 
     return {
         "prior, not tuned": way(start, 0),
@@ -159,13 +261,11 @@ def variants(prior: Prior, steps: int) -> Ways:
         taken: int = steps,
     ) -> Configuration[Photographed, Made]:
         rate = RATE_FROM_PRIOR if begin is start else RATE_FROM_NOTHING
-
-        def made(shown: Photographed, _seed: int) -> Made:
-            # Every variant is compared with the photograph as it is, however it sees it itself.
-            tuned = view(shown)
-            return capture(tuned, partial(begin, tuned), taken, REALISATIONS, rate)
-
-        return Configuration(made, settings=(taken, REALISATIONS, known if begin is start else ""))
+        follows = (taken, REALISATIONS, known if begin is start else "")
+        # Every variant is compared with the photograph as it is, however it sees it itself.
+        return Configuration(
+            lambda shown, _: capture(view(shown), begin, taken, rate), settings=follows
+        )
 
     return {
         "FULL": way(start),

@@ -99,6 +99,11 @@ def read_code(data: bytes, name: str) -> NDArray[np.uint8]:
     return np.asarray(code, np.uint8)
 
 
+def encode(code: NDArray[np.uint8], quality: int) -> bytes:
+    """A JPEG of (H, W, 3) BGR code values."""
+    return cv2.imencode(".jpg", code, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+
 def linear_of(code: NDArray[np.uint8]) -> Tensor:
     """(3, H, W) scene-linear float32 of (H, W, 3) BGR code values."""
     return torch.from_numpy(np.ascontiguousarray(_LINEAR[code[..., ::-1]].transpose(2, 0, 1)))

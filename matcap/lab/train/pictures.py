@@ -17,7 +17,7 @@ from matcap.files.staging import staged_file
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import render_flash
 from matcap.lab.train.corpus import LONG_SIDE, simulated_code
-from matcap.lab.train.pack import Entry, linear_of
+from matcap.lab.train.pack import Entry, encode, linear_of
 
 SIZE = 256  # texels a side of what is compared
 _MEAN = 0.25  # radiance that every picture is brought to
@@ -62,9 +62,8 @@ def write_grid(pictures: Sequence[Tensor], columns: int, path: Path) -> None:
     share = _SHOWN / pictures[0].shape[-2]
     small = cv2.resize(code, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
     stored = np.ascontiguousarray((small * 255.0).round().astype(np.uint8))
-    _, encoded = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     with staged_file(path) as file:
-        file.write_bytes(encoded.tobytes())
+        file.write_bytes(encode(stored, _QUALITY))
 
 
 def _cut(linear: Tensor) -> Tensor:

@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.files.srgb import srgb_decode_tensor, srgb_picture
-from matcap.lab.train.corpus import true_piece
+from matcap.files.srgb import srgb_decode_tensor
+from matcap.lab.train.corpus import srgb_bytes, true_piece
 from matcap.lab.train.pack import Entry, Pack, first_of_each
 from matcap.lab.train.state import Model, TrainConfig, start, start_from
 from matcap.lab.train.step import compare, decode_windows, step_loss, targets
@@ -161,9 +161,4 @@ def _pair(model: Model, sample: TrainingSample, bank: FilterBank) -> np.ndarray:
         (maps.specular[0].expand(3, -1, -1)) ** 0.8,
         srgb_decode_tensor((0.5 + (height - height.mean()) / 6.0).clamp(0, 1).expand(3, -1, -1)),
     ]
-    return np.vstack([_shown(row) for row in rows])
-
-
-def _shown(linear: Tensor) -> np.ndarray:
-    code = srgb_picture(linear.cpu().numpy().transpose(1, 2, 0)[..., ::-1])
-    return (code * 255.0).round().astype(np.uint8)
+    return np.vstack([srgb_bytes(row.cpu().numpy().transpose(1, 2, 0)) for row in rows])

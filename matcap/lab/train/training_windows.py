@@ -8,6 +8,7 @@ balance), together with the base.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -121,18 +122,16 @@ class TrainingSample:
 
     def to(self, device: torch.device | str) -> TrainingSample:
         """The same sample on a device."""
+        tensors: dict[str, Any] = {
+            name: value.to(device)
+            for name, value in vars(self).items()
+            if isinstance(value, Tensor)
+        }
         return replace(
             self,
-            picture=self.picture.to(device),
-            numbers=self.numbers.to(device),
             base=Base(self.base.mean.to(device), self.base.deviation.to(device)),
-            linear=self.linear.to(device),
-            points=self.points.to(device),
-            shading=self.shading.to(device),
-            camera=self.camera.to(device),
-            light=self.light.to(device),
-            intensity=self.intensity.to(device),
             truth=None if self.truth is None else self.truth.map(lambda m: m.to(device)),
+            **tensors,
         )
 
     def render(self, maps: MapSet) -> Tensor:

@@ -2,14 +2,15 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
 
 from matcap.lab.experiment.runner import Configuration
-from matcap.lab.train import evaluate, measure
+from matcap.lab.train import evaluate
 from matcap.lab.train.decoder_only import DecoderOnly
-from matcap.lab.train.measure import SIZE, Made, capture, compared, photographed
+from matcap.lab.train.evaluate import SIZE, Made, capture, compared, photographed
 from matcap.space.tuning.finetune import RATE_FROM_NOTHING, Tuned
 
 
@@ -99,9 +100,9 @@ def test_only_what_starts_from_the_prior_depends_on_it(prior):
 def test_every_variant_of_the_ablation_lacks_one_part(quick, prior, pack, shown, monkeypatch):
     begun, rates = [], []
 
-    def captured(tuned, begin, steps, realisations, rate):
+    def captured(tuned, begin, steps, rate):
         rates.append(rate)
-        begun.append((type(begin()[0]), steps, tuned))
+        begun.append((type(begin(tuned)[0]), steps, tuned))
         return Made(torch.full((1, 3, 16, 16), 0.5), 1.0)
 
     def straightened(entry):
@@ -121,8 +122,9 @@ def test_every_variant_of_the_ablation_lacks_one_part(quick, prior, pack, shown,
     assert views[5].scene.setup.tilt == (0.0, 0.0) != views[0].scene.setup.tilt
 
 
-def test_a_capture_is_measured_from_start_to_realisations(prior, shown):
-    one = capture(shown, lambda: evaluate.from_nothing(shown, DecoderOnly), 0, 2)
+def test_a_capture_is_measured_from_start_to_realisations(prior, shown, monkeypatch):
+    monkeypatch.setattr(evaluate, "REALISATIONS", 2)
+    one = capture(shown, partial(evaluate.from_nothing, kind=DecoderOnly), 0)
     assert one.pictures.shape == (2, 3, SIZE, SIZE)
     values = compared(shown, one)
     assert math.isfinite(values["style"]) and values["diversity"] > 0.1
@@ -132,6 +134,6 @@ def test_an_interrupted_capture_is_no_result(shown, monkeypatch):
     def interrupted(decoder, *_):
         return Tuned(decoder, (), (), True)
 
-    monkeypatch.setattr(measure, "finetune", interrupted)
+    monkeypatch.setattr(evaluate, "finetune", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        capture(shown, lambda: evaluate.from_nothing(shown), 3, 1)
+        capture(shown, evaluate.from_nothing, 3)
