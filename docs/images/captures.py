@@ -26,7 +26,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.materials.kinds import kind_of
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
 from matcap.lab.simulate.specimen import EXAMPLES, Specimen
-from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.write_dng import write_dng
 from matcap.relight.named import SCENES
 from matcap.relight.output import encode
 from matcap.relight.render import relight
@@ -67,7 +67,7 @@ def row(specimen: Specimen) -> Picture:
     shot = take(specimen.realise, PhoneCamera(), SETUP)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "photo.dng"
-        write_dng(path, shot, Sensor(), 1)
+        write_dng(path, shot, 1)
         material = capture_file(path, CaptureSettings(detail=_DETAIL)).material
     texel = 2.0 / _DETAIL
     true = specimen.pieces(specimen.seed + 1)(_TEXELS, _TEXELS, texel).map(lambda m: m.float())

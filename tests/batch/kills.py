@@ -31,7 +31,7 @@ from pathlib import Path
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.photograph import PhoneCamera, take
 from matcap.lab.simulate.specimen import EXAMPLES
-from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.write_dng import write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 
 COMMAND = (sys.executable, "-c", "from matcap.cli.main import run; run()", "batch")
@@ -52,7 +52,7 @@ def make_shoot(folder: Path, count: int) -> None:
         shot = take(EXAMPLES[name].pieces(5 + index), camera, setup)
         write_jpeg(folder / f"{name}.jpg", shot, index)
         if index == 0:
-            write_dng(folder / f"{name}.dng", shot, Sensor(), index)
+            write_dng(folder / f"{name}.dng", shot, index)
 
 
 def run_batch(shoot: Path, out: Path, *more: str) -> int:

@@ -44,7 +44,7 @@ def photos(tmp_path_factory):
     hand = Hand()
     shots = take_several(EXAMPLES["tile"].realise, phone, hold(phone, hand, 2, 3), hand, 3)
     for index, held in enumerate(shots):
-        write_jpeg(folder / f"tile_{index}.jpg", held.shot, index)
+        write_jpeg(folder / f"tile_{index}.jpg", held, index)
     return sorted(folder.glob("tile_*.jpg"))
 
 

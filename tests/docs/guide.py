@@ -137,7 +137,7 @@ def _several(folder: Path) -> None:
     cameras = hold(phone, hand, 5, oak.seed)
     shots = take_several(oak.realise, phone, cameras, hand, oak.seed)
     for number, shot in enumerate(shots, 1):
-        write_dng(folder / f"oak_{number}.dng", shot.shot, oak.sensor, number)
+        write_dng(folder / f"oak_{number}.dng", shot, number)
 
 
 def run(page: str, folder: Path, captured: Path | None = None) -> Iterator[tuple[str, str]]:

@@ -17,7 +17,7 @@ from matcap.files.srgb import srgb_decode
 from matcap.flash.coarse.fit import fit_coarse, under_flash
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.photograph import PhoneCamera, take
-from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.write_dng import write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.photo.calibrate import calibrated, card_sentence, fit_patches, read_card
 from matcap.photo.card import BOARD_AT, PAGE, PATCHES, SQUARE, rectangles
@@ -65,7 +65,7 @@ def shot():
 @pytest.fixture(scope="module")
 def calibration(shot, tmp_path_factory):
     path = tmp_path_factory.mktemp("card") / "card.dng"
-    write_dng(path, shot, Sensor(), 1)
+    write_dng(path, shot, 1)
     return read_card(path)
 
 
@@ -104,7 +104,7 @@ def test_albedo_becomes_absolute(calibration, tmp_path):
     path = tmp_path / "grey.dng"
     # The same flash and exposure as the card's photograph, whatever the brightness comes to.
     gain = math.pi * shot.setup.distance**2 * calibration.white / shot.setup.intensity[0]
-    write_dng(path, replace(shot, linear=shot.linear * gain), Sensor(), 1)
+    write_dng(path, replace(shot, linear=shot.linear * gain), 1)
     photo = load_photo(path)
     known = calibrated(photo, calibration)
     assert known.flash_intensity is not None and photo.flash_intensity is None

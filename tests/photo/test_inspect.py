@@ -19,7 +19,7 @@ from matcap.cli.main import main
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
 from matcap.lab.simulate.specimen import EXAMPLES
-from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.write_dng import write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.lab.train.align import UNSEEN, tilted_photo
 from matcap.photo.checks import Rating
@@ -75,7 +75,7 @@ def test_the_clipped_share_is_within_one_percent(shots, tmp_path, gain):
         shot = replace(shot, linear=shot.linear * gain)
         truth = float((shot.linear >= 1.0).any(-1).mean())
         write_jpeg(tmp_path / "a.jpg", shot, 1)
-        write_dng(tmp_path / "a.dng", shot, Sensor(), 1)
+        write_dng(tmp_path / "a.dng", shot, 1)
         for file in ("a.jpg", "a.dng"):
             photo = load_photo(tmp_path / file, long_side=128)
             errors.append(inspect_photo(photo)["clipped"].value - truth)
@@ -193,7 +193,7 @@ def test_two_materials_in_one_picture_do_not_look_the_same_all_over(shots):
 
 
 def test_the_command_prints_json_and_goes_on_after_a_bad_file(shots, tmp_path, capsys):
-    write_dng(tmp_path / "a.dng", shots["leather", 0], Sensor(shading=0.4), 1)
+    write_dng(tmp_path / "a.dng", shots["leather", 0], 1, shading=0.4)
     (tmp_path / "b.jpg").write_bytes(b"\xff\xd8\xff nothing")
     code = main(["inspect", str(tmp_path / "a.dng"), str(tmp_path / "b.jpg"), "--json"])
     said = capsys.readouterr()

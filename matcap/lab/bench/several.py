@@ -97,12 +97,12 @@ def several_experiment(
         cameras = hold(phone, hand, max(counts), subject.seed)
         shots = take_several(realise, phone, cameras, hand, subject.seed)
         jpeg = settings.jpeg
-        paths = [subject.write(one.shot, out, n, jpeg=jpeg) for n, one in enumerate(shots)]
+        paths = [subject.write(shot, out, n, jpeg=jpeg) for n, shot in enumerate(shots)]
         unlit = []
         if ambient.room:
-            shot = take_without_flash(realise, phone, cameras, hand, subject.seed + 1)
-            unlit = [subject.write(shot.shot, out, len(paths), jpeg=jpeg)]
-        evaluator = Evaluator(subject, shots[0].shot.setup, evaluation, {"NSD": style})
+            shot, _ = take_without_flash(realise, phone, cameras, hand, subject.seed + 1)
+            unlit = [subject.write(shot, out, len(paths), jpeg=jpeg)]
+        evaluator = Evaluator(subject, shots[0].setup, evaluation, {"NSD": style})
         return TakenSubject(subject, paths, unlit, cameras, evaluator)
 
     def capture(

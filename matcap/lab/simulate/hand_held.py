@@ -127,14 +127,6 @@ class Hand:
     room: Room | None = None
 
 
-@dataclass(frozen=True)
-class HandShot:
-    """A hand-held photograph and its true pose; its setup is true only of the first of several."""
-
-    shot: Shot
-    camera: PosedCamera
-
-
 def downward(phone: PhoneCamera) -> Hand:
     """A Hand that moves by half a picture each time and looks straight down."""
     return Hand(aside=math.tan(math.radians(phone.fov) / 2.0), aimed=1.0)
@@ -165,10 +157,11 @@ def take_several(
     cameras: Sequence[PosedCamera],
     hand: Hand,
     seed: int = 0,
-) -> list[HandShot]:
+) -> list[Shot]:
     """Photograph one piece from several places; every exposure is automatic.
 
-    `hand` has flash, lens and ambient light; `seed` is of the white balances.
+    `hand` has flash, lens and ambient light; `seed` is of the white balances. Only the first one's
+    setup has its camera's tilt.
     """
     rng = np.random.default_rng(seed)
     maps = _piece(realise, phone, cameras)
@@ -186,11 +179,9 @@ def take_several(
             intensity=tuple(float(v) for v in gain * balance),  # type: ignore[arg-type]
             vignetting=hand.vignetting,
         )
-        shots.append(HandShot(Shot(linear * gain, setup, phone, exposure=gain), camera))
-    first = shots[0]
-    tilted = replace(first.shot.setup, tilt=_tilt(first.camera))
-    shots[0] = HandShot(replace(first.shot, setup=tilted), first.camera)
-    return shots
+        shots.append(Shot(linear * gain, setup, phone, exposure=gain))
+    tilted = replace(shots[0].setup, tilt=_tilt(cameras[0]))
+    return [replace(shots[0], setup=tilted), *shots[1:]]
 
 
 def take_without_flash(
@@ -199,10 +190,10 @@ def take_without_flash(
     cameras: Sequence[PosedCamera],
     hand: Hand,
     seed: int = 0,
-) -> HandShot:
+) -> tuple[Shot, PosedCamera]:
     """Photograph the same sample by the light of `hand.room` alone, near the first pose.
 
-    `seed` is of white balance and pose.
+    `seed` is of white balance and pose. Returns the photograph and its true pose.
     """
     rng = np.random.default_rng(seed)
     first = cameras[0]
@@ -213,7 +204,7 @@ def take_without_flash(
     linear = _picture(maps, (hand.room or Room()).on(maps), camera, phone, hand) * balance
     gain = sensor_exposure(linear, phone)
     setup = FlashSetup(fov=phone.fov)
-    return HandShot(Shot(linear * gain, setup, phone, exposure=gain, fired=False), camera)
+    return Shot(linear * gain, setup, phone, exposure=gain, fired=False), camera
 
 
 def true_maps_along(

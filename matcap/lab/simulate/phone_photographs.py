@@ -76,8 +76,8 @@ class PhonePhotographs:
             cameras[0] = PosedCamera.of(first, self.hand.bent)
             shots = take_several(subject.realise, self.phone, cameras, self.hand, subject.seed)
             for number, shot in enumerate(shots):
-                subject.write(shot.shot, out, number)
-            sidecar.write_text(json.dumps({"intensity": shots[0].shot.setup.intensity}))
+                subject.write(shot, out, number)
+            sidecar.write_text(json.dumps({"intensity": shots[0].setup.intensity}))
         red, green, blue = json.loads(sidecar.read_text())["intensity"]
         setup = FlashSetup(fov=self.phone.fov, offset=self.hand.flash, tilt=self.tilt)
         return paths, setup.with_intensity((red, green, blue))

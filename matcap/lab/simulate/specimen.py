@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +19,7 @@ from matcap.lab.simulate.map_sets import map_set_folders, read_map_set
 from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.kinds import kind_of, kinds_known
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, RealiseAt, Shot, take, true_maps
-from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.write_dng import write_dng
 from matcap.lab.simulate.write_jpeg import PHONE, write_jpeg
 
 _PHOTOGRAPHED = 11  # seed of the piece that is photographed, where no example says one
@@ -43,8 +43,8 @@ class Specimen:
     setup: FlashSetup = _SETUP
     """Geometry of the photograph; the camera adds field of view and intensity."""
 
-    sensor: Sensor = field(default_factory=Sensor)
-    """Sensor metadata of its DNG."""
+    shading: float = 0.0
+    """Lens shading in its DNG (write_dng)."""
 
     @property
     def realise(self) -> Realise:
@@ -76,7 +76,7 @@ class Specimen:
         if jpeg:
             write_jpeg(path, shot, seed, PHONE)
         else:
-            write_dng(path, shot, self.sensor, seed)
+            write_dng(path, shot, seed, self.shading)
         return path
 
 
@@ -87,10 +87,10 @@ def _example(
     tilt: tuple[float, float],
     shading: float = 0.0,
 ) -> Specimen:
-    """A named material; the flash's offset in plane units, tilts in degrees, shading as Sensor."""
+    """A named material; the flash's offset in plane units, tilts in degrees."""
     x, y = (math.radians(degrees) for degrees in tilt)
     setup = FlashSetup(offset=(*offset, 0.0), tilt=(x, y))
-    return Specimen(name, partial(realise, name), seed, setup, Sensor(shading=shading))
+    return Specimen(name, partial(realise, name), seed, setup, shading)
 
 
 # The example photographs, by name.

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -39,39 +38,32 @@ _EXIF_IFD = 34665
 _EXIF_PLACE = 34666  # unassigned; keeps the place of _EXIF_IFD, which tifffile refuses to write
 
 
-@dataclass(frozen=True)
-class Sensor:
-    """Sensor metadata of a DNG: lens shading, 1 - relative illumination in the corners, in [0, 1).
-
-    It is stored in GainMaps.
-    """
-
-    shading: float = 0.0
-
-
-def mosaic(shot: Shot, sensor: Sensor, seed: int) -> NDArray[np.uint16]:
-    """(H, W) RGGB mosaic of sensor codes."""
+def mosaic(shot: Shot, seed: int, shading: float = 0.0) -> NDArray[np.uint16]:
+    """(H, W) RGGB mosaic of sensor codes; `shading` as of write_dng."""
     camera_colour = shot.linear @ _FROM_REC709.T
     height, width = shot.linear.shape[:2]
     plane = np.empty((height, width))
     for top, left, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
         plane[top::2, left::2] = camera_colour[top::2, left::2, channel]
-    if sensor.shading:
-        plane = plane / _interpolated(gain_map(sensor.shading), width, height)
+    if shading:
+        plane = plane / _interpolated(gain_map(shading), width, height)
     plane = sensor_noise(plane, shot.camera, seed)
     numbers = _BLACK + plane * (_WHITE - _BLACK)
     return np.clip(np.round(numbers), 0, _WHITE).astype(np.uint16)
 
 
 def gain_map(shading: float) -> NDArray[np.float32]:
-    """(rows, columns) gains that correct the lens shading; see Sensor."""
+    """(rows, columns) gains that correct the lens shading; see write_dng."""
     rows, columns = _GAIN_MAP_POINTS
     v, u = np.linspace(-1, 1, rows)[:, None], np.linspace(-1, 1, columns)[None, :]
     return (1.0 / (1.0 - shading * (u**2 + v**2) / 2.0)).astype(np.float32)
 
 
-def write_dng(path: Path, shot: Shot, sensor: Sensor, seed: int) -> None:
+def write_dng(path: Path, shot: Shot, seed: int, shading: float = 0.0) -> None:
     """Write a shot as a DNG with the noise of a seed; the same arguments give the same file.
+
+    `shading` of the lens, 1 - relative illumination in the corners, in [0, 1), is stored in
+    GainMaps.
 
     Raises:
         MatcapError: the file cannot be written.
@@ -79,12 +71,12 @@ def write_dng(path: Path, shot: Shot, sensor: Sensor, seed: int) -> None:
     with staged_file(path) as file:
         tifffile.imwrite(
             file,
-            mosaic(shot, sensor, seed),
+            mosaic(shot, seed, shading),
             photometric=_CFA,
             rowsperstrip=shot.camera.height,
             metadata=None,
             software="matcap",
-            extratags=_tags(sensor, shot.camera),
+            extratags=_tags(shot.camera, shading),
         )
         _append_exif(file, shot)
 
@@ -114,7 +106,7 @@ def exif_of(shot: Shot) -> dict[int, int | Fraction | bytes]:
 _Tag = tuple[int, str, int, object, bool]
 
 
-def _tags(sensor: Sensor, camera: PhoneCamera) -> list[_Tag]:
+def _tags(camera: PhoneCamera, shading: float) -> list[_Tag]:
     matrix = [part for value in _MATRIX.flat for part in _rational(value)]
     neutral = [part for value in _NEUTRAL for part in _rational(value)]
     name = "matcap simulated phone"
@@ -136,8 +128,8 @@ def _tags(sensor: Sensor, camera: PhoneCamera) -> list[_Tag]:
         (50728, "2I", 3, neutral, True),  # AsShotNeutral
         (50778, "H", 1, _D65, True),  # CalibrationIlluminant1
     ]
-    if sensor.shading:
-        opcodes = _opcode_list(gain_map(sensor.shading), camera.width, camera.height)
+    if shading:
+        opcodes = _opcode_list(gain_map(shading), camera.width, camera.height)
         tags.append((51009, "B", len(opcodes), opcodes, True))  # OpcodeList2
     return tags
 

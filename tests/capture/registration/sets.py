@@ -92,13 +92,13 @@ def make_set(number: int, *, hard: str | None, width: int = 800) -> MadeSet:
         # Straight down from their places: about a third of the first's view is seen.
         cameras = [cameras[0], *(replace(camera, turn=np.eye(3)) for camera in cameras[1:])]
     shots = take_several(realise, phone, cameras, hand, number)
-    photos = [as_photo(one.shot, number + n, f"p{n}") for n, one in enumerate(shots)]
+    photos = [as_photo(one, number + n, f"p{n}") for n, one in enumerate(shots)]
     foreign = frozenset[int]()
     if hard == "foreign":
         other = EASY[(EASY.index(material) + 1) % 4] if number % 2 else material
         piece = EXAMPLES[other].pieces(99991)
         stranger = take_several(piece, phone, cameras[1:2], hand, number)[0]
-        photos[-1] = as_photo(stranger.shot, number, "foreign")
+        photos[-1] = as_photo(stranger, number, "foreign")
         foreign = frozenset({len(photos) - 1})
     elif hard == "blurred":  # by a hand that moves sideways
         kernel = np.ones((1, max(3, round(width / 100.0) | 1)), np.float32)

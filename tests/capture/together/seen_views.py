@@ -25,7 +25,7 @@ def photographed(subject, phone, count, seed, hand=HAND, first=0):
     """Cameras and photographs of a subject by a hand-held phone, numbered from `first`."""
     cameras = hold(phone, hand, count, seed)
     shots = enumerate(take_several(subject.realise, phone, cameras, hand, seed), first)
-    return cameras, [as_photo(one.shot, n, f"{subject.name}_{n}") for n, one in shots]
+    return cameras, [as_photo(one, n, f"{subject.name}_{n}") for n, one in shots]
 
 
 def grainy(seed: int, size: tuple[int, int] = SIZE, *, albedo: float = 0.2) -> MapSet:

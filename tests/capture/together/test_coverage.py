@@ -110,7 +110,7 @@ def test_inspect_tells_of_sets(tmp_path, capsys):
     paths = []
     for number, one in enumerate(take_several(plaster.pieces(15), phone, cameras, hand, 5)):
         paths.append(str(tmp_path / f"plaster_{number}.jpg"))
-        write_jpeg(tmp_path / f"plaster_{number}.jpg", one.shot, number)
+        write_jpeg(tmp_path / f"plaster_{number}.jpg", one, number)
     assert main(["inspect", "--json", *paths]) == 0
     values = json.loads(capsys.readouterr().out)
     assert values["together"]["belong"]["value"]["used"] == 2

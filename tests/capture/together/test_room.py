@@ -47,27 +47,25 @@ def lit():
     cameras = hold(PHONE, HAND, 3, 5)
     bright = take_several(realise, PHONE, cameras, HAND, 5)
     dark = take_several(realise, PHONE, cameras, replace(HAND, room=None), 5)
-    return bright, dark, take_without_flash(realise, PHONE, cameras, HAND, 6)
-
-
-def _photo(shot, number, name):
-    return as_photo(shot.shot, number, name)
+    return cameras, bright, dark, take_without_flash(realise, PHONE, cameras, HAND, 6)
 
 
 def _registration(lit, **changes):
-    bright, _, room = lit
-    views = [RegisteredView(_photo(s, n, f"l{n}"), s.camera) for n, s in enumerate(bright)]
-    unlit = RegisteredView(replace(_photo(room, 9, "room"), **changes), room.camera, flash=False)
+    cameras, bright, _, (room, camera) = lit
+    views = [
+        RegisteredView(as_photo(shot, n, f"l{n}"), cameras[n]) for n, shot in enumerate(bright)
+    ]
+    unlit = RegisteredView(replace(as_photo(room, 9, "room"), **changes), camera, flash=False)
     return Registration(FlashSetup(fov=PHONE.fov), (*views, unlit), ())
 
 
 def test_what_the_room_added_is_taken_off(lit):
-    bright, dark, _ = lit
+    _, bright, dark, _ = lit
     cleaned = without_ambient(_registration(lit).views)
     for view, shot, true in zip(cleaned, bright, dark, strict=False):
-        before = shot.shot.linear / shot.shot.exposure
-        wanted = true.shot.linear / true.shot.exposure
-        after = view.photo.pixels / shot.shot.exposure
+        before = shot.linear / shot.exposure
+        wanted = true.linear / true.exposure
+        after = view.photo.pixels / shot.exposure
         off = [
             np.abs(np.log(one.mean((0, 1)) / wanted.mean((0, 1)))).max() for one in (before, after)
         ]
@@ -78,7 +76,7 @@ def test_what_the_room_added_is_taken_off(lit):
 
 def test_a_photograph_without_flash_is_registered_on_albedo(lit):
     registration = _registration(lit)
-    room, cameras = registration.views[-1], [shot.camera for shot in lit[0]]
+    room, cameras = registration.views[-1], lit[0]
     astray = replace(room.camera, place=room.camera.place + np.array([0.012, -0.02, 0.01]))
     off = (*registration.views[:-1], replace(room, camera=astray, misregistration=0.02))
     leather = EXAMPLES["leather"]
@@ -104,9 +102,9 @@ def test_without_a_dark_photograph_registration_is_unchanged(lit):
 
 
 def test_a_photograph_of_another_surface_is_refused_in_a_sentence(lit):
-    _, _, room = lit
+    room, _ = lit[-1]
     _, (plaster,) = photographed(EXAMPLES["plaster"], PHONE, 1, 5, hand=HAND)
-    settings, others = CaptureSettings(preset="instant", detail=192), [_photo(room, 2, "leather")]
+    settings, others = CaptureSettings(preset="instant", detail=192), [as_photo(room, 2, "leather")]
     with pytest.raises(MatcapError, match="no other photograph can be registered to plaster"):
         capture_photo(plaster, settings, others=others)
 
@@ -117,7 +115,7 @@ def test_exposures_that_are_not_known_change_nothing(lit):
 
 
 def test_exposures_that_are_told_wrongly_leave_light(lit):
-    registration = _registration(lit, exposure=_photo(lit[2], 9, "room").exposure / 100.0)
+    registration = _registration(lit, exposure=lit[-1][0].exposure / 100.0)
     cleaned = without_ambient(registration.views)
     for view, before in zip(cleaned[:-1], registration.views[:-1], strict=True):
         assert (view.photo.pixels >= 0.04 * before.photo.pixels).all()
@@ -206,10 +204,10 @@ def test_the_rooms_light_tells_albedo_and_slopes_that_one_flash_does_not():
 
 
 def test_one_with_flash_and_one_without_are_a_capture(lit, tmp_path):
-    bright, _, room = lit
+    _, bright, _, (room, _) = lit
     paths = [tmp_path / "room.dng", tmp_path / "leather.dng"]
     for path, shot in zip(paths, (room, bright[0]), strict=True):
-        write_dng(path, shot.shot, EXAMPLES["leather"].sensor, 1)
+        write_dng(path, shot, 1)
     settings = CaptureSettings(preset="instant", detail=192)
     result = capture_into(tmp_path / "out", paths, settings, OutputSettings((32, 32)))
     assert result.material.name == "out" or result.photo.name == "leather.dng"

@@ -26,7 +26,7 @@ from matcap.files.digest import DIGEST, METHOD, digest_prefix
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.lab.simulate.specimen import EXAMPLES
-from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.write_dng import write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.space.decoder import DecoderConfig
 from matcap.statistics.lattice import Wave
@@ -85,8 +85,8 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
     shot = take(EXAMPLES["leather"].pieces(3), camera, FlashSetup(offset=(0.1, 0.05, 0.0)))
     light = expose(shot, 1).astype(np.float32)
     code = np.round(light * 65535.0).astype(np.uint16)
-    write_dng(folder / "plain.dng", shot, Sensor(), 1)
-    write_dng(folder / "shaded.dng", shot, Sensor(shading=0.4), 1)
+    write_dng(folder / "plain.dng", shot, 1)
+    write_dng(folder / "shaded.dng", shot, 1, shading=0.4)
     write_jpeg(folder / "exif.jpg", shot, 1)
     photographs = _write_photographs(folder, (code >> 8).astype(np.uint8))
     for name, pixels, form in (

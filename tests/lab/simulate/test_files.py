@@ -12,7 +12,7 @@ from PIL import Image
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.photograph import PhoneCamera, Shot, expose
-from matcap.lab.simulate.write_dng import Sensor, gain_map, write_dng
+from matcap.lab.simulate.write_dng import gain_map, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.photo.load import load_photo
 
@@ -47,7 +47,7 @@ def _exif(path):
 
 
 def test_dng_develops_to_the_truth_within_noise(shot, tmp_path):
-    write_dng(tmp_path / "a.dng", shot, Sensor(), seed=1)
+    write_dng(tmp_path / "a.dng", shot, seed=1)
     error = (_develop(tmp_path / "a.dng") - shot.linear)[4:-4, 4:-4]
     # Without bias, and no noisier than a sensor of this well: the matrix amplifies red and blue.
     np.testing.assert_allclose(error.mean((0, 1)), 0.0, atol=5e-4)
@@ -56,7 +56,7 @@ def test_dng_develops_to_the_truth_within_noise(shot, tmp_path):
 
 def test_dng_clips_white(tmp_path):
     white = Shot(np.full((180, 240, 3), 3.0), FlashSetup(), CAMERA)
-    write_dng(tmp_path / "a.dng", white, Sensor(), seed=1)
+    write_dng(tmp_path / "a.dng", white, seed=1)
     np.testing.assert_allclose(_develop(tmp_path / "a.dng"), 1.0, atol=2e-3)
 
 
@@ -64,7 +64,7 @@ def test_dng_clips_white(tmp_path):
 def test_exif_is_readable(shot, tmp_path, suffix):
     path = tmp_path / f"a.{suffix}"
     if suffix == "dng":
-        write_dng(path, shot, Sensor(), seed=1)
+        write_dng(path, shot, seed=1)
     else:
         write_jpeg(path, shot, seed=1)
     tags = _exif(path)
@@ -79,7 +79,7 @@ def test_exif_is_readable(shot, tmp_path, suffix):
 
 def test_gain_map_undoes_the_shading(shot, tmp_path):
     grey = dataclasses.replace(shot, linear=np.full((180, 240, 3), 0.3))
-    write_dng(tmp_path / "a.dng", grey, Sensor(shading=0.5), seed=1)
+    write_dng(tmp_path / "a.dng", grey, seed=1, shading=0.5)
     developed = _develop(tmp_path / "a.dng")
     assert developed[:20, :20].mean() / developed[80:100, 110:130].mean() < 0.65
     with tifffile.TiffFile(tmp_path / "a.dng") as tiff:
@@ -100,7 +100,7 @@ def test_gain_map_undoes_the_shading(shot, tmp_path):
 
 
 def test_dng_without_shading_has_no_opcodes(shot, tmp_path):
-    write_dng(tmp_path / "a.dng", shot, Sensor(), seed=1)
+    write_dng(tmp_path / "a.dng", shot, seed=1)
     with tifffile.TiffFile(tmp_path / "a.dng") as tiff:
         assert 51009 not in tiff.pages.first.tags
 
@@ -109,9 +109,7 @@ def test_dng_without_shading_has_no_opcodes(shot, tmp_path):
 def test_files_are_reproducible(shot, tmp_path, suffix):
     for name in ("a", "b"):
         path = tmp_path / f"{name}.{suffix}"
-        write_dng(path, shot, Sensor(shading=0.3), 5) if suffix == "dng" else write_jpeg(
-            path, shot, 5
-        )
+        write_dng(path, shot, 5, shading=0.3) if suffix == "dng" else write_jpeg(path, shot, 5)
     assert filecmp.cmp(tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}", shallow=False)
 
 
@@ -127,4 +125,4 @@ def test_jpeg_shows_the_exposed_picture(shot, tmp_path):
 def test_unwritable_place_is_one_sentence(shot, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(MatcapError):
-        write_dng(tmp_path / "file" / "a.dng", shot, Sensor(), seed=1)
+        write_dng(tmp_path / "file" / "a.dng", shot, seed=1)
