@@ -83,7 +83,7 @@ def quality(
     """
     from matcap.capture import pipeline
     from matcap.lab.bench.methods import field_maps
-    from matcap.lab.bench.nsd import METHODS, QUALITY, quality_experiment
+    from matcap.lab.bench.nsd import QUALITY, quality_experiment
     from matcap.lab.measures.evaluator import EvaluationSettings
 
     captured = CaptureSettings(**given, detail=detail, generator="decoder")
@@ -92,7 +92,7 @@ def quality(
         lambda photo: field_maps(pipeline.capture_file(photo, captured).material, evaluation.width),
         out,
         materials=material or (),
-        methods=method or METHODS,
+        methods=method or (),
         settings=evaluation,
         captured=captured,
     )

@@ -115,15 +115,12 @@ def of_field(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
         samples[0].stacked().numpy(), places.astype(np.int64), exemplar.stacked(),
         exemplar.texel_size,
     )  # fmt: skip
-    columns: dict[str, Value] = {
+    return {
         "variety": example.variety,
         "joints": joint / own if joint and own else math.nan,
         "phase": math.nan if off is None else off,
+        **contrast,
     }
-    for name in ("albedo", "slope"):
-        columns[f"seam {name}"] = contrast[name].median if contrast else math.nan
-        columns[f"seam {name} 99 %"] = contrast[name].high if contrast else math.nan
-    return columns
 
 
 def true_example(maps: MapSet) -> Example:
@@ -189,23 +186,16 @@ def grating(period: float, angle: float, size: tuple[int, int] = _SIZE) -> Examp
 
 _DARKEST = 1e-3  # albedo
 _FEWEST = 100  # pairs: with fewer, no value
-
-
-@dataclass(frozen=True)
-class SeamContrast:
-    """Differences across seams over those in the exemplar: of medians, of 99th percentiles."""
-
-    median: float
-    high: float
+_SEAMS = ("seam albedo", "seam albedo 99 %", "seam slope", "seam slope 99 %")
 
 
 def seam_contrast(
     maps: Floats, places: NDArray[np.int64], exemplar: Floats, texel_size: float
-) -> dict[str, SeamContrast] | None:
-    """Seam contrast of "albedo" (log, RGB) and "slope"; None where there are too few seams.
+) -> dict[str, float]:
+    """Seam contrast of albedo (log, RGB) and slope by column; NaN where there are too few seams.
 
-    Differences across seams (neighbours whose sources are none) by a quantile, over the same
-    quantile of the exemplar's: 1 is indistinguishable. Style distances hardly respond to seams.
+    Median, and 99th percentile, of differences across seams (neighbours whose sources are none)
+    over that of the exemplar's: 1 is indistinguishable. Style distances hardly respond to seams.
 
     Args:
         maps: (6 or 8, H, W) of the field.
@@ -218,17 +208,14 @@ def seam_contrast(
         for axis, step in ((0, (0, 1)), (1, (1, 0)))
     ]
     if sum(int(some.sum()) for some in seams) < _FEWEST:
-        return None
-    contrasts = {}
-    for name, here, own in zip(
-        ("albedo", "slope"), _seen(maps, texel_size), _seen(exemplar, texel_size), strict=True
-    ):
+        return dict.fromkeys(_SEAMS, math.nan)
+    contrasts: list[float] = []
+    for here, own in zip(_seen(maps, texel_size), _seen(exemplar, texel_size), strict=True):
         there = [steps[some] for steps, some in zip(_steps(here), seams, strict=True)]
         at_seams = np.quantile(np.concatenate(there), (0.5, 0.99))
         usual = np.quantile(np.concatenate([one.ravel() for one in _steps(own)]), (0.5, 0.99))
-        median, high = at_seams / np.maximum(usual, 1e-9)
-        contrasts[name] = SeamContrast(float(median), float(high))
-    return contrasts
+        contrasts += (at_seams / np.maximum(usual, 1e-9)).tolist()
+    return dict(zip(_SEAMS, contrasts, strict=True))
 
 
 def _seen(maps: Floats, texel_size: float) -> tuple[Floats, Floats]:

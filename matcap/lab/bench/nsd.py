@@ -47,7 +47,6 @@ QUALITY = (
     "from the flash; 1 is indistinguishable. PS: Portilla-Simoncelli statistics; RF: random "
     "filters unknown to capture (matcap/lab/measures/style.py); mean: of both."
 )
-METHODS = ("decoder", "exemplar", "by-example", "photo-as-albedo")  # of `quality`
 ALBEDO, EXEMPLAR, FIELD = "photograph as albedo", "exemplar", "field"
 
 
@@ -127,11 +126,11 @@ def quality_experiment(
     out: Path,
     *,
     materials: Sequence[str] = (),
-    methods: Sequence[str] = METHODS,
+    methods: Sequence[str] = (),
     settings: EvaluationSettings,
     captured: object = None,
 ) -> Experiment[PicturedSubject, Tensor]:
-    """Methods of METHODS on materials of EXAMPLES; photographs and sheets go to `out`.
+    """Methods, all by default, on materials of EXAMPLES; photographs and sheets go to `out`.
 
     `capture`, from a DNG's path, is the method `decoder`; rows of other settings of it, `captured`,
     are measured again. Of `settings` lights and true samples are set here.
@@ -147,13 +146,13 @@ def quality_experiment(
     def albedo(seen: PicturedSubject) -> CapturedMaps:
         return photo_as_albedo(seen.photo, seen.evaluator.flash, evaluation.detail)
 
-    makers: tuple[Callable[[PicturedSubject], CapturedMaps], ...] = (
-        lambda seen: capture(seen.path),
-        lambda seen: exemplar_maps(by_example(seen)),
-        lambda seen: field_maps(by_example(seen).material, evaluation.width),
-        albedo,
-    )
-    chosen = choose(dict(zip(METHODS, makers, strict=True)), methods)
+    known: Mapping[str, Callable[[PicturedSubject], CapturedMaps]] = {
+        "decoder": lambda seen: capture(seen.path),
+        "exemplar": lambda seen: exemplar_maps(by_example(seen)),
+        "by-example": lambda seen: field_maps(by_example(seen).material, evaluation.width),
+        "photo-as-albedo": albedo,
+    }
+    chosen = choose(known, methods)
     portilla = PortillaSimoncelli((evaluation.size,) * 2)
     styles: dict[str, Style] = {"PS": portilla, "RF": RandomFilters()}
 

@@ -218,13 +218,10 @@ def chosen_scenes(scenes: Sequence[Path]) -> dict[str, Scene]:
     return named or dict(SCENES)
 
 
-def leather(size: int = 1024) -> Texture:
-    """Simulated leather of `size` texels a side, two plane units wide."""
-    return Texture.from_maps(realise("leather", size, size, 1, 2.0 / size))
-
-
 def _lit(scene: Scene, texels: int = 1024) -> LitScene:
-    return LitScene(scene, leather(texels))
+    """A scene of simulated leather, of `texels` a side, two plane units wide."""
+    maps = realise("leather", texels, texels, 1, 2.0 / texels)
+    return LitScene(scene, Texture.from_maps(maps))
 
 
 def _resized(scene: Scene, width: int) -> Scene:

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from typing import Any
 
 import cv2
 import numpy as np
@@ -26,7 +27,7 @@ from matcap.flash.light import FlashLight
 from matcap.flash.render import Uniform, render_flash, uniform_radiance
 from matcap.lab.inverse.packed import PackedSet
 from matcap.lab.inverse.pieces import coloured_metal, real_piece
-from matcap.lab.simulate.develop import contrast, drift, exposure, noisy, shoulder
+from matcap.lab.simulate.develop import contrast, drift, exposure, noisy, random_crop, shoulder
 from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.kinds import random_kind
 from matcap.lab.simulate.materials.varied import random_material
@@ -81,14 +82,10 @@ class Sample:
 
     def to(self, device: str) -> Sample:
         """The same sample with its tensors on a device."""
-        return replace(
-            self,
-            linear=self.linear.to(device),
-            valid=self.valid.to(device),
-            truth=self.truth.map(lambda m: m.to(device)),
-            metal=self.metal.to(device),
-            points=self.points.to(device),
-        )
+        tensors: dict[str, Any] = {
+            name: part.to(device) for name, part in vars(self).items() if isinstance(part, Tensor)
+        }
+        return replace(self, truth=self.truth.map(lambda m: m.to(device)), **tensors)
 
 
 def training_material(rng: np.random.Generator) -> RealiseAt:
@@ -141,7 +138,7 @@ def draw_sample(
     else:
         turn = number // (_TURNS * _VISITS) * _TURNS + number % _TURNS
         whole, texel = _piece(turn, width, material)
-        cut = _cut(_turned(whole, rng), width + pad, height + pad, rng)
+        cut = random_crop(_turned(whole, rng), width + pad, height + pad, rng)
         maps = replace(cut, height=cut.height * (size / texel), texel_size=size)
         factor = math.exp(rng.normal(0.0, 0.35)) * (-1.0 if rng.random() < 0.06 else 1.0)
         maps = replace(maps, height=(maps.height - maps.height.mean()) * factor)
@@ -173,12 +170,6 @@ def _piece(
     side = width + _ROOM
     maps = material(rng)(side, side, int(rng.integers(2**31)), texel)
     return maps.map(lambda m: m.float()), texel
-
-
-def _cut(maps: MapSet, width: int, height: int, rng: np.random.Generator) -> MapSet:
-    across, down = maps.size
-    x, y = rng.integers(across - width + 1), rng.integers(down - height + 1)
-    return maps.crop(int(x), int(y), width, height)
 
 
 def _turned(maps: MapSet, rng: np.random.Generator) -> MapSet:

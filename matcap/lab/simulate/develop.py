@@ -1,4 +1,4 @@
-"""Random model of a phone's sensor and processing: exposure, noise, tone curve, slow gradients.
+"""Random framing, and a phone's sensor and processing: exposure, noise, tone curve, gradients.
 
 Used for training photographs (inverse/samples.py, train/align.py).
 """
@@ -9,6 +9,15 @@ import cv2
 import numpy as np
 import torch
 from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+
+
+def random_crop(maps: MapSet, width: int, height: int, rng: np.random.Generator) -> MapSet:
+    """A crop of maps anywhere in them."""
+    across, down = maps.size
+    x, y = rng.integers(across - width + 1), rng.integers(down - height + 1)
+    return maps.crop(int(x), int(y), width, height)
 
 
 def exposure(radiance: Tensor, rng: np.random.Generator) -> float:

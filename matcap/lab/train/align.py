@@ -28,7 +28,7 @@ from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.coarse.hypotheses import TiltPrior
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import CORNER_SQUARED
-from matcap.lab.simulate.develop import contrast, drift, exposure, noisy, shoulder
+from matcap.lab.simulate.develop import contrast, drift, exposure, noisy, random_crop, shoulder
 from matcap.lab.simulate.materials.kinds import KINDS, RandomKind, kind_of
 from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
 from matcap.lab.simulate.photograph import PhoneCamera, take
@@ -172,9 +172,7 @@ def _cut(
     if width > across or height > down:
         pad = (0, max(0, width - across), 0, max(0, height - down))
         piece = piece.map(lambda m: F.pad(m[None], pad, mode="reflect")[0])
-        across, down = piece.size
-    x, y = rng.integers(across - width + 1), rng.integers(down - height + 1)
-    return piece.crop(int(x), int(y), width, height)
+    return random_crop(piece, width, height, rng)
 
 
 def make(seeds: Sequence[int], width: int = 384) -> Tilted:

@@ -88,12 +88,7 @@ def run_variety(
         for (what, name), one in results.items()
     ]  # fmt: skip
     blends = middles(prior, first_of_each(pack.reporting), joined([*statistics, ceiling]))
-    rows += [
-        Trial("prior-variety", "blend", f"{one.first} and {one.second}", {
-            "ends": one.ends, "middle": one.middle, "ratio": one.ratio,
-        })
-        for one in blends
-    ]  # fmt: skip
+    rows += [row for row, _ in blends]
     pictures = (
         f"![{_SHEET} draws, in the order of the photographs they are nearest to]"
         "(prior-variety.jpg)\n\n![Blends, in five steps each](prior-blends.jpg)\n"
@@ -103,48 +98,30 @@ def run_variety(
     (out / "prior-variety.md").write_text(page, encoding="utf-8")
     order = results["all", "draws"].nearest[:_SHEET].argsort(stable=True).tolist()
     write_grid([drawn[index] for index in order], _COLUMNS, out / "prior-variety.jpg")
-    write_grid([one.strip for one in blends], 2, out / "prior-blends.jpg")
+    write_grid([strip for _, strip in blends], 2, out / "prior-blends.jpg")
     return page
 
 
-@dataclass(frozen=True)
-class Middle:
-    """One interpolation between two materials, in five steps: a strip (3, size, 5 size) sRGB.
-
-    Mean style distance of the ends to their nearest photographs, and that of the middle.
-    """
-
-    first: str
-    second: str
-    ends: float
-    middle: float
-    strip: Tensor
-
-    @property
-    def ratio(self) -> float:
-        """Ratio of the middle's distance to the ends'."""
-        return self.middle / self.ends
-
-
-def middles(prior: Prior, entries: Sequence[Entry], photographs: StyleStatistics) -> list[Middle]:
+def middles(
+    prior: Prior, entries: Sequence[Entry], photographs: StyleStatistics
+) -> list[tuple[Trial, Tensor]]:
     """Blends of neighbours in a list of photographs of different materials, at most PAIRS.
 
     `photographs` are the statistics of those that pictures are compared with.
+
+    Returns:
+        For each the mean style distance of the ends to their nearest photographs, that of the
+        middle, and their ratio; and its five steps side by side, (3, size, 5 size) sRGB.
     """
     places = [prior.place(entry.photo()) for entry in entries[: PAIRS + 1]]
     materials = [prior.draw(0, near=place, spread=0.0) for place in places]
-    windows = []
+    blends = []
     for index in range(len(materials) - 1):
         first, second = materials[index : index + 2]
         steps = [lit(blend(first, second, share)) for share in _SHARES]
         nearest = style_distances(describe_pictures(steps), photographs).min(dim=1).values
-        windows.append(
-            Middle(
-                entries[index].material,
-                entries[index + 1].material,
-                float(nearest[[0, -1]].mean()),
-                float(nearest[_MIDDLE]),
-                torch.cat(steps, dim=2),
-            )
-        )
-    return windows
+        ends, middle = float(nearest[[0, -1]].mean()), float(nearest[_MIDDLE])
+        name = f"{entries[index].material} and {entries[index + 1].material}"
+        values = {"ends": ends, "middle": middle, "ratio": middle / ends}
+        blends.append((Trial("prior-variety", "blend", name, values), torch.cat(steps, dim=2)))
+    return blends

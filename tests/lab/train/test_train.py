@@ -252,9 +252,9 @@ def test_a_photograph_itself_is_no_distance_away(prior, pack, monkeypatch):
     monkeypatch.setattr(pictures, "SIZE", 64)
     entries = first_of_each(pack.reporting)[:2]
     ends = [prior.draw(0, near=prior.place(e.photo()), spread=0.0) for e in entries]
-    (found,) = middles(prior, entries, describe_pictures([pictures.lit(end) for end in ends]))
-    assert found.ends < 1e-6 < found.middle
-    assert (found.first, found.second) == (entries[0].material, entries[1].material)
+    ((row, _),) = middles(prior, entries, describe_pictures([pictures.lit(end) for end in ends]))
+    assert row.number("ends") < 1e-6 < row.number("middle")
+    assert row.subject == f"{entries[0].material} and {entries[1].material}"
 
 
 def test_the_command_refuses_a_pack_that_is_none(tmp_path, capsys):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -68,8 +69,8 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
 COLOURED_METALS: Mapping[str, Kind] = MappingProxyType(
     {
         "anodised": Kind(metal.anodised, (0.02, 0.1), (0.003, 0.015), 0.0),
-        "streaked": Kind(metal.streaked, (0.03, 0.15), (0.003, 0.02), 0.0),
-        "beaten": Kind(metal.beaten, (0.06, 0.35), (0.003, 0.02), 0.0),
+        "streaked": Kind(partial(metal.tinted, metal.brushed), (0.03, 0.15), (0.003, 0.02), 0.0),
+        "beaten": Kind(partial(metal.tinted, metal.hammered), (0.06, 0.35), (0.003, 0.02), 0.0),
         "rusted": Kind(metal.rusted, (0.06, 0.25), (0.004, 0.03), 0.0),
         "leafed": Kind(metal.leafed, (0.03, 0.12), (0.003, 0.02), 0.0),
         **{

@@ -148,24 +148,12 @@ def anodised(canvas: Canvas, rng: Draws) -> SurfaceFields:
     )
 
 
-def streaked(canvas: Canvas, rng: Draws) -> SurfaceFields:
-    """Brushed metal of any colour: anisotropic slopes and roughness, isotropic lobes."""
+def tinted(lay: Lay, canvas: Canvas, rng: Draws) -> SurfaceFields:
+    """A grey metal, brushed or hammered, in any colour, with the brightness variation of its F0."""
     colour = metal_colour(rng)[:, None, None]
-    under = brushed(canvas, rng)
-    return replace(under, diffuse=0.1 * under.diffuse, specular=_tinted(colour, under.specular))
-
-
-def beaten(canvas: Canvas, rng: Draws) -> SurfaceFields:
-    """Hammered metal of any colour."""
-    colour = metal_colour(rng)[:, None, None]
-    under = hammered(canvas, rng)
-    return replace(under, diffuse=0.1 * under.diffuse, specular=_tinted(colour, under.specular))
-
-
-def _tinted(colour: Raster, grey: Raster | float) -> Raster:
-    """(3, H, W) a metal's colour with the brightness variation of a grey F0."""
-    values = np.asarray(grey)
-    return np.asarray(colour * values / values.mean())
+    under = lay(canvas, rng)
+    grey = np.asarray(under.specular)
+    return replace(under, diffuse=0.1 * under.diffuse, specular=colour * grey / grey.mean())
 
 
 def rusted(canvas: Canvas, rng: Draws) -> SurfaceFields:

@@ -20,9 +20,8 @@ from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, bumps, nois
 # Ranges of real surfaces: fresh charcoal to snow, polished stone to chalk.
 _ALBEDO = (0.01, 0.9)
 _ROUGHNESS = (0.08, 0.95)
-_EDGE = (
-    0.0025  # plane units, deviation of the blur that rounds edges: 0.3 mm where 2 units are 25 cm
-)
+# Deviation of the blur that rounds edges, plane units: 0.3 mm where 2 units are 25 cm.
+_EDGE = 0.0025
 
 
 @dataclass(frozen=True)
@@ -65,52 +64,36 @@ class Kind:
     darkest: float = _ALBEDO[0]
 
 
-@dataclass(frozen=True)
-class _Finish:
-    darkening: float  # of the logarithm of albedo, from open surface to cavity
-    roughening: float  # likewise of roughness
-    spectrum: Spectrum
-    tone: float  # standard deviation of the logarithm of albedo by grain
-    wear: float  # standard deviation of roughness by grain
-    drift: float  # likewise of the logarithm of albedo, over a few features
+def finish(canvas: Canvas, kind: Kind, depth: float, rng: Draws) -> tuple[MapSet, Raster]:
+    """Maps of a realisation, and (H, W) its relief, `depth` times the height, without grain.
 
-
-def finish(canvas: Canvas, kind: Kind, depth: float, parameters: Draws) -> tuple[MapSet, Raster]:
-    """Maps of a realisation, and (H, W) its relief, `depth` times the height, without grain."""
-    how = _draw_finish(parameters)
-    steepness = parameters.log_uniform(*kind.grain)
-    surface = kind.lay(canvas, parameters)
-    grain = noise(canvas, "grain", how.spectrum)
+    Cavities are darker, and rougher, in 3 of 4 materials each, else the opposite; neither in 15 %.
+    """
+    tied = not rng.chance(0.15)
+    coarse = rng.log_uniform(0.01, 0.06)
+    # Of log albedo and of roughness, from open surface to cavity.
+    darkening = tied * (1.0 if rng.chance(0.75) else -0.4) * rng.log_uniform(0.08, 1.4)
+    roughening = tied * (1.0 if rng.chance(0.75) else -0.6) * rng.log_uniform(0.02, 0.35)
+    spectrum = Spectrum(coarse, min(rng.log_uniform(0.005, 0.012), 0.7 * coarse), rng.random())
+    # Standard deviations of log albedo and of roughness by grain; of log albedo over features.
+    by_grain, wear = rng.log_uniform(0.01, 0.16), rng.log_uniform(0.003, 0.05)
+    by_drift = rng.log_uniform(0.01, 0.12)
+    steepness = rng.log_uniform(*kind.grain)
+    surface = kind.lay(canvas, rng)
+    grain = noise(canvas, "grain", spectrum)
     drift = noise(canvas, "drift", Spectrum(0.16, 0.05))
-    tone = np.exp(how.tone * grain + how.drift * drift - how.darkening * surface.cavity)
-    relief = depth * _rounded(canvas, np.broadcast_to(surface.height, grain.shape))
-    rough = surface.roughness + how.roughening * surface.cavity + how.wear * grain
+    tone = np.exp(by_grain * grain + by_drift * drift - darkening * surface.cavity)
+    # Steps are smoothed, as by wear and the lens's blur.
+    height = np.ascontiguousarray(np.broadcast_to(surface.height, grain.shape))
+    rounded = cv2.GaussianBlur(height, (0, 0), _EDGE / canvas.texel_size)
+    relief = depth * np.asarray(rounded, np.float64)
+    rough = surface.roughness + roughening * surface.cavity + wear * grain
     maps = assemble(
         canvas,
         np.clip(surface.diffuse * tone, kind.darkest, _ALBEDO[1]),
         surface.specular,
         np.clip(rough, *_ROUGHNESS),
-        relief + steepness * bumps(canvas, "grain", how.spectrum),
+        relief + steepness * bumps(canvas, "grain", spectrum),
         min(kind.darkest, _ALBEDO[0]),
     )
     return maps, relief
-
-
-def _rounded(canvas: Canvas, height: Raster) -> Raster:
-    """Height with steps smoothed, as by wear and the lens's blur."""
-    deviation = _EDGE / canvas.texel_size
-    return np.asarray(cv2.GaussianBlur(np.ascontiguousarray(height), (0, 0), deviation))
-
-
-def _draw_finish(rng: Draws) -> _Finish:
-    """Cavities darker, and rougher, in 3 of 4 materials each, else the opposite; none in 15 %."""
-    tied = not rng.chance(0.15)
-    coarse = rng.log_uniform(0.01, 0.06)
-    return _Finish(
-        darkening=tied * (1.0 if rng.chance(0.75) else -0.4) * rng.log_uniform(0.08, 1.4),
-        roughening=tied * (1.0 if rng.chance(0.75) else -0.6) * rng.log_uniform(0.02, 0.35),
-        spectrum=Spectrum(coarse, min(rng.log_uniform(0.005, 0.012), 0.7 * coarse), rng.random()),
-        tone=rng.log_uniform(0.01, 0.16),
-        wear=rng.log_uniform(0.003, 0.05),
-        drift=rng.log_uniform(0.01, 0.12),
-    )
