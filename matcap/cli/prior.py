@@ -48,12 +48,12 @@ def corpus(
     from matcap.lab.train.corpus import build
 
     check_writable(out.parent, 50_000_000)
-    built = build(folder, simulated, seed, printer(quiet=quiet))
-    built.pack.save(out)
-    for name, why in built.skipped:
+    pack, skipped = build(folder, simulated, seed, printer(quiet=quiet))
+    pack.save(out)
+    for name, why in skipped:
         typer.echo(f"left out {name}: {why}", err=True)
     size = out.stat().st_size / 1e6
-    printer(quiet=quiet)(f"wrote {out}: {len(built.pack.entries)} photographs, {size:.1f} MB")
+    printer(quiet=quiet)(f"wrote {out}: {len(pack.entries)} photographs, {size:.1f} MB")
 
 
 @app.command()

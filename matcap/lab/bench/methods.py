@@ -62,9 +62,7 @@ def field_maps(material: Material, width: float, seed: int = 0) -> CapturedMaps:
     return CapturedMaps(material.maps(side, side, seed=seed), material.setup)
 
 
-def true_exemplar(
-    material: str, width: int, height: int, seed: int = 11, detail: int = 1024
-) -> Exemplar:
+def true_exemplar(material: str, width: int, height: int, detail: int = 1024) -> Exemplar:
     """The true maps of a simulated material as an exemplar."""
-    maps = realise(material, width, height, seed, 2.0 / detail)
+    maps = realise(material, width, height, 11, 2.0 / detail)
     return Exemplar.certain(maps.stacked().float().numpy(), maps.texel_size)

@@ -27,20 +27,15 @@ class Variety:
         precision: share of generated pictures within the balls of true ones, 0 to 1.
         recall: share of true pictures within the balls of generated ones, 0 to 1.
         mean_distance: mean style distance of two generated pictures, 0 to 2.
-        mean_distance_true: mean style distance of two true pictures, 0 to 2.
+        spread: that over the mean style distance of two true pictures.
         nearest: (generated,) index of the true picture nearest to each generated one.
     """
 
     precision: float
     recall: float
     mean_distance: float
-    mean_distance_true: float
+    spread: float
     nearest: Tensor
-
-    @property
-    def spread(self) -> float:
-        """Mean style distance of generated pictures over that of true ones."""
-        return self.mean_distance / self.mean_distance_true
 
 
 def variety(made: StyleStatistics, true: StyleStatistics) -> Variety:
@@ -51,7 +46,7 @@ def variety(made: StyleStatistics, true: StyleStatistics) -> Variety:
         precision=_covered(across, reaches(within_true)),
         recall=_covered(across.T, reaches(within)),
         mean_distance=mean_pairwise(within),
-        mean_distance_true=mean_pairwise(within_true),
+        spread=mean_pairwise(within) / mean_pairwise(within_true),
         nearest=across.argmin(dim=1),
     )
 

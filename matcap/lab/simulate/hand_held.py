@@ -180,7 +180,9 @@ def take_several(
             vignetting=hand.vignetting,
         )
         shots.append(Shot(linear * gain, setup, phone, exposure=gain))
-    tilted = replace(shots[0].setup, tilt=_tilt(cameras[0]))
+    turn = cameras[0].turn  # of PosedCamera.of: R = Ry(tilt_y) Rx(tilt_x)
+    tilt = np.arctan2(-turn[1, 2], turn[1, 1]), np.arctan2(-turn[2, 0], turn[0, 0])
+    tilted = replace(shots[0].setup, tilt=(float(tilt[0]), float(tilt[1])))
     return [replace(shots[0], setup=tilted), *shots[1:]]
 
 
@@ -328,9 +330,3 @@ def _looking(place: Doubles, aim: Doubles, roll: float) -> Doubles:
     axes = np.stack([right, np.cross(back, right), back])
     c, s = math.cos(roll), math.sin(roll)
     return np.asarray(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ axes)
-
-
-def _tilt(camera: PosedCamera) -> tuple[float, float]:
-    """(tilt_x, tilt_y), radians, of a camera made by PosedCamera.of: R = Ry(tilt_y) Rx(tilt_x)."""
-    turn = camera.turn
-    return (float(np.arctan2(-turn[1, 2], turn[1, 1])), float(np.arctan2(-turn[2, 0], turn[0, 0])))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -38,24 +37,16 @@ _PACK_TILT = math.radians(4.0)  # deviation, of photographs meant to be taken fr
 _SIMULATED = "simulated_"  # names of simulated photographs begin so, and end with their seed
 
 
-@dataclass(frozen=True)
-class Built:
-    """A pack, and the (name, reason) of pictures left out."""
-
-    pack: Pack
-    skipped: tuple[tuple[str, str], ...] = field(default=())
-
-
 def build(
     folder: Path | None,
     simulated: int,
     seed: int = 0,
     on_progress: Callable[[str], None] = lambda line: None,
-) -> Built:
+) -> tuple[Pack, list[tuple[str, str]]]:
     """Pack the photographs of a folder and as many simulated ones.
 
-    A picture's material is its name up to the first underscore. What cannot be read is left out
-    and listed.
+    A picture's material is its name up to the first underscore. Also returns the (name, reason) of
+    pictures left out because they cannot be read.
 
     Raises:
         MatcapError: the folder is missing, or no picture could be used.
@@ -75,7 +66,7 @@ def build(
     if not entries:
         where = str(folder) if folder else "corpus"
         raise MatcapError.at(where, "no picture could be used", "give a folder of JPEGs or PNGs")
-    return Built(Pack(tuple(entries)), tuple(skipped))
+    return Pack(tuple(entries)), skipped
 
 
 def _pictures(folder: Path | None) -> Iterator[Path]:

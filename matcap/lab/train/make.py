@@ -57,23 +57,19 @@ def make_prior(
     kept = place / "corpus.pack"
     if not kept.exists():
         place.mkdir(parents=True, exist_ok=True)
-        built = build(folder, tables["corpus"]["simulated"], tables["corpus"]["seed"], on_progress)
-        built.pack.save(kept)
+        corpus = tables["corpus"]
+        build(folder, corpus["simulated"], corpus["seed"], on_progress)[0].save(kept)
     pack = Pack.load(kept)
     begun = (place / CHECKPOINT).exists()
     trained = train(pack, config, place, resume=begun, on_progress=on_progress).average
     prior = finish(trained.encoder, trained.decoder, pack.training, {"steps": config.steps})
     prior.save(out)
     branch = place / "alignment.safetensors"
-    if tables["alignment"]["materials"] and not branch.exists():
-        made = train_branch(
-            tables["alignment"]["materials"],
-            tables["alignment"]["steps"],
-            fused=tables["alignment"]["fused"],
-            on_progress=on_progress,
-        )
+    materials, steps, fused = tables["alignment"].values()
+    if materials and not branch.exists():
+        made = train_branch(materials, steps, fused=fused, on_progress=on_progress)
         save_alignment(branch, made)
-    count = min(24, tables["alignment"]["materials"])
+    count = min(24, materials)
     card = _card(prior, pack, recipe, place, branch if count else None, count)
     with staged_file(out.with_suffix(".md")) as file:
         file.write_text(card, encoding="utf-8")

@@ -154,21 +154,14 @@ def fields(
             for one in seeds
         ]
         noise = torch.cat([noise, torch.stack(structured)], dim=1)
-    stack = []
-    for level in range(DEPTH):
+
+    def at(level: int, waves: tuple[Wave, ...]) -> Tensor:
         here = side >> level
-        stack.append(
-            torch.stack(
-                [
-                    wave_field(
-                        Patch(seed, Rectangle(0, 0, here, here), level=level, device=device), w
-                    )
-                    if w
-                    else torch.zeros(WAVE_CHANNELS, here, here, device=device)
-                    for w in waves
-                ]
-            )
-        )
+        if not waves:
+            return torch.zeros(WAVE_CHANNELS, here, here, device=device)
+        return wave_field(Patch(seed, Rectangle(0, 0, here, here), level, device=device), waves)
+
+    stack = (torch.stack([at(level, each) for each in waves]) for level in range(DEPTH))
     return RandomField(noise, tuple(stack))
 
 

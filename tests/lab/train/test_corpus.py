@@ -15,9 +15,9 @@ def test_unreadable_pictures_are_listed_and_left_out(pack, tmp_path):
     (tmp_path / "b_1.jpg").write_bytes(b"not a picture")
     (tmp_path / "c_1.jpg").write_bytes(b"")
     (tmp_path / "notes.txt").write_text("no picture either")
-    built = build(tmp_path, 0)
-    assert [e.material for e in built.pack.entries] == ["a"]
-    assert [name for name, _ in built.skipped] == ["b_1.jpg", "c_1.jpg"]
+    packed, skipped = build(tmp_path, 0)
+    assert [e.material for e in packed.entries] == ["a"]
+    assert [name for name, _ in skipped] == ["b_1.jpg", "c_1.jpg"]
 
 
 def test_a_folder_without_pictures_is_an_error(tmp_path):
