@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from matcap.lab.simulate.procedural import Canvas, Raster, mix, smoothstep
 
-Whole = NDArray[np.int64]
+Integers = NDArray[np.int64]
 Colours = NDArray[np.float64]  # (3,) linear Rec.709 albedo
 
 # Diffuse albedos, linear Rec.709, of common materials.
@@ -117,7 +117,7 @@ class Draws(np.random.Generator):
         return float(np.clip(self.normal(0.042, 0.008), 0.025, 0.07))
 
 
-def piece(canvas: Canvas, label: str, *indices: Whole) -> Raster:
+def cell_noise(canvas: Canvas, label: str, *indices: Integers) -> Raster:
     """A uniform number in [0, 1) for every tuple of integers, any sign: a hash with the seed.
 
     The finaliser of SplitMix64 [steele2014], applied once per index.
@@ -132,9 +132,9 @@ def piece(canvas: Canvas, label: str, *indices: Whole) -> Raster:
     return (state >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
-def streaks(canvas: Canvas, label: str, across: Raster, *indices: Whole) -> Raster:
+def value_noise(canvas: Canvas, label: str, across: Raster, *indices: Integers) -> Raster:
     """Smooth random lines in [-1, 1]: a function of `across` for each tuple of indices."""
     first = np.floor(across).astype(np.int64)
-    low = piece(canvas, label, first, *indices)
-    high = piece(canvas, label, first + 1, *indices)
+    low = cell_noise(canvas, label, first, *indices)
+    high = cell_noise(canvas, label, first + 1, *indices)
     return 2.0 * mix(low, high, smoothstep(0.0, 1.0, across - first)) - 1.0

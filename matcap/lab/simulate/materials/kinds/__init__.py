@@ -74,8 +74,8 @@ COLOURED_METALS: Mapping[str, Kind] = MappingProxyType(
         "rusted": Kind(metal.rusted, (0.06, 0.25), (0.004, 0.03), 0.0),
         "leafed": Kind(metal.leafed, (0.03, 0.12), (0.003, 0.02), 0.0),
         **{
-            name: Kind(lay, (0.015, 0.08), (0.002, 0.012), 0.0)
-            for name, lay in metal.SHEETS.items()
+            name: Kind(surface, (0.015, 0.08), (0.002, 0.012), 0.0)
+            for name, surface in metal.SHEETS.items()
         },
     }
 )
@@ -98,9 +98,9 @@ class RandomKind:
     def realise(self, width: int, height: int, seed: int, texel_size: float) -> MapSet:
         """One realisation, float64 (C, height, width); see materials.realise."""
         canvas = Canvas(width, height, texel_size, seed)
-        return self._lay(canvas, self.depth)[0]
+        return self._finished(canvas, self.depth)[0]
 
-    def _lay(self, canvas: Canvas, depth: float) -> tuple[MapSet, Raster]:
+    def _finished(self, canvas: Canvas, depth: float) -> tuple[MapSet, Raster]:
         return finish(canvas, kinds_known()[self.kind], depth, Draws.of(self.number))
 
 
@@ -119,5 +119,5 @@ def kind_of(kind: str, number: int) -> RandomKind:
     """The material of a kind with parameters of seed `number`."""
     steepness = Draws.of([number, 1]).log_uniform(*kinds_known()[kind].slopes)
     width, height, texel = _SAMPLE
-    relief = RandomKind(kind, number, 1.0)._lay(Canvas(width, height, texel, 0), 1.0)[1]
+    relief = RandomKind(kind, number, 1.0)._finished(Canvas(width, height, texel, 0), 1.0)[1]
     return RandomKind(kind, number, steepness / max(rms_slope(relief, texel), 1e-9))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from matcap.lab.simulate.materials.draws import CLAYS, STONES, Draws
-from matcap.lab.simulate.materials.kinds.place import rim, warp
+from matcap.lab.simulate.materials.kinds.place import border_distance, warp
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
 from matcap.lab.simulate.procedural import Canvas, Spectrum, cells, mix, noise, pick, smoothstep
 
@@ -17,7 +17,7 @@ def plates(canvas: Canvas, rng: Draws) -> SurfaceFields:
     jitter, stretch, turn = rng.uniform(0.4, 1.0), rng.log_uniform(1.0, 1.8), rng.angle()
     bend = warp(canvas, "plates", size, size * rng.uniform(0.0, 0.1))
     plate = cells(canvas, "plates", size, jitter=jitter, stretch=stretch, angle=turn, warp=bend)
-    edge = rim(canvas, plate) / size
+    edge = border_distance(canvas, plate) / size
     width = rng.log_uniform(0.05, 0.18)
     groove = np.exp(-((edge / width) ** 2))
     roundness = rng.uniform(0.1, 1.2) * (1.0 if rng.chance(0.8) else -0.5)
@@ -41,8 +41,10 @@ def crackle(canvas: Canvas, rng: Draws) -> SurfaceFields:
     size = rng.log_uniform(0.05, 0.16)
     glaze = rng.dye()
     bend = warp(canvas, "old", size, 0.08 * size)
-    old = rim(canvas, cells(canvas, "old", size, warp=bend))
-    young = rim(canvas, cells(canvas, "young", size * rng.uniform(0.3, 0.55), warp=bend))
+    old = border_distance(canvas, cells(canvas, "old", size, warp=bend))
+    young = border_distance(
+        canvas, cells(canvas, "young", size * rng.uniform(0.3, 0.55), warp=bend)
+    )
     width = rng.log_uniform(0.003, 0.007)
     spread = noise(canvas, "width", Spectrum(0.12, 0.04))
     crack = np.exp(-((old / (width * np.exp(0.3 * spread))) ** 2))

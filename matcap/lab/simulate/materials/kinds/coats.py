@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.lab.simulate.materials.draws import METALS, STONES, WOODS, Draws, Whole, streaks
-from matcap.lab.simulate.materials.kinds.place import rim, scatter, splat, spun, warp
+from matcap.lab.simulate.materials.draws import METALS, STONES, WOODS, Draws, Integers, value_noise
+from matcap.lab.simulate.materials.kinds.place import border_distance, rotated, scatter, splat, warp
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
 from matcap.lab.simulate.procedural import (
     Canvas,
@@ -56,7 +56,7 @@ def chipped(canvas: Canvas, rng: Draws) -> SurfaceFields:
         bend = warp(canvas, "cracks", 0.5 * size, 0.06 * size)
         flake = cells(canvas, "cracks", 0.5 * size, warp=bend)
         patch = 0.45 * patch + 1.1 * (2.0 * flake.draw(canvas.stream("gone")) - 1.0)
-        crack = smoothstep(0.004, 0.0015, rim(canvas, flake)) * rng.uniform(0.0, 1.0)
+        crack = smoothstep(0.004, 0.0015, border_distance(canvas, flake)) * rng.uniform(0.0, 1.0)
     else:
         crack = np.zeros_like(patch)
     covered = patch > left
@@ -124,13 +124,13 @@ def strokes(canvas: Canvas, rng: Draws) -> SurfaceFields:
     turn, level = favoured + spread * own.standard_normal(count), own.random(count)
     arc = curved * own.standard_normal(count)
 
-    def place(dx: Raster, dy: Raster, which: Whole) -> tuple[Raster, Raster]:
-        u, v = spun(dx, dy, turn[which])
+    def place(dx: Raster, dy: Raster, which: Integers) -> tuple[Raster, Raster]:
+        u, v = rotated(dx, dy, turn[which])
         radius = reach[which]
         u = u / radius
         return u, v / (radius * slender) + arc[which] * u * u
 
-    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
+    def profile(dx: Raster, dy: Raster, which: Integers) -> Raster:
         u, v = place(dx, dy, which)
         inside = np.minimum(0.9 - np.abs(u), 0.85 - np.abs(v))
         ridge = rim_height * np.exp(-(((np.abs(v) - 0.75) / 0.12) ** 2))
@@ -141,8 +141,8 @@ def strokes(canvas: Canvas, rng: Draws) -> SurfaceFields:
     index = np.maximum(index, 0)
     u, v = place(canvas.x - x[index], canvas.y - y[index], index)
     fine = rng.uniform(2.5, 6.0)
-    bristle = streaks(canvas, "bristle", fine * v, index)
-    bristle = 0.7 * bristle + 0.4 * streaks(canvas, "hair", 2.3 * fine * v, index)
+    bristle = value_noise(canvas, "bristle", fine * v, index)
+    bristle = 0.7 * bristle + 0.4 * value_noise(canvas, "hair", 2.3 * fine * v, index)
     sand = noise(canvas, "sand", Spectrum(0.02, 0.006, slope=0.4))
     height = height + rng.uniform(0.05, 0.4) * bristle + rng.uniform(0.0, 0.06) * sand
     hue = rng.natural(STONES) if rng.chance(0.5) else rng.dye()
@@ -165,7 +165,7 @@ def sand(canvas: Canvas, rng: Draws) -> SurfaceFields:
     own = canvas.stream("own")
     level = loose * own.random(count)
 
-    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
+    def profile(dx: Raster, dy: Raster, which: Integers) -> Raster:
         radius = reach[which]
         body = 1.0 - (dx * dx + dy * dy) / radius**2
         high = radius * np.sqrt(np.maximum(body, 0.0)) + size * level[which]

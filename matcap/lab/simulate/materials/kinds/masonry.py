@@ -6,8 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from matcap.lab.simulate.materials.draws import CLAYS, STONES, WOODS, Draws, Whole, piece, streaks
-from matcap.lab.simulate.materials.kinds.place import turned
+from matcap.lab.simulate.materials.draws import (
+    CLAYS,
+    STONES,
+    WOODS,
+    Draws,
+    Integers,
+    cell_noise,
+    value_noise,
+)
+from matcap.lab.simulate.materials.kinds.place import frame
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
 from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise, pick, smoothstep
 
@@ -22,7 +30,7 @@ class _Bricks:
         length: of a brick; its width is 1.
     """
 
-    name: tuple[Whole, Whole]
+    name: tuple[Integers, Integers]
     along: Raster
     across: Raster
     length: Raster | float
@@ -31,7 +39,7 @@ class _Bricks:
 def bond(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Bricks in running, stack, English or basket bond."""
     size = rng.log_uniform(0.03, 0.12)
-    along, across = turned(canvas, "bond", rng.angle(), 5.0 * size, 0.0)
+    along, across = frame(canvas, "bond", rng.angle(), 5.0 * size, 0.0)
     u, v = along / size, across / size
     way = rng.integers(4)
     ratio = float(rng.choice([1.0, 1.5, 2.0, 3.0, 4.0]))
@@ -70,7 +78,7 @@ def _blocks(u: Raster, v: Raster, side: int) -> _Bricks:
 def herringbone(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Herringbone of bricks or parquet blocks, two to five times as long as wide."""
     size = rng.log_uniform(0.025, 0.08)
-    along, across = turned(canvas, "herringbone", rng.angle() + np.pi / 4, 5.0 * size, 0.0)
+    along, across = frame(canvas, "herringbone", rng.angle() + np.pi / 4, 5.0 * size, 0.0)
     u, v = along / size, across / size
     length = int(rng.integers(2, 6))
     i, j = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
@@ -98,7 +106,7 @@ def _wall(canvas: Canvas, rng: Draws, size: float, bricks: _Bricks) -> SurfaceFi
     bevel = 1.0 - np.exp(-np.maximum(inside, 0.0) / rng.uniform(0.01, 0.08))
 
     def own(label: str) -> Raster:
-        return 2.0 * piece(canvas, label, *bricks.name) - 1.0
+        return 2.0 * cell_noise(canvas, label, *bricks.name) - 1.0
 
     unlevel = rng.uniform(0.0, 0.12)
     tilt = unlevel * (own("tilt u") * (bricks.along / bricks.length - 0.5))
@@ -133,6 +141,8 @@ def _wall(canvas: Canvas, rng: Draws, size: float, bricks: _Bricks) -> SurfaceFi
 
 def _wood(canvas: Canvas, bricks: _Bricks, fine: float) -> Raster:
     """(H, W) grain along each block, in [-1, 1]."""
-    slow = 0.25 * np.sin(2.0 * bricks.along + 6.0 * piece(canvas, "bow", *bricks.name))
-    coarse = streaks(canvas, "coarse", 0.35 * fine * (bricks.across + slow), *bricks.name)
-    return 0.6 * coarse + 0.6 * streaks(canvas, "fine", fine * (bricks.across + slow), *bricks.name)
+    slow = 0.25 * np.sin(2.0 * bricks.along + 6.0 * cell_noise(canvas, "bow", *bricks.name))
+    coarse = value_noise(canvas, "coarse", 0.35 * fine * (bricks.across + slow), *bricks.name)
+    return 0.6 * coarse + 0.6 * value_noise(
+        canvas, "fine", fine * (bricks.across + slow), *bricks.name
+    )

@@ -16,9 +16,9 @@ from types import MappingProxyType
 import numpy as np
 
 from matcap.brdf import metals
-from matcap.lab.simulate.materials.draws import METALS, Colours, Draws, Whole
-from matcap.lab.simulate.materials.kinds.place import rim, scatter, splat, warp
-from matcap.lab.simulate.materials.kinds.surface_fields import Lay, SurfaceFields
+from matcap.lab.simulate.materials.draws import METALS, Colours, Draws, Integers
+from matcap.lab.simulate.materials.kinds.place import border_distance, scatter, splat, warp
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields, SurfaceFunction
 from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, cells, mix, noise, smoothstep
 
 
@@ -31,7 +31,7 @@ def hammered(canvas: Canvas, rng: Draws) -> SurfaceFields:
     reach = 0.95 * size * np.exp(spread * np.clip(sizes.standard_normal(x.size), -2.5, 0.0))
     blow = spread * size * canvas.stream("blow").standard_normal(x.size)
 
-    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
+    def profile(dx: Raster, dy: Raster, which: Integers) -> Raster:
         radius = reach[which]
         depth = (radius**2 - dx * dx - dy * dy) / size
         return np.where(depth > 0.0, depth + 0.3 * blow[which], -np.inf)
@@ -148,10 +148,10 @@ def anodised(canvas: Canvas, rng: Draws) -> SurfaceFields:
     )
 
 
-def tinted(lay: Lay, canvas: Canvas, rng: Draws) -> SurfaceFields:
+def tinted(grey_metal: SurfaceFunction, canvas: Canvas, rng: Draws) -> SurfaceFields:
     """A grey metal, brushed or hammered, in any colour, with the brightness variation of its F0."""
     colour = metal_colour(rng)[:, None, None]
-    under = lay(canvas, rng)
+    under = grey_metal(canvas, rng)
     grey = np.asarray(under.specular)
     return replace(under, diffuse=0.1 * under.diffuse, specular=colour * grey / grey.mean())
 
@@ -181,7 +181,7 @@ def leafed(canvas: Canvas, rng: Draws) -> SurfaceFields:
     turn = rng.angle()
     bend = warp(canvas, "leaves", size, 0.03 * size)
     leaf = cells(canvas, "leaves", size, jitter=0.2, angle=turn, warp=bend)
-    edge = smoothstep(0.03, 0.006, rim(canvas, leaf))
+    edge = smoothstep(0.03, 0.006, border_distance(canvas, leaf))
     rub = noise(canvas, "rub", Spectrum(0.2, 0.012, slope=1.6))
     crinkle = noise(canvas, "crinkle", Spectrum(0.04, 0.008, slope=1.0))
     worn, soft = rng.uniform(1.2, 2.0), rng.log_uniform(0.1, 0.3)
@@ -198,4 +198,6 @@ def leafed(canvas: Canvas, rng: Draws) -> SurfaceFields:
     )
 
 
-SHEETS: Mapping[str, Lay] = MappingProxyType({name: partial(_sheet, name) for name in METAL_F0})
+SHEETS: Mapping[str, SurfaceFunction] = MappingProxyType(
+    {name: partial(_sheet, name) for name in METAL_F0}
+)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from matcap.lab.simulate.materials.draws import Whole
+from matcap.lab.simulate.materials.draws import Integers
 from matcap.lab.simulate.procedural import (
     Canvas,
     Raster,
@@ -21,7 +21,7 @@ from matcap.lab.simulate.procedural import (
 _CHUNK = 200_000
 
 
-def turned(
+def frame(
     canvas: Canvas, label: str, angle: float, bend: float, reach: float
 ) -> tuple[Raster, Raster]:
     """(H, W) plane coordinates along and across a direction, in plane units, slightly warped.
@@ -50,7 +50,7 @@ def warp(canvas: Canvas, label: str, size: float, reach: float) -> tuple[Raster,
     return displacement(canvas, label + " warp", spectrum, reach)
 
 
-def rim(canvas: Canvas, cell: VoronoiCells) -> Raster:
+def border_distance(canvas: Canvas, cell: VoronoiCells) -> Raster:
     """(H, W) distance to the border of two cells, in plane units, to first order."""
     border = cell.border
     down, right = np.gradient(border, canvas.texel_size)
@@ -59,7 +59,7 @@ def rim(canvas: Canvas, cell: VoronoiCells) -> Raster:
 
 # Offsets from the centre (n, P, P) in plane units, right and down, and which stamps (n, 1, 1):
 # heights (n, P, P), -inf outside the stamp.
-Profile = Callable[[Raster, Raster, Whole], Raster]
+Profile = Callable[[Raster, Raster, Integers], Raster]
 
 
 def scatter(canvas: Canvas, label: str, pitch: float) -> tuple[Raster, Raster, np.random.Generator]:
@@ -80,7 +80,7 @@ def scatter(canvas: Canvas, label: str, pitch: float) -> tuple[Raster, Raster, n
 
 def splat(
     canvas: Canvas, x: Raster, y: Raster, reach: Raster, profile: Profile, floor: float
-) -> tuple[Raster, Whole]:
+) -> tuple[Raster, Integers]:
     """Upper envelope of overlapping stamps.
 
     Args:
@@ -128,7 +128,7 @@ def splat(
     return np.where(seen >= 0, top, floor).reshape(shape), seen.reshape(shape)
 
 
-def spun(dx: Raster, dy: Raster, turn: Raster) -> tuple[Raster, Raster]:
+def rotated(dx: Raster, dy: Raster, turn: Raster) -> tuple[Raster, Raster]:
     """Offsets along and across a direction `turn`, radians."""
     cosine, sine = np.cos(turn), np.sin(turn)
     return dx * cosine - dy * sine, dx * sine + dy * cosine
@@ -136,7 +136,7 @@ def spun(dx: Raster, dy: Raster, turn: Raster) -> tuple[Raster, Raster]:
 
 def polygons(
     generator: np.random.Generator, count: int, corners: int = 6, ragged: float = 0.5
-) -> Callable[[Raster, Raster, Whole], Raster]:
+) -> Callable[[Raster, Raster, Integers], Raster]:
     """Convex polygons of radius about 1: (u, v, index) to 1 in the middle, 0 on the border.
 
     Each has `corners` sides and is irregular by `ragged`, 0 to 1.
@@ -147,7 +147,7 @@ def polygons(
     radius = 1.0 - 0.5 * ragged * generator.random(turn.shape)
     cosine, sine = np.cos(turn), np.sin(turn)
 
-    def inside(u: Raster, v: Raster, which: Whole) -> Raster:
+    def inside(u: Raster, v: Raster, which: Integers) -> Raster:
         least = np.full(np.broadcast_shapes(u.shape, v.shape), np.inf)
         for side in range(corners):
             far = u * cosine[which, side] + v * sine[which, side]
@@ -165,7 +165,7 @@ def paths(
     step: float,
     curl: float,
     direction: tuple[float, float],
-) -> tuple[Raster, Raster, Raster, Whole]:
+) -> tuple[Raster, Raster, Raster, Integers]:
     """Chains of short straight pieces: fibres, scratches.
 
     Args:
@@ -173,7 +173,7 @@ def paths(
         label: random stream.
         pitch: one chain to a square of this side, plane units.
         pieces: number of pieces to a chain.
-        step: length of a piece, plane units.
+        step: length of a cell_noise, plane units.
         curl: standard deviation of the angle between successive pieces, radians.
         direction: mean and standard deviation of the chains' directions, radians.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from matcap.lab.simulate.materials.draws import METALS, Draws, Whole
-from matcap.lab.simulate.materials.kinds.place import paths, scatter, splat, spun, turned
+from matcap.lab.simulate.materials.draws import METALS, Draws, Integers
+from matcap.lab.simulate.materials.kinds.place import frame, paths, rotated, scatter, splat
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
 from matcap.lab.simulate.procedural import (
     Canvas,
@@ -36,8 +36,8 @@ def felt(canvas: Canvas, rng: Draws) -> SurfaceFields:
     thick = width * (0.6 + 0.8 * own.random(count))
     order = np.arange(x.size) % pieces / (pieces - 1.0) - 0.5
 
-    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
-        u, v = spun(dx, dy, turn[which])
+    def profile(dx: Raster, dy: Raster, which: Integers) -> Raster:
+        u, v = rotated(dx, dy, turn[which])
         chain = whose[which]
         far = np.hypot(np.maximum(np.abs(u) - 0.5 * step, 0.0), v) / thick[chain]
         place = order[which] + u / (pieces * step)
@@ -69,8 +69,8 @@ def loops(canvas: Canvas, rng: Draws) -> SurfaceFields:
     turn = favoured + loose * own.standard_normal(count)
     level, bow = 0.5 * own.random(count), 0.3 * own.standard_normal(count)
 
-    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
-        u, v = spun(dx, dy, turn[which])
+    def profile(dx: Raster, dy: Raster, which: Integers) -> Raster:
+        u, v = rotated(dx, dy, turn[which])
         u, v = u / reach[which], v / reach[which]
         far = (v - bow[which] * (1.0 - u * u)) / thick
         arch = 1.0 - u * u
@@ -80,7 +80,7 @@ def loops(canvas: Canvas, rng: Draws) -> SurfaceFields:
 
     height, index = splat(canvas, x, y, reach, profile, 0.0)
     index = np.maximum(index, 0)
-    u, v = spun(canvas.x - x[index], canvas.y - y[index], turn[index])
+    u, v = rotated(canvas.x - x[index], canvas.y - y[index], turn[index])
     twist = np.sin((u / size + v / size) * rng.uniform(8.0, 16.0)) * (size > 0.03)
     tones = rng.shades(rng.dye(), 9, rng.choice([0.03, 0.12, 0.35]))
     if rng.chance(0.3):
@@ -94,7 +94,7 @@ def loops(canvas: Canvas, rng: Draws) -> SurfaceFields:
 def tread(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """A repeated embossed motif: tread plate, studded rubber, embossed card."""
     size = rng.log_uniform(0.04, 0.15)
-    along, across = turned(canvas, "tread", rng.angle(), 4.0 * size, 0.0)
+    along, across = frame(canvas, "tread", rng.angle(), 4.0 * size, 0.0)
     u, v = along / size, across / size
     brick = rng.chance(0.5)
     row = np.floor(v).astype(np.int64)
@@ -145,7 +145,7 @@ def paper(canvas: Canvas, rng: Draws) -> SurfaceFields:
     rough = rng.choice([rng.uniform(0.15, 0.4), rng.uniform(0.5, 0.9)]) + 0.015 * flock
     height = 0.3 * cloud * rng.random() + rng.uniform(0.2, 1.0) * flock
     if rng.chance(0.3):  # laid or embossed
-        _, across = turned(canvas, "laid", rng.uniform(0.0, np.pi), 0.5, 0.0)
+        _, across = frame(canvas, "laid", rng.uniform(0.0, np.pi), 0.5, 0.0)
         height = height + 1.2 * np.sin(2.0 * np.pi * across / rng.log_uniform(0.015, 0.05))
     cavity = smoothstep(0.0, -2.0, height)
     return SurfaceFields(diffuse, rng.dielectric(), rough, 0.002 * height, cavity)

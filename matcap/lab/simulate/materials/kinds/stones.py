@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.lab.simulate.materials.draws import STONES, Draws, Whole
-from matcap.lab.simulate.materials.kinds.place import polygons, scatter, splat, spun
+from matcap.lab.simulate.materials.draws import STONES, Draws, Integers
+from matcap.lab.simulate.materials.kinds.place import polygons, rotated, scatter, splat
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
 from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise, pick, smoothstep
 
@@ -34,8 +34,8 @@ def gravel(canvas: Canvas, rng: Draws) -> SurfaceFields:
     level = own.random(count)
     lean = 0.35 * own.standard_normal((2, count))
 
-    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
-        u, v = spun(dx, dy, turn[which])
+    def profile(dx: Raster, dy: Raster, which: Integers) -> Raster:
+        u, v = rotated(dx, dy, turn[which])
         radius = reach[which]
         u, v = u / radius, v * long[which] / radius
         corner = inside(u, v, which)
@@ -75,7 +75,7 @@ def asphalt(canvas: Canvas, rng: Draws) -> SurfaceFields:
     lean = rng.uniform(0.1, 0.5) * own.standard_normal((2, count))
     plateau = rng.uniform(0.15, 0.5)
 
-    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
+    def profile(dx: Raster, dy: Raster, which: Integers) -> Raster:
         radius = reach[which]
         u, v = dx / radius, dy / radius
         body = inside(u, v, which)
@@ -113,8 +113,8 @@ def terrazzo(canvas: Canvas, rng: Draws) -> SurfaceFields:
     level, long = own.random(count), np.exp(0.35 * np.abs(own.standard_normal(count)))
     turn = own.uniform(0.0, np.pi, count)
 
-    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
-        u, v = spun(dx, dy, turn[which])
+    def profile(dx: Raster, dy: Raster, which: Integers) -> Raster:
+        u, v = rotated(dx, dy, turn[which])
         radius = reach[which]
         within = inside(u / radius, long[which] * v / radius, which)
         return np.where(within > 0.0, level[which] * 10.0 + np.minimum(within, 0.3), -np.inf)
@@ -168,8 +168,8 @@ def pitted(canvas: Canvas, rng: Draws) -> SurfaceFields:
     reach = 0.5 * size * np.exp(-spread * np.abs(sizes.standard_normal(x.size)))
     inside = polygons(canvas.stream("own"), x.size, 6, 0.7)
 
-    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
-        u, v = spun(dx, dy, np.full(x.size, turn)[which])
+    def profile(dx: Raster, dy: Raster, which: Integers) -> Raster:
+        u, v = rotated(dx, dy, np.full(x.size, turn)[which])
         radius = reach[which]
         u, v = u / radius, stretch * v / radius
         body = mix(1.0 - np.hypot(u, v), inside(u, v, which), np.array(0.4))

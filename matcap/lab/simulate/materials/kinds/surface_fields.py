@@ -44,7 +44,7 @@ class SurfaceFields:
 
 
 # (canvas, parameters) to a realisation.
-Lay = Callable[[Canvas, Draws], SurfaceFields]
+SurfaceFunction = Callable[[Canvas, Draws], SurfaceFields]
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ class Kind:
     """A family of materials.
 
     Attributes:
-        lay: realises one of them.
+        surface: realises one of them.
         slopes: range of the relief's root mean square slope.
         grain: range of the fine grain's root mean square slope.
         darkest: least diffuse albedo.
     """
 
-    lay: Lay
+    surface: SurfaceFunction
     slopes: tuple[float, float]
     grain: tuple[float, float] = (0.004, 0.06)
     darkest: float = _ALBEDO[0]
@@ -79,7 +79,7 @@ def finish(canvas: Canvas, kind: Kind, depth: float, rng: Draws) -> tuple[MapSet
     by_grain, wear = rng.log_uniform(0.01, 0.16), rng.log_uniform(0.003, 0.05)
     by_drift = rng.log_uniform(0.01, 0.12)
     steepness = rng.log_uniform(*kind.grain)
-    surface = kind.lay(canvas, rng)
+    surface = kind.surface(canvas, rng)
     grain = noise(canvas, "grain", spectrum)
     drift = noise(canvas, "drift", Spectrum(0.16, 0.05))
     tone = np.exp(by_grain * grain + by_drift * drift - darkening * surface.cavity)

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from matcap.lab.simulate.materials.draws import WOODS, Draws, Whole, piece, streaks
-from matcap.lab.simulate.materials.kinds.place import turned
+from matcap.lab.simulate.materials.draws import WOODS, Draws, Integers, cell_noise, value_noise
+from matcap.lab.simulate.materials.kinds.place import frame
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
 from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise, pick, smoothstep
 
@@ -19,7 +19,7 @@ def _fuzz(canvas: Canvas, size: float) -> Raster:
 def knit(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Stocking stitch: columns of Vs, each leg a bulging, twisted yarn."""
     size = rng.log_uniform(0.03, 0.12)
-    along, across = turned(canvas, "knit", rng.angle(), 6.0 * size, size * rng.uniform(0.0, 0.12))
+    along, across = frame(canvas, "knit", rng.angle(), 6.0 * size, size * rng.uniform(0.0, 0.12))
     course = rng.uniform(0.6, 0.95)
     u, v = across / size, along / (size * course)
     wale = np.floor(u).astype(np.int64)
@@ -36,9 +36,9 @@ def knit(canvas: Canvas, rng: Draws) -> SurfaceFields:
     height = height + 0.06 * rng.random() * twist + 0.04 * rng.random() * fuzz
     tones = rng.shades(rng.dye(), 8, rng.choice([0.03, 0.12]))
     striped = rng.chance(0.3)
-    share = piece(canvas, "row", row // int(rng.integers(1, 5))) if striped else 0.0 * u
+    share = cell_noise(canvas, "row", row // int(rng.integers(1, 5))) if striped else 0.0 * u
     mottled = rng.log_uniform(0.01, 0.12)
-    own = piece(canvas, "stitch", row, wale, leg) - 0.5
+    own = cell_noise(canvas, "stitch", row, wale, leg) - 0.5
     diffuse = pick(tones, share) * np.exp(mottled * fuzz + 0.15 * own + 0.05 * twist)
     if striped and rng.chance(0.5):
         second = rng.dye()[:, None, None]
@@ -52,7 +52,7 @@ def knit(canvas: Canvas, rng: Draws) -> SurfaceFields:
 def cable(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Cables of two or three strands that cross, between columns of purl bumps."""
     size = rng.log_uniform(0.06, 0.16)
-    along, across = turned(canvas, "cable", rng.angle(), 4.0 * size, size * rng.uniform(0.0, 0.08))
+    along, across = frame(canvas, "cable", rng.angle(), 4.0 * size, size * rng.uniform(0.0, 0.08))
     u = across / size
     column = np.floor(u).astype(np.int64)
     x = 2.0 * (u - column) - 1.0
@@ -92,7 +92,7 @@ def ribs(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Corduroy and other ribs: rounded ridges of pile, wide or narrow by turns."""
     size = rng.log_uniform(0.02, 0.12)
     turn = rng.angle()
-    along, across = turned(canvas, "ribs", turn, 8.0 * size, size * rng.uniform(0.0, 0.12))
+    along, across = frame(canvas, "ribs", turn, 8.0 * size, size * rng.uniform(0.0, 0.12))
     u = across / size
     rib = np.floor(u).astype(np.int64)
     x = 2.0 * (u - rib) - 1.0
@@ -159,12 +159,12 @@ def _woven(
     hue: Callable[[Draws], Raster],
 ) -> SurfaceFields:
     over, under, step, zigzag = draft
-    along, across = turned(canvas, "weave", rng.angle(), 8.0 * size, size * rng.uniform(0.0, 0.15))
+    along, across = frame(canvas, "weave", rng.angle(), 8.0 * size, size * rng.uniform(0.0, 0.15))
     u, v = along / size, across / (size * rng.log_uniform(0.8, 1.25))
     column, row = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
     turn = int(rng.integers(6, 20))
 
-    def on_top(i: Whole, j: Whole) -> Raster:
+    def on_top(i: Integers, j: Integers) -> Raster:
         i, j = i // together, j // together
         if zigzag:
             i = np.abs(i % (2 * turn) - turn)
@@ -191,12 +191,12 @@ def _woven(
     twist = np.sin(2.0 * np.pi * (ply * length + rng.uniform(0.4, 1.0) * side))
     twist = twist * (size > 0.02) * rng.uniform(0.0, 1.0)
     fuzz = _fuzz(canvas, size)
-    lines = streaks(canvas, "lines", side * rng.uniform(3.0, 6.0), thread)
+    lines = value_noise(canvas, "lines", side * rng.uniform(3.0, 6.0), thread)
     height = height + 0.05 * twist + 0.03 * lines
     warp_hue = hue(rng)
     weft_hue = rng.shade(warp_hue, 0.4) if rng.chance(0.6) else hue(rng)
     spread = rng.choice([0.03, 0.1, 0.3])
-    tone = spread * (2.0 * piece(canvas, "dye", thread) - 1.0)
+    tone = spread * (2.0 * cell_noise(canvas, "dye", thread) - 1.0)
     diffuse = np.where(upper, warp_hue[:, None, None], weft_hue[:, None, None])
     if rng.chance(0.2):  # stripes or a plaid
         band = (thread // 2) // int(rng.integers(3, 12)) % 2 == 0

@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.lab.simulate.materials.draws import WOODS, Draws, Whole, piece, streaks
-from matcap.lab.simulate.materials.kinds.place import paths, polygons, scatter, splat, spun, turned
+from matcap.lab.simulate.materials.draws import WOODS, Draws, Integers, cell_noise, value_noise
+from matcap.lab.simulate.materials.kinds.place import (
+    frame,
+    paths,
+    polygons,
+    rotated,
+    scatter,
+    splat,
+)
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
 from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise, pick, smoothstep
 
@@ -14,21 +21,21 @@ def planks(canvas: Canvas, rng: Draws) -> SurfaceFields:
     """Boards side by side, each with its own rings, pores and tone."""
     wide, long = rng.log_uniform(0.07, 0.2), rng.uniform(4.0, 10.0)
     turn = rng.angle()
-    along, across = turned(canvas, "planks", turn, 1.0, 0.0)
+    along, across = frame(canvas, "planks", turn, 1.0, 0.0)
     v = across / wide
     row = np.floor(v).astype(np.int64)
-    u = along / (wide * long) + piece(canvas, "start", row)
+    u = along / (wide * long) + cell_noise(canvas, "start", row)
     board = (row, np.floor(u).astype(np.int64))
-    own = piece(canvas, "own", *board)
+    own = cell_noise(canvas, "own", *board)
 
     # Grain: rings cut at a slant, so that they run along and now and then close in an arch.
     slow = Spectrum(0.16, 0.05, 1.5, stretch=rng.uniform(4.0, 8.0), angle=turn)
-    bow = noise(canvas, "bow", slow) * (2.0 * piece(canvas, "side", *board) - 1.0)
+    bow = noise(canvas, "bow", slow) * (2.0 * cell_noise(canvas, "side", *board) - 1.0)
     pitch = rng.log_uniform(0.012, 0.035)
     rings = (across + rng.uniform(0.02, 0.09) * bow) / pitch + 40.0 * own
     late = (rings - np.floor(rings)) ** rng.uniform(1.5, 4.0)
     late = late * smoothstep(1.0, 0.9, rings - np.floor(rings))
-    late = late * (0.6 + 0.4 * streaks(canvas, "year", rings))
+    late = late * (0.6 + 0.4 * value_noise(canvas, "year", rings))
     fibre = noise(canvas, "fibre", Spectrum(0.03, 0.005, 0.6, stretch=18.0, angle=turn))
     pore = smoothstep(1.3, 2.2, noise(canvas, "pores", Spectrum(0.012, 0.0045, 0.1, 10.0, turn)))
     pore = pore * rng.uniform(0.0, 1.0)
@@ -46,7 +53,7 @@ def planks(canvas: Canvas, rng: Draws) -> SurfaceFields:
 
     hue = rng.natural(WOODS)
     tones = rng.shades(hue, 10, rng.uniform(0.03, 0.3))
-    diffuse = pick(tones, piece(canvas, "tone", *board))
+    diffuse = pick(tones, cell_noise(canvas, "tone", *board))
     ink = rng.uniform(0.3, 1.2)
     diffuse = diffuse * np.exp(-ink * late + 0.07 * fibre - 0.8 * pore)
     diffuse = diffuse * np.array([1.0, 0.95, 0.85])[:, None, None] ** (late + 0.0 * fibre)
@@ -75,9 +82,9 @@ def varnish(canvas: Canvas, rng: Draws) -> SurfaceFields:
     force = own.random(x.size + 1)
     thick = width * (0.5 + own.random(x.size + 1))
 
-    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
+    def profile(dx: Raster, dy: Raster, which: Integers) -> Raster:
         chain = whose[which]
-        u, v = spun(dx, dy, turn[which])
+        u, v = rotated(dx, dy, turn[which])
         half = reach[which] - 3.0 * width
         far = np.hypot(np.maximum(np.abs(u) - half, 0.0), v) / thick[chain]
         depth = (0.25 + 0.75 * force[chain]) * np.exp(-(far**2))
@@ -110,12 +117,12 @@ def chipboard(canvas: Canvas, rng: Draws) -> SurfaceFields:
     skew = 0.4 * own.standard_normal(count)
     wide = slender * (0.5 + own.random(count))
 
-    def place(dx: Raster, dy: Raster, which: Whole) -> tuple[Raster, Raster]:
-        u, v = spun(dx, dy, turn[which])
+    def place(dx: Raster, dy: Raster, which: Integers) -> tuple[Raster, Raster]:
+        u, v = rotated(dx, dy, turn[which])
         radius = reach[which]
         return u / radius, v / (radius * wide[which])
 
-    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
+    def profile(dx: Raster, dy: Raster, which: Integers) -> Raster:
         u, v = place(dx, dy, which)
         inside = np.minimum(0.92 - np.abs(u + skew[which] * 0.3 * v), 0.9 - np.abs(v))
         high = level[which] * 1.6 + lean[0][which] * u + lean[1][which] * v * 0.5
@@ -125,8 +132,8 @@ def chipboard(canvas: Canvas, rng: Draws) -> SurfaceFields:
     index = np.maximum(index, 0)
     u, v = place(canvas.x - x[index], canvas.y - y[index], index)
     fine = rng.uniform(4.0, 9.0)
-    lines = streaks(canvas, "lines", fine * (v + 0.15 * np.sin(3.0 * u)), index)
-    lines = 0.6 * lines + 0.5 * streaks(canvas, "broad", 0.35 * fine * v, index)
+    lines = value_noise(canvas, "lines", fine * (v + 0.15 * np.sin(3.0 * u)), index)
+    lines = 0.6 * lines + 0.5 * value_noise(canvas, "broad", 0.35 * fine * v, index)
     tones = rng.shades(hue, 12, rng.uniform(0.12, 0.4))
     diffuse = pick(tones, own.random(count)[index])
     diffuse = diffuse * np.exp(rng.uniform(0.05, 0.3) * lines)
@@ -152,7 +159,7 @@ def scales(canvas: Canvas, rng: Draws) -> SurfaceFields:
     inside = polygons(own, count, 7, 0.9)
     level, lean = own.random(count), 0.5 * own.standard_normal((2, count))
 
-    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
+    def profile(dx: Raster, dy: Raster, which: Integers) -> Raster:
         radius = reach[which]
         u, v = dx / radius, dy / radius
         body = inside(u, v, which)
