@@ -107,7 +107,7 @@ def _drawn(sheets: Path, count: int, seed: int) -> list[tuple[str, str, str]]:
     rng = np.random.default_rng(seed)
     by_material: list[list[tuple[str, str, str]]] = []
     for folder in sorted(path for path in sheets.iterdir() if path.is_dir()):
-        # Seeds of one way hardly differ.
+        # Seeds of one configuration hardly differ.
         names = [p.stem for p in sorted(folder.glob("*.png")) if ", seed " not in p.stem]
         pairs = list(itertools.combinations([name for name in names if name != "truth"], 2))
         of_one = [pairs[int(place)] for place in rng.permutation(len(pairs))]

@@ -109,7 +109,7 @@ def paper_experiments(
     decoder = CaptureSettings("standard", steps, generator="decoder")
     full = replace(decoder, drawing=False)
     untuned = replace(full, steps=0)
-    ways: dict[str, tuple[CaptureSettings, Method]] = {
+    variants: dict[str, tuple[CaptureSettings, Method]] = {
         DEFAULT: (CaptureSettings("standard"), Method()),
         DECODER: (decoder, Method()),
         FULL: (full, Method()),
@@ -122,7 +122,7 @@ def paper_experiments(
     }
     captures = {
         name: _capture(asked, method, papers.get(name), steps or STEPS)
-        for name, (asked, method) in ways.items()
+        for name, (asked, method) in variants.items()
     }
     prepared = {subject.name: cache(partial(prepare, subject)) for subject in subjects}
     settings = (steps, weights, EVALUATION, REALISATIONS)
@@ -131,7 +131,7 @@ def paper_experiments(
         prepared,
         {
             name: Configuration(partial(_compared, captures[name]), asked.generator)
-            for name, (asked, _) in ways.items()
+            for name, (asked, _) in variants.items()
         },
         settings=settings,
     )

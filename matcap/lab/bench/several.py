@@ -111,17 +111,19 @@ def several_experiment(
         others = [*taken.paths[1:count], *(taken.unlit if with_unlit else ())]
         return capture_file(taken.paths[0], replace(settings.captured, union=union), others=others)
 
-    ways: dict[str, Configuration[TakenSubject, CaptureResult]] = {}
+    configurations: dict[str, Configuration[TakenSubject, CaptureResult]] = {}
     for count in counts:
         for extra in (False, True) if ambient.room else (False,):
             for union in (False, True) if ambient.union and count > 1 else (False,):
                 photographs = f"{count} + 1" if extra else f"{count}"
                 name = f"{photographs} photographs{', union' if union else ''}"
-                ways[name] = Configuration(partial(capture, count, extra, union), "several")
+                configurations[name] = Configuration(
+                    partial(capture, count, extra, union), "several"
+                )
     return Experiment(
         "several",
         {subject.name: partial(prepare, subject) for subject in subjects},
-        ways,
+        configurations,
         (nsd, off, residuals, beyond),
         settings=(settings, evaluation, ambient, max(counts)),
     )

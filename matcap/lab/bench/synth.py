@@ -113,26 +113,30 @@ Costs = Mapping[str, Value]
 
 def synth_experiment(settings: SynthSettings) -> Experiment[SynthSubject, Costs]:
     """Every network by every allocator, number of workers, block and precision; and by example."""
-    ways: dict[str, Configuration[SynthSubject, Costs]] = {}
+    configurations: dict[str, Configuration[SynthSubject, Costs]] = {}
     for allocator in ALLOCATORS:
         for workers in settings.workers:
             for block in settings.blocks:
                 for precision in _precisions():
                     name = f"memory {allocator}, {workers} workers, {block}, {precision}"
                     given = settings, allocator == "kept", workers, block, precision
-                    ways[name] = Configuration(partial(_alone, field_costs, given), allocator)
+                    configurations[name] = Configuration(
+                        partial(_alone, field_costs, given), allocator
+                    )
     for precision in _precisions():
         run = partial(_alone, _efficiency_of, (precision, settings.repeats))
-        ways[f"convolutions, {precision}"] = Configuration(run, "convolutions")
+        configurations[f"convolutions, {precision}"] = Configuration(run, "convolutions")
     for name, step in _steps(settings).items():
-        ways[name] = Configuration(step, BY_EXAMPLE)
+        configurations[name] = Configuration(step, BY_EXAMPLE)
     names = (*settings.networks, BY_EXAMPLE)
     return Experiment(
         "synth",
         {name: partial(SynthSubject, name, settings.exemplar) for name in names},
-        ways,
+        configurations,
         settings=settings,
-        skips=lambda subject, name: (subject == BY_EXAMPLE) != (ways[name].group == BY_EXAMPLE),
+        skips=lambda subject, name: (
+            (subject == BY_EXAMPLE) != (configurations[name].group == BY_EXAMPLE)
+        ),
     )
 
 

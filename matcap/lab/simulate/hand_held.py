@@ -27,9 +27,9 @@ from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, in_strips
 
 Doubles = NDArray[np.float64]
 
-_COMPASS = [(math.cos(k * math.pi / 4.0), math.sin(k * math.pi / 4.0)) for k in range(8)]
-_SKYLINE = 150.0  # texels: relief farther away hides hardly any sky
-_MEETINGS = 3  # iterations of ray-relief intersection; slopes are below 1 nearly everywhere
+_AZIMUTHS = [(math.cos(k * math.pi / 4.0), math.sin(k * math.pi / 4.0)) for k in range(8)]
+_FARTHEST = 150.0  # texels: relief farther away hides hardly any sky
+_ITERATIONS = 3  # iterations of ray-relief intersection; slopes are below 1 nearly everywhere
 
 
 @dataclass(frozen=True)
@@ -57,30 +57,30 @@ class Room:
 
         F0 reflects surroundings of the sky's radiance.
         """
-        way = torch.tensor(self.towards, dtype=torch.float64)
-        way = way / way.norm()
+        towards = torch.tensor(self.towards, dtype=torch.float64)
+        towards = towards / towards.norm()
         normal = maps.normal.double()
-        facing = (normal * way[:, None, None]).sum(0).clamp_min(0.0) / way[2]
-        sky = _open_sky(maps) if self.hidden else 0.5 * (1.0 + normal[2])
+        facing = (normal * towards[:, None, None]).sum(0).clamp_min(0.0) / towards[2]
+        sky = _sky_view_factor(maps) if self.hidden else 0.5 * (1.0 + normal[2])
         arrives = (1.0 - self.window) * sky + self.window * facing
         if self.uneven:
-            arrives = arrives * (self.uneven * _along(maps, way)).exp()
+            arrives = arrives * (self.uneven * _along(maps, towards)).exp()
         even = maps.diffuse.double() * arrives + maps.specular.double()
         colour = torch.tensor(self.colour, dtype=torch.float64)[:, None, None]
         lit = self.level / math.pi * colour * even
         return np.ascontiguousarray(lit.float().permute(1, 2, 0).numpy())
 
 
-def _along(maps: MapSet, way: Tensor) -> Tensor:
+def _along(maps: MapSet, towards: Tensor) -> Tensor:
     """(H, W) coordinate along a horizontal direction from the middle of maps, plane units."""
     width, height = maps.size
-    flat = way[:2] / way[:2].norm().clamp_min(1e-9)
+    flat = towards[:2] / towards[:2].norm().clamp_min(1e-9)
     x = (torch.arange(width, dtype=torch.float64) - 0.5 * (width - 1)) * maps.texel_size
     y = (0.5 * (height - 1) - torch.arange(height, dtype=torch.float64)) * maps.texel_size
     return flat[0] * x + flat[1] * y[:, None]
 
 
-def _open_sky(maps: MapSet) -> Tensor:
+def _sky_view_factor(maps: MapSet) -> Tensor:
     """(H, W) share of a uniform sky's irradiance above the relief's horizons [max1988].
 
     The mean over eight azimuths of cos^2 of the horizon's elevation, which is sampled at distances
@@ -88,15 +88,15 @@ def _open_sky(maps: MapSet) -> Tensor:
     """
     height = (maps.height[0] / maps.texel_size).float()
     share = torch.zeros_like(height)
-    for x, y in _COMPASS:
+    for x, y in _AZIMUTHS:
         horizon, far = torch.zeros_like(height), 1.0
-        while far < _SKYLINE:
+        while far < _FARTHEST:
             dx, dy = round(far * x), round(far * y)
             there = torch.roll(height, (-dy, -dx), (0, 1)) - height
             horizon = torch.maximum(horizon, there / math.hypot(dx, dy))
             far = max(far + 1.0, 1.5 * far)
         share += 1.0 / (1.0 + horizon.square())  # cos^2 of its elevation
-    return share.double() / len(_COMPASS)
+    return share.double() / len(_AZIMUTHS)
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def hold(phone: PhoneCamera, hand: Hand, count: int, seed: int) -> list[PosedCam
         place = distance * (np.array([0.0, 0.0, 1.0]) + aside + rng.normal(0.0, hand.shaken, 3))
         aim = np.append(distance * rng.normal(0.0, hand.turned, 2) + hand.aimed * place[:2], 0.0)
         roll = rng.normal(0.0, 2.0 * hand.turned)
-        cameras.append(PosedCamera(_looking(place, aim, roll), place, Lens(distance, hand.bent)))
+        cameras.append(PosedCamera(_look_at(place, aim, roll), place, Lens(distance, hand.bent)))
     return cameras
 
 
@@ -235,9 +235,9 @@ def true_maps_along(
             for channel in maps.stacked().float().numpy()
         ]
         points = first.on_plane(estimated.sees(grid_points(columns, rows, extent)))
-        looked_up = partial(_looked_up, texel=maps.texel_size, border=cv2.BORDER_REFLECT)
-        points = _met(points, first.place, partial(looked_up, stacked[-1]))
-        planes = np.stack([looked_up(channel, points) for channel in stacked])
+        bilinear = partial(_bilinear, texel=maps.texel_size, border=cv2.BORDER_REFLECT)
+        points = _intersections(points, first.place, partial(bilinear, stacked[-1]))
+        planes = np.stack([bilinear(channel, points) for channel in stacked])
         return MapSet.from_stacked(torch.from_numpy(planes), extent.texel(columns))
 
     return on
@@ -265,8 +265,8 @@ def _picture(
     image = np.stack([columns - half, size[1] / 2.0 - rows]) / half
     points = camera.on_plane(image)
     height, texel = maps.height[0].numpy().astype(np.float32), maps.texel_size
-    points = _met(points, camera.place, partial(_looked_up, height, texel=texel))
-    seen = _looked_up(radiance, points, texel=texel, border=cv2.BORDER_REFLECT)
+    points = _intersections(points, camera.place, partial(_bilinear, height, texel=texel))
+    seen = _bilinear(radiance, points, texel=texel, border=cv2.BORDER_REFLECT)
     squared = np.square(image).sum(0) / CORNER_SQUARED
     seen = seen * np.exp(-hand.vignetting * squared)[..., None]
     blurred = cv2.GaussianBlur(seen, (0, 0), phone.blur * fine)
@@ -274,7 +274,7 @@ def _picture(
     return np.asarray(shrunk, np.float64)
 
 
-def _looked_up(
+def _bilinear(
     channel: NDArray[np.float32],
     points: Doubles,
     *,
@@ -288,13 +288,13 @@ def _looked_up(
     return np.asarray(cv2.remap(channel, *places, cv2.INTER_LINEAR, borderMode=border), np.float32)
 
 
-def _met(
+def _intersections(
     points: Doubles, eye: Doubles, height: Callable[[Doubles], NDArray[np.float32]]
 ) -> Doubles:
     """(3, H, W) intersections of rays from an eye to points of the plane with the relief."""
     start = eye[:, None, None]
     ray = points - start
-    for _ in range(_MEETINGS):
+    for _ in range(_ITERATIONS):
         points = start + (height(points) - eye[2]) / ray[2] * ray
     return points
 
@@ -322,7 +322,7 @@ def _reach(camera: PosedCamera, phone: PhoneCamera) -> float:
     return 1.05 * float(np.abs(corners[:2]).max())
 
 
-def _looking(place: Doubles, aim: Doubles, roll: float) -> Doubles:
+def _look_at(place: Doubles, aim: Doubles, roll: float) -> Doubles:
     """(3, 3) rotation of a camera at a place that looks at a point."""
     back = (place - aim) / np.linalg.norm(place - aim)
     right = np.cross([0.0, 1.0, 0.0], back)

@@ -55,7 +55,7 @@ class PhonePhotographs:
         x, y = (rng.normal(*each) for each in _FLASH)
         further = math.exp(rng.uniform(-_DISTANCE, _DISTANCE))
         return PhonePhotographs(
-            replace(specimen, material=partial(_further, specimen.material, further)),
+            replace(specimen, material=partial(_from_further, specimen.material, further)),
             replace(phone, brightness=brightness, clipped=clipped),
             Hand(flash=(x, y, 0.0)),
             (tilt_x, tilt_y),
@@ -83,7 +83,7 @@ class PhonePhotographs:
         return paths, setup.with_intensity((red, green, blue))
 
 
-def _further(
+def _from_further(
     material: RealiseAt, factor: float, width: int, height: int, seed: int, texel_size: float
 ) -> MapSet:
     """A realisation seen from `factor` times the distance, so scaled down by `factor`."""

@@ -86,12 +86,12 @@ def take(realise: Realise, camera: PhoneCamera, setup: FlashSetup) -> Shot:
     Of `setup`, offset, tilt and falloff count; field of view and intensity are set here.
     """
     setup = replace(setup, fov=camera.fov, intensity=(1.0, 1.0, 1.0))
-    x, y, width, height = _seen(camera, setup)
+    x, y, width, height = _view_rectangle(camera, setup)
     fine = camera.supersampling
     maps = realise(width * fine, height * fine, 2.0 / (camera.width * fine))
     extent = (camera.width * fine, camera.height * fine)
     shaded = _shade(maps, setup, (x * fine, y * fine), extent)
-    picture = _through_lens(shaded, setup, (x * fine, y * fine), extent)
+    picture = _projected(shaded, setup, (x * fine, y * fine), extent)
     blurred = cv2.GaussianBlur(picture, (0, 0), camera.blur * fine)
     size = (camera.width, camera.height)
     linear = np.asarray(cv2.resize(blurred, size, interpolation=cv2.INTER_AREA), np.float64)
@@ -105,7 +105,7 @@ def true_maps(realise: Realise, camera: PhoneCamera, setup: FlashSetup) -> MapSe
     Area means of the maps that were shaded: many materials give another realisation at another
     texel size.
     """
-    x, y, width, height = _seen(camera, setup)
+    x, y, width, height = _view_rectangle(camera, setup)
     fine = camera.supersampling
     maps = realise(width * fine, height * fine, 2.0 / (camera.width * fine))
     mean = torch.nn.functional.avg_pool2d(maps.stacked()[None], fine)[0]
@@ -144,7 +144,7 @@ def as_photo(shot: Shot, seed: int, name: str) -> Photo:
     )
 
 
-def _seen(camera: PhoneCamera, setup: FlashSetup) -> tuple[int, int, int, int]:
+def _view_rectangle(camera: PhoneCamera, setup: FlashSetup) -> tuple[int, int, int, int]:
     """Plane rectangle (x, y, width, height), pixels, that contains the view and the plane grid."""
     w, h = camera.width, camera.height
     sides = torch.tensor([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]], dtype=torch.float64)
@@ -183,7 +183,7 @@ def in_strips(maps: MapSet, shaded: Callable[[MapSet, int], Tensor], rows: int =
     return torch.cat(strips, dim=1)
 
 
-def _through_lens(
+def _projected(
     shaded: NDArray[np.float64], setup: FlashSetup, origin: tuple[int, int], extent: tuple[int, int]
 ) -> NDArray[np.float64]:
     """(H, W, 3) the plane's radiance as a tilted camera sees it, on a grid of `extent` texels."""

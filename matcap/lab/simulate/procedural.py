@@ -221,20 +221,15 @@ def cells(
     shift_u, shift_v = generator.random(2)
     u = np.clip(u - corners_u.min() + shift_u + margin / 2, 1.0, columns - 1.001)
     v = np.clip(v - corners_v.min() + shift_v + margin / 2, 1.0, rows - 1.001)
+    chunks = (np.array_split(w.ravel(), math.ceil(w.size / _CHUNK)) for w in (u, v))
     distances = [
-        _nearest(a, b, points[0], points[1], columns)
-        for a, b in zip(_chunks(u), _chunks(v), strict=True)
+        _nearest(a, b, points[0], points[1], columns) for a, b in zip(*chunks, strict=True)
     ]
     shape = (canvas.height, canvas.width)
     nearest, second, index, du, dv = (
         np.concatenate(part).reshape(shape) for part in zip(*distances, strict=True)
     )
     return VoronoiCells(nearest, second, index, rows * columns, (du, dv))
-
-
-def _chunks(values: Raster) -> list[Raster]:
-    flat = values.reshape(-1)
-    return [flat[start : start + _CHUNK] for start in range(0, flat.size, _CHUNK)]
 
 
 def _nearest(

@@ -140,7 +140,7 @@ def compared(shown: Photographed, made: Made) -> Mapping[str, Value]:
 
 
 Begin = Callable[[Photographed], tuple[Decoder, Tensor]]
-Ways = Mapping[str, Configuration[Photographed, Made]]
+Methods = Mapping[str, Configuration[Photographed, Made]]
 
 
 def capture(tuned: Photographed, begin: Begin, steps: int, rate: float = RATE_FROM_NOTHING) -> Made:
@@ -194,17 +194,17 @@ def run_evaluation(
     entries = first_of_each(pack.reporting)[: settings.materials]
     if ablation:
         name, more = "prior-ablation", ""
-        ways = variants(prior, settings.steps)
+        methods = variants(prior, settings.steps)
     else:
-        name, ways = "prior-evaluation", ways_of(prior, settings)
+        name, methods = "prior-evaluation", methods_of(prior, settings)
         dead = prior.about.get("dead_dimensions", "?")
         more = f"Codes of the training photographs: {dead} of {CODE_SIZE} dimensions dead."
-    return _page(name, measured(name, ways, entries, out, on_progress), out, command, more)
+    return _page(name, measured(name, methods, entries, out, on_progress), out, command, more)
 
 
 def measured(
     name: str,
-    ways: Ways,
+    methods: Methods,
     entries: Sequence[Entry],
     out: Path,
     on_progress: Callable[[str], None] = lambda line: None,
@@ -216,7 +216,7 @@ def measured(
     """
 
     def pictured(method: str, shown: Photographed, seed: int) -> Made:
-        made = ways[method].run(shown, seed)
+        made = methods[method].run(shown, seed)
         path = _picture(out / name, shown.entry.material, method)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_png(path, made.pictures[0].permute(1, 2, 0).numpy(), bits=8)
@@ -225,37 +225,37 @@ def measured(
     experiment = Experiment(
         name,
         {entry.material: partial(photographed, entry) for entry in entries},
-        {method: replace(way, run=partial(pictured, method)) for method, way in ways.items()},
+        {method: replace(each, run=partial(pictured, method)) for method, each in methods.items()},
         (compared,),
         any_version=True,
     )
     return run(experiment, out / f"{name}.csv", on_progress)
 
 
-def ways_of(prior: Prior, settings: EvaluateSettings) -> Ways:
+def methods_of(prior: Prior, settings: EvaluateSettings) -> Methods:
     """From the prior, from nothing, and the photograph as albedo."""
     start, known, few = partial(from_prior, prior), prior_key(prior), settings.steps
 
-    def way(
+    def method(
         begin: Begin, steps: int, rate: float = RATE_FROM_NOTHING
     ) -> Configuration[Photographed, Made]:
         follows = (REALISATIONS, rate, known if begin is start else "")
         return Configuration(lambda shown, _: capture(shown, begin, steps, rate), settings=follows)
 
     return {
-        "prior, not tuned": way(start, 0),
-        f"prior, {few} steps": way(start, few, RATE_FROM_PRIOR),
-        f"nothing, {few} steps": way(from_nothing, few),
-        f"nothing, {settings.longer} steps": way(from_nothing, settings.longer),
+        "prior, not tuned": method(start, 0),
+        f"prior, {few} steps": method(start, few, RATE_FROM_PRIOR),
+        f"nothing, {few} steps": method(from_nothing, few),
+        f"nothing, {settings.longer} steps": method(from_nothing, settings.longer),
         ALBEDO: Configuration(lambda shown, _: albedo(shown)),
     }
 
 
-def variants(prior: Prior, steps: int) -> Ways:
+def variants(prior: Prior, steps: int) -> Methods:
     """FULL and its ablations."""
     start, known = partial(from_prior, prior), prior_key(prior)
 
-    def way(
+    def method(
         begin: Begin,
         view: Callable[[Photographed], Photographed] = lambda shown: shown,
         taken: int = steps,
@@ -268,12 +268,12 @@ def variants(prior: Prior, steps: int) -> Ways:
         )
 
     return {
-        "FULL": way(start),
-        "SINGLE": way(from_nothing),
-        "NONTUNED": way(start, taken=0),
-        "DECODERONLY": way(partial(from_nothing, kind=DecoderOnly)),
-        "FOURIER": way(start, _without_spectrum),
-        "LIGHT": way(start, _without_tilt),
+        "FULL": method(start),
+        "SINGLE": method(from_nothing),
+        "NONTUNED": method(start, taken=0),
+        "DECODERONLY": method(partial(from_nothing, kind=DecoderOnly)),
+        "FOURIER": method(start, _without_spectrum),
+        "LIGHT": method(start, _without_tilt),
     }
 
 

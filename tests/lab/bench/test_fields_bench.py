@@ -7,7 +7,13 @@ import pytest
 
 from matcap.cli.main import main
 from matcap.lab.bench import fields
-from matcap.lab.bench.fields import fields_experiment, grating, joint_length, phase_off
+from matcap.lab.bench.fields import (
+    fields_experiment,
+    grating,
+    joint_length,
+    phase_off,
+    seam_contrast,
+)
 from matcap.lab.bench.repetition import SIZES, copies, correlation, repetition_experiment
 from matcap.lab.experiment.results import read
 from matcap.lab.experiment.runner import run
@@ -95,3 +101,53 @@ def test_the_command_keeps_the_lattice_of_a_simulated_material(monkeypatch, caps
     (row,) = read(tmp_path / "repetition.csv")
     # What a lattice repeats by right is in both.
     assert 0.3 < row.number("with itself") < row.number("of two seeds") + 0.1
+
+
+def waves(height=400, width=600):
+    """(6, H, W) maps of slow noise, about sixteen texels."""
+    noise = np.random.default_rng(4).standard_normal((6, height, width))
+    turns = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.fftfreq(width))
+    smooth = np.fft.ifft2(np.fft.fft2(noise) * np.exp(-((30.0 * turns) ** 2))).real
+    smooth /= smooth.std(axis=(1, 2), keepdims=True)
+    maps = 0.3 * np.exp(0.2 * smooth)
+    maps[5] = 0.01 * smooth[5]
+    return maps.astype(np.float32)
+
+
+def split(shift):
+    """Places of a field whose right half lies elsewhere by a shift (x, y) of texels."""
+    places = np.stack(np.meshgrid(np.arange(200), np.arange(300)), axis=-1)
+    places[:, 100:] += shift
+    return places
+
+
+def measured_seams(maps, places, shown=None):
+    shown = maps[:, places[..., 1], places[..., 0]] if shown is None else shown
+    return seam_contrast(shown, places, maps, 0.002)
+
+
+def test_what_was_not_rearranged_has_no_seams():
+    assert np.isnan(list(measured_seams(waves(), split((0, 0))).values())).all()
+
+
+def test_a_cut_shows_in_albedo_and_slope():
+    found = measured_seams(waves(), split((317, 60)))
+    assert found["seam albedo"] > 5.0 and found["seam slope"] > 5.0
+    assert found["seam albedo 99 %"] > 3.0
+
+
+def test_a_seam_that_what_it_shows_hides_measures_one():
+    """Of a piece that repeats: another place, and the same texels."""
+    maps = np.tile(waves(400, 300), (1, 1, 2))
+    found = measured_seams(maps, split((300, 0)))
+    for name in ("seam albedo", "seam slope"):
+        assert 0.8 < found[name] < 1.25 and 0.7 < found[f"{name} 99 %"] < 1.3
+
+
+def test_colour_alone_shows_in_albedo_alone():
+    maps = np.tile(waves(400, 300), (1, 1, 2))
+    places = split((300, 0))
+    shown = maps[:, places[..., 1], places[..., 0]].copy()
+    shown[0, :, 100:] *= 1.5
+    found = measured_seams(maps, places, shown)
+    assert found["seam albedo"] > 5.0 and 0.8 < found["seam slope"] < 1.25

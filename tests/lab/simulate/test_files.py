@@ -41,9 +41,10 @@ def _develop(path):
         )
 
 
-def _exif(path):
-    with path.open("rb") as stream:
-        return exifread.process_file(stream, details=False)
+def _write(path, shot, seed):
+    write = write_dng if path.suffix == ".dng" else write_jpeg
+    write(path, shot, seed)
+    return path
 
 
 def test_dng_develops_to_the_truth_within_noise(shot, tmp_path):
@@ -62,12 +63,9 @@ def test_dng_clips_white(tmp_path):
 
 @pytest.mark.parametrize("suffix", ["dng", "jpg"])
 def test_exif_is_readable(shot, tmp_path, suffix):
-    path = tmp_path / f"a.{suffix}"
-    if suffix == "dng":
-        write_dng(path, shot, seed=1)
-    else:
-        write_jpeg(path, shot, seed=1)
-    tags = _exif(path)
+    path = _write(tmp_path / f"a.{suffix}", shot, 1)
+    with path.open("rb") as stream:
+        tags = exifread.process_file(stream, details=False)
     # 28 mm across the long side of 36 are 27 by the diagonal of 4:3.
     assert tags["EXIF FocalLengthIn35mmFilm"].values == [27]
     assert load_photo(path).fov == pytest.approx(CAMERA.fov, abs=1e-3)
@@ -107,10 +105,8 @@ def test_dng_without_shading_has_no_opcodes(shot, tmp_path):
 
 @pytest.mark.parametrize("suffix", ["dng", "jpg"])
 def test_files_are_reproducible(shot, tmp_path, suffix):
-    for name in ("a", "b"):
-        path = tmp_path / f"{name}.{suffix}"
-        write_dng(path, shot, 5, shading=0.3) if suffix == "dng" else write_jpeg(path, shot, 5)
-    assert filecmp.cmp(tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}", shallow=False)
+    files = [_write(tmp_path / f"{name}.{suffix}", shot, 5) for name in ("a", "b")]
+    assert filecmp.cmp(*files, shallow=False)
 
 
 def test_jpeg_shows_the_exposed_picture(shot, tmp_path):

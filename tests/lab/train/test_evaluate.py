@@ -39,7 +39,7 @@ def quick(monkeypatch, shown):
     monkeypatch.setattr(evaluate, "SIZE", 16)
 
 
-def way(calls, name, follows=None):
+def method(calls, name, follows=None):
     def made(shown, _seed):
         calls.append(name)
         return Made(torch.full((1, 3, 16, 16), 0.5), 1.0)
@@ -50,12 +50,12 @@ def way(calls, name, follows=None):
 def test_measuring_goes_on_from_what_is_there(quick, pack, tmp_path):
     entries, calls = pack.reporting[:2], []
     assert len({entry.material for entry in entries}) == 2
-    ways = {name: way(calls, name) for name in ("first", "second")}
-    evaluate.measured("some", {"first": ways["first"]}, entries, tmp_path)
-    rows = evaluate.measured("some", ways, entries, tmp_path)
+    methods = {name: method(calls, name) for name in ("first", "second")}
+    evaluate.measured("some", {"first": methods["first"]}, entries, tmp_path)
+    rows = evaluate.measured("some", methods, entries, tmp_path)
     assert calls == ["first"] * 2 + ["second"] * 2 and len(rows) == 4
     assert len(list((tmp_path / "some").glob("*.png"))) == 4
-    other = {"first": way(calls, "first", "another prior")}
+    other = {"first": method(calls, "first", "another prior")}
     evaluate.measured("some", other, entries[:1], tmp_path)
     assert calls[4:] == ["first"]
 
@@ -65,7 +65,7 @@ def test_an_evaluation_writes_its_page_and_a_picture_without_the_photographs(
 ):
     names = ("prior, not tuned", evaluate.ALBEDO)
     monkeypatch.setattr(
-        evaluate, "ways_of", lambda prior, settings: {name: way([], name) for name in names}
+        evaluate, "methods_of", lambda prior, settings: {name: method([], name) for name in names}
     )
     settings = evaluate.EvaluateSettings(materials=1)
     page = evaluate.run_evaluation(prior, pack, settings, tmp_path, "matcap ...")
@@ -80,8 +80,8 @@ def test_only_what_starts_from_the_prior_depends_on_it(prior):
     settings = evaluate.EvaluateSettings()
 
     def result():
-        ways = {**evaluate.ways_of(prior, settings), **evaluate.variants(prior, 2)}
-        return {name: way.settings for name, way in ways.items()}
+        methods = {**evaluate.methods_of(prior, settings), **evaluate.variants(prior, 2)}
+        return {name: method.settings for name, method in methods.items()}
 
     before = result()
     with torch.no_grad():

@@ -41,15 +41,15 @@ def bond(canvas: Canvas, rng: Draws) -> SurfaceFields:
     size = rng.log_uniform(0.03, 0.12)
     along, across = frame(canvas, "bond", rng.angle(), 5.0 * size, 0.0)
     u, v = along / size, across / size
-    way = rng.integers(4)
+    pattern = rng.integers(4)
     ratio = float(rng.choice([1.0, 1.5, 2.0, 3.0, 4.0]))
-    if way == 3:
+    if pattern == 3:
         return _wall(canvas, rng, size, _blocks(u, v, int(rng.integers(2, 4))))
     row = np.floor(v).astype(np.int64)
     length: Raster | float = ratio
-    if way == 0:
+    if pattern == 0:
         start = row * rng.choice([0.5, 1.0 / 3.0, 0.25, 0.5])
-    elif way == 1:
+    elif pattern == 1:
         start = 0.0 * row
     else:  # headers in every other course
         length = np.where(row % 2 == 0, 2.0, 1.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -186,7 +187,8 @@ def area_lights(g: np.random.Generator) -> Swept:
         )
         exact = _form_factor(points, centre, normal, up, sides)
     scene = Scene(film, camera, Surface(size=None, repeat=1.0), (light,))
-    renderer = Renderer(_wide(texture), scene)
+    # The same material over more of the plane than the camera sees.
+    renderer = Renderer(replace(texture, texel_size=2.0), scene)
     picture = renderer.render(effects="none,+diffuse,+falloff,+area").radiance
     expected = 0.5 / math.pi * exact[..., None] * np.asarray(radiance)
     shape = f"{type(light).__name__} of half size {half / height:.2g} of its height"
@@ -278,13 +280,6 @@ def _reflected(texture: Texture, to_light: Values, to_view: Values) -> Values:
         diffuse, specular, roughness, tensor(up), tensor(to_light), tensor(to_view)
     )
     return np.moveaxis(value.numpy(), 0, -1)
-
-
-def _wide(texture: Texture) -> Texture:
-    """The same material over more of the plane than a camera sees."""
-    return Texture(
-        texture.diffuse, texture.specular, texture.roughness, texture.height, texture.slopes, 2.0
-    )
 
 
 def _form_factor(
