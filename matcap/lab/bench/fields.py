@@ -37,7 +37,7 @@ ABOUT = (
 )
 _SIZE = (1024, 768)  # texels of the exemplar
 _SEEDS = (0, 1)
-_ELSEWHERE = (300, 100)  # texels: nothing special about the origin
+_ELSEWHERE = (300, 100)  # texels: away from the origin, which might be special
 _FAR = 16384  # texels
 _SHORTEST = 8  # texels: of a joint
 _JOINT = 9  # texels: wider valleys are none

@@ -22,7 +22,7 @@ from matcap.lab.experiment.results import markdown, read
 _ON_A_PAGE = 5
 _MARGIN = 8  # pixels
 _MEASURES = ("field", "fine", "flash", "patches", "filters")
-_SEPARATION = 1.1  # of errors: less is as far as seeds scatter
+_SEPARATION = 1.1  # ratio of errors; smaller ones are within the scatter of seeds
 
 
 def write_pairs(fronts: Path, out: Path, count: int, seed: int) -> Path:

@@ -74,14 +74,14 @@ NOISE = (
     "with the square root of the samples, so the time is extrapolated from 16 a pixel."
 )
 
-_LONG = 4.0  # seconds beyond which one run is enough
+_LONG = 4.0  # seconds; of longer runs one is enough
 _STEP = 1.0 / 255.0
-_FINE = 16.0  # the reference's tolerance is the default's so many-eth part
+_FINE = 16.0  # default tolerance over that of the reference
 _NOISE = 0.01
 _SAMPLES = 16
 # Median of the difference of two normal numbers of deviation 1.
 _MEDIAN = 0.6745 * 2.0**0.5
-# Of Mitsuba: needs no compiler, which not every machine has in a form that it can use.
+# Variant of Mitsuba that needs no compiler.
 _VARIANT = "scalar_rgb"
 
 Timed = Mapping[str, Value]  # times, as columns

@@ -37,8 +37,8 @@ ABOUT = (
     "(matcap/lab/bench/repetition.py); below n, larger: share of texels in verbatim copies of that "
     "size, texels; diversity: difference of two seeds, 1 for unrelated maps."
 )
-NEAR = 128  # texels: twice what a piece is begun with
-SIZES = (16, 256, 1024, 4096, 16384, 65536)  # texels of a piece, upper ends of the classes
+NEAR = 128  # texels: twice the side of the patches that a field is initialised with
+SIZES = (16, 256, 1024, 4096, 16384, 65536)  # texels of a patch, upper ends of the classes
 _SEEDS = (1, 2)
 _ROUGHNESS = 4  # among the stacked maps
 _EXEMPLAR = (1024, 768)  # texels of a simulated one
@@ -122,12 +122,12 @@ def copies(places: NDArray[np.int16]) -> tuple[float, ...]:
     """
     rows, columns = places.shape[:2]
     wide = places.astype(np.int32)
-    # Texels lie at even places of a picture that has their bonds between them.
-    bonds = np.zeros((2 * rows - 1, 2 * columns - 1), np.uint8)
-    bonds[::2, ::2] = 1
-    bonds[::2, 1::2] = (np.diff(wide, axis=1) == [1, 0]).all(-1)
-    bonds[1::2, ::2] = (np.diff(wide, axis=0) == [0, 1]).all(-1)
-    _, labels = cv2.connectedComponents(bonds, connectivity=4, ltype=cv2.CV_32S)
+    # Texels are at even rows and columns of this picture, links between neighbours at odd ones.
+    links = np.zeros((2 * rows - 1, 2 * columns - 1), np.uint8)
+    links[::2, ::2] = 1
+    links[::2, 1::2] = (np.diff(wide, axis=1) == [1, 0]).all(-1)
+    links[1::2, ::2] = (np.diff(wide, axis=0) == [0, 1]).all(-1)
+    _, labels = cv2.connectedComponents(links, connectivity=4, ltype=cv2.CV_32S)
     counts = np.bincount(labels[::2, ::2].ravel())
     shares = np.bincount(np.searchsorted(SIZES, counts, "right"), counts, len(SIZES) + 1)
     return tuple((shares / (rows * columns)).tolist())

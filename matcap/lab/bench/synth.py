@@ -64,7 +64,7 @@ BLOCKS = ("256x256", "512x256", "512x512", "1024x256", "1024x1024")
 ALLOCATORS = ("as it comes", "kept")
 BY_EXAMPLE = "by example"
 _BLUR = (1.0, 2.0, 1.0)
-_MATERIAL = "leather"  # without order: the dearer kind
+_MATERIAL = "leather"  # without a lattice, so that synthesis costs more
 
 
 @dataclass(frozen=True)

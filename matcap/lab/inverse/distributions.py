@@ -23,7 +23,7 @@ from matcap.lab.experiment.results import markdown
 from matcap.lab.inverse.packed import PackedSet
 from matcap.lab.inverse.samples import draw_sample
 
-# What is measured of maps, then of pictures, and whether it goes over decades.
+# Statistics of maps, then of pictures, and whether their axis is logarithmic.
 QUANTITIES: Mapping[str, bool] = {
     "mean tilt, degrees": False,
     "roughness": False,
@@ -66,7 +66,7 @@ def drawn(count: int, sets: Sequence[PackedSet], real: float, size: tuple[int, i
     """Statistics of training samples, of real materials (`real` 1) or simulated ones (0)."""
 
     def measured(index: int) -> dict[str, float]:
-        # Simulated pieces are drawn for many numbers: each its own.
+        # Neighbouring numbers share a simulated piece.
         sample = draw_sample(_FIRST + 1000 * index, *size, sets=sets, real=real)
         linear = np.ascontiguousarray(sample.linear.permute(1, 2, 0).numpy())
         return {**of_maps(sample.truth), **of_picture(linear)}

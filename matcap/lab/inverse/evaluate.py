@@ -22,7 +22,14 @@ from matcap.capture.piece.classes import seen_colour, tint
 from matcap.capture.piece.network.network import ERRORS, ExpectedErrors, Inverse, NetworkAnswer
 from matcap.flash.render import shade
 from matcap.lab.experiment.results import markdown
-from matcap.lab.inverse.losses import loss_parts, total, wanted
+from matcap.lab.inverse.losses import (
+    BLACK,
+    DARKEST,
+    LEAST_ERROR,
+    loss_parts,
+    total,
+    wanted,
+)
 from matcap.lab.inverse.packed import PackedSet
 from matcap.lab.inverse.samples import HELD_OUT, Sample, draw_sample
 from matcap.lab.measures.lights import spherical
@@ -33,9 +40,7 @@ from matcap.lab.simulate.photograph import RealiseAt
 DOUBTS = ("albedo", "F0", "roughness", "slope")
 _FIRST = 50_000_000  # numbers of samples, beyond training's
 _SIZE = (320, 224)
-_FLAT = 0.01  # tilt in radians, and deviation of log albedo: below it none is distinguished
-_DARKEST = 0.01  # radiance, of a white plane's
-_BIT = 0.01  # error that the network's expectation is of, at least (losses.py)
+_FLAT = 0.01  # added to tilts (radians) and contrasts before their logarithm
 _SAMPLED = 4  # stride in texels at which expected errors are sampled
 # Polar angle and azimuth in degrees, and distance, of the lights that pictures are relit by.
 _LIGHTS = ((20.0, 40.0, 2.0), (40.0, 160.0, 2.0), (55.0, 280.0, 2.5), (68.0, 100.0, 2.5))
@@ -138,7 +143,7 @@ def relit_error(maps: MapSet, truth: MapSet, sample: Sample) -> float:
         place = torch.tensor(spherical(far, math.radians(polar), math.radians(around)))
         intensity = torch.tensor([math.pi * far**3 / float(place[2])])
         estimated, true = (
-            (shade(m, points, camera, place, intensity) + _DARKEST).log() for m in (maps, truth)
+            (shade(m, points, camera, place, intensity) + DARKEST).log() for m in (maps, truth)
         )
         off = estimated - true
         # The scale between flash and albedo, ambiguous in one photograph, cancels.
@@ -150,14 +155,13 @@ def doubts(outputs: Tensor, sample: Sample) -> tuple[Tensor, Tensor]:
     """(ERRORS, n) predicted errors, and actual errors."""
     answer = NetworkAnswer.from_stacked(outputs)
     maps, off = _maps(answer, sample), answer.departures - sample.departures
-    black = 0.02  # as the losses have it
-    albedo = ((maps.diffuse + black).log() - (sample.truth.diffuse + black).log()).abs().mean(0)
+    albedo = ((maps.diffuse + BLACK).log() - (sample.truth.diffuse + BLACK).log()).abs().mean(0)
     slope = (_slopes(maps.normal) - _slopes(sample.truth.normal)).abs().mean(0)
     made = ExpectedErrors(
         albedo[None], off.specular.abs(), off.roughness.abs(), slope[None]
     ).stacked()
     thin = (..., slice(1, -1, _SAMPLED), slice(1, -1, _SAMPLED))
-    expected = answer.errors.stacked().exp() - _BIT
+    expected = answer.errors.stacked().exp() - LEAST_ERROR
     return expected[thin].reshape(ERRORS, -1), made[thin].reshape(ERRORS, -1)
 
 
@@ -172,7 +176,10 @@ def calibration(expected: Tensor, made: Tensor) -> Tensor:
         bins = zip(predicted.tensor_split(10), errors.tensor_split(10), strict=True)
         rows.append(
             torch.stack(
-                [(e.median() + _BIT) / (t.median() + _BIT).clamp_min(_BIT) for t, e in bins]
+                [
+                    (e.median() + LEAST_ERROR) / (t.median() + LEAST_ERROR).clamp_min(LEAST_ERROR)
+                    for t, e in bins
+                ]
             )
         )
     return torch.stack(rows)

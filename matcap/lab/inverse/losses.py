@@ -31,16 +31,17 @@ from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
 from matcap.statistics.gram import gram
 
 _LEVELS = 5  # of the pyramid on which slopes are compared
-_CELLS = 48  # texels a side of the places whose energies are compared
+_CELLS = 48  # texels a side of the cells whose energies are compared
 _FLAT = 0.02  # root-mean-square slope, below which energies are not distinguished
 _PLAIN = 0.02  # likewise of log albedo
-_BLACK = 0.02  # albedo: darker ones differ little to the eye
-_DARKEST = 0.01  # radiance, of a white plane's
+BLACK = 0.02  # albedo: darker ones differ little to the eye
+DARKEST = 0.01  # radiance, of a white plane's
+LEAST_ERROR = 0.01  # added to errors before their logarithm, which the network predicts
 _MOST_F0 = 0.99
-_THIN = 2  # every so manieth texel is lit from nearby: a highlight's place is random anyway
-# Of relit pictures; other filters than those of captures and of their evaluation.
+_THIN = 2  # stride in texels of pictures under the near light, whose highlight lies anywhere
+# Filters for relit pictures, other than those of captures and of their evaluation.
 _BANK = FilterBank(FilterBankConfig(sizes=(5,), filters=20, levels=4, seed=91))
-_WHITE = 0.35  # radiance of a picture's mean, as its statistics are taken
+_WHITE = 0.35  # mean radiance that pictures are scaled to for their statistics
 
 Parts = dict[str, Tensor]
 Compare = Callable[..., tuple[Parts, Tensor, Tensor]]  # `compared`, or that compiled
@@ -158,7 +159,7 @@ def compared(
     maps_true = _tinted((uniform + true).reflectance(), hue)
     # Metal's diffuse albedo is too dark for errors of its logarithm to be visible.
     albedo_estimated, albedo_true = (
-        m.diffuse.add(_BLACK).log() for m in (maps_estimated, maps_true)
+        m.diffuse.add(BLACK).log() for m in (maps_estimated, maps_true)
     )
     albedo_error = (albedo_estimated - albedo_true).abs()
     specular_error = (estimated.specular - true.specular).abs()
@@ -175,7 +176,7 @@ def compared(
         roughness_error[inner],
         (slopes_estimated[0] - slopes_true[0]).abs().mean(1, keepdim=True),
     ).stacked()
-    doubt = (answer.errors.stacked()[inner] - (errors.detach() + 0.01).log()).abs().mean()
+    doubt = (answer.errors.stacked()[inner] - (errors.detach() + LEAST_ERROR).log()).abs().mean()
     normal_estimated, normal_true = (normals_from_height(s.height, 1.0) for s in (estimated, true))
     thin = (..., slice(None, None, _THIN), slice(None, None, _THIN))
     at_near = FlashLight.between(points[thin], camera, near, _power(near))
@@ -266,7 +267,7 @@ def _bands(picture: Tensor) -> list[Tensor]:
 
 
 def _log_error(estimated: Tensor, true: Tensor) -> Tensor:
-    return ((estimated + _DARKEST).log() - (true + _DARKEST).log()).abs().mean()
+    return ((estimated + DARKEST).log() - (true + DARKEST).log()).abs().mean()
 
 
 def _style(estimated: Tensor, true: Tensor) -> Tensor:

@@ -29,8 +29,9 @@ from matcap.lab.train.trainer import read_tensors
 
 LEVELS = 3  # full, half, quarter
 _ROUGHNESS = slice(6, 7)  # of a surface
-_EVERY, _LEFT_OUT = 5, 1  # of so many sets one is held out: the rest that has something of each
-_STEEPEST = math.tan(math.radians(75.0))  # a normal map's texels further down are no slopes
+# A set is held out where its name's hash leaves this remainder: one that has sets of every kind.
+_EVERY, _LEFT_OUT = 5, 1
+_STEEPEST = math.tan(math.radians(75.0))  # slope; steeper texels of normal maps are faults
 _FORMAT = "matcap-maps"
 _VERSION = 3
 

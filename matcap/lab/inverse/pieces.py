@@ -24,8 +24,8 @@ from matcap.lab.simulate.materials.kinds.metal import anodised_f0, metal_colour
 _SCALES = (0.3, 2.0)  # texels of the picture to one of the set
 _STRENGTHS = (0.5, 2.0)  # of relief
 _STEEP = 0.9  # root-mean-square slope that relief is not strengthened beyond
-_LEVELLED = 1.0 / 3.0  # share of pieces at no quarter turn
-_MARGIN = 3  # texels around what is read, for cubic weights
+_LEVELLED = 1.0 / 3.0  # share of pieces rotated by any angle, not by quarter turns
+_MARGIN = 3  # texels read around the crop, for cubic interpolation
 _DARKEST, _PALEST = 0.01, 0.92  # mean albedos of real materials lie within
 _METAL = slice(0, 1)  # of what is cut: the share that is metal, before the maps
 _MAPS = slice(1, None)
@@ -79,7 +79,7 @@ def _piece(packed: PackedSet, rng: np.random.Generator, width: int, height: int)
     piece = cut(packed, level, scale * 2**level, rng, width, height)
     metal, maps = piece[_METAL], piece[_MAPS]
     maps[SURFACE] = coloured(maps[SURFACE], metal, rng)
-    # A separate stream, so that the other draws are those from before metals had colours.
+    # A stream of its own: the other draws do not depend on it.
     maps[SPECULAR] = coloured_metal(maps[SPECULAR], metal, rng.spawn(1)[0])
     slopes = float(np.square(np.diff(piece[HEIGHT], axis=-2)).mean() * 2.0) ** 0.5
     strength = math.exp(rng.uniform(*np.log(_STRENGTHS)))

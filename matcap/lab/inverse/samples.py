@@ -39,12 +39,12 @@ _NAMED = ("cloth", "rust", "plaster")
 _NAMED_SHARE, _KIND_SHARE = 0.05, 0.6
 _MARGIN = 2  # texels realised around, so that blur and normals see no border
 REAL_SHARE = 0.5  # of photographs, where real materials are at hand
-_TURNS, _VISITS = 16, 16  # pieces that take turns, photographs of each (real ones among them)
+_TURNS, _VISITS = 16, 16  # pieces in use at a time, photographs of each (or of real materials)
 _THIN = 4  # stride in texels at which a picture's brightness is sampled
-# Logarithm of a coarse fit's F0 over the truth, mean and deviation: as far as it is off on the
-# examples, whose albedo takes some of a wide highlight.
+# Logarithm of a coarse fit's F0 over the truth, mean and deviation, measured on the examples:
+# albedo explains part of a wide highlight.
 _SPECULAR_OFF = (-0.2, 0.4)
-_METALLIC = (0.1, 0.35)  # F0 of what is simulated: no metal below, all of it above
+_METALLIC = (0.1, 0.35)  # F0 of simulated maps: dielectric below, metal above
 _JPEGS = 0.25  # share of pictures that went through a JPEG at the scale they are read at
 _ROOM = 64  # texels by which a piece is larger than a picture
 
@@ -229,7 +229,7 @@ def _fitted(
 ) -> Uniform:
     """A coarse fit drawn near the truth, which reproduces the picture's brightness."""
     slopes = truth.normal[:2].square().sum(0).mean()
-    # A highlight is as wide as what mirrors most: bare metal's, be there ever so much rust.
+    # The highlight is as wide as that of the texels of highest F0: of bare metal between rust.
     specular = truth.specular.mean(0, keepdim=True)
     mirrored = (specular * truth.roughness.square()).mean() / specular.mean()
     alpha = (mirrored.square() + 0.5 * slopes).clamp(1e-4, 0.9).sqrt()
@@ -251,7 +251,7 @@ def _fitted(
         roughness=1.0 / (1.0 + math.exp(-logit)),
         setup=near,
     )
-    # Diffuse albedo takes what is left of the picture's colour, as far as it can.
+    # Diffuse albedo explains the rest of the picture's colour, within limits.
     thin = (..., slice(None, None, _THIN), slice(None, None, _THIN))
     seen = valid[thin] if int(valid[thin].sum()) > 64 else torch.ones_like(valid[thin])
     light = FlashLight.of(uniform.setup, points[thin])

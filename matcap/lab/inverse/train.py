@@ -134,7 +134,7 @@ def step_loss(
     rng = np.random.default_rng([step, 0, 5])
     truth = wanted([sample.to(device) for _, sample in batch], rng)
     outputs = model(inputs.contiguous(memory_format=torch.channels_last))
-    # Statistics take as long as the rest: every so many steps, with that as their weight.
+    # Statistics take as long as the rest: every _STYLED steps, with as many times their weight.
     parts = loss_parts(outputs, truth, style=step % _STYLED == 0, compare=compare)
     return total(parts, style=WEIGHTS["style"] * _STYLED), parts
 

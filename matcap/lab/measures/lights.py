@@ -147,7 +147,7 @@ def _resized(linear: Tensor, size: tuple[int, int]) -> Tensor:
 
 _OCTAVES, _SECTORS = 5, 8
 _LEAST = 0.01  # of the strongest octave's energy
-_RINGS = 0.84  # of the shorter half side: radii whose rings lie in the map whole
+_RINGS = 0.84  # largest radius, over the shorter half side: rings lie in the map
 
 
 def mirror_point(scene: BenchScene, place: tuple[float, float, float]) -> tuple[float, float]:

@@ -54,7 +54,7 @@ UNSEEN = 1_000_000  # seeds from here on show what is held out
 SHOTS = 8  # of a material: making it takes longer than a shot
 _MOST_TILT = math.radians(15.0)
 _KIND_SHARE = 0.6
-_PIECE = 1.3  # of a piece, over the picture's width; as tall as that is wide
+_PIECE = 1.3  # width of a piece over the picture's width, which is its height
 _JPEGS, _WITHOUT_EXIF = 0.65, 0.4  # shares: of photographs, and of those of developed ones
 _QUALITY = 92
 _RATE, _RATE_ON = 1.5e-3, 8e-4  # of training from random weights, and on from trained ones
@@ -109,7 +109,7 @@ def draw_setup(rng: np.random.Generator, fov: float) -> FlashSetup:
     """A phone 8 to 30 cm above a material, its flash 1 to 4 cm from the lens, mostly above it."""
     above = rng.random() < 0.6
     reach = math.exp(rng.normal(math.log(0.12), 0.6))
-    # Large offsets, relative to the picture, are of close phones: most real ones have 0.3.
+    # Offsets relative to the picture are large of close phones; most real ones have 0.3.
     reach = rng.uniform(0.0, 0.45) if above else float(np.clip(reach, 0.01, 0.35))
     angle = math.pi / 2.0 + rng.normal(0.0, 0.2) if above else rng.uniform(0.0, 2.0 * math.pi)
     tilt = rng.uniform(-_MOST_TILT, _MOST_TILT, 2)
@@ -229,7 +229,7 @@ def _exposed(
     if radiometric:
         a = b = 0.0  # a lens profile undoes it; the flash's cone stays
     falloff = (a + b * lens) * lens + (c + d * cone) * cone
-    # The LED does not point where the lens does: on phones that were measured, mostly above that.
+    # The LED's axis is not the lens's: on measured phones it mostly points above it.
     ramp = rng.normal(0.0, 0.1, 2) + ([0.0, 0.0] if radiometric else [0.0, _ramp_up(rng)])
     falloff = falloff - ramp[0] * place[0] - ramp[1] * place[1]
     linear = radiance * (-falloff).exp()

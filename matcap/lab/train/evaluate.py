@@ -69,7 +69,7 @@ _WINDOW = 160
 _FIRST_SEED = 5
 REALISATIONS = 3  # of each material, for diversity
 UNSEEN = 1_000_000  # seeds from here on show simulated materials that training never draws
-ALBEDO = "photograph as albedo"  # which is not ours to publish: not on the sheet
+ALBEDO = "photograph as albedo"  # not on the sheet: photographs may not be published
 
 
 @dataclass(frozen=True)

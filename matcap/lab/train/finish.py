@@ -25,7 +25,7 @@ from matcap.space.prior.base import VARYING, base_of, varying
 from matcap.space.prior.encoder_input import describe_windows, numbers, texture
 from matcap.space.prior.store import Prior
 
-_RIDGE = 10.0  # photographs' worth of belief that bases do not go with codes
+_RIDGE = 10.0  # of the regression: weighs as much as so many photographs
 DEAD = 0.05  # variance of the codes' means below which a dimension is unused
 
 

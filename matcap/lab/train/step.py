@@ -32,9 +32,9 @@ from matcap.statistics.lattice import Wave
 
 MARGIN = 16  # texels cut off each side of what is decoded: its border is not valid
 
-_RELIEF = 0.25  # of relief_distance beside the style of what is relit
-_STEEP, _COMB = 15.0, 25.0  # of what is too steep and too fine, beside the mean squared slope
-_MOST_SLOPE = 1.0  # of a surface, root mean square at a texel, before it is held back hard
+_RELIEF = 0.25  # weight of relief_distance, relative to the style distance of relit maps
+_STEEP, _COMB = 15.0, 25.0  # weights of penalties, relative to the mean squared slope
+_MOST_SLOPE = 1.0  # slope at a texel above which it is penalised as too steep
 
 
 def step_loss(

@@ -8,7 +8,7 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.lab.simulate.procedural import Canvas, Raster
 
-_DARKEST = 0.004  # no real surface reflects less, but for metals, whose light is all mirrored
+_DARKEST = 0.004  # diffuse albedo of the darkest dielectrics
 _SMOOTHEST = 0.05
 
 
