@@ -103,7 +103,7 @@ def nsd_experiment(
                 lambda captured, seed: field_maps(captured.result.material, evaluation.width, seed)
             ),
         },
-        (nsd, under_mirrored_lights, flash_imprint, map_numbers, capture_seconds),
+        (nsd, under_mirrored_lights, flash_imprint, map_numbers),
         settings=(settings, evaluation),
     )
 
@@ -229,11 +229,7 @@ def flash_imprint(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str,
 
 
 def map_numbers(captured: CapturedSubject, maps: CapturedMaps) -> Mapping[str, Value]:
-    """Contrast and tilt of the maps and of the truth."""
-    evaluator = captured.evaluator
-    return compared_numbers(evaluator.middle(maps.maps), evaluator.truths)
-
-
-def capture_seconds(captured: CapturedSubject, _maps: CapturedMaps) -> Mapping[str, Value]:
-    """Run time of the capture, which replaces the configuration's own."""
-    return {"seconds": sum(captured.result.stage_seconds.values())}
+    """Contrast and tilt of the maps and of the truth; the capture's run time as `seconds`."""
+    evaluator, seconds = captured.evaluator, sum(captured.result.stage_seconds.values())
+    numbers = compared_numbers(evaluator.middle(maps.maps), evaluator.truths)
+    return {**numbers, "seconds": seconds}

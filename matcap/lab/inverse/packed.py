@@ -62,6 +62,8 @@ def is_held_out(name: str) -> bool:
 def pack(folder: Path, out: Path) -> int:
     """Write all sets in a folder as one file; returns how many.
 
+    The sides of their maps are multiples of 2^(LEVELS - 1).
+
     Raises:
         MatcapError: there is none, or one of them cannot be read.
     """
@@ -74,7 +76,10 @@ def pack(folder: Path, out: Path) -> int:
         )
     tensors: dict[str, Tensor] = {}
     for name in names:
-        surface, height = read_set(folder / name)
+        surface, slopes = read_surface(folder / name)
+        steepness = np.sqrt(np.square(slopes).sum(0, keepdims=True))
+        slopes = slopes * np.minimum(1.0, _STEEPEST / np.maximum(steepness, 1e-6))
+        surface, height = surface.astype(np.float32), integrate_periodic(slopes)
         for level in range(LEVELS):
             if level:
                 surface, height = halved(surface, height)
@@ -83,17 +88,6 @@ def pack(folder: Path, out: Path) -> int:
     about = {"format": _FORMAT, "version": str(_VERSION), "names": json.dumps(names)}
     write_tensors(out, tensors, about)
     return len(names)
-
-
-def read_set(folder: Path) -> tuple[Picture, Picture]:
-    """(8, H, W) as PackedSet.surface, and (1, H, W) height in texels, of a folder.
-
-    Its sides are multiples of 2^(LEVELS - 1).
-    """
-    surface, slopes = read_surface(folder)
-    steepness = np.sqrt(np.square(slopes).sum(0, keepdims=True))
-    slopes = slopes * np.minimum(1.0, _STEEPEST / np.maximum(steepness, 1e-6))
-    return surface.astype(np.float32), integrate_periodic(slopes)
 
 
 def halved(surface: Picture, height: Picture) -> tuple[Picture, Picture]:

@@ -62,8 +62,11 @@ def samples(network: PictureTilt, seeds: Sequence[int]) -> tuple[tuple[Tensor, .
             one = taken.at(torch.tensor([shot]))
             rng = np.random.default_rng([77, seed, shot])
             photo = written(one, rng, f"{seed}_{shot}", radiometric=bool(shot % 2))
-            for read in (photo, halved(photo)):
-                inputs.append(_inputs(network, read))
+            for read in map(evidence, (photo, halved(photo))):
+                conditions = read.conditions[None]
+                with torch.no_grad():
+                    mean, log_std = network(read.picture[None], conditions)
+                inputs.append((mean, log_std, conditions, read.slopes[None]))
                 tilts.append(one.tilt[0])
     return tuple(torch.cat(each) for each in zip(*inputs, strict=True)), torch.stack(tilts)
 
@@ -72,13 +75,6 @@ def halved(photo: Photo) -> Photo:
     """The photograph with half its pixels each way."""
     small = cv2.resize(photo.pixels, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     return replace(photo, pixels=np.asarray(small, np.float32), clipped=photo.clipped[::2, ::2])
-
-
-def _inputs(network: PictureTilt, photo: Photo) -> tuple[Tensor, ...]:
-    seen = evidence(photo)
-    with torch.no_grad():
-        mean, log_std = network(seen.picture[None], seen.conditions[None])
-    return mean, log_std, seen.conditions[None], seen.slopes[None]
 
 
 def train_fusion(

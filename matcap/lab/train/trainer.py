@@ -128,7 +128,9 @@ class Training(Generic[Trained]):
         path = folder / CHECKPOINT
         remedy = "start again, in another folder or without --resume"
         metadata, tensors = read_tensors(path, (_FORMAT, _VERSION), "checkpoint", remedy)
-        self._begin_optimiser()
+        for parameter in self.model.parameters():  # AdamW's state, else created in its first step
+            moments = {name: torch.zeros_like(parameter) for name in _MOMENTS}
+            self.optimiser.state[parameter] = {"step": torch.zeros(()), **moments}
         for name, tensor in self._tensors().items():
             if name not in tensors or tensors[name].shape != tensor.shape:
                 has = tuple(tensors[name].shape) if name in tensors else "nothing"
@@ -149,12 +151,6 @@ class Training(Generic[Trained]):
             for key, value in self.optimiser.state.get(parameter, {}).items():
                 tensors[f"optimiser.{key}.{name}"] = value
         return tensors
-
-    def _begin_optimiser(self) -> None:
-        """Create AdamW's state, which it would otherwise create in its first step."""
-        for parameter in self.model.parameters():
-            moments = {name: torch.zeros_like(parameter) for name in _MOMENTS}
-            self.optimiser.state[parameter] = {"step": torch.zeros(()), **moments}
 
 
 @dataclass(frozen=True)
