@@ -23,6 +23,7 @@ from torch import Tensor, nn
 from matcap.brdf.maps import CHANNELS
 from matcap.brdf.parameters import SurfaceParameters
 from matcap.errors import MatcapError
+from matcap.files.tensors import StoredTensors
 
 # Number of channels of each input, in order.
 _INPUT_CHANNELS = {
@@ -272,18 +273,11 @@ def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
             if not (2 <= len(widths) <= _DEEPEST and all(4 <= s <= _WIDEST for s in sizes)):
                 raise ValueError(f"a network of widths {sizes}")
             network = Inverse(InverseConfig(widths, int(about["context"])))
-            state = {}
-            for name, expected in network.state_dict().items():
-                value = file.get_tensor(name).float()
-                if value.shape != expected.shape or not bool(torch.isfinite(value).all()):
-                    raise ValueError(f"the tensor {name} is not as it should be")
-                state[name] = value
-            network.load_state_dict(state)
+            network = StoredTensors(file, path, _REMEDY).load(network)
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise MatcapError.at(
             path, f"this is not an inverse network's file, or it is damaged ({error})", _REMEDY
         ) from error
-    network = network.eval().requires_grad_(False)
     return network, dict(about["card"])
 
 
