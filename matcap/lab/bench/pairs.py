@@ -72,26 +72,26 @@ def agreement(table: Path) -> list[str]:
         if row.seed == 0 and row.experiment in experiments
     }
     with path.open(encoding="utf-8") as file:
-        decided = [row for row in csv.DictReader(file) if row["nearer"] in ("left", "right")]
-    looked = [
+        judged = [row for row in csv.DictReader(file) if row["nearer"] in ("left", "right")]
+    compared = [
         (known[row["material"], row["left"]], known[row["material"], row["right"]], row["nearer"])
-        for row in decided
+        for row in judged
         if all((row["material"], row[side]) in known for side in ("left", "right"))
     ]
-    if not looked:
+    if not compared:
         return []
     decoders = [
-        any(row.configuration.startswith("decoder") for row in (a, b)) for a, b, _ in looked
+        any(row.configuration.startswith("decoder") for row in (a, b)) for a, b, _ in compared
     ]
     lines = []
     for name in _MEASURES:
-        both = [(a.number(name), b.number(name), nearer) for a, b, nearer in looked]
+        both = [(a.number(name), b.number(name), nearer) for a, b, nearer in compared]
         separate = [(a, b, nearer) for a, b, nearer in both if max(a, b) >= _SEPARATION * min(a, b)]
         drawn = [pair for pair, decoder in zip(both, decoders, strict=True) if decoder]
         lines.append([name, _agreed(both), _agreed(separate), _agreed(drawn)])
     head = ["measure", "agrees", f"{_SEPARATION - 1.0:.0%} apart, agrees", "one a decoder, agrees"]
     about = (
-        f"Blind comparison of pairs ({path.name}): in {len(looked)} one was nearer to the truth."
+        f"Blind comparison of pairs ({path.name}): in {len(compared)} one was nearer to the truth."
     )
     return ["### Agreement with people", "", about, "", *markdown(head, lines), ""]
 

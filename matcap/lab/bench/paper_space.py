@@ -55,7 +55,7 @@ def interpolation(
     def pair(first: str, second: str) -> PaperEnds:
         return subjects[first](), subjects[second]()
 
-    def walked(name: str, pair: PaperEnds, seed: int) -> Mapping[str, Value]:
+    def interpolated(name: str, pair: PaperEnds, seed: int) -> Mapping[str, Value]:
         first, second = (captures[name](subject, seed)[0] for subject in pair)
         evaluator, between = pair[0].evaluator, _linear if name == LINEAR else _blended
         steps = [between(first, second, share, evaluator) for share in SHARES]
@@ -66,7 +66,7 @@ def interpolation(
     return Experiment(
         "interpolation",
         {f"{first} to {second}": partial(pair, first, second) for first, second in ends},
-        {name: Configuration(partial(walked, name)) for name in captures},
+        {name: Configuration(partial(interpolated, name)) for name in captures},
         settings=settings,
     )
 

@@ -135,11 +135,11 @@ def paper_experiments(
         },
         settings=settings,
     )
-    walked = {name: captures[name] for name in (DEFAULT, DECODER, FULL, SINGLE)}
-    walked[LINEAR] = captures[DEFAULT]
+    interpolated = {name: captures[name] for name in (DEFAULT, DECODER, FULL, SINGLE)}
+    interpolated[LINEAR] = captures[DEFAULT]
     return [
         tables,
-        interpolation(prepared, walked, settings),
+        interpolation(prepared, interpolated, settings),
         generation(sets, styles, settings),
     ]
 
@@ -190,7 +190,7 @@ def _distance(style: Style, pictures: Tensor, truths: Sequence[Tensor]) -> float
 
 def paper_page(rows: Sequence[Trial], command: str) -> str:
     """The paper's two tables in Markdown, with the paper's own figures, and those of its space."""
-    captured, walked, drawn = (
+    captured, interpolated, drawn = (
         [row for row in rows if row.experiment == name]
         for name in ("paper", "interpolation", "generation")
     )
@@ -210,7 +210,7 @@ def paper_page(rows: Sequence[Trial], command: str) -> str:
         f"## Ablations, by {style}",
         _ablations([mean for mean in averages if mean not in whole], whole, style),
         "## Interpolation",
-        _table("between two materials", means(walked), columns_of(walked)),
+        _table("between two materials", means(interpolated), columns_of(interpolated)),
         "## Generation",
         _table("materials", means(drawn), columns_of(drawn)),
     )

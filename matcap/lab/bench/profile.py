@@ -85,8 +85,8 @@ def profiled(photograph: Path, preset: str) -> ByStage:
     command = [sys.executable, "-m", __name__, str(photograph), preset]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        said = (done.stderr.strip().splitlines() or ["nothing was said"])[-1]
-        raise MatcapError(f"the capture failed: {said}", where=str(photograph))
+        message = (done.stderr.strip().splitlines() or ["nothing was said"])[-1]
+        raise MatcapError(f"the capture failed: {message}", where=str(photograph))
     costs: ByStage = json.loads(done.stdout)
     return costs
 

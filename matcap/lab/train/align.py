@@ -175,7 +175,7 @@ def _cut(
     return random_crop(piece, width, height, rng)
 
 
-def make(seeds: Sequence[int], width: int = 384) -> Tilted:
+def tilted_photographs(seeds: Sequence[int], width: int = 384) -> Tilted:
     """Photographs of one material for each seed, rendered `width` pixels wide and downsampled."""
     parts = [take_tilted(seed, width) for seed in seeds]
     small = [F.adaptive_avg_pool2d(p.radiance.float(), (WIDTH * 3 // 4, WIDTH)) for p in parts]
@@ -198,7 +198,7 @@ def mirror(taken: Tilted) -> Tilted:
 
 
 def develop(taken: Tilted, rng: np.random.Generator, radiometric: bool | None = None) -> Developed:
-    """Expose photographs and, where they are no RAW, develop them.
+    """Expose photographs, and develop those that are not RAW.
 
     All are RAW, or none, by `radiometric`; None draws it for each.
     """

@@ -17,8 +17,8 @@ from torch import Tensor
 from matcap.lab.train.align import (
     EVALUATED,
     likelihood_loss,
-    make,
     take_tilted,
+    tilted_photographs,
     train_alignment,
     written,
 )
@@ -46,7 +46,7 @@ def train_branch(
     """
     branch = Alignment() if start is None else start
     begun = None if start is None else branch.picture
-    pool = make(range(materials))
+    pool = tilted_photographs(range(materials))
     branch.picture = train_alignment(pool, steps, start=begun, on_progress=on_progress)
     branch.requires_grad_(False)
     train_fusion(branch.fusion, *samples(branch.picture, range(fused)), on_progress=on_progress)
