@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,6 +16,7 @@ from matcap.capture.pipeline import capture_file
 from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.result import CaptureResult
 from matcap.capture.together.union import STEEPEST, sees
+from matcap.flash.extent import OWN, Extent
 from matcap.lab.bench.nsd import PhotographSettings
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
@@ -69,13 +70,12 @@ class TakenSubject:
     cameras: Sequence[PosedCamera]
     evaluator: Evaluator
 
-    def true_on(self, result: CaptureResult) -> Callable[[int, int], MapSet]:
-        """Function of (columns, rows) to true maps on the estimated plane."""
-        several = None if result.estimate is None else result.estimate.several
-        bent = (0.0, 0.0) if several is None else several.bent
-        phone = self.evaluator.settings.camera
-        estimated = PosedCamera.of(result.material.setup, bent)
-        return true_maps_along(self.subject.realise, phone, self.cameras, 0, estimated)
+    def true_maps(
+        self, number: int, estimated: PosedCamera, size: tuple[int, int], extent: Extent = OWN
+    ) -> MapSet:
+        """See true_maps_along."""
+        phone, realise = self.evaluator.settings.camera, self.subject.realise
+        return true_maps_along(realise, phone, self.cameras, number, estimated, size, extent)
 
 
 def several_experiment(
@@ -146,8 +146,10 @@ def nsd(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
 def off(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """Errors of maps over the first photograph's rectangle."""
     assert result.estimate is not None
-    maps = map_set_of(result.estimate.framed)
-    return map_errors(maps, taken.true_on(result)(*maps.size))
+    maps, several = map_set_of(result.estimate.framed), result.estimate.several
+    bent = (0.0, 0.0) if several is None else several.bent
+    estimated = PosedCamera.of(result.material.setup, bent)
+    return map_errors(maps, taken.true_maps(0, estimated, maps.size))
 
 
 def residuals(_taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
@@ -177,15 +179,11 @@ def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     left = ~reach.margins.own(reach.size)
     planes, known = torch.zeros(9, *exemplar.size[::-1]), torch.zeros_like(left)
     names = [path.name for path in taken.paths]
-    realise = taken.subject.realise
-    phone = taken.evaluator.settings.camera
     for view in views[1:]:
         up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
         here = left & torch.from_numpy(sees(view.camera, points, up, STEEPEST))
         number = names.index(view.photo.name)
-        true = true_maps_along(realise, phone, taken.cameras, number, view.camera, reach.extent)(
-            *exemplar.size
-        )
+        true = taken.true_maps(number, view.camera, exemplar.size, reach.extent)
         planes[:, here] = torch.cat([true.stacked(), true.normal]).float()[:, here]
         known, left = known | here, left & ~here
     whole = replace(MapSet.from_stacked(planes[:6], exemplar.texel_size), painted=planes[6:])

@@ -215,32 +215,25 @@ def true_maps_along(
     cameras: Sequence[PosedCamera],
     number: int,
     estimated: PosedCamera,
+    size: tuple[int, int],
     extent: Extent = OWN,
-) -> Callable[[int, int], MapSet]:
+) -> MapSet:
     """True maps along the rays of camera `number`, for texels resampled from its photograph alone.
 
     Errors of the estimated pose displace the plane's texels; the truth is therefore looked up along
-    the ray of the pixel that each texel was resampled from.
-
-    Returns:
-        Function of (columns, rows), the extent's size in texels, to true maps.
+    the ray of the pixel that each texel was resampled from. `size` is the extent's (columns, rows).
     """
-    maps = _piece(realise, phone, cameras)
-    first = cameras[number]
-
-    def on(columns: int, rows: int) -> MapSet:
-        blur = 0.4 * extent.texel(columns) / maps.texel_size
-        stacked = [
-            np.asarray(cv2.GaussianBlur(channel, (0, 0), blur), np.float32)
-            for channel in maps.stacked().float().numpy()
-        ]
-        points = first.on_plane(estimated.sees(grid_points(columns, rows, extent)))
-        bilinear = partial(_bilinear, texel=maps.texel_size, border=cv2.BORDER_REFLECT)
-        points = _intersections(points, first.place, partial(bilinear, stacked[-1]))
-        planes = np.stack([bilinear(channel, points) for channel in stacked])
-        return MapSet.from_stacked(torch.from_numpy(planes), extent.texel(columns))
-
-    return on
+    maps, true, texel = _piece(realise, phone, cameras), cameras[number], extent.texel(size[0])
+    blur = 0.4 * texel / maps.texel_size
+    stacked = [
+        np.asarray(cv2.GaussianBlur(channel, (0, 0), blur), np.float32)
+        for channel in maps.stacked().float().numpy()
+    ]
+    points = true.on_plane(estimated.sees(grid_points(*size, extent)))
+    bilinear = partial(_bilinear, texel=maps.texel_size, border=cv2.BORDER_REFLECT)
+    points = _intersections(points, true.place, partial(bilinear, stacked[-1]))
+    planes = np.stack([bilinear(channel, points) for channel in stacked])
+    return MapSet.from_stacked(torch.from_numpy(planes), texel)
 
 
 def _piece(realise: Realise, phone: PhoneCamera, cameras: Sequence[PosedCamera]) -> MapSet:

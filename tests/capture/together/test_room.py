@@ -80,10 +80,8 @@ def test_a_photograph_without_flash_is_registered_on_albedo(lit):
     astray = replace(room.camera, place=room.camera.place + np.array([0.012, -0.02, 0.01]))
     off = (*registration.views[:-1], replace(room, camera=astray, misregistration=0.02))
     leather = EXAMPLES["leather"]
-    on_plane = true_maps_along(
-        leather.realise, PHONE, cameras, 0, PosedCamera.of(registration.setup)
-    )
-    maps = on_plane(320, 240)
+    estimated = PosedCamera.of(registration.setup)
+    maps = true_maps_along(leather.realise, PHONE, cameras, 0, estimated, (320, 240))
     found = on_albedo(off, registration.setup, maps)
     points = grid_points(32, 24)
     before, after = (

@@ -217,8 +217,8 @@ def test_two_photographs_that_share_a_half_are_one_larger_piece(captured):
     points = grid_points(*piece.size, reach.extent)
     beyond = torch.from_numpy(sees(other, points, 0.75, STEEPEST))
     beyond &= ~reach.margins.own(reach.size)
-    args = leather.realise, PHONE, cameras, 1, other, reach.extent
-    true = true_maps_along(*args)(*piece.size)
+    args = leather.realise, PHONE, cameras, 1, other, piece.size, reach.extent
+    true = true_maps_along(*args)
     off = map_errors(piece, true, beyond)
     assert off["normals"] < 0.9 * off["flat"]
     log = true.diffuse.mean(0).log()[beyond]
