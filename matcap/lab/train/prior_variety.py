@@ -9,6 +9,7 @@ than the ends are.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from matcap.lab.experiment.results import Trial, table
+from matcap.lab.experiment.results import Trial, Value, table
 from matcap.lab.measures.style import StyleStatistics
 from matcap.lab.measures.variety import describe_pictures, joined, style_distances, variety
 from matcap.lab.train.evaluate import UNSEEN
@@ -122,6 +123,7 @@ def middles(
         nearest = style_distances(describe_pictures(steps), photographs).min(dim=1).values
         ends, middle = float(nearest[[0, -1]].mean()), float(nearest[_MIDDLE])
         name = f"{entries[index].material} and {entries[index + 1].material}"
-        values = {"ends": ends, "middle": middle, "ratio": middle / ends}
+        ratio = middle / ends if ends else math.inf
+        values: dict[str, Value] = {"ends": ends, "middle": middle, "ratio": ratio}
         blends.append((Trial("prior-variety", "blend", name, values), torch.cat(steps, dim=2)))
     return blends
