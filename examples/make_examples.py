@@ -26,7 +26,7 @@ def main() -> None:
     for name in chosen.only or EXAMPLES:
         example = EXAMPLES[name]
         shot = example.take(camera)
-        write_dng(chosen.out / f"{name}.dng", shot, example.sensor, example.seed)
+        write_dng(chosen.out / f"{name}.dng", shot, example.seed, example.shading)
         write_jpeg(chosen.out / f"{name}.jpg", shot, example.seed)
         if chosen.truth:
             info = MapSetInfo(name, seed=example.seed, provenance={"setup": vars(shot.setup)})
