@@ -179,7 +179,7 @@ def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     left = ~reach.margins.own(reach.size)
     planes, known = torch.zeros(9, *exemplar.size[::-1]), torch.zeros_like(left)
     names = [path.name for path in taken.paths]
-    for view in views[1:]:
+    for view in (view for view in views[1:] if view.flash):
         up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
         here = left & torch.from_numpy(sees(view.camera, points, up, STEEPEST))
         number = names.index(view.photo.name)
