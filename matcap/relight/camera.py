@@ -116,7 +116,7 @@ def view_of(camera: Camera | None, film: Film, long_side: float) -> View:
     upright = unit3(camera.up)
     # A camera that looks along `up` has -z at the top of its picture; along z, y.
     if abs(forward @ upright) >= 1.0 - 1e-9:
-        upright = np.array([0.0, 0.0, -1.0] if abs(forward[2]) < 0.5 else [0.0, 1.0, 0.0])
+        upright = np.array([0.0, 1.0, 0.0] if abs(forward[2]) >= 1.0 - 1e-9 else [0.0, 0.0, -1.0])
     right = np.cross(forward, upright)
     right = right / np.linalg.norm(right)
     axes = np.stack([right, np.cross(right, forward), forward])
