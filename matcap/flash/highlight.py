@@ -32,7 +32,9 @@ _TOP = 0.3  # share of the peak's height, from the top, whose centroid is the ce
 _ROUNDS = 8  # iterations of the centre
 # Standard deviations of blurs, plane units, tried until the spot is the only bright one.
 _TEXTURES = (0.0, 0.015, 0.03, 0.06, 0.12)
-_OTHERS = 0.25  # area of other bright spots, over the spot's own, from which it is texture
+# Share of a spot's height, and area elsewhere above it, over the spot's own, from which the spot is
+# texture. A flake of bare metal in the wide highlight of rust is alone at half of its height.
+_OTHERS = ((0.5, 0.25), (0.25, 2.5))
 
 # Most standard deviation of the blur that removes texture from the elongation, plane units.
 _ELONGATION_BLUR = 0.03
@@ -76,7 +78,7 @@ def find_highlight(light: Luminance) -> Highlight | None:
     for texture in _TEXTURES:
         blurred = _blur(light, texture / cell) if texture else light
         spot = _brightest(blurred)
-        if spot is None or _others(blurred, spot) < _OTHERS:
+        if spot is None or all(_others(blurred, spot, at) < most for at, most in _OTHERS):
             break
     return spot
 
@@ -102,11 +104,11 @@ def elongation(light: Luminance, highlight: Highlight) -> float:
     return float(np.sqrt(large / small))
 
 
-def _others(light: Luminance, spot: Highlight) -> float:
-    """Area outside of a highlight that is brighter than its half-way level, over its own area."""
+def _others(light: Luminance, spot: Highlight, height: float) -> float:
+    """Area outside of a highlight above a share of its height, over its own area."""
     distance = np.hypot(*(c - at for c, at in zip(_coordinates(light), spot.centre, strict=True)))
-    middle = 0.5 * (spot.peak + spot.surroundings)
-    elsewhere = (light > middle) & (distance > 2.0 * spot.width) & (distance < SURROUNDINGS[1])
+    level = spot.surroundings + height * (spot.peak - spot.surroundings)
+    elsewhere = (light > level) & (distance > 2.0 * spot.width) & (distance < SURROUNDINGS[1])
     return float(elsewhere.sum() * (2.0 / light.shape[1]) ** 2 / (np.pi * spot.width**2))
 
 

@@ -59,15 +59,24 @@ def patches(seed, least):
     return (smooth > least * smooth.std())[..., None]
 
 
-def test_patches_of_metal_make_one_highlight_together():
-    """Between rust every patch is as bright as a highlight is, and far smaller than this one."""
+def bare_metal(seed, least):
+    """Highlights of metal alone, and of patches of it in rust."""
     metal = polished(roughness=0.3, specular=0.5, diffuse=(0.02,) * 3).pixels
     rust = polished(roughness=0.9, diffuse=(0.1, 0.05, 0.02)).pixels
-    alone, found = (
-        find_highlight(light_of(p)) for p in (metal, np.where(patches(0, 0.5), metal, rust))
-    )
+    mixed = np.where(patches(seed, least), metal, rust)
+    return find_highlight(light_of(metal)), find_highlight(light_of(mixed))
+
+
+def test_patches_of_metal_make_one_highlight_together():
+    """Between rust every patch is as bright as a highlight is, and far smaller than this one."""
+    alone, found = bare_metal(0, 0.5)
     assert math.dist(found.centre, alone.centre) < 0.08
     assert found.width == pytest.approx(alone.width, rel=0.2)
+
+
+def test_a_flake_twice_as_bright_as_others_is_no_highlight():
+    alone, found = bare_metal(4, 1.4)
+    assert found.width > 0.5 * alone.width  # the flake's is 0.17 of it
 
 
 def test_pale_leaves_on_dark_ground_have_none():
