@@ -1,5 +1,5 @@
 // The page's shader. Units: half the picture's long side for a plane, the radius for a sphere or
-// cylinder. The reflectance is that of matcap/relight/lobes.py; the camera is that of the
+// cylinder. The reflectance is that of matcap/relight/loops/loops.h; the camera is that of the
 // photograph, 45 degrees across the long side, straight above.
 
 import { ADJUST_GLSL } from "./adjust.js";
