@@ -92,6 +92,10 @@ _LEAST_FACTOR, _MOST_FACTOR = 0.5, 6.0  # limits of the factors
 def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
     """Fit mean parameters of the classes, then albedo of every texel, to the photograph."""
     plane, fitted = observed.plane, fitted_to_highlight(observed, prediction)
+    steep = scaled_by_glints(
+        fitted.departures, plane.linear, plane.measured, observed.light, observed.noise
+    )
+    fitted = with_levels(observed, replace(fitted, departures=steep))
     photograph, metal = (plane.linear, observed.shown), fitted.classes.metal_share
     refined = refine(
         fitted.departures,
@@ -107,14 +111,8 @@ def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPre
 
 
 def fitted_to_highlight(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
-    """Even albedo; relief and mean parameters of the classes fitted to the highlight.
-
-    Steps 1 to 4 of the module: to its rings, and octaves of relief to its glints.
-    """
-    plane, light = observed.plane, observed.light
-    fitted = with_levels(observed, narrowed(observed, evened(observed, prediction)))
-    steep = scaled_by_glints(fitted.departures, plane.linear, plane.measured, light, observed.noise)
-    return with_levels(observed, replace(fitted, departures=steep))
+    """Even albedo; relief and mean parameters of the classes fitted to the highlight's rings."""
+    return with_levels(observed, narrowed(observed, evened(observed, prediction)))
 
 
 def evened(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
