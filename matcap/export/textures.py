@@ -71,8 +71,8 @@ def standard_surface(textures: Mapping[str, TextureFile], read: Reader) -> Targe
     """The reflectance that a target renders of standard_textures."""
     from matcap.export.surface import TargetSurface
 
-    diffuse, specular, roughness, normal = (read(one) for one in list(textures.values())[:4])
-    return TargetSurface(diffuse, specular, roughness, signed(normal))
+    diffuse, specular, roughness = (read(textures[k]) for k in ("diffuse", "specular", "roughness"))
+    return TargetSurface(diffuse, specular, roughness, signed(read(textures["normal_gl"])))
 
 
 def file_names(name: str, textures: Mapping[str, TextureFile]) -> dict[str, str]:

@@ -329,7 +329,7 @@ def _network(job: ExportJob, layered: Layered, files: dict[str, str]) -> str:
         "base_color": ("MtlxBase", files["mtlx_base"], "color3", "srgb_texture"),
         layered.kind: (
             "MtlxSpecular" if is_tint else "MtlxMetalness",
-            next(reversed(files.values())),
+            files["mtlx_specular" if is_tint else "mtlx_metalness"],
             *second,
         ),
         "roughness": ("MtlxRoughness", files["roughness"], "float", "raw"),

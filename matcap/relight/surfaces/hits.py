@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,24 +55,24 @@ class Hits:
         return Hits(vector(self.point), frame, place, vector(self.to_view), None, footprint)
 
 
-class Shape:
+class Shape(ABC):
     """A surface in the scene."""
 
+    @abstractmethod
     def framed(self, film: Film) -> float:
         """Span of the picture's long side at the origin that shows all of it, in plane units."""
-        raise NotImplementedError
 
     def seen_by(self, view: View) -> Shape:
         """This shape, prepared for a view: a mesh rasterises the face that each pixel sees."""
         return self
 
+    @abstractmethod
     def hits(self, view: View, top: int, bottom: int) -> Hits:
         """Intersections of the rays of rows [top, bottom) of the picture."""
-        raise NotImplementedError
 
+    @abstractmethod
     def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
         """Box around the visible points, and the largest side of a pixel's footprint."""
-        raise NotImplementedError
 
 
 def to_frame(vector: Vec, frame: TangentFrame | None) -> Vec:
