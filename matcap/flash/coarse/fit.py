@@ -114,10 +114,10 @@ def fit_coarse(
         )
         for conductor in (False, True)
     )
-    chosen, dielectric_cost, _ = _fitted(photo, fine, *dielectric)
+    chosen, dielectric_cost, _ = _fitted(photo, fine, dielectric)
     # A conductor with the larger cost on coarse cells would have to gain all of _CONDUCTOR_ODDS.
-    if metal[-1][0][0] <= dielectric[-1][0][0]:
-        conductor, cost, nat = _fitted(photo, fine, *metal)
+    if metal.least_cost <= dielectric.least_cost:
+        conductor, cost, nat = _fitted(photo, fine, metal)
         red, _, blue = conductor.diffuse
         is_metal = (
             dielectric_cost - cost > _CONDUCTOR_ODDS * nat
@@ -129,10 +129,30 @@ def fit_coarse(
     return replace(chosen, tilt_prior=tilt_prior)
 
 
+@dataclass(frozen=True)
+class _CoarselyFitted:
+    """A hypothesis fitted on coarse cells from every starting point.
+
+    Attributes:
+        prior: the hypothesis.
+        problem: on coarse cells.
+        minima: (cost, parameters), the least cost first.
+    """
+
+    prior: Hypothesis
+    problem: Problem
+    minima: list[tuple[float, Tensor]]
+
+    @property
+    def least_cost(self) -> float:
+        """Of all minima."""
+        return self.minima[0][0]
+
+
 def _fitted_coarsely(
     photo: Photo, cells: CoarseCells, highlight: Highlight | None, prior: Hypothesis
-) -> tuple[Hypothesis, Problem, list[tuple[float, Tensor]]]:
-    """A hypothesis, its problem, and (cost, parameters) from every start, the least cost first."""
+) -> _CoarselyFitted:
+    """Fit a hypothesis on coarse cells."""
     unit = _PRIOR_SHARE * HUBER**2
     problem = Problem(
         cells=cells,
@@ -145,28 +165,19 @@ def _fitted_coarsely(
         conductor=prior.conductor,
     )
     begun = starts(cells.observed, prior, highlight, problem.distance)
-    tried = [problem.minimised(start, _FEW) for start in begun]
-    return prior, problem, sorted(tried, key=lambda candidate: candidate[0])
+    minima = [problem.minimised(start, _FEW) for start in begun]
+    return _CoarselyFitted(prior, problem, sorted(minima, key=lambda candidate: candidate[0]))
 
 
 def _fitted(
-    photo: Photo,
-    cells: CoarseCells,
-    prior: Hypothesis,
-    problem: Problem,
-    tried: Sequence[tuple[float, Tensor]],
+    photo: Photo, cells: CoarseCells, coarse: _CoarselyFitted
 ) -> tuple[CoarseFit, float, float]:
-    """The most probable fit of a hypothesis, its cost, and the cost of a nat of the prior.
-
-    Args:
-        photo: the photograph.
-        cells: fine ones.
-        prior, problem, tried: from _fitted_coarsely.
-    """
-    last = replace(problem, cells=cells)
+    """The most probable fit on fine cells, its cost, and the cost of a nat of the prior."""
+    prior, last = coarse.prior, replace(coarse.problem, cells=cells)
+    begun = [parameters for _, parameters in coarse.minima]
     if photo.radiometric:
-        last = last.whitened(tried[0][1]).trusting(tried[0][1])
-    best = _best(last, [start for _, start in tried])
+        last = last.whitened(begun[0]).trusting(begun[0])
+    best = _best(last, begun)
     rest = last.differences(best)[last.cells.above == 1.0]
     own = None
     if prior.tilt_alone is not None:
