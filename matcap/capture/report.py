@@ -32,8 +32,8 @@ Keys:
         photographs, `falloff` (r^2 and r^4), `deviation` and `correlation`.
     texel_size: plane units.
     settings: of the user.
-    effort: that follows from the settings: preset, `steps` of fine-tuning a decoder (0 without),
-        windows per step, detail, matched or not.
+    effort: that follows from the settings: `preset`, `detail` and `steps` of fine-tuning a decoder
+        (0 without); of a decoder also `places` (windows per step), and whether it was `matched`.
     seconds: of the whole capture.
     stage_seconds: of each stage.
     tuning: of a decoder, or null: `error` (the last texture distance), `self_difference` (that
@@ -148,7 +148,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         },
         "texel_size": result.material.texel_size,
         "settings": result.settings.named(),
-        "effort": asdict(result.effort),
+        "effort": _effort(result),
         "seconds": sum(result.stage_seconds.values()),
         "stage_seconds": dict(result.stage_seconds),
         "tuning": _tuning(result.tuning),
@@ -166,6 +166,13 @@ def report(result: CaptureResult) -> dict[str, Any]:
 
 def _several(estimate: ExemplarEstimate | None) -> dict[str, Any] | None:
     return None if estimate is None or estimate.several is None else estimate.several.document()
+
+
+def _effort(result: CaptureResult) -> dict[str, Any]:
+    effort = asdict(result.effort)
+    if result.settings.generator != "decoder":
+        del effort["places"], effort["matched"]
+    return effort
 
 
 def _tuning(tuning: Tuning | None) -> dict[str, Any] | None:

@@ -145,9 +145,11 @@ def judged(
         compared = np.where(kept, whole, lying)  # a difference of zero where masked
         seen = np.where(kept, whole, np.float32(0.0))
         drawn = None if tuning is None else maps
-        about = None
+        about = ExemplarMeasurements()
         if estimate is not None:
             about = _exemplar_measurements(estimate, rectified, material, drawn)
+        others = material.provenance.get("others", ())
+        about = replace(about, photographs=1 + len(others))
         valid = plane.valid.numpy()
         setup = replace(material.setup, turned=False)
         measurements = measured(photo, setup, compared, lying, valid, rectified.waves, about)
@@ -208,7 +210,6 @@ def _exemplar_measurements(
         steepness=math.nan if drawn is None else steepness(drawn, map_set_of(estimate.framed)),
         # Of a lattice, whole periods are rearranged, however small they are.
         variety=1.0 if rectified.waves else estimate.example.variety,
-        photographs=1 if estimate.several is None else len(estimate.several.views),
     )
 
 

@@ -195,8 +195,9 @@ class CaptureSettings(CheckedSettings):
         Raises:
             UsageError: the preset is unknown.
         """
-        by_default = DETAIL if self.generator == "decoder" else resolve(self).detail
-        return self.detail or by_default
+        if self.generator == "decoder":
+            return self.detail or DETAIL
+        return resolve(self).detail
 
     def detail_of(self, pixels: int) -> int:
         """Texels along the long side of a photograph that has `pixels` there."""
@@ -342,4 +343,6 @@ def resolve(settings: CaptureSettings) -> Effort:
         limit = settings.time_limit or math.inf
         detail = next(texels for least, texels in TIME_FOR_DETAIL if limit >= least)
         effort = replace(UNLIMITED, detail=detail)
+    if settings.detail is not None:
+        effort = replace(effort, detail=settings.detail)
     return effort if settings.generator == "decoder" else replace(effort, steps=0)

@@ -1,4 +1,4 @@
-"""The stages that estimate the exemplar of a photograph, in order; each has a file of its name.
+"""The stages that estimate the exemplar of a photograph, in order.
 
 In comes a photograph on its plane (Rectified), out goes an ExemplarEstimate. The network predicts
 maps (predict.py); relief is scaled to the energies that the photograph measures (strengths.py), and

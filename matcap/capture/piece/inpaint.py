@@ -29,7 +29,7 @@ from matcap.photo.shrink import area_averaged
 # Inpainting under the highlight; docs/notes/capture.md. NSD is the normalised style distance.
 _TRIED = 1000  # random candidate blocks per place
 _RENDERED = 40  # as many of those that match the overlap best, and of the others, are rendered
-_CONTRAST = 0.25  # w of the equation above
+_CONTRAST = 0.25  # w of the equation in transport
 _BLOCK = 48  # side of a block, texels: larger than the texture's features, small enough to match
 _OVERLAP = 12  # overlap of neighbouring blocks, texels
 # Least confidence of albedo in donors, over that of well seen texels. Larger values inpaint
