@@ -6,11 +6,13 @@ PyTorch and other slow imports happen when a function is called or a name first 
 from __future__ import annotations
 
 from importlib import import_module
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matcap.errors import MatcapError
+from matcap.errors import MatcapError, UsageError
 from matcap.files.maker import MAKER_VERSION as __version__
+from matcap.files.names import shown
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 
 if TYPE_CHECKING:
@@ -67,8 +69,8 @@ def capture(path: str | Path, *others: str | Path, **settings: Any) -> Material:
             (seconds), detail (texels along the long side), fov (degrees), seed, prior.
 
     Raises:
-        MatcapError: the file is not a photograph that a material can be made from.
-        TypeError: an unknown setting.
+        MatcapError: the file is not a photograph that a material can be made from, or a setting is
+            unknown or not allowed.
 
     Example:
         m = matcap.capture("leather.dng", preset="instant")
@@ -77,6 +79,12 @@ def capture(path: str | Path, *others: str | Path, **settings: Any) -> Material:
     from matcap.capture.pipeline import capture_file
     from matcap.capture.settings import CaptureSettings
 
+    for one in (path, *others):
+        if not isinstance(one, str | PathLike):
+            raise UsageError(
+                f"{shown(one)} is not the path of a photograph",
+                remedy="give a text or a Path; several photographs are separate arguments",
+            )
     return capture_file(path, CaptureSettings.of(settings), others=others).material
 
 
@@ -109,4 +117,9 @@ def relight(
     """
     from matcap.relight.render import relight as render
 
+    if isinstance(source, str | PathLike):
+        raise UsageError(
+            f"{shown(source)} is a path, not a material or maps",
+            remedy="open it with matcap.Material.load or matcap.read_mapset",
+        )
     return render(source, scene, seed=seed, tolerance=tolerance, effects=effects)

@@ -18,6 +18,7 @@ from matcap.batch.settings import BatchSettings
 from matcap.batch.work import do_job, settle_threads
 from matcap.batch.worker_pool import BatchWorkers, Machines, Processes
 from matcap.batch.workspace import open_run
+from matcap.capture.settings import resolve
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.memory import free_bytes
 from matcap.files.staging import check_writable
@@ -58,8 +59,10 @@ def prepare(
     """List the samples of the folder `source` and determine their states; writes nothing.
 
     Raises:
+        UsageError: settings contradict each other.
         MatcapError: no such folder, no photographs in it, no such prior, an unwritable output.
     """
+    resolve(settings.capture)  # raises where settings contradict each other
     prior = prior_hash(settings.capture.prior)
     group = cast(Grouping, settings.group)
     cards = _cards(source, settings.card, out)

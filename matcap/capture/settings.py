@@ -30,6 +30,28 @@ DETAILS = (QUICK_DETAIL, DETAIL, FINE_DETAIL)
 # Texture statistics by name (constructors in target.py), and whether each needs a file of weights.
 STATISTICS: Mapping[str, bool] = MappingProxyType({"filterbank": False, "vgg19": True})
 STATISTICS_WORDS = "|".join(f"{name}=FILE" if file else name for name, file in STATISTICS.items())
+# Settings that only the decoder uses: option, message and alternative for the other generator.
+_OF_DECODER: Mapping[str, tuple[str, str, str]] = MappingProxyType(
+    {
+        "steps": (
+            "--steps",
+            "only a decoder is fine-tuned in steps",
+            "--preset or --detail in its place",
+        ),
+        "target": (
+            "--target",
+            "only fine-tuning of a decoder has a target",
+            "--time in its place",
+        ),
+        "prior": ("--prior", "only a decoder starts from a prior", "leave it out"),
+        "statistics": (
+            "--statistics",
+            "only fine-tuning of a decoder compares texture statistics",
+            "leave it out",
+        ),
+        "drawing": ("--no-drawing", "only a decoder reads a drawing", "leave it out"),
+    }
+)
 _STEP = 16  # texels: smallest alignment of a material
 _BESIDES = 50_000_000  # bytes: upper bound of material, preview and report
 
@@ -162,15 +184,14 @@ class CaptureSettings(CheckedSettings):
         """Settings from names and values, which may be text; all others are defaults.
 
         Raises:
-            TypeError: a name is unknown.
-            UsageError: a value cannot be parsed.
+            UsageError: a name is unknown, or a value cannot be parsed.
         """
         return CaptureSettings(**typed_settings(CaptureSettings, named))
 
     @property
     def draws(self) -> bool:
         """Whether a decoder is captured that reads a drawing: without a step it cannot learn to."""
-        return self.drawing and resolve(self).steps > 0
+        return resolve(self).steps > 0 and self.drawing
 
     def named(self) -> dict[str, Any]:
         """All settings by name as JSON values."""
@@ -311,25 +332,19 @@ def resolve(settings: CaptureSettings) -> Effort:
     """Effort of a capture with these settings.
 
     Raises:
-        UsageError: the preset is unknown, or `steps`, `target` or `union` contradicts the
-            generator.
+        UsageError: the preset is unknown, or a setting contradicts the generator.
     """
     if settings.preset not in PRESETS:
         raise UsageError(
             f"there is no preset {settings.preset!r}", remedy=f"choose one of {', '.join(PRESETS)}"
         )
-    if settings.steps is not None and settings.generator != "decoder":
-        raise UsageError.at(
-            "--steps",
-            "only a decoder is fine-tuned in steps",
-            "give --generator decoder with it, or --preset or --detail in its place",
-        )
-    if settings.target is not None and settings.generator != "decoder":
-        raise UsageError.at(
-            "--target",
-            "only fine-tuning of a decoder has a target",
-            "give --generator decoder with it, or --time in its place",
-        )
+    if settings.generator != "decoder":
+        default = CaptureSettings()
+        for name, (option, what, otherwise) in _OF_DECODER.items():
+            if getattr(settings, name) != getattr(default, name):
+                raise UsageError.at(
+                    option, what, f"give --generator decoder with it, or {otherwise}"
+                )
     if settings.union and settings.generator == "decoder":
         raise UsageError.at(
             "--union",

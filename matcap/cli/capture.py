@@ -71,6 +71,10 @@ def capture(
     outputs = chosen(OutputSettings, {**given, "seed": settings.seed})
     jobs = _jobs(photos, out)
     check_photographs(settings, len(photos) if together else 1)
+    if together and len(photos) < 2:
+        raise UsageError.at(
+            "--together", "there is one photograph", "give two or more of one sample"
+        )
     if together:
         jobs = [replace(jobs[0], others=tuple(photos[1:]))]
     check_writable(out, outputs.room)

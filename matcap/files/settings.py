@@ -159,9 +159,13 @@ def typed_settings(kind: type, named: Mapping[str, Any]) -> dict[str, Any]:
     """Convert values by field name to the fields' types; others are returned unchanged.
 
     Raises:
-        UsageError: see Setting.typed.
+        UsageError: a name is no field's; see Setting.typed.
     """
     known = settings_in(kind)
+    names = [one.name for one in fields(kind)]
+    for name in named:
+        if name not in names:
+            raise UsageError(f"there is no setting {shown(name)}", remedy=nearest(name, names))
     return {
         name: known[name].typed(value, known[name].flag)
         if name in known and value is not None

@@ -90,7 +90,8 @@ def test_what_is_predicted_is_what_a_capture_takes(chosen, steps, seconds, monke
         (["nowhere"], 3, "no such folder"),
         (["SHOOT", "--preset", "drafd"], 2, "'draft'"),
         (["SHOOT", "--size", "100", "--tile"], 2, "multiples of 16"),
-        (["SHOOT", "--prior", "nothing.safetensors"], 3, "no such prior"),
+        (["SHOOT", "--prior", "nothing.safetensors"], 2, "--generator decoder"),
+        (["SHOOT", "--generator", "decoder", "--prior", "no.safetensors"], 3, "no such prior"),
     ],
 )
 def test_what_is_wrong_is_said_before_any_work(shoot, tmp_path, capsys, arguments, code, word):

@@ -17,11 +17,6 @@ def test_a_preset_is_its_effort_unless_steps_are_given(preset):
     assert fewer == replace(effort, steps=7)
 
 
-def test_steps_are_the_decoders():
-    with pytest.raises(UsageError, match="--steps: only a decoder"):
-        resolve(CaptureSettings(steps=7))
-
-
 @pytest.mark.parametrize("limit", [{"time_limit": 20.0}, {"target": 1.3}])
 def test_a_limit_alone_may_take_all_the_steps_there_are(limit):
     asked = {"preset": "draft", "generator": "decoder", **limit}
@@ -51,9 +46,21 @@ def test_the_piece_has_the_finest_texels_where_there_is_time_for_them(asked, wan
     assert settings.detail_of(1600) == (settings.detail or min(wanted, 1024))
 
 
-def test_a_target_is_the_decoders():
-    with pytest.raises(UsageError, match="--generator decoder"):
-        resolve(CaptureSettings(target=1.3))
+@pytest.mark.parametrize(
+    ("option", "asked"),
+    [
+        ("--steps", {"steps": 7}),
+        ("--target", {"target": 1.3}),
+        ("--prior", {"prior": "none"}),
+        ("--prior", {"prior": "/nonexistent"}),
+        ("--statistics", {"statistics": "vgg19=/nonexistent"}),
+        ("--no-drawing", {"drawing": False}),
+    ],
+)
+def test_settings_that_only_a_decoder_uses_are_refused_without_it(option, asked):
+    with pytest.raises(UsageError, match=f"{option}: only .*--generator decoder"):
+        resolve(CaptureSettings.of(asked))
+    resolve(CaptureSettings.of({**asked, "generator": "decoder"}))
 
 
 def test_presets_cost_more_and_more():

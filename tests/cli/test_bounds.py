@@ -54,6 +54,8 @@ HUGE = "9" * 23
         (("view", "a", "--html", "a.html", "--tile", "99999999"), "2048"),
         (("inspect", "a", "--fov", "nan"), "is not from 1 to 170"),
         (("inspect", "a.matcap", "--together"), "--together: there are no photographs"),
+        (("capture", "a.jpg", "--together"), "--together: there is one photograph"),
+        (("capture", "a.jpg", "--no-drawing"), "--no-drawing: only a decoder reads a drawing"),
     ],
 )
 def test_numbers_out_of_range_are_refused_before_any_work(matcap, place, words, said):

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 import matcap
+from matcap.errors import UsageError
 
 NAMES = {
     "Field", "MapSet", "MapSetInfo", "MatcapError", "Material", "__version__", "capture",
@@ -70,8 +71,16 @@ def test_capture_hands_its_settings_on(pipeline, photo):
     assert material.name == "leather"
     (call,) = pipeline.calls
     assert (call.long_side, call.fov, call.settings.preset) == (256, 50.0, "draft")
-    with pytest.raises(TypeError, match="speed"):
-        matcap.capture(photo, speed="fast")
+
+
+def test_an_unknown_setting_or_a_wrong_path_is_a_usage_error(photo):
+    with pytest.raises(UsageError, match="'stps'; did you mean 'steps'"):
+        matcap.capture(photo, stps=3)
+    for paths in ([[photo, photo]], [photo, None]):
+        with pytest.raises(UsageError, match="separate arguments"):
+            matcap.capture(*paths)
+    with pytest.raises(UsageError, match="Material.load"):
+        matcap.relight("leather.matcap")
 
 
 def test_several_photographs_of_one_piece_are_read_together(monkeypatch):

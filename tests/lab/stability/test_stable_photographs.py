@@ -41,7 +41,7 @@ def made(name, seed=1):
 
 
 def settings(**changed):
-    return CaptureSettings(**{"detail": WIDTH, "prior": "none", **changed})
+    return CaptureSettings(**{"detail": WIDTH, **changed})
 
 
 @pytest.mark.parametrize("name", REFUSED)
