@@ -55,19 +55,21 @@ def with_settings(command: Callable[..., None]) -> Callable[..., None]:
             shown.append(one.replace(annotation=hints[name]))
 
     @wraps(command)
-    def called(**options: Any) -> None:  # noqa: ANN401
+    def called(context: typer.Context, **options: Any) -> None:  # noqa: ANN401
         for group, stated in groups.items():
             taken = {name: options.pop(name) for name in stated.settings}
             options[group] = {
                 name: _plain(stated.settings[name], value)
                 for name, value in taken.items()
-                if value not in (None, [], ())
+                if getattr(context.get_parameter_source(name), "name", "") != "DEFAULT"
             }
         command(**options)
 
-    keywords = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in shown]
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    keywords = [one.replace(kind=keyword) for one in shown]
+    keywords.append(inspect.Parameter("context", keyword, annotation=typer.Context))
     called.__dict__["__signature__"] = inspect.Signature(keywords)
-    called.__annotations__ = {one.name: one.annotation for one in shown} | {"return": None}
+    called.__annotations__ = {one.name: one.annotation for one in keywords} | {"return": None}
     return called
 
 
@@ -78,12 +80,14 @@ def chosen(kind: Callable[..., T], given: Given) -> T:
 
 
 def _parameter(one: Setting) -> inspect.Parameter:
-    """Option of a setting; None if the user does not give it."""
+    """Option of a setting."""
     rule = one.rule
     more: dict[str, Any] = {}
     kind: Any = one.kind
+    default = None if rule.otherwise else _text_of_default(one.default)
     if rule.words:
         kind = cast(Any, Enum)(one.name, {word: word for word in rule.words})
+        default = default and kind(default)
     elif rule.several:
         kind = list[str]
     elif rule.parse is not None:
@@ -95,20 +99,20 @@ def _parameter(one: Setting) -> inspect.Parameter:
     flag = f"{one.flag}/--no-{one.flag[2:]}" if kind is bool else one.flag
     names = [flag, *([rule.short] if rule.short else [])]
     option: Any = typer.Option
-    said = rule.otherwise or _said(one.default)
-    stated = option(*names, help=one.help, metavar=rule.metavar, show_default=said or False, **more)
+    shown = rule.otherwise or default is not None
+    stated = option(*names, help=one.help, metavar=rule.metavar, show_default=shown, **more)
     return inspect.Parameter(
         one.field,
         inspect.Parameter.KEYWORD_ONLY,
-        default=None,
+        default=default,
         annotation=Annotated[kind | None, stated],
     )
 
 
-def _said(default: object) -> str:
-    """A default value as option text; empty for None, flags and empty values."""
+def _text_of_default(default: object) -> str | None:
+    """A default value as users would type it; None for None, flags and empty values."""
     if default is None or isinstance(default, bool) or default in ((), ""):
-        return ""
+        return None
     if isinstance(default, tuple):
         return "x".join(str(part) for part in default)
     return str(default)

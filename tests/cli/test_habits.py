@@ -12,6 +12,9 @@ import typer.main
 
 import matcap as package
 from matcap.cli.main import app
+from matcap.lab.inverse.train import TrainSettings
+from matcap.lab.train.evaluate import EvaluateSettings
+from matcap.lab.train.prior_variety import VarietySettings
 
 START = "from matcap.cli.main import run; run()"
 
@@ -44,6 +47,22 @@ def test_every_command_and_option_has_help(words):
     for parameter in command.params:
         if parameter.name != "help":
             assert getattr(parameter, "help", None), (words, parameter.name)
+
+
+@pytest.mark.parametrize(
+    ("words", "settings"),
+    [
+        (("inverse", "train"), TrainSettings),
+        (("prior", "evaluate"), EvaluateSettings),
+        (("prior", "variety"), VarietySettings),
+    ],
+)
+def test_options_of_the_laboratory_have_the_defaults_of_its_settings(words, settings):
+    """The laboratory need not be installed, so that its options cannot be made of its settings."""
+    fields = settings.__dataclass_fields__
+    options = {one.name: one.default for one in LEAVES[words].params if one.name in fields}
+    assert options
+    assert options == {name: fields[name].default for name in options}
 
 
 @pytest.mark.parametrize(

@@ -61,9 +61,9 @@ class TrainSettings:
         real: share of photographs of real materials.
     """
 
-    steps: int = 100_000
+    steps: int = 1_000_000
     seconds: float = float("inf")
-    rate: float = 1e-3
+    rate: float = 4e-4
     cooling: int = 0
     width: int = 224
     height: int = 160
