@@ -103,14 +103,14 @@ class SurfaceParameters:
         """Converted to a tensor's device and dtype."""
         return SurfaceParameters(*(getattr(self, f.name).to(like) for f in fields(self)))
 
-    def levels(self) -> Tensor:
+    def vector(self) -> Tensor:
         """(5,) ALBEDO, F0 and ROUGH of a flat, uniform surface."""
         return torch.cat([self.diffuse, self.specular, self.roughness]).flatten()
 
     @staticmethod
-    def from_levels(levels: Tensor) -> SurfaceParameters:
-        """A flat, uniform surface with these levels (5,), the inverse of levels()."""
-        diffuse, specular, roughness = levels[:, None, None].split(list(REFLECTANCE.values()))
+    def from_vector(vector: Tensor) -> SurfaceParameters:
+        """A flat, uniform surface with these parameters (5,), the inverse of vector()."""
+        diffuse, specular, roughness = vector[:, None, None].split(list(REFLECTANCE.values()))
         return SurfaceParameters(diffuse, specular, roughness, torch.zeros_like(specular))
 
     def stacked(self) -> Tensor:

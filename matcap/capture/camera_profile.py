@@ -2,7 +2,7 @@
 
 Photograph i has the falloff x_i = x + e_i (Falloff's two coefficients): x is the camera's, and
 e_i ~ N(0, tau^2 I) is due to tone curves, relief and ambient light. Its coarse fit gives the
-likelihood N(x_i; L_i^-1 h_i, L_i^-1) by Laplace's method (FalloffEvidence), wide if a highlight
+likelihood N(x_i; L_i^-1 h_i, L_i^-1) by Laplace's method (FalloffLikelihood), wide if a highlight
 hides the falloff. With e_i integrated out and the prior N(m, P) of x,
 
     x ~ N(C (P^-1 m + sum w_i (I + tau^2 L_i)^-1 h_i), C),
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.flash.coarse.fit import CoarseFit
-from matcap.flash.coarse.problem import FalloffEvidence
+from matcap.flash.coarse.problem import FalloffLikelihood
 from matcap.photo.camera import LEAST, CameraProfile, Falloff
 
 Doubles = NDArray[np.float64]
@@ -47,7 +47,7 @@ def camera_profile(camera: str, fits: Sequence[CoarseFit]) -> CameraProfile | No
     return CameraProfile(camera, shared_falloff(seen), len(seen))
 
 
-def shared_falloff(seen: Sequence[FalloffEvidence]) -> Falloff:
+def shared_falloff(seen: Sequence[FalloffLikelihood]) -> Falloff:
     """Predictive Gaussian of the falloff in the next photograph (module equation).
 
     Args:

@@ -4,7 +4,7 @@ In come a photograph and its coarse fit, out goes a Rectified: both, the plane, 
 exemplar has the resolution asked for. The network's receptive field is about a hundred texels
 and the compared windows have 160; structure of longer wavelength is lost (wood becomes sawdust).
 Such textures are read on half as many texels across, and finer bands are transferred from the
-photograph (piece/finest.py). Figures in docs/notes/capture.md.
+photograph (piece/detail_transfer.py). Figures in docs/notes/capture.md.
 """
 
 from __future__ import annotations

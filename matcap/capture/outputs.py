@@ -107,12 +107,14 @@ def _write_piece(
 
     exemplar = estimate.exemplar
     about: dict[str, Any] = {"of": "the photographed piece", "error": estimate.error}
-    if estimate.framed is exemplar:  # else the setup's origin, the photograph's centre, is not its
+    if (
+        estimate.first_rectangle is exemplar
+    ):  # else the setup's origin, the photograph's centre, is not its
         about[SETUP] = asdict(setup)
     info = MapSetInfo(name + PIECE, None, provenance=about)
     write_mapset(map_set_of(exemplar), stage, info, png=settings.png, normal=settings.normal)
-    trusted = dict(zip(CHANNELS, exemplar.confidence, strict=True))
-    write_exr_channels(stage / _confidence_file(name), trusted)
+    confidence = dict(zip(CHANNELS, exemplar.confidence, strict=True))
+    write_exr_channels(stage / _confidence_file(name), confidence)
 
 
 def _confidence_file(name: str) -> str:

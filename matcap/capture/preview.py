@@ -180,7 +180,7 @@ def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterab
     """
     from matcap.capture.piece.find import map_set_of
 
-    maps, setup = map_set_of(estimate.framed), result.material.setup
+    maps, setup = map_set_of(estimate.first_rectangle), result.material.setup
     maps = replace(maps, painted=maps.normal)
     rerendered = _under_flash(maps, setup)
     yield _developed("photograph", result, result.rectified)

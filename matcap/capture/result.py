@@ -205,9 +205,11 @@ def _exemplar_measurements(
     confidence = estimate.mean_confidence(rectified.photo.kept_share)
     return ExemplarMeasurements(
         maps={"error": estimate.error, "slow": estimate.slow, **confidence},
-        residue=highlight_residue(estimate.framed, material.setup),
+        residue=highlight_residue(estimate.first_rectangle, material.setup),
         tilt=_mean_tilt(estimate),
-        steepness=math.nan if drawn is None else steepness(drawn, map_set_of(estimate.framed)),
+        steepness=math.nan
+        if drawn is None
+        else steepness(drawn, map_set_of(estimate.first_rectangle)),
         # Of a lattice, whole periods are rearranged, however small they are.
         variety=1.0 if rectified.waves else estimate.example.variety,
     )

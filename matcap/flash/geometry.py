@@ -58,7 +58,7 @@ class FlashSetup:
         return self.with_intensity((red, green, blue))
 
 
-def stood(setup: FlashSetup, vector: Tensor) -> Tensor:
+def to_upright(setup: FlashSetup, vector: Tensor) -> Tensor:
     """Rotate a vector (3,) from a setup's plane frame to that of its maps, upright if turned."""
     return torch.stack([vector[1], -vector[0], vector[2]]) if setup.turned else vector
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import torch
 
-from matcap.flash.geometry import FlashSetup, camera_in_plane, setup_rotation, stood, unproject
+from matcap.flash.geometry import FlashSetup, camera_in_plane, setup_rotation, to_upright, unproject
 from matcap.relight.scene import Camera, Film, PointLight, Scene, Surface, Vector
 
 
@@ -19,11 +19,13 @@ def photographed_scene(setup: FlashSetup, film: Film, *, endless: bool) -> Scene
         film: of the picture, with the photograph's aspect ratio.
         endless: extend the plane to all that the camera sees; else it is the maps' rectangle.
     """
-    place, light = (_vector(stood(setup, one)) for one in camera_in_plane(setup))
+    place, light = (_vector(to_upright(setup, one)) for one in camera_in_plane(setup))
     # `turned`: the photograph is a portrait, so its up is the landscape's left.
     above = [-1.0, 0.0, 0.0] if setup.turned else [0.0, 1.0, 0.0]
-    up = _vector(stood(setup, setup_rotation(setup).T @ torch.tensor(above, dtype=torch.float64)))
-    middle = _vector(stood(setup, torch.tensor([*setup.vignetting_centre, 0.0])))
+    up = _vector(
+        to_upright(setup, setup_rotation(setup).T @ torch.tensor(above, dtype=torch.float64))
+    )
+    middle = _vector(to_upright(setup, torch.tensor([*setup.vignetting_centre, 0.0])))
     camera = Camera(
         "perspective",
         place,

@@ -246,14 +246,14 @@ def _no_piece() -> UsageError:
 def _flashed(setup: FlashSetup) -> Flashed:
     import torch
 
-    from matcap.flash.geometry import camera_in_plane, setup_rotation, stood
+    from matcap.flash.geometry import camera_in_plane, setup_rotation, to_upright
     from matcap.flash.light import CORNER_SQUARED
 
-    camera, light = (tuple(stood(setup, place).tolist()) for place in camera_in_plane(setup))
+    camera, light = (tuple(to_upright(setup, place).tolist()) for place in camera_in_plane(setup))
     turn = setup_rotation(setup)
     across, up = (each / setup.distance for each in setup.vignetting_centre)
     axis, cone = (
-        tuple(stood(setup, turn.T @ torch.tensor(way, dtype=turn.dtype)).tolist())
+        tuple(to_upright(setup, turn.T @ torch.tensor(way, dtype=turn.dtype)).tolist())
         for way in ((0.0, 0.0, -1.0), (across, up, -1.0))
     )
     # The setup's coefficients are of image coordinates, distance times those at distance 1.

@@ -44,8 +44,8 @@ def test_what_comes_out_is_within_the_limits_whatever_went_in() -> None:
 def test_departures_add_up() -> None:
     maps = _maps()
     uniform = SurfaceParameters.uniform((0.3, 0.2, 0.1), 0.04, 0.5)
-    departures = SurfaceParameters.of(maps) - uniform
-    assert torch.allclose((uniform + departures).maps(TEXEL).stacked(), maps.stacked(), atol=1e-6)
+    residuals = SurfaceParameters.of(maps) - uniform
+    assert torch.allclose((uniform + residuals).maps(TEXEL).stacked(), maps.stacked(), atol=1e-6)
     assert torch.allclose(uniform.specular, torch.tensor(math.log(0.04)))
     assert float(uniform.roughness) == 0.0
-    assert torch.equal(SurfaceParameters.from_levels(uniform.levels()).diffuse, uniform.diffuse)
+    assert torch.equal(SurfaceParameters.from_vector(uniform.vector()).diffuse, uniform.diffuse)

@@ -9,7 +9,7 @@ from uniform import a_setup, photograph
 
 from matcap.capture.camera_profile import camera_profile, shared_falloff
 from matcap.flash.coarse.fit import fit_coarse
-from matcap.flash.coarse.problem import FalloffEvidence
+from matcap.flash.coarse.problem import FalloffLikelihood
 from matcap.photo.camera import CameraProfile, Falloff
 from matcap.photo.tone import SHOULDER, ToneCurve
 
@@ -47,7 +47,9 @@ def fits(photos):
 def evidence(mean, deviation):
     """Of a photograph that tells each coefficient within a deviation."""
     precision = deviation**-2
-    return FalloffEvidence((mean[0] * precision, mean[1] * precision), (precision, 0.0, precision))
+    return FalloffLikelihood(
+        (mean[0] * precision, mean[1] * precision), (precision, 0.0, precision)
+    )
 
 
 def lost(falloff):

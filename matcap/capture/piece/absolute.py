@@ -5,7 +5,7 @@ of materials: dielectrics have F0 near 0.04 (index of refraction 1.5) whatever t
 spans two orders of magnitude; metals have a high F0 and no diffuse albedo. So the ratio of F0 to
 albedo, which a highlight measures, determines both: black leather with F0 three times its albedo is
 black. Where texels are classified as metal or dielectric (classes.py), each part has the prior of
-its own class, and metal that of its hue: gold is brighter than steel. See docs/notes/capture.md.
+its own class, and metal that of its colour: gold is brighter than steel. See docs/notes/capture.md.
 """
 
 from __future__ import annotations
@@ -65,20 +65,22 @@ METAL = MaterialKind(0.07, (math.log(0.01), 1.5), CONDUCTOR_F0)
 _BRIGHTEST = 0.95  # limit of albedo and F0 of the brightest texels
 _MOST_OF = 0.999  # quantile that defines the brightest texels
 _MOST_OF_METAL = 0.9  # the same of F0 with metal, as F0 of glints is overestimated
-_HUE = 0.12  # standard deviation of the log colour of metal around a pure metal's
-_CLEAN = 0.1  # standard deviation of the log F0 of metal around the pure metal's of its hue
-_UNKNOWN = 0.3  # weight of a metal of unknown hue; a pure metal of exactly the hue has weight 1
+_METAL_COLOUR = 0.12  # standard deviation of the log colour of metal around a pure metal's
+_CLEAN = 0.1  # standard deviation of the log F0 of metal around the pure metal's of its colour
+_UNKNOWN = (
+    0.3  # weight of a metal of unknown colour; a pure metal of exactly the colour has weight 1
+)
 LEAST_PART = 0.03  # least share of the exemplar for a part, a class, to count
 
 
-def how_metallic(levels: Tensor) -> float:
+def how_metallic(parameters: Tensor) -> float:
     """Log odds of metal against dielectric, from the ratio of F0 to albedo alone.
 
     Args:
-        levels: (5,) mean parameters (SurfaceParameters.levels), under any flash intensity.
+        parameters: (5,) mean parameters (SurfaceParameters.vector), under any flash intensity.
     """
-    luminance = float((torch.from_numpy(_LUMINANCE) * levels[ALBEDO].exp()).sum())
-    logs = math.log(max(luminance, _LEAST)), float(levels[F0])
+    luminance = float((torch.from_numpy(_LUMINANCE) * parameters[ALBEDO].exp()).sum())
+    logs = math.log(max(luminance, _LEAST)), float(parameters[F0])
     plain, metal = (kind.scale(*logs)[1] - math.log(kind.share) for kind in (DIELECTRIC, METAL))
     return metal - plain
 
@@ -116,18 +118,18 @@ def _factor_of_parts(exemplar: Exemplar, metal: NDArray[np.float32]) -> float:
 
 
 def _metal_kind(exemplar: Exemplar, share: NDArray[np.float32]) -> MaterialKind:
-    """Prior of metal: F0 of pure metals, weighted by similarity of hue, and that of any metal."""
+    """Prior of metal: F0 of pure metals, weighted by likeness of colour, and that of any metal."""
     planes = np.broadcast_to(exemplar.specular, (3, *share.shape))
     colour = np.log((planes * share).sum((1, 2)) / max(float(share.sum()), 1e-6) + _LEAST)
-    levels = [(METAL.specular[0], METAL.specular[1], _UNKNOWN)]
+    candidates = [(METAL.specular[0], METAL.specular[1], _UNKNOWN)]
     for f0 in METAL_F0.values():
         log = np.log(np.array(f0))
         difference = (colour - colour.mean()) - (log - log.mean())
-        likely = math.exp(-0.5 * float(np.square(difference / _HUE).sum()))
-        levels.append((math.log(sum(f0) / 3.0), _CLEAN, likely))
-    total = sum(weight for _, _, weight in levels)
-    mean = sum(level * weight for level, _, weight in levels) / total
-    variance = sum(w * (d**2 + (level - mean) ** 2) for level, d, w in levels) / total
+        likely = math.exp(-0.5 * float(np.square(difference / _METAL_COLOUR).sum()))
+        candidates.append((math.log(sum(f0) / 3.0), _CLEAN, likely))
+    total = sum(weight for _, _, weight in candidates)
+    mean = sum(level * weight for level, _, weight in candidates) / total
+    variance = sum(w * (d**2 + (level - mean) ** 2) for level, d, w in candidates) / total
     return MaterialKind(METAL.share, METAL.albedo, (mean, math.sqrt(variance)))
 
 

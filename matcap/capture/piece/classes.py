@@ -6,8 +6,8 @@ point. Texels of a class differ in albedo (of metal: F0) and relief.
 
 The coarse fit decides whether all is metal. Metal and a dielectric in one sample (rust, chipped
 paint) are two classes, fitted by expectation maximisation [dempster1977] from the network's
-prediction: mean parameters to the radial profile around the mirror point (levels.py), and each
-texel's class shares to its radiance under either.
+prediction: mean parameters to the radial profile around the mirror point (mean_parameters.py), and
+each texel's class shares to its radiance under either.
 
 Dielectrics have an achromatic F0. Metals have no diffuse albedo, so under a white flash their
 radiance has the colour of F0: with the share m of metal in a texel and the colour of radiance,
@@ -28,7 +28,7 @@ from torch import Tensor
 
 from matcap.brdf.parameters import ALBEDO, F0, REFLECTANCE, SurfaceParameters
 from matcap.capture.piece.absolute import DIELECTRIC, LEAST_PART, METAL, how_metallic
-from matcap.capture.piece.levels import LevelPrior, RingTarget, fit_levels
+from matcap.capture.piece.mean_parameters import MeanParameterPrior, RingTarget, fit_mean_parameters
 from matcap.capture.piece.noise import DARKEST
 from matcap.capture.piece.smooth import smoothed
 
@@ -36,7 +36,7 @@ from matcap.capture.piece.smooth import smoothed
 _AROUND = 10.0  # the long side over the standard deviation of the blur that the high-pass subtracts
 # Slope of logit roughness on height, true over predicted (docs/notes/gloss.md).
 BY_HEIGHT = 2.5
-# Logit of metal per standard deviation of goes_with_metal. Larger values follow the network's
+# Logit of metal per standard deviation of metal_score. Larger values follow the network's
 # borders more, and the photograph less.
 _BY_NETWORK = 2.0
 _TEXELS = 128  # short side of the grid of the fit
@@ -73,13 +73,13 @@ class Classes:
     Attributes:
         shares: (K, H, W) class shares; they sum to 1 over K.
         metal: whether each class is metal.
-        levels: (K, 5) mean parameters (log albedo 3, log F0, logit roughness), less those of the
-            coarse fit.
+        mean_parameters: (K, 5) log albedo 3, log F0 and logit roughness, less those of the coarse
+            fit.
     """
 
     shares: Tensor
     metal: tuple[bool, ...]
-    levels: Tensor
+    mean_parameters: Tensor
 
     @staticmethod
     def whole(size: tuple[int, ...], *, metal: bool) -> Classes:
@@ -92,35 +92,35 @@ class Classes:
         is_metal = torch.tensor(self.metal, dtype=self.shares.dtype)
         return (self.shares * is_metal[:, None, None]).sum(0, keepdim=True)
 
-    def flat(self, levels: Tensor | None = None) -> SurfaceParameters:
-        """Maps of `levels` mixed by class shares, flat; departures from the coarse fit."""
-        levels = self.levels if levels is None else levels
-        planes = torch.einsum("kc,khw->chw", levels, self.shares)
+    def flat(self, parameters: Tensor | None = None) -> SurfaceParameters:
+        """Maps of `parameters` mixed by class shares, flat; residuals from the coarse fit."""
+        parameters = self.mean_parameters if parameters is None else parameters
+        planes = torch.einsum("kc,khw->chw", parameters, self.shares)
         diffuse, specular, roughness = planes.split(list(REFLECTANCE.values()))
         return SurfaceParameters(diffuse, specular, roughness, torch.zeros_like(specular))
 
-    def means(self, departures: SurfaceParameters) -> Tensor:
+    def class_means(self, residuals: SurfaceParameters) -> Tensor:
         """(K, 5) mean reflectance parameters over each class."""
-        planes = torch.cat([getattr(departures, name) for name in REFLECTANCE])
+        planes = torch.cat([getattr(residuals, name) for name in REFLECTANCE])
         total = self.shares.sum((1, 2)).clamp_min(1e-6)
         return torch.einsum("chw,khw->kc", planes, self.shares) / total[:, None]
 
-    def settled(self, departures: SurfaceParameters, gloss: Tensor) -> SurfaceParameters:
+    def constrained(self, residuals: SurfaceParameters, gloss: Tensor) -> SurfaceParameters:
         """Residuals varying only in albedo (dielectric) or F0 (metal), relief, and roughness by it.
 
         Other parameters become their mean over the class.
 
         Args:
-            departures: predicted, from the coarse fit.
+            residuals: predicted, from the coarse fit.
             gloss: (H, W) weight of the predicted roughness.
         """
         metal = self.metal_share
         own = replace(
-            departures,
-            diffuse=(1.0 - metal) * departures.diffuse,
-            specular=metal * departures.specular,
+            residuals,
+            diffuse=(1.0 - metal) * residuals.diffuse,
+            specular=metal * residuals.specular,
         )
-        varying = own - self.flat(self.means(own))
+        varying = own - self.flat(self.class_means(own))
         return replace(varying, roughness=self._following(varying, gloss)) + self.flat()
 
     def _following(self, varying: SurfaceParameters, gloss: Tensor) -> Tensor:
@@ -159,37 +159,37 @@ class Mixture:
         Args:
             uniform: log parameters of the uniform material, to which mean parameters are relative.
         """
-        bare, rest = self.classes.levels
+        bare, rest = self.classes.mean_parameters
         share = float(self.classes.metal_share.mean())
         return (
             min(share, 1.0 - share) > LEAST_PART
             and float(bare[F0] - rest[F0]) > _LEAST_CONTRAST
-            and how_metallic(uniform.levels() + rest) < -_LEAST_ODDS
+            and how_metallic(uniform.vector() + rest) < -_LEAST_ODDS
             and self.off < _MOST_OFF * self.agreed
             and self.agreed > _LEAST_AGREED
         )
 
 
-def find_mixture(departures: SurfaceParameters, logit: Tensor, target: RingTarget) -> Mixture:
+def find_mixture(residuals: SurfaceParameters, logit: Tensor, target: RingTarget) -> Mixture:
     """Fit two classes, metal and dielectric, by expectation maximisation.
 
     Args:
-        departures: predicted, from the coarse fit.
+        residuals: predicted, from the coarse fit.
         logit: (1, H, W) predicted logit of metal.
         target: the photograph, with the uniform material as its surface.
     """
-    drawn = _BY_NETWORK * goes_with_metal(departures, logit)
+    drawn = _BY_NETWORK * metal_score(residuals, logit)
     step = max(1, min(logit.shape[-2:]) // _TEXELS)
     few, thin = target.thinned(_TEXELS), drawn[:, ::step, ::step]
     metal = torch.sigmoid(thin)
-    predicted = _pair(torch.sigmoid(drawn)).means(departures)
-    predicted[0, ALBEDO] = math.log(_METAL_ALBEDO) - target.surface.levels()[ALBEDO]
-    levels = predicted
+    predicted = _pair(torch.sigmoid(drawn)).class_means(residuals)
+    predicted[0, ALBEDO] = math.log(_METAL_ALBEDO) - target.surface.vector()[ALBEDO]
+    theta = predicted
     deviation = torch.tensor(
         [*[_ALBEDO_DEVIATION] * 3, _F0_DEVIATION, _ROUGHNESS_DEVIATION]
     ).repeat(2, 1)
     deviation[0, ALBEDO] = _METAL_ALBEDO_DEVIATION
-    prior = LevelPrior(
+    prior = MeanParameterPrior(
         predicted,
         deviation,
         (
@@ -201,14 +201,14 @@ def find_mixture(departures: SurfaceParameters, logit: Tensor, target: RingTarge
     for number in range(_ROUNDS):
         few = _coloured(few, metal)
         if number:
-            metal = _share(_nearer(few, levels), thin, float(metal.mean()))
+            metal = _share(_log_likelihood_ratio(few, theta), thin, float(metal.mean()))
             few = _coloured(few, metal)
-        levels, off = fit_levels(few, _pair(metal).shares, levels, prior)
-    nearer = _nearer(replace(target, hues=few.hues), levels)
-    metal = _share(nearer, drawn, float(metal.mean()))
-    both = torch.stack([nearer.flatten(), drawn.flatten()])
+        theta, off = fit_mean_parameters(few, _pair(metal).shares, theta, prior)
+    log_ratio = _log_likelihood_ratio(replace(target, tints=few.tints), theta)
+    metal = _share(log_ratio, drawn, float(metal.mean()))
+    both = torch.stack([log_ratio.flatten(), drawn.flatten()])
     agreed = float(torch.corrcoef(both)[0, 1].nan_to_num())
-    return Mixture(replace(_pair(metal), levels=levels), off, agreed)
+    return Mixture(replace(_pair(metal), mean_parameters=theta), off, agreed)
 
 
 def _two_means(score: Tensor) -> float:
@@ -230,19 +230,19 @@ def _pair(metal: Tensor) -> Classes:
 def _coloured(target: RingTarget, metal: Tensor) -> RingTarget:
     """The target with the specular tint of metal set to the mean colour of its texels (1, H, W)."""
     seen = metal * target.measured.all(0, keepdim=True) * target.counts
-    return replace(target, hues=(whole_colour(target.linear, seen), 1.0))
+    return replace(target, tints=(whole_colour(target.linear, seen), 1.0))
 
 
-def goes_with_metal(departures: SurfaceParameters, logit: Tensor) -> Tensor:
+def metal_score(residuals: SurfaceParameters, logit: Tensor) -> Tensor:
     """(1, H, W) score of metal in the predicted maps, of standard deviation 1, positive if likely.
 
     Sum of high-passed maps, weighted by their signed squared correlation with the high-passed logit
     of metal (1, H, W). Low frequencies of the logit are biased: to metal near a highlight.
     """
-    albedo = departures.diffuse
+    albedo = residuals.diffuse
     lightness = albedo.mean(0, keepdim=True)
     colour = (albedo - lightness)[::2]
-    maps = [logit, lightness, colour, departures.roughness, departures.specular]
+    maps = [logit, lightness, colour, residuals.roughness, residuals.specular]
     local = _high_passed(torch.cat(maps))
     local /= local.std((1, 2), keepdims=True) + np.float32(1e-6)
     together = (local * local[0]).mean((1, 2))
@@ -257,16 +257,16 @@ def _high_passed(planes: Tensor) -> NDArray[np.float32]:
     return np.stack([plane - smoothed(plane, around) for plane in planes.numpy()])
 
 
-def _nearer(target: RingTarget, levels: Tensor) -> Tensor:
+def _log_likelihood_ratio(target: RingTarget, theta: Tensor) -> Tensor:
     """(1, H, W) log odds of metal by the likelihood of the radiance alone.
 
     Args:
         target: the photograph.
-        levels: (2, 5) of the classes.
+        theta: (2, 5) mean parameters of the classes.
     """
     observed = target.linear.clamp_min(DARKEST).log()
     off = []
-    for diffuse, mirrored in target.rendered(levels, target.flash.onto(target.normal)):
+    for diffuse, mirrored in target.rendered(theta, target.flash.onto(target.normal)):
         residual = observed - (diffuse + mirrored).clamp_min(DARKEST).log()
         residual = torch.where(target.measured, residual, residual.clamp_min(0.0))
         grey = residual.mean(0, keepdim=True)
@@ -281,15 +281,15 @@ def _nearer(target: RingTarget, levels: Tensor) -> Tensor:
     return torch.from_numpy(_COUNTS * plane)[None]
 
 
-def _share(nearer: Tensor, drawn: Tensor, before: float) -> Tensor:
+def _share(log_ratio: Tensor, drawn: Tensor, before: float) -> Tensor:
     """(1, H, W) posterior probability of metal in each texel.
 
     Args:
-        nearer, drawn: (1, H, W) log odds by radiance and by the network.
+        log_ratio, drawn: (1, H, W) log odds by radiance and by the network.
         before: prior share of metal.
     """
     common = min(max(before, LEAST_PART), 1.0 - LEAST_PART)
-    return torch.sigmoid(math.log(common / (1.0 - common)) + nearer + drawn)
+    return torch.sigmoid(math.log(common / (1.0 - common)) + log_ratio + drawn)
 
 
 def seen_colour(linear: Tensor, weight: Tensor) -> Tensor:
@@ -318,7 +318,7 @@ def has_metal(logit: Tensor) -> bool:
     return float((logit > 0.0).float().mean()) > _LEAST_SHARE
 
 
-def tint(metal: Tensor, colour: Tensor) -> Tensor:
+def specular_tint(metal: Tensor, colour: Tensor) -> Tensor:
     """(..., 3, H, W) specular tint, F0 over its channel mean: 1 without metal.
 
     Args:

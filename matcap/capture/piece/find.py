@@ -4,7 +4,7 @@ In comes a photograph on its plane (Rectified), out goes an ExemplarEstimate. Th
 maps (predict.py); relief is scaled to the energies that the photograph measures (strengths.py), and
 texels are classified (classes.py); mean parameters and albedo are refined until the maps re-render
 to the photograph (refine.py); hidden maps are inpainted (inpaint.py), fine detail and the exposure
-are added (finest.py, absolute.py); the result is indexed for synthesis.
+are added (detail_transfer.py, absolute.py); the result is indexed for synthesis.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.capture.detail import Rectified
 from matcap.capture.piece.absolute import most_probable_scale, scaled
 from matcap.capture.piece.classes import find_mixture
-from matcap.capture.piece.finest import finest, sharpness
+from matcap.capture.piece.detail_transfer import sharpness, transfer_detail
 from matcap.capture.piece.inpaint import inpainted
 from matcap.capture.piece.network.network import Inverse
 from matcap.capture.piece.observation import Observation
 from matcap.capture.piece.predict import NetworkPrediction, exemplar_of, predict_maps
-from matcap.capture.piece.refine import levelled, remaining
+from matcap.capture.piece.refine import radiance_residual, refine_maps
 from matcap.capture.piece.strengths import Strengths, equalise
 from matcap.capture.progress import CaptureClock
 from matcap.example.example import Example
@@ -69,7 +69,7 @@ class ExemplarEstimate:
     turned: bool = False
 
     @property
-    def framed(self) -> Exemplar:
+    def first_rectangle(self) -> Exemplar:
         """The maps within the first photograph's rectangle."""
         several = self.several
         if several is None or several.reach is None:
@@ -80,9 +80,9 @@ class ExemplarEstimate:
         return self.exemplar.cut(*margins.inside(size))
 
     @property
-    def lying(self) -> MapSet:
-        """Maps of `framed` in landscape orientation, in which photographs are measured."""
-        maps = map_set_of(self.framed)
+    def landscape_maps(self) -> MapSet:
+        """Maps of `first_rectangle` in landscape orientation, in which photographs are measured."""
+        maps = map_set_of(self.first_rectangle)
         return maps.turned(1) if self.turned else maps
 
     def upright(self, waves: tuple[Wave, ...]) -> ExemplarEstimate:
@@ -92,7 +92,9 @@ class ExemplarEstimate:
 
     def with_sharpness(self, rectified: Rectified) -> ExemplarEstimate:
         """The estimate with its sharpness, measured in its photograph."""
-        return replace(self, sharpness=sharpness(self.lying, rectified.whole, rectified.coarse))
+        return replace(
+            self, sharpness=sharpness(self.landscape_maps, rectified.whole, rectified.coarse)
+        )
 
     def mean_confidence(self, kept: float = 1.0) -> dict[str, float]:
         """Mean confidence by map, in [0, 1], over the share `kept` of the photograph's texels."""
@@ -124,13 +126,15 @@ def estimate_exemplar(
     observed, prediction, strengths = refined(rectified.network_input, coarse, network, clock)
     with clock.stage("inpaint"):
         exemplar = inpainted(exemplar_of(observed, prediction), observed)
-        exemplar = finest(exemplar, whole, coarse)
+        exemplar = transfer_detail(exemplar, whole, coarse)
         scale = 1.0 if absolute else most_probable_scale(exemplar, prediction.metal)
         exemplar = scaled(exemplar, scale).rounded()
     with clock.stage("index"):
         exemplar, example = indexed(exemplar, rectified.waves, turned=turned)
     plane = observed.plane
-    residual, slow = remaining(prediction.departures, plane.linear, plane.measured, observed.light)
+    residual, slow = radiance_residual(
+        prediction.residuals, plane.linear, plane.measured, observed.light
+    )
     seen = residual[:, plane.valid].abs()
     error = float(seen.median()) if seen.numel() else 0.0
     estimate = ExemplarEstimate(
@@ -154,7 +158,7 @@ def refined(
         strengths = measured_relief(observed, prediction)
         observed, prediction = classified(observed, strengthened(observed, prediction, strengths))
     with clock.stage("refine"):
-        prediction = levelled(observed, prediction)
+        prediction = refine_maps(observed, prediction)
     return observed, prediction, strengths
 
 
@@ -182,7 +186,7 @@ def indexed(
 
 def measured_relief(observed: Observation, prediction: NetworkPrediction) -> Strengths | None:
     """Relief and albedo energies measured in the photograph; None if too few texels are valid."""
-    shown = observed.light.slope_sensitivity(observed.light.maps(prediction.departures))
+    shown = observed.light.slope_sensitivity(observed.light.maps(prediction.residuals))
     return observed.strengths(shown)
 
 
@@ -190,9 +194,9 @@ def strengthened(
     observed: Observation, prediction: NetworkPrediction, strengths: Strengths | None
 ) -> NetworkPrediction:
     """Scale relief to the measured energies, equally at all places and directions (equalise)."""
-    predicted, sensitivity = prediction.departures, observed.inputs.slope_sensitivity.numpy()
+    predicted, sensitivity = prediction.residuals, observed.inputs.slope_sensitivity.numpy()
     height = torch.from_numpy(equalise(predicted.height[0].numpy(), strengths, sensitivity))[None]
-    return replace(prediction, departures=replace(predicted, height=height))
+    return replace(prediction, residuals=replace(predicted, height=height))
 
 
 def classified(
@@ -201,15 +205,15 @@ def classified(
     """Classify texels; a class varies in albedo (of metal: F0) and relief, roughness with it."""
     classes = prediction.classes
     if prediction.logit is not None:
-        target = observed.ring_target(prediction.departures, (False,))
+        target = observed.ring_target(prediction.residuals, (False,))
         target = replace(target, surface=observed.light.uniform)
-        mixture = find_mixture(prediction.departures, prediction.logit, target)
+        mixture = find_mixture(prediction.residuals, prediction.logit, target)
         if mixture.likely(observed.light.uniform):
             classes = mixture.classes
             observed = observed.tinted(classes.metal_share)
     gloss = torch.from_numpy(observed.specular_fraction) * observed.plane.valid
-    settled = classes.settled(prediction.departures, gloss)
-    return observed, replace(prediction, departures=settled, classes=classes)
+    constrained = classes.constrained(prediction.residuals, gloss)
+    return observed, replace(prediction, residuals=constrained, classes=classes)
 
 
 def map_set_of(exemplar: Exemplar) -> MapSet:

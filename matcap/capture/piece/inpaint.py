@@ -34,17 +34,19 @@ _BLOCK = 48  # side of a block, texels: larger than the texture's features, smal
 _OVERLAP = 12  # overlap of neighbouring blocks, texels
 # Least confidence of albedo in donors, over that of well seen texels. Larger values inpaint
 # visible texels: at 0.93 wood loses 0.4 NSD.
-_TRUSTED = 0.75
+_LEAST_CONFIDENCE = 0.75
 _WELL_SEEN = 0.75  # quantile of confidence that defines well seen
 _MOST_HIDDEN = 0.2  # largest share of the picture to inpaint, more than any flash hides
 _WHOLE_DONOR = 0.95  # least confident share of a donor block
 _WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
 _LEAST_HIDDEN = 2e-4  # hidden share of all texels below which nothing is inpainted
-_UNLIKENESS = 0.7  # weight of the mismatch with the photograph against the overlap's mismatch
-# A place keeps its maps if its energy of log radiance is above _STRONGER times the candidates'
+_PHOTOGRAPH_WEIGHT = (
+    0.7  # weight of the mismatch with the photograph against the overlap's mismatch
+)
+# A place keeps its maps if its energy of log radiance is above _MOST_ENERGY times the candidates'
 # median and a share above _VISIBLE_SHARE is visible: a scratch, or bare metal that only the
 # highlight shows.
-_STRONGER, _VISIBLE_SHARE = 2.0, 0.5
+_MOST_ENERGY, _VISIBLE_SHARE = 2.0, 0.5
 _SPREAD = 4  # texels over which a hidden texel's light spreads to its neighbours
 _THINNED = 4  # subsampling, texels, of rendered candidates
 _FARTHEST = 4.0  # upper limit of a squared standardised difference in the overlap
@@ -60,7 +62,7 @@ _MISSED = 2  # rings in a row that do not stand out, at which the disc ends
 _AROUND = 6  # width of the ring around the largest, cells
 _INSIDE = 0.9  # least share of a ring inside the picture, at other centres
 _NEAR = 12  # farthest centre of a disc of the highlight from the mirror point, cells
-_UNUSUAL = 4.0  # deviations from the mean over other centres at which a ring stands out
+_OUTLIER = 4.0  # deviations from the mean over other centres at which a ring stands out
 
 Floats = NDArray[np.float32]
 TexelMask = NDArray[np.bool_]
@@ -124,9 +126,9 @@ def transport(
         The same object if nothing is hidden, or no block qualifies as a donor.
     """
     confidence, known = exemplar.confidence[0], kept.numpy()
-    trusted = confidence / max(float(np.quantile(confidence[known], _WELL_SEEN)), 1e-6)
-    most = float(np.quantile(trusted[known], _MOST_HIDDEN)) + 1e-6
-    hidden = _around(trusted < min(_TRUSTED, most))
+    relative = confidence / max(float(np.quantile(confidence[known], _WELL_SEEN)), 1e-6)
+    most = float(np.quantile(relative[known], _MOST_HIDDEN)) + 1e-6
+    hidden = _around(relative < min(_LEAST_CONFIDENCE, most))
     donors = _donors(~hidden & known)
     # Texels outside of a crop are not inpainted.
     hidden = (hidden & known) | (_between(known) & ~known)
@@ -135,7 +137,7 @@ def transport(
     planes = _map_planes(exemplar, ~hidden)
     places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > _WANTED_SHARE]
     # From visible surroundings inwards, so that patterns continue.
-    places.sort(key=lambda p: -float(trusted[_block(p)].mean()))
+    places.sort(key=lambda p: -float(relative[_block(p)].mean()))
     valid = valid & torch.from_numpy(confidence > 0.0)
     photograph = _Photograph(exemplar, linear, valid, light)
     chosen = _choose(places, donors, planes, ~hidden, photograph)
@@ -157,12 +159,12 @@ def transport(
 
 
 @dataclass(frozen=True)
-class _Likeness:
+class _Match:
     """Match of N candidate blocks, rendered at a place, to the photograph there."""
 
-    unlike: Floats
+    mismatch: Floats
     """(N,) mismatch of log radiance (transport); 0 without valid texels."""
-    stronger: float
+    energy_ratio: float
     """Energy of the photographed log radiance over the median of random candidates."""
     share: float
     """Share of the place that is visible and not clipped."""
@@ -170,7 +172,7 @@ class _Likeness:
     @property
     def is_distinct(self) -> bool:
         """Whether the photograph has far more contrast than the candidates: scratch, bare metal."""
-        return self.share > _VISIBLE_SHARE and self.stronger > _STRONGER
+        return self.share > _VISIBLE_SHARE and self.energy_ratio > _MOST_ENERGY
 
 
 class _Photograph:
@@ -192,7 +194,7 @@ class _Photograph:
         upright[2] = 1.0
         self._even = light.logs(even, light.flash.onto(upright))[0]
 
-    def likeness(self, place: tuple[int, int], blocks: BlockPlaces) -> _Likeness:
+    def match(self, place: tuple[int, int], blocks: BlockPlaces) -> _Match:
         """Render blocks at a place and compare them with the photograph there."""
         inner = np.arange(0, _BLOCK, _THINNED)
         rows, columns = blocks[:, 0, None, None] + inner[:, None], blocks[:, 1, None, None] + inner
@@ -203,15 +205,15 @@ class _Photograph:
         seen = self._valid[here].to(log)
         share = float(self._valid[_block(place)].float().mean())
         if not seen.any():
-            return _Likeness(np.zeros(len(blocks), np.float32), 0.0, share)
+            return _Match(np.zeros(len(blocks), np.float32), 0.0, share)
         even, shown = (x[(slice(None), *here)][None] for x in (self._even, self._log))
         a, b = (_detrended(x - even, seen) for x in (log, shown))
         lit, photographed = (x.square().sum((1, 2, 3)) for x in (a, b))
-        unlike = 1.0 - (a * b).sum((1, 2, 3)) / ((lit * photographed).sqrt() + 1e-6)
+        mismatch = 1.0 - (a * b).sum((1, 2, 3)) / ((lit * photographed).sqrt() + 1e-6)
         ratio = (lit + 1e-6) / (photographed + 1e-6)
-        unlike += _CONTRAST * ratio.log().abs().clamp_max(2.0)
-        stronger = float(photographed / (lit[len(lit) // 2 :].median() + 1e-6))
-        return _Likeness(np.asarray(unlike, np.float32), stronger, share)
+        mismatch += _CONTRAST * ratio.log().abs().clamp_max(2.0)
+        energy_ratio = float(photographed / (lit[len(lit) // 2 :].median() + 1e-6))
+        return _Match(np.asarray(mismatch, np.float32), energy_ratio, share)
 
 
 def _parts(planes: Tensor) -> tuple[Reflectance, Tensor]:
@@ -252,8 +254,8 @@ def _choose(
         nearest = np.argsort(mismatch, kind="stable")[:_RENDERED]
         nearest = np.concatenate([nearest, np.arange(min(_RENDERED, len(blocks)))])
         blocks, mismatch = blocks[nearest], mismatch[nearest]
-        shown = photograph.likeness(place, blocks)
-        best = int((mismatch + _UNLIKENESS * shown.share * shown.unlike).argmin())
+        shown = photograph.match(place, blocks)
+        best = int((mismatch + _PHOTOGRAPH_WEIGHT * shown.share * shown.mismatch).argmin())
         source = (int(blocks[best][0]), int(blocks[best][1]))
         if shown.is_distinct:
             source = place
@@ -348,12 +350,12 @@ def _between(known: TexelMask) -> TexelMask:
     return rows[:, None] & columns[None, :]
 
 
-def _donors(trusted: TexelMask) -> BlockPlaces:
+def _donors(visible: TexelMask) -> BlockPlaces:
     """(N, 2) corners of blocks with high confidence nearly everywhere."""
-    rows, columns = trusted.shape
+    rows, columns = visible.shape
     if min(rows, columns) <= _BLOCK:
         return np.zeros((0, 2), np.int64)
-    sums = cv2.integral(trusted.astype(np.uint8)).astype(np.int64)
+    sums = cv2.integral(visible.astype(np.uint8)).astype(np.int64)
     n = _BLOCK
     count = sums[n:, n:] - sums[:-n, n:] - sums[n:, :-n] + sums[:-n, :-n]
     return np.argwhere(count >= _WHOLE_DONOR * n * n)
@@ -490,21 +492,21 @@ def remaining_highlight(albedo: Floats, known: TexelMask, distance: Floats) -> T
         area_averaged(plane, size) for plane in (log, known.astype(np.float32), distance / step)
     )
     surroundings = _ring_means(total, share, _WIDEST, _WIDEST + _AROUND)
-    rings = [_unusual(total, share, surroundings, distances, i) for i in range(0, _WIDEST, _WIDTH)]
+    rings = [_z_scores(total, share, surroundings, distances, i) for i in range(0, _WIDEST, _WIDTH)]
     centre = np.unravel_index(int(distances.argmin()), distances.shape)
     radius = _radius([float(ring[centre]) for ring in rings]) if distances[centre] <= 1.0 else 0
     discs = np.nan_to_num(rings[0])
-    spots = (distances <= _NEAR) & (discs > discs[distances > _WIDEST].max(initial=_UNUSUAL))
+    spots = (distances <= _NEAR) & (discs > discs[distances > _WIDEST].max(initial=_OUTLIER))
     grown = cv2.dilate(spots.astype(np.uint8), np.ones((2 * _WIDTH + 1,) * 2, np.uint8))
     texels = cv2.resize(grown, known.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
     return np.asarray(texels | ((distance < (radius + 1) * step) & (radius > 0)))
 
 
-def _radius(unusual: list[float]) -> int:
+def _radius(scores: list[float]) -> int:
     """Outer radius in cells of the last ring that stands out, before two that do not; or 0."""
     radius = missed = 0
-    for number, contrast in enumerate(unusual):
-        if contrast > _UNUSUAL:
+    for number, contrast in enumerate(scores):
+        if contrast > _OUTLIER:
             radius, missed = (number + 1) * _WIDTH, 0
         elif np.isfinite(contrast):
             missed += 1
@@ -513,7 +515,7 @@ def _radius(unusual: list[float]) -> int:
     return radius
 
 
-def _unusual(
+def _z_scores(
     total: Floats, share: Floats, surroundings: Floats, distances: Floats, inner: int
 ) -> Floats:
     """(h, w) how far the contrast of the ring around each cell is from its mean over those far from

@@ -1,7 +1,7 @@
 """Observation: a rectified photograph, its light at every texel, and the network's inputs.
 
 PhotographLight renders maps in that light, and gives the derivative of log radiance by slope. All
-stages from here on compare such renderings with the photograph. Maps are `departures`: residuals of
+stages from here on compare such renderings with the photograph. Maps are `residuals`: residuals of
 log parameters (brdf/parameters.py) from the uniform material of the coarse fit.
 """
 
@@ -19,8 +19,8 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_slopes
 from matcap.brdf.parameters import F0_LIMITS, Reflectance, SurfaceParameters
-from matcap.capture.piece.classes import seen_colour, tint
-from matcap.capture.piece.levels import RingTarget
+from matcap.capture.piece.classes import seen_colour, specular_tint
+from matcap.capture.piece.mean_parameters import RingTarget
 from matcap.capture.piece.network.inputs import STEP, network_inputs
 from matcap.capture.piece.network.network import NetworkInputs
 from matcap.capture.piece.noise import AROUND, DARKEST, channel_noise, channel_weights
@@ -44,15 +44,15 @@ class PhotographLight:
 
     Attributes:
         flash: the light.
-        uniform: (..., 1, 1) each: log parameters of the uniform material, which `departures` are
+        uniform: (..., 1, 1) each: log parameters of the uniform material, which `residuals` are
             added to.
-        hue: (3, H, W) specular tint, F0 over the mean of its channels (classes.py); 1 without
+        tint: (3, H, W) specular tint, F0 over the mean of its channels (classes.py); 1 without
             metal. Departures of F0 are those of its mean.
     """
 
     flash: FlashLight
     uniform: SurfaceParameters
-    hue: Tensor | float = 1.0
+    tint: Tensor | float = 1.0
 
     @staticmethod
     def of(coarse: Uniform, points: Tensor) -> PhotographLight:
@@ -61,15 +61,15 @@ class PhotographLight:
 
     def cut(self, rows: slice, columns: slice) -> PhotographLight:
         """The light at a rectangle of texels."""
-        hue = self.hue if isinstance(self.hue, float) else self.hue[..., rows, columns]
-        return replace(self, flash=self.flash.cut(rows, columns), hue=hue)
+        tint = self.tint if isinstance(self.tint, float) else self.tint[..., rows, columns]
+        return replace(self, flash=self.flash.cut(rows, columns), tint=tint)
 
-    def maps(self, departures: SurfaceParameters, texel_size: float = 1.0) -> MapSet:
-        """Maps with log parameters `uniform` + departures."""
-        maps = (self.uniform + departures).maps(texel_size)
-        return replace(maps, specular=(maps.specular * self.hue).clamp(*F0_LIMITS))
+    def maps(self, residuals: SurfaceParameters, texel_size: float = 1.0) -> MapSet:
+        """Maps with log parameters `uniform` + residuals."""
+        maps = (self.uniform + residuals).maps(texel_size)
+        return replace(maps, specular=(maps.specular * self.tint).clamp(*F0_LIMITS))
 
-    def departures(self, maps: MapSet) -> SurfaceParameters:
+    def residuals(self, maps: MapSet) -> SurfaceParameters:
         """The inverse of maps()."""
         mean = maps.specular.mean(-3, keepdim=True)
         return SurfaceParameters.of(replace(maps, specular=mean)) - self.uniform
@@ -190,7 +190,7 @@ class Observation:
         return torch.hypot(self.points[0] - x, self.points[1] - y)
 
     @property
-    def from_cone(self) -> Tensor:
+    def from_vignetting_centre(self) -> Tensor:
         """(H, W) distance from the vignetting's centre in the photograph, in half widths."""
         return torch.hypot(*from_vignetting_centre(self.points, self.coarse.setup))
 
@@ -222,13 +222,13 @@ class Observation:
     def tinted(self, metal: Tensor) -> Observation:
         """Set the specular tint to the colour of texels by their share (1, H, W) of metal."""
         seen = seen_colour(self.plane.linear, metal * self.shown.all(0, keepdim=True))
-        return replace(self, light=replace(self.light, hue=tint(metal, seen)))
+        return replace(self, light=replace(self.light, tint=specular_tint(metal, seen)))
 
-    def ring_target(self, departures: SurfaceParameters, metal: tuple[bool, ...]) -> RingTarget:
-        """Target of fit_levels: the photograph around its mirror point, with a surface.
+    def ring_target(self, residuals: SurfaceParameters, metal: tuple[bool, ...]) -> RingTarget:
+        """Target of fit_mean_parameters: the photograph around its mirror point, with a surface.
 
         Args:
-            departures: log parameters of the surface less those of the coarse fit.
+            residuals: log parameters of the surface less those of the coarse fit.
             metal: whether each of its classes is metal.
         """
         return RingTarget(
@@ -237,9 +237,9 @@ class Observation:
             counts=self.within,
             distance=self.from_mirror_point,
             flash=self.light.flash,
-            normal=self.light.maps(departures).normal,
-            surface=self.light.uniform + departures,
-            hues=tuple(self.light.hue if each else 1.0 for each in metal),
+            normal=self.light.maps(residuals).normal,
+            surface=self.light.uniform + residuals,
+            tints=tuple(self.light.tint if each else 1.0 for each in metal),
         )
 
 

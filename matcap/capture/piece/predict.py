@@ -33,16 +33,16 @@ class NetworkPrediction:
     """Maps between stages, as log-parameter residuals from the coarse fit.
 
     Attributes:
-        departures: of the maps from the coarse fit.
+        residuals: of the maps from the coarse fit.
         errors: the network's expected errors.
-        trusted: (4, H, W) confidence of diffuse, specular, roughness and height, in [0, 1].
+        confidence: (4, H, W) confidence of diffuse, specular, roughness and height, in [0, 1].
         logit: (1, H, W) predicted logit of metal; None if it predicts hardly any.
         classes: material classes of the texels; one class before `classified`.
     """
 
-    departures: SurfaceParameters
+    residuals: SurfaceParameters
     errors: ExpectedErrors
-    trusted: NDArray[np.float32]
+    confidence: NDArray[np.float32]
     logit: Tensor | None
     classes: Classes
 
@@ -55,29 +55,31 @@ class NetworkPrediction:
 def predict_maps(observed: Observation, network: Inverse) -> tuple[Observation, NetworkPrediction]:
     """Predict the maps; the observation's light gets the specular tint of metal."""
     answer = NetworkAnswer.from_stacked(_shift_averaged(network, observed.inputs.stacked()))
-    trusted = confidence(answer.errors, seen_share(observed.plane.measured), observed.plane.unit)
-    trusted[0] *= 1.0 - observed.specular_fraction
+    confidence = confidence_of(
+        answer.errors, seen_share(observed.plane.measured), observed.plane.unit
+    )
+    confidence[0] *= 1.0 - observed.specular_fraction
     classes = Classes.whole(observed.specular_fraction.shape, metal=observed.coarse.conductor)
     if observed.coarse.conductor:
         observed = observed.tinted(classes.metal_share)
     logit = answer.metal if has_metal(answer.metal) else None
-    return observed, NetworkPrediction(answer.departures, answer.errors, trusted, logit, classes)
+    return observed, NetworkPrediction(answer.residuals, answer.errors, confidence, logit, classes)
 
 
 def exemplar_of(observed: Observation, prediction: NetworkPrediction) -> Exemplar:
     """The maps and their confidence."""
-    maps = observed.light.maps(prediction.departures, observed.plane.texel_size)
+    maps = observed.light.maps(prediction.residuals, observed.plane.texel_size)
     return Exemplar(
         diffuse=maps.diffuse.numpy(),
         specular=maps.specular.numpy(),
         roughness=maps.roughness.numpy(),
         height=maps.height.numpy(),
-        confidence=prediction.trusted,
+        confidence=prediction.confidence,
         texel_size=observed.plane.texel_size,
     )
 
 
-def confidence(
+def confidence_of(
     errors: ExpectedErrors, seen: NDArray[np.float32], unit: float
 ) -> NDArray[np.float32]:
     """(4, H, W) confidence in [0, 1]: visibility times a blur of exp(-error / unit).

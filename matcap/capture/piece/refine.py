@@ -1,11 +1,12 @@
 """Stage refine: maps are changed until they re-render to the photograph.
 
-In come predicted maps with their classes, out go the same maps with other parameters (levelled):
+In come predicted maps with their classes, out go refined ones (refine_maps):
 
 1. flatten: the low frequencies of albedo, which a stationary sample does not have, are removed;
 2. narrowed: relief is scaled down until the highlight is no wider than photographed;
 3. scaled_by_glints: each octave of relief is scaled to the photographed contrast of glints;
-4. with_levels: after 2 and 3, each class's mean parameters are fitted to the highlight (levels.py);
+4. with_mean_parameters: after 2 and 3, each class's mean parameters are fitted to the highlight
+   (mean_parameters.py);
 5. refine: the residual of log radiance is assigned to the albedo of every texel, of metal to F0;
 6. flatten and with_photographed_mean: as 1, and the mean radiance is the photograph's.
 
@@ -41,7 +42,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.parameters import SurfaceParameters
-from matcap.capture.piece.levels import LevelPrior, fit_levels
+from matcap.capture.piece.mean_parameters import MeanParameterPrior, fit_mean_parameters
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.noise import DARKEST, channel_weights
 from matcap.capture.piece.observation import Observation, PhotographLight
@@ -61,7 +62,7 @@ _MOST_CHANGE = 1.5
 # Standard deviation of the highlight's log radiance at a specular fraction of 1, of dielectric
 # and metal, whose texture is its F0: a brushed steel has an NSD of 2.5 with 0.5, and of 1.8 with
 # 0.15.
-_GLARE, _GLARE_METAL = 0.5, 0.15
+_SPECULAR_NOISE, _SPECULAR_NOISE_METAL = 0.5, 0.15
 # Ratio of the standard deviations of albedo's chroma and lightness. Larger values take sensor
 # noise for colour.
 _CHROMA = 0.3
@@ -72,13 +73,13 @@ _RINGS, _SECTORS = 64, 16  # rings across the long side, and their parts
 _MOST_SHIFT = 2.0  # largest factor on the mean radiance
 
 # Mean parameters.
-LEVEL_TEXELS = 384  # short side of the grid of the fit
+FIT_TEXELS = 384  # short side of the grid of the fit
 # Standard deviations of the mean residual of rings, and of the log scale of relief (`narrowed`).
 _RING_ERROR, _SCALE_LOG = 0.025, 0.5
 # Prior standard deviations of mean parameters (log albedo 3, log F0, logit roughness) around their
 # values before relief is known, of dielectric and metal.
-_PLAIN_LEVELS = [1.0, 1.0, 1.0, 0.15, 0.3]
-_METAL_LEVELS = [0.05, 0.05, 0.05, 0.5, 0.3]
+_DIELECTRIC_DEVIATIONS = [1.0, 1.0, 1.0, 0.15, 0.3]
+_METAL_DEVIATIONS = [0.05, 0.05, 0.05, 0.5, 0.3]
 
 # Glints.
 # Specular fraction of the radiance that bounds the glossiest region, where slopes dominate.
@@ -89,43 +90,43 @@ _MATTE_SHARE = 0.33
 _LEAST_FACTOR, _MOST_FACTOR = 0.5, 6.0  # limits of the factors
 
 
-def levelled(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
+def refine_maps(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
     """Fit mean parameters of the classes, then albedo of every texel, to the photograph."""
     plane, fitted = observed.plane, fitted_to_highlight(observed, prediction)
     steep = scaled_by_glints(
-        fitted.departures, plane.linear, plane.measured, observed.light, observed.noise
+        fitted.residuals, plane.linear, plane.measured, observed.light, observed.noise
     )
-    fitted = with_levels(observed, replace(fitted, departures=steep))
+    fitted = with_mean_parameters(observed, replace(fitted, residuals=steep))
     photograph, metal = (plane.linear, observed.shown), fitted.classes.metal_share
     refined = refine(
-        fitted.departures,
+        fitted.residuals,
         fitted.errors,
         *photograph,
         observed.light,
         metal=metal,
         noise=observed.noise,
     )
-    even = evened(observed, replace(fitted, departures=refined))
-    shifted = with_photographed_mean(even.departures, *photograph, observed.light, metal)
-    return replace(even, departures=shifted)
+    even = flattened(observed, replace(fitted, residuals=refined))
+    shifted = with_photographed_mean(even.residuals, *photograph, observed.light, metal)
+    return replace(even, residuals=shifted)
 
 
 def fitted_to_highlight(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
     """Even albedo; relief and mean parameters of the classes fitted to the highlight's rings."""
-    return with_levels(observed, narrowed(observed, evened(observed, prediction)))
+    return with_mean_parameters(observed, narrowed(observed, flattened(observed, prediction)))
 
 
-def evened(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
+def flattened(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
     """Remove low-frequency trends of albedo, except those of the class shares (flatten)."""
-    plane, levels = observed.plane, prediction.classes.flat()
-    distances = (observed.from_mirror_point, observed.from_cone)
+    plane, means = observed.plane, prediction.classes.flat()
+    distances = (observed.from_mirror_point, observed.from_vignetting_centre)
     even = flatten(
-        prediction.departures - levels,
-        prediction.trusted[0],
+        prediction.residuals - means,
+        prediction.confidence[0],
         [(distance / plane.texel_size).numpy() for distance in distances],
         plane.unit,
     )
-    return replace(prediction, departures=even + levels)
+    return replace(prediction, residuals=even + means)
 
 
 def narrowed(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
@@ -136,15 +137,15 @@ def narrowed(observed: Observation, prediction: NetworkPrediction) -> NetworkPre
 
         minimise  (r(s) / _RING_ERROR)^2 / 2 + (log s / _SCALE_LOG)^2 / 2,
 
-    with r the mean absolute log residual of rings, their levels fitted to relief s h.
+    with r the mean absolute log residual of rings, their mean parameters fitted to relief s h.
     """
 
     def scaled(scale: float) -> NetworkPrediction:
-        departures = prediction.departures
-        return replace(prediction, departures=replace(departures, height=departures.height * scale))
+        residuals = prediction.residuals
+        return replace(prediction, residuals=replace(residuals, height=residuals.height * scale))
 
     def cost(scale: float) -> float:
-        _, residual = _fitted_levels(observed, scaled(scale), LEVEL_TEXELS // 2)
+        _, residual = _fitted_mean_parameters(observed, scaled(scale), FIT_TEXELS // 2)
         return (residual / _RING_ERROR) ** 2 + (math.log(scale) / _SCALE_LOG) ** 2
 
     scale, least = 1.0, cost(1.0)
@@ -153,16 +154,16 @@ def narrowed(observed: Observation, prediction: NetworkPrediction) -> NetworkPre
     return scaled(scale)
 
 
-def with_levels(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
-    """Fit the classes' mean parameters to the radial profile of the highlight (levels.py)."""
+def with_mean_parameters(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
+    """Fit the classes' mean parameters to the highlight's radial profile (mean_parameters.py)."""
     classes = prediction.classes
-    moved, _ = _fitted_levels(observed, prediction, LEVEL_TEXELS)
-    changed = prediction.departures + classes.flat(moved)
-    classes = replace(classes, levels=classes.levels + moved)
-    return replace(prediction, departures=changed, classes=classes)
+    moved, _ = _fitted_mean_parameters(observed, prediction, FIT_TEXELS)
+    changed = prediction.residuals + classes.flat(moved)
+    classes = replace(classes, mean_parameters=classes.mean_parameters + moved)
+    return replace(prediction, residuals=changed, classes=classes)
 
 
-def _fitted_levels(
+def _fitted_mean_parameters(
     observed: Observation, prediction: NetworkPrediction, texels: int
 ) -> tuple[Tensor, float]:
     """(K, 5) changes of the classes' mean parameters, and the mean absolute log residual of rings.
@@ -173,16 +174,20 @@ def _fitted_levels(
         texels: short side of the grid of the fit, at least.
     """
     classes = prediction.classes
-    target = observed.ring_target(prediction.departures, classes.metal)
+    target = observed.ring_target(prediction.residuals, classes.metal)
     step = max(1, min(target.distance.shape) // texels)
     shares = classes.shares[:, ::step, ::step]
-    deviation = torch.tensor([_METAL_LEVELS if metal else _PLAIN_LEVELS for metal in classes.metal])
-    start = torch.zeros_like(classes.levels)
-    return fit_levels(target.thinned(texels), shares, start, LevelPrior(start, deviation))
+    deviation = torch.tensor(
+        [_METAL_DEVIATIONS if metal else _DIELECTRIC_DEVIATIONS for metal in classes.metal]
+    )
+    start = torch.zeros_like(classes.mean_parameters)
+    return fit_mean_parameters(
+        target.thinned(texels), shares, start, MeanParameterPrior(start, deviation)
+    )
 
 
 def flatten(
-    departures: SurfaceParameters,
+    residuals: SurfaceParameters,
     confidence: NDArray[np.float32],
     distances: Sequence[NDArray[np.float32]],
     unit: float,
@@ -193,7 +198,7 @@ def flatten(
     A stationary sample has neither. The mean, weighted by squared confidence, is kept.
 
     Args:
-        departures: of the exemplar from its classes' mean parameters.
+        residuals: of the exemplar from its classes' mean parameters.
         confidence: (H, W) of albedo, in [0, 1].
         distances: (H, W) each, from these points, texels.
         unit: texels along the photograph's long side.
@@ -209,7 +214,7 @@ def flatten(
             level -= _rings(level, distance, confidence)
         return torch.from_numpy(level) + mean
 
-    return replace(departures, diffuse=even(departures.diffuse), specular=even(departures.specular))
+    return replace(residuals, diffuse=even(residuals.diffuse), specular=even(residuals.specular))
 
 
 def _rings(
@@ -256,7 +261,7 @@ def _rings(
 
 @torch.no_grad()
 def refine(
-    departures: SurfaceParameters,
+    residuals: SurfaceParameters,
     errors: ExpectedErrors,
     linear: Tensor,
     valid: Tensor,
@@ -268,7 +273,7 @@ def refine(
     """Refine albedo, of metal F0, so that the maps re-render to the photograph.
 
     Args:
-        departures: of the exemplar from the coarse fit.
+        residuals: of the exemplar from the coarse fit.
         errors: expected errors of the prediction.
         linear: (3, H, W) the photograph on the plane's grid.
         valid: (H, W) or (3, H, W) bool, visible and not clipped.
@@ -280,42 +285,47 @@ def refine(
     valid = valid.expand_as(linear)
     albedo = errors.albedo.exp().square()
     colour = albedo * _CHROMA**2
-    maps = light.maps(departures)
+    maps = light.maps(residuals)
     incidence = light.flash.onto(maps.normal)
     log, shares = light.logs(maps, incidence)
     white = torch.as_tensor(noise).to(linear).expand_as(linear).clamp_min(_LEAST_NOISE)
     weights = channel_weights(white)
     for step in range(_STEPS):
         if step:
-            log, shares = light.logs(light.maps(departures), incidence)
-        residual = _unexplained(observed, log, valid)
-        residual = (residual - _slow(residual, valid)).clamp(-_MOST_CHANGE, _MOST_CHANGE)
-        informative = valid | (residual > 0.0)
+            log, shares = light.logs(light.maps(residuals), incidence)
+        difference = _log_difference(observed, log, valid)
+        difference = (difference - _slow(difference, valid)).clamp(-_MOST_CHANGE, _MOST_CHANGE)
+        informative = valid | (difference > 0.0)
         share = (weights * shares).sum(0, keepdim=True)
         # d log L / d log albedo, and of metal / d log F0.
         base = (1.0 - metal) * share + metal * (1.0 - share)
         counts = weights * informative
         counts = counts / counts.sum(0, keepdim=True).clamp_min(1e-6)
-        grey = (counts * residual).sum(0, keepdim=True)
-        uncertain = _GLARE + (_GLARE_METAL - _GLARE) * metal
-        glare = (uncertain * (1.0 - share)).square()
+        grey = (counts * difference).sum(0, keepdim=True)
+        deviation = _SPECULAR_NOISE + (_SPECULAR_NOISE_METAL - _SPECULAR_NOISE) * metal
+        specular_variance = (deviation * (1.0 - share)).square()
         # The channels' noise is taken as fully correlated, as development blurs it to blotches.
-        unknown = (counts * white).sum(0, keepdim=True).square() + glare
+        unknown = (counts * white).sum(0, keepdim=True).square() + specular_variance
         common = base * albedo * grey / (base.square() * albedo + unknown)
         # A clipped channel that is bright enough gives no information on colour.
-        chroma = torch.where(informative, residual - grey, 0.0)
-        own = chroma * shares * colour / (shares.square() * colour + white.square() + glare)
-        departures = replace(
-            departures,
-            diffuse=departures.diffuse + (1.0 - metal) * (common + own),
-            specular=departures.specular + metal * common,
+        chroma = torch.where(informative, difference - grey, 0.0)
+        own = (
+            chroma
+            * shares
+            * colour
+            / (shares.square() * colour + white.square() + specular_variance)
         )
-    return departures
+        residuals = replace(
+            residuals,
+            diffuse=residuals.diffuse + (1.0 - metal) * (common + own),
+            specular=residuals.specular + metal * common,
+        )
+    return residuals
 
 
 @torch.no_grad()
 def with_photographed_mean(
-    departures: SurfaceParameters,
+    residuals: SurfaceParameters,
     linear: Tensor,
     valid: Tensor,
     light: PhotographLight,
@@ -330,10 +340,10 @@ def with_photographed_mean(
     refinement adds to log albedo changes the mean radiance: of a black and white weave by 1.5.
 
     Args:
-        departures, linear, valid, light, metal: as of refine.
+        residuals, linear, valid, light, metal: as of refine.
     """
-    log, diffuse_share = light.rendered(light.maps(departures))
-    even, _ = light.rendered(light.maps(departures - departures))
+    log, diffuse_share = light.rendered(light.maps(residuals))
+    even, _ = light.rendered(light.maps(residuals - residuals))
     share = (1.0 - metal) * diffuse_share + metal * (1.0 - diffuse_share)
     radiance = log.exp()
     weight = valid * share / even.exp()
@@ -342,42 +352,42 @@ def with_photographed_mean(
     ratio = (photographed / rendered).clamp(1.0 / _MOST_SHIFT, _MOST_SHIFT)
     shift = ratio.log()[:, None, None]
     return replace(
-        departures,
-        diffuse=departures.diffuse + (1.0 - metal) * shift,
-        specular=departures.specular + metal * shift.mean(),
+        residuals,
+        diffuse=residuals.diffuse + (1.0 - metal) * shift,
+        specular=residuals.specular + metal * shift.mean(),
     )
 
 
-def remaining(
-    departures: SurfaceParameters, linear: Tensor, valid: Tensor, light: PhotographLight
+def radiance_residual(
+    residuals: SurfaceParameters, linear: Tensor, valid: Tensor, light: PhotographLight
 ) -> tuple[Tensor, Tensor]:
     """(3, H, W) each: residual of log radiance, photograph less re-rendering, and its low
     frequencies, which are not the material's; arguments as of refine.
     """
-    log, _ = light.rendered(light.maps(departures))
-    residual = _unexplained(linear.clamp_min(DARKEST).log(), log, valid)
-    return residual, _slow(residual, valid)
+    log, _ = light.rendered(light.maps(residuals))
+    difference = _log_difference(linear.clamp_min(DARKEST).log(), log, valid)
+    return difference, _slow(difference, valid)
 
 
-def _unexplained(observed: Tensor, log: Tensor, valid: Tensor) -> Tensor:
-    """(3, H, W) residual of log radiance; of clipped texels only its positive part."""
-    residual = observed - log
-    return torch.where(valid, residual, residual.clamp_min(0.0))
+def _log_difference(observed: Tensor, log: Tensor, valid: Tensor) -> Tensor:
+    """(3, H, W) photographed less rendered log radiance; of clipped texels only positive ones."""
+    difference = observed - log
+    return torch.where(valid, difference, difference.clamp_min(0.0))
 
 
-def _slow(residual: Tensor, valid: Tensor) -> Tensor:
-    """Low-frequency part (3, H, W) of a residual, over valid texels."""
+def _slow(difference: Tensor, valid: Tensor) -> Tensor:
+    """Low-frequency part (3, H, W) of a difference, over valid texels."""
     deviation = max(valid.shape) / WIDE
-    weights = valid.expand_as(residual).numpy().astype(np.float32) + np.float32(1e-4)
+    weights = valid.expand_as(difference).numpy().astype(np.float32) + np.float32(1e-4)
     planes = [
         smoothed(plane * weight, deviation) / smoothed(weight, deviation)
-        for plane, weight in zip(residual.clamp(-1, 1).numpy(), weights, strict=True)
+        for plane, weight in zip(difference.clamp(-1, 1).numpy(), weights, strict=True)
     ]
     return torch.from_numpy(np.stack(planes))
 
 
 def scaled_by_glints(
-    departures: SurfaceParameters,
+    residuals: SurfaceParameters,
     linear: Tensor,
     measured: Tensor,
     light: PhotographLight,
@@ -386,22 +396,22 @@ def scaled_by_glints(
     """Scale each octave of relief by its factor g_b, measured in the glints (module).
 
     Args:
-        departures: of the exemplar from the coarse fit.
+        residuals: of the exemplar from the coarse fit.
         linear: (3, H, W) the photograph on the plane's grid.
         measured: (3, H, W) bool: not clipped.
         light: the photograph's own.
         noise: (3, H, W) standard deviation of log radiance.
     """
-    maps = light.maps(departures)
+    maps = light.maps(residuals)
     _, diffuse_share = light.rendered(maps)
     around = max(linear.shape) / WIDE
-    glare = 1.0 - smoothed(diffuse_share.mean(0).numpy(), around / 4.0)
+    specular_fraction = 1.0 - smoothed(diffuse_share.mean(0).numpy(), around / 4.0)
     seen = measured.all(0).numpy()
-    region = (glare > MIRRORED) & seen
+    region = (specular_fraction > MIRRORED) & seen
     if float(region.mean()) < LEAST_SHARE:
-        return departures
-    mean = departures.diffuse.mean((1, 2), keepdim=True)
-    maps = light.maps(replace(departures, diffuse=mean.expand_as(linear)))
+        return residuals
+    mean = residuals.diffuse.mean((1, 2), keepdim=True)
+    maps = light.maps(replace(residuals, diffuse=mean.expand_as(linear)))
     rendered = light.rendered(maps)[0].mean(0).numpy()
     photograph = linear.clamp_min(DARKEST).log().mean(0).numpy()
     variance = (noise.square().mean(0) / 3.0).numpy()
@@ -413,8 +423,8 @@ def scaled_by_glints(
             energy[len(energy) - 2 - octave] -= variance[where].mean() * 0.75 * 0.25**octave
         return energy.clip(0.0)
 
-    matte = (glare <= np.quantile(glare[seen], _MATTE_SHARE)) & seen
-    diluted = np.square(1.0 - glare).clip(1e-8)
+    matte = (specular_fraction <= np.quantile(specular_fraction[seen], _MATTE_SHARE)) & seen
+    diluted = np.square(1.0 - specular_fraction).clip(1e-8)
     share = diluted[region].mean() / diluted[matte].mean()
     whole = _energies(rendered, region, around)
     # If both regions are equally sensitive to slope, relief and albedo are hardly separable.
@@ -423,9 +433,9 @@ def scaled_by_glints(
     gains = np.sqrt(excess / relief.clip(1e-12))
     gains = gains.clip(_LEAST_FACTOR, _MOST_FACTOR)
     gains[-1] = 1.0
-    bands = split(departures.height[0].numpy())
+    bands = split(residuals.height[0].numpy())
     height = sum(float(g) * band for g, band in zip(gains, bands, strict=True))
-    return replace(departures, height=torch.from_numpy(np.asarray(height, np.float32))[None])
+    return replace(residuals, height=torch.from_numpy(np.asarray(height, np.float32))[None])
 
 
 def _energies(

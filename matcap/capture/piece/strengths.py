@@ -89,7 +89,7 @@ class Strengths:
     """Amplitude of log albedo, sqrt(A)."""
     slope: Doubles
     """Amplitude of the slope along the direction, sqrt(S)."""
-    trust: Doubles
+    significance: Doubles
     """Significance of the slope energy, S^2 / (S^2 + standard error^2), in [0, 1]."""
     deviation: Doubles
     """(len(BANDS),) standard deviation of the slope energy, summed over directions."""
@@ -101,10 +101,11 @@ class Strengths:
 
     def document(self) -> dict[str, Any]:
         """JSON: `relief`, and for each of `bands` its wavelengths in texels (`waves`), `albedo`,
-        `slope` and `trust` over all directions, and `slopes` along 0, 30 ... 150 degrees from x.
+        `slope` and `significance` over all directions, and `slopes` along 0, 30 ... 150 degrees
+        from x.
         """
         energy = np.square(self.slope)
-        trust = (self.trust * energy).sum(1) / np.maximum(energy.sum(1), 1e-12)
+        significance = (self.significance * energy).sum(1) / np.maximum(energy.sum(1), 1e-12)
         return {
             "relief": self.relief,
             "bands": [
@@ -112,7 +113,7 @@ class Strengths:
                     "waves": list(BANDS[band]),
                     "albedo": float(np.sqrt(np.square(self.albedo[band]).sum())),
                     "slope": float(np.sqrt(energy[band].sum())),
-                    "trust": float(trust[band]),
+                    "significance": float(significance[band]),
                     "slopes": self.slope[band].tolist(),
                 }
                 for band in range(len(BANDS))
@@ -162,7 +163,7 @@ def measure_strengths(
     return Strengths(
         albedo=np.sqrt(albedo),
         slope=np.sqrt(slope),
-        trust=np.square(slope) / (np.square(slope) + np.square(error) + 1e-12),
+        significance=np.square(slope) / (np.square(slope) + np.square(error) + 1e-12),
         deviation=deviation,
     )
 

@@ -21,12 +21,12 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.detail import Rectified, network_input
 from matcap.capture.piece.absolute import most_probable_scale, scaled
 from matcap.capture.piece.classes import Classes
+from matcap.capture.piece.detail_transfer import transfer_detail
 from matcap.capture.piece.find import ExemplarEstimate, indexed, map_set_of, refined
-from matcap.capture.piece.finest import finest
 from matcap.capture.piece.inpaint import inpainted
 from matcap.capture.piece.network.network import ExpectedErrors, Inverse
 from matcap.capture.piece.observation import Observation
-from matcap.capture.piece.predict import NetworkPrediction, confidence, exemplar_of
+from matcap.capture.piece.predict import NetworkPrediction, confidence_of, exemplar_of
 from matcap.capture.piece.refine import fitted_to_highlight
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.progress import CaptureClock
@@ -172,7 +172,7 @@ def predict_alone(
         (h, w) share of metal in each texel.
     """
     observed, prediction, strengths = refined(network_input(plane), coarse, network, clock)
-    exemplar = finest(exemplar_of(observed, prediction), plane, coarse)
+    exemplar = transfer_detail(exemplar_of(observed, prediction), plane, coarse)
     errors = prediction.errors.stacked()
     wide = F.interpolate(errors[None], size=plane.size[::-1], mode="bilinear")[0]
     return Estimate(map_set_of(exemplar), wide), strengths, prediction.metal
@@ -274,15 +274,17 @@ def _inpainted(
     """
     if tint is not None:
         observed = replace(
-            observed, light=replace(observed.light, hue=on_grid(tint, solved.maps.size))
+            observed, light=replace(observed.light, tint=on_grid(tint, solved.maps.size))
         )
     maps = coloured(solved.maps, tint)
     seen = torch.stack([view.seen.float().mean(0) for view in views]).amax(0)
     seen = seen * observed.plane.kept  # of a mosaic, not where unseen, or seen too obliquely
     errors = ExpectedErrors.from_stacked(solved.estimate.log_error)
-    trusted = confidence(errors, np.asarray(seen.numpy(), np.float32), observed.plane.unit)
+    confidence = confidence_of(errors, np.asarray(seen.numpy(), np.float32), observed.plane.unit)
     classes = Classes.whole(observed.specular_fraction.shape, metal=False)
-    prediction = NetworkPrediction(observed.light.departures(maps), errors, trusted, None, classes)
+    prediction = NetworkPrediction(
+        observed.light.residuals(maps), errors, confidence, None, classes
+    )
     return inpainted(exemplar_of(observed, fitted_to_highlight(observed, prediction)), observed)
 
 

@@ -147,9 +147,9 @@ def _piece(seen: Measurements, more: str) -> Iterator[Finding]:
     if seen.piece is None:
         return
     yield CHECKS["piece"].finding(seen.piece["error"], more=more)
-    trusted = {name: seen.piece[name] for name in seen.piece if name not in ("error", "slow")}
-    least = min(trusted, key=lambda name: trusted[name])
-    guessed = 1.0 - sum(trusted.values()) / len(trusted)
+    confidence = {name: seen.piece[name] for name in seen.piece if name not in ("error", "slow")}
+    least = min(confidence, key=lambda name: confidence[name])
+    guessed = 1.0 - sum(confidence.values()) / len(confidence)
     yield CHECKS["confidence"].finding(guessed, least=least)
 
 

@@ -22,7 +22,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.piece.levels import BOUND
+from matcap.capture.piece.mean_parameters import BOUND
 from matcap.capture.piece.refine import LEAST_SHARE, MIRRORED
 from matcap.capture.piece.smooth import filled
 from matcap.flash.geometry import FlashSetup, flash_mirror_point, plane_points

@@ -2,15 +2,20 @@
 
 Its accuracy is measured in docs/notes/capture.md.
 
-A flat, uniform material under a flash (model.py) is fitted to the blurred photograph (cells.py) by
-robust least squares on the logarithm of radiance (problem.py): albedo or F0, roughness, flash
-intensity and offset, tilt, falloff of lens and flash. It is fitted twice, as a dielectric and as a
-conductor (hypotheses.py); the lower cost, prior shares included, decides. Weak priors resolve
-ambiguities of one photograph: flash intensity against albedo, tilt against flash offset, contrast
-of a tone curve (photo/tone.py) against falloff. The highlight's centre measures tilt and offset
-(problem.Evidence). Because of local minima it starts from several points: roughness at four values,
-or at those that the highlight's width means; the place of the highlight is due to the flash's
-offset or to the plane's tilt, and both are tried.
+A flat, uniform material under a flash (model.py) is fitted to the photograph's means over cells
+(cells.py) by robust least squares on log radiance (problem.py). Unknown are albedo or F0,
+roughness, flash intensity and offset, tilt, and the falloff of lens and flash.
+
+Two hypotheses are fitted, a dielectric and a conductor (hypotheses.py). The conductor is chosen if
+its cost, priors included, is lower by _CONDUCTOR_ODDS nats.
+
+One photograph leaves ambiguities: flash intensity and albedo, tilt and flash offset, and falloff
+and the contrast of a tone curve (photo/tone.py). Weak priors resolve them. The highlight's centre
+is a measurement of tilt and offset together (problem.HighlightMeasurements).
+
+The cost has local minima, so the fit starts from several points (starts): from four roughnesses, or
+those that the highlight's width implies; and with the highlight's position due to the flash's
+offset, or to tilt.
 
 Texture is not modelled. Relief widens the highlight, so the roughness is an upper estimate, which
 later stages lower.
@@ -31,8 +36,8 @@ from matcap.flash.coarse.problem import (
     HUBER,
     WEIGHT_BETWEEN,
     WHITE,
-    Evidence,
-    FalloffEvidence,
+    FalloffLikelihood,
+    HighlightMeasurements,
     Problem,
 )
 from matcap.flash.geometry import FlashSetup
@@ -67,7 +72,7 @@ _MATTE = 2.5  # logit of roughness
 _HALF_GGX = 0.644
 _DISTINCT = 0.3  # starts whose logits of roughness differ by less are duplicates
 # Root-mean-square log radiance by which a fit may be worse and count as equal.
-_ALIKE = 0.003
+_EQUAL_RESIDUAL = 0.003
 
 
 @dataclass(frozen=True)
@@ -88,7 +93,7 @@ class CoarseFit(Uniform):
     tilt_prior: TiltPrior | None = None
     picture_tilt: tuple[float, float] | None = None
     tone: ToneCurve = ToneCurve()
-    falloff: FalloffEvidence | None = None
+    falloff: FalloffLikelihood | None = None
 
 
 def fit_coarse(
@@ -157,7 +162,7 @@ def _fitted_coarsely(
     problem = Problem(
         cells=cells,
         distance=FlashSetup(fov=photo.fov).distance,
-        evidence=None if highlight is None else Evidence(highlight),
+        measurements=None if highlight is None else HighlightMeasurements(highlight),
         prior=prior.mean.vector(),
         precision=unit * prior.precision,
         unit=unit,
@@ -176,7 +181,7 @@ def _fitted(
     prior, last = coarse.prior, replace(coarse.problem, cells=cells)
     begun = [parameters for _, parameters in coarse.minima]
     if photo.radiometric:
-        last = last.whitened(begun[0]).trusting(begun[0])
+        last = last.whitened(begun[0]).with_estimated_noise(begun[0])
     best = _best(last, begun)
     rest = last.differences(best)[last.cells.above == 1.0]
     own = None
@@ -191,7 +196,7 @@ def _fitted(
         conductor=prior.conductor,
         picture_tilt=own,
         tone=ToneCurve(exponent, last.shoulder) if last.shoulder > 0.0 else ToneCurve(),
-        falloff=last.falloff_evidence(best),
+        falloff=last.falloff_likelihood(best),
     )
     return fit, last.cost(best), last.unit
 
@@ -204,9 +209,9 @@ def _best(problem: Problem, tried: Sequence[Tensor]) -> Tensor:
         worth.append(replace(unknowns, roughness=numbers(_MATTE)).vector())
     minima = [problem.minimised(each, _MANY)[1] for each in worth]
     strict = problem
-    if problem.evidence is not None:
-        strict = replace(problem, evidence=replace(problem.evidence, weight=WEIGHT_BETWEEN))
-    return mattest([(strict.cost(each), each) for each in minima])
+    if problem.measurements is not None:
+        strict = replace(problem, measurements=replace(problem.measurements, weight=WEIGHT_BETWEEN))
+    return roughest([(strict.cost(each), each) for each in minima])
 
 
 def _uniform(
@@ -261,7 +266,7 @@ def under_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
 def starts(
     observed: Tensor, prior: Hypothesis, highlight: Highlight | None, distance: float
 ) -> Iterable[Tensor]:
-    """Starting points whose brightness and hue already fit the photograph's median.
+    """Starting points whose brightness and colour already fit the photograph's median.
 
     Radiance there is about albedo / pi intensity / distance^2; a conductor's is darker, away from
     its highlight.
@@ -302,13 +307,13 @@ def distinct(fits: Sequence[Tensor]) -> list[Tensor]:
     return kept
 
 
-def mattest(fits: Sequence[tuple[float, Tensor]]) -> Tensor:
+def roughest(fits: Sequence[tuple[float, Tensor]]) -> Tensor:
     """The roughest among fits (cost, parameters) of nearly equal cost, so that no highlight is
     invented in clipped areas.
     """
     least = min(cost for cost, _ in fits)
-    alike = [candidate for cost, candidate in fits if cost <= least + 0.5 * _ALIKE**2]
-    return max(alike, key=_roughness)
+    equal = [candidate for cost, candidate in fits if cost <= least + 0.5 * _EQUAL_RESIDUAL**2]
+    return max(equal, key=_roughness)
 
 
 def _roughness(parameters: Tensor) -> float:

@@ -29,7 +29,7 @@ _PRIORS = {
     "specular": ([math.log(0.04)], [0.15]),
     "roughness": ([0.0], [1.5]),
     "intensity": ([3.0], [5.0]),
-    "hue": ([0.0] * 2, [0.3] * 2),  # white balance is the whole picture's, not the flash's
+    "flash_colour": ([0.0] * 2, [0.3] * 2),  # white balance is the whole picture's, not the flash's
     "offset": ([0.0] * 2, [0.12] * 2),
     "tilt": ([0.0] * 2, [0.05] * 2),
     "vignetting": ([0.0] * 2, [1.0] * 2),
@@ -101,7 +101,7 @@ def hypothesis(
         deviation = replace(deviation, albedo=numbers(*[scatter] * 3))
     # A conductor colours all that it reflects; RAW and cards are white under the flash.
     if conductor or photo.radiometric or photo.flash_intensity is not None:
-        deviation = replace(deviation, hue=numbers(_FIXED, _FIXED))
+        deviation = replace(deviation, flash_colour=numbers(_FIXED, _FIXED))
     if photo.radiometric:
         deviation = replace(deviation, tilt=numbers(_TILT_RADIOMETRIC, _TILT_RADIOMETRIC))
     alone = None

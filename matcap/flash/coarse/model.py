@@ -29,7 +29,7 @@ class Unknowns:
         specular: (1,) log of a dielectric's F0.
         roughness: (1,) logit.
         intensity: (1,) log of the flash's, in green.
-        hue: (2,) log of the flash's intensity in red and in blue over that.
+        flash_colour: (2,) log of the flash's intensity in red and in blue over that.
         offset: (2,) of the flash from the camera, plane units.
         tilt: (2,) radians.
         vignetting: (2,) with r^2 and with r^4, as FlashSetup has them.
@@ -41,7 +41,7 @@ class Unknowns:
     specular: Tensor
     roughness: Tensor
     intensity: Tensor
-    hue: Tensor
+    flash_colour: Tensor
     offset: Tensor
     tilt: Tensor
     vignetting: Tensor
@@ -60,7 +60,7 @@ class Unknowns:
     @property
     def flash(self) -> Tensor:
         """(3,) log of the flash's intensity by channel."""
-        red, blue = (self.intensity + self.hue).split(1)
+        red, blue = (self.intensity + self.flash_colour).split(1)
         return torch.cat([red, self.intensity, blue])
 
 

@@ -1,7 +1,7 @@
 """The coarse fit's cost, its normal equations, and its minimisation.
 
-With the residuals r_i in log radiance of cells and of the highlight's measurements (Evidence),
-their weights w_i, the parameters x and the prior's mean m and precision P (hypotheses.py),
+With the residuals r_i in log radiance of cells and of the highlight (HighlightMeasurements), their
+weights w_i, the parameters x and the prior's mean m and precision P (hypotheses.py),
 
     cost = sum_i w_i huber(r_i) + (x - m)^T P (x - m) / 2.
 
@@ -44,12 +44,12 @@ WEIGHT, WEIGHT_BETWEEN = 0.005, 0.05
 # Standard deviation of the highlight's centre from the mirror point: plane units, plus a share of
 # its half width; the same of the centre of its half-way ring.
 _CENTRE_DEVIATION, _MIDDLE_DEVIATION = (0.006, 0.1), (0.004, 0.03)
-_LEVEL_DEVIATION = 0.1  # of peak, half-way level and surroundings, log radiance
+_RADIANCE_DEVIATION = 0.1  # of peak, half-way level and surroundings, log radiance
 _DIRECTIONS = 12  # points of a ring
 
 
 @dataclass(frozen=True)
-class Evidence:
+class HighlightMeasurements:
     """Seven measurements of a highlight, and their weight as a share of the picture's.
 
     The mirror point (2) converges from any distance, but is only near the centre of a wide
@@ -87,7 +87,7 @@ class Evidence:
         middle = 2.0 * (rings[1] * _circle()).mean(1) / slope
         half_way = 0.5 * (highlight.peak + highlight.surroundings)
         expected = torch.tensor([highlight.peak, half_way, highlight.surroundings]).double().log()
-        levels = (rings.mean(1) - expected) / _LEVEL_DEVIATION
+        levels = (rings.mean(1) - expected) / _RADIANCE_DEVIATION
         return torch.cat([off, middle / middle_deviation, levels])
 
 
@@ -99,7 +99,7 @@ def _circle() -> Tensor:
 
 
 @dataclass(frozen=True)
-class FalloffEvidence:
+class FalloffLikelihood:
     """Gaussian likelihood of the falloff x = (a, b): exp(h x - x L x / 2).
 
     Attributes:
@@ -118,7 +118,7 @@ class Problem:
     Attributes:
         cells: observations.
         distance: of the camera.
-        evidence: measurements of the highlight, or None.
+        measurements: measurements of the highlight, or None.
         prior: (n,) the prior's mean.
         precision: (n, n) Hessian of the prior's cost.
         unit: cost of a nat of the prior.
@@ -129,7 +129,7 @@ class Problem:
 
     cells: CoarseCells
     distance: float
-    evidence: Evidence | None
+    measurements: HighlightMeasurements | None
     prior: Tensor
     precision: Tensor
     unit: float
@@ -161,7 +161,7 @@ class Problem:
         rest = self.differences(parameters)[:, self._whole]
         return replace(self, whitening=_whitening(rest, self.cells.weight[self._whole]))
 
-    def trusting(self, parameters: Tensor) -> Problem:
+    def with_estimated_noise(self, parameters: Tensor) -> Problem:
         """The problem with the prior's weight set from the residuals of a first fit."""
         count = self.cells.observed.numel()
         rest = self.residuals(parameters)[:count].clamp(-0.5, 0.5)
@@ -181,12 +181,19 @@ class Problem:
     def weight(self) -> Tensor:
         """(residuals,) weight of each residual."""
         each = self.cells.weight.repeat(3)
-        return each if self.evidence is None else F.pad(each, (0, 7), value=self.evidence.weight)
+        return (
+            each
+            if self.measurements is None
+            else F.pad(each, (0, 7), value=self.measurements.weight)
+        )
 
     @cached_property
     def _image(self) -> Tensor:
         """(2, n) image coordinates of cells and of the highlight's measurements."""
-        parts = [self.cells.image, *([] if self.evidence is None else [self.evidence.image])]
+        parts = [
+            self.cells.image,
+            *([] if self.measurements is None else [self.measurements.image]),
+        ]
         return torch.cat(parts, dim=1)
 
     @cached_property
@@ -196,7 +203,7 @@ class Problem:
 
     def residuals(self, parameters: Tensor) -> Tensor:
         """(residuals,) residuals at the parameters, in log radiance."""
-        cells, evidence = self.cells, self.evidence
+        cells, measurements = self.cells, self.measurements
         everywhere = self.log_radiance(parameters, self._image)
         difference = cells.differences(everywhere[:, : cells.image.shape[1]])
         # Of a lower bound, only a darker model has a residual.
@@ -204,11 +211,11 @@ class Problem:
         if self.whitening is not None:
             bounded = torch.where(self._whole, self.whitening @ difference, bounded)
         difference = bounded.flatten()
-        if evidence is None:
+        if measurements is None:
             return difference
         mirror = mirror_point(Unknowns.of(parameters), self.distance)
         seen = everywhere[:, cells.image.shape[1] :]
-        return torch.cat([difference, HUBER * evidence.residuals(mirror, seen)])
+        return torch.cat([difference, HUBER * measurements.residuals(mirror, seen)])
 
     def quadratic(self, parameters: Tensor, r: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """(n, n) Gauss-Newton Hessian of the cost and (n,) its gradient, without bounds.
@@ -221,7 +228,7 @@ class Problem:
         hessian = (jacobian * weight[:, None]).T @ jacobian + self.precision
         return hessian, jacobian.T @ (weight * r) + self.precision @ (parameters - self.prior)
 
-    def falloff_evidence(self, parameters: Tensor) -> FalloffEvidence:
+    def falloff_likelihood(self, parameters: Tensor) -> FalloffLikelihood:
         """Likelihood of the falloff by Laplace's method at the parameters.
 
         The Hessian over a nat's cost is the posterior's precision; its Schur complement over all
@@ -235,9 +242,9 @@ class Problem:
         prior = self.precision[block] / self.unit
         first, second = (posterior @ best - prior @ self.prior[falloff]).tolist()
         (own, both), (_, other) = (posterior - prior).tolist()
-        return FalloffEvidence((first, second), (own, both, other))
+        return FalloffLikelihood((first, second), (own, both, other))
 
-    def beyond(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
+    def bound_excess(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """(n,) each: how far parameters are beyond their bounds, and the prior's precision there.
 
         Falloff is positive, and no albedo, nor F0 of a conductor, is above WHITE.
@@ -259,7 +266,7 @@ class Problem:
         huber = torch.where(r < HUBER, 0.5 * r.square(), HUBER * (r - 0.5 * HUBER))
         deviation = parameters - self.prior
         prior = 0.5 * deviation @ self.precision @ deviation
-        excess, precision = self.beyond(parameters)
+        excess, precision = self.bound_excess(parameters)
         prior = prior + 0.5 * (excess.square() * precision).sum()
         return float((self.weight * huber).sum() + prior)
 
@@ -275,7 +282,7 @@ class Problem:
         def quadratic(parameters: Tensor) -> tuple[Tensor, Tensor]:
             known = last[1] if last[0] is parameters else None
             normal, gradient = self.quadratic(parameters, known)
-            excess, precision = self.beyond(parameters)
+            excess, precision = self.bound_excess(parameters)
             return normal + torch.diag(precision), gradient + precision * excess
 
         return minimised(cost, quadratic, start, iterations, farthest=1.0)

@@ -132,7 +132,7 @@ def several_experiment(
 def nsd(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """Normalised style distance of the exemplar, tilts, and seconds of the capture."""
     assert result.estimate is not None
-    maps, evaluator = map_set_of(result.estimate.framed), taken.evaluator
+    maps, evaluator = map_set_of(result.estimate.first_rectangle), taken.evaluator
     middle = evaluator.middle(maps)
     numbers = compared_numbers(middle, evaluator.truths)
     return {
@@ -146,7 +146,7 @@ def nsd(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
 def off(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """Errors of maps over the first photograph's rectangle."""
     assert result.estimate is not None
-    maps, several = map_set_of(result.estimate.framed), result.estimate.several
+    maps, several = map_set_of(result.estimate.first_rectangle), result.estimate.several
     bent = (0.0, 0.0) if several is None else several.bent
     estimated = PosedCamera.of(result.material.setup, bent)
     return map_errors(maps, taken.true_maps(0, estimated, maps.size))

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.classes import seen_colour, tint
+from matcap.capture.piece.classes import seen_colour, specular_tint
 from matcap.capture.piece.network.network import ERRORS, ExpectedErrors, Inverse, NetworkAnswer
 from matcap.flash.render import shade
 from matcap.lab.experiment.results import markdown
@@ -85,9 +85,9 @@ def evaluate(network: Inverse, samples: Sequence[Sample]) -> dict[str, float]:
 
 def _maps(answer: NetworkAnswer, sample: Sample) -> MapSet:
     uniform = sample.uniform.parameters().to(sample.points)
-    maps = (uniform + answer.departures).maps(sample.truth.texel_size)
-    hue = tint(answer.metal.sigmoid(), seen_colour(sample.linear, sample.valid[None]))
-    return replace(maps, specular=(maps.specular * hue).clamp_max(1.0))
+    maps = (uniform + answer.residuals).maps(sample.truth.texel_size)
+    tint = specular_tint(answer.metal.sigmoid(), seen_colour(sample.linear, sample.valid[None]))
+    return replace(maps, specular=(maps.specular * tint).clamp_max(1.0))
 
 
 @torch.no_grad()
@@ -154,7 +154,7 @@ def relit_error(maps: MapSet, truth: MapSet, sample: Sample) -> float:
 def doubts(outputs: Tensor, sample: Sample) -> tuple[Tensor, Tensor]:
     """(ERRORS, n) predicted errors, and actual errors."""
     answer = NetworkAnswer.from_stacked(outputs)
-    maps, off = _maps(answer, sample), answer.departures - sample.departures
+    maps, off = _maps(answer, sample), answer.residuals - sample.residuals
     albedo = ((maps.diffuse + BLACK).log() - (sample.truth.diffuse + BLACK).log()).abs().mean(0)
     slope = (_slopes(maps.normal) - _slopes(sample.truth.normal)).abs().mean(0)
     made = ExpectedErrors(

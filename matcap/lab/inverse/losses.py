@@ -22,7 +22,7 @@ from torch import Tensor
 from matcap.brdf.cook_torrance import dot
 from matcap.brdf.normals import normals_from_height
 from matcap.brdf.parameters import Reflectance, SurfaceParameters
-from matcap.capture.piece.classes import seen_colour, tint
+from matcap.capture.piece.classes import seen_colour, specular_tint
 from matcap.capture.piece.network.network import ExpectedErrors, NetworkAnswer
 from matcap.flash.light import FlashLight
 from matcap.lab.inverse.samples import Sample
@@ -92,7 +92,7 @@ def wanted(samples: Sequence[Sample], rng: np.random.Generator) -> WantedOutputs
         return torch.tensor(vectors).to(points)[..., None, None]
 
     return WantedOutputs(
-        torch.stack([s.departures.stacked() for s in samples]),
+        torch.stack([s.residuals.stacked() for s in samples]),
         torch.stack([s.metal for s in samples]),
         torch.stack([s.truth.specular / s.truth.specular.mean(0) for s in samples]),
         torch.stack([seen_colour(s.linear, s.valid[None]) for s in samples]),
@@ -150,11 +150,11 @@ def compared(
         outputs: of the network; the others as in WantedOutputs, with metals = (metal, hue, seen).
     """
     answer = NetworkAnswer.from_stacked(outputs)
-    estimated, true = answer.departures, SurfaceParameters.from_stacked(truth)
+    estimated, true = answer.residuals, SurfaceParameters.from_stacked(truth)
     uniform = SurfaceParameters.from_stacked(base)
     metal, hue, seen = metals
     maps_estimated = _tinted(
-        (uniform + estimated).reflectance(), tint(answer.metal.sigmoid(), seen)
+        (uniform + estimated).reflectance(), specular_tint(answer.metal.sigmoid(), seen)
     )
     maps_true = _tinted((uniform + true).reflectance(), hue)
     # Metal's diffuse albedo is too dark for errors of its logarithm to be visible.

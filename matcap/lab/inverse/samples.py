@@ -75,7 +75,7 @@ class Sample:
         return network_inputs(self.linear, self.valid, self.uniform, self.points).stacked()
 
     @property
-    def departures(self) -> SurfaceParameters:
+    def residuals(self) -> SurfaceParameters:
         """Log-parameter residuals, the network's target; F0 is the mean of its channels."""
         grey = replace(self.truth, specular=self.truth.specular.mean(0, keepdim=True))
         return SurfaceParameters.of(grey) - self.uniform.parameters().to(self.points)

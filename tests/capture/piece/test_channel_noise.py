@@ -70,7 +70,7 @@ def test_a_dark_channel_of_a_saturated_jpeg_hardly_counts():
 def test_a_channel_that_is_noise_moves_no_map():
     shot = photographed(0.1, 0.1, width=192, height=144)
     light = shot.light
-    truth = light.departures(shot.maps)
+    truth = light.residuals(shot.maps)
     errors = ExpectedErrors.from_stacked(torch.log(torch.full((4, 1, 1), 0.2)))
     draw = torch.Generator().manual_seed(6)
     linear = shot.linear.clone()

@@ -15,9 +15,9 @@ from matcap.capture.piece.classes import (
     Classes,
     Mixture,
     find_mixture,
-    goes_with_metal,
+    metal_score,
 )
-from matcap.capture.piece.levels import RingTarget
+from matcap.capture.piece.mean_parameters import RingTarget
 from matcap.flash.geometry import flash_mirror_point
 from matcap.flash.render import render_flash
 
@@ -33,7 +33,7 @@ def patches(part: int = 2) -> torch.Tensor:
 
 
 def photograph(metal: torch.Tensor, brightness: float = 1.0):
-    """(what is shown, departures of the truth, departures as a network in doubt reads them)."""
+    """(what is shown, residuals of the truth, residuals as a network in doubt reads them)."""
     shot = photographed(0.15, 0.1, width=WIDTH, height=HEIGHT)
     one = torch.ones(1, HEIGHT, WIDTH)
     maps = replace(
@@ -45,12 +45,12 @@ def photograph(metal: torch.Tensor, brightness: float = 1.0):
     linear = brightness * render_flash(maps, shot.uniform.setup, shot.points)
     light = shot.light
     grey = replace(maps, specular=maps.specular.mean(0, keepdim=True))
-    truth = light.departures(grey)
+    truth = light.residuals(grey)
     read = replace(
         truth,
-        diffuse=light.departures(replace(grey, diffuse=0.08 * one + 0.0 * BOLE)).diffuse,
-        specular=light.departures(replace(grey, specular=0.1 * one)).specular,
-        roughness=light.departures(replace(grey, roughness=0.45 * one)).roughness,
+        diffuse=light.residuals(replace(grey, diffuse=0.08 * one + 0.0 * BOLE)).diffuse,
+        specular=light.residuals(replace(grey, specular=0.1 * one)).specular,
+        roughness=light.residuals(replace(grey, roughness=0.45 * one)).roughness,
     )
     x, y = flash_mirror_point(shot.uniform.setup)
     shown = RingTarget(
@@ -74,14 +74,14 @@ def doubtful(metal: torch.Tensor, noise: float = 0.5) -> torch.Tensor:
 
 def reached(mixture: Mixture, shown: RingTarget) -> tuple[torch.Tensor, torch.Tensor]:
     """(2,) F0 and (2, 3) albedo of metal and of the rest."""
-    levels = (shown.surface.levels() + mixture.classes.levels).exp()
+    levels = (shown.surface.vector() + mixture.classes.mean_parameters).exp()
     return levels[:, 3], levels[:, :3]
 
 
 @pytest.mark.parametrize(
     ("brightness", "part", "noise"), [(0.05, 2, 0.5), (1.0, 2, 0.5), (0.05, 5, 0.15)]
 )
-def test_each_class_has_its_own_levels_though_they_were_predicted_alike(
+def test_each_class_has_its_own_parameters_though_they_were_predicted_alike(
     brightness: float, part: int, noise: float
 ) -> None:
     metal = patches(part)
@@ -117,14 +117,14 @@ def test_texels_own_are_albedo_of_a_dielectric_and_f0_of_metal() -> None:
     classes = Classes(torch.cat([metal, 1.0 - metal]), (True, False), levels)
     grain = 0.1 * torch.sin(torch.arange(WIDTH) * 1.7).expand(1, HEIGHT, WIDTH)
     noisy = replace(truth, diffuse=truth.diffuse + grain, specular=truth.specular + grain)
-    settled, plain = (classes.settled(each, EVEN_GLOSS) for each in (noisy, truth))
-    assert torch.allclose(classes.means(settled), levels, atol=1e-4)
-    assert torch.equal(settled.height, truth.height)
+    constrained, plain = (classes.constrained(each, EVEN_GLOSS) for each in (noisy, truth))
+    assert torch.allclose(classes.class_means(constrained), levels, atol=1e-4)
+    assert torch.equal(constrained.height, truth.height)
     bare = metal[0] > 0.5
-    off = settled.specular - plain.specular - grain
+    off = constrained.specular - plain.specular - grain
     assert float(off[:, bare].std()) < 1e-3
-    assert float(settled.specular[:, ~bare].std()) < 1e-5
-    assert float(settled.diffuse[:, bare].std()) < 1e-5
+    assert float(constrained.specular[:, ~bare].std()) < 1e-5
+    assert float(constrained.diffuse[:, bare].std()) < 1e-5
 
 
 @pytest.mark.parametrize("slopes", [(0.2, 0.2), (-0.4, 0.3)])
@@ -140,7 +140,7 @@ def test_roughness_follows_height_in_each_class(slopes: tuple[float, float]) -> 
         roughness=slope * height + 0.2 * tone + 0.2 * noise,
         height=height,
     )
-    rough = classes.settled(predicted, EVEN_GLOSS).roughness
+    rough = classes.constrained(predicted, EVEN_GLOSS).roughness
     for number, one in enumerate(classes.shares):
         h, r = height[0][one > 0.5], rough[0][one > 0.5]
         found = (h * r).mean() / (h * h).mean()
@@ -151,14 +151,14 @@ def test_roughness_follows_height_in_each_class(slopes: tuple[float, float]) -> 
 def test_flat_and_even_texels_have_one_roughness() -> None:
     even = torch.zeros(1, HEIGHT, WIDTH)
     predicted = SurfaceParameters(even.expand(3, -1, -1), even, torch.randn_like(even), even)
-    settled = Classes.whole((HEIGHT, WIDTH), metal=False).settled(predicted, EVEN_GLOSS)
-    assert settled.roughness.abs().max() < 1e-5
+    constrained = Classes.whole((HEIGHT, WIDTH), metal=False).constrained(predicted, EVEN_GLOSS)
+    assert constrained.roughness.abs().max() < 1e-5
 
 
 def test_what_goes_with_metal_is_told_beside_a_drift() -> None:
     metal = patches()
     _, truth, _ = photograph(metal)
-    score = goes_with_metal(truth, doubtful(metal))
+    score = metal_score(truth, doubtful(metal))
     assert float(score.std()) == pytest.approx(1.0, abs=0.01)
     right = ((score > 0.0) == (metal > 0.5)).float().mean()
     assert float(right) > 0.95
@@ -167,7 +167,7 @@ def test_what_goes_with_metal_is_told_beside_a_drift() -> None:
 def test_a_prediction_without_texture_is_one_class() -> None:
     shown, truth, read = photograph(torch.zeros(1, HEIGHT, WIDTH))
     flat = 0.0 * doubtful(patches())
-    assert torch.isfinite(goes_with_metal(truth, flat)).all()
+    assert torch.isfinite(metal_score(truth, flat)).all()
     mixture = find_mixture(read, flat, shown)
-    assert torch.isfinite(mixture.classes.levels).all()
+    assert torch.isfinite(mixture.classes.mean_parameters).all()
     assert not mixture.likely(shown.surface)

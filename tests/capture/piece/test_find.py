@@ -26,7 +26,7 @@ from matcap.capture.piece.network.network import (
     read_inverse,
 )
 from matcap.capture.piece.observation import Observation, lit, seen_share
-from matcap.capture.piece.predict import _shift_averaged, confidence, predict_maps
+from matcap.capture.piece.predict import _shift_averaged, confidence_of, predict_maps
 from matcap.capture.piece.refine import narrowed
 from matcap.capture.progress import CaptureClock
 from matcap.errors import MatcapError
@@ -132,7 +132,7 @@ def _expected(log: float) -> ExpectedErrors:
 
 def test_confidence_falls_with_the_error_to_be_expected() -> None:
     seen = np.ones((64, 96), np.float32)
-    sure, unsure = (confidence(_expected(e), seen, max(seen.shape)) for e in (-4.0, 0.0))
+    sure, unsure = (confidence_of(_expected(e), seen, max(seen.shape)) for e in (-4.0, 0.0))
     assert (sure > unsure).all()
     assert sure.max() <= 1.0 and unsure.min() >= 0.0
 
@@ -165,7 +165,9 @@ def test_two_channels_show_a_texture_whose_third_one_clips(clipped: int, share: 
 def test_confidence_counts_every_error_in_its_own_units() -> None:
     """Slope's are the smallest that count, then log albedo's; F0's and roughness's are alike."""
     seen = np.ones((64, 96), np.float32)
-    albedo, f0, roughness, slope = confidence(_expected(-1.5), seen, max(seen.shape)).mean((1, 2))
+    albedo, f0, roughness, slope = confidence_of(_expected(-1.5), seen, max(seen.shape)).mean(
+        (1, 2)
+    )
     assert slope < 0.7 * albedo and albedo < 0.8 * f0
     assert f0 == roughness
 
@@ -218,8 +220,8 @@ def test_relief_is_no_wider_than_the_highlight(
     plane = plane_of(linear, torch.ones(linear.shape[1:], dtype=torch.bool))
     observed, prediction = predict_maps(Observation.of(plane, uniform), load_inverse())
     guess = replace(
-        prediction.classes.settled(prediction.departures, torch.ones(linear.shape[1:])),
+        prediction.classes.constrained(prediction.residuals, torch.ones(linear.shape[1:])),
         height=steeper * shot.maps.height / shot.maps.texel_size,
     )
-    found = narrowed(observed, replace(prediction, departures=guess)).departures
+    found = narrowed(observed, replace(prediction, residuals=guess)).residuals
     assert least <= float(found.height.std() / guess.height.std()) <= most

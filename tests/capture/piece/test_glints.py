@@ -17,7 +17,7 @@ HEIGHT, WIDTH = 192, 256
 
 
 def scene(albedo: float, roughness: float):
-    """Photograph, its light and true departures of an even surface with relief."""
+    """Photograph, its light and true residuals of an even surface with relief."""
     shot = photographed(0.06, 0.0, width=WIDTH, height=HEIGHT)
     one = torch.ones(1, HEIGHT, WIDTH)
     maps = replace(
@@ -28,7 +28,7 @@ def scene(albedo: float, roughness: float):
     )
     light = shot.light
     linear = render_flash(maps, shot.uniform.setup, shot.points)
-    return linear / float(linear.quantile(0.99)), light, light.departures(maps)
+    return linear / float(linear.quantile(0.99)), light, light.residuals(maps)
 
 
 def factor(albedo: float, roughness: float, strength: float) -> float:

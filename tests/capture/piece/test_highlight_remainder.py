@@ -14,7 +14,7 @@ from matcap.capture.piece.inpaint import inpainted, remaining_highlight
 from matcap.capture.piece.network.network import load_inverse
 from matcap.capture.piece.observation import Observation
 from matcap.capture.piece.predict import exemplar_of, predict_maps
-from matcap.capture.piece.refine import levelled
+from matcap.capture.piece.refine import refine_maps
 from matcap.flash.plane import plane_of
 
 HEIGHT, WIDTH = 384, 512
@@ -110,11 +110,11 @@ def test_a_spot_in_albedo_is_inpainted():
     shot = photographed(0.15, 0.15, width=512, height=384)
     plane = plane_of(shot.linear, torch.ones(shot.linear.shape[1:], dtype=torch.bool))
     observed, prediction = predict_maps(Observation.of(plane, shot.uniform), load_inverse())
-    prediction = levelled(observed, prediction)
-    departures = prediction.departures
+    prediction = refine_maps(observed, prediction)
+    residuals = prediction.residuals
     disc = (observed.from_mirror_point / plane.texel_size).numpy() < 20.0
-    white = departures.diffuse + 0.8 * torch.from_numpy(disc)
-    spotted = replace(prediction, departures=replace(departures, diffuse=white))
+    white = residuals.diffuse + 0.8 * torch.from_numpy(disc)
+    spotted = replace(prediction, residuals=replace(residuals, diffuse=white))
     plain, found = (
         inpainted(exemplar_of(observed, each), observed).diffuse for each in (prediction, spotted)
     )

@@ -88,8 +88,8 @@ def test_reading_undoes_writing() -> None:
         0.1 + 0.5 * draw(3), 0.03 + 0.1 * draw(1), 0.2 + 0.6 * draw(1), 0.1 * draw(1), 2.0 / 12
     )
     uniform = UNIFORM.parameters()
-    departures = SurfaceParameters.of(maps) - uniform
-    again = (uniform + departures).maps(maps.texel_size)
+    residuals = SurfaceParameters.of(maps) - uniform
+    again = (uniform + residuals).maps(maps.texel_size)
     assert torch.allclose(again.stacked(), maps.stacked(), atol=1e-5)
 
 
@@ -101,7 +101,7 @@ def test_reads_pictures_of_any_aspect_and_starts_from_the_photograph_as_albedo()
         with torch.no_grad():
             answer = network(inputs)
         assert answer.shape == (1, ANSWERS, height, width)
-        albedo = NetworkAnswer.from_stacked(answer).departures.diffuse
+        albedo = NetworkAnswer.from_stacked(answer).residuals.diffuse
         assert float((albedo - NetworkInputs.from_stacked(inputs).log).abs().mean()) < 0.5
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from photographed import photographed
 
-from matcap.capture.piece.classes import has_metal, seen_colour, tint
+from matcap.capture.piece.classes import has_metal, seen_colour, specular_tint
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.refine import refine
 from matcap.flash.render import render_flash
@@ -49,15 +49,15 @@ def test_what_is_no_metal_stays_grey_and_doubt_counts_as_none() -> None:
     assert not has_metal(torch.full((1, 8, 8), -2.0))
     assert has_metal(torch.linspace(-6.0, 6.0, 64).reshape(1, 8, 8))
     colour = seen_colour(torch.rand(3, 8, 8), torch.ones(1, 8, 8, dtype=torch.bool))
-    assert torch.equal(tint(torch.zeros(1, 8, 8), colour), torch.ones(3, 8, 8))
+    assert torch.equal(specular_tint(torch.zeros(1, 8, 8), colour), torch.ones(3, 8, 8))
 
 
 def test_refining_keeps_hue_and_finds_how_bright_metal_is() -> None:
     shot, maps, linear, metal = half_gold()
     measured = torch.ones(3, 64, 96, dtype=torch.bool)
-    hue = tint(metal, seen_colour(linear, metal))
-    light = replace(shot.light, hue=hue)
-    truth = light.departures(maps)
+    tint = specular_tint(metal, seen_colour(linear, metal))
+    light = replace(shot.light, tint=tint)
+    truth = light.residuals(maps)
     off = light.maps(truth).specular / maps.specular
     assert float(off.log().abs().mean()) < 0.02
     stripes = 0.3 * torch.sign(torch.sin(torch.arange(96) * 0.8))  # not slow: those are levels'

@@ -11,7 +11,7 @@ from photographed import photographed
 
 from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.piece.network.network import ExpectedErrors
-from matcap.capture.piece.refine import flatten, refine, remaining, with_photographed_mean
+from matcap.capture.piece.refine import flatten, radiance_residual, refine, with_photographed_mean
 
 ERRORS = ExpectedErrors.from_stacked(torch.log(torch.tensor([0.2, 0.1, 0.1, 0.1]))[:, None, None])
 
@@ -31,13 +31,13 @@ def _paler(parameters: SurfaceParameters, by) -> SurfaceParameters:
 def _setting(contrast: float = 0.1):
     shot = photographed(0.1, contrast, width=192, height=144)
     light = shot.light
-    return shot, light, torch.ones(144, 192, dtype=torch.bool), light.departures(shot.maps)
+    return shot, light, torch.ones(144, 192, dtype=torch.bool), light.residuals(shot.maps)
 
 
 def test_the_truth_is_left_alone() -> None:
     shot, light, valid, truth = _setting()
     refined = refine(truth, ERRORS, shot.linear, valid, light)
-    assert float(remaining(refined, shot.linear, valid, light)[0].abs().median()) < 1e-3
+    assert float(radiance_residual(refined, shot.linear, valid, light)[0].abs().median()) < 1e-3
     assert _largest(refined - truth) < 0.05
 
 
@@ -45,7 +45,7 @@ def test_a_flat_guess_is_moved_until_it_re_renders() -> None:
     shot, light, valid, truth = _setting()
     guess = _nowhere(truth)
     refined = refine(guess, ERRORS, shot.linear, valid, light)
-    residual, slow = remaining(refined, shot.linear, valid, light)
+    residual, slow = radiance_residual(refined, shot.linear, valid, light)
     assert float((residual - slow).abs().median()) < 0.01
 
 
@@ -54,7 +54,7 @@ def test_slow_drift_is_not_the_materials() -> None:
     drift = torch.linspace(-0.15, 0.15, 192).exp()
     refined = refine(truth, ERRORS, shot.linear * drift, valid, light)
     assert float((refined - truth).diffuse.mean((0, 1)).diff().abs().mean()) < 1e-3
-    _, slow = remaining(refined, shot.linear * drift, valid, light)
+    _, slow = radiance_residual(refined, shot.linear * drift, valid, light)
     assert float(slow.abs().mean()) > 0.04
 
 
@@ -126,8 +126,8 @@ def test_relief_is_not_touched() -> None:
     assert float(refined.height.abs().max()) == 0.0
 
 
-def _log_radiance(departures, light):
-    maps = light.maps(departures)
+def _log_radiance(residuals, light):
+    maps = light.maps(residuals)
     return light.logs(maps, light.flash.onto(maps.normal))[0]
 
 

@@ -34,7 +34,7 @@ def test_slopes_are_found_as_strong_as_they_are(slope: float) -> None:
     band = int(np.square(true).sum(1).argmax())
     here = np.sqrt(np.square(found.slope[band]).sum() / np.square(true[band]).sum())
     assert 0.8 < here < 1.25
-    assert found.trust[band].mean() > 0.8
+    assert found.significance[band].mean() > 0.8
     values = found.document()
     assert sum(b["slope"] ** 2 for b in values["bands"]) == pytest.approx(values["relief"] ** 2)
     assert [tuple(b["waves"]) for b in values["bands"]] == list(BANDS)
@@ -43,7 +43,7 @@ def test_slopes_are_found_as_strong_as_they_are(slope: float) -> None:
 def test_albedo_alone_is_not_taken_for_relief() -> None:
     found, _ = _measured(1e-4, 0.3)
     assert np.sqrt(np.square(found.albedo).sum()) == pytest.approx(0.3, rel=0.35)
-    relief = float(np.sqrt((found.trust * np.square(found.slope)).sum()))
+    relief = float(np.sqrt((found.significance * np.square(found.slope)).sum()))
     assert relief < 0.3  # 0.3 of log albedo would be slopes of 1 where the light slants by 0.3
 
 

@@ -87,7 +87,7 @@ def test_the_drawing_is_what_the_photograph_shows_there(
     shot = replace(shot, maps=maps, linear=render_flash(maps, SETUP, shot.points))
     exemplar = _hidden(shot)
     likeness = _likeness(_lent(shot, exemplar), shot)
-    monkeypatch.setattr("matcap.capture.piece.inpaint._UNLIKENESS", 0.0)
+    monkeypatch.setattr("matcap.capture.piece.inpaint._PHOTOGRAPH_WEIGHT", 0.0)
     assert likeness > max(0.7, _likeness(_lent(shot, exemplar), shot) + 0.1)
 
 

@@ -207,7 +207,7 @@ def test_two_photographs_that_share_a_half_are_one_larger_piece(captured):
     piece = map_set_of(result.estimate.exemplar)
     assert piece.size == reach.margins.around((192, 144))
     assert piece.texel_size == pytest.approx(2.0 / 192)
-    assert result.estimate.framed.size == (192, 144)
+    assert result.estimate.first_rectangle.size == (192, 144)
     # What nobody saw is believed by nobody.
     known = seen_by_any(result.estimate.several.views, reach).numpy()
     trusted = result.estimate.exemplar.confidence

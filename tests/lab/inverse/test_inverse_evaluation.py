@@ -28,7 +28,7 @@ def sample() -> Sample:
 
 
 def test_the_truth_scores_as_the_truth(sample: Sample) -> None:
-    truth = sample.departures.stacked()
+    truth = sample.residuals.stacked()
     sure = torch.where(sample.metal > 0.5, 20.0, -20.0)
     answer = torch.cat([truth, torch.zeros(ERRORS, *truth.shape[-2:]), sure])
     result = score(answer, sample, np.random.default_rng(0))

@@ -60,7 +60,7 @@ def test_held_out_patterns_are_never_trained_on() -> None:
 
 def test_the_truth_has_no_loss_but_doubt() -> None:
     sample = draw_sample(10, 96, 64)
-    truth = sample.departures.stacked()
+    truth = sample.residuals.stacked()
     certain = torch.full((ERRORS, *truth.shape[-2:]), float(np.log(0.01)))
     true = wanted([sample], np.random.default_rng(0))
     sure = torch.where(sample.metal > 0.5, 20.0, -20.0)

@@ -120,7 +120,7 @@ class ExpectedErrors:
 class NetworkAnswer:
     """Output of the network."""
 
-    departures: SurfaceParameters
+    residuals: SurfaceParameters
     """Log parameters of the maps less those of the uniform material; F0 is its channels' mean."""
     errors: ExpectedErrors
     """Their expected errors."""
@@ -130,14 +130,14 @@ class NetworkAnswer:
     @staticmethod
     def from_stacked(stacked: Tensor) -> NetworkAnswer:
         """Split the output tensor (..., ANSWERS, H, W)."""
-        departures, errors, metal = stacked.split([OUTPUTS, ERRORS, 1], dim=-3)
+        residuals, errors, metal = stacked.split([OUTPUTS, ERRORS, 1], dim=-3)
         return NetworkAnswer(
-            SurfaceParameters.from_stacked(departures), ExpectedErrors.from_stacked(errors), metal
+            SurfaceParameters.from_stacked(residuals), ExpectedErrors.from_stacked(errors), metal
         )
 
     def stacked(self) -> Tensor:
         """The inverse of from_stacked()."""
-        parts = [self.departures.stacked(), self.errors.stacked(), self.metal]
+        parts = [self.residuals.stacked(), self.errors.stacked(), self.metal]
         return torch.cat(parts, dim=-3)
 
 
@@ -219,9 +219,9 @@ class Inverse(nn.Module):
         answer = NetworkAnswer.from_stacked(self.out(fine))
         coarse = F.interpolate(height, scale_factor=2.0, mode="bilinear", align_corners=False)
         # Albedo is predicted relative to the photograph's log radiance over the uniform material.
-        first = answer.departures
-        departures = replace(first, diffuse=first.diffuse + parts.log, height=first.height + coarse)
-        return replace(answer, departures=departures).stacked()
+        first = answer.residuals
+        residuals = replace(first, diffuse=first.diffuse + parts.log, height=first.height + coarse)
+        return replace(answer, residuals=residuals).stacked()
 
 
 class _ResidualBlock(nn.Module):

@@ -43,7 +43,7 @@ Floats = NDArray[np.float32]
 
 
 @torch.no_grad()
-def finest(exemplar: Exemplar, plane: Plane, coarse: Uniform) -> Exemplar:
+def transfer_detail(exemplar: Exemplar, plane: Plane, coarse: Uniform) -> Exemplar:
     """Enlarge an exemplar to the photograph's plane and add its finest bands.
 
     Args:
@@ -56,12 +56,12 @@ def finest(exemplar: Exemplar, plane: Plane, coarse: Uniform) -> Exemplar:
     light = PlaneLight(coarse, plane.size)
     maps = _enlarged(exemplar, plane)
     noise = _Noise.of(plane, exemplar.size)
-    grain = _unshown(light.rendered(maps)[0], plane, exemplar.size, noise)
-    relief = _relief(exemplar, grain.mean(0).numpy(), maps, light)
+    detail = _missing_detail(light.rendered(maps)[0], plane, exemplar.size, noise)
+    relief = _relief(exemplar, detail.mean(0).numpy(), maps, light)
     maps = replace(maps, height=maps.height + torch.from_numpy(relief)[None] * plane.texel_size)
     log, share = light.rendered(maps)
     for _ in range(_ROUNDS):
-        more = _unshown(log, plane, exemplar.size, noise)
+        more = _missing_detail(log, plane, exemplar.size, noise)
         more *= share / (share.square() + _HIDDEN)
         diffuse = (maps.diffuse * more.exp_()).clamp_(*ALBEDO_LIMITS)
         ratio = torch.div(diffuse, maps.diffuse, out=more)
@@ -96,7 +96,7 @@ def sharpness(maps: MapSet, plane: Plane, coarse: Uniform) -> float:
     if not bool(seen.any()):
         return 1.0
     shown, true = (
-        _beyond(torch.where(seen, x, observed), half)[:, seen].square().mean()
+        _high_passed(torch.where(seen, x, observed), half)[:, seen].square().mean()
         for x in (rendered, observed)
     )
     return float((shown / true.clamp_min(1e-12)).sqrt())
@@ -117,21 +117,21 @@ def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
     )
 
 
-def _unshown(
+def _missing_detail(
     rendered: Tensor, plane: Plane, coarse: tuple[int, int], noise: _Noise | None
 ) -> Tensor:
     """(3, H, W) residual of log radiance, photograph less `rendered`, denoised.
 
     It has only frequencies above those of a grid of `coarse` = (width, height) texels.
     """
-    grain = torch.empty_like(rendered)
+    detail = torch.empty_like(rendered)
     for channel, whole, known, shown in zip(
-        grain, plane.linear, plane.measured, rendered, strict=True
+        detail, plane.linear, plane.measured, rendered, strict=True
     ):
         left = whole.clamp_min(DARKEST).log_().sub_(shown).clamp_(-_MOST_RESIDUAL, _MOST_RESIDUAL)
         left = torch.where(known, left, left.clamp_min(0.0))
-        channel.copy_(_beyond(left[None], coarse)[0])
-    return grain if noise is None else noise.left_out(grain)
+        channel.copy_(_high_passed(left[None], coarse)[0])
+    return detail if noise is None else noise.left_out(detail)
 
 
 @dataclass(frozen=True)
@@ -153,14 +153,14 @@ class _Noise:
             return None
         light = np.stack([smoothed(c, AROUND) for c in plane.linear.numpy()])
         noise = plane.noise / torch.from_numpy(light).clamp_min(DARKEST)
-        noise = _beyond(noise.clamp(-_MOST_RESIDUAL, _MOST_RESIDUAL), coarse)
+        noise = _high_passed(noise.clamp(-_MOST_RESIDUAL, _MOST_RESIDUAL), coarse)
         grey = noise.mean(0, keepdim=True)
         return _Noise(_energy(grey), _energy(noise - grey))
 
-    def left_out(self, grain: Tensor) -> Tensor:
+    def left_out(self, detail: Tensor) -> Tensor:
         """Wiener filter of detail (3, H, W), mean and chroma separately."""
-        grey = grain.mean(0, keepdim=True)
-        return _wiener(grey, self.grey) + _wiener(grain - grey, self.colours)
+        grey = detail.mean(0, keepdim=True)
+        return _wiener(grey, self.grey) + _wiener(detail - grey, self.colours)
 
 
 def _wiener(seen: Tensor, chance: Tensor) -> Tensor:
@@ -173,7 +173,7 @@ def _energy(picture: Tensor) -> Tensor:
     return torch.from_numpy(np.stack([smoothed(c, AROUND) for c in picture.square().numpy()]))
 
 
-def _beyond(picture: Tensor, coarse: tuple[int, int]) -> Tensor:
+def _high_passed(picture: Tensor, coarse: tuple[int, int]) -> Tensor:
     """High-pass of a picture (C, H, W): less its version on a grid of (width, height) texels."""
     whole = picture.numpy()
     size = (whole.shape[-1], whole.shape[-2])
@@ -181,10 +181,10 @@ def _beyond(picture: Tensor, coarse: tuple[int, int]) -> Tensor:
     return torch.from_numpy(np.subtract(whole, coarse_part, out=coarse_part))
 
 
-def _relief(exemplar: Exemplar, grain: Floats, maps: MapSet, light: PlaneLight) -> Floats:
-    """(H, W) height in texels of the finest bands: `grain`, times a signed factor.
+def _relief(exemplar: Exemplar, detail: Floats, maps: MapSet, light: PlaneLight) -> Floats:
+    """(H, W) height in texels of the finest bands: `detail`, times a signed factor.
 
-    The factor gives it the extrapolated slope energy, limited by the energy of `grain`, the
+    The factor gives it the extrapolated slope energy, limited by the energy of `detail`, the
     residual's detail (H, W) in log radiance.
     """
     octaves = math.log2(maps.size[0] / exemplar.size[0])
@@ -201,9 +201,9 @@ def _relief(exemplar: Exemplar, grain: Floats, maps: MapSet, light: PlaneLight) 
         *(p[:, some, some] for p in (maps.diffuse, maps.specular, maps.roughness))
     )
     sensitivity = light.cut(some, some).slope_sensitivity(reflectance).square().sum(0).mean()
-    most = _RELIEF_AT_MOST * float(np.square(grain).mean()) / max(0.5 * float(sensitivity), 1e-6)
-    drawn = max(_steepness(grain), 1e-12)
-    return _sign(exemplar, bands) * np.float32(math.sqrt(min(wanted, most) / drawn)) * grain
+    most = _RELIEF_AT_MOST * float(np.square(detail).mean()) / max(0.5 * float(sensitivity), 1e-6)
+    drawn = max(_steepness(detail), 1e-12)
+    return _sign(exemplar, bands) * np.float32(math.sqrt(min(wanted, most) / drawn)) * detail
 
 
 def _steepness(height: Floats) -> float:
@@ -215,8 +215,8 @@ def _steepness(height: Floats) -> float:
 def _sign(exemplar: Exemplar, bands: list[Floats]) -> np.float32:
     """Sign of the correlation of height and albedo in the coarser bands, 1 or -1."""
     tone = split(np.log(exemplar.diffuse.clip(1e-4)).mean(0))
-    trusted = exemplar.confidence[0]
-    together = sum((trusted * bands[k] * tone[k]).mean() for k in (2, 3))
+    weight = exemplar.confidence[0]
+    together = sum((weight * bands[k] * tone[k]).mean() for k in (2, 3))
     return np.float32(1.0 if together >= 0.0 else -1.0)
 
 

@@ -9,14 +9,14 @@ import torch
 from photographed import photographed
 
 from matcap.brdf.parameters import SurfaceParameters
-from matcap.capture.piece.levels import LevelPrior, RingTarget, fit_levels
+from matcap.capture.piece.mean_parameters import MeanParameterPrior, RingTarget, fit_mean_parameters
 from matcap.flash.geometry import flash_mirror_point
 from matcap.flash.light import FlashLight
 from matcap.flash.render import Uniform, render_flash
 
 HEIGHT, WIDTH = 192, 256
 ONE = torch.ones(1, HEIGHT, WIDTH)
-PRIOR = LevelPrior(torch.zeros(1, 5), torch.tensor([[1.0, 1.0, 1.0, 0.15, 1.0]]))
+PRIOR = MeanParameterPrior(torch.zeros(1, 5), torch.tensor([[1.0, 1.0, 1.0, 0.15, 1.0]]))
 
 
 def glossy(roughness: float, brightness: float = 1.0) -> tuple[RingTarget, Uniform]:
@@ -49,8 +49,8 @@ def glossy(roughness: float, brightness: float = 1.0) -> tuple[RingTarget, Unifo
 
 def fitted(target: RingTarget, uniform: Uniform) -> tuple[float, float, float]:
     """Mean albedo, F0 and roughness."""
-    levels, _ = fit_levels(target, ONE, torch.zeros(1, 5), PRIOR)
-    found = (uniform.parameters() + SurfaceParameters.from_levels(levels[0])).reflectance()
+    levels, _ = fit_mean_parameters(target, ONE, torch.zeros(1, 5), PRIOR)
+    found = (uniform.parameters() + SurfaceParameters.from_vector(levels[0])).reflectance()
     return float(found.diffuse.mean()), float(found.specular), float(found.roughness)
 
 
@@ -72,12 +72,12 @@ def test_what_is_clipped_everywhere_is_raised_and_never_lowered() -> None:
     target, uniform = glossy(0.6, 0.2)
     nothing = replace(target, measured=torch.zeros_like(target.measured))
     bright = replace(nothing, surface=nothing.surface + _paler(1.0))
-    levels, _ = fit_levels(bright, ONE, torch.zeros(1, 5), PRIOR)
+    levels, _ = fit_mean_parameters(bright, ONE, torch.zeros(1, 5), PRIOR)
     assert float(levels.abs().max()) < 0.05
     dark = replace(nothing, surface=nothing.surface + _paler(-2.0))
-    levels, _ = fit_levels(dark, ONE, torch.zeros(1, 5), PRIOR)
+    levels, _ = fit_mean_parameters(dark, ONE, torch.zeros(1, 5), PRIOR)
     assert float(levels[0, :3].min()) > 0.5
 
 
 def _paler(by: float) -> SurfaceParameters:
-    return SurfaceParameters.from_levels(torch.tensor([by, by, by, 0.0, 0.0]))
+    return SurfaceParameters.from_vector(torch.tensor([by, by, by, 0.0, 0.0]))

@@ -38,7 +38,7 @@ _LEAST_STEP = 1e-5  # change of all parameters below which there is no further s
 
 
 @dataclass(frozen=True)
-class LevelPrior:
+class MeanParameterPrior:
     """Gaussian prior of the mean parameters.
 
     Attributes:
@@ -63,7 +63,7 @@ class RingTarget:
         flash: the photograph's.
         normal: (3, H, W) unit normals of the relief.
         surface: log parameters to which mean parameters are added; broadcasts to (..., H, W).
-        hues: specular tint of each class, F0 over its channel mean: (3, 1, 1) or one number.
+        tints: specular tint of each class, F0 over its channel mean: (3, 1, 1) or one number.
     """
 
     linear: Tensor
@@ -73,7 +73,7 @@ class RingTarget:
     flash: FlashLight
     normal: Tensor
     surface: SurfaceParameters
-    hues: tuple[Tensor | float, ...] = (1.0,)
+    tints: tuple[Tensor | float, ...] = (1.0,)
 
     def thinned(self, texels: int) -> RingTarget:
         """Subsample so that at least `texels` remain along the short side."""
@@ -90,28 +90,28 @@ class RingTarget:
             **{name: thin(getattr(self, name)) for name in planes},
             flash=self.flash.cut(every, every),
             surface=SurfaceParameters(*(thin(part) for part in parts)),
-            hues=tuple(thin(hue) if isinstance(hue, Tensor) else hue for hue in self.hues),
+            tints=tuple(thin(tint) if isinstance(tint, Tensor) else tint for tint in self.tints),
         )
 
     def rendered(
-        self, levels: Tensor, incidence: Incidence, duller: float = 0.0
+        self, theta: Tensor, incidence: Incidence, duller: float = 0.0
     ) -> list[tuple[Tensor, Tensor]]:
         """Diffuse and specular radiance (3, H, W) of each class at every texel.
 
         Args:
-            levels: (K, 5) mean parameters, added to the surface.
+            theta: (K, 5) mean parameters, added to the surface.
             incidence: of the flash on the relief.
             duller: added to the logit of roughness.
         """
         one = torch.ones_like(self.distance)[None]
         parts = []
-        for level, hue in zip(levels, self.hues, strict=True):
-            surface = self.surface + SurfaceParameters.from_levels(level)
+        for level, tint in zip(theta, self.tints, strict=True):
+            surface = self.surface + SurfaceParameters.from_vector(level)
             roughness = torch.sigmoid(surface.roughness + duller)
             parts.append(
                 (
                     incidence.diffuse(surface.diffuse.exp() * one),
-                    incidence.specular(surface.specular.exp() * hue * one, roughness * one),
+                    incidence.specular(surface.specular.exp() * tint * one, roughness * one),
                 )
             )
         return parts
@@ -144,11 +144,11 @@ class _Rings:
 
 
 @one_thread()
-def fit_levels(
+def fit_mean_parameters(
     target: RingTarget,
     shares: Tensor,
     start: Tensor,
-    prior: LevelPrior,
+    prior: MeanParameterPrior,
 ) -> tuple[Tensor, float]:
     """(K, 5) mean parameters fitted to the ring means, and their mean absolute log residual.
 
@@ -164,27 +164,31 @@ def fit_levels(
     precision = prior.deviation.flatten().square().reciprocal()
     contrast = torch.zeros_like(start)
     contrast[0, F0], contrast[-1, F0] = 1.0, -1.0
-    wanted, belief = prior.contrast[0], prior.contrast[1] ** -2
+    contrast_mean, contrast_precision = prior.contrast[0], prior.contrast[1] ** -2
     across = contrast.flatten()
     counts = rings.counts.flatten() / _NOISE**2
     open_share = 1.0 - rings.means((~target.measured).float()).flatten() / BOUND
     bound = open_share.clamp(0.0, 1.0)
-    levels = start
+    theta = start
     for _ in range(_STEPS):
-        residual, columns = _linear(target, incidence, rings, shares, levels, observed)
+        residual, columns = _linear(target, incidence, rings, shares, theta, observed)
         robust = _HUBER / residual.abs().clamp_min(_HUBER)
         robust = torch.where(residual < 0.0, bound * robust, robust)
         weighted = columns * (counts * robust)
-        normal = weighted @ columns.T + torch.diag(precision) + belief * across[:, None] * across
-        gradient = weighted @ residual - precision * (levels - prior.mean).flatten()
-        gradient += belief * (wanted - across @ levels.flatten()) * across
+        normal = (
+            weighted @ columns.T
+            + torch.diag(precision)
+            + contrast_precision * across[:, None] * across
+        )
+        gradient = weighted @ residual - precision * (theta - prior.mean).flatten()
+        gradient += contrast_precision * (contrast_mean - across @ theta.flatten()) * across
         step = torch.linalg.solve(normal, gradient).clamp(-_MOST_STEP, _MOST_STEP)
-        levels = levels + step.reshape(levels.shape)
+        theta = theta + step.reshape(theta.shape)
         if float(step.abs().max()) < _LEAST_STEP:
             break
-    residual, _ = _linear(target, incidence, rings, shares, levels, observed)
+    residual, _ = _linear(target, incidence, rings, shares, theta, observed)
     counts = counts * torch.where(residual < 0.0, bound, 1.0)
-    return levels, float((residual.abs() * counts).sum() / counts.sum())
+    return theta, float((residual.abs() * counts).sum() / counts.sum())
 
 
 def _linear(
@@ -192,12 +196,12 @@ def _linear(
     incidence: Incidence,
     rings: _Rings,
     shares: Tensor,
-    levels: Tensor,
+    theta: Tensor,
     observed: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """(N,) residuals of the rings' log radiance, and (5 K, N) d log mean / d mean parameter."""
-    parts = target.rendered(levels, incidence)
-    duller = target.rendered(levels, incidence, STEP)
+    parts = target.rendered(theta, incidence)
+    duller = target.rendered(theta, incidence, STEP)
     # (K, C, rings) of each class: diffuse, specular, and the latter's derivative by roughness.
     means = [
         (

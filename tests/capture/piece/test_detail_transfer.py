@@ -12,8 +12,8 @@ from photographed import photographed
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.detail import network_input
+from matcap.capture.piece.detail_transfer import sharpness, transfer_detail
 from matcap.capture.piece.find import map_set_of
-from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.settings import DETAIL
 from matcap.example.exemplar import Exemplar
 from matcap.flash.plane import Plane, plane_of
@@ -23,10 +23,10 @@ from matcap.statistics.lattice import Wave
 
 @pytest.fixture(scope="module")
 def shot():
-    """A photograph whose albedo has grain of single texels."""
+    """A photograph whose albedo has detail of single texels."""
     smooth = photographed(0.15, 0.1)
-    grain = torch.from_numpy(np.random.default_rng(4).standard_normal((384, 512))).float()
-    maps = replace(smooth.maps, diffuse=smooth.maps.diffuse * (0.15 * grain).exp())
+    detail = torch.from_numpy(np.random.default_rng(4).standard_normal((384, 512))).float()
+    maps = replace(smooth.maps, diffuse=smooth.maps.diffuse * (0.15 * detail).exp())
     linear = render_flash(maps, smooth.uniform.setup, smooth.points)
     return replace(smooth, maps=maps, linear=linear)
 
@@ -47,7 +47,7 @@ def _halved(maps: MapSet) -> Exemplar:
 def test_the_piece_is_as_sharp_as_its_photograph(shot) -> None:
     plane = _plane(shot.linear)
     half = _halved(shot.maps)
-    found = finest(half, plane, shot.uniform)
+    found = transfer_detail(half, plane, shot.uniform)
     assert found.size == plane.size
     assert found.texel_size == plane.texel_size
     assert sharpness(map_set_of(found), plane, shot.uniform) == pytest.approx(1.0, abs=0.1)
@@ -57,18 +57,18 @@ def test_the_piece_is_as_sharp_as_its_photograph(shot) -> None:
 
 
 def test_grain_does_not_make_albedo_paler(shot) -> None:
-    grain = torch.from_numpy(np.random.default_rng(5).standard_normal((384, 512))).float()
-    maps = replace(shot.maps, diffuse=(0.15 * (0.6 * grain).exp()).expand(3, -1, -1))
+    detail = torch.from_numpy(np.random.default_rng(5).standard_normal((384, 512))).float()
+    maps = replace(shot.maps, diffuse=(0.15 * (0.6 * detail).exp()).expand(3, -1, -1))
     half = _halved(maps)
     linear = render_flash(maps, shot.uniform.setup, shot.points)
-    found = finest(half, _plane(linear), shot.uniform)
+    found = transfer_detail(half, _plane(linear), shot.uniform)
     assert np.log(found.diffuse).std() > 1.3 * np.log(half.diffuse).std()
     assert found.diffuse.mean((1, 2)) == pytest.approx(half.diffuse.mean((1, 2)), rel=0.01)
 
 
 def test_grain_of_albedo_comes_back_and_what_is_coarser_stays(shot) -> None:
     half = _halved(shot.maps)
-    found = map_set_of(finest(half, _plane(shot.linear), shot.uniform))
+    found = map_set_of(transfer_detail(half, _plane(shot.linear), shot.uniform))
     fine, true = _fine(found), _fine(shot.maps)
     assert float(torch.corrcoef(torch.stack([fine, true]))[0, 1]) > 0.9
     coarse = F.avg_pool2d(found.diffuse[None], 4)[0] / F.avg_pool2d(shot.maps.diffuse[None], 4)[0]
@@ -76,12 +76,12 @@ def test_grain_of_albedo_comes_back_and_what_is_coarser_stays(shot) -> None:
 
 
 def test_the_sensors_noise_is_not_drawn_for_grain(shot) -> None:
-    """Of a smooth albedo little is drawn, and what is drawn of grain is nearer to the truth."""
+    """Of a smooth albedo little is drawn, and what is drawn of detail is nearer to the truth."""
     rng = np.random.default_rng(5)
     true = _fine(shot.maps)
     smooth = replace(shot.maps, diffuse=torch.full_like(shot.maps.diffuse, 0.3))
     drawn = {}
-    for name, maps in (("grain", shot.maps), ("smooth", smooth)):
+    for name, maps in (("detail", shot.maps), ("smooth", smooth)):
         linear = render_flash(maps, shot.uniform.setup, shot.points)
         noisy, result = (
             0.15 * linear * torch.from_numpy(rng.standard_normal(linear.shape)).float()
@@ -89,11 +89,11 @@ def test_the_sensors_noise_is_not_drawn_for_grain(shot) -> None:
         )
         plane = _plane((linear + noisy).clamp_min(0.0))
         for noise in (None, result):
-            found = finest(_halved(maps), replace(plane, noise=noise), shot.uniform)
+            found = transfer_detail(_halved(maps), replace(plane, noise=noise), shot.uniform)
             drawn[name, noise is not None] = _fine(map_set_of(found))
     kept = drawn["smooth", True].std() / drawn["smooth", False].std()
     assert float(kept) < 0.3
-    off = [float((drawn["grain", result] - true).square().mean()) for result in (False, True)]
+    off = [float((drawn["detail", result] - true).square().mean()) for result in (False, True)]
     assert off[1] < 0.9 * off[0]
 
 
@@ -107,7 +107,7 @@ def _fine(maps: MapSet) -> torch.Tensor:
 def test_flat_maps_stay_flat(shot) -> None:
     """Grain of albedo over no relief is not drawn as relief."""
     half = replace(_halved(shot.maps), height=np.zeros((1, 192, 256), np.float32))
-    found = finest(half, _plane(shot.linear), shot.uniform)
+    found = transfer_detail(half, _plane(shot.linear), shot.uniform)
     assert float(np.abs(found.height).max()) < 1e-6
 
 
@@ -116,7 +116,7 @@ def test_what_clips_is_not_drawn_darker(shot) -> None:
     clipped = shot.linear.clamp_max(clip)
     measured = shot.linear < clip
     plane = replace(plane_of(clipped, measured.all(0)), channels=measured)
-    found = map_set_of(finest(_halved(shot.maps), plane, shot.uniform))
+    found = map_set_of(transfer_detail(_halved(shot.maps), plane, shot.uniform))
     ratio = (found.diffuse / shot.maps.diffuse)[~measured]
     assert float(ratio.log().mean()) > -0.1
 
