@@ -7,23 +7,20 @@ from typing import ClassVar, Self
 
 
 class ExitCode(IntEnum):
-    """Exit code of a command.
-
-    Attributes:
-        DONE: done.
-        INTERNAL: an internal error: please report it, with the output under `MATCAP_DEBUG=1`.
-        USAGE: wrong usage.
-        NOTHING_SUCCEEDED: all inputs failed.
-        SOME_FAILED: some inputs failed, the others are done.
-        INTERRUPTED: interrupted; finished outputs are kept.
-    """
+    """Exit code of a command."""
 
     DONE = 0
+    """Done."""
     INTERNAL = 1
+    """An internal error: please report it, with the output under `MATCAP_DEBUG=1`."""
     USAGE = 2
+    """Wrong usage."""
     NOTHING_SUCCEEDED = 3
+    """All inputs failed."""
     SOME_FAILED = 4
+    """Some inputs failed, the others are done."""
     INTERRUPTED = 130
+    """Interrupted; finished outputs are kept."""
 
     @classmethod
     def of(cls, good: int, total: int) -> ExitCode:

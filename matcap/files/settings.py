@@ -189,8 +189,9 @@ def _docs_in(module: str) -> dict[str, dict[str, str]]:
             docs: dict[str, str] = {}
             names: list[str] = []
             for line in node.body:
-                if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name):
-                    names.append(line.target.id)
+                if isinstance(line, ast.AnnAssign | ast.Assign):
+                    target = line.target if isinstance(line, ast.AnnAssign) else line.targets[0]
+                    names.append(ast.unparse(target))
                 elif isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant):
                     # A docstring also applies to fields above it that have none.
                     docs |= dict.fromkeys(names, " ".join(str(line.value.value).split()))

@@ -40,28 +40,25 @@ _WORST_FIT = 0.12  # largest relative RMS residual of a ColorChecker
 
 @dataclass(frozen=True)
 class Calibration:
-    """Calibration by one photograph of a card.
-
-    Attributes:
-        card: name of the photograph.
-        digest: of all other fields; part of a material's identity.
-        millimetres_per_unit: of a plane unit, half the photographed rectangle's long side; or None.
-        tilt: of the card, degrees, or None.
-        matrix: (3, 3) from the photographs' linear colours to true colours, by rows; or None.
-        white: radiance of a white diffuser in the middle of the photograph, in units of the clip
-            level at the card's exposure, after the matrix; or None.
-        exposure: of the card's photograph, as Exif.exposure, or None.
-        residual: relative RMS residual of the patches, or None.
-    """
+    """Calibration by one photograph of a card."""
 
     card: str
+    """Name of the photograph."""
     digest: str
+    """Hash of all other fields; part of a material's identity."""
     millimetres_per_unit: float | None = None
+    """Length of a plane unit, half the photographed rectangle's long side; or None."""
     tilt: float | None = None
+    """Tilt of the card, degrees, or None."""
     matrix: tuple[tuple[float, ...], ...] | None = None
+    """(3, 3) from the photographs' linear colours to true colours, by rows; or None."""
     white: float | None = None
+    """Radiance of a white diffuser in the middle of the photograph, in units of the clip level at
+    the card's exposure, after the matrix; or None."""
     exposure: float | None = None
+    """Exposure of the card's photograph, as Exif.exposure, or None."""
     residual: float | None = None
+    """Relative RMS residual of the patches, or None."""
 
     def document(self) -> dict[str, Any]:
         """The calibration for JSON."""
@@ -132,17 +129,14 @@ def calibrated(photo: Photo, calibration: Calibration) -> Photo:
 
 @dataclass(frozen=True)
 class ChartFit:
-    """Fit of a chart's patches.
-
-    Attributes:
-        matrix: (3, 3) from measured to true colours, which keeps the mean radiance of white.
-        white: radiance of white in the middle of the picture, mean of the channels.
-        residual: relative RMS residual of the patches.
-    """
+    """Fit of a chart's patches."""
 
     matrix: Values
+    """(3, 3) from measured to true colours, which keeps the mean radiance of white."""
     white: float
+    """Radiance of white in the middle of the picture, mean of the channels."""
     residual: float
+    """Relative RMS residual of the patches."""
 
 
 def fit_patches(measured: Values, places: Values, rounds: int = 100) -> ChartFit:

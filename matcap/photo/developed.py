@@ -24,31 +24,28 @@ _WHITE = 0.995  # linear value at which inks and CIELAB count as clipped
 
 @dataclass(frozen=True)
 class Coded:
-    """A picture of code values.
-
-    Attributes:
-        rows: function of (first row, row after the last) to code values (n, W, 3); called once for
-            each strip, from the top.
-        width, height: of these rows.
-        dtype: of the code values.
-        color: colour space of the file.
-        other: lineariser of colours other than RGB (inks, CIELAB), with notes; or None.
-        clip_at: share of the largest code value from which on pixels count as clipped.
-        opacity: (H, W) code values of alpha, or None.
-        size: (width, height) of the file's picture, if the decoder has reduced it.
-        notes: sentences for the report.
-    """
+    """A picture of code values."""
 
     rows: Callable[[int, int], NDArray[Any]]
+    """Function of (first row, row after the last) to code values (n, W, 3); called once for each
+    strip, from the top."""
     width: int
     height: int
+    """Number of rows."""
     dtype: np.dtype[Any]
+    """Type of the code values."""
     color: StatedColor = StatedColor()
+    """Colour space of the file."""
     other: tuple[Linearise, tuple[str, ...]] | None = None
+    """Lineariser of colours other than RGB (inks, CIELAB), with notes; or None."""
     clip_at: float = 1.0
+    """Share of the largest code value from which on pixels count as clipped."""
     opacity: NDArray[Any] | None = None
+    """(H, W) code values of alpha, or None."""
     size: tuple[int, int] | None = None
+    """(width, height) of the file's picture, if the decoder has reduced it."""
     notes: tuple[str, ...] = ()
+    """Sentences for the report."""
 
 
 def decode(coded: Coded, long_side: int | None, where: str, orientation: int) -> Decoded:

@@ -23,24 +23,21 @@ _ACTIVE_AREA, _OPCODES_ON_MOSAIC, _OPCODES_AFTER = 50829, 51009, 51022
 
 @dataclass(frozen=True)
 class Corrections:
-    """Corrections of a DNG that matcap applies itself.
-
-    Attributes:
-        on_mosaic: gain maps of OpcodeList2, for linear samples before demosaicing.
-        after_demosaic: gain maps of OpcodeList3.
-        jpeg_xl: whether the raw picture is compressed with JPEG XL, which LibRaw cannot read.
-        active_area: top, left, bottom, right (the last two excluded) of the area that gain maps
-            refer to, in the stored picture; None is all of it.
-        color: white balance and colour matrix, or None if the file has no matrix.
-        notes: on corrections that are not applied.
-    """
+    """Corrections of a DNG that matcap applies itself."""
 
     on_mosaic: tuple[GainMap, ...] = ()
+    """Gain maps of OpcodeList2, for linear samples before demosaicing."""
     after_demosaic: tuple[GainMap, ...] = ()
+    """Gain maps of OpcodeList3."""
     jpeg_xl: bool = False
+    """Whether the raw picture is compressed with JPEG XL, which LibRaw cannot read."""
     active_area: tuple[int, int, int, int] | None = None
+    """Top, left, bottom, right (the last two excluded) of the area that gain maps refer to, in the
+    stored picture; None is all of it."""
     color: DngColor | None = None
+    """White balance and colour matrix, or None if the file has no matrix."""
     notes: tuple[str, ...] = ()
+    """Notes on corrections that are not applied."""
 
     @property
     def has_maps(self) -> bool:

@@ -46,17 +46,14 @@ _ROUNDS = 30  # iterations of white_of
 
 @dataclass(frozen=True)
 class DngColor:
-    """Conversion from a DNG's camera colours to Rec.709.
-
-    Attributes:
-        neutral: (3,) camera colours of white; white balance divides by it.
-        matrix: (3, 3) from white-balanced camera colours to linear Rec.709; rows sum to 1.
-        note: to the user, if the file states no neutral; or "".
-    """
+    """Conversion from a DNG's camera colours to Rec.709."""
 
     neutral: tuple[float, float, float]
+    """(3,) camera colours of white; white balance divides by it."""
     matrix: Matrix
+    """(3, 3) from white-balanced camera colours to linear Rec.709; rows sum to 1."""
     note: str = ""
+    """Note to the user if the file states no neutral, or ""."""
 
 
 def dng_color(tags: Mapping[int, Any]) -> DngColor | None:
@@ -89,19 +86,16 @@ def dng_color(tags: Mapping[int, Any]) -> DngColor | None:
 
 @dataclass(frozen=True)
 class _Camera:
-    """Matrices for one or two calibration illuminants.
-
-    Attributes:
-        kelvin: colour temperature of each illuminant.
-        color: from XYZ to the reference camera, for each.
-        own: from the reference camera to this one, AnalogBalance times CameraCalibration, for each.
-        forward: from the white-balanced reference camera to XYZ relative to D50, for each; or None.
-    """
+    """Matrices for one or two calibration illuminants."""
 
     kelvin: tuple[float, ...]
+    """Colour temperature of each illuminant."""
     color: tuple[Matrix, ...]
+    """Matrices from XYZ to the reference camera, for each."""
     own: tuple[Matrix, ...]
+    """Matrices from the reference camera to this one, AnalogBalance times CameraCalibration."""
     forward: tuple[Matrix, ...] | None
+    """Matrices from the white-balanced reference camera to XYZ relative to D50, or None."""
 
     @staticmethod
     def of(tags: Mapping[int, Any]) -> _Camera | None:

@@ -37,15 +37,12 @@ _LARGEST_INFLATED = 1 << 24  # most bytes of a decompressed text
 
 @dataclass(frozen=True)
 class FocalPlane:
-    """Focal length in pixels.
-
-    Attributes:
-        pixels: focal length in pixels.
-        long_side: of the picture that these pixels are of; None is the file's.
-    """
+    """Focal length in pixels."""
 
     pixels: float
+    """Focal length in pixels."""
     long_side: int | None = None
+    """Long side of the picture that these pixels are of; None is the file's."""
 
     def fov(self, long_side: int) -> float:
         """Field of view in degrees across the long side, `long_side` pixels in the file."""
@@ -54,26 +51,23 @@ class FocalPlane:
 
 @dataclass(frozen=True)
 class Exif:
-    """Metadata that matcap uses.
-
-    Attributes:
-        orientation: 1 to 8; 1 is upright.
-        film_focal_length: FocalLengthIn35mmFilm, mm, or None.
-        focal_plane: from FocalLength and FocalPlaneXResolution, or a camera matrix; or None.
-        measured: whether focal_plane is a camera matrix, which has precedence.
-        flash_fired: None if unknown.
-        exposure: exposure time times sensitivity over the squared f-number, or None; proportional
-            to stored values for the same radiance.
-        camera: maker, model, lens, focal length and digital zoom; "" without a model.
-    """
+    """Metadata that matcap uses."""
 
     orientation: int = 1
+    """1 to 8; 1 is upright."""
     film_focal_length: float | None = None
+    """FocalLengthIn35mmFilm, mm, or None."""
     focal_plane: FocalPlane | None = None
+    """Stated by FocalLength and FocalPlaneXResolution, or by a camera matrix; or None."""
     measured: bool = False
+    """Whether focal_plane is a camera matrix, which has precedence."""
     flash_fired: bool | None = None
+    """None if unknown."""
     exposure: float | None = None
+    """Exposure time times sensitivity over the squared f-number, or None; proportional to stored
+    values for the same radiance."""
     camera: str = ""
+    """Maker, model, lens, focal length and digital zoom; "" without a model."""
 
     def view(self, width: int, height: int) -> tuple[float | None, tuple[str, ...]]:
         """Field of view across the long side in degrees, or None; and notes to the user.

@@ -25,22 +25,19 @@ _MOST_POINTS = 1 << 24  # of a map; limits the memory that a file can claim
 
 @dataclass(frozen=True)
 class GainMap:
-    """Gains on a coarse grid over the active area.
-
-    Attributes:
-        area: top, left, bottom, right of the pixels it applies to; the last two excluded.
-        planes: first plane it applies to, and the plane after the last.
-        pitch: applies to every pitch-th row and column of the area.
-        spacing, origin: of the grid (vertical, horizontal), in units of the active area's sides.
-        gains: (V, H, P) float32; planes beyond P use the last.
-    """
+    """Gains on a coarse grid over the active area."""
 
     area: tuple[int, int, int, int]
+    """Top, left, bottom, right of the pixels it applies to; the last two excluded."""
     planes: tuple[int, int]
+    """First plane it applies to, and the plane after the last."""
     pitch: tuple[int, int]
+    """Applies to every pitch-th row and column of the area."""
     spacing: tuple[float, float]
     origin: tuple[float, float]
+    """Origin of the grid (vertical, horizontal), in units of the active area's sides."""
     gains: NDArray[np.float32]
+    """(V, H, P) float32; planes beyond P use the last."""
 
     def at(
         self, rows: NDArray[np.float64], columns: NDArray[np.float64], plane: int
@@ -54,19 +51,16 @@ class GainMap:
 
 @dataclass(frozen=True)
 class Shading:
-    """All gain maps of one opcode list, for a picture that shows a part of the active area.
-
-    Attributes:
-        maps: in coordinates of the active area.
-        active: (height, width) of the active area.
-        size: (height, width) of the picture.
-        offset: (row, column) of the picture's first pixel in the active area.
-    """
+    """All gain maps of one opcode list, for a picture that shows a part of the active area."""
 
     maps: tuple[GainMap, ...]
+    """Gain maps, in coordinates of the active area."""
     active: tuple[int, int]
+    """(height, width) of the active area."""
     size: tuple[int, int]
+    """(height, width) of the picture."""
     offset: tuple[int, int] = (0, 0)
+    """(row, column) of the picture's first pixel in the active area."""
 
     def gains(self, top: int, bottom: int, planes: int) -> NDArray[np.float32]:
         """(n, W, planes) gains for the picture's rows [top, bottom)."""

@@ -38,23 +38,20 @@ _SHADOW = 6.0 / 29.0  # where CIE L*'s cube root begins (CIE 15:2004, 8.2.1.1)
 
 @dataclass(frozen=True)
 class _Page:
-    """The page of a file that is read.
-
-    Attributes:
-        index: of the page.
-        photometric: PhotometricInterpretation; -1 for a PNG.
-        compression: its name, and whether it is in _USUAL.
-        profile: ICC profile of a TIFF, or None.
-        orientation: EXIF's, of a page other than the first; None is the file's.
-        notes: on other pages.
-    """
+    """The page of a file that is read."""
 
     index: int = 0
+    """Index of the page."""
     photometric: int = -1
+    """PhotometricInterpretation; -1 for a PNG."""
     compression: tuple[str, bool] = ("", True)
+    """Name of the compression, and whether it is in _USUAL."""
     profile: bytes | None = None
+    """ICC profile of a TIFF, or None."""
     orientation: int | None = None
+    """EXIF's, of a page other than the first; None is the file's."""
     notes: tuple[str, ...] = ()
+    """Notes on other pages."""
 
 
 def read_png_or_tiff(path: Path, form: str, long_side: int | None) -> tuple[Decoded, Exif]:

@@ -16,88 +16,83 @@ FULL = 0.95  # of the clip level: channels of a clipped pixel above this count a
 
 @dataclass(frozen=True)
 class Decoded:
-    """A reader's result: a linear picture, in the orientation in which the file stores it.
-
-    Attributes:
-        pixels: (h, w, 3) float32 linear Rec.709, at least 0, downsampled.
-        clipped: (h, w) bool.
-        size: (width, height) as stored, before downsampling.
-        orientation: EXIF's 1 to 8, not yet applied.
-        radiometric, gain_map_applied, notes, noise, balance: see Photo.
-        linear: whether codes are proportional to light, so that a tone curve is unlikely.
-        clipped_share: share of the stored pixels (of a RAW: of the photosites of the colour that
-            clips most) at the clip level, or None if only `clipped` is known.
-        opacity: (h, w) float32 in [0, 1], or None if all is opaque.
-    """
+    """A reader's result: a linear picture, in the orientation in which the file stores it."""
 
     pixels: NDArray[np.float32]
+    """(h, w, 3) float32 linear Rec.709, at least 0, downsampled."""
     clipped: NDArray[np.bool_]
+    """(h, w) bool."""
     size: tuple[int, int]
+    """(width, height) as stored, before downsampling."""
     orientation: int = 1
+    """EXIF's 1 to 8, not yet applied."""
     radiometric: bool = False
+    """As in Photo."""
     linear: bool = False
+    """Whether codes are proportional to light, so that a tone curve is unlikely."""
     gain_map_applied: bool = False
     notes: tuple[str, ...] = ()
+    """As in Photo."""
     clipped_share: float | None = None
+    """Share of the stored pixels (of a RAW: of the photosites of the colour that clips most) at the
+    clip level, or None if only `clipped` is known."""
     noise: NDArray[np.float32] | None = None
     balance: tuple[float, float, float] | None = None
+    """As in Photo."""
     opacity: NDArray[np.float32] | None = None
+    """(h, w) float32 in [0, 1], or None if all is opaque."""
 
 
 @dataclass(frozen=True)
 class Photo:
-    """A scene-linear, white-balanced photograph, long side along x.
-
-    Attributes:
-        pixels: (H, W, 3) float32, W >= H, linear Rec.709, finite, >= 0, in units of the clip level.
-            Lens-shading correction and colours outside Rec.709 may give more than 1.
-        clipped: (H, W) bool, pixels of which a channel reached the clip level.
-        fov: field of view across the long side, degrees.
-        fov_source: "exif", "assumed" or "given".
-        radiometric: whether values are proportional to radiance (RAW only).
-        name: file name without folder.
-        original_size: (width, height) of the file's upright picture, before resizing.
-        turned: whether the photograph is a portrait, rotated by 90 degrees counterclockwise to
-            landscape.
-        flash_fired: by the file's metadata, or None.
-        gain_map_applied: whether a DNG lens-shading map was applied.
-        notes: sentences for the report.
-        stored_clipped_share: share of the file's pixels at the clip level, or None. `clipped`
-            overestimates it: a downsampled pixel counts if a quarter of it was clipped.
-        flash_intensity: radiant intensity of the flash in units of `pixels` times plane units
-            squared, measured by a calibration card; or None. With it, albedo is absolute.
-        path: absolute path of the file, or None.
-        noise: (H, W, 3) float32, an independent sample of the sensor noise in `pixels`; None if
-            unknown or negligible after downsampling.
-        left_out: (H, W) bool, pixels that do not show the material (left_out.py), or None.
-        exposure: Exif.exposure, or None; values are proportional to it for the same radiance.
-        balance: white-balance gains by channel, or None.
-        camera: maker, model, lens, focal length and zoom; "" if unknown.
-        profile: of the camera, the prior of its falloff; or None.
-        tone: the tone curve that was removed from `pixels`; None if one may still be in them.
-    """
+    """A scene-linear, white-balanced photograph, long side along x."""
 
     pixels: NDArray[np.float32]
+    """(H, W, 3) float32, W >= H, linear Rec.709, finite, >= 0, in units of the clip level.
+    Lens-shading correction and colours outside Rec.709 may give more than 1."""
     clipped: NDArray[np.bool_]
+    """(H, W) bool, pixels of which a channel reached the clip level."""
     fov: float
+    """Field of view across the long side, degrees."""
     fov_source: str
+    """"exif", "assumed" or "given"."""
     radiometric: bool
+    """Whether values are proportional to radiance (RAW only)."""
     name: str
+    """File name without folder."""
     original_size: tuple[int, int]
+    """(width, height) of the file's upright picture, before resizing."""
     turned: bool = False
+    """Whether the photograph is a portrait, rotated by 90 degrees counterclockwise to landscape."""
     flash_fired: bool | None = None
+    """Whether the flash fired, by the file's metadata; or None."""
     gain_map_applied: bool = False
+    """Whether a DNG lens-shading map was applied."""
     notes: tuple[str, ...] = ()
+    """Sentences for the report."""
     stored_clipped_share: float | None = None
+    """Share of the file's pixels at the clip level, or None. `clipped` overestimates it: a
+    downsampled pixel counts if a quarter of it was clipped."""
     flash_intensity: float | None = None
+    """Radiant intensity of the flash in units of `pixels` times plane units squared, measured by a
+    calibration card; or None. With it, albedo is absolute."""
     path: Path | None = None
+    """Absolute path of the file, or None."""
     noise: NDArray[np.float32] | None = None
+    """(H, W, 3) float32, an independent sample of the sensor noise in `pixels`; None if unknown or
+    negligible after downsampling."""
     left_out: NDArray[np.bool_] | None = None
+    """(H, W) bool, pixels that do not show the material (left_out.py), or None."""
     exposure: float | None = None
+    """Exif.exposure, or None; values are proportional to it for the same radiance."""
     balance: tuple[float, float, float] | None = None
+    """White-balance gains by channel, or None."""
     camera: str = ""
+    """Maker, model, lens, focal length and zoom; "" if unknown."""
     profile: CameraProfile | None = None
+    """The camera's profile, the prior of its falloff; or None."""
     tone: ToneCurve | None = None
+    """The tone curve that was removed from `pixels`; None if one may still be in them."""
 
     @property
     def tone_mapped(self) -> bool:

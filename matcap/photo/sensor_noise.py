@@ -37,15 +37,12 @@ _STRIP_PHOTOSITES = 1 << 20  # processed at once
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Noise model: variance = shot * signal + read, of the file's values above black.
-
-    Attributes:
-        shot: variance over signal, the value of one photon.
-        read: variance at signal 0.
-    """
+    """Noise model: variance = shot * signal + read, of the file's values above black."""
 
     shot: float
+    """Variance over signal, the value of one photon."""
     read: float
+    """Variance at signal 0."""
 
     def added(
         self, mosaic: NDArray[np.uint16], black: NDArray[np.float64], seed: int

@@ -30,15 +30,12 @@ _BLACK = 1e-9
 
 
 class Sun(NamedTuple):
-    """A small bright spot of an environment, shaded as a directional light.
-
-    Attributes:
-        direction: unit vector of the scene.
-        irradiance: on a surface facing it.
-    """
+    """A small bright spot of an environment, shaded as a directional light."""
 
     direction: tuple[float, float, float]
+    """Unit vector of the scene."""
     irradiance: tuple[float, float, float]
+    """Irradiance of a surface that faces it."""
 
 
 @dataclass(frozen=True)

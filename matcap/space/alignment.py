@@ -48,31 +48,25 @@ _LOG_STD = (math.log(0.002), math.log(0.3))  # limits of the standard deviation,
 
 
 class TiltMeasurement(NamedTuple):
-    """Measured tilt: two independent Gaussians, in radians.
-
-    Attributes:
-        x, y: means of tilt_x and tilt_y.
-        std_x, std_y: their standard deviations.
-    """
+    """Measured tilt: two independent Gaussians, in radians."""
 
     x: float
     y: float
+    """Means of tilt_x and tilt_y."""
     std_x: float
     std_y: float
+    """Their standard deviations."""
 
 
 class TiltEvidence(NamedTuple):
-    """What a photograph says of its tilt: the branch's inputs.
-
-    Attributes:
-        picture: (PICTURE_CHANNELS, h, WIDTH) of picture.picture().
-        conditions: (CONDITIONS,) of conditions().
-        slopes: (ESTIMATES, 4) of convergence(), times the camera's distance: tangents.
-    """
+    """What a photograph says of its tilt: the branch's inputs."""
 
     picture: Tensor
+    """(PICTURE_CHANNELS, h, WIDTH) of picture.picture()."""
     conditions: Tensor
+    """(CONDITIONS,) of conditions()."""
     slopes: Tensor
+    """(ESTIMATES, 4) of convergence(), times the camera's distance: tangents."""
 
 
 class Fusion(nn.Module):

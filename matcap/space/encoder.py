@@ -28,15 +28,12 @@ _LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE = -8.0, 4.0  # of a dimension of the lat
 
 @dataclass(frozen=True)
 class EncoderConfig:
-    """Backbone and input size of an encoder.
-
-    Attributes:
-        backbone: one of BACKBONES.
-        width: columns of the input image (512 in the paper); rows by the photograph's aspect.
-    """
+    """Backbone and input size of an encoder."""
 
     backbone: str = "small"
+    """One of BACKBONES."""
     width: int = 256
+    """Columns of the input image (512 in the paper); rows by the photograph's aspect."""
 
 
 def bottleneck(inputs: int, outputs: int, stride: int) -> Shortcut:

@@ -33,25 +33,22 @@ _CPU = torch.device("cpu")
 
 @dataclass(frozen=True)
 class TunedDecoder:
-    """The decoder of one material.
-
-    Attributes:
-        decoder: with fine-tuned weights.
-        code: (CODE_SIZE,) latent vector it was fine-tuned at.
-        moments: frozen AdaIN statistics, one pair a layer.
-        waves: of the material's lattice; empty for most materials.
-        texel_size: in plane units.
-        drawing: what it reads besides noise, or None as in the paper.
-        turned: whether its field is rotated upright, 90 degrees clockwise, of a portrait.
-    """
+    """The decoder of one material."""
 
     decoder: Decoder
+    """The decoder, with fine-tuned weights."""
     code: Tensor
+    """(CODE_SIZE,) latent vector it was fine-tuned at."""
     moments: tuple[Moments, ...]
+    """Frozen AdaIN statistics, one pair a layer."""
     waves: tuple[Wave, ...]
+    """Frequencies of the material's lattice; empty for most materials."""
     texel_size: float
+    """A texel's side, plane units."""
     drawing: Drawing | None = None
+    """What it reads besides noise, or None as in the paper."""
     turned: bool = False
+    """Whether its field is rotated upright, 90 degrees clockwise, of a portrait."""
 
     @property
     def alignment(self) -> int:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from matcap.errors import ExitCode, MatcapError, UsageError
+from matcap.files.settings import field_docs
 from reference.docstrings import read, table
 
 
 def page() -> str:
     """The page, in Markdown."""
-    documented = read(ExitCode).entries("Attributes")
+    documented = field_docs(ExitCode)
     lines = ["# Exit codes", "", f"{read(ExitCode).text}", ""]
     lines += table(
         ["code", "name", "meaning"],

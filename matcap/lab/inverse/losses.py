@@ -58,28 +58,25 @@ WEIGHTS: Mapping[str, float] = MappingProxyType(
 
 @dataclass(frozen=True)
 class WantedOutputs:
-    """Targets of a step's pictures, stacked.
-
-    Attributes:
-        truth: (B, OUTPUTS, H, W) the network's target.
-        metal: (B, 1, H, W) true share that is metal.
-        hue: (B, 3, H, W) true F0 over the mean of its channels.
-        seen: (B, 3, H, W) the photograph's colour, the specular tint of texels predicted as metal.
-        base: (B, OUTPUTS, 1, 1) the coarse fit, to which outputs are relative.
-        points: (3, H, W) plane points, common to all.
-        camera: (B, 3, 1, 1) positions of the cameras.
-        near, far: (B, 3, 1, 1) positions of a light with its mirror point in view, and a far one.
-    """
+    """Targets of a step's pictures, stacked."""
 
     truth: Tensor
+    """(B, OUTPUTS, H, W) the network's target."""
     metal: Tensor
+    """(B, 1, H, W) true share that is metal."""
     hue: Tensor
+    """(B, 3, H, W) true F0 over the mean of its channels."""
     seen: Tensor
+    """(B, 3, H, W) the photograph's colour, the specular tint of texels predicted as metal."""
     base: Tensor
+    """(B, OUTPUTS, 1, 1) the coarse fit, to which outputs are relative."""
     points: Tensor
+    """(3, H, W) plane points, common to all."""
     camera: Tensor
+    """(B, 3, 1, 1) positions of the cameras."""
     near: Tensor
     far: Tensor
+    """(B, 3, 1, 1) positions of a light with its mirror point in view, and a far one."""
 
 
 def wanted(samples: Sequence[Sample], rng: np.random.Generator) -> WantedOutputs:

@@ -40,18 +40,15 @@ Picture = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class PackedSet:
-    """Maps of one material, tileable, level by level.
-
-    Attributes:
-        name: of its folder.
-        surface: level by level (8, H, W) float16: diffuse albedo and F0 (linear, 3 each),
-            roughness, and the share that is metal.
-        height: level by level (1, H, W) float32 in texels of that level, of mean 0.
-    """
+    """Maps of one material, tileable, level by level."""
 
     name: str
+    """Name of its folder."""
     surface: tuple[Tensor, ...]
+    """Level by level (8, H, W) float16: diffuse albedo and F0 (linear, 3 each), roughness, and the
+    share that is metal."""
     height: tuple[Tensor, ...]
+    """Level by level (1, H, W) float32 in texels of that level, of mean 0."""
 
 
 def is_held_out(name: str) -> bool:

@@ -51,23 +51,20 @@ _ROOM = 64  # texels by which a piece is larger than a picture
 
 @dataclass(frozen=True)
 class Sample:
-    """A simulated photograph on its plane's grid, and the truth.
-
-    Attributes:
-        linear: (3, H, W) radiance, clipped at 1.
-        valid: (H, W) bool, not clipped.
-        truth: float32 maps, F0 by channel; in plane units where the picture spans x in [-1, 1].
-        metal: (1, H, W) share that is metal.
-        uniform: the coarse fit.
-        points: (3, H, W) plane points.
-    """
+    """A simulated photograph on its plane's grid, and the truth."""
 
     linear: Tensor
+    """(3, H, W) radiance, clipped at 1."""
     valid: Tensor
+    """(H, W) bool, not clipped."""
     truth: MapSet
+    """float32 maps, F0 by channel; in plane units where the picture spans x in [-1, 1]."""
     metal: Tensor
+    """(1, H, W) share that is metal."""
     uniform: Uniform
+    """The coarse fit."""
     points: Tensor
+    """(3, H, W) plane points."""
 
     @property
     def inputs(self) -> Tensor:

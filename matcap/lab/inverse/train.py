@@ -45,34 +45,31 @@ SampleBatch = list[tuple[Tensor, Sample]]  # inputs and truth, of one size
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """Settings of one training run of the inverse network.
-
-    Attributes:
-        steps: total number of steps at the end of the run.
-        seconds: time limit of the run.
-        rate: Adam's learning rate.
-        cooling: number of last steps over which the learning rate falls to 0.
-        width, height: texels of a picture, multiples of 32.
-        batch: pictures a step.
-        workers: processes that make samples.
-        device: "cpu" or "cuda".
-        compiled: losses are compiled: minutes once, worthwhile from an hour of training.
-        maps: packed real materials (packed.py), whose training sets are used; or none.
-        real: share of photographs of real materials.
-    """
+    """Settings of one training run of the inverse network."""
 
     steps: int = 1_000_000
+    """Total number of steps at the end of the run."""
     seconds: float = float("inf")
+    """Time limit of the run."""
     rate: float = 4e-4
+    """Adam's learning rate."""
     cooling: int = 0
+    """Number of last steps over which the learning rate falls to 0."""
     width: int = 224
     height: int = 160
+    """Texels of a picture, multiples of 32."""
     batch: int = 1
+    """Pictures a step."""
     workers: int = 1
+    """Processes that make samples."""
     device: str = "cpu"
+    """"cpu" or "cuda"."""
     compiled: bool = False
+    """Losses are compiled: minutes once, worthwhile from an hour of training."""
     maps: Path | None = None
+    """Packed real materials (packed.py), whose training sets are used; or none."""
     real: float = REAL_SHARE
+    """Share of photographs of real materials."""
 
     @property
     def schedule(self) -> RateSchedule:

@@ -21,21 +21,18 @@ NEIGHBOUR = 3  # the k of the paper
 
 @dataclass(frozen=True)
 class Variety:
-    """Precision, recall and diversity of generated pictures against a set of true ones.
-
-    Attributes:
-        precision: share of generated pictures within the balls of true ones, 0 to 1.
-        recall: share of true pictures within the balls of generated ones, 0 to 1.
-        mean_distance: mean style distance of two generated pictures, 0 to 2.
-        spread: that over the mean style distance of two true pictures.
-        nearest: (generated,) index of the true picture nearest to each generated one.
-    """
+    """Precision, recall and diversity of generated pictures against a set of true ones."""
 
     precision: float
+    """Share of generated pictures within the balls of true ones, 0 to 1."""
     recall: float
+    """Share of true pictures within the balls of generated ones, 0 to 1."""
     mean_distance: float
+    """Mean style distance of two generated pictures, 0 to 2."""
     spread: float
+    """`mean_distance` over the mean style distance of two true pictures."""
     nearest: Tensor
+    """(generated,) index of the true picture nearest to each generated one."""
 
 
 def variety(made: StyleStatistics, true: StyleStatistics) -> Variety:

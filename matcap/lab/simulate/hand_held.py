@@ -34,23 +34,20 @@ _ITERATIONS = 3  # iterations of ray-relief intersection; slopes are below 1 nea
 
 @dataclass(frozen=True)
 class Room:
-    """Ambient light: a uniform sky and a directional window.
-
-    Attributes:
-        level: irradiance of a horizontal surface, for a flash of intensity 1.
-        window: share of `level` from the window.
-        towards: direction of the window, any length.
-        colour: RGB factors of the light.
-        uneven: gradient of log irradiance towards the window, per plane unit.
-        hidden: whether the relief occludes the sky (ambient occlusion).
-    """
+    """Ambient light: a uniform sky and a directional window."""
 
     level: float = 0.06
+    """Irradiance of a horizontal surface, for a flash of intensity 1."""
     window: float = 0.5
+    """Share of `level` from the window."""
     towards: tuple[float, float, float] = (0.6, 0.3, 0.75)
+    """Direction of the window, any length."""
     colour: tuple[float, float, float] = (1.1, 1.0, 0.85)
+    """RGB factors of the light."""
     uneven: float = 0.0
+    """Gradient of log irradiance towards the window, per plane unit."""
     hidden: bool = False
+    """Whether the relief occludes the sky (ambient occlusion)."""
 
     def on(self, maps: MapSet) -> NDArray[np.float32]:
         """(H, W, 3) view-independent radiance E0 / pi (albedo E / E0 + F0), E0 the level.
@@ -101,30 +98,27 @@ def _sky_view_factor(maps: MapSet) -> Tensor:
 
 @dataclass(frozen=True)
 class Hand:
-    """Movements and lighting of a phone between hand-held photographs.
-
-    Attributes:
-        aside: sideways movement, relative to the distance.
-        aimed: movement of the point aimed at, relative to the phone's: 0 keeps aiming at the
-            middle, 1 looks straight down.
-        shaken: standard deviation of the position, relative to the distance.
-        turned: standard deviation of the viewing direction, radians.
-        flash: offset of the flash from the lens, plane units.
-        bent: (k1, k2) of the lens distortion.
-        balanced: standard deviation of the logarithm of white balance, by channel.
-        vignetting: coefficient of r^2, of lens and flash.
-        room: ambient light; None for darkness.
-    """
+    """Movements and lighting of a phone between hand-held photographs."""
 
     aside: float = 0.35
+    """Sideways movement, relative to the distance."""
     aimed: float = 0.25
+    """Movement of the point aimed at, relative to the phone's: 0 keeps aiming at the middle, 1
+    looks straight down."""
     shaken: float = 0.03
+    """Standard deviation of the position, relative to the distance."""
     turned: float = 0.03
+    """Standard deviation of the viewing direction, radians."""
     flash: tuple[float, float, float] = (0.04, -0.07, 0.0)
+    """Offset of the flash from the lens, plane units."""
     bent: tuple[float, float] = (0.0, 0.0)
+    """(k1, k2) of the lens distortion."""
     balanced: float = 0.03
+    """Standard deviation of the logarithm of white balance, by channel."""
     vignetting: float = 0.0
+    """Coefficient of r^2, of lens and flash."""
     room: Room | None = None
+    """Ambient light; None for darkness."""
 
 
 def downward(phone: PhoneCamera) -> Hand:

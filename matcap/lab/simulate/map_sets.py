@@ -31,18 +31,15 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class MapSetMaterial:
-    """A tileable material.
-
-    Attributes:
-        name: of its folder.
-        tile: (6, h, w) diffuse, specular, roughness and height, 8 where some of it is metal; height
-            in texels of the tile.
-        texel_size: of the tile, in plane units.
-    """
+    """A tileable material."""
 
     name: str
+    """Name of its folder."""
     tile: Floats
+    """(6, h, w) diffuse, specular, roughness and height, 8 where some of it is metal; height in
+    texels of the tile."""
     texel_size: float
+    """A texel's side on the tile, plane units."""
 
     def realise(self, width: int, height: int, seed: int, texel_size: float) -> MapSet:
         """A rectangle of the repeated tile, float64 (C, height, width).

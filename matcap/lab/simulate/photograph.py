@@ -32,28 +32,25 @@ _HALF_FRAME = 18.0  # mm, half the long side of the 35 mm film frame
 
 @dataclass(frozen=True)
 class PhoneCamera:
-    """A phone's camera.
-
-    Attributes:
-        width, height: pixels, width >= height, both even.
-        focal_length: 35 mm equivalent of the long side's field of view, mm.
-        full_well: electrons at the clip level; sets the shot noise.
-        read_noise: electrons.
-        supersampling: shading texels along a pixel's side.
-        blur: standard deviation of the lens's blur, in pixels; positive.
-        brightness: mean that automatic exposure aims at; the clip level is 1.
-        clipped: largest share of pixels that automatic exposure allows to clip.
-    """
+    """A phone's camera."""
 
     width: int = 1600
     height: int = 1200
+    """Pixels, width >= height, both even."""
     focal_length: int = 28
+    """35 mm equivalent of the long side's field of view, mm."""
     full_well: float = 6000.0
+    """Electrons at the clip level; sets the shot noise."""
     read_noise: float = 3.0
+    """Electrons."""
     supersampling: int = 2
+    """Shading texels along a pixel's side."""
     blur: float = 0.6
+    """Standard deviation of the lens's blur, in pixels; positive."""
     brightness: float = 0.22
+    """Mean that automatic exposure aims at; the clip level is 1."""
     clipped: float = 0.01
+    """Largest share of pixels that automatic exposure allows to clip."""
 
     @property
     def fov(self) -> float:
@@ -63,21 +60,18 @@ class PhoneCamera:
 
 @dataclass(frozen=True)
 class Shot:
-    """The image on the sensor, and its true camera and flash.
-
-    Attributes:
-        linear: (H, W, 3) float64 radiance before noise and clipping; the file clips at 1.
-        setup: the true geometry, and the flash's intensity on the scale of `linear`.
-        camera: the camera.
-        exposure: factor of the file's exposure relative to other shots.
-        fired: whether the flash fired.
-    """
+    """The image on the sensor, and its true camera and flash."""
 
     linear: NDArray[np.float64]
+    """(H, W, 3) float64 radiance before noise and clipping; the file clips at 1."""
     setup: FlashSetup
+    """The true geometry, and the flash's intensity on the scale of `linear`."""
     camera: PhoneCamera
+    """The camera."""
     exposure: float = 1.0
+    """Factor of the file's exposure relative to other shots."""
     fired: bool = True
+    """Whether the flash fired."""
 
 
 def take(realise: Realise, camera: PhoneCamera, setup: FlashSetup) -> Shot:

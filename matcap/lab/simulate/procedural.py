@@ -54,21 +54,18 @@ class Canvas:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Amplitude spectrum of a noise field; wavelengths in plane units.
-
-    Attributes:
-        coarse: long-wavelength cutoff.
-        fine: short-wavelength cutoff.
-        slope: amplitude is f^-slope in between; 1 is natural, 0 is white.
-        stretch: how much longer features are along the grain than across it.
-        angle: direction of the grain, radians anticlockwise from x.
-    """
+    """Amplitude spectrum of a noise field; wavelengths in plane units."""
 
     coarse: float
+    """Long-wavelength cutoff."""
     fine: float
+    """Short-wavelength cutoff."""
     slope: float = 1.0
+    """Amplitude is f^-slope in between; 1 is natural, 0 is white."""
     stretch: float = 1.0
+    """How much longer features are along the grain than across it."""
     angle: float = 0.0
+    """Direction of the grain, radians anticlockwise from x."""
 
     def frequency(self, fx: Raster, fy: Raster) -> Raster:
         """Length of (fx, fy), y downwards, after undoing stretch and angle; cycles a plane unit."""
@@ -152,21 +149,18 @@ def _synthesise(canvas: Canvas, label: str, spectrum: Spectrum, *, unit_slope: b
 
 @dataclass(frozen=True)
 class VoronoiCells:
-    """A jittered grid's Voronoi cells [worley1996].
-
-    Attributes:
-        nearest: (H, W) distance to the nearest point, in cell sizes.
-        second: (H, W) distance to the second nearest point, in cell sizes.
-        index: (H, W) index of the cell, below `count`.
-        count: number of cells.
-        offset: two (H, W) fields, x and y from the nearest point, in cell sizes, y downwards.
-    """
+    """A jittered grid's Voronoi cells [worley1996]."""
 
     nearest: Raster
+    """(H, W) distance to the nearest point, in cell sizes."""
     second: Raster
+    """(H, W) distance to the second nearest point, in cell sizes."""
     index: NDArray[np.int64]
+    """(H, W) index of the cell, below `count`."""
     count: int
+    """Number of cells."""
     offset: tuple[Raster, Raster]
+    """Two (H, W) fields, x and y from the nearest point, in cell sizes, y downwards."""
 
     @property
     def border(self) -> Raster:
@@ -259,22 +253,19 @@ def _nearest(
 
 @dataclass(frozen=True)
 class Weave:
-    """Threads crossing over and under each other.
-
-    Attributes:
-        height: (H, W) in thread spacings.
-        warp_on_top: (H, W) bool, the thread along y is on top.
-        column, row: (H, W) index of the thread along y, and of the one along x.
-        across: (H, W) coordinate across the top thread, -1 to 1.
-        along: (H, W) coordinate along the top thread, in thread spacings.
-    """
+    """Threads crossing over and under each other."""
 
     height: Raster
+    """(H, W) in thread spacings."""
     warp_on_top: NDArray[np.bool_]
+    """(H, W) bool, the thread along y is on top."""
     column: NDArray[np.int64]
     row: NDArray[np.int64]
+    """(H, W) index of the thread along y, and of the one along x."""
     across: Raster
+    """(H, W) coordinate across the top thread, -1 to 1."""
     along: Raster
+    """(H, W) coordinate along the top thread, in thread spacings."""
 
     def per_thread(self, generator: np.random.Generator) -> Raster:
         """(H, W) a standard normal number for each thread."""

@@ -62,19 +62,16 @@ _RATE, _RATE_ON = 1.5e-3, 8e-4  # of training from random weights, and on from t
 
 @dataclass(frozen=True)
 class Tilted:
-    """Simulated photographs before exposure, and their true geometry.
-
-    Attributes:
-        radiance: (N, 3, h, WIDTH) float16, its median 1, nothing clipped.
-        fov: (N,) degrees.
-        offset: (N, 2) of the flash from the lens, plane units.
-        tilt: (N, 2) radians.
-    """
+    """Simulated photographs before exposure, and their true geometry."""
 
     radiance: Tensor
+    """(N, 3, h, WIDTH) float16, its median 1, nothing clipped."""
     fov: Tensor
+    """(N,) degrees."""
     offset: Tensor
+    """(N, 2) of the flash from the lens, plane units."""
     tilt: Tensor
+    """(N, 2) radians."""
 
     def at(self, chosen: Tensor) -> Tilted:
         """The photographs of some indices."""
@@ -83,19 +80,16 @@ class Tilted:
 
 @dataclass(frozen=True)
 class Developed:
-    """Photographs after exposure and development.
-
-    Attributes:
-        linear: (N, 3, h, w) in [0, 1].
-        fov: (N,) degrees, as the file says or as assumed.
-        known: (N,) bool, whether the file says it.
-        radiometric: (N,) bool, whether they are RAW.
-    """
+    """Photographs after exposure and development."""
 
     linear: Tensor
+    """(N, 3, h, w) in [0, 1]."""
     fov: Tensor
+    """(N,) degrees, as the file says or as assumed."""
     known: Tensor
+    """(N,) bool, whether the file says it."""
     radiometric: Tensor
+    """(N,) bool, whether they are RAW."""
 
     def shown(self) -> tuple[Tensor, Tensor]:
         """The branch's inputs: pictures and conditions."""

@@ -65,9 +65,6 @@ class Unfolded:
 
     The counterpart of Material for unfolded decoders: endless, and the same texels in every
     rectangle up to rounding of float32.
-
-    Attributes:
-        decoder, code, moments, waves, texel_size: as of a Material.
     """
 
     decoder: Decoder
@@ -75,6 +72,7 @@ class Unfolded:
     moments: tuple[Moments, ...]
     waves: tuple[Wave, ...]
     texel_size: float
+    """Texel size of a Material, plane units."""
 
     def maps(self, width: int, height: int, *, seed: int = 0, x: int = 0, y: int = 0) -> MapSet:
         """Maps of a rectangle; all four numbers are multiples of ALIGNMENT."""

@@ -40,27 +40,24 @@ _REMEDY = "build it again with `matcap prior corpus`"
 
 @dataclass(frozen=True)
 class Entry:
-    """One photograph of the pack.
-
-    Attributes:
-        name: its file's name, or the simulated material's.
-        material: photographs of one material share it.
-        simulated: made by matcap.lab.simulate.
-        jpeg: the encoded picture.
-        coarse: its coarse fit.
-        contrast: (3,) log contrast (space/prior/base.py).
-        waves: of its lattice, at WAVE_DETAIL texels across.
-        tilt: the true (tilt_x, tilt_y) in radians, or None where unknown.
-    """
+    """One photograph of the pack."""
 
     name: str
+    """Name of its file, or of the simulated material."""
     material: str
+    """Photographs of one material share it."""
     simulated: bool
+    """Made by matcap.lab.simulate."""
     jpeg: bytes
+    """The encoded picture."""
     coarse: CoarseFit
+    """The photograph's coarse fit."""
     contrast: Tensor
+    """(3,) log contrast (space/prior/base.py)."""
     waves: tuple[Wave, ...]
+    """Frequencies of its lattice, at WAVE_DETAIL texels across."""
     tilt: tuple[float, float] | None = None
+    """The true (tilt_x, tilt_y) in radians, or None where unknown."""
 
     def photo(self) -> Photo:
         """The photograph, decoded."""

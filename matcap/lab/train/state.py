@@ -18,47 +18,44 @@ _START = (1.0, 1.0, 1.0, 0.33, 0.33, 0.33)  # deviations of an untrained head's 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Settings of training a prior; a TOML file has the same names (cli/prior.py).
-
-    Attributes:
-        steps: when training ends; the learning rate falls to nothing over the last quarter.
-        materials: photographs of different materials in a step.
-        places: windows of each.
-        window: texels a side, MARGIN short of a multiple of 16 on either side.
-        real_share: share of real photographs.
-        coarse_share: share of photographs used at half the resolution.
-        rate, encoder_rate: AdamW's, of decoder and encoder.
-        weight_decay: AdamW's.
-        kl: weight of the KL term, per dimension of the code.
-        kl_warmup: steps until it counts in full.
-        slope: weight of the mean squared slope, and of slopes too steep or too fine (step.py).
-        relit: weight of the second teacher (step.py); 0 leaves it out.
-        average: decay of the running mean of the weights, which is what is shipped.
-        seed: of everything random.
-        checkpoint_minutes: between checkpoints.
-        report_every: steps between reports on the held-out materials.
-        encoder, decoder: their shapes.
-    """
+    """Settings of training a prior; a TOML file has the same names (cli/prior.py)."""
 
     steps: int = 6000
+    """When training ends; the learning rate falls to nothing over the last quarter."""
     materials: int = 4
+    """Photographs of different materials in a step."""
     places: int = 2
+    """Windows of each."""
     window: int = 160
+    """Texels a side, MARGIN short of a multiple of 16 on either side."""
     real_share: float = 0.65
+    """Share of real photographs."""
     coarse_share: float = 0.15
+    """Share of photographs used at half the resolution."""
     rate: float = 2e-3
     encoder_rate: float = 5e-4
+    """AdamW's, of decoder and encoder."""
     weight_decay: float = 1e-5
+    """AdamW's."""
     kl: float = 0.03
+    """Weight of the KL term, per dimension of the code."""
     kl_warmup: int = 1000
+    """Steps until it counts in full."""
     slope: float = 0.02
+    """Weight of the mean squared slope, and of slopes too steep or too fine (step.py)."""
     relit: float = 0.0
+    """Weight of the second teacher (step.py); 0 leaves it out."""
     average: float = 0.998
+    """Decay of the running mean of the weights, which is what is shipped."""
     seed: int = 1
+    """Seed of all random numbers."""
     checkpoint_minutes: float = 4.0
+    """Between checkpoints."""
     report_every: int = 250
+    """Steps between reports on the held-out materials."""
     encoder: EncoderConfig = EncoderConfig()
     decoder: DecoderConfig = DecoderConfig()
+    """Their shapes."""
 
 
 def start_head(decoder: Decoder) -> None:

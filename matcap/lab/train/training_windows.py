@@ -59,23 +59,20 @@ class Turn:
 
 @dataclass(frozen=True)
 class PreparedPhotograph:
-    """A photograph ready to be cut: everything that does not change from step to step.
-
-    Attributes:
-        linear: (3, H, W) float16, rectified at WAVE_DETAIL texels across.
-        valid: (H, W) bool.
-        picture: (5, h, w) what the encoder sees.
-        encoding: the photograph's.
-        entry: what the pack says.
-        truth: maps of the same material where it was simulated, or None.
-    """
+    """A photograph ready to be cut: everything that does not change from step to step."""
 
     linear: Tensor
+    """(3, H, W) float16, rectified at WAVE_DETAIL texels across."""
     valid: Tensor
+    """(H, W) bool."""
     picture: Tensor
+    """(5, h, w) what the encoder sees."""
     encoding: Encoding
+    """The photograph's."""
     entry: Entry
+    """What the pack says."""
     truth: MapSet | None = None
+    """Maps of the same material where it was simulated, or None."""
 
 
 def prepare(entry: Entry, encoder_width: int, truth: MapSet | None = None) -> PreparedPhotograph:
@@ -91,34 +88,32 @@ def prepare(entry: Entry, encoder_width: int, truth: MapSet | None = None) -> Pr
 
 @dataclass(frozen=True)
 class TrainingSample:
-    """One material of a batch.
-
-    Attributes:
-        picture: (5, h, w) and numbers (NUMBERS,) for the encoder.
-        base: reflectance to which the decoder's outputs are relative.
-        waves: of the material, in the windows' texels.
-        linear: (K, 3, S, S) windows of the photograph.
-        points: (K, 3, S, S) their plane points.
-        shading: (K, 1, S, S) vignetting.
-        camera, light, intensity: (3,) each, plane frame.
-        encoding: of the photograph, its colours permuted like the windows'.
-        texel_size: in plane units.
-        truth: (1, C, S, S) maps of another piece of the same material, or None.
-    """
+    """One material of a batch."""
 
     picture: Tensor
+    """(5, h, w) picture for the encoder."""
     numbers: Tensor
+    """(NUMBERS,) for the encoder."""
     base: Base
+    """Reflectance to which the decoder's outputs are relative."""
     waves: tuple[Wave, ...]
+    """Frequencies of the material's lattice, in the windows' texels."""
     linear: Tensor
+    """(K, 3, S, S) windows of the photograph."""
     points: Tensor
+    """(K, 3, S, S) their plane points."""
     shading: Tensor
+    """(K, 1, S, S) vignetting."""
     camera: Tensor
     light: Tensor
     intensity: Tensor
+    """(3,) each, plane frame."""
     encoding: Encoding
+    """Encoding of the photograph, its colours permuted like the windows'."""
     texel_size: float
+    """A texel's side, plane units."""
     truth: MapSet | None = None
+    """(1, C, S, S) maps of another piece of the same material, or None."""
 
     def to(self, device: torch.device | str) -> TrainingSample:
         """The same sample on a device."""

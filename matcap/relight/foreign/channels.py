@@ -25,41 +25,38 @@ _SHAPE = 0.02  # largest relative difference of the maps' aspect ratios
 
 @dataclass(frozen=True)
 class SetChannels:
-    """The maps of a set, float32 and all of one size; None where the set lacks one.
-
-    Attributes:
-        base: (3, H, W) base colour, or diffuse albedo in sets with F0; linear Rec.709, [0, 1].
-        roughness: (1, H, W) perceptual; of its own map, or 1 - gloss.
-        metallic: (1, H, W), [0, 1].
-        specular: (3, H, W) F0, linear.
-        level: (1, H, W) specular level: F0 of dielectrics over 0.08.
-        dielectric: F0 of dielectrics where there is no `level`.
-        height: (1, H, W); in plane units if `exact`, else as stored.
-        whole: heights are stored as integers, here [0, 1] of their range.
-        slopes: (2, H, W) dh/dx and dh/dy of the normal map, y up.
-        texel: a texel's side in plane units.
-        exact: heights and texel have stated units, not assumed ones.
-        conserving: diffuse albedo is base (1 - F0).
-        periodic: whether the maps tile seamlessly.
-        notes: what was guessed or not used, a sentence each.
-        files: file names by map.
-    """
+    """The maps of a set, float32 and all of one size; None where the set lacks one."""
 
     base: Array
+    """(3, H, W) base colour, or diffuse albedo in sets with F0; linear Rec.709, [0, 1]."""
     roughness: Array | None
+    """(1, H, W) perceptual; of its own map, or 1 - gloss."""
     metallic: Array | None
+    """(1, H, W), [0, 1]."""
     specular: Array | None
+    """(3, H, W) F0, linear."""
     level: Array | None
+    """(1, H, W) specular level: F0 of dielectrics over 0.08."""
     dielectric: float
+    """F0 of dielectrics where there is no `level`."""
     height: Array | None
+    """(1, H, W); in plane units if `exact`, else as stored."""
     whole: bool
+    """Heights are stored as integers, here [0, 1] of their range."""
     slopes: Array | None
+    """(2, H, W) dh/dx and dh/dy of the normal map, y up."""
     texel: float
+    """A texel's side in plane units."""
     exact: bool
+    """Heights and texel have stated units, not assumed ones."""
     conserving: bool
+    """Diffuse albedo is base (1 - F0)."""
     periodic: bool
+    """Whether the maps tile seamlessly."""
     notes: tuple[str, ...]
+    """What was guessed or not used, a sentence each."""
     files: Mapping[str, str]
+    """File names by map."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -94,19 +91,16 @@ def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> S
 
 @dataclass
 class _Set:
-    """A set while it is read; each file is opened once.
-
-    Attributes:
-        about: the files, and what is stated of them.
-        files: by map; maps that turn out unusable are removed.
-        notes: as SetChannels.
-        left_out: files that are not used, with the reason.
-    """
+    """A set while it is read; each file is opened once."""
 
     about: SetFiles
+    """The files, and what is stated of them."""
     files: dict[str, NamedFile]
+    """Files by map; unusable ones are removed."""
     left_out: list[str]
+    """Files that are not used, with the reason."""
     notes: list[str] = field(default_factory=list)
+    """As in SetChannels."""
     _opened: dict[Path, Pixels] = field(default_factory=dict)
 
     def channels(self, normal: NormalStyle | None) -> SetChannels:

@@ -119,47 +119,42 @@ _STYLE = {word: style for style, words in _STYLES.items() for word in words}
 
 @dataclass(frozen=True)
 class NamedFile:
-    """A file, and the maps that its name says it holds.
-
-    Attributes:
-        channels: of each map; empty where the name names none.
-        style: direction of green that the name states: "gl" up, "dx" down, or "".
-        rank: of two files of the same map the one of lower rank is used.
-        stem: the name without the words that name a map: the same for all files of a set.
-        light: colours are linear, whatever the file states.
-    """
+    """A file, and the maps that its name says it holds."""
 
     path: Path
+    """Path of the file."""
     channels: Packing
+    """Channels of each map; empty where the name names none."""
     style: str = ""
+    """Direction of green that the name states: "gl" up, "dx" down, or ""."""
     rank: int = 0
+    """Rank: of two files of the same map the one of lower rank is used."""
     stem: str = ""
+    """The name without the words that name a map: the same for all files of a set."""
     light: bool = False
+    """Colours are linear, whatever the file states."""
 
 
 @dataclass(frozen=True)
 class SetFiles:
-    """The files of a set, and what is stated of them: by the sidecar of matcap's export alone.
-
-    Attributes:
-        files: by map.
-        left_out: files that are not used, each with the reason.
-        texel: a texel's side in plane units.
-        height: (scale, midlevel): height in plane units = (value - midlevel) scale.
-        conserving: diffuse albedo is base (1 - F0).
-        grid: (columns, rows) of UDIM tiles; None for plain files.
-        periodic: whether the maps tile seamlessly.
-        f0: of a .glb, F0 where its specular texture is 1; without such a texture, of dielectrics.
-    """
+    """The files of a set, and what is stated of them: by the sidecar of matcap's export alone."""
 
     files: Mapping[str, NamedFile]
+    """Files by map."""
     left_out: tuple[str, ...]
+    """Files that are not used, each with the reason."""
     texel: float | None = None
+    """A texel's side in plane units."""
     height: tuple[float, float] | None = None
+    """(scale, midlevel): height in plane units = (value - midlevel) scale."""
     conserving: bool = False
+    """Diffuse albedo is base (1 - F0)."""
     grid: tuple[int, int] | None = None
+    """(columns, rows) of UDIM tiles; None for plain files."""
     periodic: bool = True
+    """Whether the maps tile seamlessly."""
     f0: float | None = None
+    """F0 where the specular texture of a .glb is 1; without such a texture, of dielectrics."""
 
 
 @dataclass(frozen=True)

@@ -37,15 +37,12 @@ _FLAT = 1e-6  # relative range below which a height map is flat
 
 @dataclass(frozen=True)
 class Foreign:
-    """A map set read for relighting.
-
-    Attributes:
-        texture: the material.
-        notes: what was guessed or not used, a sentence each.
-    """
+    """A map set read for relighting."""
 
     texture: Texture
+    """The material."""
     notes: tuple[str, ...]
+    """What was guessed or not used, a sentence each."""
 
 
 def read_foreign(folder: str | Path, *, normal: NormalStyle | None = None) -> Foreign:

@@ -57,21 +57,18 @@ _REMEDY = "install matcap again, or train a prior with `matcap prior train`"
 
 @dataclass(frozen=True)
 class Prior:
-    """The trained prior.
-
-    Attributes:
-        encoder: photograph to latent vector.
-        decoder: latent vector and noise to outputs relative to the base (base.py).
-        conditional_mean: model of bases given latent vectors.
-        about: how it was trained; JSON.
-        anchors: of the training photographs; None draws from the standard normal.
-    """
+    """The trained prior."""
 
     encoder: Encoder
+    """Photograph to latent vector."""
     decoder: Decoder
+    """Latent vector and noise to outputs relative to the base (base.py)."""
     conditional_mean: ConditionalMean
+    """Model of bases given latent vectors."""
     about: Mapping[str, Any] = field(default_factory=dict)
+    """How it was trained; JSON."""
     anchors: Anchors | None = None
+    """Anchors of the training photographs; None draws from the standard normal."""
 
     def code(self, pixels: NDArray[np.float32], coarse: CoarseFit, plane: Plane) -> Tensor:
         """(CODE_SIZE,) latent vector of a photograph, the encoder's mean.

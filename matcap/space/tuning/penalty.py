@@ -14,36 +14,33 @@ _LOGIT_EPSILON = 1e-4  # of albedo, F0 and roughness: bounds the logit at 0 and 
 
 @dataclass(frozen=True)
 class Penalties:
-    """Weights of the penalties added to the texture distance; docs/notes/prior.md.
-
-    Attributes:
-        slope: weight of the mean squared slope.
-        steep: weight of the squared excess of slopes over `steepest`.
-        specular, roughness: weights of the variances of their logits, so that diffuse albedo is
-            preferred where it explains the photograph as well.
-        departure: weight of the squared difference of mean maps from the coarse fit, over `belief`.
-        outlier: weight of the squared excess of texels over `outlying` standard deviations, in
-            logits of diffuse albedo, F0 and roughness; the statistics do not see few of them.
-        outlying: standard deviations of a map.
-        outliers_from: share of the steps before outliers are penalised, as real features (metal
-            between rust) also begin as specks.
-        even: logits, added in quadrature to the standard deviation of a map.
-        steepest: slope; 1 is 45 degrees, the steepest that a flash photograph shows.
-        belief: logits, standard deviations of the coarse fit's diffuse albedo (3), F0 and
-            roughness, the last of which is biased by relief, which widens the highlight.
-    """
+    """Weights of the penalties added to the texture distance; docs/notes/prior.md."""
 
     slope: float = 0.005
+    """Weight of the mean squared slope."""
     specular: float = 0.02
     roughness: float = 0.01
+    """Weights of the variances of their logits, so that diffuse albedo is preferred where it
+    explains the photograph as well."""
     departure: float = 0.003
+    """Weight of the squared difference of mean maps from the coarse fit, over `belief`."""
     outlier: float = 0.05
+    """Weight of the squared excess of texels over `outlying` standard deviations, in logits of
+    diffuse albedo, F0 and roughness; the statistics do not see few of them."""
     steep: float = 0.3
+    """Weight of the squared excess of slopes over `steepest`."""
     outlying: float = 4.0
+    """Standard deviations of a map."""
     outliers_from: float = 0.5
+    """Share of the steps before outliers are penalised, as real features (metal between rust) also
+    begin as specks."""
     even: float = 0.05
+    """Logits, added in quadrature to the standard deviation of a map."""
     steepest: float = 1.0
+    """Slope; 1 is 45 degrees, the steepest that a flash photograph shows."""
     belief: tuple[float, float, float, float, float] = (0.4, 0.4, 0.4, 0.6, 2.0)
+    """Logits, standard deviations of the coarse fit's diffuse albedo (3), F0 and roughness, the
+    last of which is biased by relief, which widens the highlight."""
 
 
 def price(maps: MapSet, expected: Tensor | None, weights: Penalties, share: float) -> Tensor:

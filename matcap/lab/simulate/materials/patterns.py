@@ -28,29 +28,26 @@ from matcap.lab.simulate.procedural import (
 
 @dataclass(frozen=True)
 class PatternShape:
-    """The parameters that all patterns share; each uses what it can.
-
-    Attributes:
-        scale: size of a feature in plane units.
-        fine: size of the finest detail in plane units.
-        slope: amplitude is f^-slope.
-        stretch: how much longer features are along the grain than across it.
-        angle: of the grain, radians anticlockwise from x.
-        sharpness: 0 for soft masks to 1 for hard ones.
-        share: approximate coverage of the mask, 0 to 1.
-        irregularity: 0 for a perfect lattice to 1.
-        variant: form of the pattern, 0, 1 or 2.
-    """
+    """The parameters that all patterns share; each uses what it can."""
 
     scale: float
+    """Size of a feature in plane units."""
     fine: float
+    """Size of the finest detail in plane units."""
     slope: float
+    """Amplitude is f^-slope."""
     stretch: float
+    """How much longer features are along the grain than across it."""
     angle: float
+    """Angle of the grain, radians anticlockwise from x."""
     sharpness: float
+    """0 for soft masks to 1 for hard ones."""
     share: float
+    """Approximate coverage of the mask, 0 to 1."""
     irregularity: float
+    """0 for a perfect lattice to 1."""
     variant: int
+    """Form of the pattern, 0, 1 or 2."""
 
     @property
     def spectrum(self) -> Spectrum:

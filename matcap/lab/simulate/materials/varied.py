@@ -45,49 +45,43 @@ class Finish:
 
 @dataclass(frozen=True)
 class Layer:
-    """A pattern of two finishes.
-
-    Attributes:
-        pattern: a key of PATTERNS.
-        shape: its parameters.
-        first, second: finishes where the pattern's mask is 0 and 1.
-        depth: plane units per unit of the pattern's relief.
-        grain: spectrum of the fine variation.
-        tone: standard deviation of the logarithm of albedo by grain.
-        wear: standard deviation of roughness by grain.
-        grain_depth: standard deviation of the grain's height, plane units.
-    """
+    """A pattern of two finishes."""
 
     pattern: str
+    """A key of PATTERNS."""
     shape: PatternShape
+    """Parameters of the pattern."""
     first: Finish
     second: Finish
+    """Finishes where the pattern's mask is 0 and 1."""
     depth: float
+    """Plane units per unit of the pattern's relief."""
     grain: Spectrum
+    """Spectrum of the fine variation."""
     tone: float
+    """Standard deviation of the logarithm of albedo by grain."""
     wear: float
+    """Standard deviation of roughness by grain."""
     grain_depth: float
+    """Standard deviation of the grain's height, plane units."""
 
 
 @dataclass(frozen=True)
 class RandomMaterial:
-    """One material of the stream.
-
-    Attributes:
-        base: the lower layer.
-        cover: the upper one, or None.
-        patches: spectrum of the noise whose threshold is the cover's mask.
-        covered: threshold; the cover lies where the noise is larger.
-        edge: width of the transition, in standard deviations of the noise.
-        thickness: of the upper layer, plane units.
-    """
+    """One material of the stream."""
 
     base: Layer
+    """The lower layer."""
     cover: Layer | None
+    """The upper one, or None."""
     patches: Spectrum
+    """Spectrum of the noise whose threshold is the cover's mask."""
     covered: float
+    """Threshold; the cover lies where the noise is larger."""
     edge: float
+    """Width of the transition, in standard deviations of the noise."""
     thickness: float
+    """Thickness of the upper layer, plane units."""
 
     @property
     def is_held_out(self) -> bool:

@@ -22,18 +22,15 @@ from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise,
 
 @dataclass(frozen=True)
 class _Bricks:
-    """Brick of each texel, and coordinates within it in units of the brick's width.
-
-    Attributes:
-        name: two (H, W) integers that identify the brick.
-        along, across: (H, W) coordinates from the brick's first corner.
-        length: of a brick; its width is 1.
-    """
+    """Brick of each texel, and coordinates within it in units of the brick's width."""
 
     name: tuple[Integers, Integers]
+    """Two (H, W) integers that identify the brick."""
     along: Raster
     across: Raster
+    """(H, W) coordinates from the brick's first corner."""
     length: Raster | float
+    """Length of a brick, whose width is 1."""
 
 
 def bond(canvas: Canvas, rng: Draws) -> SurfaceFields:

@@ -26,21 +26,18 @@ _EDGE = 0.0025
 
 @dataclass(frozen=True)
 class SurfaceFields:
-    """Fields of one realisation; each broadcasts to (H, W), diffuse to (3, H, W).
-
-    Attributes:
-        diffuse: albedo, linear Rec.709.
-        specular: F0; (3, H, W), linear Rec.709, where it has a colour.
-        roughness: perceptual.
-        height: of any scale; the finish scales it to a slope.
-        cavity: 0 on tops to 1 in grooves.
-    """
+    """Fields of one realisation; each broadcasts to (H, W), diffuse to (3, H, W)."""
 
     diffuse: Raster
+    """Albedo, linear Rec.709."""
     specular: Raster | float
+    """F0; (3, H, W), linear Rec.709, where it has a colour."""
     roughness: Raster | float
+    """Perceptual roughness."""
     height: Raster
+    """Height in any unit; the finish scales it to a slope."""
     cavity: Raster
+    """0 on tops to 1 in grooves."""
 
 
 # (canvas, parameters) to a realisation.
@@ -49,19 +46,16 @@ SurfaceFunction = Callable[[Canvas, Draws], SurfaceFields]
 
 @dataclass(frozen=True)
 class Kind:
-    """A family of materials.
-
-    Attributes:
-        surface: realises one of them.
-        slopes: range of the relief's root mean square slope.
-        grain: range of the fine grain's root mean square slope.
-        darkest: least diffuse albedo.
-    """
+    """A family of materials."""
 
     surface: SurfaceFunction
+    """Realises one of them."""
     slopes: tuple[float, float]
+    """Range of the relief's root mean square slope."""
     grain: tuple[float, float] = (0.004, 0.06)
+    """Range of the fine grain's root mean square slope."""
     darkest: float = _ALBEDO[0]
+    """Least diffuse albedo."""
 
 
 def finish(canvas: Canvas, kind: Kind, depth: float, rng: Draws) -> tuple[MapSet, Raster]:
