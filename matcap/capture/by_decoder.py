@@ -70,18 +70,18 @@ def capture_by_decoder(
         most = None if effort.steps else 1
         target, joined = photograph_target(rectified, others, settings, method, most)
         drawing = None if estimate is None else Drawing(estimate.example)
-        if drawing is not None:  # it has the lattice, at phases of its own
+        if drawing is not None:  # it shows the lattice already, with the exemplar's phases
             target = replace(target, waves=())
-        own = self_difference(target.windows, target.weights)
+        window_distance = self_difference(target.windows, target.weights)
         tune = TuneSettings(
             steps=effort.steps,
-            target=_target(settings, own, photo.name),
+            target=_target(settings, window_distance, photo.name),
             places=effort.places,
             seed=settings.seed,
         )
     start = _start(rectified, settings, target, tune, clock)
     target = replace(target, drawing=drawing)
-    decoder, tuned = _tuned_decoder(rectified, start, target, tune, clock, own)
+    decoder, tuned = _tuned_decoder(rectified, start, target, tune, clock, window_distance)
     about = provenance(rectified, settings, effort, joined)
     material = decoder.material(photo.stem, coarse.setup, about)
     if tuned.history and effort.matched:
@@ -94,8 +94,8 @@ def capture_by_decoder(
         with postponed() as stopped:
             estimate = estimated(CaptureClock(None))
         clock.interrupted |= stopped()
-    went = Tuning(tuned.history, own, drawing is not None)
-    if photo.turned:  # all above is as the photograph lies
+    went = Tuning(tuned.history, window_distance, drawing is not None)
+    if photo.turned:  # all above is in landscape format
         material = _upright(material)
         estimate = estimate and estimate.upright(rectified.waves)
     return judged(rectified, material, settings, clock, estimate, went)
@@ -128,9 +128,12 @@ def _tuned_decoder(
     target: PhotographTarget,
     tune: TuneSettings,
     clock: CaptureClock,
-    own: float,
+    window_distance: float,
 ) -> tuple[TunedDecoder, Tuned]:
-    """Fine-tune a decoder, to a drawing if the target has one; `own` is the error that is one."""
+    """Fine-tune a decoder, with a drawing among its inputs if the target has one.
+
+    `window_distance` is the unit of the errors that the clock reports.
+    """
     decoder, rate = start.decoder, start.rate
     if target.drawing is not None:
         decoder, rate = with_drawing(decoder), RATE_WITH_DRAWING
@@ -138,7 +141,7 @@ def _tuned_decoder(
         limit = clock.left_for("fine-tuning")
         seconds = limit if math.isfinite(limit) else None
         tune = replace(tune, seconds=seconds, learning_rate=rate)
-        ahead = Forecaster(own)
+        ahead = Forecaster(window_distance)
         tuned = finetune(
             decoder,
             start.code,
@@ -161,16 +164,20 @@ def _upright(material: Material) -> Material:
     return tuned.material(material.name, setup, material.provenance)
 
 
-def _target(settings: CaptureSettings, own: float, name: str) -> float | None:
-    """Loss at which fine-tuning ends: settings.target times `own`; None without a target.
+def _target(settings: CaptureSettings, window_distance: float, name: str) -> float | None:
+    """Loss at which fine-tuning ends: settings.target times `window_distance`, or None.
 
-    `own` is the texture distance between neighbouring windows of the photograph, NaN if it is too
-    small for two. Raises MatcapError then.
+    Args:
+        window_distance: texture distance between neighbouring windows of the photograph; NaN if it
+            is too small for two.
+
+    Raises:
+        MatcapError: there is a target and `window_distance` is NaN.
     """
-    if settings.target is not None and math.isnan(own):
+    if settings.target is not None and math.isnan(window_distance):
         raise MatcapError.at(
             name,
             "the picture is too small to be compared with itself",
             "raise --detail, or give --steps or --time in place of --target",
         )
-    return None if settings.target is None else settings.target * own
+    return None if settings.target is None else settings.target * window_distance

@@ -171,8 +171,9 @@ class CaptureSettings(CheckedSettings):
     """Generator of the material: the maps of the photographed rectangle, rearranged (example), or
     the paper's network, fine-tuned (decoder)."""
     drawing: bool = setting(True)
-    """With the decoder: let it read a drawing, the pattern of the rearranged exemplar, which the
-    material then contains; without, it reads noise alone, as in the paper."""
+    """With the decoder: add log luminance and relief of the rearranged exemplar to its inputs, so
+    that the material has the photograph's pattern; without, its input is noise alone, as in the
+    paper."""
     union: bool = setting(False)
     """With several photographs of one sample: estimate maps of all that they show, not only of the
     first one's rectangle."""

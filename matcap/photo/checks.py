@@ -237,7 +237,7 @@ _TABLE = (
     QualityCheck(
         "connectivity", "mean cluster size of dark texels over that of bright ones, re-rendered "
         "over photographed", "times", (3.0, 8.0, 50.0),
-        "{which} lines hang together {value:.2g} times {more_or_less} than in the photograph",
+        "{which} lines are {value:.2g} times {more_or_less} connected than in the photograph",
         "cells or lines are broken, which decoders cannot draw and small patches cut",
         "capture with --generator example, or synthesise with a lower --variety", factor=True,
     ),

@@ -46,7 +46,7 @@ def convergence(pixels: Grey) -> Tensor:
     slope, estimates = np.zeros(2), []
     for oriented, blurs in enumerate(_BLURS):
         for blur in blurs:
-            step, std = _step(_warped(texture, slope), bool(oriented), blur)
+            step, std = _gauss_newton_step(_warped(texture, slope), bool(oriented), blur)
             slope = (slope + step).clip(-_MOST, _MOST)
         estimates.append([*slope, *std])
     return torch.tensor(estimates, dtype=torch.float32)
@@ -81,38 +81,55 @@ def _places(
     return (2 * column + 1 - width) / width, (height - 1 - 2 * row) / width
 
 
-def _step(
+def _gauss_newton_step(
     texture: Grey, oriented: bool, blur: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """One step of least squares: the slopes' change and standard deviation."""
+    """Least-squares change of the slopes, and its standard deviation.
+
+    Args:
+        texture: picture warped by the present slopes.
+        oriented: leave the local orientation of each window free.
+        blur: standard deviation of the spectra's blur, frequency bins.
+    """
+    power, centres = _window_spectra(texture, blur)
+    side = power.shape[-1]
+    k = np.fft.fftshift(np.fft.fftfreq(side))
+    kx, ky = np.broadcast_arrays(k, -k[:, None])
+    radius = np.hypot(kx, ky)
+    half_plane = (kx > 0) | ((kx == 0) & (ky > 0))  # a real picture's spectrum is symmetric
+    band = (radius >= _LONGEST / side) & (radius < _SHORTEST) & half_plane
+    mean = np.log(power.mean(axis=0))
+    down, right = np.gradient(mean)
+    gx, gy, kx, ky = side * right[band], -side * down[band], kx[band], ky[band]
+    # d log S / dt_x = x change[0] + y change[1], d log S / dt_y = x change[2] + y change[3]
+    radial = gx * kx + gy * ky
+    change = np.stack([radial + gx * kx, gx * ky, gy * kx, radial + gy * ky]).astype(np.float32)
+    residual = np.log(power[:, band]) - mean[band]
+    # What is free in each window is projected out of both sides of the equations.
+    free = _free(kx, ky, side, oriented)
+    change -= change @ free @ free.T
+    residual = (residual - residual @ free @ free.T).clip(-2.0, 2.0)
+    products = (change @ change.T).reshape(2, 2, 2, 2)
+    normal = np.einsum("wa,taub,wb->wtu", centres, products, centres)  # by window w
+    gradient = np.einsum("wa,wta->wt", centres, (residual @ change.T).reshape(-1, 2, 2))
+    inverse = np.linalg.inv(normal.sum(axis=0) + 1e-3 * np.eye(2))
+    step = inverse @ gradient.sum(axis=0)
+    # Covariance from the scatter of windows, doubled as those that overlap by half count twice.
+    scatter = gradient - normal @ step
+    covariance = inverse @ (2.0 * scatter.T @ scatter) @ inverse + 1e-4 * inverse
+    return step, np.sqrt(np.diagonal(covariance))
+
+
+def _window_spectra(texture: Grey, blur: float) -> tuple[Grey, NDArray[np.float64]]:
+    """(windows, side, side) periodograms, and the windows' centres (windows, 2), plane units."""
     height, width = texture.shape
     side = min(width // _WINDOWS, height) // 2 * 2
     corners = np.mgrid[0 : height - side + 1 : side // 2, 0 : width - side + 1 : side // 2]
     rows, columns = corners.reshape(2, -1)
     corner = zip(rows, columns, strict=True)
     power = _periodograms(np.stack([texture[y : y + side, x : x + side] for y, x in corner]), blur)
-    k = np.fft.fftshift(np.fft.fftfreq(side))
-    kx, ky = np.broadcast_arrays(k, -k[:, None])
-    radius = np.hypot(kx, ky)
-    kept = (radius >= _LONGEST / side) & (radius < _SHORTEST) & ((kx > 0) | ((kx == 0) & (ky > 0)))
-    mean = np.log(power.mean(axis=0))
-    down, right = np.gradient(mean)
-    gx, gy, kx, ky = side * right[kept], -side * down[kept], kx[kept], ky[kept]
-    free = _free(kx, ky, side, oriented)
-    # d log S / dt_x = x change[0] + y change[1], d log S / dt_y = x change[2] + y change[3]
-    scale = gx * kx + gy * ky
-    change = np.stack([scale + gx * kx, gx * ky, gy * kx, scale + gy * ky]).astype(np.float32)
-    change -= change @ free @ free.T
-    left = np.log(power[:, kept]) - mean[kept]
-    left = (left - left @ free @ free.T).clip(-2.0, 2.0)
-    place = np.stack(_places(columns + (side - 1) / 2, rows + (side - 1) / 2, height, width), 1)
-    gain = np.einsum("wa,taub,wb->wtu", place, (change @ change.T).reshape(2, 2, 2, 2), place)
-    push = np.einsum("wa,wta->wt", place, (left @ change.T).reshape(-1, 2, 2))
-    inverse = np.linalg.inv(gain.sum(axis=0) + 1e-3 * np.eye(2))
-    step = inverse @ push.sum(axis=0)
-    rest = push - gain @ step  # windows that overlap by half count twice
-    covariance = inverse @ (2.0 * rest.T @ rest) @ inverse + 1e-4 * inverse
-    return step, np.sqrt(np.diagonal(covariance))
+    middle = (side - 1) / 2
+    return power, np.stack(_places(columns + middle, rows + middle, height, width), 1)
 
 
 def _periodograms(windows: Grey, blur: float) -> Grey:

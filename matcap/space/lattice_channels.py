@@ -88,44 +88,49 @@ def cell_field(patch: Patch, waves: tuple[Wave, ...], channels: int) -> Tensor:
     scale = 2**patch.level
     if not waves or any(max(abs(w.fx), abs(w.fy)) * scale > _FINEST for w in waves):
         return torch.zeros(channels, *patch.shape, device=patch.device)
-    columns, rows = (
-        [coordinate * scale for coordinate in line.tolist()] for line in patch.places("cpu")
-    )
-    start = keys(wrap64(patch.seed ^ _PHASES), 2).tolist()
-    counts, repeats = [], []
-    for wave, begin in zip(waves, start, strict=False):
-        step_x, step_y = (
-            turns_per_texel(f, p) for f, p in zip((wave.fx, wave.fy), patch.along, strict=True)
-        )
-        offset = begin + (step_x + step_y) * (scale - 1) // 2  # to the texel's centre
-        counts.append(
-            whole_turns([step_x * c + offset for c in columns], [step_y * r for r in rows])
-        )
-        repeats.append(
-            [
-                0 if p is None else round(f * p)
-                for f, p in zip((wave.fx, wave.fy), patch.along, strict=True)
-            ]
-        )
-    if len(waves) == 1:
-        counts.append(np.zeros_like(counts[0]))
-        repeats.append([0, 0])
-    first, second = counts
-    (one_x, one_y), (other_x, other_y) = repeats
+    first, second = _cell_numbers(patch, waves)
+    period_x, period_y = patch.along
+    repeat_x = _turns_of_two([wave.fx for wave in waves], period_x)
+    repeat_y = _turns_of_two([wave.fy for wave in waves], period_y)
 
-    def drawn(first: Integers, second: Integers) -> Tensor:
-        cells = same_cells(first, second, (one_x, other_x), (one_y, other_y))
+    def noise_of_cells(first: Integers, second: Integers) -> Tensor:
+        cells = same_cells(first, second, repeat_x, repeat_y)
         seed = wrap64(patch.seed ^ _CELLS)
         return noise_at(seed, channels, *(torch.from_numpy(numbers) for numbers in cells))
 
     left, top = int(first.min()), int(second.min())
     wide, high = int(first.max()) + 1 - left, int(second.max()) + 1 - top
     if wide * high > first.size:  # the patch spans the border of the period
-        return drawn(first, second).to(patch.device)
+        return noise_of_cells(first, second).to(patch.device)
     # There are fewer cells than texels: draw once a cell, then index.
-    table = drawn(*np.broadcast_arrays(*np.ogrid[left : left + wide, top : top + high]))
+    numbers = np.ogrid[left : left + wide, top : top + high]
+    table = noise_of_cells(*np.broadcast_arrays(*numbers))
     index = torch.from_numpy((first - left) * high + (second - top))
     return table.flatten(1)[:, index.flatten()].unflatten(1, index.shape).to(patch.device)
+
+
+def _cell_numbers(patch: Patch, waves: tuple[Wave, ...]) -> tuple[Integers, Integers]:
+    """(height, width) whole turns of the first and of the second wave; 0 of an absent one."""
+    scale = 2**patch.level
+    columns, rows = (
+        [coordinate * scale for coordinate in line.tolist()] for line in patch.places("cpu")
+    )
+    period_x, period_y = patch.along
+    start = keys(wrap64(patch.seed ^ _PHASES), 2).tolist()
+    turns = []
+    for wave, begin in zip(waves, start, strict=False):
+        step_x, step_y = turns_per_texel(wave.fx, period_x), turns_per_texel(wave.fy, period_y)
+        offset = begin + (step_x + step_y) * (scale - 1) // 2  # to the texel's centre
+        turns.append(
+            whole_turns([step_x * c + offset for c in columns], [step_y * r for r in rows])
+        )
+    return turns[0], turns[1] if len(turns) > 1 else np.zeros_like(turns[0])
+
+
+def _turns_of_two(frequencies: list[float], period: int | None) -> tuple[int, int]:
+    """Whole turns of two waves in a period along an axis; 0 without one or of an absent wave."""
+    turns = [0 if period is None else round(frequency * period) for frequency in frequencies]
+    return turns[0], turns[1] if len(turns) > 1 else 0
 
 
 def _harmonics(waves: tuple[Wave, ...]) -> list[tuple[tuple[int, ...], float, float]]:

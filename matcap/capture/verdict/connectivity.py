@@ -1,4 +1,4 @@
-"""Connectivity: whether the lines of a pattern are the dark or the bright ones, and hang together.
+"""Connectivity: whether the dark or the bright lines of a pattern form connected nets.
 
 Leather is bright cells in a dark net; broken into spots, the net has the same contrast, spectrum
 and neighbouring texels. In windows of a band of log luminance, a phase is the SHARE of texels that

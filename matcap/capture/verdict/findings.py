@@ -120,10 +120,10 @@ def _contrast(seen: Measurements, more: str) -> Finding:
 
 
 def _connectivity(seen: Measurements) -> Finding:
-    """Finding on how the pattern's dark or bright lines hang together."""
+    """Finding on how well the pattern's dark or bright lines are connected."""
     check = CHECKS["connectivity"]
     if seen.connectivity is None:
-        return check.not_judged("the picture is too small to compare how its lines hang together")
+        return check.not_judged("the picture is too small to compare how its lines are connected")
     before, after = seen.connectivity
     which, change = ("dark", after - before) if before > 0.0 else ("bright", before - after)
     more_or_less = "more" if change > 0.0 else "less"

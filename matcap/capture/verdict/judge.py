@@ -62,7 +62,7 @@ class CaptureVerdict:
         remedy = worst.remedy or more_photographs(self.photographs)
         if worst.cause:
             return f"Likely cause: {worst.cause}", remedy
-        return "Cause unknown: the photograph shows none", remedy
+        return "Cause unknown: no check of the photograph explains it", remedy
 
     def document(self) -> dict[str, Any]:
         """JSON (report.py describes the keys)."""

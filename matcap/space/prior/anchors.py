@@ -94,6 +94,6 @@ class Anchors:
         return self[index].near(spread, generator)
 
 
-def nowhere() -> Anchor:
-    """The origin, without a lattice."""
+def origin() -> Anchor:
+    """The origin of the prior's space, without a lattice."""
     return Anchor(torch.zeros(CODE_SIZE), torch.zeros(VARYING), ())

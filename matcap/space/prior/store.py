@@ -34,7 +34,7 @@ from matcap.space.decoder import CODE_SIZE, Decoder
 from matcap.space.encoder import BACKBONES, Encoder, EncoderConfig
 from matcap.space.freeze import freeze
 from matcap.space.picture import picture
-from matcap.space.prior.anchors import Anchor, Anchors, ConditionalMean, nowhere
+from matcap.space.prior.anchors import Anchor, Anchors, ConditionalMean, origin
 from matcap.space.prior.base import VARYING, base_of, fold
 from matcap.space.prior.encoder_input import describe_windows, numbers, texture
 from matcap.space.stored import config_document, decoder_config, empty_decoder
@@ -129,7 +129,7 @@ class Prior:
         elif self.anchors is not None:
             anchor = self.anchors.draw(spread, generator)
         else:
-            anchor = nowhere().near(1.0, generator)
+            anchor = origin().near(1.0, generator)
         return self.material(f"{name}_{seed}", anchor, {"drawn": seed, "spread": spread})
 
     def material(self, name: str, anchor: Anchor, provenance: Mapping[str, Any]) -> Material:

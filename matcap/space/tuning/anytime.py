@@ -67,11 +67,11 @@ class Forecaster:
     """Error and forecast of fine-tuning, in multiples of the photograph's self-difference.
 
     Args:
-        own: the self-difference, or NaN, with which errors are None.
+        self_difference: of the photograph; NaN makes errors None.
     """
 
-    def __init__(self, own: float) -> None:
-        self._own = own
+    def __init__(self, self_difference: float) -> None:
+        self._self_difference = self_difference
         self._history: list[tuple[float, int, float]] = []
         self._ahead: float | None = None
 
@@ -83,4 +83,6 @@ class Forecaster:
         return self._scaled(error), self._scaled(self._ahead)
 
     def _scaled(self, error: float | None) -> float | None:
-        return error / self._own if error is not None and self._own > 0.0 else None
+        if error is None or not self._self_difference > 0.0:
+            return None
+        return error / self._self_difference

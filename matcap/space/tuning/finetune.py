@@ -28,7 +28,7 @@ from matcap.space.noise import wrap64
 from matcap.space.patch import Patch
 from matcap.space.random_field import RandomField, lattice_levels, noise_of
 from matcap.space.tuning.likeness import PhotographTarget, compare_windows, render_windows, shuffled
-from matcap.space.tuning.penalty import Penalties, price
+from matcap.space.tuning.penalty import Penalties, map_penalty
 from matcap.space.tuning.renormalise import Renormalisation
 from matcap.space.tuning.rollback import Rollback
 from matcap.space.tuning.schedule import Schedule
@@ -120,7 +120,7 @@ def finetune(
             maps = decode_window(decoder.config, decode, scene, seed, lesson, half_precision=half)
             rendered = render_windows(maps, scene, places, schedule.step)
             loss = compare_windows(rendered, scene, places, half_precision=half)
-            penalty = price(maps, scene.expected, settings.penalties, schedule.share)
+            penalty = map_penalty(maps, scene.expected, settings.penalties, schedule.share)
             if lesson is not None:
                 penalty = penalty + lesson.loss(maps)
             taken = rollback.take(loss, penalty, schedule.pace)

@@ -23,7 +23,7 @@ class Penalties:
     """Weights of the variances of their logits, so that diffuse albedo is preferred where it
     explains the photograph as well."""
     departure: float = 0.003
-    """Weight of the squared difference of mean maps from the coarse fit, over `belief`."""
+    """Weight of the squared difference of mean maps from the coarse fit, over `fit_deviation`."""
     outlier: float = 0.05
     """Weight of the squared excess of texels over `outlying` standard deviations, in logits of
     diffuse albedo, F0 and roughness; the statistics do not see few of them."""
@@ -38,12 +38,12 @@ class Penalties:
     """Logits, added in quadrature to the standard deviation of a map."""
     steepest: float = 1.0
     """Slope; 1 is 45 degrees, the steepest that a flash photograph shows."""
-    belief: tuple[float, float, float, float, float] = (0.4, 0.4, 0.4, 0.6, 2.0)
-    """Logits, standard deviations of the coarse fit's diffuse albedo (3), F0 and roughness, the
-    last of which is biased by relief, which widens the highlight."""
+    fit_deviation: tuple[float, float, float, float, float] = (0.4, 0.4, 0.4, 0.6, 2.0)
+    """Standard deviations of the coarse fit's logits of diffuse albedo (3), F0 and roughness; the
+    last is large because relief widens the highlight, which biases roughness."""
 
 
-def price(maps: MapSet, expected: Tensor | None, weights: Penalties, share: float) -> Tensor:
+def map_penalty(maps: MapSet, expected: Tensor | None, weights: Penalties, share: float) -> Tensor:
     """Penalty of maps (B, ., H, W), a differentiable scalar.
 
     Args:
@@ -82,4 +82,4 @@ def _departure(maps: MapSet, expected: Tensor, weights: Penalties) -> Tensor:
     # The fit is to a blurred photograph, so it estimates means of maps, not of logits.
     linear = torch.cat([maps.diffuse, maps.specular, maps.roughness], dim=1)
     means = torch.logit(linear.mean(dim=(0, 2, 3)), eps=_LOGIT_EPSILON)
-    return ((means - expected) / expected.new_tensor(weights.belief)).square().sum()
+    return ((means - expected) / expected.new_tensor(weights.fit_deviation)).square().sum()

@@ -206,8 +206,8 @@ def test_lines_that_break_or_appear_are_told_by_what_they_are():
         named(replace(FINE, connectivity=pair))["connectivity"].says
         for pair in ((3.5, 0.2), (-0.5, -3.0))
     )
-    assert broken == "dark lines hang together 27 times less than in the photograph"
-    assert grown == "bright lines hang together 12 times more than in the photograph"
+    assert broken == "dark lines are 27 times less connected than in the photograph"
+    assert grown == "bright lines are 12 times more connected than in the photograph"
 
 
 def test_a_cause_that_explains_another_fault_is_not_told_of_this_one():

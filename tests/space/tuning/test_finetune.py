@@ -17,7 +17,7 @@ from matcap.space.decoder import DEPTH, maps_from_raw
 from matcap.space.freeze import fold
 from matcap.space.patch import Patch
 from matcap.space.random_field import random_field
-from matcap.space.tuning.penalty import Penalties, price
+from matcap.space.tuning.penalty import Penalties, map_penalty
 from matcap.space.tuning.rollback import Rollback
 from matcap.statistics.compare import Weights, describe, distance
 
@@ -183,7 +183,7 @@ def test_gloss_that_varies_for_nothing_is_paid_for():
 
     def paid(specular, roughness, wanted=None):
         maps = MapSet(diffuse, specular, roughness, 0.0 * even, 0.01)
-        return float(price(maps, wanted, Penalties(), 0.0))
+        return float(map_penalty(maps, wanted, Penalties(), 0.0))
 
     flat = paid(even, even)
     assert paid(uneven, even) > flat and paid(even, uneven) > flat
@@ -201,7 +201,7 @@ def test_specks_are_paid_for_in_the_second_half_and_patches_never():
         specular = torch.where(metal, 0.7, 0.04)[None, None].requires_grad_(True)
         flat = torch.full((1, 1, 64, 64), 0.3)
         maps = MapSet(everywhere, specular, flat, 0.0 * flat, 0.01)
-        penalty = price(maps, None, weights, share)
+        penalty = map_penalty(maps, None, weights, share)
         (gradient,) = torch.autograd.grad(penalty, specular, allow_unused=True)
         assert gradient is None or torch.isfinite(gradient).all()
         return float(penalty.detach())
@@ -223,6 +223,6 @@ def test_a_coloured_f0_pays_what_its_mean_does(share):
     draw = torch.rand(2, 6, 16, 24, generator=torch.Generator().manual_seed(1)) * 0.5 + 0.2
     grey = MapSet.from_stacked(draw, 0.1)
     coloured = replace(grey, specular=grey.specular * COPPER / COPPER.mean())
-    paid, owed = (price(m, torch.zeros(5), Penalties(), share) for m in (coloured, grey))
+    paid, owed = (map_penalty(m, torch.zeros(5), Penalties(), share) for m in (coloured, grey))
     assert float(paid) == pytest.approx(float(owed), rel=1e-5)
     assert float(paid) > 0.0
