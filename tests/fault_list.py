@@ -365,7 +365,7 @@ FAULTS = (
     Fault("equalise: whatever the photograph says", "capture _wanted", "strengths is None", "True",
           "capture/piece/test_equalise.py -k sure"),
     Fault("equalise: however uncertain it is", "capture.piece.strengths posterior_energies",
-          "deviation[:, None] + _LEAST_ENERGY", "_LEAST_ENERGY",
+          "deviation[:, None] + _LEAST_SLOPE**2", "_LEAST_ENERGY",
           "capture/piece/test_equalise.py -k sure"),
     Fault("equalise: weaker for stronger", "capture equalise", "wanted / here", "here / wanted",
           "capture/piece/test_equalise.py -k sure"),

@@ -18,6 +18,9 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.capture.piece.network.inputs import MOST_RESIDUAL
+from matcap.capture.piece.noise import DARKEST
+from matcap.capture.piece.smooth import COARSER
 from matcap.capture.settings import DETAIL
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import plane_points
@@ -34,14 +37,11 @@ UNION_TIMES = 4  # largest exemplar of several photographs, in texels of the fir
 
 # Detection of coarse textures; docs/notes/capture.md.
 
-# Standard deviations, texels, of the Gaussian blurs that separate the bands.
-_SCALES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+_OCTAVES = 6  # number of bands, separated by Gaussian blurs of 1, 2, 4 ... texels
 # Share of variance in the last band (wavelengths of 100 to 200 texels) above which a texture is
 # coarse.
 _MOST_COARSE = 0.08
 _MOST_REGULAR = 0.5  # share of the power on a lattice from which no other is looked for
-_FAINTEST = 1e-4  # linear radiance below which the logarithm is clamped
-_STRONGEST = 3.0  # log radiance: differences from the median are clamped to +-this
 
 
 def coarse_share(linear: Tensor, valid: Tensor) -> float:
@@ -56,11 +56,11 @@ def coarse_share(linear: Tensor, valid: Tensor) -> float:
     seen = valid.numpy().astype(np.float32)
     if not seen.any():
         return 0.0
-    log = np.log(np.maximum(linear.mean(0).numpy(), _FAINTEST))
+    log = np.log(np.maximum(linear.mean(0).numpy(), DARKEST))
     middle = float(np.median(log[seen > 0.0]))
-    finer = (log - middle).clip(-_STRONGEST, _STRONGEST)
+    finer = (log - middle).clip(-MOST_RESIDUAL, MOST_RESIDUAL)
     variances = []
-    for scale in _SCALES:
+    for scale in (2.0**octave for octave in range(_OCTAVES)):
         # The last blur removed all detail finer than half this scale: from 2 texels on, half as
         # many samples suffice.
         if scale > 2.0:
@@ -149,9 +149,6 @@ class Rectified:
         return replace(self, whole=self.network_input, waves=self.input_waves)
 
 
-_THIN = 8  # subsampling, texels, of the uniform material's radiance, which is smooth
-
-
 @torch.no_grad()
 def lit_mirror(plane: Plane, uniform: Uniform) -> Plane:
     """Fill masked texels by mirrored ones, times the ratio of the uniform material's radiance.
@@ -166,7 +163,7 @@ def lit_mirror(plane: Plane, uniform: Uniform) -> Plane:
         return plane
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    size = [max(2, -(-side // _THIN)) for side in (height, width)]
+    size = [max(2, -(-side // COARSER)) for side in (height, width)]
     thin = F.interpolate(points[None], size=size, mode="bilinear", align_corners=True)[0]
     radiance = uniform_radiance(uniform, FlashLight.of(uniform.setup, thin))[0]
     flat = F.interpolate(radiance[None], size=[height, width], mode="bilinear", align_corners=True)[

@@ -20,18 +20,16 @@ SURROUNDINGS = (0.5, 0.7)  # plane units from the centre: outside most highlight
 
 # Settings of the detection of the highlight; docs/notes/capture.md.
 
-# Standard deviation of the blur that removes glints for the first centre, plane units.
-_SEED_BLUR = 0.04
-_RING = 0.02  # width of a ring, plane units
-_WIDEST = 0.5  # largest half width, plane units; wider is the flash's falloff
+_RING = 0.02  # width of a ring, plane units; glints are blurred by twice it for the first centre
 FAINTEST_HIGHLIGHT = 1.3  # least peak over the quantile _USUAL of the surroundings
 # Quantile of the surroundings that a peak is compared with; high, so that a white square of a
 # plaid is no highlight.
 _USUAL = 0.9
 _TOP = 0.3  # share of the peak's height, from the top, whose centroid is the centre
 _ROUNDS = 8  # iterations of the centre
-# Standard deviations of blurs, plane units, tried until the spot is the only bright one.
-_TEXTURES = (0.0, 0.015, 0.03, 0.06, 0.12)
+# Standard deviation of the first of the blurs, each twice the last, that are tried until the spot
+# is the only bright one; and their number.
+_TEXTURE, _BLURS = 0.015, 4
 # Share of a spot's height, and area elsewhere above it, over the spot's own, from which the spot is
 # texture. A flake of bare metal in the wide highlight of rust is alone at half of its height.
 _OTHERS = ((0.5, 0.25), (0.25, 2.5))
@@ -75,7 +73,7 @@ def find_highlight(light: Luminance) -> Highlight | None:
     """
     cell = 2.0 / light.shape[1]
     spot = None
-    for texture in _TEXTURES:
+    for texture in (0.0, *(_TEXTURE * 2.0**k for k in range(_BLURS))):
         blurred = _blur(light, texture / cell) if texture else light
         spot = _brightest(blurred)
         if spot is None or all(_others(blurred, spot, at) < most for at, most in _OTHERS):
@@ -125,7 +123,7 @@ def _brightest(light: Luminance) -> Highlight | None:
     width = light.shape[1]
     cell = 2.0 / width
     u, v = (c.ravel() for c in _coordinates(light))
-    smooth = _blur(light, _SEED_BLUR / cell)
+    smooth = _blur(light, 2.0 * _RING / cell)
     row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)
     centre, reach = np.array([u[column], v[row]]), 2.0 * _RING
     for _ in range(_ROUNDS):
@@ -174,7 +172,7 @@ def _profile(
     # Medians over rings, from the centre outwards.
     last_radius, last = 0.0, peak
     step = min(_RING, 0.5 * max(reach, _RING / 2.0))
-    for k in range(1, int(_WIDEST / step) + 1):
+    for k in range(1, int(SURROUNDINGS[0] / step) + 1):  # beyond, it is the flash's falloff
         radius = k * step
         inside = (distance >= radius - 0.5 * step) & (distance < radius + 0.5 * step)
         if not inside.any():

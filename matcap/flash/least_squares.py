@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-_FIRST, _LEAST, _MOST = 1e-2, 1e-6, 1e6  # damping: share of the diagonal that is added to it
+_FIRST, _LEAST = 1e-2, 1e-6  # damping: share of the diagonal that is added to it
 
 
 def minimised(
@@ -34,7 +34,7 @@ def minimised(
     for _ in range(iterations):
         normal, gradient = quadratic(parameters)
         candidate, new = parameters, math.inf
-        while not new < least and damping < _MOST:
+        while not new < least and damping * _LEAST < 1.0:
             damped = normal + damping * torch.diag(normal.diagonal())
             step = torch.linalg.solve(damped, gradient).clamp(-farthest, farthest)
             candidate = parameters - step

@@ -23,7 +23,7 @@ from matcap.brdf.metals import METAL_F0
 from matcap.brdf.parameters import ALBEDO, F0
 from matcap.example.exemplar import Exemplar
 from matcap.files.rec709 import LUMINANCE
-from matcap.flash.coarse.hypotheses import CONDUCTOR_F0
+from matcap.flash.coarse.hypotheses import CONDUCTOR_F0, DIELECTRIC_F0
 
 _LUMINANCE = np.array(LUMINANCE, np.float32)
 _LEAST = 1e-4  # of albedo and F0
@@ -34,34 +34,26 @@ class MaterialKind:
     """Log-normal prior of a material class: mean and standard deviation of natural logarithms.
 
     Attributes:
-        share: prior probability of the class.
         albedo: log mean luminance of diffuse albedo.
         specular: log mean F0.
     """
 
-    share: float
     albedo: tuple[float, float]
     specular: tuple[float, float]
 
-    def scale(self, albedo: float, specular: float) -> tuple[float, float]:
-        """(log of the most probable scale of both, log probability at that scale).
-
-        Args:
-            albedo, specular: fitted natural logarithms.
-        """
-        off = (self.albedo[0] - albedo, self.specular[0] - specular)
-        weight = (self.albedo[1] ** -2, self.specular[1] ** -2)
-        factor = (off[0] * weight[0] + off[1] * weight[1]) / sum(weight)
-        spread = math.hypot(self.albedo[1], self.specular[1])
-        return factor, math.log(self.share / spread) - 0.5 * ((off[0] - off[1]) / spread) ** 2
+    def log_likelihood(self, ratio: float) -> float:
+        """Log density of the natural logarithm of F0 over albedo, less a constant."""
+        deviation = math.hypot(self.albedo[1], self.specular[1])
+        difference = (ratio - self.specular[0] + self.albedo[0]) / deviation
+        return -math.log(deviation) - 0.5 * difference**2
 
 
 # Priors of albedo and F0 of materials; 78 map sets of artists and scanners agree with them.
 
 # A wider F0 prior of dielectrics follows the fitted flash intensity more, and makes black materials
 # grey.
-DIELECTRIC = MaterialKind(0.93, (math.log(0.15), 1.0), (math.log(0.04), 0.25))
-METAL = MaterialKind(0.07, (math.log(0.01), 1.5), CONDUCTOR_F0)
+DIELECTRIC = MaterialKind((math.log(0.15), 1.0), (DIELECTRIC_F0[0], 0.25))
+METAL = MaterialKind((math.log(0.01), 1.5), CONDUCTOR_F0)
 _BRIGHTEST = 0.95  # limit of albedo and F0 of the brightest texels
 _MOST_OF = 0.999  # quantile that defines the brightest texels
 _MOST_OF_METAL = 0.9  # the same of F0 with metal, as F0 of glints is overestimated
@@ -80,9 +72,8 @@ def how_metallic(parameters: Tensor) -> float:
         parameters: (5,) mean parameters (SurfaceParameters.vector), under any flash intensity.
     """
     luminance = float((torch.from_numpy(_LUMINANCE) * parameters[ALBEDO].exp()).sum())
-    logs = math.log(max(luminance, _LEAST)), float(parameters[F0])
-    plain, metal = (kind.scale(*logs)[1] - math.log(kind.share) for kind in (DIELECTRIC, METAL))
-    return metal - plain
+    ratio = float(parameters[F0]) - math.log(max(luminance, _LEAST))
+    return METAL.log_likelihood(ratio) - DIELECTRIC.log_likelihood(ratio)
 
 
 def most_probable_scale(exemplar: Exemplar, metal: NDArray[np.float32]) -> float:
@@ -130,7 +121,7 @@ def _metal_kind(exemplar: Exemplar, share: NDArray[np.float32]) -> MaterialKind:
     total = sum(weight for _, _, weight in candidates)
     mean = sum(level * weight for level, _, weight in candidates) / total
     variance = sum(w * (d**2 + (level - mean) ** 2) for level, d, w in candidates) / total
-    return MaterialKind(METAL.share, METAL.albedo, (mean, math.sqrt(variance)))
+    return MaterialKind(METAL.albedo, (mean, math.sqrt(variance)))
 
 
 def _logs(exemplar: Exemplar, part: NDArray[np.float32]) -> tuple[float, float]:

@@ -28,7 +28,12 @@ from torch import Tensor
 
 from matcap.brdf.parameters import ALBEDO, F0, REFLECTANCE, SurfaceParameters
 from matcap.capture.piece.absolute import DIELECTRIC, LEAST_PART, METAL, how_metallic
-from matcap.capture.piece.mean_parameters import MeanParameterPrior, RingTarget, fit_mean_parameters
+from matcap.capture.piece.mean_parameters import (
+    ROUGHNESS_DEVIATION,
+    MeanParameterPrior,
+    RingTarget,
+    fit_mean_parameters,
+)
 from matcap.capture.piece.noise import DARKEST
 from matcap.capture.piece.smooth import smoothed
 
@@ -40,10 +45,9 @@ BY_HEIGHT = 2.5
 # borders more, and the photograph less.
 _BY_NETWORK = 2.0
 _TEXELS = 128  # short side of the grid of the fit
-_ROUNDS_OF_MEANS = 20  # iterations for the threshold between two classes of a score
 _ROUNDS = 3  # iterations of fitting mean parameters and classifying texels
-# Prior standard deviations of the mean parameters (log, log, logit).
-_ALBEDO_DEVIATION, _F0_DEVIATION, _ROUGHNESS_DEVIATION = 1.5, 2.0, 0.35
+# Prior standard deviations of log albedo and log F0.
+_ALBEDO_DEVIATION, _F0_DEVIATION = 1.5, 2.0
 # Scale of a texel's residual chroma of log radiance; of the channels' mean, with relief, it is 1.
 _CHROMA_SCALE = 0.2
 # Standard deviation of the blur of log odds, in the picture's long side. Larger values round
@@ -185,9 +189,9 @@ def find_mixture(residuals: SurfaceParameters, logit: Tensor, target: RingTarget
     predicted = _pair(torch.sigmoid(drawn)).class_means(residuals)
     predicted[0, ALBEDO] = math.log(_METAL_ALBEDO) - target.surface.vector()[ALBEDO]
     theta = predicted
-    deviation = torch.tensor(
-        [*[_ALBEDO_DEVIATION] * 3, _F0_DEVIATION, _ROUGHNESS_DEVIATION]
-    ).repeat(2, 1)
+    deviation = torch.tensor([*[_ALBEDO_DEVIATION] * 3, _F0_DEVIATION, ROUGHNESS_DEVIATION]).repeat(
+        2, 1
+    )
     deviation[0, ALBEDO] = _METAL_ALBEDO_DEVIATION
     prior = MeanParameterPrior(
         predicted,
@@ -213,12 +217,12 @@ def find_mixture(residuals: SurfaceParameters, logit: Tensor, target: RingTarget
 
 def _two_means(score: Tensor) -> float:
     """The threshold halfway between the means of the values above and below it (2-means)."""
-    threshold = float(score.mean())
-    for _ in range(_ROUNDS_OF_MEANS):
+    last, threshold = math.inf, float(score.mean())
+    while abs(threshold - last) > _LEAST:
         above = score > threshold
         if above.any() == above.all():
             break
-        threshold = 0.5 * float(score[above].mean() + score[~above].mean())
+        last, threshold = threshold, 0.5 * float(score[above].mean() + score[~above].mean())
     return threshold
 
 

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS, Reflectance
+from matcap.capture.piece.network.inputs import SUBSAMPLING
 from matcap.capture.piece.noise import AROUND, DARKEST
 from matcap.capture.piece.observation import PlaneLight
 from matcap.capture.piece.smooth import smoothed, split
@@ -35,8 +36,6 @@ _ROUNDS = 2  # iterations of refining albedo
 # Largest share of the finest bands' energy that is assigned to relief. With 0.5, leather has an
 # NSD of 8.1 instead of 7.4, and is sharper than the photograph.
 _RELIEF_AT_MOST = 0.25
-_LEAST_RATIO, _MOST_RATIO = 0.05, 1.0  # limits of the ratio of slope energies of successive octaves
-_THINNED = 4  # subsampling, texels, of smooth planes
 _OCTAVES = (slice(2, 3), slice(3, 4), slice(4, 6))  # of strengths.BANDS: 16-8, 8-4, 4-2 texels
 
 Floats = NDArray[np.float32]
@@ -192,11 +191,11 @@ def _relief(exemplar: Exemplar, detail: Floats, maps: MapSet, light: PlaneLight)
     bands = split(texels)
     energies = [_steepness(np.sum(bands[which], axis=0)) for which in _OCTAVES]
     ratio = energies[2] / max(energies[1], 1e-12)
-    ratio = float(np.clip(ratio, _LEAST_RATIO, _MOST_RATIO))
+    ratio = min(ratio, 1.0)
     wanted = energies[2] * sum(
         ratio**k * min(1.0, octaves - k + 1.0) for k in range(1, math.ceil(octaves) + 1)
     )
-    some = slice(None, None, _THINNED)
+    some = slice(None, None, SUBSAMPLING)
     reflectance = Reflectance(
         *(p[:, some, some] for p in (maps.diffuse, maps.specular, maps.roughness))
     )

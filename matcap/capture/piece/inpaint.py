@@ -31,7 +31,7 @@ _TRIED = 1000  # random candidate blocks per place
 _RENDERED = 40  # as many of those that match the overlap best, and of the others, are rendered
 _CONTRAST = 0.25  # w of the equation in transport
 _BLOCK = 48  # side of a block, texels: larger than the texture's features, small enough to match
-_OVERLAP = 12  # overlap of neighbouring blocks, texels
+_OVERLAP = _BLOCK // 4  # overlap of neighbouring blocks, texels
 # Least confidence of albedo in donors, over that of well seen texels. Larger values inpaint
 # visible texels: at 0.93 wood loses 0.4 NSD.
 _LEAST_CONFIDENCE = 0.75
@@ -39,7 +39,6 @@ _WELL_SEEN = 0.75  # quantile of confidence that defines well seen
 _MOST_HIDDEN = 0.2  # largest share of the picture to inpaint, more than any flash hides
 _WHOLE_DONOR = 0.95  # least confident share of a donor block
 _WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
-_LEAST_HIDDEN = 2e-4  # hidden share of all texels below which nothing is inpainted
 _PHOTOGRAPH_WEIGHT = (
     0.7  # weight of the mismatch with the photograph against the overlap's mismatch
 )
@@ -50,16 +49,15 @@ _MOST_ENERGY, _VISIBLE_SHARE = 2.0, 0.5
 _SPREAD = 4  # texels over which a hidden texel's light spreads to its neighbours
 _THINNED = 4  # subsampling, texels, of rendered candidates
 _FARTHEST = 4.0  # upper limit of a squared standardised difference in the overlap
-_SEAM_REACH = 24.0  # texels over which the two sides of a seam converge
-_ITERATIONS = 400  # most conjugate gradient steps of the composition
-_TOLERANCE = 1e-3  # of the residual's norm, over that at the start, at which they end
+_SEAM_REACH = _BLOCK / 2.0  # texels over which the two sides of a seam converge
+_TOLERANCE = 1e-3  # norm of the residual over that at the start, at which the iterations end
 
 # Detection of the highlight in albedo.
 _CELLS = 128  # along the long side, over which log albedo is averaged; finer detail is texture
 _WIDTH = 2  # of a ring, cells
 _WIDEST = 20  # radius of the largest ring, cells; wider discs are shading, which `flatten` removes
 _MISSED = 2  # rings in a row that do not stand out, at which the disc ends
-_AROUND = 6  # width of the ring around the largest, cells
+_AROUND = 3 * _WIDTH  # width of the ring around the largest, cells
 _INSIDE = 0.9  # least share of a ring inside the picture, at other centres
 _NEAR = 12  # farthest centre of a disc of the highlight from the mirror point, cells
 _OUTLIER = 4.0  # deviations from the mean over other centres at which a ring stands out
@@ -132,10 +130,12 @@ def transport(
     donors = _donors(~hidden & known)
     # Texels outside of a crop are not inpainted.
     hidden = (hidden & known) | (_between(known) & ~known)
-    if hidden.mean() < _LEAST_HIDDEN or not len(donors):
+    if not len(donors):
+        return exemplar
+    places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > _WANTED_SHARE]
+    if not places:
         return exemplar
     planes = _map_planes(exemplar, ~hidden)
-    places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > _WANTED_SHARE]
     # From visible surroundings inwards, so that patterns continue.
     places.sort(key=lambda p: -float(relative[_block(p)].mean()))
     valid = valid & torch.from_numpy(confidence > 0.0)
@@ -440,7 +440,7 @@ def _solved(right: NDArray[np.float64], free: TexelMask, reach: float) -> Floats
     direction, solution = padded[:count], np.zeros_like(residual)
     image, some = np.empty_like(residual), np.empty_like(residual)
     energy = start = float(np.vdot(residual, residual))
-    for _ in range(_ITERATIONS):
+    for _ in range(count):  # in exact arithmetic that many suffice
         if energy <= _TOLERANCE**2 * start:
             break
         np.multiply(direction, diagonal, out=image)

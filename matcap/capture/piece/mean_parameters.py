@@ -32,6 +32,7 @@ _RING_TEXELS = 50.0  # n0 of the weight n / (n + n0) of a ring with n texels of 
 BOUND = 0.05  # clipped share of a ring above which its mean is only a lower bound
 # Standard deviation of a ring's log radiance, and threshold of its Huber loss.
 _NOISE, _HUBER = 0.1, 0.3
+ROUGHNESS_DEVIATION = 0.3  # prior standard deviation of logit roughness
 _MOST_STEP = 0.4  # largest change of a parameter in a step
 _STEPS = 16  # most Gauss-Newton steps
 _LEAST_STEP = 1e-5  # change of all parameters below which there is no further step

@@ -7,7 +7,7 @@ In come predicted maps with their classes, out go refined ones (refine_maps):
 3. scaled_by_glints: each octave of relief is scaled to the photographed contrast of glints;
 4. with_mean_parameters: after 2 and 3, each class's mean parameters are fitted to the highlight
    (mean_parameters.py);
-5. refine: the residual of log radiance is assigned to the albedo of every texel, of metal to F0;
+5. refine_albedo: residual log radiance is assigned to the albedo of every texel, of metal to F0;
 6. flatten and with_photographed_mean: as 1, and the mean radiance is the photograph's.
 
 Glints (3): where the specular fraction s of radiance is high, contrast is due to slopes, as albedo
@@ -42,12 +42,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.parameters import SurfaceParameters
-from matcap.capture.piece.mean_parameters import MeanParameterPrior, fit_mean_parameters
+from matcap.capture.piece.mean_parameters import (
+    ROUGHNESS_DEVIATION,
+    MeanParameterPrior,
+    fit_mean_parameters,
+)
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.noise import DARKEST, channel_weights
 from matcap.capture.piece.observation import Observation, PhotographLight
 from matcap.capture.piece.predict import NetworkPrediction
 from matcap.capture.piece.smooth import WIDE, filled, smoothed, split
+from matcap.flash.coarse.hypotheses import CONDUCTOR_F0, DIELECTRIC_F0
 
 # Refinement; docs/notes/capture.md. NSD is the normalised style distance.
 
@@ -74,12 +79,12 @@ _MOST_SHIFT = 2.0  # largest factor on the mean radiance
 
 # Mean parameters.
 FIT_TEXELS = 384  # short side of the grid of the fit
-# Standard deviations of the mean residual of rings, and of the log scale of relief (`narrowed`).
-_RING_ERROR, _SCALE_LOG = 0.025, 0.5
+# Standard deviation of the mean residual of rings, over that of the log scale of relief.
+_RESIDUAL_BY_SCALE = 0.05
 # Prior standard deviations of mean parameters (log albedo 3, log F0, logit roughness) around their
 # values before relief is known, of dielectric and metal.
-_DIELECTRIC_DEVIATIONS = [1.0, 1.0, 1.0, 0.15, 0.3]
-_METAL_DEVIATIONS = [0.05, 0.05, 0.05, 0.5, 0.3]
+_DIELECTRIC_DEVIATIONS = [*[1.0] * 3, DIELECTRIC_F0[1], ROUGHNESS_DEVIATION]
+_METAL_DEVIATIONS = [*[0.05] * 3, CONDUCTOR_F0[1], ROUGHNESS_DEVIATION]
 
 # Glints.
 # Specular fraction of the radiance that bounds the glossiest region, where slopes dominate.
@@ -98,7 +103,7 @@ def refine_maps(observed: Observation, prediction: NetworkPrediction) -> Network
     )
     fitted = with_mean_parameters(observed, replace(fitted, residuals=steep))
     photograph, metal = (plane.linear, observed.shown), fitted.classes.metal_share
-    refined = refine(
+    refined = refine_albedo(
         fitted.residuals,
         fitted.errors,
         *photograph,
@@ -135,7 +140,7 @@ def narrowed(observed: Observation, prediction: NetworkPrediction) -> NetworkPre
     Roughness makes up for relief that is too flat; nothing narrows the highlight of relief that is
     too steep. The scale s <= 1 is the most probable one of half octaves:
 
-        minimise  (r(s) / _RING_ERROR)^2 / 2 + (log s / _SCALE_LOG)^2 / 2,
+        minimise  r(s)^2 + (_RESIDUAL_BY_SCALE log s)^2,
 
     with r the mean absolute log residual of rings, their mean parameters fitted to relief s h.
     """
@@ -146,7 +151,7 @@ def narrowed(observed: Observation, prediction: NetworkPrediction) -> NetworkPre
 
     def cost(scale: float) -> float:
         _, residual = _fitted_mean_parameters(observed, scaled(scale), FIT_TEXELS // 2)
-        return (residual / _RING_ERROR) ** 2 + (math.log(scale) / _SCALE_LOG) ** 2
+        return math.hypot(residual, _RESIDUAL_BY_SCALE * math.log(scale))
 
     scale, least = 1.0, cost(1.0)
     while (lower := cost(scale * math.sqrt(0.5))) < least:
@@ -260,7 +265,7 @@ def _rings(
 
 
 @torch.no_grad()
-def refine(
+def refine_albedo(
     residuals: SurfaceParameters,
     errors: ExpectedErrors,
     linear: Tensor,
@@ -290,6 +295,7 @@ def refine(
     log, shares = light.logs(maps, incidence)
     white = torch.as_tensor(noise).to(linear).expand_as(linear).clamp_min(_LEAST_NOISE)
     weights = channel_weights(white)
+    specular_noise = _SPECULAR_NOISE + (_SPECULAR_NOISE_METAL - _SPECULAR_NOISE) * metal
     for step in range(_STEPS):
         if step:
             log, shares = light.logs(light.maps(residuals), incidence)
@@ -298,26 +304,21 @@ def refine(
         informative = valid | (difference > 0.0)
         share = (weights * shares).sum(0, keepdim=True)
         # d log L / d log albedo, and of metal / d log F0.
-        base = (1.0 - metal) * share + metal * (1.0 - share)
+        sensitivity = (1.0 - metal) * share + metal * (1.0 - share)
         counts = weights * informative
         counts = counts / counts.sum(0, keepdim=True).clamp_min(1e-6)
         grey = (counts * difference).sum(0, keepdim=True)
-        deviation = _SPECULAR_NOISE + (_SPECULAR_NOISE_METAL - _SPECULAR_NOISE) * metal
-        specular_variance = (deviation * (1.0 - share)).square()
+        specular_variance = (specular_noise * (1.0 - share)).square()
         # The channels' noise is taken as fully correlated, as development blurs it to blotches.
-        unknown = (counts * white).sum(0, keepdim=True).square() + specular_variance
-        common = base * albedo * grey / (base.square() * albedo + unknown)
+        variance = (counts * white).sum(0, keepdim=True).square() + specular_variance
+        common = sensitivity * albedo * grey / (sensitivity.square() * albedo + variance)
         # A clipped channel that is bright enough gives no information on colour.
         chroma = torch.where(informative, difference - grey, 0.0)
-        own = (
-            chroma
-            * shares
-            * colour
-            / (shares.square() * colour + white.square() + specular_variance)
-        )
+        variance = shares.square() * colour + white.square() + specular_variance
+        chroma = chroma * shares * colour / variance
         residuals = replace(
             residuals,
-            diffuse=residuals.diffuse + (1.0 - metal) * (common + own),
+            diffuse=residuals.diffuse + (1.0 - metal) * (common + chroma),
             specular=residuals.specular + metal * common,
         )
     return residuals
@@ -340,7 +341,7 @@ def with_photographed_mean(
     refinement adds to log albedo changes the mean radiance: of a black and white weave by 1.5.
 
     Args:
-        residuals, linear, valid, light, metal: as of refine.
+        residuals, linear, valid, light, metal: as of refine_albedo.
     """
     log, diffuse_share = light.rendered(light.maps(residuals))
     even, _ = light.rendered(light.maps(residuals - residuals))
@@ -362,7 +363,7 @@ def radiance_residual(
     residuals: SurfaceParameters, linear: Tensor, valid: Tensor, light: PhotographLight
 ) -> tuple[Tensor, Tensor]:
     """(3, H, W) each: residual of log radiance, photograph less re-rendering, and its low
-    frequencies, which are not the material's; arguments as of refine.
+    frequencies, which are not the material's; arguments as of refine_albedo.
     """
     log, _ = light.rendered(light.maps(residuals))
     difference = _log_difference(linear.clamp_min(DARKEST).log(), log, valid)

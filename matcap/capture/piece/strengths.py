@@ -34,8 +34,8 @@ from matcap.capture.piece.smooth import BANDS, COARSER, coarse_smoothed, enlarge
 # Measurement and use of the relief spectrum; docs/notes/capture.md. NSD is the normalised style
 # distance.
 
-# Side and spacing of windows, texels. Larger windows resolve longer waves, but fewer fit.
-_WINDOW, _STRIDE = 128, 64
+# Side of windows, texels, which overlap by half. Larger ones resolve longer waves, but fewer fit.
+_WINDOW = 128
 # Least visible share of a window; its energy is divided by that share. At 0.98 a photograph with
 # sparkles has no window left.
 _LEAST_SEEN = 0.75
@@ -57,23 +57,18 @@ RESPONSE_AROUND = 24.0  # texels, standard deviation of the blur of the sensitiv
 # Standard deviation of the log ratio of true to predicted energy: common to all bands, and of
 # each band. Half or twice as much hardly matters.
 _COMMON_LOG, _BAND_LOG = 1.5, 1.0
-# Range and step of the log factors searched.
-_POSTERIOR_REACH, _POSTERIOR_STEP = 5.0, 0.05
-_LEAST_ENERGY = 1e-8  # squared slope, lower limit of standard deviations of energies
+_POSTERIOR_STEP = 0.05  # of the log factors searched
 # Texels, standard deviation of local energies. Smaller values equalise a cell and its groove (at
 # 20 a leather loses 0.1 NSD and a cloth gains as much), larger ones leave arcs around the mirror
 # point.
 _AROUND = 32.0
 _DIRECTIONS = 8  # number of directional bands
-_MARGIN = 64  # texels by which a picture is mirrored at its borders
 _LEAST_GAIN, _MOST_GAIN = 0.25, 10.0  # limits of the local gain
 # Power of the sensitivity as a weight. Larger values use only places where the light is parallel
 # to the direction.
 _SHARPNESS = 3.0
 _SCALINGS = 3  # iterations of scaling bands to their energies, as neighbours overlap
-# Largest factor on a band. At 5, leather's finest octave, which needs 11, stays too flat.
-_MOST_FACTOR = 30.0
-_LEAST_SLOPE = 1e-4  # root-mean-square slope, lower limit of a band's
+_LEAST_SLOPE = 1e-4  # root-mean-square slope, lower limit of a band's and of its deviation
 
 Height = NDArray[np.float32]
 Doubles = NDArray[np.float64]
@@ -248,9 +243,9 @@ def _hann() -> Doubles:
 
 def _windows(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
     """Rows and columns of all windows of a plane (H, W)."""
-    side, stride = _WINDOW, _STRIDE
-    rows = range(0, shape[0] - side + 1, stride)
-    columns = range(0, shape[1] - side + 1, stride)
+    side = _WINDOW
+    rows = range(0, shape[0] - side + 1, side // 2)
+    columns = range(0, shape[1] - side + 1, side // 2)
     return [(slice(y, y + side), slice(x, x + side)) for y in rows for x in columns]
 
 
@@ -341,7 +336,7 @@ def equalise(
     # The low-pass rest is an error of the highlight, shaped like a bowl, and is dropped.
     bands = split(height)[:-1]
     seen = _squares(np.ones((2, *height.shape), np.float32) if sensitivity is None else sensitivity)
-    margin = min(_MARGIN, *(side - 1 for side in height.shape))
+    margin = min(int(BANDS[0][0]), *(side - 1 for side in height.shape))
     directions = [
         (share, _weight(angle, seen))
         for angle, share in _directions(tuple(side + 2 * margin for side in height.shape))
@@ -351,10 +346,9 @@ def equalise(
         even = np.stack(list(pool.map(evened, bands)))
     wanted = _wanted(height, strengths)
     factors: Doubles = np.ones(len(even))
-    most = _MOST_FACTOR
     for _ in range(_SCALINGS):
         here = _energies(_sum(factors, even))
-        factors = (factors * np.sqrt(wanted / here)).clip(1.0 / most, most)
+        factors = factors * np.sqrt(wanted / here)
     return _sum(factors, even)
 
 
@@ -446,9 +440,9 @@ def posterior_energies(predicted: Doubles, measured: Doubles, deviation: Doubles
         measured: (bands,) by the photograph, not negative.
         deviation: (bands,) standard deviations of `measured`.
     """
-    reach, step = _POSTERIOR_REACH, _POSTERIOR_STEP
+    reach, step = 2.0 * (_COMMON_LOG + _BAND_LOG), _POSTERIOR_STEP
     logs = np.arange(-reach, reach + step / 2.0, step)
-    scatter = deviation[:, None] + _LEAST_ENERGY
+    scatter = deviation[:, None] + _LEAST_SLOPE**2
     off = np.square((predicted[:, None] * np.exp(logs) - measured[:, None]) / scatter)
     # (common, band, own): c, b and x_b of the docstring.
     own_cost = np.square((logs - logs[:, None]) / _BAND_LOG)[:, None, :]

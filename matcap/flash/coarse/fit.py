@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 
 from torch import Tensor
 
+from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS
 from matcap.flash.coarse.cells import CoarseCells, cells_of
 from matcap.flash.coarse.hypotheses import Hypothesis, TiltPrior, hypothesis
 from matcap.flash.coarse.model import BLACK, Unknowns, numbers
@@ -60,7 +61,6 @@ _PRIOR_SHARE = 0.15
 _CONDUCTOR_ODDS = 12.0
 _BLUEST = 0.1  # largest log ratio of a metal's F0 in blue to red
 _DULLEST = 0.8  # largest roughness of a metal, as a photograph without highlight shows none
-_MOST_ALBEDO = 0.98  # upper limit of albedo and F0 under a known flash intensity
 
 # Starting points.
 # Logit of roughness: matte, satin, glossy, mirror-like.
@@ -254,11 +254,11 @@ def under_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
     if intensity is None:
         return coarse
     dimmer = coarse.setup.intensity[1] / intensity
-    red, green, blue = (min(value * dimmer, _MOST_ALBEDO) for value in coarse.diffuse)
+    red, green, blue = (min(value * dimmer, ALBEDO_LIMITS[1]) for value in coarse.diffuse)
     return replace(
         coarse,
         diffuse=(red, green, blue),
-        specular=min(coarse.specular * dimmer, _MOST_ALBEDO),
+        specular=min(coarse.specular * dimmer, F0_LIMITS[1]),
         setup=coarse.setup.with_intensity((intensity,) * 3),
     )
 

@@ -23,10 +23,12 @@ _TILT_RADIOMETRIC = 0.1
 # about x and 4 about y (root mean square; docs/guide/paper.md).
 _TILTS = 0.087
 _FIXED = 1e-4  # standard deviation of a parameter that is known
+# Mean and standard deviation of log F0: index of refraction 1.5, and metals.
+DIELECTRIC_F0, CONDUCTOR_F0 = (math.log(0.04), 0.15), (math.log(0.5), 0.5)
 # Mean and standard deviation of each unknown.
 _PRIORS = {
     "albedo": ([math.log(0.2)] * 3, [1.5] * 3),
-    "specular": ([math.log(0.04)], [0.15]),
+    "specular": ([DIELECTRIC_F0[0]], [DIELECTRIC_F0[1]]),
     "roughness": ([0.0], [1.5]),
     "intensity": ([3.0], [5.0]),
     "flash_colour": ([0.0] * 2, [0.3] * 2),  # white balance is the whole picture's, not the flash's
@@ -39,7 +41,6 @@ _PRIORS = {
 _MEAN, _DEVIATION = (
     Unknowns(**{name: numbers(*prior[k]) for name, prior in _PRIORS.items()}) for k in (0, 1)
 )
-CONDUCTOR_F0 = (math.log(0.5), 0.5)  # mean and standard deviation of log F0
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from matcap.capture.detail import Rectified, network_input
 from matcap.capture.piece.find import estimate_exemplar, map_set_of
 from matcap.capture.piece.network.network import ExpectedErrors, load_inverse
 from matcap.capture.piece.noise import channel_noise, channel_weights, code_step
-from matcap.capture.piece.refine import refine
+from matcap.capture.piece.refine import refine_albedo
 from matcap.capture.progress import CaptureClock
 from matcap.files.srgb import srgb_decode
 from matcap.flash.plane import plane_of
@@ -79,7 +79,7 @@ def test_a_channel_that_is_noise_moves_no_map():
     valid = torch.ones(144, 192, dtype=torch.bool)
 
     def moved(said):
-        found = refine(truth, errors, linear, valid, light, noise=said)
+        found = refine_albedo(truth, errors, linear, valid, light, noise=said)
         return float((found - truth).diffuse[1:].square().mean().sqrt())
 
     assert moved(noise) < 0.2 * moved(0.01)

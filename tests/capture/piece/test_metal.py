@@ -9,7 +9,7 @@ from photographed import photographed
 
 from matcap.capture.piece.classes import has_metal, seen_colour, specular_tint
 from matcap.capture.piece.network.network import ExpectedErrors
-from matcap.capture.piece.refine import refine
+from matcap.capture.piece.refine import refine_albedo
 from matcap.flash.render import render_flash
 
 GOLD = torch.tensor([1.0, 0.766, 0.336])[:, None, None]
@@ -68,7 +68,7 @@ def test_refining_keeps_hue_and_finds_how_bright_metal_is() -> None:
     )
     doubt = torch.full((1, 64, 96), -1.0)
     errors = ExpectedErrors(doubt, doubt, doubt, doubt)
-    found = light.maps(refine(guess, errors, linear, measured, light, metal=metal))
+    found = light.maps(refine_albedo(guess, errors, linear, measured, light, metal=metal))
     lit = (slice(None), slice(16, 48), slice(60, 90))
     off = (found.specular / maps.specular).log()[lit].abs().mean()
     assert float(off) < 0.1

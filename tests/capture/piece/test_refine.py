@@ -11,12 +11,17 @@ from photographed import photographed
 
 from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.piece.network.network import ExpectedErrors
-from matcap.capture.piece.refine import flatten, radiance_residual, refine, with_photographed_mean
+from matcap.capture.piece.refine import (
+    flatten,
+    radiance_residual,
+    refine_albedo,
+    with_photographed_mean,
+)
 
 ERRORS = ExpectedErrors.from_stacked(torch.log(torch.tensor([0.2, 0.1, 0.1, 0.1]))[:, None, None])
 
 
-def _nowhere(like: SurfaceParameters) -> SurfaceParameters:
+def _without_albedo_detail(like: SurfaceParameters) -> SurfaceParameters:
     return like - like
 
 
@@ -36,15 +41,15 @@ def _setting(contrast: float = 0.1):
 
 def test_the_truth_is_left_alone() -> None:
     shot, light, valid, truth = _setting()
-    refined = refine(truth, ERRORS, shot.linear, valid, light)
+    refined = refine_albedo(truth, ERRORS, shot.linear, valid, light)
     assert float(radiance_residual(refined, shot.linear, valid, light)[0].abs().median()) < 1e-3
     assert _largest(refined - truth) < 0.05
 
 
 def test_a_flat_guess_is_moved_until_it_re_renders() -> None:
     shot, light, valid, truth = _setting()
-    guess = _nowhere(truth)
-    refined = refine(guess, ERRORS, shot.linear, valid, light)
+    guess = _without_albedo_detail(truth)
+    refined = refine_albedo(guess, ERRORS, shot.linear, valid, light)
     residual, slow = radiance_residual(refined, shot.linear, valid, light)
     assert float((residual - slow).abs().median()) < 0.01
 
@@ -52,7 +57,7 @@ def test_a_flat_guess_is_moved_until_it_re_renders() -> None:
 def test_slow_drift_is_not_the_materials() -> None:
     shot, light, valid, truth = _setting()
     drift = torch.linspace(-0.15, 0.15, 192).exp()
-    refined = refine(truth, ERRORS, shot.linear * drift, valid, light)
+    refined = refine_albedo(truth, ERRORS, shot.linear * drift, valid, light)
     assert float((refined - truth).diffuse.mean((0, 1)).diff().abs().mean()) < 1e-3
     _, slow = radiance_residual(refined, shot.linear * drift, valid, light)
     assert float(slow.abs().mean()) > 0.04
@@ -92,7 +97,7 @@ def test_clipped_texels_are_lower_bounds() -> None:
     clip = float(shot.linear.quantile(0.3))
     clipped = shot.linear.clamp_max(clip)
     unclipped = (shot.linear < clip).all(0)
-    refined = refine(truth, ERRORS, clipped, unclipped, light)
+    refined = refine_albedo(truth, ERRORS, clipped, unclipped, light)
     assert _largest(refined - truth) < 1e-3
 
 
@@ -104,7 +109,7 @@ def test_a_texel_whose_red_clips_is_told_by_the_others() -> None:
     measured[0] = shot.linear[0] < clip
 
     def off(seen: torch.Tensor) -> float:
-        refined = refine(_nowhere(truth), ERRORS, clipped, seen, light)
+        refined = refine_albedo(_without_albedo_detail(truth), ERRORS, clipped, seen, light)
         result = measured[1:].all(0) & ~measured[0]
         apart = (refined - truth).diffuse[1:, result]
         return float((apart - apart.mean(1, keepdim=True)).abs().mean())
@@ -115,14 +120,14 @@ def test_a_texel_whose_red_clips_is_told_by_the_others() -> None:
 def test_gloss_is_not_touched() -> None:
     """F0 and roughness are a class's: texels explain the photograph by albedo alone."""
     shot, light, valid, truth = _setting()
-    found = refine(_nowhere(truth), ERRORS, shot.linear, valid, light)
+    found = refine_albedo(_without_albedo_detail(truth), ERRORS, shot.linear, valid, light)
     assert not found.specular.any() and not found.roughness.any()
 
 
 def test_relief_is_not_touched() -> None:
     shot, light, valid, truth = _setting()
-    guess = _nowhere(truth)
-    refined = refine(guess, ERRORS, shot.linear, valid, light)
+    guess = _without_albedo_detail(truth)
+    refined = refine_albedo(guess, ERRORS, shot.linear, valid, light)
     assert float(refined.height.abs().max()) == 0.0
 
 
@@ -136,7 +141,7 @@ def test_what_is_clipped_must_be_as_bright_as_the_clip_level() -> None:
     clip = float(shot.linear.quantile(0.7))
     valid = (shot.linear < clip).all(0)
     guess = _paler(truth, -0.6 * (~valid))
-    refined = refine(guess, ERRORS, shot.linear.clamp_max(clip), valid, light)
+    refined = refine_albedo(guess, ERRORS, shot.linear.clamp_max(clip), valid, light)
     too_dark = [
         (shot.linear.clamp_max(clip).log() - _log_radiance(o, light)).clamp_min(0.0)[:, ~valid]
         for o in (guess, refined)

@@ -19,9 +19,9 @@ from matcap.flash.geometry import camera_in_plane
 from matcap.flash.light import FlashLight
 from matcap.flash.render import Uniform, uniform_radiance
 
-_FARTHEST = 3.0  # log radiance; residuals from the uniform material are clipped to +-this
+MOST_RESIDUAL = 3.0  # log radiance; residuals are clipped to +-this
 STEP = 0.03  # step of slope and of logit roughness in finite differences of radiance
-_COARSER = 4  # subsampling, texels, of renderings of the uniform material, which are smooth
+SUBSAMPLING = 4  # subsampling, texels, of renderings of the uniform material, which are smooth
 _DAMPING = 0.1  # regularises the first-order slope estimate where the sensitivity vanishes
 
 
@@ -37,7 +37,7 @@ def network_inputs(
         points: (3, H, W) plane points of the texels (flash.geometry.plane_points).
     """
     height, width = linear.shape[-2:]
-    size = tuple(max(2, -(-side // _COARSER)) for side in (height, width))
+    size = tuple(max(2, -(-side // SUBSAMPLING)) for side in (height, width))
     # A coarse grid from the first to the last texel, whose points are linear in the index.
     thin = _resized(points, size)
     light = FlashLight.of(uniform.setup, thin)
@@ -53,7 +53,7 @@ def network_inputs(
     channels = [len(plane) for plane in smooth.values()]
     planes = _resized(torch.cat(list(smooth.values())), (height, width)).split(channels)
     everywhere = dict(zip(smooth, planes, strict=True))
-    log = (linear.clamp_min(1e-6).log() - everywhere["flat"]).clamp(-_FARTHEST, _FARTHEST)
+    log = (linear.clamp_min(1e-6).log() - everywhere["flat"]).clamp(-MOST_RESIDUAL, MOST_RESIDUAL)
     sensitivity = everywhere["slope"]
     # To first order: the slope along the gradient that this residual of log radiance implies.
     steep = sensitivity.square().sum(0, keepdim=True) + _DAMPING**2
