@@ -30,8 +30,8 @@ from matcap.errors import MatcapError
 from matcap.files.tensors import StoredTensors, write_tensors
 from matcap.photo.photo import Photo
 from matcap.space.convergence import ESTIMATES, convergence
+from matcap.space.layers import residual_block
 from matcap.space.picture import PICTURE_CHANNELS, picture
-from matcap.space.residual import residual_block
 
 WIDTH = 256  # columns of the input image
 CONDITIONS = 3  # scalar inputs

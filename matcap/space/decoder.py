@@ -27,8 +27,8 @@ from torch import Tensor, nn
 
 from matcap.brdf.maps import MapSet
 from matcap.space.lattice_channels import WAVE_CHANNELS
+from matcap.space.layers import wrap
 from matcap.space.random_field import RandomField
-from matcap.space.wrap import wrap
 
 CODE_SIZE = 64  # dimensions of the latent vector, as in the paper
 OUTPUTS = 6  # diffuse (3), specular, roughness, height

@@ -16,8 +16,8 @@ from torch import Tensor, nn
 
 from matcap.errors import UsageError
 from matcap.space.decoder import CODE_SIZE
+from matcap.space.layers import Shortcut, convolution, residual_block
 from matcap.space.picture import PICTURE_CHANNELS
-from matcap.space.residual import Shortcut, convolution, residual_block
 
 NUMBERS = 16  # parameters of the coarse fit (space/prior/encoder_input.py)
 TEXTURE = 231  # texture statistics at full resolution (space/prior/encoder_input.py)

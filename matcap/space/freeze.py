@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 
 from matcap.field.plane import Rectangle, Span
-from matcap.space.convolve import convolve
 from matcap.space.decoder import (
     DEPTH,
     ConvolutionLayer,
@@ -26,6 +25,7 @@ from matcap.space.decoder import (
     upsample,
 )
 from matcap.space.drawing import Drawing
+from matcap.space.layers import convolve
 from matcap.space.patch import Patch
 from matcap.space.random_field import RandomField, random_field
 from matcap.space.spans import Spans

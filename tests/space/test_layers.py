@@ -4,7 +4,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from matcap.space.wrap import wrap
+from matcap.space.layers import wrap
 
 
 def padded(features: torch.Tensor) -> torch.Tensor:
