@@ -652,8 +652,8 @@ FAULTS = (
           "clear & (back[nearest] == np.arange(len(first)))", "clear",
           "capture/registration/test_keypoints.py -k both_ways"),
     Fault("several: shading leaves no doubt", "capture _covariances",
-          "np.outer(moved, moved)", "0.0",
-          "capture/registration/test_doubt.py -k is_said"),
+          "np.outer(by_shading, by_shading)", "0.0",
+          "capture/registration/test_covariance.py -k is_said"),
     Fault("several: moved twice as far as they lie astray", "capture _gradient", "12.0", "24.0",
           "capture/together/test_alignment.py -k no_farther"),
     Fault("several: those that are held move", "capture _deviations",
@@ -662,8 +662,8 @@ FAULTS = (
           "v.misregistration >= _SURER * texel", "True",
           "capture/together/test_alignment.py -k are_sure_stay"),
     Fault("several: every pattern repeats itself", "capture is_periodic",
-          "largest_autocorrelation(photo) > _ALIKE",
-          "largest_autocorrelation(photo) > 0.0 * _ALIKE",
+          "largest_autocorrelation(photo) > _PERIODIC",
+          "largest_autocorrelation(photo) > 0.0 * _PERIODIC",
           "capture/registration/test_period.py -k grain"),
 )
 # fmt: on

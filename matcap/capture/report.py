@@ -224,9 +224,9 @@ def warnings(result: CaptureResult) -> Iterable[str]:
     if result.estimate is not None and result.estimate.several is not None:
         for one in result.estimate.several.left_out:
             yield f"{one.name} was left out: {one.why}."
-        doubted = result.estimate.several.doubted()
-        if doubted:
-            yield doubted
+        uncertain = result.estimate.several.warning()
+        if uncertain:
+            yield uncertain
         yield from _union(result.estimate.several, result.settings)
     if result.estimate is not None and result.estimate.strengths is None:
         yield (
@@ -238,20 +238,24 @@ def warnings(result: CaptureResult) -> Iterable[str]:
 
 def _union(several: SetReport, settings: CaptureSettings) -> Iterable[str]:
     """Sentences on an exemplar requested with --union that is not as large as the photographs."""
-    if several.reach is None and settings.union:
+    if several.mosaic is None and settings.union:
         yield (
             "The other photographs show hardly more than the first one, so --union makes the maps "
             "no larger. Move the phone farther from one to the next, by up to half a picture."
         )
-    limited = several.reach and several.reach.warns()
+    limited = several.mosaic and several.mosaic.warning()
     if limited:
         yield limited
 
 
 def _grown(estimate: ExemplarEstimate | None) -> Iterable[str]:
     """Sentence on the size of an exemplar that extends beyond the first photograph."""
-    if estimate is not None and estimate.several is not None and estimate.several.reach is not None:
-        yield estimate.several.reach.says()
+    if (
+        estimate is not None
+        and estimate.several is not None
+        and estimate.several.mosaic is not None
+    ):
+        yield estimate.several.mosaic.summary()
 
 
 def _rules(result: CaptureResult) -> Iterable[str]:

@@ -72,9 +72,9 @@ class ExemplarEstimate:
     def first_rectangle(self) -> Exemplar:
         """The maps within the first photograph's rectangle."""
         several = self.several
-        if several is None or several.reach is None:
+        if several is None or several.mosaic is None:
             return self.exemplar
-        margins, size = several.reach.margins, several.reach.size
+        margins, size = several.mosaic.margins, several.mosaic.size
         if self.turned:
             margins, size = margins.turned(), size[::-1]
         return self.exemplar.cut(*margins.inside(size))
@@ -98,8 +98,8 @@ class ExemplarEstimate:
 
     def mean_confidence(self, kept: float = 1.0) -> dict[str, float]:
         """Mean confidence by map, in [0, 1], over the share `kept` of the photograph's texels."""
-        if self.several is not None and self.several.reach is not None:
-            kept = self.several.reach.known
+        if self.several is not None and self.several.mosaic is not None:
+            kept = self.several.mosaic.known
         means = np.minimum(self.exemplar.confidence.mean((1, 2)) / np.float32(kept), 1.0).tolist()
         return dict(zip(CHANNELS, means, strict=True))
 

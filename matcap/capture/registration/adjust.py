@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, camera_of
@@ -30,7 +31,7 @@ STEP = 1e-6  # of finite differences
 # Prior standard deviations: of log d, if EXIF gives the field of view and if not; of the first
 # camera's tilt, radians; of a feature's height, plane units; of the lens distortion, k1 and k2.
 _KNOWN_FOCAL, _ASSUMED_FOCAL, TILT = 0.01, 0.1, 0.15
-RELIEF, BENT = 0.01, (0.03, 0.01)
+RELIEF, DISTORTION = 0.01, (0.03, 0.01)
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class _Common(NamedTuple):
 
 
 _COMMON = len(_Common._fields)
-_OWN, _TURN, _PLACE = 6, slice(0, 3), slice(3, 6)  # a pose: rotation vector and position
+_POSE, _TURN, _PLACE = 6, slice(0, 3), slice(3, 6)  # a pose: rotation vector and position
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class Adjusted:
     """Setup of the first photograph with the estimated tilt and field of view."""
     cameras: tuple[PosedCamera, ...]
     """Cameras of all photographs, the first one's first."""
-    off: tuple[float, ...]
+    reprojection_errors: tuple[float, ...]
     """(photographs - 1,) median reprojection error of each, pixels."""
 
 
@@ -95,7 +96,7 @@ def adjust(
     *,
     known: bool,
     relief: float = RELIEF,
-    bent: tuple[float, float] = BENT,
+    distortion: tuple[float, float] = DISTORTION,
 ) -> Adjusted:
     """Estimate the cameras of photographs from their matches with the first.
 
@@ -104,21 +105,22 @@ def adjust(
         pairs: matches of every other photograph.
         known: whether the field of view is known from EXIF.
         relief: prior standard deviation of a feature's height, plane units.
-        bent: prior standard deviations of the lens distortion, k1 and k2.
+        distortion: prior standard deviations of the lens distortion, k1 and k2.
     """
     focal = _KNOWN_FOCAL if known else _ASSUMED_FOCAL
-    begun = _Common(0.0, 0.0, 0.0, *setup.tilt)
-    bundle = _Bundle(setup, pairs, np.array(begun), np.array([focal, *bent, TILT, TILT]), relief)
-    poses = [_initial_pose(begun.first_camera(setup), pair) for pair in pairs]
-    start = torch.from_numpy(np.concatenate([bundle.prior, *poses]))
-    _, whole = minimised(bundle.cost, bundle.quadratic, start, _STEPS, tolerance=1e-7)
-    common, poses = bundle.parts(whole)
+    initial = _Common(0.0, 0.0, 0.0, *setup.tilt)
+    deviation = np.array([focal, *distortion, TILT, TILT])
+    bundle = _Bundle(setup, pairs, np.array(initial), deviation, relief)
+    initial_poses = [_initial_pose(initial.first_camera(setup), pair) for pair in pairs]
+    start = torch.from_numpy(np.concatenate([bundle.prior, *initial_poses]))
+    _, minimum = minimised(bundle.cost, bundle.quadratic, start, _STEPS, tolerance=1e-7)
+    common, poses = bundle.parts(minimum.numpy())
     fitted = _Common(*common.tolist())
-    cameras, off = [fitted.first_camera(setup)], []
+    cameras, errors = [fitted.first_camera(setup)], []
     for pair, pose in zip(pairs, poses, strict=True):
         cameras.append(fitted.camera(setup, pose, pair.focal))
-        off.append(float(np.median(np.hypot(*bundle.residuals(pair, common, pose)))))
-    return Adjusted(fitted.adjusted(setup), tuple(cameras), tuple(off))
+        errors.append(float(np.median(np.hypot(*bundle.residuals(pair, common, pose)))))
+    return Adjusted(fitted.adjusted(setup), tuple(cameras), tuple(errors))
 
 
 class MatchedPoints(NamedTuple):
@@ -137,9 +139,9 @@ class MatchedPoints(NamedTuple):
 
     def reprojected(self, camera: PosedCamera, pair: Pair) -> tuple[Doubles, Doubles]:
         """(2, n) reprojection errors in the other photograph, pixels, and the height's parallax."""
-        seen = camera.sees(self.points)
-        parallax = (camera.sees(self.raised) - seen) / pair.pixel
-        return (seen - pair.second) / pair.pixel, parallax
+        image = camera.sees(self.points)
+        parallax = (camera.sees(self.raised) - image) / pair.pixel
+        return (image - pair.second) / pair.pixel, parallax
 
 
 @dataclass(frozen=True)
@@ -160,10 +162,9 @@ class _Bundle:
     relief: float
 
     @staticmethod
-    def parts(parameters: Tensor) -> tuple[Doubles, list[Doubles]]:
-        """Common parameters (5,) and each photograph's pose (6,)."""
-        values = parameters.numpy()
-        return values[:_COMMON], list(values[_COMMON:].reshape(-1, _OWN))
+    def parts(vector: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """(5,) common parameters and (photographs - 1, 6) poses of a vector of all."""
+        return vector[:_COMMON], vector[_COMMON:].reshape(-1, _POSE)
 
     def features(self, pair: Pair, common: Doubles) -> MatchedPoints:
         """MatchedPoints of a pair where the first camera of `common` sees them."""
@@ -187,28 +188,30 @@ class _Bundle:
 
     def cost(self, parameters: Tensor) -> float:
         """Cost of parameters (5 + 6 photographs,)."""
-        common, poses = self.parts(parameters)
+        common, poses = self.parts(parameters.numpy())
         prior = float(np.square((common - self.prior) / self.deviation).sum()) / 2.0
         both = zip(self.pairs, poses, strict=True)
         return prior + sum(_huber(self.residuals(pair, common, pose))[0] for pair, pose in both)
 
     def quadratic(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """Its Gauss-Newton Hessian and gradient; a photograph's errors depend on its pose only."""
-        common, poses = self.parts(parameters)
+        common, poses = self.parts(parameters.numpy())
+        shared, pose_indices = self.parts(np.arange(len(parameters)))
         normal, gradient = 1e-12 * np.eye(len(parameters)), np.zeros(len(parameters))
-        normal[range(_COMMON), range(_COMMON)] += self.deviation**-2
-        gradient[:_COMMON] = (common - self.prior) / self.deviation**2
-        for number, (pair, pose) in enumerate(zip(self.pairs, poses, strict=True)):
+        normal[shared, shared] += self.deviation**-2
+        gradient[shared] = (common - self.prior) / self.deviation**2
+        for pair, pose, own in zip(self.pairs, poses, pose_indices, strict=True):
             features = self.features(pair, common)
-            here = self.residuals(pair, common, pose, features)
-            there = [self.residuals(pair, common + d, pose) for d in STEP * np.eye(_COMMON)]
-            there += [self.residuals(pair, common, pose + d, features) for d in STEP * np.eye(_OWN)]
-            jacobian = np.stack([((moved - here) / STEP).ravel() for moved in there], 1)
-            weighted = jacobian * np.tile(_huber(here)[1], 2)[:, None]
-            own = _COMMON + _OWN * number
-            places = np.r_[0:_COMMON, own : own + _OWN]
-            normal[np.ix_(places, places)] += weighted.T @ jacobian
-            gradient[places] += weighted.T @ here.ravel()
+            residual = self.residuals(pair, common, pose, features)
+            changed = [self.residuals(pair, common + d, pose) for d in STEP * np.eye(_COMMON)]
+            changed += [
+                self.residuals(pair, common, pose + d, features) for d in STEP * np.eye(_POSE)
+            ]
+            jacobian = np.stack([((each - residual) / STEP).ravel() for each in changed], 1)
+            weighted = jacobian * np.tile(_huber(residual)[1], 2)[:, None]
+            indices = np.r_[shared, own]
+            normal[np.ix_(indices, indices)] += weighted.T @ jacobian
+            gradient[indices] += weighted.T @ residual.ravel()
         return torch.from_numpy(normal), torch.from_numpy(gradient)
 
 
@@ -226,9 +229,9 @@ def less_relief(residual: Doubles, parallax: Doubles) -> Doubles:
 def _huber(residuals: Doubles) -> tuple[float, Doubles]:
     """Huber cost of residuals (2, n), pixels, and the weight of each."""
     size, threshold = np.hypot(*residuals), _HUBER
-    each = min(1.0, _COUNTED / max(1, len(size)))
+    weight = min(1.0, _COUNTED / max(1, len(size)))
     cost = np.where(size < threshold, size**2 / 2.0, threshold * (size - threshold / 2.0))
-    return each * float(cost.sum()), each * threshold / np.maximum(size, threshold)
+    return weight * float(cost.sum()), weight * threshold / np.maximum(size, threshold)
 
 
 def _initial_pose(first: PosedCamera, pair: Pair) -> Doubles:

@@ -32,21 +32,25 @@ class Lens:
 
     focal: float
     """Focal length d, in halves of the picture's long side."""
-    bent: tuple[float, float] = (0.0, 0.0)
+    distortion: tuple[float, float] = (0.0, 0.0)
     """(k1, k2) of its radial distortion."""
 
-    def drawn(self, image: Points) -> Points:
+    def distorted(self, image: Points) -> Points:
         """Distort ideal image coordinates (2, ...)."""
-        squared = np.square(image).sum(0)
-        return image * (1.0 + squared * (self.bent[0] + squared * self.bent[1]))
+        return image * self._magnification(image)
 
-    def undone(self, image: Doubles) -> Doubles:
-        """Undistort image coordinates (2, ...); the inverse of drawn()."""
-        straight = image
-        for _ in range(_ROUNDS if any(self.bent) else 0):
-            squared = np.square(straight).sum(0)
-            straight = image / (1.0 + squared * (self.bent[0] + squared * self.bent[1]))
-        return straight
+    def undistorted(self, image: Doubles) -> Doubles:
+        """Undistort image coordinates (2, ...); the inverse of distorted()."""
+        ideal = image
+        for _ in range(_ROUNDS if any(self.distortion) else 0):
+            ideal = image / self._magnification(ideal)
+        return ideal
+
+    def _magnification(self, ideal: Points) -> Points:
+        """(...) 1 + k1 r^2 + k2 r^4 of ideal image coordinates (2, ...)."""
+        k1, k2 = self.distortion
+        squared = np.square(ideal).sum(0)
+        return np.asarray(1.0 + squared * (k1 + squared * k2))
 
 
 @dataclass(frozen=True)
@@ -61,21 +65,23 @@ class PosedCamera:
     """Focal length and distortion."""
 
     @staticmethod
-    def of(setup: FlashSetup, bent: tuple[float, float] = (0.0, 0.0)) -> PosedCamera:
-        """The first photograph's camera, which defines the plane frame; `bent` is (k1, k2)."""
+    def of(setup: FlashSetup, distortion: tuple[float, float] = (0.0, 0.0)) -> PosedCamera:
+        """The first photograph's camera, which defines the plane frame; with its (k1, k2)."""
         place, _ = camera_in_plane(setup)
-        return PosedCamera(setup_rotation(setup).numpy(), place.numpy(), Lens(setup.distance, bent))
+        return PosedCamera(
+            setup_rotation(setup).numpy(), place.numpy(), Lens(setup.distance, distortion)
+        )
 
     def sees(self, points: Points) -> Points:
         """(2, ...) image coordinates of points (3, ...), as precise; NaN behind the camera."""
         turn, place = (each.astype(points.dtype) for each in (self.turn, self.place))
         x, y, z = np.tensordot(turn, points - place.reshape(3, *(1,) * (points.ndim - 1)), 1)
         depth = np.where(z < 0.0, -z, np.nan).astype(points.dtype)
-        return self.lens.drawn(self.lens.focal * np.stack([x, y]) / depth)
+        return self.lens.distorted(self.lens.focal * np.stack([x, y]) / depth)
 
     def on_plane(self, image: Doubles) -> Doubles:
         """(3, ...) plane points at image coordinates (2, ...); the inverse of sees()."""
-        u, v = self.lens.undone(image)
+        u, v = self.lens.undistorted(image)
         ray = np.tensordot(self.turn.T, np.stack([u, v, np.full_like(u, -self.lens.focal)]), 1)
         column = self.place.reshape(3, *(1,) * (ray.ndim - 1))
         points = column - column[2] / ray[2] * ray
@@ -102,8 +108,8 @@ def camera_of(points: Doubles, image: Doubles, lens: Lens, *, refined: bool = Fa
         refined: whether to minimise the reprojection error by Levenberg-Marquardt.
     """
     # OpenCV's camera looks along +z with y downwards.
-    straight = (lens.undone(image) * np.array([[1.0], [-1.0]])).T.copy()
-    known = points.T.copy(), straight, np.diag([lens.focal, lens.focal, 1.0]), None
+    ideal = (lens.undistorted(image) * np.array([[1.0], [-1.0]])).T.copy()
+    known = points.T.copy(), ideal, np.diag([lens.focal, lens.focal, 1.0]), None
     _, turn, shift = cv2.solvePnP(*known, flags=cv2.SOLVEPNP_IPPE)
     if refined:
         turn, shift = cv2.solvePnPRefineLM(*known, turn, shift)
@@ -155,5 +161,5 @@ def log_on_grid(
     log = np.log(np.maximum(grey, darkest)).astype(np.float32)
     x, y = to_pixels(camera.sees(grid_points(*size)), *small)
     inside = (x > 1) & (x < small[0] - 2) & (y > 1) & (y < small[1] - 2)
-    there = cv2.remap(log, x, y, how, borderMode=cv2.BORDER_REFLECT_101)
-    return np.asarray(there, np.float32), np.asarray(inside)
+    resampled = cv2.remap(log, x, y, how, borderMode=cv2.BORDER_REFLECT_101)
+    return np.asarray(resampled, np.float32), np.asarray(inside)

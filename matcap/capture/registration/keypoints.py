@@ -30,7 +30,7 @@ LONG_SIDE = 1600  # pixels along the long side of the downsampled photograph
 _MOST = 6000  # largest number of features of a photograph
 _CONTRAST = 0.01  # contrast threshold of SIFT; low, as materials have little contrast
 _RATIO = 0.95  # largest ratio of the distances of nearest and second nearest match [lowe2004]
-_OFF = 2.5  # largest distance of an inlier from the homography, pixels
+_INLIER = 2.5  # largest distance of an inlier from the homography, pixels
 _ENOUGH = 200  # inliers below which votes and the other contrast normalisation are tried as well
 _VOTERS = 600  # largest number of matches that vote
 FINE = 0.8  # standard deviation of the blur against noise, pixels
@@ -42,10 +42,10 @@ _FAINT = 0.01  # log radiance added to the local contrast, so that noise is not 
 _PERIOD_ACROSS = 640  # width of the downsampled photograph, pixels
 _PERIOD_SLOW = 12.0  # larger standard deviation of the band-pass, pixels; the smaller is FINE
 _NEAREST = 4  # least lag, pixels; at smaller ones any smooth texture correlates
-_REACH = 0.2  # largest lag along each axis, as a share of the width
+_LARGEST_LAG = 0.2  # largest lag along each axis, as a share of the width
 # Autocorrelation from which a pattern is periodic; leather, stone and plaster have below 0.07,
 # most weaves 0.46 to 0.94 (docs/notes/several.md).
-_ALIKE = 0.35
+_PERIODIC = 0.35
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def _homography(one: Doubles, other: Doubles) -> tuple[Doubles | None, NDArray[n
     if one.shape[1] < 8:
         return None, nothing
     matrix, kept = cv2.findHomography(
-        one.T, other.T, cv2.USAC_MAGSAC, _OFF, maxIters=20000, confidence=0.9999
+        one.T, other.T, cv2.USAC_MAGSAC, _INLIER, maxIters=20000, confidence=0.9999
     )
     if matrix is None or kept is None:
         return None, nothing
@@ -183,7 +183,7 @@ def _consistent(some: NDArray[np.bool_], one: Doubles, other: Doubles) -> NDArra
     if matrix is None:
         return among
     x, y, w = matrix @ np.concatenate([one, np.ones_like(one[:1])])
-    near = np.hypot(x / w - other[0], y / w - other[1]) < 4.0 * _OFF
+    near = np.hypot(x / w - other[0], y / w - other[1]) < 4.0 * _INLIER
     _, among[near] = _homography(one[:, near], other[:, near])
     return among
 
@@ -198,24 +198,24 @@ def _voted(one: Doubles, other: Doubles, shapes: NDArray[np.complex128]) -> NDAr
         one, other: (2, n) image coordinates.
         shapes: (n,) complex, scale and rotation of features in the second over the first.
     """
-    here, there = one[0] + 1j * one[1], other[0] + 1j * other[1]
-    step = -(-len(here) // _VOTERS)
-    between = here[None] - here[::step, None]
-    off = np.abs(there[::step, None] + shapes[::step, None] * between - there[None])
+    first, second = one[0] + 1j * one[1], other[0] + 1j * other[1]
+    step = -(-len(first) // _VOTERS)
+    between = first[None] - first[::step, None]
+    error = np.abs(second[::step, None] + shapes[::step, None] * between - second[None])
     far, ratio = np.abs(between), np.abs(np.log(shapes[None] / shapes[::step, None]))
     # Perspective makes the tolerance grow with distance; matches at the same point do not vote.
-    along = (off < 0.03 + 0.3 * far) & (ratio < 0.6) & (far < 0.7)
+    along = (error < 0.03 + 0.3 * far) & (ratio < 0.6) & (far < 0.7)
     votes = (along & (far > 0.02)).sum(1)
     return np.asarray(along[int(np.argmax(votes))])
 
 
 def is_periodic(photo: Photo) -> bool:
-    """Whether the photographed pattern is periodic: largest autocorrelation above _ALIKE.
+    """Whether the photographed pattern is periodic: largest autocorrelation above _PERIODIC.
 
     Its matches are ambiguous by whole periods: only aperiodic features (stains, flaws, a border)
     resolve the ambiguity, and with too few of them the matches are inconsistent.
     """
-    return largest_autocorrelation(photo) > _ALIKE
+    return largest_autocorrelation(photo) > _PERIODIC
 
 
 def largest_autocorrelation(photo: Photo) -> float:
@@ -232,13 +232,13 @@ def largest_autocorrelation(photo: Photo) -> float:
     texture -= texture.mean()
     fields = [texture, np.ones_like(texture)]
     whole = tuple(2 * side for side in texture.shape)
-    alike, shared = (
+    products, overlap = (
         np.fft.irfft2(np.abs(np.fft.rfft2(each, whole)) ** 2, whole) for each in fields
     )
-    reach = round(_REACH * wide)
-    around = np.ix_(np.arange(reach), np.arange(-reach, reach))
-    likeness = (alike[around] / shared[around]).astype(np.float32)
-    highest = likeness == cv2.dilate(likeness, np.ones((5, 5), np.uint8))
-    far = np.hypot(*np.meshgrid(np.arange(reach), np.arange(-reach, reach), indexing="ij"))
-    further = likeness[highest & (far >= _NEAREST)]
-    return float(further.max(initial=-1.0)) / max(float(likeness[0, reach]), 1e-12)
+    most = round(_LARGEST_LAG * wide)
+    around = np.ix_(np.arange(most), np.arange(-most, most))
+    correlation = (products[around] / overlap[around]).astype(np.float32)
+    highest = correlation == cv2.dilate(correlation, np.ones((5, 5), np.uint8))
+    far = np.hypot(*np.meshgrid(np.arange(most), np.arange(-most, most), indexing="ij"))
+    maxima = correlation[highest & (far >= _NEAREST)]
+    return float(maxima.max(initial=-1.0)) / max(float(correlation[0, most]), 1e-12)

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.registration.adjust import BENT, Adjusted, Pair, adjust
+from matcap.capture.registration.adjust import DISTORTION, Adjusted, Pair, adjust
 from matcap.capture.registration.camera import PosedCamera, log_on_grid
-from matcap.capture.registration.doubt import doubts
+from matcap.capture.registration.covariance import camera_deviations
 from matcap.capture.registration.keypoints import find_keypoints, is_periodic, match_photographs
 from matcap.capture.registration.sharp import BLURRED, losses_of_sharpness
 from matcap.errors import MatcapError
@@ -23,11 +23,11 @@ from matcap.photo.photo import Photo
 
 # Limits beyond which a photograph is left out.
 MATCHES = 18  # least number of inliers; by chance there are 6 to 13 (docs/notes/several.md)
-_OFF = 2.0  # largest median reprojection error, pixels
+_REPROJECTION = 2.0  # largest median reprojection error, pixels
 _STEEPEST = 65.0  # largest tilt of a camera, degrees
 # Least correlation of fine texture with the first photograph after registration; it is 0 by
 # chance, and 0.2 to 0.9 for the same sample.
-_ALIKE = 0.12
+_CORRELATION = 0.12
 _COMPARED = 384  # texels across the grid of the correlation
 _SHIFTED = 5  # shift in texels at which the correlation must be lower
 # Prior of distortion, k1 and k2, if only one photograph has flash, as the displacement of
@@ -59,17 +59,17 @@ class RegisteredView:
     """Its camera in the plane frame."""
     matches: int = 0
     """Number of inlier matches with the first photograph; 0 for the first."""
-    off: float = 0.0
+    reprojection_error: float = 0.0
     """Median reprojection error of these, pixels."""
-    alike: float = 1.0
+    correlation: float = 1.0
     """Correlation of fine texture with the first photograph."""
     flash: bool = True
     """Whether it is lit by flash, not by ambient light alone."""
-    doubt: float = 0.0
+    position_deviation: float = 0.0
     """Standard deviation of the camera's position relative to the first, over its distance
-    (doubt.py)."""
+    (covariance.py)."""
     misregistration: float = 0.0
-    """Standard deviation of its registration to the first, plane units (doubt.py)."""
+    """Standard deviation of its registration to the first, plane units (covariance.py)."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,6 @@ def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
     Raises:
         MatcapError: the first was taken without the flash that the others show.
     """
-    keypoints_of_first = cache(partial(find_keypoints, photos[0]))
-    pairs, left_out = dict[int, Pair](), dict[int, str]()
     dark = without_flash(photos)
     if 0 in dark:
         raise MatcapError.at(
@@ -122,35 +120,14 @@ def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
             f"it was photographed without the flash ({dark[0]})",
             "name a photograph with flash first, from the middle",
         )
-    for index in range(1, len(photos)):
-        first, second, pixel = match_photographs(keypoints_of_first, photos[index])
-        if first.shape[1] < MATCHES:
-            why = (
-                f"only {first.shape[1]} of its features match {photos[0].name}, "
-                f"at least {MATCHES} are needed"
-            )
-            if is_periodic(photos[0]):
-                why += "; its pattern repeats: show a border or a mark in all photographs"
-            left_out[index] = why
-            continue
-        ratio = FlashSetup(fov=photos[index].fov).distance / FlashSetup(fov=photos[0].fov).distance
-        pairs[index] = Pair(first, second, pixel, ratio)
-    known = photos[0].fov_source != "assumed"
-    blurred = False
-    while True:
-        bent = _STRAIGHT if all(index in dark for index in pairs) else BENT
-        adjusted = adjust(setup, list(pairs.values()), known=known, bent=bent)
-        cameras = dict(zip([0, *pairs], adjusted.cameras, strict=True))
-        wrong = _wrong(photos, cameras, dict(zip(pairs, adjusted.off, strict=True)))
-        if not wrong:
-            lit = {index: camera for index, camera in cameras.items() if index not in dark}
-            blurred, wrong = _blurred(photos, lit)
-        if not wrong:
-            break
+    pairs, left_out = _matched(photos)
+    adjusted, blurred, wrong = _adjusted(photos, setup, pairs, dark)
+    while wrong:
         # Remove the worst and fit again, as it affects the others.
         index, why = wrong[0]
         left_out[index] = why
         del pairs[index]
+        adjusted, blurred, wrong = _adjusted(photos, setup, pairs, dark)
     views, worse = _views(photos, pairs, dark, adjusted)
     left_out |= worse
     named = tuple(
@@ -158,6 +135,44 @@ def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
         for index, why in sorted(left_out.items())
     )
     return Registration(adjusted.first, views, named, blurred)
+
+
+def _matched(photos: Sequence[Photo]) -> tuple[dict[int, Pair], dict[int, str]]:
+    """Matches of photographs with the first by index; reasons of those that have too few."""
+    keypoints_of_first = cache(partial(find_keypoints, photos[0]))
+    pairs, left_out = dict[int, Pair](), dict[int, str]()
+    for index, photo in enumerate(photos[1:], 1):
+        first, second, pixel = match_photographs(keypoints_of_first, photo)
+        if first.shape[1] >= MATCHES:
+            ratio = FlashSetup(fov=photo.fov).distance / FlashSetup(fov=photos[0].fov).distance
+            pairs[index] = Pair(first, second, pixel, ratio)
+            continue
+        left_out[index] = (
+            f"only {first.shape[1]} of its features match {photos[0].name}, "
+            f"at least {MATCHES} are needed"
+        )
+        if is_periodic(photos[0]):
+            left_out[index] += "; its pattern repeats: show a border or a mark in all photographs"
+    return pairs, left_out
+
+
+def _adjusted(
+    photos: Sequence[Photo], setup: FlashSetup, pairs: Mapping[int, Pair], dark: Container[int]
+) -> tuple[Adjusted, bool, list[tuple[int, str]]]:
+    """Bundle adjustment, whether the first is blurred, and photographs to leave out.
+
+    The latter are (index, reason), the worst first: with an implausible camera or, if there are
+    none, blurred.
+    """
+    known = photos[0].fov_source != "assumed"
+    distortion = _STRAIGHT if all(index in dark for index in pairs) else DISTORTION
+    adjusted = adjust(setup, list(pairs.values()), known=known, distortion=distortion)
+    cameras = dict(zip([0, *pairs], adjusted.cameras, strict=True))
+    wrong = _wrong(photos, cameras, dict(zip(pairs, adjusted.reprojection_errors, strict=True)))
+    if wrong:
+        return adjusted, False, wrong
+    lit = {index: camera for index, camera in cameras.items() if index not in dark}
+    return adjusted, *_blurred(photos, lit)
 
 
 def _views(
@@ -168,18 +183,19 @@ def _views(
 ) -> tuple[tuple[RegisteredView, ...], dict[int, str]]:
     """Views with flash, then the best one without; and reasons by index for the others without."""
     first = adjusted.cameras[0]
-    views, unsure = {0: RegisteredView(photos[0], first)}, doubts(adjusted, list(pairs.values()))
+    views = {0: RegisteredView(photos[0], first)}
+    deviations = camera_deviations(adjusted, list(pairs.values()))
     for number, (index, pair) in enumerate(pairs.items()):
         camera = adjusted.cameras[number + 1]
         views[index] = RegisteredView(
             photos[index],
             camera,
             matches=pair.first.shape[1],
-            off=adjusted.off[number],
-            alike=likeness(photos[0], first, photos[index], camera),
+            reprojection_error=adjusted.reprojection_errors[number],
+            correlation=texture_correlation(photos[0], first, photos[index], camera),
             flash=index not in dark,
-            doubt=float(unsure.positions[number]),
-            misregistration=float(unsure.misregistration[number]),
+            position_deviation=float(deviations.positions[number]),
+            misregistration=float(deviations.misregistration[number]),
         )
     unlit = sorted((n for n in views if n in dark), key=lambda n: -views[n].matches)
     lit = (view for view in views.values() if view.flash)
@@ -216,13 +232,13 @@ def _wrong(
         errors: median reprojection errors by index, pixels.
     """
     wrong = []
-    for index, off in errors.items():
+    for index, error in errors.items():
         camera = cameras[index]
         if not np.isfinite(camera.place).all() or camera.place[2] <= 0.05:
             wrong.append((math.inf, index, "its matches fit no camera above a flat sample"))
-        elif off > _OFF:
-            why = f"its matches are {off:.1f} pixels off: the sample moved or is not flat"
-            wrong.append((off / _OFF, index, why))
+        elif error > _REPROJECTION:
+            why = f"its matches are {error:.1f} pixels off: the sample moved or is not flat"
+            wrong.append((error / _REPROJECTION, index, why))
         elif math.degrees(camera.tilt) > _STEEPEST:
             why = (
                 f"its camera is {math.degrees(camera.tilt):.0f} degrees off vertical, at most "
@@ -230,14 +246,14 @@ def _wrong(
             )
             wrong.append((1.0, index, why))
         else:
-            alike = likeness(photos[0], cameras[0], photos[index], camera)
-            if alike < _ALIKE:
+            correlation = texture_correlation(photos[0], cameras[0], photos[index], camera)
+            if correlation < _CORRELATION:
                 why = f"it differs from {photos[0].name} at the same place, or is blurred"
-                wrong.append((1.0 + _ALIKE - alike, index, why))
+                wrong.append((1.0 + _CORRELATION - correlation, index, why))
     return [(index, why) for _, index, why in sorted(wrong, reverse=True)]
 
 
-def likeness(
+def texture_correlation(
     first: Photo, first_camera: PosedCamera, second: Photo, second_camera: PosedCamera
 ) -> float:
     """Correlation of the fine texture of two registered photographs over their overlap.
@@ -245,9 +261,9 @@ def likeness(
     In [-1, 1]; -1 without overlap, or if a shift by a few texels correlates better.
     """
     down = round(_COMPARED * first.pixels.shape[0] / first.pixels.shape[1])
-    texture, seen = _texture(first, first_camera, down)
-    other, also = _texture(second, second_camera, down)
-    both = seen & also
+    texture, inside = _texture(first, first_camera, down)
+    other, other_inside = _texture(second, second_camera, down)
+    both = inside & other_inside
     if both.mean() < 0.05:
         return -1.0
 
@@ -255,9 +271,10 @@ def likeness(
         a, b = texture[both], np.roll(other, (y, x), (0, 1))[both]
         return float((a * b).mean() / max(float(np.sqrt((a * a).mean() * (b * b).mean())), 1e-9))
 
-    here, far = correlation(0, 0), _SHIFTED
+    far = _SHIFTED
     shifted = max(correlation(x, y) for x, y in ((far, 0), (-far, 0), (0, far), (0, -far)))
-    return here if here > shifted else -1.0
+    aligned = correlation(0, 0)
+    return aligned if aligned > shifted else -1.0
 
 
 def _texture(
@@ -265,10 +282,10 @@ def _texture(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """(down, _COMPARED) high-passed log radiance over its local contrast on the plane, its mask."""
     size = (_COMPARED, down)
-    there, inside = log_on_grid(photo, camera, size, _COMPARED, 1e-5, cv2.INTER_LINEAR)
-    fine = cv2.GaussianBlur(there, (0, 0), 1.0) - cv2.GaussianBlur(there, (0, 0), 6.0)
-    around = np.sqrt(cv2.GaussianBlur(fine * fine, (0, 0), 12.0)) + 1e-4
-    return (fine / around).astype(np.float32), inside
+    log, inside = log_on_grid(photo, camera, size, _COMPARED, 1e-5, cv2.INTER_LINEAR)
+    fine = cv2.GaussianBlur(log, (0, 0), 1.0) - cv2.GaussianBlur(log, (0, 0), 6.0)
+    contrast = np.sqrt(cv2.GaussianBlur(fine * fine, (0, 0), 12.0)) + 1e-4
+    return (fine / contrast).astype(np.float32), inside
 
 
 def flash_first(photos: Sequence[Photo]) -> list[Photo]:

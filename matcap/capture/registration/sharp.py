@@ -51,17 +51,17 @@ def _sharpness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.fl
     across = _ACROSS
     down = round(across * first.pixels.shape[0] / first.pixels.shape[1])
     wide = min(photo.pixels.shape[1], across)
-    there, inside = log_on_grid(photo, camera, (across, down), wide, 1e-4, cv2.INTER_CUBIC)
+    log, inside = log_on_grid(photo, camera, (across, down), wide, 1e-4, cv2.INTER_CUBIC)
     tiles = (_TILES, max(2, round(_TILES * down / across)))
     fine, long, seen = (
         area_averaged(each, tiles).ravel()
-        for each in (_band(there, _FINE), _band(there, _LONG), inside.astype(np.float32))
+        for each in (_band(log, _FINE), _band(log, _LONG), inside.astype(np.float32))
     )
     ratio = 0.5 * np.log((fine + 1e-9) / (long + 1e-9))
     return np.where(seen > 0.99, ratio, np.nan).astype(np.float64)
 
 
-def _band(log: NDArray[Any], reach: tuple[float, float]) -> ChannelPlane:
+def _band(log: NDArray[Any], deviations: tuple[float, float]) -> ChannelPlane:
     """Squared difference of two Gaussian blurs."""
-    near, far = (cv2.GaussianBlur(log, (0, 0), deviation) for deviation in reach)
+    near, far = (cv2.GaussianBlur(log, (0, 0), deviation) for deviation in deviations)
     return np.asarray(np.square(near - far), np.float32)

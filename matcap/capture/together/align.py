@@ -138,7 +138,8 @@ def aligned(
         if unsure:
             now = _posed(begun.setup, now)
     views = (
-        replace(v, doubt=_DOUBTFUL * v.doubt) if n in moved else v for n, v in enumerate(now.views)
+        replace(v, position_deviation=_DOUBTFUL * v.position_deviation) if n in moved else v
+        for n, v in enumerate(now.views)
     )
     return replace(now, views=tuple(views))
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from matcap.capture.registration.camera import grid_points
-from matcap.capture.registration.doubt import DOUBTED
+from matcap.capture.registration.covariance import UNCERTAIN
 from matcap.capture.registration.keypoints import LONG_SIDE
 from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order
-from matcap.capture.together.union import reach_of, sees
+from matcap.capture.together.mosaic import mosaic_of, sees
 from matcap.errors import MatcapError
 from matcap.photo.checks import Finding, Rating
 from matcap.photo.inspect import Inspection
@@ -144,10 +144,11 @@ def _places(views: Sequence[RegisteredView]) -> Finding:
 
 def _cameras(views: Sequence[RegisteredView]) -> Finding:
     """Finding on the standard deviations of the cameras."""
-    worst = max(views, key=lambda view: view.doubt)
-    value = {view.photo.name: round(view.doubt, 5) for view in views[1:]}
-    says = f"Camera positions are uncertain by {100 * worst.doubt:.2f} % of their distance"
-    if worst.doubt <= DOUBTED:
+    worst = max(views, key=lambda view: view.position_deviation)
+    deviation = worst.position_deviation
+    value = {view.photo.name: round(view.position_deviation, 5) for view in views[1:]}
+    says = f"Camera positions are uncertain by {100 * deviation:.2f} % of their distance"
+    if deviation <= UNCERTAIN:
         return Finding("cameras", value, Rating.GOOD, f"{says}.")
     says += f" ({worst.photo.name}), because the flash's shading moves with the camera."
     remedy = "None needed: a capture models the shading, which at least halves this."
@@ -173,9 +174,9 @@ def _common(views: Sequence[RegisteredView]) -> Finding:
 def _union(views: Sequence[RegisteredView]) -> Finding:
     """Finding on the extent of the mosaic."""
     rows, columns = views[0].photo.pixels.shape[:2]
-    reach = reach_of(views, (LONG_SIDE, round(LONG_SIDE * rows / columns)))
-    value = round(reach.times, 2)
-    if not reach.margins.any:
+    mosaic = mosaic_of(views, (LONG_SIDE, round(LONG_SIDE * rows / columns)))
+    value = round(mosaic.times, 2)
+    if not mosaic.margins.any:
         says = "They show hardly more than the first one: --union makes the maps no larger."
     else:
         says = f"They show {value:g} times the first one's area: --union makes maps of all of it."

@@ -2,8 +2,8 @@
 
 In come photographs, out go the first one, rectified, and an ExemplarEstimate in its frame.
 Registration by features; coarse fit and network prediction of the first photograph; registration by
-rendering; joint estimation of all maps; inpainting and indexing. A mosaic (union.py) also needs the
-predictions of the others, beyond the first photograph.
+rendering; joint estimation of all maps; inpainting and indexing. Beyond the first photograph, a
+mosaic (mosaic.py) also needs predictions of the others.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ from matcap.capture.registration.register import Registration, register_in_any_o
 from matcap.capture.together.align import Aligned, aligned, reframed
 from matcap.capture.together.ambient_light import SLOW, without_ambient
 from matcap.capture.together.leave_one_out import leave_one_out
-from matcap.capture.together.pair import on_albedo
-from matcap.capture.together.set_report import SetReport
-from matcap.capture.together.solve import ROUNDS, Solved, solve
-from matcap.capture.together.texels import Estimate
-from matcap.capture.together.tint import achromatic, coloured, on_grid
-from matcap.capture.together.union import (
-    Reach,
+from matcap.capture.together.mosaic import (
+    Mosaic,
     extrapolated,
-    reach_of,
+    mosaic_of,
     scatter,
     seen_by_any,
     spread_over,
     tint_over,
     unpredicted,
 )
+from matcap.capture.together.pair import on_albedo
+from matcap.capture.together.set_report import SetReport
+from matcap.capture.together.solve import ROUNDS, Solved, solve
+from matcap.capture.together.texels import Estimate
+from matcap.capture.together.tint import achromatic, coloured, on_grid
 from matcap.capture.together.view_predictions import predict_views, with_others
 from matcap.capture.together.views import ResampledView
 from matcap.errors import MatcapError
@@ -84,25 +84,25 @@ def estimate_together(
         network: the inverse network (piece/network/network.py).
         detail: texels along the long side.
         clock: of the stages.
-        union: estimate all that the photographs show (union.py), not the first one's rectangle.
+        union: estimate all that the photographs show (mosaic.py), not the first one's rectangle.
 
     Raises:
         MatcapError: no other photograph can be registered to the first.
     """
     registration, coarse, plane = registered(photos, detail, clock)
     single, strengths, metal = predict_alone(plane, coarse, network, clock)
-    reach = reach_of(registration.views, plane.size) if union else Reach.own(plane.size)
-    prediction = spread_over(single, reach.margins)
-    begun = Aligned.of(registration.views, coarse.setup, reach.extent)
+    mosaic = mosaic_of(registration.views, plane.size) if union else Mosaic.own(plane.size)
+    prediction = spread_over(single, mosaic.margins)
+    begun = Aligned.of(registration.views, coarse.setup, mosaic.extent)
     poses, interrupted = _aligned(begun, single.maps, prediction, clock)
     first = poses.views[0].photo
     rectified = Rectified.of(first, replace(coarse, setup=poses.setup), detail)
     posed = PosedCamera.of(registration.setup), poses.views[0].camera
-    maps, tint = achromatic(reframed(prediction.maps, *posed, reach.extent))
-    prediction = Estimate(maps, unpredicted(prediction.log_error, reach))
-    if reach.margins.any:
+    maps, tint = achromatic(reframed(prediction.maps, *posed, mosaic.extent))
+    prediction = Estimate(maps, unpredicted(prediction.log_error, mosaic))
+    if mosaic.margins.any:
         if not interrupted:
-            every = _fused(poses, prediction, tint, reach, coarse, network)
+            every = _fused(poses, prediction, tint, mosaic, coarse, network)
             prediction, tint, interrupted = every
         most = scatter(single)[:, None, None]
         prediction = replace(prediction, log_error=torch.minimum(prediction.log_error, most))
@@ -116,13 +116,13 @@ def estimate_together(
             unknown if interrupted else leave_one_out(poses, prediction, solved, tint)
         )
     with clock.stage("inpaint"):
-        reach, whole, solved = _whole(rectified.whole, poses, reach, solved)
+        mosaic, whole, solved = _whole(rectified.whole, poses, mosaic, solved)
         exemplar = _inpainted(Observation.of(whole, rectified.coarse), solved, tint, views)
     with clock.stage("index"):
-        exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, reach)
-    offset, mosaic = rectified.coarse.setup.offset, reach if reach.margins.any else None
+        exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, mosaic)
+    offset, reported = rectified.coarse.setup.offset, mosaic if mosaic.margins.any else None
     left_out, error = registration.left_out, solved.residual[0]
-    report = SetReport(poses.views, residuals, ahead, left_out, solved.measured, offset, mosaic)
+    report = SetReport(poses.views, residuals, ahead, left_out, solved.measured, offset, reported)
     estimate = ExemplarEstimate(
         exemplar, example, strengths, error, 0.0, 1.0, interrupted, report, scale, first.turned
     )
@@ -202,7 +202,7 @@ def _fused(
     poses: Aligned,
     first: Estimate,
     tint: Tensor | None,
-    reach: Reach,
+    mosaic: Mosaic,
     coarse: CoarseFit,
     network: Inverse,
 ) -> tuple[Estimate, Tensor | None, bool]:
@@ -218,7 +218,7 @@ def _fused(
         every = predict_views(poses, first, coarse, predict)
     except KeyboardInterrupt:
         return first, tint, True
-    return with_others(first, every), tint_over(tint, every, reach), False
+    return with_others(first, every), tint_over(tint, every, mosaic), False
 
 
 def _solved(
@@ -250,16 +250,16 @@ def _solved(
 
 
 def _whole(
-    plane: Plane, poses: Aligned, reach: Reach, solved: Solved
-) -> tuple[Reach, Plane, Solved]:
+    plane: Plane, poses: Aligned, mosaic: Mosaic, solved: Solved
+) -> tuple[Mosaic, Plane, Solved]:
     """The first photograph on the mosaic's grid, unseen texels masked, and maps there."""
-    if not reach.margins.any:
-        return reach, plane, solved
-    known = seen_by_any(poses.views, reach)
+    if not mosaic.margins.any:
+        return mosaic, plane, solved
+    known = seen_by_any(poses.views, mosaic)
     maps = extrapolated(solved.maps, known, SLOW * plane.size[0])
     return (
-        replace(reach, known=float(known.float().mean())),
-        plane.over(reach.margins, known),
+        replace(mosaic, known=float(known.float().mean())),
+        plane.over(mosaic.margins, known),
         replace(solved, estimate=replace(solved.estimate, maps=maps)),
     )
 
@@ -293,10 +293,10 @@ def _indexed(
     exemplar: Exemplar,
     metal: NDArray[np.float32],
     waves: tuple[Wave, ...],
-    reach: Reach,
+    mosaic: Mosaic,
 ) -> tuple[Exemplar, Example, float]:
     """The exemplar, its index, and the factor on its albedo and F0 (absolute.py)."""
     known = photo.flash_intensity is not None
-    own = exemplar.cut(*reach.margins.inside(reach.size))
+    own = exemplar.cut(*mosaic.margins.inside(mosaic.size))
     scale = 1.0 if known else most_probable_scale(own, metal)
     return *indexed(scaled(exemplar, scale).rounded(), waves, turned=photo.turned), scale

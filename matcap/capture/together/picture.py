@@ -78,7 +78,7 @@ def draw_set(report: SetReport, piece: NDArray[np.float32], width: int) -> Image
         piece: (H, W, 3) the exemplar from above, sRGB code values in [0, 1].
         width: of the picture, pixels.
     """
-    extent = OWN if report.reach is None else report.reach.extent
+    extent = OWN if report.mosaic is None else report.mosaic.extent
     half = extent.half * np.array([[1.0], [piece.shape[0] / piece.shape[1]]])
     # x and y of the exemplar's bottom left and top right corner, plane units.
     rim = np.array(extent.middle)[:, None] + half * np.array([[-1.0, 1.0]])
@@ -109,12 +109,12 @@ def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
     measured = zip(CHANNELS, report.measured, strict=True)
     shares = [f"{name} {100.0 * share:.0f} %" for name, share in measured]
     yield "measured, not predicted: " + ", ".join(shares), None
-    if report.reach is not None:
-        yield report.reach.says(), None
+    if report.mosaic is not None:
+        yield report.mosaic.summary(), None
 
 
 def _views(report: SetReport, piece: NDArray[np.float32]) -> Iterator[_View]:
-    down, across = piece.shape[:2] if report.reach is None else report.reach.size[::-1]
+    down, across = piece.shape[:2] if report.mosaic is None else report.mosaic.size[::-1]
     high = down / across  # of the first photograph, over its width
     corners = np.array([[-1.0, 1.0, 1.0, -1.0], [high, high, -high, -high]])
     for number, view in enumerate(report.views, 1):

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from matcap.brdf.maps import CHANNELS
-from matcap.capture.registration.doubt import DOUBTED
+from matcap.capture.registration.covariance import UNCERTAIN
 from matcap.capture.registration.register import LeftOut, RegisteredView
-from matcap.capture.together.union import Reach
+from matcap.capture.together.mosaic import Mosaic
 
 
 @dataclass(frozen=True)
@@ -29,20 +29,23 @@ class SetReport:
     """Share of albedo, F0, roughness and slope measured by photographs (Solved.measured)."""
     flash_offset: tuple[float, float, float]
     """Position of the flash relative to the lens, plane units; the last is 0."""
-    reach: Reach | None = None
+    mosaic: Mosaic | None = None
     """Extent of the mosaic; None if it is the first photograph's rectangle."""
 
     @property
-    def bent(self) -> tuple[float, float]:
-        """Radial distortion of the lens (Lens.bent)."""
-        return self.views[0].camera.lens.bent
+    def distortion(self) -> tuple[float, float]:
+        """Radial distortion of the lens (Lens.distortion)."""
+        return self.views[0].camera.lens.distortion
 
-    def doubted(self) -> str | None:
+    def warning(self) -> str | None:
         """A sentence if a camera's standard deviation exceeds the limit, else None."""
-        far = [view for view in self.views if view.doubt > DOUBTED]
+        far = [view for view in self.views if view.position_deviation > UNCERTAIN]
         if not far:
             return None
-        worst, names = max(view.doubt for view in far), ", ".join(v.photo.name for v in far)
+        worst, names = (
+            max(view.position_deviation for view in far),
+            ", ".join(v.photo.name for v in far),
+        )
         return (
             f"Camera positions are uncertain by {100 * worst:.1f} % of their distance ({names}), "
             "and so are directions of light: the relief may be slightly tilted."
@@ -57,10 +60,10 @@ class SetReport:
                     "name": view.photo.name,
                     "flash": view.flash,
                     "matches": view.matches,
-                    "likeness": view.alike,
+                    "likeness": view.correlation,
                     "place": view.camera.place.tolist(),
                     "tilt_degrees": math.degrees(view.camera.tilt),
-                    "doubt": view.doubt,
+                    "doubt": view.position_deviation,
                     "residual": residual,
                     "predicted": None if ahead is None or math.isnan(ahead) else ahead,
                 }
@@ -69,6 +72,6 @@ class SetReport:
             "left_out": [{"name": one.name, "why": one.why} for one in self.left_out],
             "measured_share": dict(zip(CHANNELS, self.measured, strict=True)),
             "flash_offset": list(self.flash_offset[:2]),
-            "lens_distortion": list(self.bent),
-            **({} if self.reach is None else {"union": self.reach.document()}),
+            "lens_distortion": list(self.distortion),
+            **({} if self.mosaic is None else {"union": self.mosaic.document()}),
         }

@@ -15,7 +15,7 @@ from matcap.capture.piece.find import map_set_of
 from matcap.capture.pipeline import capture_file
 from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.result import CaptureResult
-from matcap.capture.together.union import STEEPEST, sees
+from matcap.capture.together.mosaic import STEEPEST, sees
 from matcap.flash.extent import OWN, Extent
 from matcap.lab.bench.nsd import PhotographSettings
 from matcap.lab.experiment.results import Value
@@ -147,8 +147,8 @@ def off(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """Errors of maps over the first photograph's rectangle."""
     assert result.estimate is not None
     maps, several = map_set_of(result.estimate.first_rectangle), result.estimate.several
-    bent = (0.0, 0.0) if several is None else several.bent
-    estimated = PosedCamera.of(result.material.setup, bent)
+    distortion = (0.0, 0.0) if several is None else several.distortion
+    estimated = PosedCamera.of(result.material.setup, distortion)
     return map_errors(maps, taken.true_maps(0, estimated, maps.size))
 
 
@@ -171,24 +171,24 @@ def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     with the distance from the first: truth is looked up along its rays.
     """
     piece = result.estimate
-    reach = None if piece is None or piece.several is None else piece.several.reach
-    if piece is None or piece.several is None or reach is None:
+    mosaic = None if piece is None or piece.several is None else piece.several.mosaic
+    if piece is None or piece.several is None or mosaic is None:
         return {}
     exemplar, views = map_set_of(piece.exemplar), piece.several.views
-    points = grid_points(*exemplar.size, reach.extent)
-    left = ~reach.margins.own(reach.size)
+    points = grid_points(*exemplar.size, mosaic.extent)
+    left = ~mosaic.margins.own(mosaic.size)
     planes, known = torch.zeros(9, *exemplar.size[::-1]), torch.zeros_like(left)
     names = [path.name for path in taken.paths]
     for view in (view for view in views[1:] if view.flash):
         up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
         here = left & torch.from_numpy(sees(view.camera, points, up, STEEPEST))
         number = names.index(view.photo.name)
-        true = taken.true_maps(number, view.camera, exemplar.size, reach.extent)
+        true = taken.true_maps(number, view.camera, exemplar.size, mosaic.extent)
         planes[:, here] = torch.cat([true.stacked(), true.normal]).float()[:, here]
         known, left = known | here, left & ~here
     whole = replace(MapSet.from_stacked(planes[:6], exemplar.texel_size), painted=planes[6:])
     errors = map_errors(exemplar, whole, known)
-    return {"times": reach.times, **{f"{name} beyond": value for name, value in errors.items()}}
+    return {"times": mosaic.times, **{f"{name} beyond": value for name, value in errors.items()}}
 
 
 def _median(values: Sequence[float]) -> float:

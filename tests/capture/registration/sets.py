@@ -16,7 +16,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.piece.network.network import load_inverse
 from matcap.capture.progress import TOGETHER_STAGES, CaptureClock
 from matcap.capture.registration.camera import PosedCamera
-from matcap.capture.registration.doubt import DOUBTED
+from matcap.capture.registration.covariance import UNCERTAIN
 from matcap.capture.registration.register import Registration, register
 from matcap.capture.together.align import Aligned, aligned
 from matcap.capture.together.find import predict_alone, registered
@@ -140,7 +140,7 @@ def compared(made: MadeSet, found: Registration) -> SetOutcome:
         expected = true_first.turn @ (true.place - true_first.place)
         off = np.linalg.norm(apart - expected) / np.linalg.norm(true.place)
         errors.append(float(off))
-        doubts.append(view.doubt)
+        doubts.append(view.position_deviation)
     wrong = [one for one in found.left_out if names.index(one.name) not in made.foreign]
     turned = first.turn[2] @ true_first.turn[2]
     return SetOutcome(
@@ -159,12 +159,12 @@ def verdict(outcome: SetOutcome) -> Verdict:
         return "wrong"
     if not outcome.errors:
         return "refused" if outcome.kept_out else "wrong"
-    return "right" if worst <= DOUBTED else "near"
+    return "right" if worst <= UNCERTAIN else "near"
 
 
 def unsaid(outcome: SetOutcome) -> bool:
     """Whether a camera is off by more than is aimed at, and that was said of none of the set."""
-    return max(outcome.errors, default=0.0) > DOUBTED >= max(outcome.doubts, default=0.0)
+    return max(outcome.errors, default=0.0) > UNCERTAIN >= max(outcome.doubts, default=0.0)
 
 
 def kinds(sets: int) -> list[str | None]:

@@ -57,7 +57,7 @@ def test_exact_matches_give_the_cameras_back(monkeypatch):
     distance = float(np.linalg.norm(cameras[0].place))
     for camera, true in zip(found.cameras, cameras, strict=True):
         assert np.linalg.norm(camera.place - true.place) < 0.002 * distance
-    assert max(found.off) < 0.05
+    assert max(found.reprojection_errors) < 0.05
 
 
 def test_matches_off_by_half_a_pixel_cost_half_a_percent():

@@ -91,7 +91,7 @@ def test_photographs_whose_features_are_sure_stay_and_relief_is_known(laid):
     assert grids == 2  # the finest tells nothing more of relief
     for before, after, warp in zip(found.views, by.views, by.warps, strict=True):
         assert (before.camera.place == after.camera.place).all()
-        assert before.doubt == after.doubt
+        assert before.position_deviation == after.position_deviation
         assert np.ptp(warp.relief) > 0.0
 
 
@@ -105,7 +105,7 @@ def test_photographs_whose_features_are_not_sure_are_moved_until_they_hardly_mov
     assert every == 6
     for before, after in zip(found.views[1:], by.views[1:], strict=True):
         assert (before.camera.place != after.camera.place).any()
-        assert after.doubt == align._DOUBTFUL * before.doubt
+        assert after.position_deviation == align._DOUBTFUL * before.position_deviation
     monkeypatch.setattr(align, "_SETTLED", 100.0)
     _, _, settled = laid(1.0)
     assert settled == 2

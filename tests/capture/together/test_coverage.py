@@ -53,7 +53,9 @@ def test_how_far_cameras_are_known_is_told(looked):
     found = coverage(looked)["cameras"]
     assert set(found.value) == {"plaster_1", "plaster_2"} and min(found.value.values()) > 0.0
     sure, unsure = (
-        coverage(replace(looked, views=tuple(replace(v, doubt=d) for v in looked.views)))
+        coverage(
+            replace(looked, views=tuple(replace(v, position_deviation=d) for v in looked.views))
+        )
         for d in (0.001, 0.004)
     )
     assert sure["cameras"].rating is Rating.GOOD and "0.10 %" in sure["cameras"].says
@@ -62,8 +64,10 @@ def test_how_far_cameras_are_known_is_told(looked):
 
 def test_a_capture_says_where_cameras_are_doubted(looked):
     def result(doubt):
-        views = tuple(replace(v, doubt=doubt if n else 0.0) for n, v in enumerate(looked.views))
-        return SetReport(views, (), (), (), (0.0,) * 4, (0.0,) * 3).doubted()
+        views = tuple(
+            replace(v, position_deviation=doubt if n else 0.0) for n, v in enumerate(looked.views)
+        )
+        return SetReport(views, (), (), (), (0.0,) * 4, (0.0,) * 3).warning()
 
     assert result(0.0015) is None
     assert "0.3 % of their distance (plaster_1, plaster_2)" in result(0.003)

@@ -17,14 +17,13 @@ from matcap.capture.pipeline import capture_photo
 from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.settings import CaptureSettings, OutputSettings
-from matcap.capture.together import union
-from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
-from matcap.capture.together.union import (
+from matcap.capture.together import mosaic as mosaic_module
+from matcap.capture.together.mosaic import (
     LEAST,
     MOST,
     STEEPEST,
-    Reach,
-    reach_of,
+    Mosaic,
+    mosaic_of,
     scatter,
     seen_by_any,
     sees,
@@ -32,6 +31,7 @@ from matcap.capture.together.union import (
     tint_over,
     unpredicted,
 )
+from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
 from matcap.capture.together.view_predictions import ViewPrediction, with_others
 from matcap.cli.main import main
 from matcap.field.opened import open_photographed
@@ -78,49 +78,49 @@ def test_a_larger_piece_has_the_first_photographs_own_texels():
 
 
 def test_two_photographs_side_by_side_reach_half_as_far_again():
-    reach = reach_of([_view(_camera()), _view(_camera(x=1.0))], SIZE)
-    assert (reach.margins.left, reach.margins.top, reach.margins.bottom) == (0, 0, 0)
-    assert reach.margins.right == pytest.approx(64, abs=2)
-    assert reach.times == pytest.approx(1.5, abs=0.02)
-    assert reach.known > 0.98 and reach.covered > 0.98
-    assert reach.warns() is None and "1.5 times" in reach.says()
+    mosaic = mosaic_of([_view(_camera()), _view(_camera(x=1.0))], SIZE)
+    assert (mosaic.margins.left, mosaic.margins.top, mosaic.margins.bottom) == (0, 0, 0)
+    assert mosaic.margins.right == pytest.approx(64, abs=2)
+    assert mosaic.times == pytest.approx(1.5, abs=0.02)
+    assert mosaic.known > 0.98 and mosaic.covered > 0.98
+    assert mosaic.warning() is None and "1.5 times" in mosaic.summary()
     # One that lights nothing reads nothing.
-    assert not reach_of([_view(_camera()), _view(_camera(x=1.0), flash=False)], SIZE).margins.any
+    assert not mosaic_of([_view(_camera()), _view(_camera(x=1.0), flash=False)], SIZE).margins.any
 
 
 def test_what_nobody_saw_between_photographs_is_not_known():
     views = [_view(_camera()), _view(_camera(x=1.2)), _view(_camera(y=0.9))]
-    reach = reach_of(views, SIZE)
-    known = seen_by_any(views, reach)
-    assert known.shape == reach.margins.around(SIZE)[::-1]
+    mosaic = mosaic_of(views, SIZE)
+    known = seen_by_any(views, mosaic)
+    assert known.shape == mosaic.margins.around(SIZE)[::-1]
     assert not known[0, -1] and known[-1, -1] and known[0, 0]
-    assert float(known.float().mean()) == pytest.approx(reach.known, abs=0.02)
+    assert float(known.float().mean()) == pytest.approx(mosaic.known, abs=0.02)
 
 
 def test_a_leaning_camera_reaches_as_far_as_it_sees_well():
     lean = math.radians(50.0)
     camera = PosedCamera.of(FlashSetup(fov=PHONE.fov, tilt=(0.0, lean)))
-    reach = reach_of([_view(_camera()), _view(camera)], SIZE)
-    points = grid_points(*reach.margins.around(SIZE), reach.extent)
+    mosaic = mosaic_of([_view(_camera()), _view(camera)], SIZE)
+    points = grid_points(*mosaic.margins.around(SIZE), mosaic.extent)
     away = camera.place[:, None, None] - points
     seen = sees(camera, points, 0.75, STEEPEST)
     steep = np.degrees(np.arccos(away[2] / np.linalg.norm(away, axis=0)))
     assert steep[seen].max() <= STEEPEST
     assert sees(camera, points, 0.75, 89.0).sum() > seen.sum()
     # And no side of the box is hardly seen at all.
-    known = seen_by_any([_view(_camera()), _view(camera)], reach).numpy()
+    known = seen_by_any([_view(_camera()), _view(camera)], mosaic).numpy()
     for side in (known[0], known[-1], known[:, 0], known[:, -1]):
         assert side.mean() > 0.9 * LEAST
 
 
 def test_a_piece_grows_no_larger_than_memory_allows_and_says_so(monkeypatch):
     far = [_view(_camera())] + [_view(_camera(x=1.5 * n, y=1.1 * n)) for n in range(1, 5)]
-    reach = reach_of(far, SIZE)
-    assert reach.limited and reach.times <= MOST
-    assert "is left out of the maps" in reach.warns()
-    monkeypatch.setattr(union, "_TEXELS", 1.2 * SIZE[0] * SIZE[1])
-    few = reach_of(far, SIZE)
-    assert few.times <= 1.2 and few.covered < reach.covered
+    mosaic = mosaic_of(far, SIZE)
+    assert mosaic.limited and mosaic.times <= MOST
+    assert "is left out of the maps" in mosaic.warning()
+    monkeypatch.setattr(mosaic_module, "_TEXELS", 1.2 * SIZE[0] * SIZE[1])
+    few = mosaic_of(far, SIZE)
+    assert few.times <= 1.2 and few.covered < mosaic.covered
 
 
 def _drawn(size, seed=0):
@@ -134,7 +134,7 @@ def test_the_first_reading_goes_on_smoothly_and_is_doubted_by_its_own_scatter():
     maps, doubt = _drawn(SIZE), torch.full((4, *SIZE[::-1]), -2.0)
     read = Estimate(maps, doubt)
     assert spread_over(read, Margins()) is read
-    assert unpredicted(doubt, Reach.own(SIZE)) is doubt
+    assert unpredicted(doubt, Mosaic.own(SIZE)) is doubt
 
     margins = Margins(right=64, bottom=20)
     spread = spread_over(read, margins)
@@ -146,7 +146,7 @@ def test_the_first_reading_goes_on_smoothly_and_is_doubted_by_its_own_scatter():
     assert float(beyond.log().std()) < 0.5 * float(maps.diffuse.log().std())
     assert float(beyond.mean()) == pytest.approx(0.3, rel=0.1)
     torch.testing.assert_close(unsure[:, -1, -1], scatter(read))
-    nowhere = unpredicted(unsure, Reach(margins, SIZE))
+    nowhere = unpredicted(unsure, Mosaic(margins, SIZE))
     assert (nowhere[:, :, SIZE[0] :] > 3.0).all() and torch.equal(nowhere[:, *inside], doubt)
 
 
@@ -158,7 +158,7 @@ def test_beyond_the_first_photograph_the_others_reading_holds():
     true = MapSet.from_stacked(smooth, 2.0 / SIZE[0])
     first = true.crop(0, 0, *SIZE)
     over = spread_over(Estimate(first, torch.full((4, *SIZE[::-1]), -3.0)), margins)
-    unsure = unpredicted(over.log_error, Reach(margins, SIZE))
+    unsure = unpredicted(over.log_error, Mosaic(margins, SIZE))
     over = replace(over, log_error=unsure)
     read = [
         ViewPrediction(parameters_of(over.maps), unsure, extent),
@@ -176,19 +176,19 @@ def test_beyond_the_first_photograph_the_others_reading_holds():
 
 def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():
     margins = Margins(right=64)
-    reach, extent = Reach(margins, SIZE), margins.extent(SIZE[0])
+    mosaic, extent = Mosaic(margins, SIZE), margins.extent(SIZE[0])
     whole = margins.around(SIZE)[::-1]
     gold = torch.tensor([1.3, 1.0, 0.7])[:, None, None].expand(3, *whole)
-    doubt = unpredicted(torch.full((4, *whole), -2.0), reach)
+    doubt = unpredicted(torch.full((4, *whole), -2.0), mosaic)
     numbers = torch.zeros(7, *whole)
     first = ViewPrediction(numbers, doubt, extent)
     other = ViewPrediction(numbers, torch.full((4, *whole), -2.0), extent, gold)
     grey = torch.ones(3, *whole)
-    found = tint_over(grey, [first, other], reach)
+    found = tint_over(grey, [first, other], mosaic)
     assert torch.equal(found[..., : SIZE[0]], grey[..., : SIZE[0]])
     torch.testing.assert_close(found[..., SIZE[0] :], gold[..., SIZE[0] :])
-    assert tint_over(None, [first, other], reach) is None
-    assert torch.equal(tint_over(grey, [first], reach), grey)
+    assert tint_over(None, [first, other], mosaic) is None
+    assert torch.equal(tint_over(grey, [first], mosaic), grey)
 
 
 @pytest.fixture(scope="module")
@@ -202,22 +202,22 @@ def captured():
 
 def test_two_photographs_that_share_a_half_are_one_larger_piece(captured):
     cameras, leather, result = captured
-    reach = result.estimate.several.reach
-    assert 1.35 < reach.times < 1.75
+    mosaic = result.estimate.several.mosaic
+    assert 1.35 < mosaic.times < 1.75
     piece = map_set_of(result.estimate.exemplar)
-    assert piece.size == reach.margins.around((192, 144))
+    assert piece.size == mosaic.margins.around((192, 144))
     assert piece.texel_size == pytest.approx(2.0 / 192)
     assert result.estimate.first_rectangle.size == (192, 144)
     # What nobody saw is believed by nobody.
-    known = seen_by_any(result.estimate.several.views, reach).numpy()
+    known = seen_by_any(result.estimate.several.views, mosaic).numpy()
     trusted = result.estimate.exemplar.confidence
     assert (trusted[:, ~known] == 0.0).all() and trusted[0][known].mean() > 0.3
 
     other = result.estimate.several.views[1].camera
-    points = grid_points(*piece.size, reach.extent)
+    points = grid_points(*piece.size, mosaic.extent)
     beyond = torch.from_numpy(sees(other, points, 0.75, STEEPEST))
-    beyond &= ~reach.margins.own(reach.size)
-    args = leather.realise, PHONE, cameras, 1, other, piece.size, reach.extent
+    beyond &= ~mosaic.margins.own(mosaic.size)
+    args = leather.realise, PHONE, cameras, 1, other, piece.size, mosaic.extent
     true = true_maps_along(*args)
     off = map_errors(piece, true, beyond)
     assert off["normals"] < 0.9 * off["flat"]
@@ -230,7 +230,9 @@ def test_a_union_is_written_and_told(captured, tmp_path):
     result = replace(result, settings=replace(result.settings, aligned=True, preset="draft"))
     write_outputs(result, tmp_path / "leather", OutputSettings((32, 32)))
     values = json.loads((tmp_path / "leather/report.json").read_text())
-    assert values["several"]["union"]["times"] == pytest.approx(result.estimate.several.reach.times)
+    assert values["several"]["union"]["times"] == pytest.approx(
+        result.estimate.several.mosaic.times
+    )
     assert any("all that the photographs show" in note for note in values["notes"])
     assert values["settings"]["union"] is True
     assert values["effort"]["preset"] == "draft" and values["effort"]["steps"] == 0  # none was run

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from matcap.capture.registration import doubt
+from matcap.capture.registration import covariance
 from matcap.capture.registration.adjust import Adjusted, Pair, adjust
-from matcap.capture.registration.doubt import DOUBTED, doubts
+from matcap.capture.registration.covariance import UNCERTAIN, camera_deviations
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.hand_held import Hand, hold
 from matcap.lab.simulate.photograph import PhoneCamera
@@ -78,15 +78,15 @@ def _bumps(rng, count):
 
 def test_features_of_a_flat_piece_leave_no_doubt():
     _, pairs, found = _adjusted(1, 0.1, _flat)
-    assert doubts(found, pairs).positions.max() < DOUBTED
+    assert camera_deviations(found, pairs).positions.max() < UNCERTAIN
 
 
 def test_shading_that_moves_cameras_is_said():
     for seed in range(3):
         true, pairs, found = _adjusted(seed, 0.4, _bumps)
-        off, said = _off(true, found), doubts(found, pairs).positions
-        assert off.max() > DOUBTED  # else this tells nothing
-        assert (said[off > DOUBTED] > DOUBTED).all()
+        off, said = _off(true, found), camera_deviations(found, pairs).positions
+        assert off.max() > UNCERTAIN  # else this tells nothing
+        assert (said[off > UNCERTAIN] > UNCERTAIN).all()
         # Neither lulls nor cries wolf.
         assert 0.3 < np.sqrt(np.mean((off / said) ** 2)) < 2.0
 
@@ -94,28 +94,30 @@ def test_shading_that_moves_cameras_is_said():
 def test_how_far_photographs_lie_beside_each_other_is_said():
     for seed in range(3):
         true, pairs, found = _adjusted(seed, 0.4, _bumps)
-        off, said = _beside(true, found), doubts(found, pairs).misregistration
+        off, said = _beside(true, found), camera_deviations(found, pairs).misregistration
         assert 0.3 < np.sqrt(np.mean((off / said) ** 2)) < 2.0
     _, pairs, found = _adjusted(0, 0.1, _flat)
-    assert (doubts(found, pairs).misregistration < 0.25 * said).all()
+    assert (camera_deviations(found, pairs).misregistration < 0.25 * said).all()
 
 
 @pytest.mark.parametrize("more", [1.0, 2.0])
 def test_more_scatter_is_more_doubt(more, monkeypatch):
     _, pairs, found = _adjusted(2, 0.4, lambda rng, count: more * _bumps(rng, count))
-    both = doubts(found, pairs).positions
-    monkeypatch.setattr(doubt, "_ALIKE", 0.0)
-    assert (both > 1.5 * doubts(found, pairs).positions).all()
+    both = camera_deviations(found, pairs).positions
+    monkeypatch.setattr(covariance, "_COMMON_DEPTH", 0.0)
+    assert (both > 1.5 * camera_deviations(found, pairs).positions).all()
 
 
 def test_fewer_matches_are_more_doubt(monkeypatch):
     _, pairs, found = _adjusted(3, 0.5, _flat)
     few = [Pair(p.first[:, ::8], p.second[:, ::8], p.pixel) for p in pairs]
-    monkeypatch.setattr(doubt, "_ALIKE", 0.0)
-    assert (doubts(found, few).positions > 1.5 * doubts(found, pairs).positions).all()
+    monkeypatch.setattr(covariance, "_COMMON_DEPTH", 0.0)
+    assert (
+        camera_deviations(found, few).positions > 1.5 * camera_deviations(found, pairs).positions
+    ).all()
 
 
 def test_nothing_is_said_where_nothing_is_matched():
     found = adjust(FlashSetup(fov=PHONE.fov), [], known=True)
-    assert isinstance(found, Adjusted) and doubts(found, []).positions.shape == (0,)
-    assert doubts(found, []).misregistration.shape == (0,)
+    assert isinstance(found, Adjusted) and camera_deviations(found, []).positions.shape == (0,)
+    assert camera_deviations(found, []).misregistration.shape == (0,)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from matcap.capture.registration.adjust import (
-    BENT,
+    DISTORTION,
     RELIEF,
     STEP,
     TILT,
@@ -27,20 +27,24 @@ from matcap.capture.registration.adjust import (
 )
 from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, grid_points
 
-DOUBTED = 0.002  # standard deviation of a position, over its distance, above which it is reported
+UNCERTAIN = 0.002  # standard deviation of a position, over its distance, above which it is reported
 
 # Prior standard deviations and noise model; docs/notes/several.md.
-_ALIKE = 3.0  # standard deviation of the features' common apparent depth over that of single ones
+# Standard deviation of the features' common apparent depth over that of single ones.
+_COMMON_DEPTH = 3.0
 # Tangent of the light's angle at which the displacement by shading is half the linear one.
 _SATURATED = 0.5
-_ALONE = 0.25  # share of features that are independent (do not overlap others)
+_INDEPENDENT = 0.25  # share of features that are independent (do not overlap others)
 _FOCAL = 0.005  # prior standard deviation of the log focal length
 
-_OWN = 6  # parameters of each photograph alone: rotation and position
+# The changes (10,) of a pair of cameras: of the log focal length and k1, which all photographs
+# share, the first camera's rotation about x and y, and the other's rotation and position.
+_LOG_FOCAL, _K1, _FIRST_TURN, _TURN, _PLACE = 0, 1, slice(2, 4), slice(4, 7), slice(7, 10)
+_SHARED, _OWN = 4, 6  # number of those that all photographs share, and of the other camera's
 
 
 @dataclass(frozen=True)
-class Doubts:
+class CameraDeviations:
     """Standard deviations of camera positions and registration, (photographs - 1,) each."""
 
     positions: Doubles
@@ -50,7 +54,7 @@ class Doubts:
     errors of position and rotation nearly cancel on the plane."""
 
 
-def doubts(fit: Adjusted, pairs: Sequence[Pair]) -> Doubts:
+def camera_deviations(fit: Adjusted, pairs: Sequence[Pair]) -> CameraDeviations:
     """Standard deviations of camera positions and of the photographs' registration.
 
     Args:
@@ -58,21 +62,22 @@ def doubts(fit: Adjusted, pairs: Sequence[Pair]) -> Doubts:
         pairs: the matches they were fitted to.
     """
     first, *others = fit.cameras
-    known = list(zip(others, _covariances(fit, pairs), strict=True))
-    return Doubts(
-        np.array([_off(first, *each) for each in known]),
-        np.array([_misregistration(first, *each) for each in known]),
+    each = list(zip(others, _covariances(fit, pairs), strict=True))
+    return CameraDeviations(
+        np.array([_position_deviation(first, *one) for one in each]),
+        np.array([_misregistration(first, *one) for one in each]),
     )
 
 
 def _covariances(fit: Adjusted, pairs: Sequence[Pair]) -> list[Doubles]:
-    """(10, 10) of each other photograph: of a `_changed`'s change, error by shading included."""
+    """(10, 10) covariance of the changes of each other photograph, error by shading included."""
     first, *others = fit.cameras
-    deviation = np.array([_FOCAL, BENT[0], TILT, TILT])  # of the parameters that all share
+    deviation = np.array([_FOCAL, DISTORTION[0], TILT, TILT])
     normal = np.diag(np.r_[deviation**-2, np.zeros(_OWN * len(pairs))])
-    shared, own = np.split(np.arange(len(normal)), [len(deviation)])
-    blocks = [np.r_[shared, each] for each in own.reshape(len(pairs), _OWN)]
-    pulled, depths = np.zeros(len(normal)), []
+    indices = np.arange(len(normal))
+    shared, own = indices[:_SHARED], indices[_SHARED:].reshape(len(pairs), _OWN)
+    blocks = [np.r_[shared, each] for each in own]
+    gradient, depths = np.zeros(len(normal)), []
     for camera, pair, block in zip(others, pairs, blocks, strict=True):
         residual, parallax = MatchedPoints.of(first, pair, RELIEF).reprojected(camera, pair)
         noise, depth = _scatter(residual, parallax)
@@ -80,13 +85,13 @@ def _covariances(fit: Adjusted, pairs: Sequence[Pair]) -> list[Doubles]:
         jacobian, shading = _linear(first, camera, pair)
         # Matches beyond four standard deviations are outliers, with weight 0.
         kept = np.tile(np.hypot(*less_relief(residual, parallax)) < 4.0 * noise, 2)
-        weight = _ALONE * kept / noise**2
+        weight = _INDEPENDENT * kept / noise**2
         normal[np.ix_(block, block)] += (jacobian.T * weight) @ jacobian
-        pulled[block] += (jacobian.T * weight) @ shading
+        gradient[block] += (jacobian.T * weight) @ shading
     covariance = np.asarray(np.linalg.inv(normal + 1e-9 * np.eye(len(normal))), np.float64)
     depth = float(np.median(depths)) if depths else 0.0
-    moved = _ALIKE * depth * (covariance @ pulled)
-    covariance += np.outer(moved, moved)
+    by_shading = _COMMON_DEPTH * depth * (covariance @ gradient)
+    covariance += np.outer(by_shading, by_shading)
     return [covariance[np.ix_(block, block)] for block in blocks]
 
 
@@ -101,57 +106,54 @@ def _scatter(residual: Doubles, parallax: Doubles) -> tuple[float, float]:
 
 
 def _linear(first: PosedCamera, camera: PosedCamera, pair: Pair) -> tuple[Doubles, Doubles]:
-    """(2n, 10) d residual / d parameter of a photograph, and (2n,) d residual / d common depth."""
+    """(2n, 10) d residual / d change of a photograph, and (2n,) d residual / d common depth."""
+    shading, unchanged = _shading(first, camera, pair), np.zeros(_SHARED + _OWN)
 
-    def off(change: Doubles, depth: float = 0.0) -> Doubles:
+    def residual(change: Doubles, depth: float = 0.0) -> Doubles:
         one, other = _changed(first, camera, change)
-        residual, parallax = MatchedPoints.of(one, pair, RELIEF).reprojected(other, pair)
-        if depth:
-            residual = residual + depth * shaded
-        return less_relief(residual, parallax).ravel()
+        errors, parallax = MatchedPoints.of(one, pair, RELIEF).reprojected(other, pair)
+        return less_relief(errors + depth * shading, parallax).ravel()
 
-    shaded = _shaded(first, camera, pair)
-    return _jacobian(off, 10), (off(np.zeros(10), STEP) - off(np.zeros(10))) / STEP
+    by_depth = (residual(unchanged, STEP) - residual(unchanged)) / STEP
+    return _jacobian(residual, len(unchanged)), by_depth
 
 
-def _shaded(first: PosedCamera, camera: PosedCamera, pair: Pair) -> Doubles:
+def _shading(first: PosedCamera, camera: PosedCamera, pair: Pair) -> Doubles:
     """(2, n) displacement by shading between two flashes, pixels per plane unit of depth."""
     points = first.on_plane(pair.first)
 
-    def moved(place: Doubles) -> Doubles:
-        towards = (place[:2, None] - points[:2]) / place[2]
-        return np.asarray(towards / (1.0 + np.square(towards).sum(0) / _SATURATED**2))
+    def displacement(flash: Doubles) -> Doubles:
+        tangent = (flash[:2, None] - points[:2]) / flash[2]
+        return np.asarray(tangent / (1.0 + np.square(tangent).sum(0) / _SATURATED**2))
 
-    shift = np.concatenate([moved(camera.place) - moved(first.place), np.zeros_like(points[2:])])
+    across = displacement(camera.place) - displacement(first.place)
+    shift = np.concatenate([across, np.zeros_like(points[2:])])
     return (camera.sees(points + STEP * shift) - camera.sees(points)) / (STEP * pair.pixel)
 
 
 def _changed(
     first: PosedCamera, camera: PosedCamera, change: Doubles
 ) -> tuple[PosedCamera, PosedCamera]:
-    """Change the first camera and another.
-
-    `change` (10,) is of log focal length, k1, the first one's rotation about x and y, and the
-    other's rotation (3,) and position (3,).
-    """
-    (focal,), (bent,), (x, y), turn, place = np.split(change, [1, 2, 4, 7])
+    """The first camera and another after a change (10,)."""
 
     def lens(old: Lens) -> Lens:
-        return Lens(old.focal * math.exp(focal), (old.bent[0] + bent, old.bent[1]))
+        k1, k2 = old.distortion
+        return Lens(old.focal * math.exp(change[_LOG_FOCAL]), (k1 + change[_K1], k2))
 
-    leant = _turn(np.array([x, y, 0.0]))
-    one = PosedCamera(first.turn @ leant.T, leant @ first.place, lens(first.lens))
-    return one, PosedCamera(_turn(turn) @ camera.turn, camera.place + place, lens(camera.lens))
+    turn = _rotation(np.r_[change[_FIRST_TURN], 0.0])
+    one = PosedCamera(first.turn @ turn.T, turn @ first.place, lens(first.lens))
+    turned = _rotation(change[_TURN]) @ camera.turn
+    return one, PosedCamera(turned, camera.place + change[_PLACE], lens(camera.lens))
 
 
-def _turn(vector: Doubles) -> Doubles:
+def _rotation(vector: Doubles) -> Doubles:
     """(3, 3) rotation by a small vector, to first order and orthogonal to second."""
     x, y, z = vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + cross + 0.5 * cross @ cross)
 
 
-def _off(first: PosedCamera, camera: PosedCamera, covariance: Doubles) -> float:
+def _position_deviation(first: PosedCamera, camera: PosedCamera, covariance: Doubles) -> float:
     """Standard deviation of a camera's position in the first one's frame, over its distance."""
 
     def between(change: Doubles) -> Doubles:
@@ -168,11 +170,11 @@ def _misregistration(first: PosedCamera, camera: PosedCamera, covariance: Double
     both = (np.abs(camera.sees(points)) < 1.0).all(0)
     image = first.sees(points[:, both] if both.any() else points)
 
-    def seen(change: Doubles) -> Doubles:
+    def place(change: Doubles) -> Doubles:
         one, other = _changed(first, camera, change)
         return camera.on_plane(other.sees(one.on_plane(image)))[:2].ravel()
 
-    return math.sqrt(2.0 * float(_variance(seen, covariance).mean()))
+    return math.sqrt(2.0 * float(_variance(place, covariance).mean()))
 
 
 def _variance(f: Callable[[Doubles], Doubles], covariance: Doubles) -> Doubles:
@@ -183,5 +185,5 @@ def _variance(f: Callable[[Doubles], Doubles], covariance: Doubles) -> Doubles:
 
 def _jacobian(f: Callable[[Doubles], Doubles], size: int) -> Doubles:
     """(n, size) d f(change) / d change at 0."""
-    here = f(np.zeros(size))
-    return np.stack([(f(STEP * unit) - here) / STEP for unit in np.eye(size)], 1)
+    unchanged = f(np.zeros(size))
+    return np.stack([(f(STEP * unit) - unchanged) / STEP for unit in np.eye(size)], 1)

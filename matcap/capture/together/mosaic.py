@@ -44,7 +44,7 @@ _THINNEST = 3  # least width of a margin, cells
 
 
 @dataclass(frozen=True)
-class Reach:
+class Mosaic:
     """Extent of the mosaic."""
 
     margins: Margins
@@ -70,11 +70,11 @@ class Reach:
         return width * height / (self.size[0] * self.size[1])
 
     @staticmethod
-    def own(size: tuple[int, int]) -> Reach:
+    def own(size: tuple[int, int]) -> Mosaic:
         """Extent of the first photograph's rectangle, (width, height) in texels."""
-        return Reach(Margins(), size)
+        return Mosaic(Margins(), size)
 
-    def says(self) -> str:
+    def summary(self) -> str:
         """Sentence on the size of the mosaic."""
         width, height = self.margins.around(self.size)
         return (
@@ -82,7 +82,7 @@ class Reach:
             f"{self.times:.1f} times the first photograph's."
         )
 
-    def warns(self) -> str | None:
+    def warning(self) -> str | None:
         """A sentence if the mosaic was cut to its largest size, else None."""
         if not self.limited:
             return None
@@ -103,7 +103,7 @@ class Reach:
         }
 
 
-def reach_of(views: Sequence[RegisteredView], size: tuple[int, int]) -> Reach:
+def mosaic_of(views: Sequence[RegisteredView], size: tuple[int, int]) -> Mosaic:
     """Extent of what the flash photographs show, around the first one's grid.
 
     Args:
@@ -126,15 +126,15 @@ def reach_of(views: Sequence[RegisteredView], size: tuple[int, int]) -> Reach:
     )
     covered = float(seen[box].sum()) / max(float(seen.sum()), 1.0)
     margins = Margins(left, right, top, bottom)
-    return Reach(margins, size, covered, float(seen[box].mean()), limited)
+    return Mosaic(margins, size, covered, float(seen[box].mean()), limited)
 
 
-def seen_by_any(views: Sequence[RegisteredView], reach: Reach) -> Tensor:
+def seen_by_any(views: Sequence[RegisteredView], mosaic: Mosaic) -> Tensor:
     """(H, W) bool on the mosaic: whether any flash photograph shows the texel."""
-    width, height = reach.margins.around(reach.size)
+    width, height = mosaic.margins.around(mosaic.size)
     seen = np.zeros((height, width), np.bool_)
     for rows in strips(height, cached_rows(width)):
-        points = grid_points(width, height, reach.extent, rows)
+        points = grid_points(width, height, mosaic.extent, rows)
         seen[rows] = _any_sees(views, points)
     return torch.from_numpy(seen)
 
@@ -255,14 +255,14 @@ def extrapolated(maps: MapSet, known: Tensor, slow: float) -> MapSet:
 
 
 def tint_over(
-    tint: Tensor | None, predictions: Sequence[ViewPrediction], reach: Reach
+    tint: Tensor | None, predictions: Sequence[ViewPrediction], mosaic: Mosaic
 ) -> Tensor | None:
     """Specular tint (3, H, W) over the mosaic, from the other predictions beyond the first's.
 
     Args:
         tint: (3, H, W) from the first prediction, extrapolated; None without metal.
         predictions: of photographs, the first one first.
-        reach: of the mosaic.
+        mosaic: of the mosaic.
     """
     if tint is None or len(predictions) < 2:
         return tint
@@ -274,11 +274,11 @@ def tint_over(
     size = tint.shape[-1], tint.shape[-2]
     beyond = on_grid(total / weights, size)
     counted = on_grid(weights[None], size) > math.exp(-UNPREDICTED)
-    return torch.where(counted & ~reach.margins.own(reach.size), beyond, tint)
+    return torch.where(counted & ~mosaic.margins.own(mosaic.size), beyond, tint)
 
 
-def unpredicted(log_error: Tensor, reach: Reach) -> Tensor:
+def unpredicted(log_error: Tensor, mosaic: Mosaic) -> Tensor:
     """Log errors (4, H, W) set to UNPREDICTED beyond the first photograph."""
-    if not reach.margins.any:
+    if not mosaic.margins.any:
         return log_error
-    return torch.where(reach.margins.own(reach.size), log_error, torch.tensor(UNPREDICTED))
+    return torch.where(mosaic.margins.own(mosaic.size), log_error, torch.tensor(UNPREDICTED))
