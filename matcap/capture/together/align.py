@@ -25,7 +25,7 @@ from matcap.capture.registration.adjust import Pair, adjust
 from matcap.capture.registration.camera import Doubles, PosedCamera, grid_points, to_pixels
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.shared import shared_step
-from matcap.capture.together.surface import surface_of
+from matcap.capture.together.surface import integrated
 from matcap.capture.together.texels import (
     SLOPES,
     Estimate,
@@ -152,7 +152,7 @@ def _farthest(moves: Sequence[Doubles]) -> float:
 
 def _relief(parameters: Tensor, texel_size: float, unit: float) -> NDArray[np.float32]:
     """(H, W) height for parallax, high-passed: slopes do not determine low frequencies."""
-    height = surface_of(parameters[SLOPES], texel_size)[0].numpy()
+    height = integrated(parameters[SLOPES], texel_size)[0].numpy()
     return height - smoothed(height, _SLOW * unit)
 
 

@@ -36,7 +36,7 @@ from matcap.capture.registration.camera import (
 )
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.together.ambient_light import GRADIENT_DEVIATION, UNIFORM_SKY, Views
-from matcap.capture.together.texels import SLOPES, derivatives, points_of
+from matcap.capture.together.texels import OTHER_SLOPES, SLOPES, derivatives, points_of
 from matcap.capture.together.views import ResampledView, SharedLight, light_at
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.shrink import area_averaged
@@ -178,9 +178,9 @@ class Ratio:
         logs, slopes, shares = [], [], []
         lights = [light_at(number, view, light, points) for number, view in some]
         for (_, view), shown in zip(some, derivatives(flat, lights), strict=True):
-            log, share, gained = shown
+            log, share, by_others = shown
             logs.append(view.log - log)
-            slopes.append(gained[-2:].unflatten(-1, size))
+            slopes.append(by_others[OTHER_SLOPES].unflatten(-1, size))
             shares.append(share.unflatten(-1, size))
         share = shares[0] / shares[1].clamp_min(1e-3)
 

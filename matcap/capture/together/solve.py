@@ -10,8 +10,8 @@ texels (shared.py). Finally slopes are integrated to a height, and albedo is ref
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -25,7 +25,7 @@ from matcap.capture.together.ambient_light import SLOW
 from matcap.capture.together.octaves import denoised, prediction_error, with_energies
 from matcap.capture.together.pair import scaled_by_ratio, with_ambient_gradient
 from matcap.capture.together.shared import SAMPLED, shared_step
-from matcap.capture.together.surface import surface_of
+from matcap.capture.together.surface import integrated, surface_of
 from matcap.capture.together.texels import (
     GLOSS,
     ROWS,
@@ -46,11 +46,12 @@ from matcap.flash.light import strips
 
 # Per-texel steps in each round; each begins with a fit of the shared parameters.
 ROUNDS: tuple[int, ...] = (2, 2, 1)
-# Least standard deviation of the prior of slopes, until the photographs measure the prediction's
-# error; then the factor on that for each photograph: each octave's gain is estimated later
-# (octaves.py), but noise of slopes from two photographs is in all of them. One without flash, which
-# measures albedo alone, counts as five.
-_SLOPE, _WIDER, _UNLIT = 1.0, 0.5, 5
+# Prior standard deviation of slopes until the photographs have measured the error of the
+# prediction. It is wide, as each octave's gain is estimated afterwards (octaves.py).
+_SLOPE = 1.0
+# Then that deviation over the measured error, for each photograph: noise of slopes from two
+# photographs is in all octaves. A photograph without flash, which measures albedo, counts as five.
+_WIDER, _UNLIT = 0.5, 5
 
 
 @dataclass(frozen=True)
@@ -87,12 +88,80 @@ class Solved:
         return self.prediction_error, self.slope_energies[octaves:]
 
 
+@dataclass(frozen=True)
+class _Iterate:
+    """The solution after a Gauss-Newton step.
+
+    Attributes:
+        views: photographs; of the ambient one, low frequencies are those of the rendered maps.
+        light: fitted shared parameters.
+        prior: prediction; the deviation of slopes is at least the measured error.
+        widened: the prior of this round.
+        step: parameters, their precision, and jackknife changes of slopes after the last step.
+        prediction_error, slope_energies: as of Solved.
+    """
+
+    views: Sequence[ResampledView]
+    light: SharedLight
+    prior: ParameterPrior
+    widened: ParameterPrior
+    step: Stepped
+    prediction_error: float
+    slope_energies: tuple[float, ...]
+
+    @property
+    def parameters(self) -> Tensor:
+        """(PARAMETERS, H, W) current parameters."""
+        return self.step.parameters
+
+    def with_shared(self, views: Sequence[ResampledView], slope: float, sampled: int) -> _Iterate:
+        """Begin a round: fit the shared parameters.
+
+        Args:
+            views: the photographs.
+            slope: least prior standard deviation of slopes in this round.
+            sampled: texels to which the shared parameters are fitted.
+        """
+        parameters, mean_gloss = self.parameters.clone(), self.light.gloss
+        views = under_fitted_ambient(views, parameters, self.light)
+        light, _ = shared_step(views, parameters, self.prior, self.light, sampled)
+        parameters[GLOSS] += (light.gloss - mean_gloss)[:, None, None]
+        widened = self.prior.with_least_slope(slope).with_gloss_of(light)
+        step = replace(self.step, parameters=parameters)
+        return replace(self, views=views, light=light, widened=widened, step=step)
+
+    def high_passed(self) -> _Iterate:
+        """End a round: remove low frequencies of slopes."""
+        parameters, extent = self.parameters.clone(), self.views[0].extent
+        unit = extent.unit(parameters.shape[-1])
+        parameters[SLOPES] = _without_slow(parameters[SLOPES], unit)
+        return replace(self, step=replace(self.step, parameters=parameters))
+
+    def measured(self) -> _Iterate:
+        """Measure error and energies of the predicted slopes, means over both slopes."""
+        each = zip(
+            self.parameters[SLOPES],
+            self.prior.mean[SLOPES],
+            self.step.changes.movedim(1, 0),
+            strict=True,
+        )
+        of_each = (prediction_error(*(plane.numpy() for plane in planes)) for planes in each)
+        squares, energies = zip(*of_each, strict=True)
+        error = math.sqrt(np.mean(squares))
+        return replace(
+            self,
+            prior=self.prior.with_least_slope(error),
+            prediction_error=error,
+            slope_energies=tuple(np.mean(energies, axis=0).tolist()),
+        )
+
+
 @torch.no_grad()
 def solve(
     views: Sequence[ResampledView],
     prediction: Estimate,
     light: SharedLight,
-    begun: Solved | None = None,
+    coarser: Solved | None = None,
     on_progress: Callable[[float], None] = lambda _share: None,
     *,
     rounds: Sequence[int] = ROUNDS,
@@ -104,88 +173,112 @@ def solve(
         views: photographs on the maps' grid, the first one first.
         prediction: the network's: mean and deviation of the prior.
         light: initial value.
-        begun: solution on a coarser grid, to start from; None to start from the prediction.
+        coarser: solution on a coarser grid, to start from; None to start from the prediction.
         on_progress: called with the completed share, in [0, 1].
         rounds, sampled: see ROUNDS and shared.SAMPLED.
     """
-    maps, texel_size = prediction.maps, prediction.maps.texel_size
-    off, energies = begun.slope_statistics_on(maps) if begun else (0.0, ())
-    prior = ParameterPrior.of(prediction).with_least_slope(off)
-    parameters = prior.mean.clone() if begun is None else _continued(prior.mean, maps, begun)
-    total, done, interrupted = sum(rounds) + 2, 0, False
-    light = with_ambient_gradient(views, prior.mean, light)
-    unit = views[0].extent.unit(parameters.shape[-1])
-    lit, expected, step = list(views), prior, Stepped.none(parameters)
-    wider = _WIDER * sum(1 if view.flash else _UNLIT for view in views)
+    iterate, interrupted = _initial(views, prediction, light, coarser), False
     try:
-        for index, steps in enumerate(rounds):
-            lit, before = under_fitted_ambient(views, parameters, light), light.gloss
-            light, _ = shared_step(lit, parameters, prior, light, sampled)
-            parameters[GLOSS] += (light.gloss - before)[:, None, None]
-            measures = begun is None and index == 0
-            expected = prior.with_least_slope(_SLOPE if measures else wider * off)
-            expected = expected.with_gloss_of(light)
-            for turn in range(1, steps + 1):
-                each = turn == steps and (measures or not rounds[index + 1 :])
-                step = stepped(lit, parameters, expected, light, changed=SLOPES if each else None)
-                parameters, done = step.parameters, done + 1
-                on_progress(done / total)
-            parameters[SLOPES] = _without_slow(parameters[SLOPES], unit)
-            if measures:
-                off, energies = _slope_statistics(parameters, prior.mean, step.changes)
-                prior = prior.with_least_slope(off)
+        steps = _iterates(iterate, rounds, sampled, measure=coarser is None)
+        for done, newest in enumerate(steps, 1):
+            iterate = newest
+            on_progress(done / (sum(rounds) + 2))
     except KeyboardInterrupt:
         interrupted = True
-    height = surface_of(parameters[SLOPES], texel_size, step.relief)
+    views, light, parameters = iterate.views, iterate.light, iterate.parameters
+    texel_size = prediction.maps.texel_size
+    height = surface_of(parameters[SLOPES], texel_size, iterate.step.relief)
     if not interrupted:
-        height = _denoised(height, lit, step.changes, prior, energies)
-        height = scaled_by_ratio(height, lit, parameters, light)
+        height = scaled_by_ratio(_denoised(height, iterate), views, parameters, light)
     parameters[SLOPES] = slopes_of(height, texel_size)
     if not interrupted:
-        parameters = _step_at_fixed_slopes(lit, parameters, expected, light)
-    maps, errors = maps_of(parameters, height, texel_size), _log_errors(step.precision, expected)
-    residuals, shares = _residuals(lit, parameters, light), _shares(step.precision, expected)
-    return Solved(Estimate(maps, errors), light, residuals, shares, off, energies, interrupted)
+        parameters = _step_at_fixed_slopes(views, parameters, iterate.widened, light)
+    precision = iterate.step.precision
+    return Solved(
+        Estimate(maps_of(parameters, height, texel_size), _log_errors(precision, iterate.widened)),
+        light,
+        _residuals(views, parameters, light),
+        _shares(precision, iterate.widened),
+        iterate.prediction_error,
+        iterate.slope_energies,
+        interrupted,
+    )
 
 
-def _denoised(
-    height: Tensor,
-    views: Sequence[ResampledView],
-    changes: Tensor,
-    prior: ParameterPrior,
-    slope_energies: Sequence[float],
-) -> Tensor:
+def _initial(
+    views: Sequence[ResampledView], prediction: Estimate, light: SharedLight, coarser: Solved | None
+) -> _Iterate:
+    """The prediction, or the upsampled solution of a coarser grid; arguments as of solve."""
+    prior = ParameterPrior.of(prediction)
+    if coarser is None:
+        parameters, error, energies = prior.mean.clone(), 0.0, tuple[float, ...]()
+    else:
+        parameters = _continued(prior.mean, prediction.maps, coarser)
+        error, energies = coarser.slope_statistics_on(prediction.maps)
+    prior = prior.with_least_slope(error)
+    light = with_ambient_gradient(views, prior.mean, light)
+    return _Iterate(views, light, prior, prior, Stepped.none(parameters), error, energies)
+
+
+def _iterates(
+    iterate: _Iterate, rounds: Sequence[int], sampled: int, *, measure: bool
+) -> Iterator[_Iterate]:
+    """The solution after each step of each round.
+
+    Args:
+        iterate: the initial one.
+        rounds, sampled: as of solve.
+        measure: whether the first round measures the error of the predicted slopes.
+    """
+    views = iterate.views
+    wider = _WIDER * sum(1 if view.flash else _UNLIT for view in views)
+    for index, steps in enumerate(rounds):
+        measures = measure and index == 0
+        slope = _SLOPE if measures else wider * iterate.prediction_error
+        iterate = iterate.with_shared(views, slope, sampled)
+        for turn in range(1, steps + 1):
+            last = turn == steps
+            jackknife = last and (measures or index == len(rounds) - 1)
+            step = stepped(
+                iterate.views,
+                iterate.parameters,
+                iterate.widened,
+                iterate.light,
+                changed=SLOPES if jackknife else None,
+            )
+            iterate = replace(iterate, step=step)
+            if last:
+                iterate = iterate.high_passed()
+            if last and measures:
+                iterate = iterate.measured()
+            yield iterate
+
+
+def _denoised(height: Tensor, iterate: _Iterate) -> Tensor:
     """(1, H, W) height denoised octave by octave (octaves.py), plane units.
 
     Two photographs measure slopes along their baseline only, and across it those of the prior do
     not change when either is left out. The octaves' energies are then those that were measured with
-    a wide prior (`slope_energies`).
-
-    Args:
-        height: (1, H, W), estimated from all photographs.
-        views: the photographs.
-        changes: (photographs, 2, H, W) change of slopes when each is left out (jackknife).
-        prior: whose mean slopes are the network's.
-        slope_energies: as Solved.slope_energies.
+    a wide prior (Solved.slope_energies).
     """
-    extent, across = views[0].extent, height.shape[-1]
-    prediction, *others = (
-        surface_of(_without_slow(slopes, extent.unit(across)), extent.texel(across))
-        for slopes in (prior.mean[SLOPES], *changes)
+    views, extent, across = iterate.views, iterate.views[0].extent, height.shape[-1]
+    texel_size, unit = extent.texel(across), extent.unit(across)
+    prediction, *jackknife = (
+        integrated(_without_slow(slopes, unit), texel_size)[0].numpy()
+        for slopes in (iterate.prior.mean[SLOPES], *iterate.step.changes)
     )
-    jackknife = [other[0].numpy() for other in others]
-    height_map = denoised(height[0].numpy(), prediction[0].numpy(), jackknife, keep_energy=True)
+    result = denoised(height[0].numpy(), prediction, jackknife, keep_energy=True)
     if len(views) == 2 and views[1].flash:
-        height_map = with_energies(height_map, extent.texel(across), slope_energies)
-    return torch.from_numpy(height_map)[None]
+        result = with_energies(result, texel_size, iterate.slope_energies)
+    return torch.from_numpy(result)[None]
 
 
-def _continued(prior_mean: Tensor, prior: MapSet, begun: Solved) -> Tensor:
+def _continued(prior_mean: Tensor, prior: MapSet, coarser: Solved) -> Tensor:
     """(PARAMETERS, H, W) prior mean plus upsampled (estimate - prior mean) of a coarse grid."""
-    size = begun.maps.size[::-1]
+    size = coarser.maps.size[::-1]
     small = F.interpolate(prior.stacked()[None].float(), size=size, mode="area")[0]
-    coarse = MapSet.from_stacked(small, begun.maps.texel_size)
-    change = parameters_of(begun.maps) - parameters_of(coarse)
+    coarse = MapSet.from_stacked(small, coarser.maps.texel_size)
+    change = parameters_of(coarser.maps) - parameters_of(coarse)
     return prior_mean + F.interpolate(change[None], size=prior_mean.shape[1:], mode="bilinear")[0]
 
 
@@ -216,16 +309,6 @@ def _step_at_fixed_slopes(
     return step.parameters
 
 
-def _slope_statistics(
-    parameters: Tensor, prior_mean: Tensor, changes: Tensor
-) -> tuple[float, tuple[float, ...]]:
-    """Solved.prediction_error and Solved.slope_energies, means over both slopes (octaves.py)."""
-    both = (parameters[SLOPES], prior_mean[SLOPES], changes.movedim(1, 0))
-    of_each = (prediction_error(*(x.numpy() for x in each)) for each in zip(*both, strict=True))
-    squares, energies = zip(*of_each, strict=True)
-    return math.sqrt(np.mean(squares)), tuple(np.mean(energies, axis=0).tolist())
-
-
 def _log_errors(precision: Tensor, prior: ParameterPrior) -> Tensor:
     """(4, H, W) log standard deviation of log albedo, log F0, logit roughness and slope."""
     # The precision of a parameter alone is optimistic: the others are correlated with it.
@@ -244,12 +327,12 @@ def _residuals(
     views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
 ) -> tuple[float, ...]:
     """Median absolute residual of log radiance of each photograph, from a quarter of the rows."""
-    off: list[list[Tensor]] = [[] for _ in views]
+    residuals: list[list[Tensor]] = [[] for _ in views]
     for rows in strips(parameters.shape[1], ROWS // 4)[::4]:
         points = points_of(parameters.shape[-2:], rows, views[0].extent)
-        lit = [light_at(k, view, light, points) for k, view in enumerate(views)]
-        shown = log_rendered(parameters[:, rows], lit)
-        for view, left, log in zip(views, off, shown, strict=True):
-            left.append((view.log[:, rows] - log)[view.seen[:, rows]].abs())
-    every = (torch.cat(each) for each in off)
+        lights = [light_at(k, view, light, points) for k, view in enumerate(views)]
+        rendered = log_rendered(parameters[:, rows], lights)
+        for view, residual, log in zip(views, residuals, rendered, strict=True):
+            residual.append((view.log[:, rows] - log)[view.seen[:, rows]].abs())
+    every = (torch.cat(each) for each in residuals)
     return tuple(float(each.median()) if each.numel() else math.nan for each in every)

@@ -23,17 +23,21 @@ from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import strips
 
-# Besides ALBEDO, F0 and ROUGH: the slope along x, and both of a kind.
-ACROSS, GLOSS, SLOPES = 5, slice(3, 5), slice(5, 7)
-PARAMETERS = 7
+# Parameters of a texel besides ALBEDO, F0 and ROUGH, their number, and the channels of each part.
+GLOSS, SLOPES = slice(3, 5), slice(5, 7)
+PARAMETERS, _PARTS = 7, (3, 1, 1, 2)
+# Slopes among the parameters other than albedo.
+OTHER_SLOPES, _SLOPE_X, _SLOPE_Y = slice(2, 4), 2, 3
 
 # Of the multi-view solution; docs/notes/several.md.
 _ROBUST = 0.25  # s of the weights 1 / (1 + (r / s)^2)^2 of residuals r of log radiance
 # Standard deviation of log radiance in one channel of one photograph, model error included.
 _NOISE = 0.02
-# Least standard deviation of the prior of log albedo; that of log F0 and logit roughness, which are
-# a class's, not a texel's (wider ones scatter: docs/notes/several.md).
-_ALBEDO, _GLOSS = 0.25, 0.07
+# Least prior standard deviation of log albedo.
+_ALBEDO = 0.25
+# Prior standard deviation of log F0 and logit roughness. They are constant in a material class, so
+# it is small: wider ones scatter from texel to texel (docs/notes/several.md).
+_GLOSS = 0.07
 _STEEPEST = 3.0  # limit of slopes
 # Levenberg-Marquardt: share of a parameter's precision added to the diagonal. Less overshoots;
 # more leaves the trade-off of albedo and slope at its initial value.
@@ -103,10 +107,10 @@ class ParameterPrior:
     @staticmethod
     def of(estimate: Estimate) -> ParameterPrior:
         """Prior from the network's prediction, with least deviations."""
-        off = estimate.log_error.clamp(-8.0, 2.0).exp()
-        albedo = off[:1].clamp_min(_ALBEDO).expand(3, -1, -1)
-        gloss = torch.full_like(off[:2], _GLOSS)
-        deviation = torch.cat([albedo, gloss, off[3:].expand(2, -1, -1)])
+        albedo, *_, slope = estimate.log_error.clamp(-8.0, 2.0).exp().split(1)
+        gloss = torch.full_like(albedo, _GLOSS).expand(2, -1, -1)
+        albedo = albedo.clamp_min(_ALBEDO).expand(3, -1, -1)
+        deviation = torch.cat([albedo, gloss, slope.expand(2, -1, -1)])
         return ParameterPrior(parameters_of(estimate.maps), deviation)
 
     @property
@@ -142,10 +146,11 @@ def parameters_of(maps: MapSet) -> Tensor:
 
 def maps_of(parameters: Tensor, height: Tensor, texel_size: float) -> MapSet:
     """Maps of parameters (PARAMETERS, H, W) and a height (1, H, W) that matches their slopes."""
+    log_albedo, log_f0, logit_roughness, _ = parameters.split(_PARTS)
     return MapSet(
-        diffuse=parameters[ALBEDO].exp().clamp(1e-3, 0.98),
-        specular=parameters[F0 : F0 + 1].exp().clamp(5e-3, 0.98),
-        roughness=torch.sigmoid(parameters[ROUGH : ROUGH + 1]).clamp(0.03, 0.98),
+        diffuse=log_albedo.exp().clamp(1e-3, 0.98),
+        specular=log_f0.exp().clamp(5e-3, 0.98),
+        roughness=torch.sigmoid(logit_roughness).clamp(0.03, 0.98),
         height=height,
         texel_size=texel_size,
     )
@@ -158,14 +163,12 @@ def slopes_of(height: Tensor, texel_size: float) -> Tensor:
 
 
 def points_of(
-    size: torch.Size | tuple[int, ...], rows: slice | None = None, extent: Extent = OWN
+    size: torch.Size | tuple[int, ...], rows: slice = slice(None), extent: Extent = OWN
 ) -> Tensor:
-    """(3, h, w) plane points of a grid, or of some rows of it."""
+    """(3, h, w) plane points of a grid (height, width), or of some rows of it."""
     height, width = size
-    rows = rows or slice(0, height)
-    points = plane_points(
-        0, rows.start, width, rows.stop - rows.start, (width, height), dtype=torch.float32
-    )
+    top, bottom, _ = rows.indices(height)
+    points = plane_points(0, top, width, bottom - top, (width, height), dtype=torch.float32)
     return extent.placed(points)
 
 
@@ -178,9 +181,9 @@ def log_rendered(parameters: Tensor, lights: Sequence[FlashOrAmbient]) -> list[T
 
 def _surface(parameters: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Normals, diffuse albedo, F0 and roughness of parameters (PARAMETERS, h, w)."""
-    normal = normals_from_slopes(*parameters[SLOPES].split(1))
-    matte, f0 = parameters[ALBEDO].exp(), parameters[F0 : F0 + 1].exp()
-    return normal, matte, f0, torch.sigmoid(parameters[ROUGH : ROUGH + 1])
+    log_albedo, log_f0, logit_roughness, slopes = parameters.split(_PARTS)
+    normal = normals_from_slopes(*slopes.split(1))
+    return normal, log_albedo.exp(), log_f0.exp(), torch.sigmoid(logit_roughness)
 
 
 def _log(radiance: Tensor) -> Tensor:
@@ -229,15 +232,15 @@ def stepped(
     relief = torch.zeros(3, *parameters.shape[1:])
     changes = torch.zeros(len(views) if changed else 0, *parameters[changed or slice(0)].shape)
     for rows in strips(parameters.shape[1], ROWS):
-        part = slice(PARAMETERS if slopes else ACROSS), rows
-        of_each = _systems(views, rows, parameters[:, rows], light, slopes=slopes)
-        albedo, rest = (sum(parts[1:], parts[0]) for parts in zip(*of_each, strict=True))
-        here = parameters[part], prior.mean[part], prior.deviation[part]
-        moved[part], precision[part], slope_precision = _solved(albedo, rest, *here)
-        relief[:, rows] = slope_precision if slopes else 0.0
+        part = slice(PARAMETERS if slopes else SLOPES.start), rows
+        of_each = _normal_equations(views, rows, parameters[:, rows], light, slopes=slopes)
+        whole = sum(of_each[1:], of_each[0])
+        current = parameters[part], prior.mean[part], prior.deviation[part]
+        moved[part], precision[part], factor = whole.solved(*current)
+        if slopes:
+            relief[:, rows] = _slope_precision(factor).reshape(relief[:, rows].shape)
         for change, own in zip(changes, of_each, strict=bool(changed)):
-            others = albedo - own[0], rest - own[1]
-            change[:, rows] = (_solved(*others, *here)[0] - moved[part])[changed]
+            change[:, rows] = ((whole - own).solved(*current)[0] - moved[part])[changed]
     moved[SLOPES] = moved[SLOPES].clamp(-_STEEPEST, _STEEPEST)
     moved[ALBEDO] = moved[ALBEDO].clamp(math.log(1e-3), math.log(0.98))
     moved[F0] = moved[F0].clamp(math.log(5e-3), math.log(0.98))
@@ -245,46 +248,122 @@ def stepped(
     return Stepped(moved, precision, relief, changes)
 
 
-def _systems(
+@dataclass(frozen=True)
+class _NormalEquations:
+    """Normal equations J^T W J d = J^T W r of N texels, r being residuals of log radiance.
+
+    Albedo of a channel changes the radiance of that channel only, so the equations of the three
+    albedos a are coupled to those of the m other parameters o, but not to each other:
+
+        D a + B o = g,    B^T a + C o = h,    D diagonal.
+
+    Attributes:
+        albedo: (3, m + 2, N) rows of albedo: diagonal of D, then B, then g.
+        others: (m + 1, m, N) lower triangle of C, and h as the last row.
+    """
+
+    albedo: Tensor
+    others: Tensor
+
+    def __add__(self, other: _NormalEquations) -> _NormalEquations:
+        return _NormalEquations(self.albedo + other.albedo, self.others + other.others)
+
+    def __sub__(self, other: _NormalEquations) -> _NormalEquations:
+        return _NormalEquations(self.albedo - other.albedo, self.others - other.others)
+
+    @staticmethod
+    def of(residual: Tensor, weight: Tensor, share: Tensor, by_others: Tensor) -> _NormalEquations:
+        """Equations of one photograph.
+
+        Args:
+            residual, weight: (3, N) of log radiance.
+            share: (3, N) derivative by albedo, as of `derivatives`.
+            by_others: (m, 3, N) derivatives by the others.
+        """
+        m, texels = len(by_others), residual.shape[-1]
+        albedo, others = torch.zeros(3, m + 2, texels), torch.zeros(m + 1, m, texels)
+        torch.mul(share, weight, out=albedo[:, 0])
+        torch.mul(by_others, albedo[:, 0], out=albedo[:, 1:-1].movedim(0, 1))
+        torch.mul(residual, albedo[:, 0], out=albedo[:, -1])
+        albedo[:, 0] *= share
+        weighted = by_others * weight
+        for number in range(m):
+            others[number:-1, number] = (weighted[number] * by_others[number:]).sum(1)
+        others[-1] = (weighted * residual).sum(1)
+        return _NormalEquations(albedo, others)
+
+    def solved(
+        self, parameters: Tensor, mean: Tensor, deviation: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Parameters after a damped step with a Gaussian prior, albedo eliminated.
+
+        With prior and damping in D, C, g and h,
+
+            (C - B^T D^-1 B) o = h - B^T D^-1 g,    a = D^-1 (g - B o).
+
+        Args:
+            parameters, mean, deviation: (n, h, w) current and prior.
+
+        Returns:
+            (n, h, w) parameters and precision, prior excluded; and the Cholesky factor (m, m, N)
+            of the others' equations.
+        """
+        shape = parameters.shape
+        precision = deviation.flatten(1).square().reciprocal()
+        pull = precision * (mean - parameters).flatten(1)
+        measured = torch.cat([self.albedo[:, 0], self.others.diagonal().T])
+        albedo, others = self.albedo.clone(), self.others.clone()
+        damped = precision + _DAMPING * measured
+        albedo[:, 0] += damped[ALBEDO]
+        albedo[:, -1] += pull[ALBEDO]
+        others.diagonal().T.add_(damped[F0:])
+        others[-1] += pull[F0:]
+        albedo[:, 1:] *= albedo[:, :1].rsqrt()
+        for number in range(others.shape[1]):
+            others[number:, number] -= (albedo[:, 1 + number :] * albedo[:, 1 + number, None]).sum(
+                0
+            )
+        of_others = solved_in_place(others)[:, 0]
+        of_albedo = albedo[:, -1] - (albedo[:, 1:-1] * of_others).sum(1)
+        step = torch.cat([of_albedo * albedo[:, 0].rsqrt(), of_others])
+        step = step.nan_to_num(0.0).clamp(-0.7, 0.7)
+        return parameters + step.reshape(shape), measured.reshape(shape), others[:-1]
+
+
+def _slope_precision(factor: Tensor) -> Tensor:
+    """(3, N) precision of slopes, xx, yy and xy, the other parameters eliminated.
+
+    It is L L^T, L being the block of slopes of the Cholesky factor (4, 4, N), as they are last.
+    """
+    xx, yx, yy = factor[_SLOPE_X, _SLOPE_X], factor[_SLOPE_Y, _SLOPE_X], factor[_SLOPE_Y, _SLOPE_Y]
+    return torch.stack([xx.square(), yx.square() + yy.square(), xx * yx]).nan_to_num(0.0)
+
+
+def _normal_equations(
     views: Sequence[ResampledView],
     rows: slice,
     parameters: Tensor,
     light: SharedLight,
     *,
     slopes: bool,
-) -> list[tuple[Tensor, Tensor]]:
-    """Normal equations of some rows, of each photograph, those of albedo and of the m others.
-
-    Albedo of a channel changes that channel's radiance only, so its equations are coupled to those
-    of the others but not to each other.
-
-    Returns:
-        For each (3, m + 2, N), rows of albedo: diagonal, coupling, right-hand side; and
-        (m + 1, m, N), the others' lower triangle, and their right-hand sides as the last row.
-    """
+) -> list[_NormalEquations]:
+    """Normal equations of each photograph at some rows, without slopes if these do not move."""
     points = points_of(views[0].log.shape[-2:], rows, views[0].extent)
     seen = [view.seen[:, rows] for view in views]
     lights = (light_at(k, view, light, points) for k, view in enumerate(views) if seen[k].any())
     shaded = derivatives(parameters, lights)
-    others, count = (PARAMETERS if slopes else ACROSS) - F0, parameters[0].numel()
-    systems = []
+    m, texels = (PARAMETERS if slopes else SLOPES.start) - F0, parameters[0].numel()
+    nothing = _NormalEquations(torch.zeros(3, m + 2, texels), torch.zeros(m + 1, m, texels))
+    equations = []
     for view, mask in zip(views, seen, strict=True):
-        albedo, rest = torch.zeros(3, others + 2, count), torch.zeros(others + 1, others, count)
-        if mask.any():
-            log, share, gained = next(shaded)
-            gained = gained[:others]
-            residual = view.log[:, rows] - log
-            weight, residual = weights(residual, mask, view.noise).flatten(1), residual.flatten(1)
-            torch.mul(share, weight, out=albedo[:, 0])
-            torch.mul(gained, albedo[:, 0], out=albedo[:, 1:-1].movedim(0, 1))
-            torch.mul(residual, albedo[:, 0], out=albedo[:, -1])
-            albedo[:, 0] *= share
-            weighted = gained * weight
-            for number in range(others):
-                rest[number:-1, number] = (weighted[number] * gained[number:]).sum(1)
-            rest[-1] = (weighted * residual).sum(1)
-        systems.append((albedo, rest))
-    return systems
+        if not mask.any():
+            equations.append(nothing)
+            continue
+        log, share, by_others = next(shaded)
+        residual = view.log[:, rows] - log
+        weight = weights(residual, mask, view.noise).flatten(1)
+        equations.append(_NormalEquations.of(residual.flatten(1), weight, share, by_others[:m]))
+    return equations
 
 
 def derivatives(
@@ -293,7 +372,8 @@ def derivatives(
     """In each light log radiance (3, h, w) and its derivatives by the parameters.
 
     These are the diffuse share s of radiance (3, h * w), which is d log L / d log albedo of its
-    channel, and by the other four (4, 3, h * w): d log L = (1 - s) d log lobe + d log irradiance.
+    channel, and by the other four (4, 3, h * w): d log L = (1 - s) d log lobe + d log irradiance,
+    the irradiance depending on slopes only.
 
     Args:
         parameters: (PARAMETERS, h, w).
@@ -303,50 +383,16 @@ def derivatives(
     for light in lights:
         lit, lobe, slanted = light.linearised(normal, f0, rough)
         diffuse = lit.matte(matte)
-        same = diffuse + lit.mirrored(f0, rough)
-        share = diffuse / same
-        gained = (1.0 - share) * lobe[:, None]
-        gained[-2:] += slanted[:, None]
-        yield _log(same * lit.irradiance), share.flatten(1), gained.flatten(2)
+        reflected = diffuse + lit.mirrored(f0, rough)
+        share = diffuse / reflected
+        by_others = (1.0 - share) * lobe[:, None]
+        by_others[OTHER_SLOPES] += slanted[:, None]
+        yield _log(reflected * lit.irradiance), share.flatten(1), by_others.flatten(2)
 
 
-def jacobian(share: Tensor, gained: Tensor) -> Tensor:
+def jacobian(share: Tensor, by_others: Tensor) -> Tensor:
     """(PARAMETERS, 3, N) d log L by all parameters, from those of `derivatives`."""
-    return torch.cat([torch.diag_embed(share.T).movedim(0, -1), gained])
-
-
-def _solved(
-    albedo: Tensor, rest: Tensor, parameters: Tensor, mean: Tensor, deviation: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Parameters, precision and relief as in Stepped, of some rows.
-
-    Args:
-        albedo, rest: normal equations as of _systems.
-        parameters, mean, deviation: (n, h, w) current and prior.
-    """
-    shape = parameters.shape
-    precision = deviation.flatten(1).square().reciprocal()
-    pull = precision * (mean - parameters).flatten(1)
-    measured = torch.cat([albedo[:, 0], rest.diagonal().T])
-    albedo, rest, damped = albedo.clone(), rest.clone(), precision + _DAMPING * measured
-    albedo[:, 0] += damped[ALBEDO]
-    albedo[:, -1] += pull[ALBEDO]
-    rest.diagonal().T.add_(damped[F0:])
-    rest[-1] += pull[F0:]
-    albedo[:, 1:] *= albedo[:, :1].rsqrt()
-    for number in range(rest.shape[1]):
-        rest[number:, number] -= (albedo[:, 1 + number :] * albedo[:, 1 + number, None]).sum(0)
-    others = solved_in_place(rest)[:, 0]
-    of_albedo = albedo[:, -1] - (albedo[:, 1:-1] * others).sum(1)
-    step = torch.cat([of_albedo * albedo[:, 0].rsqrt(), others]).nan_to_num(0.0).clamp(-0.7, 0.7)
-    # The factor's last block is that of the slopes' precision with other parameters eliminated.
-    first, across, second = rest[-3, -2], rest[-2, -2], rest[-2, -1]
-    relief = torch.stack([first.square(), across.square() + second.square(), first * across])
-    return (
-        parameters + step.reshape(shape),
-        measured.reshape(shape),
-        relief.nan_to_num(0.0).reshape(3, *shape[1:]),
-    )
+    return torch.cat([torch.diag_embed(share.T).movedim(0, -1), by_others])
 
 
 def solved_in_place(system: Tensor) -> Tensor:

@@ -25,7 +25,7 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.registration.camera import Doubles, PosedCamera, to_pixels
 from matcap.capture.together.align import Aligned
-from matcap.capture.together.surface import surface_of
+from matcap.capture.together.surface import integrated, surface_of
 from matcap.capture.together.texels import SLOPES, Estimate, maps_of, parameters_of
 from matcap.capture.together.tint import achromatic
 from matcap.capture.together.views import SharedLight, ViewWarp
@@ -218,6 +218,6 @@ def with_others(first: Estimate, predictions: Sequence[ViewPrediction]) -> Estim
 
     change = parameters_of(together.maps) - predictions[0].parameters
     parameters, texel_size = parameters_of(first.maps) + wide(change), first.maps.texel_size
-    raised = surface_of(parameters[SLOPES], texel_size)
+    height = integrated(parameters[SLOPES], texel_size)
     log_error = first.log_error + wide(together.log_error - alone.log_error)
-    return Estimate(maps_of(parameters, raised, texel_size), log_error)
+    return Estimate(maps_of(parameters, height, texel_size), log_error)

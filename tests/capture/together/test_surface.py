@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from matcap.capture.together import surface
-from matcap.capture.together.surface import surface_of, texel_slopes, transposed
+from matcap.capture.together.surface import integrated, surface_of, texel_slopes, transposed
 from matcap.capture.together.texels import slopes_of
 
 SIZE = (75, 100)
@@ -42,7 +42,7 @@ def test_what_is_told_along_one_way_tells_the_other(slopes, monkeypatch):
     known = _precision(*(noise[:, 0, 0] ** -2).tolist())
     monkeypatch.setattr(surface, "_MODEL", 0.0)
     found = surface_of(seen, TEXEL, known)
-    assert _off(found, slopes) < 0.3 * _off(surface_of(seen, TEXEL), slopes)
+    assert _off(found, slopes) < 0.3 * _off(integrated(seen, TEXEL), slopes)
 
 
 def test_what_nobody_knows_of_a_place_moves_nothing(slopes):
