@@ -659,7 +659,7 @@ FAULTS = (
     Fault("several: those that are held move", "capture _deviations",
           "number in moved", "True", "capture/together/test_alignment.py -k held_stays"),
     Fault("several: sure photographs are moved", "capture aligned",
-          "v.misregistration >= _SURER * texel", "True",
+          "view.misregistration >= _CERTAIN * texel", "True",
           "capture/together/test_alignment.py -k are_sure_stay"),
     Fault("several: every pattern repeats itself", "capture is_periodic",
           "largest_autocorrelation(photo) > _PERIODIC",

@@ -131,7 +131,7 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
             lying = np.ascontiguousarray(np.rot90(seen)) if result.estimate.turned else seen
             drawn = draw_set(several, lying, blocks[0].width)
             blocks.append(titled(drawn, "Cameras and flashes"))
-            if several.mosaic is not None:
+            if several.mosaic.margins.any:
                 maps = map_set_of(result.estimate.exemplar)
                 whole = block(list(lit_panels(maps, result.rerendered, result.material.setup)))
                 blocks.insert(2, titled(whole, several.mosaic.summary()))

@@ -238,24 +238,21 @@ def warnings(result: CaptureResult) -> Iterable[str]:
 
 def _union(several: SetReport, settings: CaptureSettings) -> Iterable[str]:
     """Sentences on an exemplar requested with --union that is not as large as the photographs."""
-    if several.mosaic is None and settings.union:
+    grown, limited = several.mosaic.margins.any, several.mosaic.warning()
+    if settings.union and not grown:
         yield (
             "The other photographs show hardly more than the first one, so --union makes the maps "
             "no larger. Move the phone farther from one to the next, by up to half a picture."
         )
-    limited = several.mosaic and several.mosaic.warning()
-    if limited:
+    if grown and limited:
         yield limited
 
 
 def _grown(estimate: ExemplarEstimate | None) -> Iterable[str]:
     """Sentence on the size of an exemplar that extends beyond the first photograph."""
-    if (
-        estimate is not None
-        and estimate.several is not None
-        and estimate.several.mosaic is not None
-    ):
-        yield estimate.several.mosaic.summary()
+    several = None if estimate is None else estimate.several
+    if several is not None and several.mosaic.margins.any:
+        yield several.mosaic.summary()
 
 
 def _rules(result: CaptureResult) -> Iterable[str]:

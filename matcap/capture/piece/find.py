@@ -72,7 +72,7 @@ class ExemplarEstimate:
     def first_rectangle(self) -> Exemplar:
         """The maps within the first photograph's rectangle."""
         several = self.several
-        if several is None or several.mosaic is None:
+        if several is None or not several.mosaic.margins.any:
             return self.exemplar
         margins, size = several.mosaic.margins, several.mosaic.size
         if self.turned:
@@ -98,7 +98,7 @@ class ExemplarEstimate:
 
     def mean_confidence(self, kept: float = 1.0) -> dict[str, float]:
         """Mean confidence by map, in [0, 1], over the share `kept` of the photograph's texels."""
-        if self.several is not None and self.several.mosaic is not None:
+        if self.several is not None and self.several.mosaic.margins.any:
             kept = self.several.mosaic.known
         means = np.minimum(self.exemplar.confidence.mean((1, 2)) / np.float32(kept), 1.0).tolist()
         return dict(zip(CHANNELS, means, strict=True))

@@ -50,11 +50,11 @@ _SETTLED = 0.1  # texels; a grid ends when no photograph is moved farther in a r
 _STEPS = (2, 1, 0)
 _SLOW = 0.06  # standard deviation of the Gaussian high-pass of heights, as a share of the long side
 _PIXEL = 1e-3  # expected registration error by features, plane units
-# Factor on the cameras' standard deviations by features, whose main error, shading, rendering
-# removes (docs/notes/several.md).
-_DOUBTFUL = 0.5
+# Factor on the cameras' standard deviations by features: rendering removes their main error, which
+# is shading (docs/notes/several.md).
+_REMAINING = 0.5
 # Texels: a photograph with a smaller registration error by features is not moved on a grid.
-_SURER = 0.25
+_CERTAIN = 0.25
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,8 @@ class Aligned:
         """Registration by features alone, with the light of the first photograph's coarse fit."""
         raw = all(view.photo.radiometric for view in views)
         light = SharedLight.of(setup, len(views), views[0].photo.profile, radiometric=raw)
-        warp = ViewWarp(np.eye(3), None, views[0].camera.place, extent)
+        flat = np.zeros((1, 1), np.float32)
+        warp = ViewWarp(np.eye(3), flat, views[0].camera.place, extent)
         return Aligned(setup, views, (warp,) * len(views), light)
 
     @property
@@ -86,7 +87,21 @@ class Aligned:
         """Extent of the exemplar on the plane."""
         return self.warps[0].extent
 
-    def on_grid(self, across: int, down: int, tint: Tensor | None) -> list[ResampledView]:
+    def with_relief(self, relief: NDArray[np.float32]) -> Aligned:
+        """With the parallax of another relief (h, w), plane units."""
+        return replace(self, warps=tuple(replace(warp, relief=relief) for warp in self.warps))
+
+    def changed(
+        self, moves: Sequence[Doubles], relief: NDArray[np.float32], light: SharedLight
+    ) -> Aligned:
+        """With homographies (3, 3) appended to the warps, and another relief and light."""
+        warps = tuple(
+            replace(warp, homography=warp.homography @ move, relief=relief)
+            for warp, move in zip(self.warps, moves, strict=True)
+        )
+        return replace(self, warps=warps, light=light)
+
+    def on_grid(self, across: int, down: int, tint: Tensor) -> list[ResampledView]:
         """Resample every photograph to a grid of (down, across) texels, divided by `tint`."""
         both = zip(self.views, self.warps, strict=True)
         return [ResampledView.of(view, across, down, warp, tint) for view, warp in both]
@@ -94,54 +109,75 @@ class Aligned:
 
 @torch.no_grad()
 def aligned(
-    begun: Aligned,
+    by_features: Aligned,
     prediction: Estimate,
     on_progress: Callable[[float], None] = lambda _share: None,
 ) -> Aligned:
     """Register all photographs to the first by rendering, and refit their cameras.
 
     Args:
-        begun: registration by features (Aligned.of).
-        prediction: the network's, of the first photograph, on the plane of `begun`.
+        by_features: registration by features (Aligned.of).
+        prediction: the network's, of the first photograph, on the plane of `by_features`.
         on_progress: called with the completed share, in [0, 1].
     """
-    prior, tint = achromatic(prediction.maps)
+    maps, tint = achromatic(prediction.maps)
+    prediction = replace(prediction, maps=maps)
     # The prediction is on the plane of a lens without distortion.
-    now, extent, start = begun, begun.extent, PosedCamera.of(begun.setup)
-    (width, height), finest = prior.size, min(extent.unit(prior.size[0]), _FINEST)
-    parameters, relief, moved = None, None, set[int]()
-    done, effort = 0, len(_LEVELS) * (1 + max(_ROUNDS))
+    alignment, predicted = by_features, PosedCamera.of(by_features.setup)
+    parameters: Tensor | None = None
+    moved, done = set[int](), 0
     for level, rounds, steps in zip(_LEVELS, _ROUNDS, _STEPS, strict=True):
-        across = extent.across(max(64, round(level * finest)))
-        down = max(8, round(height * across / width))
-        small = replace(prediction, maps=prior).resized((down, across), extent)
-        small = replace(small, maps=reframed(small.maps, start, now.views[0].camera, extent))
-        texel, begin = small.maps.texel_size, ParameterPrior.of(small)
-        unsure = {n for n, v in enumerate(now.views) if v.misregistration >= _SURER * texel}
-        moved |= unsure
-        for turn in range(rounds if unsure or steps else 0):
-            seen = now.on_grid(across, down, tint)
-            if turn == 0 or parameters is None:
-                parameters = _begun(seen, parameters, begin, now.light, steps)
-                relief = _relief(parameters, texel, extent.unit(across))
-            seen = under_fitted_ambient(seen, parameters, now.light)
-            light, moves = shared_step(seen, parameters, begin, now.light, moved=unsure)
-            warps = tuple(
-                replace(warp, homography=warp.homography @ move, relief=relief)
-                for warp, move in zip(now.warps, moves, strict=True)
-            )
-            now = replace(now, warps=warps, light=light)
+        small = _on_level(prediction, level, predicted, alignment)
+        size, texel, prior = small.maps.size, small.maps.texel_size, ParameterPrior.of(small)
+        uncertain = {
+            number
+            for number, view in enumerate(alignment.views)
+            if view.misregistration >= _CERTAIN * texel
+        }
+        if not uncertain and not steps:
+            continue
+        views = alignment.on_grid(*size, tint)
+        parameters = _initial(views, parameters, prior, alignment.light, steps)
+        relief = _relief(parameters, texel, alignment.extent.unit(size[0]))
+        for turn in range(rounds):
+            if turn:
+                views = alignment.on_grid(*size, tint)
+            lit = under_fitted_ambient(views, parameters, alignment.light)
+            light, moves = shared_step(lit, parameters, prior, alignment.light, moved=uncertain)
+            alignment = alignment.changed(moves, relief, light)
             done += 1
-            on_progress(done / effort)
+            on_progress(done / (len(_LEVELS) * (1 + max(_ROUNDS))))
             if _farthest(moves) < _SETTLED * texel:
                 break
-        if unsure:
-            now = _posed(begun.setup, now)
-    views = (
-        replace(v, position_deviation=_DOUBTFUL * v.position_deviation) if n in moved else v
-        for n, v in enumerate(now.views)
+        if uncertain:
+            alignment = _posed(by_features.setup, alignment)
+            moved |= uncertain
+    registered = tuple(
+        replace(view, position_deviation=_REMAINING * view.position_deviation)
+        if number in moved
+        else view
+        for number, view in enumerate(alignment.views)
     )
-    return replace(now, views=tuple(views))
+    return replace(alignment, views=registered)
+
+
+def _on_level(
+    prediction: Estimate, level: float, predicted: PosedCamera, alignment: Aligned
+) -> Estimate:
+    """The prediction on a grid of `level` times the texels, on the plane of the first camera.
+
+    Args:
+        prediction: on the plane of the camera `predicted`.
+        level: texels over those of the prediction, of which at most _FINEST count.
+        predicted: the first photograph's camera at the prediction.
+        alignment: has its current camera.
+    """
+    extent, (width, height) = alignment.extent, prediction.maps.size
+    finest = min(extent.unit(width), _FINEST)
+    across = extent.across(max(64, round(level * finest)))
+    down = max(8, round(height * across / width))
+    small = prediction.resized((down, across), extent)
+    return replace(small, maps=reframed(small.maps, predicted, alignment.views[0].camera, extent))
 
 
 def _farthest(moves: Sequence[Doubles]) -> float:
@@ -156,48 +192,58 @@ def _relief(parameters: Tensor, texel_size: float, unit: float) -> NDArray[np.fl
     return height - smoothed(height, _SLOW * unit)
 
 
-def _begun(
-    seen: Sequence[ResampledView],
-    parameters: Tensor | None,
+def _initial(
+    views: Sequence[ResampledView],
+    coarser: Tensor | None,
     prior: ParameterPrior,
     light: SharedLight,
     steps: int,
 ) -> Tensor:
-    """(PARAMETERS, H, W) parameters of a grid: upsampled from the last one, then `steps` steps."""
-    if parameters is not None:
-        parameters = F.interpolate(parameters[None], size=prior.mean.shape[1:], mode="bilinear")[0]
+    """(PARAMETERS, H, W) parameters of a grid, after Gauss-Newton steps.
+
+    Args:
+        views: photographs on the grid.
+        coarser: parameters of the coarser grid to start from; None to start from the prior mean,
+            under a light that is fitted to it.
+        prior: of the parameters.
+        light: of the photographs.
+        steps: number of steps.
+    """
+    if coarser is not None:
+        parameters = F.interpolate(coarser[None], size=prior.mean.shape[1:], mode="bilinear")[0]
     else:
         parameters = prior.mean
-        lit = under_fitted_ambient(seen, parameters, light)
+        lit = under_fitted_ambient(views, parameters, light)
         light, _ = shared_step(lit, parameters, prior, light)
-    seen, prior = under_fitted_ambient(seen, parameters, light), prior.with_gloss_of(light)
+    lit, prior = under_fitted_ambient(views, parameters, light), prior.with_gloss_of(light)
     for _ in range(steps):
-        parameters = stepped(seen, parameters, prior, light).parameters
+        parameters = stepped(lit, parameters, prior, light).parameters
     return parameters
 
 
-def _posed(setup: FlashSetup, now: Aligned) -> Aligned:
+def _posed(setup: FlashSetup, alignment: Aligned) -> Aligned:
     """Refit the cameras to the homographies of the photographs by bundle adjustment."""
     points = grid_points(24, 18).reshape(3, -1)
-    camera, pairs = now.views[0].camera, []
+    camera, pairs = alignment.views[0].camera, []
     first = camera.sees(points)
-    inside = np.abs(first).max(0) < 1.0
-    for view, warp in zip(now.views[1:], now.warps[1:], strict=True):
-        seen = view.camera.sees(_moved(warp.homography, points))
-        both = inside & (np.abs(seen).max(0) < 1.0)
+    in_first = np.abs(first).max(0) < 1.0
+    for view, warp in zip(alignment.views[1:], alignment.warps[1:], strict=True):
+        image = view.camera.sees(_moved(warp.homography, points))
+        both = in_first & (np.abs(image).max(0) < 1.0)
         ratio = view.camera.lens.focal / camera.lens.focal
-        pairs.append(Pair(first[:, both], seen[:, both], _PIXEL, ratio))
+        pairs.append(Pair(first[:, both], image[:, both], _PIXEL, ratio))
     adjusted = adjust(setup, pairs, known=True, relief=0.0)
-    views = tuple(replace(v, camera=c) for v, c in zip(now.views, adjusted.cameras, strict=True))
+    posed = zip(alignment.views, adjusted.cameras, strict=True)
+    views = tuple(replace(view, camera=camera) for view, camera in posed)
     place = views[0].camera.place
-    warps = tuple(replace(warp, homography=np.eye(3), first=place) for warp in now.warps)
-    return replace(now, setup=adjusted.first, views=views, warps=warps)
+    warps = tuple(replace(warp, homography=np.eye(3), first=place) for warp in alignment.warps)
+    return replace(alignment, setup=adjusted.first, views=views, warps=warps)
 
 
 def _moved(homography: Doubles, points: Doubles) -> Doubles:
     """Apply a homography of the plane to points (3, n)."""
-    there = homography @ np.stack([points[0], points[1], np.ones_like(points[0])])
-    return np.stack([there[0] / there[2], there[1] / there[2], np.zeros_like(points[0])])
+    x, y, w = homography @ np.stack([points[0], points[1], np.ones_like(points[0])])
+    return np.stack([x / w, y / w, np.zeros_like(x)])
 
 
 def reframed(maps: MapSet, old: PosedCamera, new: PosedCamera, extent: Extent = OWN) -> MapSet:

@@ -47,7 +47,7 @@ from matcap.capture.together.mosaic import (
 )
 from matcap.capture.together.pair import on_albedo
 from matcap.capture.together.set_report import SetReport
-from matcap.capture.together.solve import ROUNDS, Solved, solve
+from matcap.capture.together.solve import Solved, solve
 from matcap.capture.together.texels import Estimate
 from matcap.capture.together.tint import achromatic, coloured, on_grid
 from matcap.capture.together.view_predictions import predict_views, with_others
@@ -64,6 +64,7 @@ from matcap.statistics.lattice import Wave
 # Steps per texel in each round, on a grid that starts from the solution of one half as fine.
 _FINER: tuple[int, ...] = (1,)
 _COARSE = 320  # texels across the grid that starts from the network's prediction
+_COARSE_SHARE = 0.4  # of the time
 
 
 @torch.no_grad()
@@ -92,41 +93,39 @@ def estimate_together(
     registration, coarse, plane = registered(photos, detail, clock)
     single, strengths, metal = predict_alone(plane, coarse, network, clock)
     mosaic = mosaic_of(registration.views, plane.size) if union else Mosaic.own(plane.size)
-    prediction = spread_over(single, mosaic.margins)
-    begun = Aligned.of(registration.views, coarse.setup, mosaic.extent)
-    poses, interrupted = _aligned(begun, single.maps, prediction, clock)
-    first = poses.views[0].photo
-    rectified = Rectified.of(first, replace(coarse, setup=poses.setup), detail)
-    posed = PosedCamera.of(registration.setup), poses.views[0].camera
-    maps, tint = achromatic(reframed(prediction.maps, *posed, mosaic.extent))
-    prediction = Estimate(maps, unpredicted(prediction.log_error, mosaic))
+    by_features = Aligned.of(registration.views, coarse.setup, mosaic.extent)
+    spread = spread_over(single, mosaic.margins)
+    alignment, interrupted = _aligned(by_features, single.maps, spread, clock)
+    first, camera = alignment.views[0].photo, PosedCamera.of(by_features.setup)
+    prior, tint = _reframed(spread, camera, alignment, mosaic)
     if mosaic.margins.any:
         if not interrupted:
-            every = _fused(poses, prediction, tint, mosaic, coarse, network)
-            prediction, tint, interrupted = every
-        most = scatter(single)[:, None, None]
-        prediction = replace(prediction, log_error=torch.minimum(prediction.log_error, most))
+            prior, tint, interrupted = _fused(alignment, prior, tint, mosaic, coarse, network)
+        prior = prior.with_most_error(scatter(single))
     with clock.stage("solve"):
-        poses, views, solved = _solved(poses, prediction, tint, clock)
+        alignment, resampled, solved = _solved(alignment, prior, tint, clock)
     interrupted |= solved.interrupted
-    rectified = replace(rectified, coarse=replace(coarse, setup=solved.light.onto(poses.setup)))
+    rectified = Rectified.of(first, replace(coarse, setup=alignment.setup), detail)
+    lit = replace(coarse, setup=solved.light.onto(alignment.setup))
+    rectified = replace(rectified, coarse=lit)
     with clock.stage("predict"):
         unknown = (), solved.residual
-        ahead, residuals = (
-            unknown if interrupted else leave_one_out(poses, prediction, solved, tint)
+        predicted, residuals = (
+            unknown if interrupted else leave_one_out(alignment, prior, solved, tint)
         )
     with clock.stage("inpaint"):
-        mosaic, whole, solved = _whole(rectified.whole, poses, mosaic, solved)
-        exemplar = _inpainted(Observation.of(whole, rectified.coarse), solved, tint, views)
+        mosaic, plane, maps = _whole(rectified.whole, alignment, mosaic, solved.maps)
+        estimate = replace(solved.estimate, maps=maps)
+        exemplar = _inpainted(Observation.of(plane, lit), estimate, tint, resampled)
     with clock.stage("index"):
         exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, mosaic)
-    offset, reported = rectified.coarse.setup.offset, mosaic if mosaic.margins.any else None
-    left_out, error = registration.left_out, solved.residual[0]
-    report = SetReport(poses.views, residuals, ahead, left_out, solved.measured, offset, reported)
-    estimate = ExemplarEstimate(
-        exemplar, example, strengths, error, 0.0, 1.0, interrupted, report, scale, first.turned
+    views, left_out, measured = alignment.views, registration.left_out, solved.measured
+    report = SetReport(views, residuals, predicted, left_out, measured, lit.setup.offset, mosaic)
+    error, turned = solved.residual[0], first.turned
+    result = ExemplarEstimate(
+        exemplar, example, strengths, error, 0.0, 1.0, interrupted, report, scale, turned
     )
-    return rectified, estimate.with_sharpness(rectified)
+    return rectified, result.with_sharpness(rectified)
 
 
 def registered(
@@ -179,33 +178,51 @@ def predict_alone(
 
 
 def _aligned(
-    begun: Aligned, own: MapSet, prediction: Estimate, clock: CaptureClock
+    by_features: Aligned, own: MapSet, prediction: Estimate, clock: CaptureClock
 ) -> tuple[Aligned, bool]:
-    """Register photographs by rendering; (`begun` or its refinement, whether interrupted).
+    """Register photographs by rendering; (the registration, whether it was interrupted).
 
     Args:
-        begun: registration by features.
+        by_features: the registration by features.
         own: predicted maps of the first photograph's rectangle.
         prediction: the network's, over the exemplar's extent.
         clock: of the stages.
     """
+    alignment = by_features
     try:
         with clock.stage("align"):
-            views = without_ambient(on_albedo(begun.views, begun.setup, own))
-            begun, on_progress = replace(begun, views=views), clock.callback("align")
-            return aligned(begun, prediction, on_progress=on_progress), False
+            views = without_ambient(on_albedo(alignment.views, alignment.setup, own))
+            alignment = replace(alignment, views=views)
+            on_progress = clock.callback("align")
+            return aligned(alignment, prediction, on_progress=on_progress), False
     except KeyboardInterrupt:
-        return begun, True
+        return alignment, True
+
+
+def _reframed(
+    prediction: Estimate, predicted: PosedCamera, alignment: Aligned, mosaic: Mosaic
+) -> tuple[Estimate, Tensor]:
+    """The prediction, resampled to the plane of the registered camera, and its specular tint.
+
+    Args:
+        prediction: the network's, over the exemplar's extent.
+        predicted: the first photograph's camera at the prediction.
+        alignment: has its registered camera.
+        mosaic: extent, beyond the first photograph without prediction.
+    """
+    cameras = predicted, alignment.views[0].camera
+    maps, tint = achromatic(reframed(prediction.maps, *cameras, mosaic.extent))
+    return Estimate(maps, unpredicted(prediction.log_error, mosaic)), tint
 
 
 def _fused(
-    poses: Aligned,
+    alignment: Aligned,
     first: Estimate,
-    tint: Tensor | None,
+    tint: Tensor,
     mosaic: Mosaic,
     coarse: CoarseFit,
     network: Inverse,
-) -> tuple[Estimate, Tensor | None, bool]:
+) -> tuple[Estimate, Tensor, bool]:
     """Prediction and tint of a mosaic from all photographs, or `first` and `tint` if interrupted.
 
     Also returns whether it was interrupted.
@@ -215,76 +232,69 @@ def _fused(
         return predict_alone(plane, fit, network, CaptureClock(None))[0]
 
     try:
-        every = predict_views(poses, first, coarse, predict)
+        predictions = predict_views(alignment, first, coarse, predict)
     except KeyboardInterrupt:
         return first, tint, True
-    return with_others(first, every), tint_over(tint, every, mosaic), False
+    return with_others(first, predictions), tint_over(tint, predictions, mosaic), False
 
 
 def _solved(
-    poses: Aligned,
-    prediction: Estimate,
-    tint: Tensor | None,
-    clock: CaptureClock,
+    alignment: Aligned, prior: Estimate, tint: Tensor, clock: CaptureClock
 ) -> tuple[Aligned, list[ResampledView], Solved]:
     """Joint estimation on a grid of half the texels across, then on all.
 
     Photographs were registered with the parallax of predicted relief, which is too flat; on the
     fine grid they are resampled with that of the relief estimated on the coarse one.
     """
-    begun: Solved | None = None
-    light, done, rounds = poses.light, 0.0, ROUNDS
-    across, down = prediction.maps.size
-    if poses.extent.unit(across) >= 2 * _COARSE:
-        done = 0.4
-        half = (round(down / 2), round(across / 2))
-        views = poses.on_grid(half[1], half[0], tint)
-        small = prediction.resized(half, poses.extent)
-        begun = solve(views, small, light, on_progress=clock.callback("solve", 0.0, done))
-        light, rounds = begun.light, _FINER
-        relief = np.asarray(begun.maps.height[0].numpy(), np.float32)
-        poses = replace(poses, warps=tuple(replace(w, relief=relief) for w in poses.warps))
-    views = poses.on_grid(across, down, tint)
-    on_progress = clock.callback("solve", done, 1.0)
-    return poses, views, solve(views, prediction, light, begun, on_progress, rounds=rounds)
+    across, down = prior.maps.size
+    if alignment.extent.unit(across) < 2 * _COARSE:
+        views = alignment.on_grid(across, down, tint)
+        on_progress = clock.callback("solve", 0.0, 1.0)
+        return alignment, views, solve(views, prior, alignment.light, on_progress=on_progress)
+    size = round(across / 2), round(down / 2)
+    views = alignment.on_grid(*size, tint)
+    small = prior.resized(size[::-1], alignment.extent)
+    on_progress = clock.callback("solve", 0.0, _COARSE_SHARE)
+    coarser = solve(views, small, alignment.light, on_progress=on_progress)
+    alignment = alignment.with_relief(np.asarray(coarser.maps.height[0].numpy(), np.float32))
+    views = alignment.on_grid(across, down, tint)
+    on_progress = clock.callback("solve", _COARSE_SHARE, 1.0)
+    solved = solve(views, prior, coarser.light, coarser, on_progress, rounds=_FINER)
+    return alignment, views, solved
 
 
 def _whole(
-    plane: Plane, poses: Aligned, mosaic: Mosaic, solved: Solved
-) -> tuple[Mosaic, Plane, Solved]:
+    plane: Plane, alignment: Aligned, mosaic: Mosaic, maps: MapSet
+) -> tuple[Mosaic, Plane, MapSet]:
     """The first photograph on the mosaic's grid, unseen texels masked, and maps there."""
     if not mosaic.margins.any:
-        return mosaic, plane, solved
-    known = seen_by_any(poses.views, mosaic)
-    maps = extrapolated(solved.maps, known, SLOW * plane.size[0])
+        return mosaic, plane, maps
+    known = seen_by_any(alignment.views, mosaic)
     return (
         replace(mosaic, known=float(known.float().mean())),
         plane.over(mosaic.margins, known),
-        replace(solved, estimate=replace(solved.estimate, maps=maps)),
+        extrapolated(maps, known, SLOW * plane.size[0]),
     )
 
 
 def _inpainted(
-    observed: Observation, solved: Solved, tint: Tensor | None, views: Sequence[ResampledView]
+    observed: Observation, estimate: Estimate, tint: Tensor, views: Sequence[ResampledView]
 ) -> Exemplar:
     """The solved maps with the specular tint of metal, inpainted under the highlight.
 
     Relief and mean parameters are fitted to the first photograph's highlight, as those of a single
     photograph are: robust weights take a mirrored light that is a little displaced for an outlier.
+    All texels are one dielectric class there (docs/notes/several.md).
     """
-    if tint is not None:
-        observed = replace(
-            observed, light=replace(observed.light, tint=on_grid(tint, solved.maps.size))
-        )
-    maps = coloured(solved.maps, tint)
+    maps = coloured(estimate.maps, tint)
+    light = replace(observed.light, tint=on_grid(tint, maps.size))
+    observed = replace(observed, light=light)
     seen = torch.stack([view.seen.float().mean(0) for view in views]).amax(0)
     seen = seen * observed.plane.kept  # of a mosaic, not where unseen, or seen too obliquely
-    errors = ExpectedErrors.from_stacked(solved.estimate.log_error)
+    errors = ExpectedErrors.from_stacked(estimate.log_error)
     confidence = confidence_of(errors, np.asarray(seen.numpy(), np.float32), observed.plane.unit)
     classes = Classes.whole(observed.specular_fraction.shape, metal=False)
-    prediction = NetworkPrediction(
-        observed.light.residuals(maps), errors, confidence, None, classes
-    )
+    prediction = NetworkPrediction(light.residuals(maps), errors, confidence, None, classes)
     return inpainted(exemplar_of(observed, fitted_to_highlight(observed, prediction)), observed)
 
 

@@ -254,22 +254,21 @@ def extrapolated(maps: MapSet, known: Tensor, slow: float) -> MapSet:
     return MapSet.from_stacked(torch.from_numpy(planes), maps.texel_size)
 
 
-def tint_over(
-    tint: Tensor | None, predictions: Sequence[ViewPrediction], mosaic: Mosaic
-) -> Tensor | None:
-    """Specular tint (3, H, W) over the mosaic, from the other predictions beyond the first's.
+def tint_over(tint: Tensor, predictions: Sequence[ViewPrediction], mosaic: Mosaic) -> Tensor:
+    """Specular tint over the mosaic, from the other predictions beyond the first's.
 
     Args:
-        tint: (3, H, W) from the first prediction, extrapolated; None without metal.
+        tint: (3, H, W) from the first prediction, extrapolated; 1 (1, H, W) without metal, which is
+            returned.
         predictions: of photographs, the first one first.
-        mosaic: of the mosaic.
+        mosaic: its extent.
     """
-    if tint is None or len(predictions) < 2:
+    if len(tint) == 1 or len(predictions) < 2:
         return tint
     total, weights = torch.zeros(3, 1, 1), torch.zeros(1, 1)
     for one in predictions[1:]:
         weight = (-2.0 * one.log_error[1]).exp()
-        total = total + weight * (torch.ones(3, 1, 1) if one.tint is None else one.tint)
+        total = total + weight * one.tint
         weights = weights + weight
     size = tint.shape[-1], tint.shape[-2]
     beyond = on_grid(total / weights, size)

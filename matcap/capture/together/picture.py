@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -11,7 +12,6 @@ from PIL import Image, ImageDraw, ImageFont
 
 from matcap.brdf.maps import CHANNELS
 from matcap.capture.together.set_report import SetReport
-from matcap.flash.extent import OWN
 
 Doubles = NDArray[np.float64]
 CodeTriple = tuple[int, int, int]
@@ -78,11 +78,11 @@ def draw_set(report: SetReport, piece: NDArray[np.float32], width: int) -> Image
         piece: (H, W, 3) the exemplar from above, sRGB code values in [0, 1].
         width: of the picture, pixels.
     """
-    extent = OWN if report.mosaic is None else report.mosaic.extent
+    extent = report.mosaic.extent
     half = extent.half * np.array([[1.0], [piece.shape[0] / piece.shape[1]]])
     # x and y of the exemplar's bottom left and top right corner, plane units.
     rim = np.array(extent.middle)[:, None] + half * np.array([[-1.0, 1.0]])
-    views, part, tall = list(_views(report, piece)), width // 3, width // 4
+    views, part, tall = list(_views(report)), width // 3, width // 4
     sheet = Image.new("RGB", (width, tall), _PAPER)
     sheet.paste(_from_above(views, piece, rim, part, tall), (0, 0))
     sheet.paste(_from_the_side(views, rim, part, tall), (part, 0))
@@ -95,26 +95,26 @@ def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
 
     The number is None for lines on all photographs, and 0 for a photograph that was left out.
     """
-    predicted: tuple[float | None, ...] = report.predicted or (None,) * len(report.views)
+    predicted = report.predicted or (math.nan,) * len(report.views)
     each = zip(report.views, report.residuals, predicted, strict=True)
-    for number, (view, residual, ahead) in enumerate(each, 1):
+    for number, (view, residual, prediction) in enumerate(each, 1):
         said = f"{number} {view.photo.name}: re-rendered within {100.0 * residual:.1f} %"
         if not view.flash:
             said += ", without flash"
-        elif ahead is not None:
-            said += f", predicted by the others within {100.0 * ahead:.1f} %"
+        elif not math.isnan(prediction):
+            said += f", predicted by the others within {100.0 * prediction:.1f} %"
         yield said, number
     for one in report.left_out:
         yield f"left out: {one.name}, {one.why}", 0
     measured = zip(CHANNELS, report.measured, strict=True)
     shares = [f"{name} {100.0 * share:.0f} %" for name, share in measured]
     yield "measured, not predicted: " + ", ".join(shares), None
-    if report.mosaic is not None:
+    if report.mosaic.margins.any:
         yield report.mosaic.summary(), None
 
 
-def _views(report: SetReport, piece: NDArray[np.float32]) -> Iterator[_View]:
-    down, across = piece.shape[:2] if report.mosaic is None else report.mosaic.size[::-1]
+def _views(report: SetReport) -> Iterator[_View]:
+    across, down = report.mosaic.size
     high = down / across  # of the first photograph, over its width
     corners = np.array([[-1.0, 1.0, 1.0, -1.0], [high, high, -high, -high]])
     for number, view in enumerate(report.views, 1):

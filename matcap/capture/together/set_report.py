@@ -29,8 +29,8 @@ class SetReport:
     """Share of albedo, F0, roughness and slope measured by photographs (Solved.measured)."""
     flash_offset: tuple[float, float, float]
     """Position of the flash relative to the lens, plane units; the last is 0."""
-    mosaic: Mosaic | None = None
-    """Extent of the mosaic; None if it is the first photograph's rectangle."""
+    mosaic: Mosaic
+    """Extent of the maps; without margins, the first photograph's rectangle."""
 
     @property
     def distortion(self) -> tuple[float, float]:
@@ -39,13 +39,11 @@ class SetReport:
 
     def warning(self) -> str | None:
         """A sentence if a camera's standard deviation exceeds the limit, else None."""
-        far = [view for view in self.views if view.position_deviation > UNCERTAIN]
-        if not far:
+        uncertain = [view for view in self.views if view.position_deviation > UNCERTAIN]
+        if not uncertain:
             return None
-        worst, names = (
-            max(view.position_deviation for view in far),
-            ", ".join(v.photo.name for v in far),
-        )
+        worst = max(view.position_deviation for view in uncertain)
+        names = ", ".join(view.photo.name for view in uncertain)
         return (
             f"Camera positions are uncertain by {100 * worst:.1f} % of their distance ({names}), "
             "and so are directions of light: the relief may be slightly tilted."
@@ -53,7 +51,7 @@ class SetReport:
 
     def document(self) -> dict[str, Any]:
         """JSON: angles in degrees, places in plane units."""
-        predicted = self.predicted or (None,) * len(self.views)
+        predicted = self.predicted or (math.nan,) * len(self.views)
         return {
             "photographs": [
                 {
@@ -65,13 +63,15 @@ class SetReport:
                     "tilt_degrees": math.degrees(view.camera.tilt),
                     "doubt": view.position_deviation,
                     "residual": residual,
-                    "predicted": None if ahead is None or math.isnan(ahead) else ahead,
+                    "predicted": None if math.isnan(prediction) else prediction,
                 }
-                for view, residual, ahead in zip(self.views, self.residuals, predicted, strict=True)
+                for view, residual, prediction in zip(
+                    self.views, self.residuals, predicted, strict=True
+                )
             ],
             "left_out": [{"name": one.name, "why": one.why} for one in self.left_out],
             "measured_share": dict(zip(CHANNELS, self.measured, strict=True)),
             "flash_offset": list(self.flash_offset[:2]),
             "lens_distortion": list(self.distortion),
-            **({} if self.mosaic is None else {"union": self.mosaic.document()}),
+            **({"union": self.mosaic.document()} if self.mosaic.margins.any else {}),
         }

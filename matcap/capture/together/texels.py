@@ -92,6 +92,10 @@ class Estimate:
         )
         return Estimate(MapSet.from_stacked(maps, extent.texel(size[1])), log_error)
 
+    def with_most_error(self, log_error: Tensor) -> Estimate:
+        """With logs of standard deviations of at most `log_error` (4,)."""
+        return replace(self, log_error=torch.minimum(self.log_error, log_error[:, None, None]))
+
 
 @dataclass(frozen=True)
 class ParameterPrior:

@@ -12,40 +12,40 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.brdf.maps import COLOURED, MapSet
+from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS
 
+GREY = torch.ones(1, 1, 1)  # the tint without metal
 
-def achromatic(maps: MapSet) -> tuple[MapSet, Tensor | None]:
-    """Maps with diffuse / tint and mean F0 (1, H, W), and tint (3, H, W); None for grey F0.
+
+def achromatic(maps: MapSet) -> tuple[MapSet, Tensor]:
+    """Maps with diffuse / tint and mean F0 (1, H, W), and the tint; 1 (1, H, W) of achromatic F0.
 
     tint = F0 / mean of F0 over channels.
     """
-    if maps.specular.shape[-3] < COLOURED:
-        return maps, None
+    f0 = maps.specular.clamp_min(F0_LIMITS[0])
     mean = maps.specular.mean(-3, keepdim=True).clamp_min(F0_LIMITS[0])
-    tint = maps.specular.clamp_min(F0_LIMITS[0]) / mean
+    tint = f0 / mean
     tint = tint / tint.mean(-3, keepdim=True)
     return replace(maps, diffuse=(maps.diffuse / tint).clamp(*ALBEDO_LIMITS), specular=mean), tint
 
 
-def coloured(maps: MapSet, tint: Tensor | None) -> MapSet:
-    """The inverse of achromatic: diffuse and F0 times a tint (3, h, w) on any grid."""
-    if tint is None:
-        return maps
-    here = on_grid(tint, maps.size)
+def coloured(maps: MapSet, tint: Tensor) -> MapSet:
+    """The inverse of achromatic: diffuse and F0 times a tint (1 or 3, h, w) on any grid."""
+    tint = on_grid(tint, maps.size)
     return replace(
         maps,
-        diffuse=(maps.diffuse * here).clamp(*ALBEDO_LIMITS),
-        specular=(maps.specular * here).clamp(*F0_LIMITS),
+        diffuse=(maps.diffuse * tint).clamp(*ALBEDO_LIMITS),
+        specular=(maps.specular * tint).clamp(*F0_LIMITS),
     )
 
 
 def on_grid(tint: Tensor, size: tuple[int, int]) -> Tensor:
-    """(3, height, width) tint resampled bilinearly to `size` = (width, height)."""
+    """(1 or 3, height, width) tint resampled bilinearly to `size` = (width, height)."""
     if tint.shape[-2:] == size[::-1]:
         return tint
     return F.interpolate(tint[None], size=size[::-1], mode="bilinear", align_corners=False)[0]

@@ -27,7 +27,7 @@ from matcap.capture.registration.camera import Doubles, PosedCamera, to_pixels
 from matcap.capture.together.align import Aligned
 from matcap.capture.together.surface import integrated, surface_of
 from matcap.capture.together.texels import SLOPES, Estimate, maps_of, parameters_of
-from matcap.capture.together.tint import achromatic
+from matcap.capture.together.tint import GREY, achromatic
 from matcap.capture.together.views import SharedLight, ViewWarp
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.extent import OWN, Extent
@@ -85,7 +85,7 @@ class OwnPlane:
         )
         return OwnPlane(setup, origin, scale, roll)
 
-    def here(self, points: Doubles) -> Doubles:
+    def coordinates(self, points: Doubles) -> Doubles:
         """(2, ...) coordinates in this frame of points (3, ...) of the first photograph's plane."""
         c, s = math.cos(self.roll), math.sin(self.roll)
         offset = points[:2] - self.origin.reshape(2, *(1,) * (points.ndim - 1))
@@ -102,8 +102,8 @@ class ViewPrediction:
     """(4, H, W) log standard deviations, as Estimate.log_error."""
     extent: Extent = OWN
     """Extent of the grid."""
-    tint: Tensor | None = None
-    """(3, H, W) specular tint that was divided out (tint.py); None without metal."""
+    tint: Tensor = GREY
+    """(1 or 3, H, W) specular tint that was divided out (tint.py); 1 without metal."""
 
 
 def predict_views(
@@ -122,18 +122,18 @@ def predict_views(
     """
     extent = alignment.extent
     width, height = first.maps.size
-    own_across = min(_ACROSS, round(extent.unit(width)))
-    across = extent.across(own_across)
+    rectangle_across = min(_ACROSS, round(extent.unit(width)))
+    across = extent.across(rectangle_across)
     down = max(8, round(height * across / width))
     small = first.resized((down, across), extent)
     predictions = [ViewPrediction(parameters_of(small.maps), small.log_error, extent)]
     for number, view in enumerate(alignment.views[1:], 1):
         if view.flash and math.degrees(view.camera.tilt) < _STEEPEST:
             own = OwnPlane.of(view.camera, alignment.light, number)
-            plane = read_plane(view.photo, own.setup, own_across)
-            theirs = predict(plane, replace(coarse, setup=own.setup))
+            plane = read_plane(view.photo, own.setup, rectangle_across)
+            prediction = predict(plane, replace(coarse, setup=own.setup))
             warp = alignment.warps[number]
-            predictions.append(resampled_over(theirs, own, view.camera, warp, (across, down)))
+            predictions.append(resampled_over(prediction, own, view.camera, warp, (across, down)))
     return predictions
 
 
@@ -155,22 +155,21 @@ def resampled_over(
     """
     width, height = prediction.maps.size
     whole = np.concatenate([*warp.points(*size)], axis=1)
-    points = own.here(camera.on_plane(camera.sees(whole)))
-    x, y = to_pixels(points, width, height)
+    x, y = to_pixels(own.coordinates(camera.on_plane(camera.sees(whole))), width, height)
 
-    def there(channel: Tensor, how: int = cv2.INTER_CUBIC) -> Tensor:
-        resampled = cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
-        return torch.from_numpy(resampled)
+    def resampled(channel: Tensor, how: int = cv2.INTER_CUBIC) -> Tensor:
+        there = cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
+        return torch.from_numpy(there)
 
     maps, tint = achromatic(prediction.maps)
     logs = torch.cat([maps.diffuse.clamp_min(1e-3).log(), maps.specular.clamp_min(5e-3).log()])
-    stacked = torch.stack([there(c) for c in torch.cat([logs, maps.roughness, maps.height])])
-    logs, rough, relief = stacked.split([4, 1, 1])
-    matte, f0 = logs.exp().split([3, 1])
-    over = MapSet(matte, f0, rough, own.scale * relief, warp.extent.texel(size[0]))
-    errors = torch.stack([there(channel, cv2.INTER_LINEAR) for channel in prediction.log_error])
+    stacked = torch.stack([resampled(c) for c in torch.cat([logs, maps.roughness, maps.height])])
+    log_albedo, log_f0, roughness, height = stacked.split([3, 1, 1, 1])
+    texel_size = warp.extent.texel(size[0])
+    over = MapSet(log_albedo.exp(), log_f0.exp(), roughness, own.scale * height, texel_size)
+    errors = torch.stack([resampled(c, cv2.INTER_LINEAR) for c in prediction.log_error])
     errors = (errors + torch.from_numpy(_fading(x, y, (width, height)))).clamp_max(UNPREDICTED)
-    tint = None if tint is None else torch.stack([there(c, cv2.INTER_LINEAR) for c in tint])
+    tint = torch.stack([resampled(channel, cv2.INTER_LINEAR) for channel in tint])
     return ViewPrediction(parameters_of(over), errors, warp.extent, tint)
 
 
@@ -196,8 +195,8 @@ def fused(every: Sequence[ViewPrediction]) -> Estimate:
         for one, weight in zip(every, weights, strict=True):
             parameters[part] += weight[kind] / whole[kind] * one.parameters[part]
     # The common part of the error variance is that of the best prediction.
-    alike = weights.amax(0).reciprocal()
-    log_error = 0.5 * (_SHARED * alike + (1.0 - _SHARED) / whole).log()
+    common = weights.amax(0).reciprocal()
+    log_error = 0.5 * (_SHARED * common + (1.0 - _SHARED) / whole).log()
     slope_precision = (-2.0 * log_error[3]).exp()
     texel_size = every[0].extent.texel(parameters.shape[-1])
     precision = torch.stack([slope_precision, slope_precision, torch.zeros_like(slope_precision)])

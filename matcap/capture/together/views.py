@@ -99,13 +99,13 @@ class ViewWarp:
 
     Attributes:
         homography: (3, 3) homography of the plane (align.py).
-        relief: (h, w) height on any grid, plane units, for parallax; None for a flat plane.
+        relief: (h, w) height on any grid, plane units, for parallax; 0 of a flat plane.
         first: (3,) position of the first camera: texels lie on its rays.
         extent: of the grid.
     """
 
     homography: Doubles
-    relief: NDArray[np.float32] | None
+    relief: NDArray[np.float32]
     first: Doubles
     extent: Extent = OWN
 
@@ -115,19 +115,15 @@ class ViewWarp:
         Single precision rounds a pixel's place by a thousandth.
         """
         first, homography = (np.asarray(each, np.float32) for each in (self.first, self.homography))
-        relief = self.relief
-        if relief is not None:
-            wide = cv2.resize(relief, (across, down), interpolation=cv2.INTER_LINEAR)
-            relief = np.asarray(wide, np.float32)
+        relief = cv2.resize(self.relief, (across, down), interpolation=cv2.INTER_LINEAR)
         for rows in strips(down, cached_rows(across)):
             points = np.asarray(grid_points(across, down, self.extent, rows), np.float32)
-            if relief is not None:
-                points += relief[rows] / first[2] * (first[:, None, None] - points)
-            raised = points[2].copy()
+            points += relief[rows] / first[2] * (first[:, None, None] - points)
+            height = points[2].copy()
             points[2] = 1.0
             points = np.tensordot(homography, points, 1)
             points /= points[2].copy()
-            points[2] = raised
+            points[2] = height
             yield points
 
 
@@ -156,7 +152,7 @@ class ResampledView:
 
     @staticmethod
     def of(
-        view: RegisteredView, across: int, down: int, warp: ViewWarp, tint: Tensor | None
+        view: RegisteredView, across: int, down: int, warp: ViewWarp, tint: Tensor
     ) -> ResampledView:
         """Resample a registered photograph to a grid of (down, across) texels.
 
@@ -164,7 +160,7 @@ class ResampledView:
             view: the photograph.
             across, down: texels.
             warp: map to plane points.
-            tint: (3, h, w) specular tint of metal on any grid, divided out (tint.py).
+            tint: (1 or 3, h, w) specular tint on any grid, divided out (tint.py).
         """
         photo = view.photo
         rows, columns = photo.pixels.shape[:2]
@@ -181,16 +177,14 @@ class ResampledView:
         inside = (x > _BORDER) & (x < size[0] - _BORDER) & (y > _BORDER) & (y < size[1] - _BORDER)
 
         def gridded(picture: NDArray[np.float32], how: int) -> NDArray[np.float32]:
-            there = cv2.remap(picture, x, y, how, borderMode=cv2.BORDER_REFLECT_101)
-            return area_averaged(there, (across, down))
+            resampled = cv2.remap(picture, x, y, how, borderMode=cv2.BORDER_REFLECT_101)
+            return area_averaged(resampled, (across, down))
 
         linear = gridded(pixels, cv2.INTER_CUBIC).clip(DARKEST)
         hidden = gridded(clipped, cv2.INTER_LINEAR) > CLIPPED_SHARE
         whole = area_averaged(inside.astype(np.float32), (across, down))
         seen = ~hidden & (whole[..., None] > 0.99)
-        log = planes_of(np.log(linear))
-        if tint is not None:
-            log = log - on_grid(tint, (across, down)).log()
+        log = planes_of(np.log(linear)) - on_grid(tint, (across, down)).log()
         return ResampledView(log, planes_of(seen), view.camera, view.flash, warp.extent)
 
 
@@ -204,8 +198,8 @@ def light_at(
     turn = torch.from_numpy(camera.turn).to(points)
     place = torch.from_numpy(camera.place).to(points)
     flash = place + turn.T @ torch.cat([light.offset, light.offset.new_zeros(1)]).to(points)
-    seen = torch.tensordot(turn, points - place[:, None, None], dims=1)
-    image = camera.lens.focal * seen[:2] / -seen[2:]
+    in_camera = torch.tensordot(turn, points - place[:, None, None], dims=1)
+    image = camera.lens.focal * in_camera[:2] / -in_camera[2:]
     image = image - image.new_tensor(light.centre)[:, None, None]
     lost = log_vignette(image, light.vignetting[0], light.vignetting[1])
     strength = (light.intensity.log() + light.gain[number]).to(points)

@@ -171,10 +171,10 @@ def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     with the distance from the first: truth is looked up along its rays.
     """
     piece = result.estimate
-    mosaic = None if piece is None or piece.several is None else piece.several.mosaic
-    if piece is None or piece.several is None or mosaic is None:
+    if piece is None or piece.several is None or not piece.several.mosaic.margins.any:
         return {}
     exemplar, views = map_set_of(piece.exemplar), piece.several.views
+    mosaic = piece.several.mosaic
     points = grid_points(*exemplar.size, mosaic.extent)
     left = ~mosaic.margins.own(mosaic.size)
     planes, known = torch.zeros(9, *exemplar.size[::-1]), torch.zeros_like(left)

@@ -105,7 +105,7 @@ def test_photographs_whose_features_are_not_sure_are_moved_until_they_hardly_mov
     assert every == 6
     for before, after in zip(found.views[1:], by.views[1:], strict=True):
         assert (before.camera.place != after.camera.place).any()
-        assert after.position_deviation == align._DOUBTFUL * before.position_deviation
+        assert after.position_deviation == align._REMAINING * before.position_deviation
     monkeypatch.setattr(align, "_SETTLED", 100.0)
     _, _, settled = laid(1.0)
     assert settled == 2

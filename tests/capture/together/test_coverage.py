@@ -8,6 +8,7 @@ import pytest
 
 from matcap.capture.registration.register import register
 from matcap.capture.together.coverage import SAME_PLACE, coverage, coverage_of_files
+from matcap.capture.together.mosaic import Mosaic
 from matcap.capture.together.set_report import SetReport
 from matcap.cli.main import main
 from matcap.errors import MatcapError
@@ -67,7 +68,7 @@ def test_a_capture_says_where_cameras_are_doubted(looked):
         views = tuple(
             replace(v, position_deviation=doubt if n else 0.0) for n, v in enumerate(looked.views)
         )
-        return SetReport(views, (), (), (), (0.0,) * 4, (0.0,) * 3).warning()
+        return SetReport(views, (), (), (), (0.0,) * 4, (0.0,) * 3, Mosaic.own((64, 48))).warning()
 
     assert result(0.0015) is None
     assert "0.3 % of their distance (plaster_1, plaster_2)" in result(0.003)

@@ -7,6 +7,7 @@ import numpy as np
 
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.register import LeftOut, RegisteredView
+from matcap.capture.together.mosaic import Mosaic
 from matcap.capture.together.picture import draw_set, set_report_lines
 from matcap.capture.together.set_report import SetReport
 from matcap.flash.geometry import FlashSetup
@@ -22,7 +23,7 @@ def report(**changes):
     views = tuple(RegisteredView(SimpleNamespace(name=n), c) for n, c in cameras.items())
     result = SetReport(
         views, (0.02, 0.03), (0.04, 0.05), (LeftOut("cat.jpg", "it shows something else"),),
-        (0.9, 0.3, 0.4, 0.8), (0.0, 0.2, 0.0),
+        (0.9, 0.3, 0.4, 0.8), (0.0, 0.2, 0.0), Mosaic.own((64, 48)),
     )  # fmt: skip
     return replace(result, **changes)
 

@@ -32,6 +32,7 @@ from matcap.capture.together.mosaic import (
     unpredicted,
 )
 from matcap.capture.together.texels import SLOPES, Estimate, parameters_of
+from matcap.capture.together.tint import GREY
 from matcap.capture.together.view_predictions import ViewPrediction, with_others
 from matcap.cli.main import main
 from matcap.field.opened import open_photographed
@@ -187,7 +188,7 @@ def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():
     found = tint_over(grey, [first, other], mosaic)
     assert torch.equal(found[..., : SIZE[0]], grey[..., : SIZE[0]])
     torch.testing.assert_close(found[..., SIZE[0] :], gold[..., SIZE[0] :])
-    assert tint_over(None, [first, other], mosaic) is None
+    assert tint_over(GREY, [first, other], mosaic) is GREY
     assert torch.equal(tint_over(grey, [first], mosaic), grey)
 
 

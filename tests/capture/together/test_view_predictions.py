@@ -41,7 +41,7 @@ def _light():
 def brought(cameras):
     """Its plane, and a function that brings maps read on it over the first photograph."""
     own = OwnPlane.of(cameras[1], _light(), 1)
-    warp = ViewWarp(np.eye(3), None, cameras[0].place)
+    warp = ViewWarp(np.eye(3), np.zeros((1, 1), np.float32), cameras[0].place)
 
     def over(maps):
         doubt = torch.full((4, *maps.size[::-1]), -2.0)
@@ -66,7 +66,7 @@ def _waves(points, texel_size):
 def test_a_camera_on_its_own_plane_stands_where_it_does(cameras):
     own = OwnPlane.of(cameras[1], replace(_light(), centre=(0.1, 0.2)), 1)
     points = grid_points(16, 12)
-    here = np.concatenate([own.here(points), np.zeros((1, 12, 16))])
+    here = np.concatenate([own.coordinates(points), np.zeros((1, 12, 16))])
     seen = PosedCamera.of(own.setup).sees(here)
     np.testing.assert_allclose(seen, cameras[1].sees(points), atol=1e-9)
     assert own.setup.vignetting_centre == (0.1, 0.2)  # of image coordinates, which are the same
