@@ -75,19 +75,16 @@ def watched(root: Path, seen: Callable[[str, list[Path]], Path | None]) -> Itera
 
 @dataclass
 class Failing:
-    """Fails at one step, or from it on.
-
-    Attributes:
-        at: which step; none by default, to count them.
-        lasting: from there on everything fails, until the block ends.
-        error: what is raised; a full disk by default.
-        steps: how many there were.
-    """
+    """Fails at one step, or from it on."""
 
     at: int = -1
+    """Step that fails; none by default, to count them."""
     lasting: bool = False
+    """Whether all later steps fail too, until the block ends."""
     error: BaseException | None = None
+    """Error to raise; that of a full disk by default."""
     steps: int = 0
+    """Number of steps so far."""
 
     def seen(self, name: str, paths: list[Path]) -> Path | None:
         now, self.steps = self.steps, self.steps + 1
@@ -109,15 +106,12 @@ def contents(root: Path) -> dict[str, bytes]:
 
 @dataclass(frozen=True)
 class Change:
-    """Names that come and go at once.
-
-    Attributes:
-        folders: that it touches, by number.
-        entries: (folder, name, what: a number, or None).
-    """
+    """Names that come and go at once."""
 
     folders: frozenset[int]
+    """Numbers of the folders that it touches."""
     entries: tuple[tuple[int, str, int | None], ...]
+    """(folder, name, number of the file or None)."""
 
 
 @dataclass
@@ -127,12 +121,10 @@ class Recorded:
     A file's content is sure to be there once it is synced, a name once its folder is; names of
     one folder reach the disk in their order (as journalling file systems keep it), those of
     several folders in any.
-
-    Attributes:
-        root: the folder that is watched.
     """
 
     root: Path
+    """The folder that is watched."""
     log: list[Change | int] = field(default_factory=list)  # a change, or what was synced
     _folders: dict[int, dict[str, int]] = field(default_factory=dict)
     _data: dict[int, bytes] = field(default_factory=dict)  # of files, once synced

@@ -16,20 +16,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Fault:
-    """One.
-
-    Attributes:
-        name: what is wrong.
-        where: a package or module below matcap, and a function or constant in it; or a folder, C.
-        right, wrong: an expression or statement that is there once, and what takes its place.
-        tests: that should fail, below the tests' folder, with -k and an expression where some do.
-    """
+    """A deliberate fault in the code, and the tests that should fail with it."""
 
     name: str
+    """Description of the fault."""
     where: str
+    """A package or module below matcap, and a function or constant in it; or a folder, C."""
     right: str
     wrong: str
+    """An expression or statement that is there once, and what takes its place."""
     tests: str
+    """Tests that should fail, below the tests' folder, with -k and an expression where some do."""
 
     @property
     def command(self) -> tuple[str, ...]:

@@ -123,15 +123,12 @@ def _captured(version: int) -> CaptureResult:
 
 @dataclass
 class Bench:
-    """A writer, what its versions look like, and where to try it.
-
-    Attributes:
-        writer: of WRITERS.
-        place: an empty folder.
-    """
+    """A writer, what its versions look like, and where to try it."""
 
     writer: Writer
+    """One of WRITERS."""
     place: Path
+    """An empty folder."""
 
     def __post_init__(self) -> None:
         self.place = self.place.resolve()

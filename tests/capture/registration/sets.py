@@ -50,21 +50,18 @@ class MadeSet:
 
 @dataclass(frozen=True)
 class SetOutcome:
-    """What was found of a set.
-
-    Attributes:
-        errors: by photograph that was used, but the first, camera's error over its distance.
-        kept_out: belonging photographs that were left out, with why.
-        taken_in: foreign photographs that were used.
-        tilt: degrees the first camera's tilt is off.
-        doubts: by photograph as of errors, what was said that it may be off by.
-    """
+    """What was found of a set."""
 
     errors: tuple[float, ...]
+    """Error of each used photograph's camera but the first's, over its distance."""
     kept_out: tuple[str, ...]
+    """Photographs of the sample that were left out, with the reason."""
     taken_in: int
+    """Number of photographs of other samples that were used."""
     tilt: float
+    """Error of the first camera's tilt, degrees."""
     doubts: tuple[float, ...] = ()
+    """Standard deviation that was stated for each of `errors`."""
 
 
 def make_set(number: int, *, hard: str | None, width: int = 800) -> MadeSet:

@@ -16,19 +16,16 @@ from plain.visible_normals import basis
 
 @dataclass(frozen=True)
 class Node:
-    """One point of a light, seen from each pixel of a block.
-
-    Attributes:
-        to_light: unit vector in the material's frame.
-        received: irradiance on a surface facing it, for radiance 1.
-        distance: to the light.
-        cell: which of the light's parts the point is in.
-    """
+    """One point of a light, seen from each pixel of a block."""
 
     to_light: Vec
+    """Unit vector in the material's frame."""
     received: Array
+    """Irradiance on a surface facing it, for radiance 1."""
     distance: Array
+    """Distance to the light."""
     cell: int
+    """Index of the light's part in which the point lies."""
 
 
 def nodes(light: AreaLight, rule: Rule, point: Vec, frame: TangentFrame | None) -> Iterator[Node]:

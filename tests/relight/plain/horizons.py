@@ -16,20 +16,16 @@ AZIMUTHS = 16
 
 @dataclass(frozen=True)
 class Horizons:
-    """For each texel, row by row.
-
-    Attributes:
-        tangents: (H W, AZIMUTHS) tangent of the horizon's elevation, azimuth 0 along x, turning
-            towards y.
-        open: (H W, 1) share of the light of an even sky that arrives, of what arrives above the
-            plane on the same slope.
-        bounced: (H W, 9) for each colour, the vector t such that a neighbourhood lit by
-            irradiance e along l sends the texel t . (e l), when none of it faces away from l.
-    """
+    """For each texel, row by row."""
 
     tangents: Array
+    """(H W, AZIMUTHS) tangent of the horizon's elevation, azimuth 0 along x, turning towards y."""
     open: Array
+    """(H W, 1) share of the light of an even sky that arrives, of what arrives above the plane on
+    the same slope."""
     bounced: Array
+    """(H W, 9) for each colour, the vector t such that a neighbourhood lit by irradiance e along l
+    sends the texel t . (e l), when none of it faces away from l."""
 
 
 def find_horizons(relief: Relief) -> Horizons:

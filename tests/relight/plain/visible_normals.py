@@ -15,38 +15,32 @@ from plain.lobes import schlick_weight
 
 
 class Mirrored(NamedTuple):
-    """One direction for each pixel of a block.
-
-    Attributes:
-        to_light: unit vectors in the material's frame.
-        weight: G2 / G1 times the lattice's weight; 0 below the shading normal's horizon.
-        fresnel: (1 - l.h)^5.
-        wide: square root of the solid angle that the direction stands for.
-    """
+    """One direction for each pixel of a block."""
 
     to_light: Vec
+    """Unit vectors in the material's frame."""
     weight: Array
+    """G2 / G1 times the lattice's weight; 0 below the shading normal's horizon."""
     fresnel: Array
+    """(1 - l.h)^5."""
     wide: Array
+    """Square root of the solid angle that the direction stands for."""
 
 
 @dataclass(frozen=True)
 class Lobe:
-    """The lobes of a block of pixels.
-
-    Attributes:
-        to_view: unit vectors in the material's frame.
-        axes: tangents times alpha, and normal.
-        stretched: unit vectors of the view in the stretched space, along these axes.
-        n_dot_v: positive.
-        alpha: GGX alpha.
-    """
+    """The lobes of a block of pixels."""
 
     to_view: Vec
+    """Unit vectors in the material's frame."""
     axes: tuple[Vec, Vec, Vec]
+    """Tangents times alpha, and normal."""
     stretched: Vec
+    """Unit vectors of the view in the stretched space, along these axes."""
     n_dot_v: Array
+    """Cosine between normal and view, positive."""
     alpha: Array
+    """GGX alpha."""
 
     def mirrored(self, point: LatticePoint) -> Mirrored:
         """Where the lattice's point sends the view."""

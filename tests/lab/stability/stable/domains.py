@@ -19,17 +19,14 @@ from stable.wholes import HARD_SETS, PARTS
 
 @dataclass(frozen=True)
 class Entry:
-    """One domain.
-
-    Attributes:
-        domain: draws and measures.
-        share: of its group's draws; each domain is called once at least.
-        measure: what its errors are relative to.
-    """
+    """One domain."""
 
     domain: Domain
+    """Draws and measures."""
     share: float
+    """Share of its group's draws; each domain is called once at least."""
     measure: str = ""
+    """What its errors are relative to."""
 
 
 _RELIGHTING: Mapping[str, Entry] = MappingProxyType(

@@ -95,15 +95,12 @@ HARD_SETS: Mapping[str, Set] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Part:
-    """What of a photograph is the material.
-
-    Attributes:
-        crop: x, y, width and height as shares of the sides, or None.
-        mask: (width, height) to a mask, or None.
-    """
+    """What of a photograph is the material."""
 
     crop: tuple[float, float, float, float] | None = None
+    """(x, y, width, height) as shares of the sides, or None."""
     mask: Callable[[int, int], Mask] | None = None
+    """(width, height) to a mask, or None."""
 
 
 def _masked(

@@ -16,25 +16,22 @@ from matcap.errors import MatcapError
 
 @dataclass(frozen=True)
 class Swept:
-    """What was drawn of a domain.
-
-    Attributes:
-        draws: values looked at.
-        broken: of them not finite, or calls that ended in anything but a value or a sentence.
-        refused: calls that ended in a sentence with a remedy.
-        worst: the largest error; what it is relative to, DOMAINS says.
-        where: it was, in words.
-        worst_smooth: the largest below roughness SMOOTH, where a looser bound holds there.
-        slowest: processor seconds of the longest call, with its reference.
-    """
+    """What was drawn of a domain."""
 
     draws: int = 0
+    """Values looked at."""
     broken: int = 0
+    """Values not finite, or calls that ended in anything but a value or a sentence."""
     refused: int = 0
+    """Calls that ended in a sentence with a remedy."""
     worst: float = 0.0
+    """The largest error; what it is relative to, DOMAINS says."""
     where: str = ""
+    """Where the largest error was, in words."""
     worst_smooth: float = 0.0
+    """The largest below roughness SMOOTH, where a looser bound holds there."""
     slowest: float = 0.0
+    """Processor seconds of the longest call, with its reference."""
 
     def __add__(self, other: Swept) -> Swept:
         worst = max(self.worst, self.worst_smooth)
