@@ -22,16 +22,17 @@ SURROUNDINGS = (0.5, 0.7)  # plane units from the centre: outside most highlight
 
 _RING = 0.02  # width of a ring, plane units; glints are blurred by twice it for the first centre
 FAINTEST_HIGHLIGHT = 1.3  # least peak over the quantile _USUAL of the surroundings
-# Quantile of the surroundings that a peak is compared with; high, so that a white square of a
-# plaid is no highlight.
+# Quantile of the surroundings that a peak is compared with. It is high, so that the bright squares
+# of a plaid do not count as highlights.
 _USUAL = 0.9
 _TOP = 0.3  # share of the peak's height, from the top, whose centroid is the centre
 _ROUNDS = 8  # iterations of the centre
 # Standard deviation of the first of the blurs, each twice the last, that are tried until the spot
 # is the only bright one; and their number.
 _TEXTURE, _BLURS = 0.015, 4
-# Share of a spot's height, and area elsewhere above it, over the spot's own, from which the spot is
-# texture. A flake of bare metal in the wide highlight of rust is alone at half of its height.
+# Pairs (a, b): a spot is texture if the area elsewhere that is brighter than its surroundings plus
+# a times its height is at least b times its own. Of a flake of bare metal in the wide highlight of
+# rust, that area is 0 at a = 0.5, but not at 0.25.
 _OTHERS = ((0.5, 0.25), (0.25, 2.5))
 
 # Most standard deviation of the blur that removes texture from the elongation, plane units.

@@ -60,7 +60,7 @@ _LEAST_CONTRAST = 1.5  # least log ratio of F0 of metal to that of the dielectri
 _LEAST_ODDS = 1.0  # least log odds that the dielectric is none but a dielectric
 # Least correlation of the photograph's and the network's classification for two classes.
 _LEAST_AGREED = 0.4
-_MOST_OFF = 0.2  # largest residual of ring means (log radiance) over the correlation
+_MOST_RESIDUAL = 0.2  # largest residual of ring means (log radiance) over the correlation
 # Specular tint of metal.
 _LEAST_SHARE = 0.005  # least share of metal in an exemplar
 _COLOUR_SIDE = 5  # texels, side of the neighbourhood whose colour is averaged, against noise
@@ -119,12 +119,12 @@ class Classes:
             gloss: (H, W) weight of the predicted roughness.
         """
         metal = self.metal_share
-        own = replace(
+        of_class = replace(
             residuals,
             diffuse=(1.0 - metal) * residuals.diffuse,
             specular=metal * residuals.specular,
         )
-        varying = own - self.flat(self.class_means(own))
+        varying = of_class - self.flat(self.class_means(of_class))
         return replace(varying, roughness=self._following(varying, gloss)) + self.flat()
 
     def _following(self, varying: SurfaceParameters, gloss: Tensor) -> Tensor:
@@ -149,12 +149,12 @@ class Mixture:
 
     Attributes:
         classes: metal first.
-        off: mean absolute residual of log radiance of the ring means.
+        residual: mean absolute residual of log radiance of the ring means.
         agreed: correlation of the class log odds by radiance with the network's.
     """
 
     classes: Classes
-    off: float
+    residual: float
     agreed: float
 
     def likely(self, uniform: SurfaceParameters) -> bool:
@@ -169,7 +169,7 @@ class Mixture:
             min(share, 1.0 - share) > LEAST_PART
             and float(bare[F0] - rest[F0]) > _LEAST_CONTRAST
             and how_metallic(uniform.vector() + rest) < -_LEAST_ODDS
-            and self.off < _MOST_OFF * self.agreed
+            and self.residual < _MOST_RESIDUAL * self.agreed
             and self.agreed > _LEAST_AGREED
         )
 
@@ -201,18 +201,18 @@ def find_mixture(residuals: SurfaceParameters, logit: Tensor, target: RingTarget
             math.hypot(DIELECTRIC.specular[1], METAL.specular[1]),
         ),
     )
-    off = 0.0
+    residual = 0.0
     for number in range(_ROUNDS):
         few = _coloured(few, metal)
         if number:
             metal = _share(_log_likelihood_ratio(few, theta), thin, float(metal.mean()))
             few = _coloured(few, metal)
-        theta, off = fit_mean_parameters(few, _pair(metal).shares, theta, prior)
+        theta, residual = fit_mean_parameters(few, _pair(metal).shares, theta, prior)
     log_ratio = _log_likelihood_ratio(replace(target, tints=few.tints), theta)
     metal = _share(log_ratio, drawn, float(metal.mean()))
     both = torch.stack([log_ratio.flatten(), drawn.flatten()])
     agreed = float(torch.corrcoef(both)[0, 1].nan_to_num())
-    return Mixture(replace(_pair(metal), mean_parameters=theta), off, agreed)
+    return Mixture(replace(_pair(metal), mean_parameters=theta), residual, agreed)
 
 
 def _two_means(score: Tensor) -> float:
@@ -269,7 +269,7 @@ def _log_likelihood_ratio(target: RingTarget, theta: Tensor) -> Tensor:
         theta: (2, 5) mean parameters of the classes.
     """
     observed = target.linear.clamp_min(DARKEST).log()
-    off = []
+    costs = []
     for diffuse, mirrored in target.rendered(theta, target.flash.onto(target.normal)):
         residual = observed - (diffuse + mirrored).clamp_min(DARKEST).log()
         residual = torch.where(target.measured, residual, residual.clamp_min(0.0))
@@ -277,8 +277,8 @@ def _log_likelihood_ratio(target: RingTarget, theta: Tensor) -> Tensor:
         colour = (residual - grey).square().sum(0, keepdim=True)
         # Cauchy distribution: misplaced relief gives occasional large residuals.
         tones = torch.log1p(grey.square())
-        off.append(tones + torch.log1p(colour / _CHROMA_SCALE**2))
-    bare, rest = off
+        costs.append(tones + torch.log1p(colour / _CHROMA_SCALE**2))
+    bare, rest = costs
     # Blurred: classes form patches, and slopes towards and away from the light cancel.
     around = _BLUR * target.linear.shape[-1]
     plane = cv2.GaussianBlur((rest - bare)[0].numpy(), (0, 0), around)

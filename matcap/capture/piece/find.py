@@ -176,7 +176,7 @@ def indexed(
         turned: whether to rotate both upright first, 90 degrees clockwise.
     """
     if turned:
-        # Columns of the upright picture are rows of the landscape one from below, rows its columns.
+        # Rotated by 90 degrees clockwise, frequency (fx, fy) becomes (-fy, fx).
         exemplar, waves = exemplar.turned(), tuple(Wave(-wave.fy, wave.fx) for wave in waves)
     flat = straightened(exemplar, waves)
     if flat is None:

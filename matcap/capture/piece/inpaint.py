@@ -10,6 +10,7 @@ stationary, so maps are copied there from visible places, in three steps:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -318,8 +319,8 @@ def _sources(
         deeper = (deep > deepest[here]) & hidden[here]
         deepest[here] = np.where(deeper, deep, deepest[here])
         moved = np.array(donor)[:, None, None] - np.array(place)[:, None, None]
-        own = np.indices(hidden.shape)[:, *here]
-        source[:, *here] = np.where(deeper, own + moved, source[:, *here])
+        texel = np.indices(hidden.shape)[:, *here]
+        source[:, *here] = np.where(deeper, texel + moved, source[:, *here])
     return source, deepest > 0
 
 
@@ -422,25 +423,47 @@ def composed(maps: Floats, source: BlockPlaces, free: TexelMask, reach: float) -
 
 
 def _solved(right: NDArray[np.float64], free: TexelMask, reach: float) -> Floats:
-    """Conjugate gradients for c in (L + reach^-2) c = right, 0 where not free, (C, h, w) each.
+    """Solution c of (L + reach^-2) c = right, 0 where not free; L is the graph Laplacian.
 
-    Free texels alone are stored, their channels together; neighbours that are not free share a 0.
+    Right and c are (C, h, w).
     """
-    count, one = int(free.sum()), np.float32
-    number = np.full((free.shape[0] + 2, free.shape[1] + 2), count, np.int64)
-    number[1:-1, 1:-1][free] = np.arange(count)
-    in_box = np.pad(np.ones(free.shape, one), 1)
+    neighbours, degree = _free_neighbours(free)
+    result = np.zeros(right.shape, np.float32)
+    start = np.ascontiguousarray(right[:, free].T, np.float32)
+    result[:, free] = _conjugate_gradients(neighbours, degree + np.float32(reach**-2), start).T
+    return result
+
+
+def _free_neighbours(free: TexelMask) -> tuple[list[NDArray[np.int64]], Floats]:
+    """Of N free texels, the four neighbours' (N,) numbers, and the (N, 1) number of neighbours.
+
+    Texels that are not free have the number N.
+    """
+    number = np.full((free.shape[0] + 2, free.shape[1] + 2), free.sum(), np.int64)
+    number[1:-1, 1:-1][free] = np.arange(free.sum())
+    in_box = np.pad(np.ones(free.shape, np.float32), 1)
     within, before, after = slice(1, -1), slice(None, -2), slice(2, None)
     sides = ((before, within), (after, within), (within, before), (within, after))
-    neighbours = [number[side][free] for side in sides]
     degree = np.stack([in_box[side][free] for side in sides], axis=1).sum(1, keepdims=True)
-    diagonal = degree + one(reach**-2)
-    residual = np.ascontiguousarray(right[:, free].T, one)
-    padded = np.concatenate([residual, np.zeros((1, len(right)), one)])
-    direction, solution = padded[:count], np.zeros_like(residual)
+    return [number[side][free] for side in sides], degree
+
+
+def _conjugate_gradients(
+    neighbours: Sequence[NDArray[np.int64]], diagonal: Floats, right: Floats
+) -> Floats:
+    """(N, C) x in diagonal x - sum of x at neighbours = right, for all channels together.
+
+    Args:
+        neighbours: (N,) numbers each; N stands for a neighbour with x = 0.
+        diagonal: (N, 1).
+        right: (N, C); overwritten.
+    """
+    residual, one = right, np.float32
+    padded = np.concatenate([residual, np.zeros((1, residual.shape[1]), one)])
+    direction, solution = padded[:-1], np.zeros_like(residual)
     image, some = np.empty_like(residual), np.empty_like(residual)
     energy = start = float(np.vdot(residual, residual))
-    for _ in range(count):  # in exact arithmetic that many suffice
+    for _ in range(len(residual)):  # in exact arithmetic that many suffice
         if energy <= _TOLERANCE**2 * start:
             break
         np.multiply(direction, diagonal, out=image)
@@ -452,9 +475,7 @@ def _solved(right: NDArray[np.float64], free: TexelMask, reach: float) -> Floats
         earlier, energy = energy, float(np.vdot(residual, residual))
         direction *= one(energy / earlier)
         direction += residual
-    result = np.zeros(right.shape, one)
-    result[:, free] = solution.T
-    return result
+    return solution
 
 
 def _ends(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:

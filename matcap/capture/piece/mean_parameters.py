@@ -217,8 +217,8 @@ def _linear(
     columns = []
     for matte, mirrored, widened in means:
         for channel in range(3):
-            own = torch.zeros_like(mean)
-            own[:, channel] = matte[:, channel] / mean[:, channel]
-            columns.append(own)
+            column = torch.zeros_like(mean)
+            column[:, channel] = matte[:, channel] / mean[:, channel]
+            columns.append(column)
         columns += [mirrored / mean, widened / mean]
     return (observed - mean.log()).flatten(), torch.stack(columns).flatten(1)

@@ -225,10 +225,10 @@ def flatten(
 def _rings(
     planes: NDArray[np.float32], distance: NDArray[np.float32], weight: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """(C, H, W) means of planes over rings around a point, as far as they are no chance.
+    """(C, H, W) means of planes over rings around a point, shrunk by their uncertainty.
 
-    Of a ring's mean m with standard error e, from the scatter of its sectors, m (1 - e^2 / m^2) is
-    kept, or 0 (James-Stein).
+    The mean m of a ring becomes m max(1 - e^2 / m^2, 0) (James-Stein), where the standard error e
+    is that of the means of its sectors.
 
     Args:
         planes: (C, H, W) of about zero mean.
@@ -403,40 +403,45 @@ def scaled_by_glints(
         light: the photograph's own.
         noise: (3, H, W) standard deviation of log radiance.
     """
-    maps = light.maps(residuals)
-    _, diffuse_share = light.rendered(maps)
+    _, diffuse_share = light.rendered(light.maps(residuals))
     around = max(linear.shape) / WIDE
     specular_fraction = 1.0 - smoothed(diffuse_share.mean(0).numpy(), around / 4.0)
     seen = measured.all(0).numpy()
     region = (specular_fraction > MIRRORED) & seen
     if float(region.mean()) < LEAST_SHARE:
         return residuals
+    matte = (specular_fraction <= np.quantile(specular_fraction[seen], _MATTE_SHARE)) & seen
     mean = residuals.diffuse.mean((1, 2), keepdim=True)
     maps = light.maps(replace(residuals, diffuse=mean.expand_as(linear)))
     rendered = light.rendered(maps)[0].mean(0).numpy()
     photograph = linear.clamp_min(DARKEST).log().mean(0).numpy()
     variance = (noise.square().mean(0) / 3.0).numpy()
-
-    def energies(where: NDArray[np.bool_]) -> NDArray[np.float64]:
-        energy = _energies(photograph, where, around)
-        # Sensor noise is white: three quarters of its energy are in the finest octave.
-        for octave in range(len(energy) - 1):
-            energy[len(energy) - 2 - octave] -= variance[where].mean() * 0.75 * 0.25**octave
-        return energy.clip(0.0)
-
-    matte = (specular_fraction <= np.quantile(specular_fraction[seen], _MATTE_SHARE)) & seen
+    glossy, dull = (_denoised_energies(photograph, variance, r, around) for r in (region, matte))
     diluted = np.square(1.0 - specular_fraction).clip(1e-8)
     share = diluted[region].mean() / diluted[matte].mean()
     whole = _energies(rendered, region, around)
     # If both regions are equally sensitive to slope, relief and albedo are hardly separable.
     relief = (whole - share * _energies(rendered, matte, around)).clip(0.5 * whole)
-    excess = (energies(region) - share * energies(matte)).clip(0.0)
-    gains = np.sqrt(excess / relief.clip(1e-12))
-    gains = gains.clip(_LEAST_FACTOR, _MOST_FACTOR)
+    excess = (glossy - share * dull).clip(0.0)
+    gains = np.sqrt(excess / relief.clip(1e-12)).clip(_LEAST_FACTOR, _MOST_FACTOR)
     gains[-1] = 1.0
     bands = split(residuals.height[0].numpy())
     height = sum(float(g) * band for g, band in zip(gains, bands, strict=True))
     return replace(residuals, height=torch.from_numpy(np.asarray(height, np.float32))[None])
+
+
+def _denoised_energies(
+    log: NDArray[np.float32],
+    variance: NDArray[np.float32],
+    region: NDArray[np.bool_],
+    around: float,
+) -> NDArray[np.float64]:
+    """_energies of log radiance (H, W), less those of white noise of this variance (H, W)."""
+    energy = _energies(log, region, around)
+    # Of white noise, three quarters of the energy are in the finest octave. The last is the rest.
+    for octave in range(len(energy) - 1):
+        energy[len(energy) - 2 - octave] -= variance[region].mean() * 0.75 * 0.25**octave
+    return energy.clip(0.0)
 
 
 def _energies(

@@ -46,8 +46,8 @@ _LINEAR = 1.2
 _ROUNDS = 4  # of reweighting, as an energy's standard error is proportional to the energy
 _FEWEST_WINDOWS = 8  # least number of windows for the three unknowns
 _SCATTER = 2.0  # factor on standard errors, for windows that overlap and are shared by directions
-# Prior standard deviation of the coefficient of a window's m on the squared diffuse share, as dark
-# gaps are diluted far more than by the share itself; that of m - 1 is 1.
+# Prior standard deviation of d m / d (squared diffuse share). Specular radiance dilutes dark gaps
+# far more than the mean, so m varies more than the share does.
 _DILUTION = 5.0
 _DISAGREED = 0.5  # share of the difference of two estimates that is added to the standard deviation
 RESPONSE_AROUND = 24.0  # texels, standard deviation of the blur of the sensitivity
@@ -276,9 +276,13 @@ def _regress(
 ) -> Doubles:
     """(3, DIRECTIONS) A, S and S's standard error of a band, A and S not negative.
 
-    Weighted least squares over all directions, with a factor m of each window that has a Gaussian
-    prior; linear, as A in the product A m is that of the previous round. m is eliminated, as only
-    its own window's residuals depend on it.
+    Iteratively reweighted least squares over windows n and directions k,
+
+        E_kn = A_k (1 + f_n + _DILUTION d (matte_n - mean)) + 2 C_k s_kn + S_k (s^2)_kn,
+
+    with f_n and d ~ N(0, 1). Standard errors are proportional to the energies that the previous
+    round expects. A is taken from that round where it is multiplied by f_n or d, so that the
+    equations are linear. f_n is eliminated (_whitened).
 
     Args:
         slant: (DIRECTIONS, N) mean of g along the direction, s, in each window.
@@ -287,35 +291,48 @@ def _regress(
         energy: (DIRECTIONS, N) energy of log radiance.
         counts: (N,) weight of each window, at most 1.
     """
-    kinds = len(energy)
-    each = np.eye(kinds)[:, None, :]
+    count = len(energy)
+    each = np.eye(count)[:, None, :]
     terms = (np.ones_like(slant), 2.0 * slant, squared)
-    own = np.concatenate([each * term[..., None] for term in terms], axis=2)
-    drift = np.broadcast_to(_DILUTION * (matte - matte.mean()), energy.shape)
-    prior = np.eye(3 * kinds + 1)[-1:]  # of the drift; that of m is in `white`
+    design = np.concatenate([each * term[..., None] for term in terms], axis=2)
+    dilution = np.broadcast_to(_DILUTION * (matte - matte.mean()), energy.shape)
+    prior = np.eye(3 * count + 1)[-1:]  # of d
     least = 0.2 * energy.mean(1, keepdims=True) + 1e-12
     albedo, expected = energy.mean(1, keepdims=True), np.full(energy.shape, energy.mean() + 1e-12)
     for _ in range(_ROUNDS):
         weight = np.sqrt(counts) / expected
-        columns = np.concatenate([own, (drift * albedo)[..., None]], axis=2)
-        common = albedo * weight
-        # With m eliminated, a window's errors have the covariance 1 + common common^T.
-        size = np.square(common).sum(0)
-        along = (1.0 - 1.0 / np.sqrt(1.0 + size)) / np.maximum(size, 1e-12) * common
+        columns = np.concatenate([design, (dilution * albedo)[..., None]], axis=2)
         rows = np.concatenate([columns, energy[..., None]], axis=2) * weight[..., None]
-        white = rows - along[..., None] * (common[..., None] * rows).sum(0)
-        matrix = np.concatenate([white[..., :-1].reshape(-1, 3 * kinds + 1), prior])
+        of_factor = albedo * weight  # the column of f
+        white = _whitened(rows, of_factor)
+        matrix = np.concatenate([white[..., :-1].reshape(-1, 3 * count + 1), prior])
         aim = np.append(white[..., -1], 0.0)
         solution = np.linalg.lstsq(matrix, aim, rcond=None)[0]
         left = rows[..., -1] - rows[..., :-1] @ solution
-        factor = (common * left).sum(0) / (1.0 + size)
+        factor = (of_factor * left).sum(0) / (1.0 + np.square(of_factor).sum(0))
         expected = np.maximum(columns @ solution + albedo * factor, least)
-        albedo = solution[:kinds, None].clip(0.0)
-    scatter = np.square(aim - matrix @ solution).sum() / max(kinds * (counts.sum() - 3.0), 1.0)
-    slopes = slice(2 * kinds, 3 * kinds)
+        albedo = solution[:count, None].clip(0.0)
+    scatter = np.square(aim - matrix @ solution).sum() / max(count * (counts.sum() - 3.0), 1.0)
+    slopes = slice(2 * count, 3 * count)
     variance = np.linalg.pinv(matrix.T @ matrix).diagonal()[slopes].clip(0.0)
     error = _SCATTER * np.sqrt(scatter * variance)
     return np.stack([albedo[:, 0], solution[slopes].clip(0.0), error])
+
+
+def _whitened(rows: Doubles, column: Doubles) -> Doubles:
+    """Eliminate an unknown f_n ~ N(0, 1) of each window n from equations of unit variance.
+
+    With the column c of f_n, the errors of a window's equations have the covariance
+    I + c c^T. Returned are the rows times its inverse square root,
+    I - (1 - 1 / sqrt(1 + |c|^2)) c c^T / |c|^2.
+
+    Args:
+        rows: (DIRECTIONS, N, columns) of the equations.
+        column: (DIRECTIONS, N) c.
+    """
+    size = np.square(column).sum(0)
+    along = (1.0 - 1.0 / np.sqrt(1.0 + size)) / np.maximum(size, 1e-12) * column
+    return np.asarray(rows - along[..., None] * (column[..., None] * rows).sum(0), np.float64)
 
 
 def equalise(

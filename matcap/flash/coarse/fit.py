@@ -184,17 +184,17 @@ def _fitted(
         last = last.whitened(begun[0]).with_estimated_noise(begun[0])
     best = _best(last, begun)
     rest = last.differences(best)[last.cells.above == 1.0]
-    own = None
+    picture_tilt = None
     if prior.tilt_alone is not None:
         without = last.with_tilt(*prior.tilt_alone)
         tilt_x, tilt_y = Unknowns.of(without.minimised(best, _FEW)[1]).tilt.tolist()
-        own = (tilt_x, tilt_y)
+        picture_tilt = (tilt_x, tilt_y)
     exponent = math.exp(float(Unknowns.of(best).tone))
     fit = CoarseFit(
         *_uniform(Unknowns.of(best), photo.fov, conductor=prior.conductor),
         residual=float(rest.square().mean().sqrt()) if rest.numel() else 0.0,
         conductor=prior.conductor,
-        picture_tilt=own,
+        picture_tilt=picture_tilt,
         tone=ToneCurve(exponent, last.shoulder) if last.shoulder > 0.0 else ToneCurve(),
         falloff=last.falloff_likelihood(best),
     )
@@ -301,8 +301,8 @@ def distinct(fits: Sequence[Tensor]) -> list[Tensor]:
     """Parameters, the best first, without those of nearly the same roughness as better ones."""
     kept: list[Tensor] = []
     for candidate in fits:
-        own = _roughness(candidate)
-        if all(abs(own - _roughness(one)) > _DISTINCT for one in kept):
+        roughness = _roughness(candidate)
+        if all(abs(roughness - _roughness(one)) > _DISTINCT for one in kept):
             kept.append(candidate)
     return kept
 

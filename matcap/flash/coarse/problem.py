@@ -75,11 +75,11 @@ class HighlightMeasurements:
             log_radiance: (3, 3 * directions) at `image`.
         """
         highlight = self.highlight
-        off_deviation, middle_deviation = (
+        centre_deviation, middle_deviation = (
             least + share * highlight.width
             for least, share in (_CENTRE_DEVIATION, _MIDDLE_DEVIATION)
         )
-        off = (mirror - numbers(*highlight.centre)) / off_deviation
+        centre = (mirror - numbers(*highlight.centre)) / centre_deviation
         radiance = log_radiance.exp()
         light = radiance.clamp_max(max(1.0, highlight.peak)).mean(0).log()  # as the camera clips
         rings = light.unflatten(0, (3, _DIRECTIONS))
@@ -87,8 +87,8 @@ class HighlightMeasurements:
         middle = 2.0 * (rings[1] * _circle()).mean(1) / slope
         half_way = 0.5 * (highlight.peak + highlight.surroundings)
         expected = torch.tensor([highlight.peak, half_way, highlight.surroundings]).double().log()
-        levels = (rings.mean(1) - expected) / _RADIANCE_DEVIATION
-        return torch.cat([off, middle / middle_deviation, levels])
+        radiances = (rings.mean(1) - expected) / _RADIANCE_DEVIATION
+        return torch.cat([centre, middle / middle_deviation, radiances])
 
 
 @cache
@@ -241,8 +241,8 @@ class Problem:
         posterior = torch.linalg.inv(torch.linalg.inv(hessian / self.unit)[block])
         prior = self.precision[block] / self.unit
         first, second = (posterior @ best - prior @ self.prior[falloff]).tolist()
-        (own, both), (_, other) = (posterior - prior).tolist()
-        return FalloffLikelihood((first, second), (own, both, other))
+        (aa, ab), (_, bb) = (posterior - prior).tolist()
+        return FalloffLikelihood((first, second), (aa, ab, bb))
 
     def bound_excess(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """(n,) each: how far parameters are beyond their bounds, and the prior's precision there.
