@@ -100,19 +100,16 @@ _CONVENTIONS = {
 
 @dataclass(frozen=True)
 class MapSetInfo:
-    """Name and origin of a map set, for its JSON document.
-
-    Attributes:
-        name: beginning of the files' names; a plain file name.
-        seed: realisation of the material; None where there are no realisations.
-        origin: (column, row) of the left top texel in the material's endless field.
-        provenance: how the material was made; any JSON.
-    """
+    """Name and origin of a map set, for its JSON document."""
 
     name: str
+    """Beginning of the files' names; a plain file name."""
     seed: int | None = None
+    """Realisation of the material; None where there are no realisations."""
     origin: tuple[int, int] = (0, 0)
+    """(column, row) of the left top texel in the material's endless field."""
     provenance: dict[str, Any] = field(default_factory=dict)
+    """How the material was made; any JSON."""
 
 
 def write_mapset(

@@ -25,17 +25,14 @@ _ROUGHNESS_LOGITS = 7.0  # largest |logit|: slightly beyond ROUGHNESS_LIMITS, wh
 
 
 class Reflectance(NamedTuple):
-    """Reflectance maps, a MapSet's without the height.
-
-    Attributes:
-        diffuse: (..., 3, H, W) diffuse albedo.
-        specular: (..., 1, H, W) F0; 3 channels if coloured.
-        roughness: (..., 1, H, W) perceptual roughness.
-    """
+    """Reflectance maps, a MapSet's without the height."""
 
     diffuse: Tensor
+    """(..., 3, H, W) diffuse albedo."""
     specular: Tensor
+    """(..., 1, H, W) F0; 3 channels if coloured."""
     roughness: Tensor
+    """(..., 1, H, W) perceptual roughness."""
 
 
 @dataclass(frozen=True)

@@ -115,21 +115,18 @@ def lattice_of(plane: Plane) -> tuple[Wave, ...]:
 
 @dataclass(frozen=True)
 class Rectified:
-    """A photograph rectified to the plane of its sample, and its lattice.
-
-    Attributes:
-        photo: the photograph, its tone curve undone; of several, the first, less ambient light.
-        coarse: its coarse fit; of several, with the registered camera.
-        whole: the plane at the resolution of the exemplar.
-        waves: frequency vectors of its lattice, cycles per texel of `whole`; empty without one.
-        network_input: the plane at the resolution that the network takes.
-    """
+    """A photograph rectified to the plane of its sample, and its lattice."""
 
     photo: Photo
+    """The photograph, its tone curve undone; of several, the first, less ambient light."""
     coarse: CoarseFit
+    """Coarse fit of the photograph; of several, with the registered camera."""
     whole: Plane
+    """The plane at the resolution of the exemplar."""
     waves: tuple[Wave, ...]
+    """Frequency vectors of its lattice, cycles per texel of `whole`; empty without one."""
     network_input: Plane
+    """The plane at the resolution that the network takes."""
 
     @staticmethod
     def of(photo: Photo, coarse: CoarseFit, detail: int) -> Rectified:

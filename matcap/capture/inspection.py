@@ -26,17 +26,14 @@ from matcap.photo.photo import Photo
 
 @dataclass(frozen=True)
 class InspectedPhotograph:
-    """Result of inspecting a photograph.
-
-    Attributes:
-        quality: its checks, each with a remedy for the next shot.
-        strengths: band energies of relief and albedo; None if they cannot be measured.
-        tilt: estimates of the tilt by source, degrees (capture/tilt.py).
-    """
+    """Result of inspecting a photograph."""
 
     quality: Inspection
+    """Checks of the photograph, each with a remedy for the next shot."""
     strengths: Strengths | None
+    """Band energies of relief and albedo; None if they cannot be measured."""
     tilt: Mapping[str, Any] | None = None
+    """Estimates of the tilt by source, degrees (capture/tilt.py)."""
 
 
 def inspect_file(

@@ -31,18 +31,15 @@ from matcap.photo.photo import Photo
 
 @dataclass(frozen=True)
 class Tuning:
-    """Course of fine-tuning of the paper's decoder.
-
-    Attributes:
-        history: (seconds, step, error) of fine-tuning.
-        self_difference: texture distance between neighbouring windows of the photograph, in the
-            units of error; NaN if it is too small for two windows.
-        drawing: whether the decoder reads a drawing.
-    """
+    """Course of fine-tuning of the paper's decoder."""
 
     history: tuple[tuple[float, int, float], ...]
+    """(seconds, step, error) of fine-tuning."""
     self_difference: float = math.nan
+    """Texture distance between neighbouring windows of the photograph, in the units of error; NaN
+    if it is too small for two windows."""
     drawing: bool = False
+    """Whether the decoder reads a drawing."""
 
     @property
     def relative_error(self) -> float | None:
@@ -54,35 +51,32 @@ class Tuning:
 
 @dataclass(frozen=True)
 class CaptureResult:
-    """Result of a capture.
-
-    Attributes:
-        photo: the photograph; the first one of several.
-        material: the endless material.
-        rectified: (H, W, 3) the photograph on the plane's grid, linear.
-        rerendered: (H, W, 3) `maps` under the photograph's own flash, linear.
-        maps: (H, W) texels of the material, as many as the photograph has.
-        measurements: differences between `rectified` and `rerendered`.
-        verdict: rating, with its sentence and causes.
-        stage_seconds: duration by stage.
-        settings: of the user.
-        interrupted: whether Ctrl-C ended it early, with the best result so far.
-        estimate: the exemplar; None with a decoder without drawing or `aligned`.
-        tuning: course of fine-tuning; None without a decoder.
-    """
+    """Result of a capture."""
 
     photo: Photo
+    """The photograph; the first one of several."""
     material: Material
+    """The endless material."""
     rectified: NDArray[np.float32]
+    """(H, W, 3) the photograph on the plane's grid, linear."""
     rerendered: NDArray[np.float32]
+    """(H, W, 3) `maps` under the photograph's own flash, linear."""
     maps: MapSet
+    """(H, W) texels of the material, as many as the photograph has."""
     measurements: Measurements
+    """Differences between `rectified` and `rerendered`."""
     verdict: CaptureVerdict
+    """Rating, with its sentence and causes."""
     stage_seconds: Mapping[str, float]
+    """Duration by stage."""
     settings: CaptureSettings
+    """Settings of the user."""
     interrupted: bool
+    """Whether Ctrl-C ended it early, with the best result so far."""
     estimate: ExemplarEstimate | None = None
+    """The exemplar; None with a decoder without drawing or `aligned`."""
     tuning: Tuning | None = None
+    """Course of fine-tuning; None without a decoder."""
 
     @property
     def photographs(self) -> int:

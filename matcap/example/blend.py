@@ -50,17 +50,14 @@ _DARKEST = 2.0**-10  # lower limit of albedo and F0 in logarithms
 
 @dataclass(frozen=True)
 class Band:
-    """An octave of an exemplar's maps.
-
-    Attributes:
-        values: (H, W, CHANNELS) int16, on a grid of 2^bits texels.
-        scale: (CHANNELS,) float32, unit of `values` in the map or in its log2.
-        bits: log2 of the grid's step.
-    """
+    """An octave of an exemplar's maps."""
 
     values: NDArray[np.int16]
+    """(H, W, CHANNELS) int16, on a grid of 2^bits texels."""
     scale: Floats
+    """(CHANNELS,) float32, unit of `values` in the map or in its log2."""
     bits: int
+    """log2 of the grid's step."""
 
 
 def bands_of(exemplar: Exemplar) -> tuple[Band, ...]:
@@ -150,17 +147,14 @@ def _quantised(values: Floats, bits: int) -> Band:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Nodes along one axis of an area.
-
-    Attributes:
-        at: positions of the nodes, texels of the plane.
-        first: (length,) int32, index of the first of the NODES nodes that vote for a texel.
-        weights: (length, NODES) float32, of their votes.
-    """
+    """Nodes along one axis of an area."""
 
     at: NDArray[np.int64]
+    """Positions of the nodes, texels of the plane."""
     first: NDArray[np.int32]
+    """(length,) int32, index of the first of the NODES nodes that vote for a texel."""
     weights: Floats
+    """(length, NODES) float32, of their votes."""
 
     @staticmethod
     def of(start: int, length: int, spacing: int, unit: int, period: int | None) -> Nodes:
@@ -192,18 +186,15 @@ def _times(period: int, spacing: int) -> int:
 
 @dataclass(frozen=True)
 class Votes:
-    """The nodes of a band for an area.
-
-    Attributes:
-        level: level of the places that nodes read, which are 2^level grid steps apart.
-        bits: log2 of the step of the grid of places, texels.
-        across, down: nodes along columns and rows.
-    """
+    """The nodes of a band for an area."""
 
     level: int
+    """Level of the places that nodes read, which are 2^level grid steps apart."""
     bits: int
+    """log2 of the step of the grid of places, texels."""
     across: Nodes
     down: Nodes
+    """Nodes along columns and rows."""
 
     @staticmethod
     def of(band: int, area: Rectangle, period: Period | None, bits: int, levels: int) -> Votes:
@@ -273,19 +264,16 @@ class _Exemplar(ctypes.Structure):
 
 @dataclass(frozen=True)
 class ExemplarBands:
-    """An exemplar prepared for blending.
-
-    Attributes:
-        planes: (H, W) of each of its 6 or 8 stacked maps.
-        bands: on the grid of places.
-        correlations: r_k of every band.
-        bits: log2 of that grid's step, texels.
-    """
+    """An exemplar prepared for blending."""
 
     planes: tuple[Floats, ...]
+    """(H, W) of each of its 6 or 8 stacked maps."""
     bands: tuple[Band, ...]
+    """Bands on the grid of places."""
     correlations: tuple[float, ...]
+    """r_k of every band."""
     bits: int
+    """log2 of that grid's step, texels."""
 
 
 def blended(

@@ -44,15 +44,12 @@ _GRID = 1536  # texels of the grid's longer side, at most
 
 @dataclass(frozen=True)
 class _Ready:
-    """Data computed from an example at its first use.
-
-    Attributes:
-        lookup: for the synthesis of places.
-        shown: for the maps at them.
-    """
+    """Data computed from an example at its first use."""
 
     lookup: Lookup
+    """Tables for the synthesis of places."""
     shown: ExemplarBands
+    """Bands from which the maps at those places are blended."""
 
 
 _PREPARING = Lock()
@@ -60,17 +57,14 @@ _PREPARING = Lock()
 
 @dataclass(frozen=True)
 class Example:
-    """An exemplar and its index; picklable.
-
-    Attributes:
-        exemplar: rounded as in a file (Exemplar.rounded).
-        index: of the exemplar on its grid.
-        variety: patch size, from 0, the whole exemplar, to 1, the smallest patches.
-    """
+    """An exemplar and its index; picklable."""
 
     exemplar: Exemplar
+    """Rounded as in a file (Exemplar.rounded)."""
     index: Index
+    """Index of the exemplar on its grid."""
     variety: float = 1.0
+    """Patch size, from 0, the whole exemplar, to 1, the smallest patches."""
 
     @staticmethod
     def of(exemplar: Exemplar, waves: tuple[Frequency, ...] = ()) -> Example:
@@ -281,21 +275,18 @@ class Example:
 
 @dataclass(frozen=True)
 class ExampleSource:
-    """The by-example field of one exemplar and seed; picklable.
-
-    Attributes:
-        example: the indexed exemplar.
-        seed: of the realisation.
-        period: in texels, multiples of the example's alignment; None if the field never repeats.
-        texel_size: in plane units.
-        grid: of blocks.
-    """
+    """The by-example field of one exemplar and seed; picklable."""
 
     example: Example
+    """The indexed exemplar."""
     seed: int
+    """Seed of the realisation."""
     period: Period | None
+    """Period in texels, multiples of the example's alignment; None if the field never repeats."""
     texel_size: float
+    """A texel's side, plane units."""
     grid: Grid = BLOCKS
+    """Grid of blocks."""
 
     @property
     def specular_channels(self) -> int:

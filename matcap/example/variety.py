@@ -49,17 +49,14 @@ _COMPARED = 7  # planes of features: all but the height, which its slopes descri
 
 @dataclass(frozen=True)
 class VarietyTrial:
-    """Measures of one variety.
-
-    Attributes:
-        variety: in [0, 1].
-        lost: loss of RMS correlation at long shifts, in [0, 1].
-        seams: share of texels at seams.
-    """
+    """Measures of one variety."""
 
     variety: float
+    """Patch size, in [0, 1]."""
     lost: float
+    """Loss of RMS correlation at long shifts, in [0, 1]."""
     seams: float
+    """Share of texels at seams."""
 
 
 def with_chosen_variety(example: Example) -> Example:

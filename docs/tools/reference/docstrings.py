@@ -18,15 +18,12 @@ _ENTRY = re.compile(r"([^\s:][^:]*): (.*)|([^\s:][^:]*):$")
 
 @dataclass(frozen=True)
 class Docstring:
-    """What a docstring says.
-
-    Attributes:
-        text: Markdown outside of any section.
-        sections: by heading, the lines of each without their indentation.
-    """
+    """What a docstring says."""
 
     text: str
+    """Markdown outside of any section."""
     sections: Mapping[str, str]
+    """By heading, the lines of each without their indentation."""
 
     def entries(self, heading: str) -> dict[str, str]:
         """What a section says of each name; none where there is no such section.

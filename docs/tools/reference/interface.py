@@ -71,7 +71,7 @@ def _class(name: str, kind: type) -> Iterator[str]:
     found = read(kind)
     yield from (found.text, "")
     if is_dataclass(kind):
-        documented = found.entries("Attributes") | field_docs(kind)
+        documented = field_docs(kind)
         shown = [one for one in fields(kind) if not one.name.startswith("_")]
         yield from table(
             ["field", "type", "default", "what"],

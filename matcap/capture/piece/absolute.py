@@ -31,15 +31,12 @@ _LEAST = 1e-4  # of albedo and F0
 
 @dataclass(frozen=True)
 class MaterialKind:
-    """Log-normal prior of a material class: mean and standard deviation of natural logarithms.
-
-    Attributes:
-        albedo: log mean luminance of diffuse albedo.
-        specular: log mean F0.
-    """
+    """Log-normal prior of a material class: mean and standard deviation of natural logarithms."""
 
     albedo: tuple[float, float]
+    """Log mean luminance of diffuse albedo."""
     specular: tuple[float, float]
+    """Log mean F0."""
 
     def log_likelihood(self, ratio: float) -> float:
         """Log density of the natural logarithm of F0 over albedo, less a constant."""

@@ -72,18 +72,14 @@ _LEAST = 1e-6
 
 @dataclass(frozen=True)
 class Classes:
-    """K material classes and their share of each texel.
-
-    Attributes:
-        shares: (K, H, W) class shares; they sum to 1 over K.
-        metal: whether each class is metal.
-        mean_parameters: (K, 5) log albedo 3, log F0 and logit roughness, less those of the coarse
-            fit.
-    """
+    """K material classes and their share of each texel."""
 
     shares: Tensor
+    """(K, H, W) class shares; they sum to 1 over K."""
     metal: tuple[bool, ...]
+    """Whether each class is metal."""
     mean_parameters: Tensor
+    """(K, 5) log albedo 3, log F0 and logit roughness, less those of the coarse fit."""
 
     @staticmethod
     def whole(size: tuple[int, ...], *, metal: bool) -> Classes:
@@ -145,17 +141,14 @@ class Classes:
 
 @dataclass(frozen=True)
 class Mixture:
-    """Metal and dielectric in one photograph, and the quality of the fit.
-
-    Attributes:
-        classes: metal first.
-        residual: mean absolute residual of log radiance of the ring means.
-        agreed: correlation of the class log odds by radiance with the network's.
-    """
+    """Metal and dielectric in one photograph, and the quality of the fit."""
 
     classes: Classes
+    """Metal first."""
     residual: float
+    """Mean absolute residual of log radiance of the ring means."""
     agreed: float
+    """Correlation of the class log odds by radiance with the network's."""
 
     def likely(self, uniform: SurfaceParameters) -> bool:
         """Whether shares, F0 contrast and quality of fit indicate metal and a dielectric.

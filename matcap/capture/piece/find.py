@@ -41,32 +41,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ExemplarEstimate:
-    """The estimate of an exemplar: its maps, and how well they explain the photograph.
-
-    Attributes:
-        exemplar: the estimated maps with their confidence.
-        example: these maps, a fine lattice straightened, indexed for synthesis.
-        strengths: relief and albedo energies measured in the photograph, or None.
-        error: median |log radiance of photograph - re-rendering| of valid texels.
-        slow: mean |low-frequency residual| of log radiance, which is not the material's.
-        sharpness: amplitude of the finest octave of log radiance, re-rendering over photograph.
-        interrupted: whether Ctrl-C ended the estimation from several photographs.
-        several: report on several photographs; None for one.
-        scale: factor on albedo and F0 by the exposure prior; the flash is divided by it
-            (absolute.py).
-        turned: whether the maps are rotated to a portrait photograph's orientation.
-    """
+    """The estimate of an exemplar: its maps, and how well they explain the photograph."""
 
     exemplar: Exemplar
+    """The estimated maps with their confidence."""
     example: Example
+    """These maps, a fine lattice straightened, indexed for synthesis."""
     strengths: Strengths | None
+    """Relief and albedo energies measured in the photograph, or None."""
     error: float
+    """Median |log radiance of photograph - re-rendering| of valid texels."""
     slow: float
+    """Mean |low-frequency residual| of log radiance, which is not the material's."""
     sharpness: float = 1.0
+    """Amplitude of the finest octave of log radiance, re-rendering over photograph."""
     interrupted: bool = False
+    """Whether Ctrl-C ended the estimation from several photographs."""
     several: SetReport | None = None
+    """Report on several photographs; None for one."""
     scale: float = 1.0
+    """Factor on albedo and F0 by the exposure prior; the flash is divided by it (absolute.py)."""
     turned: bool = False
+    """Whether the maps are rotated to a portrait photograph's orientation."""
 
     @property
     def first_rectangle(self) -> Exemplar:

@@ -40,41 +40,35 @@ _LEAST_STEP = 1e-5  # change of all parameters below which there is no further s
 
 @dataclass(frozen=True)
 class MeanParameterPrior:
-    """Gaussian prior of the mean parameters.
-
-    Attributes:
-        mean, deviation: (K, 5).
-        contrast: mean and standard deviation of log F0 of the first class less that of the last.
-    """
+    """Gaussian prior of the mean parameters."""
 
     mean: Tensor
     deviation: Tensor
+    """(K, 5)."""
     contrast: tuple[float, float] = (0.0, math.inf)
+    """Mean and standard deviation of log F0 of the first class less that of the last."""
 
 
 @dataclass(frozen=True)
 class RingTarget:
-    """A photograph with its geometry, light and relief.
-
-    Attributes:
-        linear: (3, H, W) radiance on the plane's grid; 1 is where it clips.
-        measured: (3, H, W) bool: not clipped.
-        counts: (H, W) bool: in the picture, clipped or not.
-        distance: (H, W) plane units from the mirror point.
-        flash: the photograph's.
-        normal: (3, H, W) unit normals of the relief.
-        surface: log parameters to which mean parameters are added; broadcasts to (..., H, W).
-        tints: specular tint of each class, F0 over its channel mean: (3, 1, 1) or one number.
-    """
+    """A photograph with its geometry, light and relief."""
 
     linear: Tensor
+    """(3, H, W) radiance on the plane's grid; 1 is where it clips."""
     measured: Tensor
+    """(3, H, W) bool: not clipped."""
     counts: Tensor
+    """(H, W) bool: in the picture, clipped or not."""
     distance: Tensor
+    """(H, W) plane units from the mirror point."""
     flash: FlashLight
+    """The photograph's."""
     normal: Tensor
+    """(3, H, W) unit normals of the relief."""
     surface: SurfaceParameters
+    """Log parameters to which mean parameters are added; broadcasts to (..., H, W)."""
     tints: tuple[Tensor | float, ...] = (1.0,)
+    """Specular tint of each class, F0 over its channel mean: (3, 1, 1) or one number."""
 
     def thinned(self, texels: int) -> RingTarget:
         """Subsample so that at least `texels` remain along the short side."""

@@ -40,19 +40,15 @@ _UNLIT = 1e-3
 
 @dataclass(frozen=True)
 class PhotographLight:
-    """The photograph's light at every texel, precomputed.
-
-    Attributes:
-        flash: the light.
-        uniform: (..., 1, 1) each: log parameters of the uniform material, which `residuals` are
-            added to.
-        tint: (3, H, W) specular tint, F0 over the mean of its channels (classes.py); 1 without
-            metal. Departures of F0 are those of its mean.
-    """
+    """The photograph's light at every texel, precomputed."""
 
     flash: FlashLight
+    """The light."""
     uniform: SurfaceParameters
+    """(..., 1, 1) each: log parameters of the uniform material, which `residuals` are added to."""
     tint: Tensor | float = 1.0
+    """(3, H, W) specular tint, F0 over the mean of its channels (classes.py); 1 without metal.
+    Departures of F0 are those of its mean."""
 
     @staticmethod
     def of(coarse: Uniform, points: Tensor) -> PhotographLight:
@@ -100,15 +96,12 @@ class PhotographLight:
 
 @dataclass(frozen=True)
 class PlaneLight:
-    """A photograph's light at the texels of its plane, computed for each rectangle that is cut.
-
-    Attributes:
-        coarse: the fit whose light it is.
-        size: (width, height) of the plane.
-    """
+    """A photograph's light at the texels of its plane, computed for each rectangle that is cut."""
 
     coarse: Uniform
+    """The fit whose light it is."""
     size: tuple[int, int]
+    """(width, height) of the plane."""
 
     def cut(self, rows: slice, columns: slice) -> PhotographLight:
         """The light at a rectangle of texels."""
@@ -138,27 +131,24 @@ def _by_strips(
 
 @dataclass(frozen=True)
 class Observation:
-    """A rectified photograph, and its light.
-
-    Attributes:
-        plane: the photograph; valid where visible, unclipped and lit.
-        coarse: its coarse fit.
-        points: (3, H, W) plane points of the texels.
-        shown: (3, H, W) bool by channel: unclipped and lit, or outside of the photograph.
-        within: (H, W) bool: inside of the photograph and its mask.
-        inputs: of the network.
-        light: the photograph's, at every texel.
-        noise: (3, H, W) standard deviation of log radiance, of the sensor or the 8-bit codes.
-    """
+    """A rectified photograph, and its light."""
 
     plane: Plane
+    """The photograph; valid where visible, unclipped and lit."""
     coarse: CoarseFit
+    """Coarse fit of the photograph."""
     points: Tensor
+    """(3, H, W) plane points of the texels."""
     shown: Tensor
+    """(3, H, W) bool by channel: unclipped and lit, or outside of the photograph."""
     within: Tensor
+    """(H, W) bool: inside of the photograph and its mask."""
     inputs: NetworkInputs
+    """Inputs of the network."""
     light: PhotographLight
+    """The photograph's, at every texel."""
     noise: Tensor
+    """(3, H, W) standard deviation of log radiance, of the sensor or the 8-bit codes."""
 
     @staticmethod
     def of(plane: Plane, coarse: CoarseFit) -> Observation:

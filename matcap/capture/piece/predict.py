@@ -30,21 +30,18 @@ _DOUBTED_ALBEDO, _DOUBTED_SPECULAR, _DOUBTED_ROUGHNESS, _DOUBTED_SLOPE = 0.3, 0.
 
 @dataclass(frozen=True)
 class NetworkPrediction:
-    """Maps between stages, as log-parameter residuals from the coarse fit.
-
-    Attributes:
-        residuals: of the maps from the coarse fit.
-        errors: the network's expected errors.
-        confidence: (4, H, W) confidence of diffuse, specular, roughness and height, in [0, 1].
-        logit: (1, H, W) predicted logit of metal; None if it predicts hardly any.
-        classes: material classes of the texels; one class before `classified`.
-    """
+    """Maps between stages, as log-parameter residuals from the coarse fit."""
 
     residuals: SurfaceParameters
+    """Residuals of the maps from the coarse fit."""
     errors: ExpectedErrors
+    """The network's expected errors."""
     confidence: NDArray[np.float32]
+    """(4, H, W) confidence of diffuse, specular, roughness and height, in [0, 1]."""
     logit: Tensor | None
+    """(1, H, W) predicted logit of metal; None if it predicts hardly any."""
     classes: Classes
+    """Material classes of the texels; one class before `classified`."""
 
     @property
     def metal(self) -> NDArray[np.float32]:

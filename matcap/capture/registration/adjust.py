@@ -146,20 +146,17 @@ class MatchedPoints(NamedTuple):
 
 @dataclass(frozen=True)
 class _Bundle:
-    """Huber cost of reprojection errors in the common parameters and every photograph's pose.
-
-    Attributes:
-        setup: of the first photograph, from its coarse fit.
-        pairs: matches of every other photograph.
-        prior, deviation: (5,) Gaussian prior of the common parameters.
-        relief: prior standard deviation of a feature's height, plane units.
-    """
+    """Huber cost of reprojection errors in the common parameters and every photograph's pose."""
 
     setup: FlashSetup
+    """Camera and flash of the first photograph, from its coarse fit."""
     pairs: Sequence[Pair]
+    """Matches of every other photograph."""
     prior: Doubles
     deviation: Doubles
+    """(5,) Gaussian prior of the common parameters."""
     relief: float
+    """Prior standard deviation of a feature's height, plane units."""
 
     @staticmethod
     def parts(vector: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:

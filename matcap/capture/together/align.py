@@ -59,19 +59,16 @@ _CERTAIN = 0.25
 
 @dataclass(frozen=True)
 class Aligned:
-    """Photographs registered to each other.
-
-    Attributes:
-        setup: of the first, with the estimated tilt and field of view.
-        views: photographs with their cameras, the first one first.
-        warps: for each, the map from texels to the plane points at which it is sampled.
-        light: of all photographs.
-    """
+    """Photographs registered to each other."""
 
     setup: FlashSetup
+    """Camera and flash of the first photograph, with the estimated tilt and field of view."""
     views: tuple[RegisteredView, ...]
+    """Photographs with their cameras, the first one first."""
     warps: tuple[ViewWarp, ...]
+    """Map of each photograph from texels to the plane points at which it is sampled."""
     light: SharedLight
+    """Light that all photographs share."""
 
     @staticmethod
     def of(views: tuple[RegisteredView, ...], setup: FlashSetup, extent: Extent = OWN) -> Aligned:

@@ -38,13 +38,10 @@ _BOUND = 0.005  # share of pixels that may be darker than under ambient light al
 
 @dataclass(frozen=True)
 class AmbientIncidence:
-    """Ambient light incident on a relief: L = (diffuse albedo + F0) E.
-
-    Attributes:
-        irradiance: (1 or 3, h, w) E.
-    """
+    """Ambient light incident on a relief: L = (diffuse albedo + F0) E."""
 
     irradiance: Tensor
+    """(1 or 3, h, w) E."""
 
     def matte(self, albedo: Tensor) -> Tensor:
         """Radiance over irradiance of diffuse albedo, its own."""

@@ -33,19 +33,16 @@ _SCALED = 0.6, 1.5  # limits of the factor of an octave that is brought to its e
 
 @dataclass(frozen=True)
 class _Octave:
-    """An octave band of a map, in the module's symbols.
-
-    Attributes:
-        measured, predicted: (H, W) y and m.
-        noise: (H, W) nu.
-        gain, error: g and T.
-    """
+    """An octave band of a map, in the module's symbols."""
 
     measured: Floats
     predicted: Floats
+    """(H, W) y and m."""
     noise: Floats
+    """(H, W) nu."""
     gain: np.float32
     error: np.float32
+    """G and T."""
 
     def posterior(self, gain: np.float32) -> Floats:
         """(H, W) gain m + sqrt(T / (T + nu)) (y - g m)."""

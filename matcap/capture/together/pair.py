@@ -146,19 +146,16 @@ def _correlated(fixed: Floats, moving: Floats) -> Floats | None:
 
 @dataclass(frozen=True)
 class Ratio:
-    """Log ratio of a flash photograph's radiance to an ambient one's, in which albedo cancels.
-
-    Attributes:
-        log: (H, W) the log ratio, high-passed.
-        sensitivity: (2, H, W) its derivative by slope along x and y (upwards), smoothed.
-        matte: (H, W) diffuse share of the flash photograph's radiance.
-        use: (H, W) 1 where both are valid, else 0.
-    """
+    """Log ratio of a flash photograph's radiance to an ambient one's, in which albedo cancels."""
 
     log: Floats
+    """(H, W) the log ratio, high-passed."""
     sensitivity: Floats
+    """(2, H, W) its derivative by slope along x and y (upwards), smoothed."""
     matte: Floats
+    """(H, W) diffuse share of the flash photograph's radiance."""
     use: Floats
+    """(H, W) 1 where both are valid, else 0."""
 
     @staticmethod
     def of(views: Sequence[ResampledView], parameters: Tensor, light: SharedLight) -> Ratio:

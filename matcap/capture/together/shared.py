@@ -196,20 +196,18 @@ class _Equations:
     """Normal equations of N texels' parameters t and the shared ones s, modified in place.
 
     For each texel A dt + B ds = a, and for all, C ds + sum over texels of B^T dt = c.
-
-    Attributes:
-        texels: (PARAMETERS, PARAMETERS, N) A.
-        coupling: (PARAMETERS, n, N) B.
-        right: (PARAMETERS, N) a.
-        shared: (n, n) C, double precision.
-        shared_right: (n,) c, double precision.
     """
 
     texels: Tensor
+    """(PARAMETERS, PARAMETERS, N) A."""
     coupling: Tensor
+    """(PARAMETERS, n, N) B."""
     right: Tensor
+    """(PARAMETERS, N) a."""
     shared: Tensor
+    """(n, n) C, double precision."""
     shared_right: Tensor
+    """(n,) c, double precision."""
 
     @staticmethod
     def of_prior(prior: ParameterPrior, some: Tensor, values: Tensor) -> _Equations:
@@ -269,21 +267,18 @@ class _Equations:
 
 @dataclass(frozen=True)
 class _SharedFit:
-    """The least-squares problem at N sampled texels.
-
-    Attributes:
-        views: the photographs at these texels, (3, 1, N).
-        points: (3, 1, N) plane points.
-        by_move: by photograph (_MOVES, 3, 1, N), d log L / d homography; empty if none is moved.
-        prior: of the sampled texels' parameters.
-        light: gives the properties that are not fitted.
-    """
+    """The least-squares problem at N sampled texels."""
 
     views: Sequence[ResampledView]
+    """The photographs at these texels, (3, 1, N)."""
     points: Tensor
+    """(3, 1, N) plane points."""
     by_move: Sequence[Tensor]
+    """(_MOVES, 3, 1, N) d log L / d homography of each photograph; empty if none is moved."""
     prior: ParameterPrior
+    """Prior of the sampled texels' parameters."""
     light: SharedLight
+    """Gives the properties that are not fitted."""
 
     @staticmethod
     def of(

@@ -56,26 +56,23 @@ _WIDER, _UNLIT = 0.5, 5
 
 @dataclass(frozen=True)
 class Solved:
-    """Maps that explain all photographs.
-
-    Attributes:
-        estimate: maps and their standard deviations.
-        light: fitted shared parameters and gains.
-        residual: (photographs,) median absolute residual of log radiance of each.
-        measured: share of the posterior precision of log albedo, log F0, roughness and slopes that
-            photographs contribute rather than the prior, in [0, 1]; medians over texels.
-        prediction_error: standard deviation of the network's slopes, measured by the photographs.
-        slope_energies: mean energies of slopes in the octaves above 4 texels, measured by them.
-        interrupted: whether Ctrl-C ended the solve, with the best result so far.
-    """
+    """Maps that explain all photographs."""
 
     estimate: Estimate
+    """Maps and their standard deviations."""
     light: SharedLight
+    """Fitted shared parameters and gains."""
     residual: tuple[float, ...]
+    """(photographs,) median absolute residual of log radiance of each."""
     measured: tuple[float, ...]
+    """Share of the posterior precision of log albedo, log F0, roughness and slopes that photographs
+    contribute rather than the prior, in [0, 1]; medians over texels."""
     prediction_error: float
+    """Standard deviation of the network's slopes, measured by the photographs."""
     slope_energies: tuple[float, ...]
+    """Mean energies of slopes in the octaves above 4 texels, measured by them."""
     interrupted: bool = False
+    """Whether Ctrl-C ended the solve, with the best result so far."""
 
     @property
     def maps(self) -> MapSet:
@@ -90,24 +87,21 @@ class Solved:
 
 @dataclass(frozen=True)
 class _Iterate:
-    """The solution after a Gauss-Newton step.
-
-    Attributes:
-        views: photographs; of the ambient one, low frequencies are those of the rendered maps.
-        light: fitted shared parameters.
-        prior: prediction; the deviation of slopes is at least the measured error.
-        widened: the prior of this round.
-        step: parameters, their precision, and jackknife changes of slopes after the last step.
-        prediction_error, slope_energies: as of Solved.
-    """
+    """The solution after a Gauss-Newton step."""
 
     views: Sequence[ResampledView]
+    """Photographs; of the ambient one, low frequencies are those of the rendered maps."""
     light: SharedLight
+    """Fitted shared parameters."""
     prior: ParameterPrior
+    """Prediction; the deviation of slopes is at least the measured error."""
     widened: ParameterPrior
+    """The prior of this round."""
     step: Stepped
+    """Parameters, their precision, and jackknife changes of slopes after the last step."""
     prediction_error: float
     slope_energies: tuple[float, ...]
+    """As in Solved."""
 
     @property
     def parameters(self) -> Tensor:

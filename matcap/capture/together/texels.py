@@ -47,21 +47,18 @@ ROWS = 48  # of texels solved at a time; memory is proportional
 
 @dataclass(frozen=True)
 class Stepped:
-    """Result of a Gauss-Newton step.
-
-    Attributes:
-        parameters: (PARAMETERS, H, W).
-        precision: (PARAMETERS, H, W) diagonal of the photographs' J^T W J, prior excluded.
-        relief: (3, H, W) precision of slopes: xx, yy and xy of the posterior, all other parameters
-            eliminated.
-        changes: (photographs, some parameters, H, W) change when each photograph is left out: the
-            jackknife [efron1982]. Empty unless requested.
-    """
+    """Result of a Gauss-Newton step."""
 
     parameters: Tensor
+    """(PARAMETERS, H, W)."""
     precision: Tensor
+    """(PARAMETERS, H, W) diagonal of the photographs' J^T W J, prior excluded."""
     relief: Tensor
+    """(3, H, W) precision of slopes: xx, yy and xy of the posterior, all other parameters
+    eliminated."""
     changes: Tensor
+    """(photographs, some parameters, H, W) change when each photograph is left out: the jackknife
+    [efron1982]. Empty unless requested."""
 
     @staticmethod
     def none(parameters: Tensor) -> Stepped:
@@ -73,16 +70,12 @@ class Stepped:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Maps of the exemplar and their standard deviations.
-
-    Attributes:
-        maps: of the exemplar.
-        log_error: (4, H, W) log of the standard deviations of log albedo, log F0, logit roughness
-            and slope.
-    """
+    """Maps of the exemplar and their standard deviations."""
 
     maps: MapSet
+    """Maps of the exemplar."""
     log_error: Tensor
+    """(4, H, W) log of the standard deviations of log albedo, log F0, logit roughness and slope."""
 
     def resized(self, size: tuple[int, int], extent: Extent = OWN) -> Estimate:
         """Area average on a coarser grid of `size` = (rows, columns) texels over an extent."""
@@ -99,14 +92,11 @@ class Estimate:
 
 @dataclass(frozen=True)
 class ParameterPrior:
-    """Independent Gaussian prior of each parameter of each texel.
-
-    Attributes:
-        mean, deviation: (PARAMETERS, ...) mean and standard deviation.
-    """
+    """Independent Gaussian prior of each parameter of each texel."""
 
     mean: Tensor
     deviation: Tensor
+    """(PARAMETERS, ...) mean and standard deviation."""
 
     @staticmethod
     def of(estimate: Estimate) -> ParameterPrior:
@@ -260,14 +250,12 @@ class _NormalEquations:
     albedos a are coupled to those of the m other parameters o, but not to each other:
 
         D a + B o = g,    B^T a + C o = h,    D diagonal.
-
-    Attributes:
-        albedo: (3, m + 2, N) rows of albedo: diagonal of D, then B, then g.
-        others: (m + 1, m, N) lower triangle of C, and h as the last row.
     """
 
     albedo: Tensor
+    """(3, m + 2, N) rows of albedo: diagonal of D, then B, then g."""
     others: Tensor
+    """(m + 1, m, N) lower triangle of C, and h as the last row."""
 
     def __add__(self, other: _NormalEquations) -> _NormalEquations:
         return _NormalEquations(self.albedo + other.albedo, self.others + other.others)

@@ -32,31 +32,27 @@ FlashOrAmbient = FlashLight | AmbientLight
 
 @dataclass(frozen=True)
 class SharedLight:
-    """Shared light parameters of all photographs, and each one's gains.
-
-    Attributes:
-        offset: (2,) x, y of the flash from the lens, camera frame, plane units.
-        vignetting: (2,) coefficients of r^2 and r^4 in its exponent (flash/geometry.py).
-        centre: from which r is measured, image coordinates, as the coarse fit has it.
-        gain: (photographs, 3) log of each channel's exposure over the first photograph's.
-        intensity: (3,) of the first photograph's flash.
-        gloss: (2,) change of mean log F0 and mean logit roughness from the prediction; their error
-            scales all slopes.
-        vignetting_deviation: (2,) prior standard deviations of `vignetting`, by the camera profile
-            if there is one.
-        ambient: (3,) gradient of the ambient light (AmbientLight.gradient).
-        coarse_offset: (2,) `offset` by the first photograph's coarse fit, the mean of its prior.
-    """
+    """Shared light parameters of all photographs, and each one's gains."""
 
     offset: Tensor
+    """(2,) x, y of the flash from the lens, camera frame, plane units."""
     vignetting: Tensor
+    """(2,) coefficients of r^2 and r^4 in its exponent (flash/geometry.py)."""
     gain: Tensor
+    """(photographs, 3) log of each channel's exposure over the first photograph's."""
     intensity: Tensor
+    """(3,) of the first photograph's flash."""
     gloss: Tensor = field(default_factory=lambda: torch.zeros(2))
+    """(2,) change of mean log F0 and mean logit roughness from the prediction; their error scales
+    all slopes."""
     vignetting_deviation: tuple[float, float] = (0.4, 0.6)
+    """(2,) prior standard deviations of `vignetting`, by the camera profile if there is one."""
     ambient: Tensor = field(default_factory=lambda: torch.tensor(UNIFORM_SKY))
+    """(3,) gradient of the ambient light (AmbientLight.gradient)."""
     coarse_offset: Tensor = field(default_factory=lambda: torch.zeros(2))
+    """(2,) `offset` by the first photograph's coarse fit, the mean of its prior."""
     centre: tuple[float, float] = (0.0, 0.0)
+    """Point from which r is measured, image coordinates, as the coarse fit has it."""
 
     @staticmethod
     def of(
@@ -95,19 +91,16 @@ class SharedLight:
 
 @dataclass(frozen=True)
 class ViewWarp:
-    """Map from texels to the plane points at which a photograph is sampled.
-
-    Attributes:
-        homography: (3, 3) homography of the plane (align.py).
-        relief: (h, w) height on any grid, plane units, for parallax; 0 of a flat plane.
-        first: (3,) position of the first camera: texels lie on its rays.
-        extent: of the grid.
-    """
+    """Map from texels to the plane points at which a photograph is sampled."""
 
     homography: Doubles
+    """(3, 3) homography of the plane (align.py)."""
     relief: NDArray[np.float32]
+    """(h, w) height on any grid, plane units, for parallax; 0 of a flat plane."""
     first: Doubles
+    """(3,) position of the first camera: texels lie on its rays."""
     extent: Extent = OWN
+    """Extent of the grid."""
 
     def points(self, across: int, down: int) -> Iterator[NDArray[np.float32]]:
         """(3, rows, across) plane points of a grid's texels, some rows at a time.
@@ -129,21 +122,18 @@ class ViewWarp:
 
 @dataclass(frozen=True)
 class ResampledView:
-    """A photograph resampled on the exemplar's grid.
-
-    Attributes:
-        log: (3, H, W) log radiance.
-        seen: (3, H, W) bool, by channel: in the picture and not clipped.
-        camera: pose and lens.
-        flash: whether its flash lights it, not ambient light.
-        extent: of the grid.
-    """
+    """A photograph resampled on the exemplar's grid."""
 
     log: Tensor
+    """(3, H, W) log radiance."""
     seen: Tensor
+    """(3, H, W) bool, by channel: in the picture and not clipped."""
     camera: PosedCamera
+    """Pose and lens."""
     flash: bool = True
+    """Whether its flash lights it, not ambient light."""
     extent: Extent = OWN
+    """Extent of the grid."""
 
     @property
     def noise(self) -> float:

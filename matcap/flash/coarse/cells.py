@@ -32,23 +32,20 @@ _CRUSHED = 0.02
 
 @dataclass(frozen=True)
 class CoarseCells:
-    """Averages of the photograph over n cells.
-
-    Attributes:
-        image: (2, n) image coordinates of the cells.
-        observed: (3, n) log radiance.
-        toe: (3, n) radiance added to cell and model before the logarithm, as darker values are
-            uncertain.
-        above: (3, n) factor on the residual of a model brighter than the cell: 1, or less for
-            lower bounds.
-        weight: (n,) weight of each cell; they sum to 1/3.
-    """
+    """Averages of the photograph over n cells."""
 
     image: Tensor
+    """(2, n) image coordinates of the cells."""
     observed: Tensor
+    """(3, n) log radiance."""
     toe: Tensor
+    """(3, n) radiance added to cell and model before the logarithm, as darker values are
+    uncertain."""
     above: Tensor
+    """(3, n) factor on the residual of a model brighter than the cell: 1, or less for lower
+    bounds."""
     weight: Tensor
+    """(n,) weight of each cell; they sum to 1/3."""
 
     @property
     def hidden(self) -> bool:

@@ -77,23 +77,20 @@ _EQUAL_RESIDUAL = 0.003
 
 @dataclass(frozen=True)
 class CoarseFit(Uniform):
-    """The uniform material and setup fitted to a photograph.
-
-    Attributes:
-        residual: root-mean-square of the log residual over unclipped cells.
-        conductor: whether fitted as bare metal; `specular` is then the mean of its coloured F0.
-        tilt_prior: measurement of the tilt given as a prior, if any.
-        picture_tilt: (tilt_x, tilt_y) fitted without that prior, radians; None without one.
-        tone: the picture's tone curve; the identity where it has none.
-        falloff: likelihood of the falloff; None of fits not made from a photograph.
-    """
+    """The uniform material and setup fitted to a photograph."""
 
     residual: float
+    """Root-mean-square of the log residual over unclipped cells."""
     conductor: bool = False
+    """Whether fitted as bare metal; `specular` is then the mean of its coloured F0."""
     tilt_prior: TiltPrior | None = None
+    """Measurement of the tilt given as a prior, if any."""
     picture_tilt: tuple[float, float] | None = None
+    """(tilt_x, tilt_y) fitted without that prior, radians; None without one."""
     tone: ToneCurve = ToneCurve()
+    """The picture's tone curve; the identity where it has none."""
     falloff: FalloffLikelihood | None = None
+    """Likelihood of the falloff; None of fits not made from a photograph."""
 
 
 def fit_coarse(
@@ -136,17 +133,14 @@ def fit_coarse(
 
 @dataclass(frozen=True)
 class _CoarselyFitted:
-    """A hypothesis fitted on coarse cells from every starting point.
-
-    Attributes:
-        prior: the hypothesis.
-        problem: on coarse cells.
-        minima: (cost, parameters), the least cost first.
-    """
+    """A hypothesis fitted on coarse cells from every starting point."""
 
     prior: Hypothesis
+    """The hypothesis."""
     problem: Problem
+    """Problem on coarse cells."""
     minima: list[tuple[float, Tensor]]
+    """(cost, parameters), the least cost first."""
 
     @property
     def least_cost(self) -> float:

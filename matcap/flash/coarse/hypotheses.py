@@ -49,14 +49,12 @@ class TiltPrior:
 
     Times the distribution of tilts it takes the place of the fit's own prior, which is as narrow as
     it is because errors of the tone curve look like tilt, and not because tilts are small.
-
-    Attributes:
-        mean: (tilt_x, tilt_y) in radians.
-        std: their standard deviations, radians.
     """
 
     mean: tuple[float, float]
+    """(tilt_x, tilt_y) in radians."""
     std: tuple[float, float]
+    """Their standard deviations, radians."""
 
     @property
     def posterior(self) -> tuple[Tensor, Tensor]:
@@ -68,21 +66,18 @@ class TiltPrior:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Gaussian prior of the unknowns, and whether they are a conductor's.
-
-    Attributes:
-        mean: of the prior.
-        precision: (17, 17) inverse covariance.
-        conductor: whether `albedo` is F0 and nothing is diffuse.
-        tilt_known: whether the tilt is held.
-        tilt_alone: mean and deviation of the tilt without a measurement of it; None without one.
-    """
+    """Gaussian prior of the unknowns, and whether they are a conductor's."""
 
     mean: Unknowns
+    """Mean of the prior."""
     precision: Tensor
+    """(17, 17) inverse covariance."""
     conductor: bool
+    """Whether `albedo` is F0 and nothing is diffuse."""
     tilt_known: bool
+    """Whether the tilt is held."""
     tilt_alone: tuple[Tensor, Tensor] | None
+    """Mean and deviation of the tilt without a measurement of it; None without one."""
 
 
 def hypothesis(

@@ -22,31 +22,28 @@ BLACK = 0.005  # diffuse albedo of a conductor over its F0
 
 @dataclass(frozen=True)
 class Unknowns:
-    """The fitted parameters, scaled to order 1.
-
-    Attributes:
-        albedo: (3,) log of diffuse albedo; of a conductor, log of F0.
-        specular: (1,) log of a dielectric's F0.
-        roughness: (1,) logit.
-        intensity: (1,) log of the flash's, in green.
-        flash_colour: (2,) log of the flash's intensity in red and in blue over that.
-        offset: (2,) of the flash from the camera, plane units.
-        tilt: (2,) radians.
-        vignetting: (2,) with r^2 and with r^4, as FlashSetup has them.
-        centre: (2,) of the vignetting, image coordinates.
-        tone: (1,) log of the tone curve's exponent.
-    """
+    """The fitted parameters, scaled to order 1."""
 
     albedo: Tensor
+    """(3,) log of diffuse albedo; of a conductor, log of F0."""
     specular: Tensor
+    """(1,) log of a dielectric's F0."""
     roughness: Tensor
+    """(1,) logit."""
     intensity: Tensor
+    """(1,) log of the flash's, in green."""
     flash_colour: Tensor
+    """(2,) log of the flash's intensity in red and in blue over that."""
     offset: Tensor
+    """(2,) of the flash from the camera, plane units."""
     tilt: Tensor
+    """(2,) radians."""
     vignetting: Tensor
+    """(2,) with r^2 and with r^4, as FlashSetup has them."""
     centre: Tensor
+    """(2,) of the vignetting, image coordinates."""
     tone: Tensor
+    """(1,) log of the tone curve's exponent."""
 
     def vector(self) -> Tensor:
         """(17,) all of them."""

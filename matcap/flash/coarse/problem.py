@@ -100,42 +100,36 @@ def _circle() -> Tensor:
 
 @dataclass(frozen=True)
 class FalloffLikelihood:
-    """Gaussian likelihood of the falloff x = (a, b): exp(h x - x L x / 2).
-
-    Attributes:
-        shift: (2,) h = L times the most likely x.
-        precision: elements aa, ab and bb of L.
-    """
+    """Gaussian likelihood of the falloff x = (a, b): exp(h x - x L x / 2)."""
 
     shift: tuple[float, float]
+    """(2,) h = L times the most likely x."""
     precision: tuple[float, float, float]
+    """Elements aa, ab and bb of L."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """The function to minimise.
-
-    Attributes:
-        cells: observations.
-        distance: of the camera.
-        measurements: measurements of the highlight, or None.
-        prior: (n,) the prior's mean.
-        precision: (n, n) Hessian of the prior's cost.
-        unit: cost of a nat of the prior.
-        shoulder: of the tone curve; 0 without one.
-        whitening: (3, 3) of the channels of cells that no bound concerns; None for as they are.
-        conductor: `albedo` of the parameters is F0, and nothing is diffuse.
-    """
+    """The function to minimise."""
 
     cells: CoarseCells
+    """Observations."""
     distance: float
+    """Distance of the camera."""
     measurements: HighlightMeasurements | None
+    """Measurements of the highlight, or None."""
     prior: Tensor
+    """(n,) the prior's mean."""
     precision: Tensor
+    """(n, n) Hessian of the prior's cost."""
     unit: float
+    """Cost of a nat of the prior."""
     shoulder: float = 0.0
+    """Shoulder of the tone curve; 0 without one."""
     whitening: Tensor | None = None
+    """(3, 3) of the channels of cells that no bound concerns; None for as they are."""
     conductor: bool = False
+    """`albedo` of the parameters is F0, and nothing is diffuse."""
 
     def log_radiance(self, parameters: Tensor, image: Tensor) -> Tensor:
         """(3, n) log radiance at image coordinates (2, n), tone curve included."""
