@@ -84,21 +84,6 @@ def read_photograph(
     return leave_out(photo, settings.crop, settings.mask)
 
 
-def capture_file(
-    path: str | Path,
-    settings: CaptureSettings,
-    progress: OnCapture | None = None,
-    others: Sequence[str | Path] = (),
-) -> CaptureResult:
-    """Capture the file of a photograph, with `others` of the same sample.
-
-    Arguments and exceptions are those of read_photograph and capture_photo.
-    """
-    return _read_and_captured(
-        [path, *others], settings, clock_of(settings, progress, 1 + len(others))
-    )
-
-
 def capture_into(
     folder: Path,
     paths: Sequence[str | Path],
@@ -121,23 +106,33 @@ def capture_into(
         UsageError, MatcapError: as capture_photo; the disk is full; the folder cannot be written.
     """
     clock = clock_of(settings, progress, len(paths), spent)
-    result = _read_and_captured(paths, settings, clock)
+    result = capture_file(paths[0], settings, others=paths[1:], clock=clock)
     with clock.stage("write"), postponed() as stopped:
         write_outputs(result, folder, outputs)
     return replace(result, interrupted=result.interrupted or stopped())
 
 
-def _read_and_captured(
-    paths: Sequence[str | Path], settings: CaptureSettings, clock: CaptureClock
+def capture_file(
+    path: str | Path,
+    settings: CaptureSettings,
+    progress: OnCapture | None = None,
+    others: Sequence[str | Path] = (),
+    clock: CaptureClock | None = None,
 ) -> CaptureResult:
-    """Read photographs and capture them; notes on all of them become the first one's."""
+    """Capture the file of a photograph, with `others` of the same sample.
+
+    Arguments and exceptions are those of read_photograph and capture_photo. The result's photograph
+    has the notes on all of them.
+    """
+    paths = [path, *others]
+    clock = clock or clock_of(settings, progress, len(paths))
     check_photographs(settings, len(paths))  # before anything is read
     with clock.stage("read"):
         several = len(paths) > 1
         photo, *more = (read_photograph(path, settings, several=several) for path in paths)
         said = (f"{other.name}: {note}" for other in more for note in other.notes)
         photo = replace(photo, notes=(*photo.notes, *said))
-    return capture_under(photo, settings, clock, Method(), more)
+    return capture_photo(photo, settings, others=more, clock=clock)
 
 
 def capture_photo(
@@ -146,6 +141,7 @@ def capture_photo(
     progress: OnCapture | None = None,
     method: Method | None = None,
     others: Sequence[Photo] = (),
+    clock: CaptureClock | None = None,
 ) -> CaptureResult:
     """Capture a material from a photograph, or from several of the same sample.
 
@@ -155,37 +151,13 @@ def capture_photo(
         progress: callback.
         method: variant of the method; the default one if None.
         others: more photographs of the same sample; the result shows the first, `photo`.
+        clock: of a capture that has begun, with its own callback; None to start one.
 
     Raises:
         UsageError: the preset is unknown, or `union` is set for one photograph.
         MatcapError: the photograph is too small or has no valid pixels, or the prior is unreadable.
     """
-    return capture_under(
-        photo, settings, clock_of(settings, progress, 1 + len(others)), method or Method(), others
-    )
-
-
-def clock_of(
-    settings: CaptureSettings,
-    progress: OnCapture | None,
-    photographs: int = 1,
-    spent: float = 0.0,
-) -> CaptureClock:
-    """Clock of a capture of a number of photographs; its last stage, `write`, is the caller's."""
-    by_example = TOGETHER_STAGES if photographs > 1 else PIECE_STAGES
-    by_decoder = DRAWING_STAGES if settings.draws else DECODER_STAGES
-    stages = by_decoder if settings.generator == "decoder" else by_example
-    return CaptureClock(progress, stages, settings.time_limit, spent)
-
-
-def capture_under(
-    photo: Photo,
-    settings: CaptureSettings,
-    clock: CaptureClock,
-    method: Method,
-    others: Sequence[Photo],
-) -> CaptureResult:
-    """Run all stages between `read` and `write`; arguments as of capture_photo."""
+    method, clock = method or Method(), clock or clock_of(settings, progress, 1 + len(others))
     check_photographs(settings, 1 + len(others))
     effort = resolve(settings)
     if settings.generator == "decoder":
@@ -216,6 +188,19 @@ def capture_under(
         provenance=provenance(rectified, settings, effort, several),
     )
     return judged(rectified, material, settings, clock, estimate)
+
+
+def clock_of(
+    settings: CaptureSettings,
+    progress: OnCapture | None,
+    photographs: int = 1,
+    spent: float = 0.0,
+) -> CaptureClock:
+    """Clock of a capture of a number of photographs; its last stage, `write`, is the caller's."""
+    by_example = TOGETHER_STAGES if photographs > 1 else PIECE_STAGES
+    by_decoder = DRAWING_STAGES if settings.draws else DECODER_STAGES
+    stages = by_decoder if settings.generator == "decoder" else by_example
+    return CaptureClock(progress, stages, settings.time_limit, spent)
 
 
 def _rectified(

@@ -62,13 +62,14 @@ class FakePipeline:
         self.calls.append(SimpleNamespace(path=Path(path), long_side=long_side, fov=fov))
         return replace(fake_photo(Path(path)), notes=self.notes)
 
-    def capture_under(self, photo, settings, clock, method, others):
+    def capture_photo(self, photo, settings, progress=None, method=None, others=(), clock=None):
         if self.failure is not None:
             raise self.failure
         self.calls[-1].settings = settings
         self.calls[-1].others = [other.name for other in others]
         by_example = "solve" if others else "index"
         longest = "fine-tuning" if settings.generator == "decoder" else by_example
+        clock = clock or capturing.clock_of(settings, progress, 1 + len(others))
         with clock.stage(longest):
             clock.within(longest, 0.5)
         material = FakeMaterial(Path(photo.name).stem)
@@ -95,7 +96,7 @@ def pipeline(monkeypatch) -> FakePipeline:
     """The capture pipeline replaced; the command line and all its files stay real."""
     fake = FakePipeline()
     monkeypatch.setattr(capturing, "load_photo", fake.load_photo)
-    monkeypatch.setattr(capturing, "capture_under", fake.capture_under)
+    monkeypatch.setattr(capturing, "capture_photo", fake.capture_photo)
     return fake
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from reference.formats import keys
 
-from matcap.capture.method import Method
 from matcap.capture.progress import DECODER_STAGES, PIECE_STAGES, CaptureClock
 from matcap.capture.report import report, warnings, write_report
 from matcap.capture.result import Tuning
@@ -27,7 +26,7 @@ def captured(pipeline, photo):
 
 def _captured(pipeline, photo, settings):
     shown = pipeline.load_photo(photo)
-    return pipeline.capture_under(shown, settings, CaptureClock(None, STAGES), Method(), ())
+    return pipeline.capture_photo(shown, settings, clock=CaptureClock(None, STAGES))
 
 
 def test_a_good_capture_has_no_warnings(captured):

@@ -97,9 +97,8 @@ def test_python_guide_runs_from_top_to_bottom(small, tmp_path, monkeypatch):
 
     from matcap.capture import pipeline
 
-    monkeypatch.setattr(
-        pipeline, "capture_under", lambda *_: SimpleNamespace(material=small, errors={})
-    )
+    captured = SimpleNamespace(material=small, errors={})
+    monkeypatch.setattr(pipeline, "capture_photo", lambda *_, **__: captured)
     monkeypatch.chdir(tmp_path)
     shutil.copy(ROOT / "examples/photos/leather.dng", tmp_path)
     text = (ROOT / "docs/guide/python.md").read_text(encoding="utf-8")
