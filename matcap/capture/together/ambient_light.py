@@ -66,9 +66,9 @@ class AmbientLight:
 
     def onto(self, normal: Tensor) -> AmbientIncidence:
         """Irradiance of a relief with unit normals (3, h, w)."""
-        off = torch.cat([normal[:2], normal[2:] - 1.0])
-        lit = 1.0 + torch.tensordot(self.gradient.to(off), off, 1)[None]
-        return AmbientIncidence(lit.clamp_min(_DARKEST) * self.strength)
+        change = torch.cat([normal[:2], normal[2:] - 1.0])
+        irradiance = 1.0 + torch.tensordot(self.gradient.to(change), change, 1)[None]
+        return AmbientIncidence(irradiance.clamp_min(_DARKEST) * self.strength)
 
     def linearised(
         self, normal: Tensor, specular: Tensor, roughness: Tensor
@@ -89,12 +89,10 @@ def evenly_lit(log: Tensor, seen: Tensor, rendered: Tensor) -> Tensor:
         seen: (3, h, w) bool, where that is valid.
         rendered: (3, h, w) log radiance of the current maps in uniform ambient light.
     """
-    off = (log - rendered).numpy()
-    mask = seen.float().numpy()
     deviation = SLOW * max(log.shape[1:])
-    both = zip(off, mask, strict=True)
-    left = np.stack([plane - local_mean(plane, weight, deviation) for plane, weight in both])
-    return rendered + torch.from_numpy(left)
+    both = zip((log - rendered).numpy(), seen.float().numpy(), strict=True)
+    fine = np.stack([plane - local_mean(plane, weight, deviation) for plane, weight in both])
+    return rendered + torch.from_numpy(fine)
 
 
 def without_ambient(views: Views) -> Views:
@@ -133,8 +131,8 @@ def _without(view: RegisteredView, ambient: RegisteredView, amount: NDArray[np.f
     added = _seen_from(view, ambient) * amount.astype(np.float32)
     # No pixel can be darker than under ambient light alone; exposure metadata can be wrong.
     small = (64, max(8, round(64 * photo.pixels.shape[0] / photo.pixels.shape[1])))
-    light, theirs = (area_averaged(each, small) for each in (photo.pixels, added))
-    ratio = light / np.maximum(theirs, np.float32(1e-6))
+    total, by_ambient = (area_averaged(each, small) for each in (photo.pixels, added))
+    ratio = total / np.maximum(by_ambient, np.float32(1e-6))
     most = np.asarray(np.quantile(ratio.reshape(-1, 3), _BOUND, axis=0)).clip(max=1.0)
     added *= np.asarray(most, np.float32)
     share = float(np.median(added.mean(2) / np.maximum(photo.pixels.mean(2), 1e-6)))
@@ -158,12 +156,9 @@ def _seen_from(view: RegisteredView, ambient: RegisteredView) -> Picture:
         (np.arange(grid[0]) + 0.5) / grid[0], (np.arange(grid[1]) + 0.5) / grid[1], indexing="ij"
     )
     image = np.stack([2.0 * u - 1.0, (1.0 - 2.0 * v) * rows / columns])
-    there = ambient.camera.sees(view.camera.on_plane(image))
     height, width = ambient.photo.pixels.shape[:2]
-    x, y = (
-        cv2.resize(each, (columns, rows), interpolation=cv2.INTER_LINEAR)
-        for each in to_pixels(there, width, height)
-    )
+    places = to_pixels(ambient.camera.sees(view.camera.on_plane(image)), width, height)
+    x, y = (cv2.resize(each, (columns, rows), interpolation=cv2.INTER_LINEAR) for each in places)
     pixels = cv2.remap(
         ambient.photo.pixels, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )

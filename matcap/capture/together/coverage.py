@@ -98,12 +98,13 @@ def _belonging(registration: Registration) -> Finding:
 def _sides(views: Sequence[RegisteredView]) -> Finding:
     """Finding on the sides from which flashes light the sample."""
     leaning = np.stack([view.camera.place[:2] / view.camera.place[2] for view in views])
-    if views[0].photo.turned:  # pixels' right is the upright picture's bottom, their top its right
+    if views[0].photo.turned:
+        # Turned upright, clockwise, the landscape's right side is the bottom, its top the right.
         leaning = np.stack([leaning[:, 1], -leaning[:, 0]], 1)
     (left, bottom), (right, top) = -leaning.min(0), leaning.max(0)
-    reach = {"left": left, "right": right, "top": top, "bottom": bottom}
-    value = {side: round(float(far), 3) for side, far in reach.items()}
-    dark = [side for side, far in reach.items() if far < _ASIDE]
+    offsets = {"left": left, "right": right, "top": top, "bottom": bottom}
+    value = {side: round(float(offset), 3) for side, offset in offsets.items()}
+    dark = [side for side, offset in offsets.items() if offset < _ASIDE]
     if not dark:
         says = "The sample is lit from all four sides."
         return Finding("lit_from", value, Rating.GOOD, says)
@@ -111,7 +112,7 @@ def _sides(views: Sequence[RegisteredView]) -> Finding:
     return Finding(
         "lit_from",
         value,
-        Rating.NOT_JUDGED if len(dark) < len(reach) else Rating.DOUBTFUL,
+        Rating.NOT_JUDGED if len(dark) < len(offsets) else Rating.DOUBTFUL,
         f"No photograph lights the sample from the {_listed(dark, 'or')}.",
         f"Photograph again with the phone moved by a third of its distance to the "
         f"{_listed(dark, 'and')}{each}.",

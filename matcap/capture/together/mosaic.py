@@ -185,9 +185,9 @@ def _box(seen: Marks, rows: int, most: float) -> tuple[slice, slice]:
     most `most` cells.
     """
     own, far = (rows, _CELLS), _FARTHEST
-    wanted = seen.copy()
-    wanted[far : far + own[0], far : far + own[1]] = True
-    spans = [np.flatnonzero(wanted.any(axis)) for axis in (1, 0)]
+    visible = seen.copy()
+    visible[far : far + own[0], far : far + own[1]] = True
+    spans = [np.flatnonzero(visible.any(axis)) for axis in (1, 0)]
     low = [int(span[0]) for span in spans]
     high = [int(span[-1]) + 1 for span in spans]
     while True:
@@ -233,9 +233,9 @@ def scatter(prediction: Estimate) -> Tensor:
     """(4,) log standard deviation over the exemplar of each map's parameter, errors included."""
     parameters = parameters_of(prediction.maps)
     parts = (parameters[ALBEDO].mean(0), parameters[F0], parameters[ROUGH], parameters[SLOPES])
-    own = torch.stack([part.std() for part in parts]).square()
-    off = (2.0 * prediction.log_error.clamp(-8.0, 2.0)).exp().mean((1, 2))
-    return 0.5 * (own + off).log()
+    variance = torch.stack([part.std() for part in parts]).square()
+    error_variance = (2.0 * prediction.log_error.clamp(-8.0, 2.0)).exp().mean((1, 2))
+    return 0.5 * (variance + error_variance).log()
 
 
 def extrapolated(maps: MapSet, known: Tensor, slow: float) -> MapSet:

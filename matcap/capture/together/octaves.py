@@ -53,9 +53,9 @@ class _Octave:
     def energy(self) -> float:
         """Mean of the measured and the predicted energy, by their uncertainties."""
         predicted, noise = float(np.square(self.predicted).mean()), float(self.noise.mean())
-        seen = float(self.gain) ** 2 * predicted + float(self.error)
+        measured = float(self.gain) ** 2 * predicted + float(self.error)
         share = predicted**2 / (predicted**2 + noise**2 + _LEAST**2)
-        return share * seen + (1.0 - share) * predicted
+        return share * measured + (1.0 - share) * predicted
 
     def gain_by_energy(self) -> np.float32:
         """Gain of the network's prediction at which the octave has its expected energy."""
@@ -106,8 +106,8 @@ def with_energies(height: Floats, texel_size: float, energies: Sequence[float]) 
     """(H, W) height whose slopes have given mean energies in the longest of its octaves."""
     bands = split(height, _OCTAVES)
     for band, energy in zip(bands, energies, strict=False):
-        now = float(np.square(texel_slopes(band)).mean()) / texel_size**2
-        band *= np.float32(np.sqrt(energy / max(now, _LEAST)).clip(*_SCALED))
+        current = float(np.square(texel_slopes(band)).mean()) / texel_size**2
+        band *= np.float32(np.sqrt(energy / max(current, _LEAST)).clip(*_SCALED))
     return np.asarray(np.sum(bands, axis=0), np.float32)
 
 

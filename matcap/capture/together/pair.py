@@ -54,7 +54,7 @@ _LEAST = 0.2  # least correlation; below it the registration by features is kept
 _THINNED = 16  # subsampling of points for the camera and of texels for the regression, texels
 _PIXEL = 2e-4  # standard deviation of the resulting registration, plane units
 _WINDOWS = 40.0  # the long side over the standard deviation of local energies
-_SURER = 1.0  # texels: a smaller registration error by features is kept
+_CERTAIN = 1.0  # texels: a smaller registration error by features is kept
 _FINEST = 4.0  # wavelength, texels, below which bands keep their predicted energy
 # The long side over the standard deviation of the low-pass that is subtracted from the ratio.
 _SLOW = 16.0
@@ -74,7 +74,7 @@ def on_albedo(views: Views, setup: FlashSetup, prediction: MapSet) -> Views:
     first, ambient = views[0], views[-1]
     if ambient.flash:
         return views
-    if ambient.misregistration < _SURER * prediction.texel_size:
+    if ambient.misregistration < _CERTAIN * prediction.texel_size:
         return (*views[:-1], replace(ambient, misregistration=_PIXEL))
     predicted = PosedCamera.of(setup)
 
@@ -83,23 +83,23 @@ def on_albedo(views: Views, setup: FlashSetup, prediction: MapSet) -> Views:
         return first.camera.on_plane(predicted.sees(points))
 
     grid = grid_points(*prediction.size)
-    there = ambient.camera.sees(on_plane(grid))
-    albedo = _evened(prediction.diffuse.clamp_min(1e-3).log().mean(0).numpy())
-    moved = _correlated(albedo, _evened(_looked_up(ambient, there)))
-    if moved is None:
+    albedo = _normalised(prediction.diffuse.clamp_min(1e-3).log().mean(0).numpy())
+    photograph = _normalised(_looked_up(ambient, ambient.camera.sees(on_plane(grid))))
+    homography = _correlated(albedo, photograph)
+    if homography is None:
         return views
     thin = slice(None, None, _THINNED)
     points = grid[:, thin, thin].reshape(3, -1)
-    image = ambient.camera.sees(on_plane(_moved(points, moved, prediction.size)))
+    image = ambient.camera.sees(on_plane(_moved(points, homography, prediction.size)))
     camera = camera_of(on_plane(points), image, ambient.camera.lens, refined=True)
     return (*views[:-1], replace(ambient, camera=camera, misregistration=_PIXEL))
 
 
-def _moved(points: Doubles, move: Floats, size: tuple[int, int]) -> Doubles:
+def _moved(points: Doubles, homography: Floats, size: tuple[int, int]) -> Doubles:
     """Move plane points (3, n) by a homography of the texels of a grid of (across, down)."""
     across, down = size
     texels = np.stack([0.5 * (points[0] + 1.0) * across, 0.5 * (down - points[1] * across)]) - 0.5
-    x, y, w = move.astype(np.float64) @ np.vstack([texels, np.ones_like(texels[:1])])
+    x, y, w = homography.astype(np.float64) @ np.vstack([texels, np.ones_like(texels[:1])])
     x, y = (x / w + 0.5) * 2.0 / across - 1.0, (down - 2.0 * (y / w + 0.5)) / across
     return np.stack([x, y, np.zeros_like(x)])
 
@@ -116,7 +116,7 @@ def _looked_up(view: RegisteredView, image: Doubles) -> Floats:
     return np.asarray(looked_up, np.float32)
 
 
-def _evened(log: Floats) -> Floats:
+def _normalised(log: Floats) -> Floats:
     """(h, w) octaves of _BANDS of a picture over their local contrast."""
     fine = np.sum(split(np.asarray(log, np.float32), _BANDS)[:-1], axis=0)
     around = cv2.GaussianBlur(fine * fine, (0, 0), _AROUND)
@@ -125,14 +125,14 @@ def _evened(log: Floats) -> Floats:
 
 def _correlated(fixed: Floats, moving: Floats) -> Floats | None:
     """(3, 3) homography from texels of `fixed` to those of `moving` by ECC; None if it fails."""
-    move, correlation = np.eye(3, dtype=np.float32), 0.0
+    homography, correlation = np.eye(3, dtype=np.float32), 0.0
     for factor in _SHRUNK:
         scale = np.diag([1.0 / factor, 1.0 / factor, 1.0]).astype(np.float32)
         small = [
             cv2.resize(each, None, fx=1.0 / factor, fy=1.0 / factor, interpolation=cv2.INTER_AREA)
             for each in (fixed, moving)
         ]
-        start = np.asarray(scale @ move @ np.linalg.inv(scale), np.float32)
+        start = np.asarray(scale @ homography @ np.linalg.inv(scale), np.float32)
         stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, _STEPS, 1e-6)
         try:
             correlation, fitted = cv2.findTransformECC(
@@ -140,8 +140,8 @@ def _correlated(fixed: Floats, moving: Floats) -> Floats | None:
             )
         except cv2.error:  # nothing in common
             return None
-        move = np.asarray(np.linalg.inv(scale) @ fitted @ scale, np.float32)
-    return move if correlation > _LEAST else None
+        homography = np.asarray(np.linalg.inv(scale) @ fitted @ scale, np.float32)
+    return homography if correlation > _LEAST else None
 
 
 @dataclass(frozen=True)
@@ -174,8 +174,8 @@ class Ratio:
         flat[SLOPES] = 0.0
         logs, slopes, shares = [], [], []
         lights = [light_at(number, view, light, points) for number, view in some]
-        for (_, view), shown in zip(some, derivatives(flat, lights), strict=True):
-            log, share, by_others = shown
+        shaded = zip(some, derivatives(flat, lights), strict=True)
+        for (_, view), (log, share, by_others) in shaded:
             logs.append(view.log - log)
             slopes.append(by_others[OTHER_SLOPES].unflatten(-1, size))
             shares.append(share.unflatten(-1, size))
@@ -184,11 +184,11 @@ class Ratio:
         def ratio(flash: Tensor, ambient: Tensor) -> Floats:
             return np.asarray((flash - share * ambient).mean(0).numpy(), np.float32)
 
-        along = [smoothed(ratio(*both), RESPONSE_AROUND) for both in zip(*slopes, strict=True)]
+        by_slope = [smoothed(ratio(*both), RESPONSE_AROUND) for both in zip(*slopes, strict=True)]
         use = (views[0].seen & views[-1].seen).all(0).numpy().astype(np.float32)
-        left = ratio(*logs)
-        left = (left - local_mean(left, use, max(use.shape) / _SLOW)) * use
-        return Ratio(left, np.stack(along), shares[0].mean(0).numpy(), use)
+        log_ratio = ratio(*logs)
+        log_ratio = (log_ratio - local_mean(log_ratio, use, max(use.shape) / _SLOW)) * use
+        return Ratio(log_ratio, np.stack(by_slope), shares[0].mean(0).numpy(), use)
 
 
 def with_ambient_gradient(
@@ -214,23 +214,25 @@ def with_ambient_gradient(
     if seen.sum() < 100:
         return light
     terms = np.stack([np.ones_like(x), x, y, x * x + y * y])[:, seen].astype(np.float64)
-    wanted = energy[seen].astype(np.float64)
-    weight: Doubles = np.ones_like(wanted)
+    measured = energy[seen].astype(np.float64)
+    weight: Doubles = np.ones_like(measured)
     for _ in range(8):
         normal = (terms * weight) @ terms.T
         fitted = np.linalg.solve(
-            normal + 1e-9 * np.trace(normal) * np.eye(4), terms @ (weight * wanted)
+            normal + 1e-9 * np.trace(normal) * np.eye(4), terms @ (weight * measured)
         )
-        weight = 1.0 / np.square(np.maximum(fitted @ terms, 0.2 * wanted.mean()))
+        weight = 1.0 / np.square(np.maximum(fitted @ terms, 0.2 * measured.mean()))
     linear, squared = slice(1, 3), 3  # of the terms
     relief = max(float(fitted[squared]), 1e-9)
-    # Effective number of independent samples, as local energies overlap.
-    alike = weight.size * 4.0 * np.pi * around**2 / seen_share / ratio.use.size
-    scatter = float((weight * np.square(fitted @ terms - wanted)).mean()) * alike
+    # Samples for each independent one, as local energies overlap.
+    overlap = weight.size * 4.0 * np.pi * around**2 / seen_share / ratio.use.size
+    scatter = float((weight * np.square(fitted @ terms - measured)).mean()) * overlap
     variance = scatter * np.linalg.inv(normal).diagonal()
     slope = fitted[linear] / (2.0 * relief)
-    unsure = (variance[linear] + np.square(2.0 * slope) * variance[squared]) / (2.0 * relief) ** 2
-    slope = slope * GRADIENT_DEVIATION**2 / (GRADIENT_DEVIATION**2 + unsure)
+    slope_variance = (variance[linear] + np.square(2.0 * slope) * variance[squared]) / (
+        2.0 * relief
+    ) ** 2
+    slope = slope * GRADIENT_DEVIATION**2 / (GRADIENT_DEVIATION**2 + slope_variance)
     slope = np.clip(slope, -2.0 * GRADIENT_DEVIATION, 2.0 * GRADIENT_DEVIATION)
     return replace(light, ambient=torch.tensor([*slope.tolist(), UNIFORM_SKY[2]]))
 
@@ -253,9 +255,9 @@ def scaled_by_ratio(
     ratio = Ratio.of(views, parameters, light)
     strengths = measure_strengths(ratio.log, ratio.sensitivity, ratio.use, matte=ratio.matte)
     # A registration error below a texel looks like fine relief.
-    unsure = [shortest < _FINEST for _, shortest in BANDS]
+    uncertain = [shortest < _FINEST for _, shortest in BANDS]
     strengths = strengths and replace(
-        strengths, deviation=np.where(unsure, np.inf, strengths.deviation)
+        strengths, deviation=np.where(uncertain, np.inf, strengths.deviation)
     )
     even = equalise(texels, strengths, ratio.sensitivity)
     return texel * torch.from_numpy(split(texels)[-1] + even)[None]

@@ -98,12 +98,12 @@ def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
     predicted = report.predicted or (math.nan,) * len(report.views)
     each = zip(report.views, report.residuals, predicted, strict=True)
     for number, (view, residual, prediction) in enumerate(each, 1):
-        said = f"{number} {view.photo.name}: re-rendered within {100.0 * residual:.1f} %"
+        line = f"{number} {view.photo.name}: re-rendered within {100.0 * residual:.1f} %"
         if not view.flash:
-            said += ", without flash"
+            line += ", without flash"
         elif not math.isnan(prediction):
-            said += f", predicted by the others within {100.0 * prediction:.1f} %"
-        yield said, number
+            line += f", predicted by the others within {100.0 * prediction:.1f} %"
+        yield line, number
     for one in report.left_out:
         yield f"left out: {one.name}, {one.why}", 0
     measured = zip(CHANNELS, report.measured, strict=True)
@@ -162,21 +162,21 @@ def _words(report: SetReport, width: int, height: int) -> Image.Image:
     sheet, ink = _blank(width, height, "error of each photograph")
     font = ImageFont.load_default(size=14)
     y = 2 * _LINE
-    for said, number in set_report_lines(report):
+    for text, number in set_report_lines(report):
         colour = _INK if number is None else _LEFT_OUT
         if number:
             colour = _CAMERAS[(number - 1) % len(_CAMERAS)]
-        for line in _wrapped(said, font, width - 2 * _ROUND):
+        for line in _wrapped(text, font, width - 2 * _ROUND):
             ink.text((_ROUND, y), line, fill=colour, font=font)
             y += _LINE - 4
     return sheet
 
 
 def _wrapped(
-    said: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: int
+    text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: int
 ) -> list[str]:
     lines = [""]
-    for word in said.split():
+    for word in text.split():
         longer = f"{lines[-1]} {word}".strip()
         if lines[-1] and font.getlength(longer) > width:
             lines.append(word)

@@ -184,9 +184,9 @@ def _gradient(log: Tensor, chosen: Tensor, texel: float) -> tuple[Tensor, Tensor
         return side - 1 - (side - 1 - index.abs()).abs()
 
     dx, dy = torch.zeros(2, 3, *chosen.shape)
-    for off, weight in _FOURTH:
-        dx += weight * log[:, row, mirrored(column + off, width)]
-        dy += weight * log[:, mirrored(row - off, height), column]
+    for offset, weight in _FOURTH:
+        dx += weight * log[:, row, mirrored(column + offset, width)]
+        dy += weight * log[:, mirrored(row - offset, height), column]
     spacing = 12.0 * texel
     return dx / spacing, dy / spacing
 
@@ -308,14 +308,14 @@ class _SharedFit:
         equations = _Equations.of_prior(self.prior, some, values)
         lights = [self._lit(number, values) for number in range(len(self.views))]
         shaded = derivatives(some, lights)
-        for (number, view), (log, *shown) in zip(enumerate(self.views), shaded, strict=True):
+        for (number, view), (log, *by_texel) in zip(enumerate(self.views), shaded, strict=True):
             residual = view.log - log
             if number and self.by_move:
                 move = _homographies(values, True)[number - 1].float()
                 residual = view.log + torch.einsum("i,icxn->cxn", move, self.by_move[number]) - log
             weight = weights(residual, view.seen, view.noise)[:, 0]
             by_shared, indices = self._by_shared(number, some, log, values)
-            equations.add(jacobian(*shown), by_shared, indices, weight, residual[:, 0])
+            equations.add(jacobian(*by_texel), by_shared, indices, weight, residual[:, 0])
         return equations
 
     def _lit(self, number: int, values: Tensor) -> FlashOrAmbient:

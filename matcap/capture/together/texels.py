@@ -191,8 +191,8 @@ def under_fitted_ambient(
     """Replace the ambient photograph's low frequencies by those of the rendered parameters."""
 
     def even(view: ResampledView) -> ResampledView:
-        (shown,) = log_rendered(parameters, [AmbientLight(light.ambient)])
-        return replace(view, log=evenly_lit(view.log, view.seen, shown))
+        (rendered,) = log_rendered(parameters, [AmbientLight(light.ambient)])
+        return replace(view, log=evenly_lit(view.log, view.seen, rendered))
 
     return [view if view.flash else even(view) for view in views]
 

@@ -158,8 +158,9 @@ def resampled_over(
     x, y = to_pixels(own.coordinates(camera.on_plane(camera.sees(whole))), width, height)
 
     def resampled(channel: Tensor, how: int = cv2.INTER_CUBIC) -> Tensor:
-        there = cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
-        return torch.from_numpy(there)
+        return torch.from_numpy(
+            cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
+        )
 
     maps, tint = achromatic(prediction.maps)
     logs = torch.cat([maps.diffuse.clamp_min(1e-3).log(), maps.specular.clamp_min(5e-3).log()])
