@@ -60,7 +60,7 @@ class SetOutcome:
     """Number of photographs of other samples that were used."""
     tilt: float
     """Error of the first camera's tilt, degrees."""
-    doubts: tuple[float, ...] = ()
+    deviations: tuple[float, ...] = ()
     """Standard deviation that was stated for each of `errors`."""
 
 
@@ -126,7 +126,7 @@ def compared(made: MadeSet, found: Registration) -> SetOutcome:
     """Cameras against truth, in the first camera's frame: its own tilt is told apart."""
     names = [photo.name for photo in made.photos]
     first, true_first = found.views[0].camera, made.cameras[0]
-    errors, doubts, taken_in = [], [], 0
+    errors, deviations, taken_in = [], [], 0
     for view in found.views[1:]:
         number = names.index(view.photo.name)
         if number in made.foreign:
@@ -137,7 +137,7 @@ def compared(made: MadeSet, found: Registration) -> SetOutcome:
         expected = true_first.turn @ (true.place - true_first.place)
         off = np.linalg.norm(apart - expected) / np.linalg.norm(true.place)
         errors.append(float(off))
-        doubts.append(view.position_deviation)
+        deviations.append(view.position_deviation)
     wrong = [one for one in found.left_out if names.index(one.name) not in made.foreign]
     turned = first.turn[2] @ true_first.turn[2]
     return SetOutcome(
@@ -145,7 +145,7 @@ def compared(made: MadeSet, found: Registration) -> SetOutcome:
         tuple(f"{one.name}: {one.why}" for one in wrong),
         taken_in,
         math.degrees(math.acos(min(1.0, float(turned)))),
-        tuple(doubts),
+        tuple(deviations),
     )
 
 
@@ -161,7 +161,7 @@ def verdict(outcome: SetOutcome) -> Verdict:
 
 def unsaid(outcome: SetOutcome) -> bool:
     """Whether a camera is off by more than is aimed at, and that was said of none of the set."""
-    return max(outcome.errors, default=0.0) > UNCERTAIN >= max(outcome.doubts, default=0.0)
+    return max(outcome.errors, default=0.0) > UNCERTAIN >= max(outcome.deviations, default=0.0)
 
 
 def kinds(sets: int) -> list[str | None]:
@@ -176,7 +176,7 @@ def columns(_made: MadeSet, outcome: SetOutcome) -> Mapping[str, Value]:
         "cameras": float(len(outcome.errors)),
         "median": float(np.median(errors)),
         "worst": max(errors),
-        "said": max(outcome.doubts, default=math.nan),
+        "said": max(outcome.deviations, default=math.nan),
         "tilt": outcome.tilt,
         **{name: float(of == name) for name in get_args(Verdict)},
         "unsaid": float(unsaid(outcome)),

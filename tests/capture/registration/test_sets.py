@@ -53,5 +53,5 @@ def test_a_set_is_as_right_as_its_worst_camera():
 
 
 def test_what_is_said_of_a_set_is_no_error_unsaid():
-    said = replace(NEAR, doubts=(0.001, 0.004))
+    said = replace(NEAR, deviations=(0.001, 0.004))
     assert [unsaid(one) for one in (RIGHT, NEAR, said, REFUSED)] == [False, True, False, False]

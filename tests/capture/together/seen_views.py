@@ -18,7 +18,7 @@ PHONE, HAND = PhoneCamera(width=640, height=480), Hand()
 SIZE = (48, 64)  # texels
 OFFSET = (0.04, -0.07)  # the flash's, from the lens
 # As of a network that hardly knows: log of what each number is off by, (4, 1, 1).
-DOUBT = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.15]))[:, None, None]
+LOG_ERROR = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.15]))[:, None, None]
 
 
 def photographed(subject, phone, count, seed, hand=HAND, first=0):

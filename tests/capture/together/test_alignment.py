@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from seen_views import DOUBT, PHONE, SIZE, flattened, grainy, seen
+from seen_views import LOG_ERROR, PHONE, SIZE, flattened, grainy, seen
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.registration.register import register
@@ -39,9 +39,9 @@ def moved():
     """(texels, held) to the right by which one of five is moved that lies 0.4 texels further."""
     views, light = seen([_woven(), _woven(), _woven(), _woven(0.4), _woven()])
     flat = flattened(_woven())
-    doubt = DOUBT.expand(4, *SIZE)
+    log_error = LOG_ERROR.expand(4, *SIZE)
     light = replace(light, vignetting_deviation=RAW_FALLOFF)
-    read = Estimate(flat, doubt)
+    read = Estimate(flat, log_error)
     found = solve(views, read, light)
 
     def by(held):
@@ -74,13 +74,13 @@ def laid(held):
     found = register(photos, FlashSetup(fov=PHONE.fov))
     maps = flattened(grainy(0, (96, 128)))
     setup = found.setup.with_intensity((5.0, 5.0, 5.0))
-    doubt = DOUBT.expand(4, 96, 128)
+    log_error = LOG_ERROR.expand(4, 96, 128)
 
     def over(astray):
         views = tuple(replace(view, misregistration=astray) for view in found.views)
         lines = []
         begun = Aligned.of((found.views[0], *views[1:]), setup)
-        by = aligned(begun, Estimate(maps, doubt), on_progress=lines.append)
+        by = aligned(begun, Estimate(maps, log_error), on_progress=lines.append)
         return found, by, len(lines)
 
     return over

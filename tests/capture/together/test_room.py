@@ -187,12 +187,12 @@ def test_relief_read_too_weak_becomes_as_steep_as_the_ratio_of_both_says():
 def test_the_rooms_light_tells_albedo_and_slopes_that_one_flash_does_not():
     maps = grainy(1, SIZE, albedo=0.4)
     flash, room, light = _pair(maps, (-0.3, -0.1, 0.5))
-    doubt = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.5]))[:, None, None].expand(4, *SIZE)
+    log_error = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.5]))[:, None, None].expand(4, *SIZE)
     off, astray = [], []
     for views in ([flash], [flash, room]):
         some = light.of_some(range(len(views)))
         some = replace(some, vignetting_deviation=RAW_FALLOFF)
-        found = solve(views, Estimate(flattened(maps), doubt), some)
+        found = solve(views, Estimate(flattened(maps), log_error), some)
         log = (found.maps.diffuse / maps.diffuse).log()
         off.append(float((log - log.median()).abs().mean()))
         slopes = parameters_of(found.maps)[SLOPES] - parameters_of(maps)[SLOPES]

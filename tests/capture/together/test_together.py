@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from seen_views import DOUBT, OFFSET, PHONE, SIZE, flattened, grainy, photographed, seen
+from seen_views import LOG_ERROR, OFFSET, PHONE, SIZE, flattened, grainy, photographed, seen
 
 from matcap.capture.outputs import write_outputs
 from matcap.capture.pipeline import capture_photo
@@ -25,7 +25,7 @@ from matcap.lab.simulate.hand_held import Hand, hold
 from matcap.lab.simulate.specimen import subjects
 from matcap.photo.camera import CameraProfile, Falloff
 
-NOTHING_KNOWN = DOUBT.expand(4, *SIZE)
+NOTHING_KNOWN = LOG_ERROR.expand(4, *SIZE)
 
 
 def _solved(views, read, light, log_error=NOTHING_KNOWN):

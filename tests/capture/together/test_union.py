@@ -132,23 +132,23 @@ def _drawn(size, seed=0):
 
 
 def test_the_first_reading_goes_on_smoothly_and_is_doubted_by_its_own_scatter():
-    maps, doubt = _drawn(SIZE), torch.full((4, *SIZE[::-1]), -2.0)
-    read = Estimate(maps, doubt)
+    maps, log_error = _drawn(SIZE), torch.full((4, *SIZE[::-1]), -2.0)
+    read = Estimate(maps, log_error)
     assert spread_over(read, Margins()) is read
-    assert unpredicted(doubt, Mosaic.own(SIZE)) is doubt
+    assert unpredicted(log_error, Mosaic.own(SIZE)) is log_error
 
     margins = Margins(right=64, bottom=20)
     spread = spread_over(read, margins)
     over, unsure = spread.maps, spread.log_error
     inside = margins.inside(SIZE)
     assert torch.equal(over.stacked()[:, *inside], maps.stacked())
-    assert torch.equal(unsure[:, *inside], doubt)
+    assert torch.equal(unsure[:, *inside], log_error)
     beyond = over.diffuse[:, :, SIZE[0] + 20 :]
     assert float(beyond.log().std()) < 0.5 * float(maps.diffuse.log().std())
     assert float(beyond.mean()) == pytest.approx(0.3, rel=0.1)
     torch.testing.assert_close(unsure[:, -1, -1], scatter(read))
     nowhere = unpredicted(unsure, Mosaic(margins, SIZE))
-    assert (nowhere[:, :, SIZE[0] :] > 3.0).all() and torch.equal(nowhere[:, *inside], doubt)
+    assert (nowhere[:, :, SIZE[0] :] > 3.0).all() and torch.equal(nowhere[:, *inside], log_error)
 
 
 def test_beyond_the_first_photograph_the_others_reading_holds():
@@ -180,9 +180,9 @@ def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():
     mosaic, extent = Mosaic(margins, SIZE), margins.extent(SIZE[0])
     whole = margins.around(SIZE)[::-1]
     gold = torch.tensor([1.3, 1.0, 0.7])[:, None, None].expand(3, *whole)
-    doubt = unpredicted(torch.full((4, *whole), -2.0), mosaic)
+    log_error = unpredicted(torch.full((4, *whole), -2.0), mosaic)
     numbers = torch.zeros(7, *whole)
-    first = ViewPrediction(numbers, doubt, extent)
+    first = ViewPrediction(numbers, log_error, extent)
     other = ViewPrediction(numbers, torch.full((4, *whole), -2.0), extent, gold)
     grey = torch.ones(3, *whole)
     found = tint_over(grey, [first, other], mosaic)

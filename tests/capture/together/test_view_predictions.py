@@ -44,8 +44,8 @@ def brought(cameras):
     warp = ViewWarp(np.eye(3), np.zeros((1, 1), np.float32), cameras[0].place)
 
     def over(maps):
-        doubt = torch.full((4, *maps.size[::-1]), -2.0)
-        return resampled_over(Estimate(maps, doubt), own, cameras[1], warp, SIZE[::-1])
+        log_error = torch.full((4, *maps.size[::-1]), -2.0)
+        return resampled_over(Estimate(maps, log_error), own, cameras[1], warp, SIZE[::-1])
 
     return own, over
 
@@ -136,18 +136,18 @@ def test_alone_the_first_stays_as_it_was_read_and_others_leave_it_its_fine_waves
     fine = tuple(2 * side for side in SIZE)
     maps = _waves(grid_points(fine[1], fine[0]), 2.0 / fine[1])
     maps = replace(maps, diffuse=maps.diffuse * (0.1 * torch.randn(3, *fine, generator=rng)).exp())
-    doubt = torch.full((4, *fine), -2.0)
+    log_error = torch.full((4, *fine), -2.0)
     small = MapSet.from_stacked(
         torch.nn.functional.avg_pool2d(maps.stacked()[None], 2)[0], 2.0 / SIZE[1]
     )
     first = ViewPrediction(parameters_of(small), torch.full((4, *SIZE), -2.0))
-    alone = Estimate(maps, doubt)
+    alone = Estimate(maps, log_error)
     same = with_others(alone, [first])
     torch.testing.assert_close(same.maps.stacked(), maps.stacked(), atol=1e-4, rtol=0.0)
-    torch.testing.assert_close(same.log_error, doubt)
+    torch.testing.assert_close(same.log_error, log_error)
     darker = ViewPrediction(first.parameters.clone(), first.log_error)
     darker.parameters[:3] -= 0.4
     both = with_others(alone, [first, darker])
     log = both.maps.diffuse.log()
     torch.testing.assert_close(log, maps.diffuse.log() - 0.2, atol=0.01, rtol=0.0)
-    assert (both.log_error < doubt).all()
+    assert (both.log_error < log_error).all()
