@@ -5,7 +5,6 @@ PARAMETERS = 7: log diffuse albedo (3), log F0, logit roughness, slopes along x 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,7 +14,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_height, normals_from_slopes
-from matcap.brdf.parameters import ALBEDO, F0, ROUGH
+from matcap.brdf.parameters import ALBEDO, ALBEDO_LIMITS, F0, F0_LIMITS
 from matcap.capture.piece.noise import DARKEST
 from matcap.capture.together.ambient_light import AmbientLight, evenly_lit
 from matcap.capture.together.views import FlashOrAmbient, ResampledView, SharedLight, light_at
@@ -38,7 +37,9 @@ _ALBEDO = 0.25
 # Prior standard deviation of log F0 and logit roughness. They are constant in a material class, so
 # it is small: wider ones scatter from texel to texel (docs/notes/several.md).
 _GLOSS = 0.07
-_STEEPEST = 3.0  # limit of slopes
+# Limits of the solve: slopes, and an interior margin of the limits of reflectance, as a diffuse
+# albedo or F0 near 1 and a narrower lobe are no texel's.
+_LARGEST, _ROUGHNESS, _STEEPEST = 0.98, (0.03, 0.98), 3.0
 # Levenberg-Marquardt: share of a parameter's precision added to the diagonal. Less overshoots;
 # more leaves the trade-off of albedo and slope at its initial value.
 _DAMPING = 0.005
@@ -128,25 +129,26 @@ class ParameterPrior:
 def parameters_of(maps: MapSet) -> Tensor:
     """(PARAMETERS, H, W) parameters of maps; F0 is averaged over its channels."""
     slopes = slopes_of(maps.height, maps.texel_size)
-    return torch.cat(
-        [
-            maps.diffuse.clamp(1e-3, 0.98).log(),
-            maps.specular.mean(-3, keepdim=True).clamp(5e-3, 0.98).log(),
-            maps.roughness.clamp(0.03, 0.98).logit(),
-            slopes,
-        ]
-    ).float()
+    log_f0 = maps.specular.mean(-3, keepdim=True).log()
+    logs = [maps.diffuse.log(), log_f0, maps.roughness.logit(), slopes]
+    return limited(torch.cat(logs).float())
+
+
+def limited(parameters: Tensor) -> Tensor:
+    """Parameters (PARAMETERS, H, W) within the limits of the solve."""
+    least = [ALBEDO_LIMITS[0]] * 3 + [F0_LIMITS[0]]
+    low, high = torch.tensor([least, [_LARGEST] * 4]).log()
+    rough = torch.tensor(_ROUGHNESS).logit()
+    steep = torch.tensor([_STEEPEST, _STEEPEST])
+    low, high = torch.cat([low, rough[:1], -steep]), torch.cat([high, rough[1:], steep])
+    return parameters.clamp(low[:, None, None], high[:, None, None])
 
 
 def maps_of(parameters: Tensor, height: Tensor, texel_size: float) -> MapSet:
     """Maps of parameters (PARAMETERS, H, W) and a height (1, H, W) that matches their slopes."""
-    log_albedo, log_f0, logit_roughness, _ = parameters.split(_PARTS)
+    log_albedo, log_f0, logit_roughness, _ = limited(parameters).split(_PARTS)
     return MapSet(
-        diffuse=log_albedo.exp().clamp(1e-3, 0.98),
-        specular=log_f0.exp().clamp(5e-3, 0.98),
-        roughness=torch.sigmoid(logit_roughness).clamp(0.03, 0.98),
-        height=height,
-        texel_size=texel_size,
+        log_albedo.exp(), log_f0.exp(), torch.sigmoid(logit_roughness), height, texel_size
     )
 
 
@@ -235,11 +237,7 @@ def stepped(
             relief[:, rows] = _slope_precision(factor).reshape(relief[:, rows].shape)
         for change, own in zip(changes, of_each, strict=bool(changed)):
             change[:, rows] = ((whole - own).solved(*current)[0] - moved[part])[changed]
-    moved[SLOPES] = moved[SLOPES].clamp(-_STEEPEST, _STEEPEST)
-    moved[ALBEDO] = moved[ALBEDO].clamp(math.log(1e-3), math.log(0.98))
-    moved[F0] = moved[F0].clamp(math.log(5e-3), math.log(0.98))
-    moved[ROUGH] = moved[ROUGH].clamp(-3.5, 3.9)
-    return Stepped(moved, precision, relief, changes)
+    return Stepped(limited(moved), precision, relief, changes)
 
 
 @dataclass(frozen=True)
