@@ -41,7 +41,7 @@ Keys:
         `error_after_another_minute` (forecast) and `error_over_time` (seconds, step and error).
     exemplar: or null: `error` (median difference of log radiance between photograph and
         re-rendering), `slow` (the low-frequency residual, which is not the material's), `left_out`
-        (share that resembles no other part, and is not rearranged), `variety` (0 to 1: small
+        (share that stands out, such as stains, which fields avoid), `variety` (0 to 1: small
         patches at 1), `patches` (their size, in words), `strengths` (root-mean-square slope and
         log albedo by band, measured in the photograph; capture/piece/strengths.py; or null),
         `sharpness` (power of the finest octave, re-rendering over photograph), `confidence` (mean,

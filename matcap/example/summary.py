@@ -21,7 +21,7 @@ class Summary:
     periods: tuple[float, ...]
     """Periods of its lattice in texels; empty without one."""
     left_out: float
-    """Share that is unique, such as stains, and is not used."""
+    """Share that stands out, such as stains, which fields avoid."""
     variety: float
     """Variety in [0, 1]; see ReadOptions."""
     patches: tuple[int, int]
@@ -58,7 +58,10 @@ class Summary:
             ("exemplar", f"{width} x {height} texels of the photographed rectangle."),
             ("lattice", lattice),
             ("variety", f"{self.variety:g}: {self.patches_text(millimetres)}."),
-            ("left out", f"{100 * self.left_out:.1f} % of it matches nothing else in it."),
+            (
+                "left out",
+                f"{100 * self.left_out:.1f} % stands out, such as stains; fields avoid it.",
+            ),
             ("specular", self._specular()),
         ]
 

@@ -135,6 +135,21 @@ def test_a_mark_that_occurs_once_is_left_out_and_told():
     assert (maps[4] == 1.0).mean() < 0.05 * usual  # 0.4 if it were drawn like any other place
 
 
+def test_a_broad_stain_is_left_out_and_many_specks_are_not():
+    """Its texels have matches among each other; specks belong to the material."""
+    stained, specked = blobs(352, 288), blobs(352, 288)
+    y, x = np.mgrid[:288, :352]
+    stained.diffuse[:] *= 1.0 - 0.7 * np.exp(-((x - 250) ** 2 + (y - 180) ** 2) / (2 * 24.0**2))
+    for row in range(20, 288, 60):
+        for column in range(20, 352, 60):
+            specked.diffuse[:, row : row + 14, column : column + 14] = 0.0
+    example = Example.of(stained)
+    assert 0.01 < example.index.left_out < 0.1 and Example.of(specked).index.left_out < 0.01
+    places = example.places(4, Rectangle(0, 0, 400, 400), None).astype(np.int64)
+    inside = np.hypot(places[..., 0] - 250, places[..., 1] - 180) < 24.0
+    assert inside.mean() < 0.1 * np.pi * 24.0**2 / (352 * 288)
+
+
 def test_order_neither_drifts_nor_breaks():
     """Phases of what is shown, against those of the ideal lattice, 16384 texels apart."""
     example = ordered()
