@@ -128,8 +128,8 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
             seen = srgb_picture(_picture(map_set_of(result.estimate.exemplar), "diffuse"))
             several = result.estimate.several
             # Cameras are in landscape coordinates; so must be the picture below them.
-            lying = np.ascontiguousarray(np.rot90(seen)) if result.estimate.turned else seen
-            drawn = draw_set(several, lying, blocks[0].width)
+            landscape = np.ascontiguousarray(np.rot90(seen)) if result.estimate.turned else seen
+            drawn = draw_set(several, landscape, blocks[0].width)
             blocks.append(titled(drawn, "Cameras and flashes"))
             if several.mosaic.margins.any:
                 maps = map_set_of(result.estimate.exemplar)
@@ -283,19 +283,19 @@ def _under_flash(maps: MapSet, setup: FlashSetup) -> Panel:
     from matcap.flash.render import render_flash
 
     turned, setup = setup.turned, replace(setup, turned=False)
-    lying = maps.turned(1) if turned else maps
-    width, height = lying.size
+    landscape = maps.turned(1) if turned else maps
+    width, height = landscape.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     every = slice(None, None, max(1, width // _LIT))
 
     @torch.no_grad()
     def lit(rows: slice, columns: slice) -> NDArray[np.float32]:
-        some = lying.map(lambda planes: planes[..., rows, columns])
+        some = landscape.map(lambda planes: planes[..., rows, columns])
         radiance = render_flash(some, setup, points[:, rows, columns]).movedim(0, -1).numpy()
         return standing(radiance) if turned else np.ascontiguousarray(radiance)
 
     rows, columns = _crop(*maps.size)
-    if turned:  # its right side is the top of the lying picture
+    if turned:  # its right side is the top of the landscape picture
         rows, columns = slice(max(0, height - columns.stop), height - columns.start), rows
     return Panel("re-rendered", lit(every, every), close=lit(rows, columns))
 

@@ -134,9 +134,9 @@ def judged(
         with torch.inference_mode():
             rerendered = picture_of(render_rectified(maps, material.setup))
         # Pictures are measured as the photograph lies.
-        lying = np.ascontiguousarray(quarter_turn(rerendered)) if turned else rerendered
+        landscape = np.ascontiguousarray(quarter_turn(rerendered)) if turned else rerendered
         whole, kept = picture_of(plane.linear), plane.kept.numpy()[..., None]
-        compared = np.where(kept, whole, lying)  # a difference of zero where masked
+        compared = np.where(kept, whole, landscape)  # a difference of zero where masked
         seen = np.where(kept, whole, np.float32(0.0))
         drawn = None if tuning is None else maps
         about = ExemplarMeasurements()
@@ -146,7 +146,7 @@ def judged(
         about = replace(about, photographs=1 + len(others))
         valid = plane.valid.numpy()
         setup = replace(material.setup, turned=False)
-        measurements = measured(photo, setup, compared, lying, valid, rectified.waves, about)
+        measurements = measured(photo, setup, compared, landscape, valid, rectified.waves, about)
         verdict = judge(measurements)
     return CaptureResult(
         photo=photo,

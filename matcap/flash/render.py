@@ -41,8 +41,8 @@ def render_rectified(maps: MapSet, setup: FlashSetup) -> Tensor:
     and maps and picture are upright.
     """
     if setup.turned:
-        lying = render_rectified(maps.turned(1), replace(setup, turned=False))
-        return lying.rot90(-1, (-2, -1))
+        landscape = render_rectified(maps.turned(1), replace(setup, turned=False))
+        return landscape.rot90(-1, (-2, -1))
     width, height = maps.size
     points = plane_points(0, 0, width, height, (width, height), dtype=maps.height.dtype)
     return render_flash(maps, setup, points.to(maps.height.device))

@@ -82,7 +82,7 @@ class ExemplarEstimate:
         return maps.turned(1) if self.turned else maps
 
     def upright(self, waves: tuple[Wave, ...]) -> ExemplarEstimate:
-        """A lying portrait's estimate with its maps rotated; `waves` is their lattice."""
+        """A portrait's estimate, its maps rotated upright; `waves` is their lattice."""
         exemplar, example = indexed(self.exemplar, waves, turned=True)
         return replace(self, exemplar=exemplar, example=example, turned=True)
 

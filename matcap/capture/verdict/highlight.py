@@ -127,16 +127,18 @@ def highlight_profile(
     ]
     if not all(ring.any() for ring in rings):
         return None
-    levels = np.array([[each[ring].sum() / matte[ring].sum() for each in lights] for ring in rings])
-    levels = np.maximum(levels, _DARKEST)  # a ring may be black
-    levels /= levels[-1]
-    reach = _reach(levels[:, 0])
+    profiles = np.array(
+        [[each[ring].sum() / matte[ring].sum() for each in lights] for ring in rings]
+    )
+    profiles = np.maximum(profiles, _DARKEST)  # a ring may be black
+    profiles /= profiles[-1]
+    reach = _reach(profiles[:, 0])
     region = seen & measured & (lights[1] < 1.0) & (distance < reach)
     glints = (
         [_octaves(each, region) for each in lights] if region.mean() >= LEAST_SHARE else [[], []]
     )
     return HighlightProfile(
-        tuple((float(before), float(after)) for before, after in levels),
+        tuple((float(before), float(after)) for before, after in profiles),
         tuple(float((~measured[ring]).mean()) for ring in rings),
         tuple(zip(*glints, strict=True)),
     )
@@ -158,8 +160,8 @@ def _octaves(picture: Picture, region: TexelMask) -> list[float]:
 def from_mirror_point(setup: FlashSetup, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """(H, W) distance from the mirror point, plane units; upright if the setup is turned."""
     if setup.turned:
-        lying = from_mirror_point(replace(setup, turned=False), shape[::-1])
-        return np.rot90(lying, -1)
+        landscape = from_mirror_point(replace(setup, turned=False), shape[::-1])
+        return np.rot90(landscape, -1)
     (x, y), (height, width) = flash_mirror_point(setup), shape
     u, v = np.arange(width) + 0.5, np.arange(height)[:, None] + 0.5
     return np.hypot(2.0 * u / width - 1.0 - x, (height - 2.0 * v) / width - y)

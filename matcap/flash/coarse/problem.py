@@ -158,7 +158,7 @@ class Problem:
     def with_estimated_noise(self, parameters: Tensor) -> Problem:
         """The problem with the prior's weight set from the residuals of a first fit."""
         count = self.cells.observed.numel()
-        rest = self.residuals(parameters)[:count].clamp(-0.5, 0.5)
+        rest = self.residuals(parameters)[:count].clamp(-_MOST_TEXTURE, _MOST_TEXTURE)
         variance = (self.weight[:count] * rest.square()).sum() / self.weight[:count].sum()
         nat = float(variance) / _CELLS_THAT_COUNT
         return replace(self, precision=self.precision * (nat / self.unit), unit=nat)
