@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcap.errors import MatcapError, UsageError
-from matcap.files.mark import MAKER_VERSION as __version__
+from matcap.files.maker import MAKER_VERSION as __version__
 from matcap.files.names import shown
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 

@@ -14,7 +14,7 @@ from typing import Any
 from matcap.batch.settings import BatchSettings
 from matcap.capture.settings import prior_file
 from matcap.errors import MatcapError
-from matcap.files.mark import MAKER_VERSION
+from matcap.files.maker import MAKER_VERSION
 from matcap.photo.camera import CameraProfile
 
 # Settings that do not change a material; of prior and card the content is hashed instead.

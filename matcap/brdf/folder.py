@@ -51,7 +51,7 @@ from matcap.brdf.stated import SPECULAR_CHANNELS, NormalSource, NormalStyle, sta
 from matcap.errors import MatcapError
 from matcap.files.document import read_document
 from matcap.files.exr import read_exr, write_exr
-from matcap.files.mark import MAKER_VERSION
+from matcap.files.maker import MAKER_VERSION
 from matcap.files.names import plain_name
 from matcap.files.png import write_png
 from matcap.files.publish import recover

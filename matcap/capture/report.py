@@ -74,7 +74,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcap.example.summary import summary
-from matcap.files.mark import MAKER_VERSION
+from matcap.files.maker import MAKER_VERSION
 from matcap.files.staging import staged
 from matcap.photo.checks import Rating
 

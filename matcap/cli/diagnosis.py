@@ -12,7 +12,7 @@ from typing import Any
 
 from matcap.errors import MatcapError
 from matcap.example import library as example_loops
-from matcap.files.mark import MAKER_VERSION
+from matcap.files.maker import MAKER_VERSION
 from matcap.files.memory import cores
 from matcap.relight.loops import library as relighting_loops
 

@@ -40,7 +40,7 @@ from matcap.cli import (
 from matcap.cli.options import PlainCommand
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.interrupts import ignore_signals, raise_on_signals
-from matcap.files.mark import MAKER
+from matcap.files.maker import MAKER
 from matcap.files.note import Note
 
 _REPORT = "please report it with the output of the same command under MATCAP_DEBUG=1"

@@ -36,7 +36,7 @@ from matcap.export.specular_workflow import (
 from matcap.export.surface import MadeSurface, Reader, TargetSurface
 from matcap.export.texture_file import WRITERS, TextureFile
 from matcap.export.textures import BASE, Export, coded_normal, occlusion_entry, signed
-from matcap.files.mark import MAKER
+from matcap.files.maker import MAKER
 
 # Viewers' shading: three.js, Babylon.js and Blender add multiple scattering.
 SHADING = TargetShading(layer="half", compensated=True)

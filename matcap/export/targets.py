@@ -59,7 +59,8 @@ from matcap.export.surface import Residual, residuals
 from matcap.export.texture_file import WRITERS, TextureFile
 from matcap.export.textures import Export, Workflow
 from matcap.export.usd import usd_metallic, usd_specular
-from matcap.files.mark import MAKER_VERSION, check_replaceable
+from matcap.files.maker import MAKER_VERSION
+from matcap.files.mark import check_replaceable
 from matcap.files.names import plain_name, sanitised_name
 from matcap.files.settings import known
 from matcap.files.staging import staged

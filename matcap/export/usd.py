@@ -53,7 +53,7 @@ from matcap.export.textures import (
     signed,
     standard_textures,
 )
-from matcap.files.mark import MAKER
+from matcap.files.maker import MAKER
 
 SHADING = TargetShading(layer="half", each=True)
 # Shading of programs that convert UsdPreviewSurface to a Principled BSDF with a specular tint.

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.mark import SOFTWARE
+from matcap.files.maker import SOFTWARE
 from matcap.files.rec709 import REC709
 
 LARGEST_HALF = 65504.0  # of half float (IEEE 754)

@@ -22,13 +22,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from matcap.errors import MatcapError, UsageError
+from matcap.files.maker import SOFTWARE
 
 if TYPE_CHECKING:
     from PIL.PngImagePlugin import PngInfo
-
-MAKER_VERSION = "0.1.0"  # of matcap
-MAKER = f"matcap {MAKER_VERSION}"  # generator in files that other programs read
-SOFTWARE = "Software"  # name of the entry in PNG and EXR files
 
 _AT_ONCE = 1 << 16  # first bytes of an HTML file that are searched for its generator
 _BOX = re.compile(rb"(matcap [\w -]+)\Z")

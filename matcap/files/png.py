@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.mark import SOFTWARE
+from matcap.files.maker import SOFTWARE
 
 PNG_HEADER = 33  # bytes: signature and IHDR
 

@@ -23,7 +23,7 @@ from matcap.brdf.stated import NormalStyle
 from matcap.errors import UsageError
 from matcap.field.blocks import BlockPart, block_parts, check_rectangle
 from matcap.field.plane import Rectangle
-from matcap.files.mark import MAKER_VERSION
+from matcap.files.maker import MAKER_VERSION
 from matcap.files.names import plain_name
 from matcap.files.udim import check_grid, tile_number
 from matcap.synth.pictures import PictureFile, channels_of, pictures_of

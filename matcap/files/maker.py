@@ -1,0 +1,7 @@
+"""The generator mark that every file written by matcap carries."""
+
+from __future__ import annotations
+
+MAKER_VERSION = "0.1.0"  # of matcap
+MAKER = f"matcap {MAKER_VERSION}"
+SOFTWARE = "Software"  # name of the entry in PNG and EXR files
