@@ -342,6 +342,8 @@ FAULTS = (
     Fault("flatten: chance is a ring", "capture.piece.refine _rings",
           "mean * np.clip(1.0 - error / np.maximum(np.square(mean), 1e-12), 0.0, 1.0)",
           "1.0 * mean", "capture/piece/test_refine.py -k rings"),
+    Fault("lattice: stripes are cut into squares", "example.lattice _two", "2.0 * cells", "cells",
+          "example/test_example_index.py -k stripes"),
     Fault("lattice: any wave is one", "example.lattice _repeats",
           "once > min(half + _GAIN, _ALIKE)", "True", "example/test_example_index.py -k repeat"),
     Fault("straight: lost waves are followed", "example.fine_lattice _followed",

@@ -99,7 +99,9 @@ class PhasedLattice:
         waves = _two(self, cells)
         (ax, ay), (bx, by) = waves
         area = ax * by - ay * bx
-        counts = [_together(wave, cells) + 1 for wave in waves]
+        one, other = (_together(wave, cells) for wave in waves)
+        # A wave that the exemplar lacks has no phase to be moved into.
+        counts = one + 1, other + (len(self.waves) > 1 or cells <= LEAST_PATCH)
         return (
             (abs(by) * counts[0] + abs(ay) * counts[1]) / abs(area),
             (abs(bx) * counts[0] + abs(ax) * counts[1]) / abs(area),
@@ -197,7 +199,7 @@ def cells_of(
 ) -> Cells:
     """The lattice patches that texels lie in.
 
-    A lattice of one wave is cut across as well, at the same size.
+    A lattice of one wave is cut across as well (_two).
 
     Args:
         lattice: of the exemplar.
@@ -241,12 +243,17 @@ def _together(wave: Frequency, cells: float) -> int:
 
 
 def _two(lattice: PhasedLattice, cells: float) -> tuple[Frequency, Frequency]:
-    """The lattice's waves; with only one, a perpendicular one with a period of `cells` texels."""
+    """The lattice's waves; with only one, a perpendicular one whose period is a patch's length.
+
+    Stripes are cut across half as often as between each other: where two parts of a fabric meet,
+    single stripes are off by up to a fifth of a period. The smallest patches are square.
+    """
     if len(lattice.waves) == 2:
         return lattice.waves[0], lattice.waves[1]
     (wave,) = lattice.waves
-    length = math.hypot(*wave)
-    return wave, (-wave[1] / (length * cells), wave[0] / (length * cells))
+    length = cells if cells <= LEAST_PATCH else 2.0 * cells
+    turns = math.hypot(*wave) * length
+    return wave, (-wave[1] / turns, wave[0] / turns)
 
 
 def measure_lattice(

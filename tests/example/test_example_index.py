@@ -11,7 +11,7 @@ from matcap.example.candidates import find_candidates
 from matcap.example.correction import correct
 from matcap.example.example import Example
 from matcap.example.features import choose_scale, features_of, planes_of
-from matcap.example.lattice import measure_lattice
+from matcap.example.lattice import PhasedLattice, cells_of, measure_lattice
 from matcap.example.lookup import prepare
 from matcap.field.plane import Rectangle
 
@@ -152,3 +152,12 @@ def test_waves_by_which_an_exemplar_does_not_repeat_are_no_lattice():
     for plane, wave, repeats in ((stripes, along, True), (boards, across, False)):
         planes = np.stack([plane, *[np.zeros_like(plane)] * 6])
         assert (measure_lattice(planes, (wave,)) is not None) == repeats
+
+
+def test_stripes_are_cut_across_half_as_often_as_between_them():
+    stripes = PhasedLattice(((1.0 / 20.0, 0.0),), np.zeros((1, 40, 40), np.int32))
+    along = np.arange(0, 1920)
+    cells = cells_of(stripes, 3, along, along, (None, None), 96.0)
+    assert len(np.unique(cells.column)) in (20, 21)  # 5 stripes of 20 texels
+    assert len(np.unique(cells.row)) in (10, 11)
+    assert stripes.patch_extent(96.0) == pytest.approx((120.0, 192.0))
