@@ -344,6 +344,8 @@ FAULTS = (
           "1.0 * mean", "capture/piece/test_refine.py -k rings"),
     Fault("lattice: stripes are cut into squares", "example.lattice _two", "2.0 * cells", "cells",
           "example/test_example_index.py -k stripes"),
+    Fault("lattice: phases jump by turns", "example.lattice _unwrapped", "np.rint(smooth - turns)",
+          "0.0", "example/test_example_index.py -k unwrapped"),
     Fault("lattice: any wave is one", "example.lattice _repeats",
           "once > min(half + _GAIN, _ALIKE)", "True", "example/test_example_index.py -k repeat"),
     Fault("straight: lost waves are followed", "example.fine_lattice _followed",

@@ -11,7 +11,7 @@ from matcap.example.candidates import find_candidates
 from matcap.example.correction import correct
 from matcap.example.example import Example
 from matcap.example.features import choose_scale, features_of, planes_of
-from matcap.example.lattice import PhasedLattice, cells_of, measure_lattice
+from matcap.example.lattice import PhasedLattice, _unwrapped, cells_of, measure_lattice
 from matcap.example.lookup import prepare
 from matcap.field.plane import Rectangle
 
@@ -161,3 +161,15 @@ def test_stripes_are_cut_across_half_as_often_as_between_them():
     assert len(np.unique(cells.column)) in (20, 21)  # 5 stripes of 20 texels
     assert len(np.unique(cells.row)) in (10, 11)
     assert stripes.patch_extent(96.0) == pytest.approx((120.0, 192.0))
+
+
+def test_phases_are_unwrapped_around_places_where_they_are_noise():
+    """Line by line, every line through such a place would be off by a turn beyond it."""
+    y, x = np.mgrid[:24, :32] / 16.0
+    smooth = 1.5 * np.sin(x) + y
+    noise = (np.hypot(x - 1.0, y - 0.6) < 0.25) * np.random.default_rng(4).uniform(
+        -0.5, 0.5, x.shape
+    )
+    turns = _unwrapped((smooth + noise) % 1.0)
+    off = turns - smooth
+    assert np.abs(off[noise == 0.0] - np.median(off)).max() < 1e-6

@@ -18,9 +18,9 @@ _BENT = 0.25  # texels: smaller displacements are not resampled
 
 
 def unbent(maps: Floats, lattice: PhasedLattice, bits: int = 0) -> Floats:
-    """(C, H, W) maps resampled so that their lattice is straight, of the same mean waves.
+    """Maps resampled so that their lattice is straight, of the same mean waves.
 
-    The displacement is the least one that removes the phase offsets; borders are repeated.
+    The displacement is the least one that removes the phase offsets. Borders are cropped.
 
     Args:
         maps: (C, H, W).
@@ -33,7 +33,7 @@ def unbent(maps: Floats, lattice: PhasedLattice, bits: int = 0) -> Floats:
     if np.abs(move).max() < _BENT:
         return maps
     height, width = maps.shape[1:]
-    return _read(maps, *sources(move, 1 << (GRID + bits), (width, height)))
+    return _read_inside(maps, *sources(move, 1 << (GRID + bits), (width, height)))
 
 
 def displacement(waves: Sequence[Frequency], turns: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -91,10 +91,7 @@ def sheared(maps: Floats, across: Shift, down: Shift) -> tuple[Floats, int, int]
     x, y = np.meshgrid(np.arange(width) - 0.5 * (width - 1), np.arange(height) - 0.5 * (height - 1))
     from_x = matrix[0, 0] * x + matrix[0, 1] * y + 0.5 * (width - 1)
     from_y = matrix[1, 0] * x + matrix[1, 1] * y + 0.5 * (height - 1)
-    # Borders are cropped, as corners lie outside the exemplar.
-    inside = (from_x >= 0) & (from_x <= width - 1) & (from_y >= 0) & (from_y <= height - 1)
-    rows, columns = _inside(inside)
-    return _read(maps, from_x[rows, columns], from_y[rows, columns]), along, below
+    return _read_inside(maps, from_x, from_y), along, below
 
 
 def _inside(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
@@ -108,8 +105,12 @@ def _inside(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
     return slice(most, height - most), slice(most, width - most)
 
 
-def _read(maps: Floats, x: NDArray[np.floating], y: NDArray[np.floating]) -> Floats:
-    at = np.asarray(x, np.float32), np.asarray(y, np.float32)
+def _read_inside(maps: Floats, x: NDArray[np.floating], y: NDArray[np.floating]) -> Floats:
+    """Maps interpolated at texels (x, y), cropped to where these lie inside."""
+    height, width = maps.shape[1:]
+    inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    rows, columns = _inside(inside)
+    at = np.asarray(x[rows, columns], np.float32), np.asarray(y[rows, columns], np.float32)
     read = [cv2.remap(p, *at, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE) for p in maps]
     planes = np.stack(read).astype(np.float32, copy=False)
     np.clip(planes[:-1], 0.0, 1.0, out=planes[:-1])
