@@ -44,9 +44,9 @@ def test_without_bfloat16_auto_is_fp32_and_bf16_an_error(material, monkeypatch):
 
 
 def test_the_fused_steps_are_the_plain_ones(wavy, monkeypatch):
-    from matcap.space import convolve
+    from matcap.space import layers
 
     source = wavy.generator.source(1)
     fused = source.maps(BLOCK)
-    monkeypatch.setattr(convolve, "_fused", lambda _features: False)
+    monkeypatch.setattr(layers, "_fused", lambda _features: False)
     assert torch.allclose(source.maps(BLOCK), fused, atol=1e-5)
