@@ -65,8 +65,9 @@ def capture(path: str | Path, *others: str | Path, **settings: Any) -> Material:
     Args:
         path: RAW (DNG and others), JPEG, PNG or TIFF.
         others: more photographs of the same surface, from other positions (--together).
-        settings: fields of matcap.capture.settings.CaptureSettings: preset, steps, time_limit
-            (seconds), detail (texels along the long side), fov (degrees), seed, prior.
+        settings: fields of matcap.capture.settings.CaptureSettings: preset, time_limit (seconds),
+            detail (texels along the long side), fov (degrees), seed; with generator="decoder" also
+            steps, target and prior.
 
     Raises:
         MatcapError: the file is not a photograph that a material can be made from, or a setting is

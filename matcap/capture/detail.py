@@ -18,9 +18,7 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.piece.network.inputs import MOST_RESIDUAL
-from matcap.capture.piece.noise import DARKEST
-from matcap.capture.piece.smooth import COARSER
+from matcap.capture.piece.network.inputs import MOST_RESIDUAL, SUBSAMPLING
 from matcap.capture.settings import DETAIL
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import plane_points
@@ -37,6 +35,7 @@ UNION_TIMES = 4  # largest exemplar of several photographs, in texels of the fir
 
 # Detection of coarse textures; docs/notes/capture.md.
 
+_FAINTEST = 1e-4  # linear radiance below which the logarithm is clamped, as it is noise
 _OCTAVES = 6  # number of bands, separated by Gaussian blurs of 1, 2, 4 ... texels
 # Share of variance in the last band (wavelengths of 100 to 200 texels) above which a texture is
 # coarse.
@@ -56,7 +55,7 @@ def coarse_share(linear: Tensor, valid: Tensor) -> float:
     seen = valid.numpy().astype(np.float32)
     if not seen.any():
         return 0.0
-    log = np.log(np.maximum(linear.mean(0).numpy(), DARKEST))
+    log = np.log(np.maximum(linear.mean(0).numpy(), _FAINTEST))
     middle = float(np.median(log[seen > 0.0]))
     finer = (log - middle).clip(-MOST_RESIDUAL, MOST_RESIDUAL)
     variances = []
@@ -160,7 +159,7 @@ def lit_mirror(plane: Plane, uniform: Uniform) -> Plane:
         return plane
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    size = [max(2, -(-side // COARSER)) for side in (height, width)]
+    size = [max(2, -(-side // SUBSAMPLING)) for side in (height, width)]
     thin = F.interpolate(points[None], size=size, mode="bilinear", align_corners=True)[0]
     radiance = uniform_radiance(uniform, FlashLight.of(uniform.setup, thin))[0]
     flat = F.interpolate(radiance[None], size=[height, width], mode="bilinear", align_corners=True)[

@@ -107,9 +107,8 @@ def _write_piece(
 
     exemplar = estimate.exemplar
     about: dict[str, Any] = {"of": "the photographed piece", "error": estimate.error}
-    if (
-        estimate.first_rectangle is exemplar
-    ):  # else the setup's origin, the photograph's centre, is not its
+    # Else the setup's origin, the photograph's centre, is not the exemplar's.
+    if estimate.first_rectangle is exemplar:
         about[SETUP] = asdict(setup)
     info = MapSetInfo(name + PIECE, None, provenance=about)
     write_mapset(map_set_of(exemplar), stage, info, png=settings.png, normal=settings.normal)

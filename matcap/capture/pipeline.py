@@ -151,7 +151,7 @@ def capture_photo(
         progress: callback.
         method: variant of the method; the default one if None.
         others: more photographs of the same sample; the result shows the first, `photo`.
-        clock: of a capture that has begun, with its own callback; None to start one.
+        clock: of a capture that has begun, whose callback takes the place of `progress`; or None.
 
     Raises:
         UsageError: the preset is unknown, or `union` is set for one photograph.

@@ -73,7 +73,7 @@ def _longer(old: dict[str, Any], settings: CaptureSettings, photographs: int) ->
     if before > photographs:
         return [f"one of {before} photographs"]
     spent, effort = old.get("effort", {}), resolve(settings)
-    # Older reports have the preset's detail in `effort` whatever --detail was.
+    # `effort` may hold the preset's detail, so that `settings` comes first.
     detail = old.get("settings", {}).get("detail") or spent.get("detail", 0)
     if detail > effort.detail or spent.get("steps", 0) > effort.steps:
         return [f"a longer one, of preset {spent.get('preset')}"]

@@ -133,7 +133,7 @@ def judged(
         maps = material.maps(*(plane.size[::-1] if turned else plane.size), seed=settings.seed)
         with torch.inference_mode():
             rerendered = picture_of(render_rectified(maps, material.setup))
-        # Pictures are measured as the photograph lies.
+        # Pictures are measured in landscape format.
         landscape = np.ascontiguousarray(quarter_turn(rerendered)) if turned else rerendered
         whole, kept = picture_of(plane.linear), plane.kept.numpy()[..., None]
         compared = np.where(kept, whole, landscape)  # a difference of zero where masked

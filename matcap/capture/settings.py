@@ -49,7 +49,11 @@ _OF_DECODER: Mapping[str, tuple[str, str, str]] = MappingProxyType(
             "only fine-tuning of a decoder compares texture statistics",
             "leave it out",
         ),
-        "drawing": ("--no-drawing", "only a decoder reads a drawing", "leave it out"),
+        "drawing": (
+            "--no-drawing",
+            "only a decoder has a drawing among its inputs",
+            "leave it out",
+        ),
     }
 )
 _STEP = 16  # texels: smallest alignment of a material
@@ -166,7 +170,7 @@ class CaptureSettings(CheckedSettings):
     """With the decoder: trained prior to start from; auto is the one that comes with matcap, none a
     random initialisation."""
     statistics: Statistics = setting(Statistics(), metavar=STATISTICS_WORDS, parse=Statistics.parse)
-    """Features whose statistics measure the texture distance."""
+    """With the decoder: features whose statistics measure the texture distance."""
     generator: Generator = setting("example", words=("decoder", "example"))
     """Generator of the material: the maps of the photographed rectangle, rearranged (example), or
     the paper's network, fine-tuned (decoder)."""
@@ -344,7 +348,9 @@ def resolve(settings: CaptureSettings) -> Effort:
         for name, (option, what, otherwise) in _OF_DECODER.items():
             if getattr(settings, name) != getattr(default, name):
                 raise UsageError.at(
-                    option, what, f"give --generator decoder with it, or {otherwise}"
+                    option,
+                    what,
+                    f'give --generator decoder (generator = "decoder") with it, or {otherwise}',
                 )
     if settings.union and settings.generator == "decoder":
         raise UsageError.at(

@@ -2,16 +2,16 @@
 
 Patches of both that look alike are laid on each other, so that their mean has edges where both
 have them, as in patch-based texture interpolation [ruiters2010]. What is compared is an exemplar's
-*drawing*
+*pattern*
 
     d = log(Y) + F^-1(2 pi |f| F(h)),
 
 with Y the luminance of diffuse albedo and F0 and h the height in texels: radiance under oblique
 light varies by about as much as by the slope, so that a crease compares with a dark grain. Octaves
-of both drawings are scaled to the geometric mean of their deviations, and values mapped by rank to
+of both patterns are scaled to the geometric mean of their deviations, and values mapped by rank to
 a normal distribution.
 
-At the share t, with D_i the drawings, places p_i alternate, coarse to fine, between
+At the share t, with D_i the patterns, places p_i alternate, coarse to fine, between
 
     Y = (1 - t) D_1 o p_1 + t D_2 o p_2 + h ((1 - t) D_1 + t D_2),
     p_i(x) = argmin_p |N(D_i, p) - N(Y, x)|^2,
@@ -49,7 +49,7 @@ _COHERENT = 1.5  # factor on the cost of random candidates, which break patches 
 _RADIUS = 2  # of a neighbourhood
 _FALL_OFF = 1.6  # standard deviation of its weights, texels
 _DIMENSIONS = 12  # principal components of neighbourhoods
-_SAMPLES = 8000  # neighbourhoods of each drawing that these are computed from
+_SAMPLES = 8000  # neighbourhoods of each pattern that these are computed from
 _DARKEST = 0.02  # added to luminance before the logarithm
 _UNSEEN = 0.01  # added to an octave's deviation, so that what is invisible is not amplified
 _QUANTILES = 1024
@@ -73,9 +73,9 @@ def overlay(first: Exemplar, second: Exemplar, share: float, size: tuple[int, in
         share: of the second, between 0 and 1.
         size: (width, height) of the grid.
     """
-    drawings = drawings_of(first, second)
+    patterns = patterns_of(first, second)
     count = max(1, round(math.log2(max(size) / _COARSEST)) + 1)
-    pyramids = [[drawing] for drawing in drawings]
+    pyramids = [[pattern] for pattern in patterns]
     for pyramid in pyramids:
         while len(pyramid) < count and min(pyramid[-1].shape) > 4 * _RADIUS:
             rows, columns = (side // 2 for side in pyramid[-1].shape)
@@ -91,16 +91,16 @@ def overlay(first: Exemplar, second: Exemplar, share: float, size: tuple[int, in
     return Overlay(*laid)
 
 
-def drawings_of(first: Exemplar, second: Exemplar) -> tuple[Floats, Floats]:
-    """The drawings of both, of equal spectrum and distribution; see the module's equations."""
-    pairs = [octaves(drawing_of(exemplar)) for exemplar in (first, second)]
+def patterns_of(first: Exemplar, second: Exemplar) -> tuple[Floats, Floats]:
+    """The patterns of both, of equal spectrum and distribution; see the module's equations."""
+    pairs = [octaves(pattern_of(exemplar)) for exemplar in (first, second)]
     deviations = [[float(octave.std()) + _UNSEEN for octave in pair] for pair in pairs]
     wanted = [math.sqrt(one * other) for one, other in zip(*deviations, strict=True)]
-    drawings: list[Floats] = []
+    patterns: list[Floats] = []
     for pair, own in zip(pairs, deviations, strict=True):
         gains = np.array(wanted, np.float32) / np.array(own, np.float32)
-        drawings.append(_normal(np.einsum("o,ohw->hw", gains, np.stack(pair))))
-    return drawings[0], drawings[1]
+        patterns.append(_normal(np.einsum("o,ohw->hw", gains, np.stack(pair))))
+    return patterns[0], patterns[1]
 
 
 def octaves(plane: Floats) -> list[Floats]:
@@ -125,8 +125,8 @@ def _mirrored(length: int, count: int) -> NDArray[np.int64]:
     return np.minimum(turn, 2 * length - 1 - turn)
 
 
-def drawing_of(exemplar: Exemplar) -> Floats:
-    """(H, W) drawing of an exemplar; see the module's equation."""
+def pattern_of(exemplar: Exemplar) -> Floats:
+    """(H, W) pattern of an exemplar; see the module's equation."""
     colour = exemplar.diffuse + exemplar.specular if exemplar.coloured else exemplar.diffuse
     luminance = np.tensordot(np.array(LUMINANCE, np.float32), colour, 1)
     height = exemplar.height[0] / np.float32(exemplar.texel_size)
@@ -154,7 +154,7 @@ def by_rank(values: Floats, shares: NDArray[np.float64], quantiles: NDArray[np.f
 
 
 class _OverlayLevel:
-    """One level of the pyramids: drawings, and the places of both on the level's grid."""
+    """One level of the pyramids: patterns, and the places of both on the level's grid."""
 
     def __init__(
         self,
@@ -166,31 +166,31 @@ class _OverlayLevel:
         random: np.random.Generator,
     ) -> None:
         """Prepare a level; `depth` counts from the coarsest, `shape` is the grid's."""
-        self.drawings, self.share, self.shape, self.random = (first, second), share, shape, random
+        self.patterns, self.share, self.shape, self.random = (first, second), share, shape, random
         self.initial = _INITIAL[min(depth, len(_INITIAL) - 1)]
         self.alternations = _ALTERNATIONS[min(depth, len(_ALTERNATIONS) - 1)]
         if max(shape) > _LARGEST:
             self.alternations = 0
             return
         self.basis = _principal(first, second)
-        self.known = [_neighbourhoods(drawing, self.basis) for drawing in self.drawings]
-        one, other = (drawing[np.ix_(*self._axes(drawing))] for drawing in self.drawings)
+        self.known = [_neighbourhoods(pattern, self.basis) for pattern in self.patterns]
+        one, other = (pattern[np.ix_(*self._axes(pattern))] for pattern in self.patterns)
         self.mixed = lerp(one, other, share)
 
     def refined(self, coarse: tuple[Coordinates, ...], *, fine: bool) -> tuple[Coordinates, ...]:
         """Places of this level, from the coarser level's or none."""
         if coarse:
             laid = [
-                _doubled(places, self.shape, drawing)
-                for places, drawing in zip(coarse, self.drawings, strict=True)
+                _doubled(places, self.shape, pattern)
+                for places, pattern in zip(coarse, self.patterns, strict=True)
             ]
         else:
             laid = [self._begun(side) for side in (0, 1)]
         for number in range(self.alternations):
             for side in (1, 0):
                 first, second = (
-                    drawing[places[..., 1], places[..., 0]]
-                    for drawing, places in zip(self.drawings, laid, strict=True)
+                    pattern[places[..., 1], places[..., 0]]
+                    for pattern, places in zip(self.patterns, laid, strict=True)
                 )
                 laid[side] = self._search(
                     side,
@@ -201,24 +201,24 @@ class _OverlayLevel:
                 )
         return tuple(laid)
 
-    def _axes(self, drawing: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _axes(self, pattern: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         rows, columns = self.shape
-        return _mirrored(drawing.shape[0], rows), _mirrored(drawing.shape[1], columns)
+        return _mirrored(pattern.shape[0], rows), _mirrored(pattern.shape[1], columns)
 
     def _begun(self, side: int) -> Coordinates:
-        """Places by which a drawing follows the mean of both, from the undisturbed ones."""
-        down, across = self._axes(self.drawings[side])
+        """Places by which a pattern follows the mean of both, from the undisturbed ones."""
+        down, across = self._axes(self.patterns[side])
         places = np.stack(np.meshgrid(across, down), axis=-1)
         return self._search(side, self.mixed, places, rounds=_FIRST_ROUNDS, widely=True)
 
     def _search(
         self, side: int, target: Floats, places: Coordinates, *, rounds: int, widely: bool
     ) -> Coordinates:
-        """Better places of a drawing for a target, by neighbours' and by random candidates."""
-        drawing, known = self.drawings[side], self.known[side]
-        scaled = (target - target.mean()) * (drawing.std() / (target.std() + 1e-6))
-        wanted = _neighbourhoods(scaled + drawing.mean(), self.basis)
-        most = np.array(drawing.shape[::-1]) - 1
+        """Better places of a pattern for a target, by neighbours' and by random candidates."""
+        pattern, known = self.patterns[side], self.known[side]
+        scaled = (target - target.mean()) * (pattern.std() / (target.std() + 1e-6))
+        wanted = _neighbourhoods(scaled + pattern.mean(), self.basis)
+        most = np.array(pattern.shape[::-1]) - 1
         flat = known.reshape(-1, _DIMENSIONS)
 
         def cost(candidates: Coordinates) -> Floats:
@@ -238,7 +238,7 @@ class _OverlayLevel:
         for _ in range(rounds):
             for offset in ((1, 0), (0, 1), (-1, 0), (0, -1)):
                 attempt(np.roll(places, offset[::-1], (0, 1)) + np.array(offset), 1.0)
-            reach = max(drawing.shape) if widely else 0
+            reach = max(pattern.shape) if widely else 0
             while reach:
                 jumps = self.random.integers(-reach, reach + 1, places.shape)
                 attempt((places + jumps).clip(0, most), _COHERENT)
@@ -246,7 +246,7 @@ class _OverlayLevel:
         return places
 
 
-def _doubled(coarse: Coordinates, shape: tuple[int, int], drawing: Floats) -> Coordinates:
+def _doubled(coarse: Coordinates, shape: tuple[int, int], pattern: Floats) -> Coordinates:
     """Places of a grid twice as fine: each coarse one gives four."""
     rows, columns = shape
     down, across = (
@@ -254,14 +254,14 @@ def _doubled(coarse: Coordinates, shape: tuple[int, int], drawing: Floats) -> Co
         for count, of in zip(shape, coarse.shape[:2], strict=True)
     )
     odd = np.stack(np.meshgrid(np.arange(columns) & 1, np.arange(rows) & 1), axis=-1)
-    most = np.array(drawing.shape[::-1]) - 1
+    most = np.array(pattern.shape[::-1]) - 1
     return (2 * coarse[np.ix_(down, across)] + odd).clip(0, most)
 
 
 def _principal(first: Floats, second: Floats) -> Floats:
-    """(_DIMENSIONS, taps) principal components of both drawings' neighbourhoods."""
+    """(_DIMENSIONS, taps) principal components of both patterns' neighbourhoods."""
     samples = np.concatenate(
-        [_taps(drawing)[:, :: max(1, drawing.size // _SAMPLES)] for drawing in (first, second)],
+        [_taps(pattern)[:, :: max(1, pattern.size // _SAMPLES)] for pattern in (first, second)],
         axis=1,
     )
     samples = samples - samples.mean(axis=1, keepdims=True)
@@ -269,16 +269,16 @@ def _principal(first: Floats, second: Floats) -> Floats:
     return np.ascontiguousarray(components[:, : -_DIMENSIONS - 1 : -1].T, np.float32)
 
 
-def _neighbourhoods(drawing: Floats, basis: Floats) -> Floats:
-    """(H, W, _DIMENSIONS) neighbourhoods of a drawing, mirrored at its borders."""
-    projected = np.ascontiguousarray((basis @ _taps(drawing)).T)
-    return projected.reshape(*drawing.shape, _DIMENSIONS)
+def _neighbourhoods(pattern: Floats, basis: Floats) -> Floats:
+    """(H, W, _DIMENSIONS) neighbourhoods of a pattern, mirrored at its borders."""
+    projected = np.ascontiguousarray((basis @ _taps(pattern)).T)
+    return projected.reshape(*pattern.shape, _DIMENSIONS)
 
 
-def _taps(drawing: Floats) -> Floats:
+def _taps(pattern: Floats) -> Floats:
     """(taps, H * W) weighted texels of all neighbourhoods."""
-    rows, columns = drawing.shape
-    around = np.pad(drawing, _RADIUS, mode="symmetric")
+    rows, columns = pattern.shape
+    around = np.pad(pattern, _RADIUS, mode="symmetric")
     side = range(2 * _RADIUS + 1)
     return np.stack([
         around[y : y + rows, x : x + columns].ravel()

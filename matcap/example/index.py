@@ -48,9 +48,9 @@ _FINENESS = 16  # least number of places along the shorter side of a lattice's p
 # Standard deviations of a band of brightness from which places stand out, and the bands' octaves
 # of squares of 4 x 4 texels.
 _OUTSTANDING, _OCTAVES = 4.0, (1, 2, 3, 4)
-# Most such regions of a band: more belong to the material (specks of a glaze 15, rivets 25; stains
-# 1 to 7).
-_FEW = 8
+# Most such regions of a band, and their largest share: others belong to the material (specks of a
+# glaze are 15, rivets 25, stains 1 to 7, the dark edge of a tile 8 %).
+_FEW, _SMALL = 8, 0.1
 _INVISIBLE = 5e-4  # added to the standard deviation, square root of albedo
 _MAD = 1.4826  # standard deviation of a Gaussian over its median absolute deviation
 _LEAST_TRUST = 0.02  # added to a map's confidence before the logarithm
@@ -201,9 +201,10 @@ def _similar(width: int, height: int, level: int, appearance: Appearance) -> Can
 def _outstanding(brightness: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Places of stains: few regions much brighter or darker than the rest, at any scale.
 
-    Band b_k = G(2^k) * B - G(2^(k + 1)) * B of the square root of albedo B, averaged over squares;
-    places where |b_k - median| > _OUTSTANDING standard deviations, measured robustly, if they are
-    at most _FEW connected regions. (rows, columns) on the grid of placement costs.
+    Band b_k = G(2^k) * B - G(2^(k + 1)) * B of the square root B of albedo (plus F0 where it has a
+    colour), averaged over squares; places where |b_k - median| > _OUTSTANDING standard deviations,
+    measured robustly, if they are at most _FEW connected regions and a share of _SMALL. (rows,
+    columns) on the grid of placement costs.
     """
     import cv2  # takes a tenth of a second, which synthesis is spared
 
@@ -215,7 +216,7 @@ def _outstanding(brightness: NDArray[np.float32]) -> NDArray[np.bool_]:
         distance = np.abs(band - np.median(band))
         far = distance > _OUTSTANDING * (_MAD * np.median(distance) + _INVISIBLE)
         regions = cv2.connectedComponents(far.astype(np.uint8))[0] - 1
-        if regions <= _FEW:
+        if regions <= _FEW and far.mean() <= _SMALL:
             stains |= far
     return stains
 

@@ -100,7 +100,8 @@ class PhasedLattice:
         (ax, ay), (bx, by) = waves
         area = ax * by - ay * bx
         one, other = (_together(wave, cells) for wave in waves)
-        # A wave that the exemplar lacks has no phase to be moved into.
+        # A wave that the exemplar lacks has no phase to be moved into; the smallest patches keep
+        # that margin all the same.
         counts = one + 1, other + (len(self.waves) > 1 or cells <= LEAST_PATCH)
         return (
             (abs(by) * counts[0] + abs(ay) * counts[1]) / abs(area),
@@ -245,8 +246,8 @@ def _together(wave: Frequency, cells: float) -> int:
 def _two(lattice: PhasedLattice, cells: float) -> tuple[Frequency, Frequency]:
     """The lattice's waves; with only one, a perpendicular one whose period is a patch's length.
 
-    Stripes are cut across half as often as between each other: where two parts of a fabric meet,
-    single stripes are off by up to a fifth of a period. The smallest patches are square.
+    Patches of stripes are twice as long as wide: where two parts of a fabric meet, single stripes
+    are off by up to a fifth of a period, so ends should be rare. The smallest patches are square.
     """
     if len(lattice.waves) == 2:
         return lattice.waves[0], lattice.waves[1]

@@ -27,8 +27,8 @@ FAINTEST_HIGHLIGHT = 1.3  # least peak over the quantile _USUAL of the surroundi
 _USUAL = 0.9
 _TOP = 0.3  # share of the peak's height, from the top, whose centroid is the centre
 _ROUNDS = 8  # iterations of the centre
-# Standard deviation of the first of the blurs, each twice the last, that are tried until the spot
-# is the only bright one; and their number.
+# The picture is tried as it is, then with this many blurs until the spot is the only bright one:
+# the first of standard deviation _TEXTURE, plane units, each twice the last.
 _TEXTURE, _BLURS = 0.015, 4
 # Pairs (a, b): a spot is texture if the area elsewhere that is brighter than its surroundings plus
 # a times its height is at least b times its own. Of a flake of bare metal in the wide highlight of

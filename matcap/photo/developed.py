@@ -31,7 +31,7 @@ class Coded:
     strip, from the top."""
     width: int
     height: int
-    """Number of rows."""
+    """Pixels of a row, and number of rows."""
     dtype: np.dtype[Any]
     """Type of the code values."""
     color: StatedColor = StatedColor()

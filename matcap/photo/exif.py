@@ -54,7 +54,7 @@ class Exif:
     """Metadata that matcap uses."""
 
     orientation: int = 1
-    """1 to 8; 1 is upright."""
+    """EXIF orientation, 1 to 8; 1 is upright."""
     film_focal_length: float | None = None
     """FocalLengthIn35mmFilm, mm, or None."""
     focal_plane: FocalPlane | None = None
@@ -62,7 +62,7 @@ class Exif:
     measured: bool = False
     """Whether focal_plane is a camera matrix, which has precedence."""
     flash_fired: bool | None = None
-    """None if unknown."""
+    """Whether the flash fired; None if unknown."""
     exposure: float | None = None
     """Exposure time times sensitivity over the squared f-number, or None; proportional to stored
     values for the same radiance."""

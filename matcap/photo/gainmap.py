@@ -35,7 +35,7 @@ class GainMap:
     """Applies to every pitch-th row and column of the area."""
     spacing: tuple[float, float]
     origin: tuple[float, float]
-    """Origin of the grid (vertical, horizontal), in units of the active area's sides."""
+    """Spacing and origin of the grid (vertical, horizontal), in sides of the active area."""
     gains: NDArray[np.float32]
     """(V, H, P) float32; planes beyond P use the last."""
 

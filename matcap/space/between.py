@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
-from matcap.example.correspondence import drawing_of
+from matcap.example.correspondence import pattern_of
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.interpolate import interpolated
@@ -95,9 +95,9 @@ def _exemplar_of(material: Material) -> Exemplar:
 
 
 def _indexed(exemplar: Exemplar) -> Example:
-    """Index an exemplar, with the lattice of its drawing."""
-    drawing = torch.from_numpy(drawing_of(exemplar))
-    waves = find_lattice(drawing[None], torch.ones(drawing.shape, dtype=torch.bool)).waves
+    """Index an exemplar, with the lattice of its pattern."""
+    pattern = torch.from_numpy(pattern_of(exemplar))
+    waves = find_lattice(pattern[None], torch.ones(pattern.shape, dtype=torch.bool)).waves
     return with_chosen_variety(Example.of(exemplar, waves))
 
 

@@ -8,9 +8,6 @@ into maps. Channels are standardised by the exemplar:
 with Y the luminance of diffuse albedo (where F0 has a colour, of their sum) and h the height in
 texels. Level k has means of 2^k x 2^k texels. Statistics alone close no cell of leather, however
 well they are matched (docs/notes/prior.md).
-
-The drawing of example/correspondence.py is another one: a single channel, by which two exemplars
-are registered.
 """
 
 from __future__ import annotations

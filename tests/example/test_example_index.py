@@ -154,7 +154,7 @@ def test_waves_by_which_an_exemplar_does_not_repeat_are_no_lattice():
         assert (measure_lattice(planes, (wave,)) is not None) == repeats
 
 
-def test_stripes_are_cut_across_half_as_often_as_between_them():
+def test_patches_of_stripes_are_twice_as_long_as_wide():
     stripes = PhasedLattice(((1.0 / 20.0, 0.0),), np.zeros((1, 40, 40), np.int32))
     along = np.arange(0, 1920)
     cells = cells_of(stripes, 3, along, along, (None, None), 96.0)

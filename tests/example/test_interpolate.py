@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from exemplars import blobs, bricks, coloured
 
-from matcap.example.correspondence import drawing_of, drawings_of, octaves, overlay
+from matcap.example.correspondence import octaves, overlay, pattern_of, patterns_of
 from matcap.example.exemplar import CHANNELS, DIFFUSE, HEIGHT, ROUGHNESS
 from matcap.example.interpolate import interpolated
 
@@ -69,7 +69,7 @@ def test_values_have_the_interpolated_distribution():
 
 
 def test_patterns_lie_on_each_other():
-    drawings = drawings_of(blobs(), dark_bricks())
+    drawings = patterns_of(blobs(), dark_bricks())
     rows, columns = blobs().height.shape[1:]
     by_chance = np.corrcoef(drawings[0].ravel(), drawings[1][:rows, :columns].ravel())[0, 1]
     laid = overlay(blobs(), dark_bricks(), 0.5, (columns, rows))
@@ -99,7 +99,7 @@ def test_a_crease_compares_with_a_dark_line():
     painted = replace(plain, diffuse=maps["diffuse"] * (1.0 - 0.5 * line))
     creased = replace(plain, height=maps["height"] - 3.0 * plain.texel_size * line)
     for exemplar in (painted, creased):
-        assert set(np.argmin(drawing_of(exemplar), axis=1)) == {32}
+        assert set(np.argmin(pattern_of(exemplar), axis=1)) == {32}
 
 
 def test_texel_size_is_interpolated_as_a_logarithm_and_size_is_the_nearer_ones():

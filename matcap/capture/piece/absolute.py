@@ -56,9 +56,8 @@ _MOST_OF = 0.999  # quantile that defines the brightest texels
 _MOST_OF_METAL = 0.9  # the same of F0 with metal, as F0 of glints is overestimated
 _METAL_COLOUR = 0.12  # standard deviation of the log colour of metal around a pure metal's
 _CLEAN = 0.1  # standard deviation of the log F0 of metal around the pure metal's of its colour
-_UNKNOWN = (
-    0.3  # weight of a metal of unknown colour; a pure metal of exactly the colour has weight 1
-)
+# Weight of a metal of unknown colour; a pure metal of exactly the colour has weight 1.
+_UNKNOWN = 0.3
 LEAST_PART = 0.03  # least share of the exemplar for a part, a class, to count
 
 
@@ -116,8 +115,8 @@ def _metal_kind(exemplar: Exemplar, share: NDArray[np.float32]) -> MaterialKind:
         likely = math.exp(-0.5 * float(np.square(difference / _METAL_COLOUR).sum()))
         candidates.append((math.log(sum(f0) / 3.0), _CLEAN, likely))
     total = sum(weight for _, _, weight in candidates)
-    mean = sum(level * weight for level, _, weight in candidates) / total
-    variance = sum(w * (d**2 + (level - mean) ** 2) for level, d, w in candidates) / total
+    mean = sum(log_f0 * weight for log_f0, _, weight in candidates) / total
+    variance = sum(w * (d**2 + (log_f0 - mean) ** 2) for log_f0, d, w in candidates) / total
     return MaterialKind(METAL.albedo, (mean, math.sqrt(variance)))
 
 

@@ -29,7 +29,6 @@ from torch import Tensor
 from matcap.brdf.parameters import ALBEDO, F0, REFLECTANCE, SurfaceParameters
 from matcap.capture.piece.absolute import DIELECTRIC, LEAST_PART, METAL, how_metallic
 from matcap.capture.piece.mean_parameters import (
-    ROUGHNESS_DEVIATION,
     MeanParameterPrior,
     RingTarget,
     fit_mean_parameters,
@@ -46,8 +45,8 @@ BY_HEIGHT = 2.5
 _BY_NETWORK = 2.0
 _TEXELS = 128  # short side of the grid of the fit
 _ROUNDS = 3  # iterations of fitting mean parameters and classifying texels
-# Prior standard deviations of log albedo and log F0.
-_ALBEDO_DEVIATION, _F0_DEVIATION = 1.5, 2.0
+# Prior standard deviations of the mean parameters (log, log, logit).
+_ALBEDO_DEVIATION, _F0_DEVIATION, _ROUGHNESS_DEVIATION = 1.5, 2.0, 0.35
 # Scale of a texel's residual chroma of log radiance; of the channels' mean, with relief, it is 1.
 _CHROMA_SCALE = 0.2
 # Standard deviation of the blur of log odds, in the picture's long side. Larger values round
@@ -182,9 +181,9 @@ def find_mixture(residuals: SurfaceParameters, logit: Tensor, target: RingTarget
     predicted = _pair(torch.sigmoid(drawn)).class_means(residuals)
     predicted[0, ALBEDO] = math.log(_METAL_ALBEDO) - target.surface.vector()[ALBEDO]
     theta = predicted
-    deviation = torch.tensor([*[_ALBEDO_DEVIATION] * 3, _F0_DEVIATION, ROUGHNESS_DEVIATION]).repeat(
-        2, 1
-    )
+    deviation = torch.tensor(
+        [*[_ALBEDO_DEVIATION] * 3, _F0_DEVIATION, _ROUGHNESS_DEVIATION]
+    ).repeat(2, 1)
     deviation[0, ALBEDO] = _METAL_ALBEDO_DEVIATION
     prior = MeanParameterPrior(
         predicted,

@@ -40,9 +40,8 @@ _WELL_SEEN = 0.75  # quantile of confidence that defines well seen
 _MOST_HIDDEN = 0.2  # largest share of the picture to inpaint, more than any flash hides
 _WHOLE_DONOR = 0.95  # least confident share of a donor block
 _WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
-_PHOTOGRAPH_WEIGHT = (
-    0.7  # weight of the mismatch with the photograph against the overlap's mismatch
-)
+# Weight of the mismatch with the photograph against the overlap's mismatch.
+_PHOTOGRAPH_WEIGHT = 0.7
 # A place keeps its maps if its energy of log radiance is above _MOST_ENERGY times the candidates'
 # median and a share above _VISIBLE_SHARE is visible: a scratch, or bare metal that only the
 # highlight shows.
@@ -122,7 +121,8 @@ def transport(
         light: the photograph's, at every texel.
 
     Returns:
-        The same object if nothing is hidden, or no block qualifies as a donor.
+        The same object if no block is hidden by more than _WANTED_SHARE, or none qualifies as a
+        donor.
     """
     confidence, known = exemplar.confidence[0], kept.numpy()
     relative = confidence / max(float(np.quantile(confidence[known], _WELL_SEEN)), 1e-6)
@@ -464,7 +464,7 @@ def _conjugate_gradients(
     image, some = np.empty_like(residual), np.empty_like(residual)
     energy = start = float(np.vdot(residual, residual))
     for _ in range(len(residual)):  # in exact arithmetic that many suffice
-        if energy <= _TOLERANCE**2 * start:
+        if not energy > _TOLERANCE**2 * start:  # or NaN
             break
         np.multiply(direction, diagonal, out=image)
         for each in neighbours:

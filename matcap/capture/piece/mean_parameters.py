@@ -44,7 +44,7 @@ class MeanParameterPrior:
 
     mean: Tensor
     deviation: Tensor
-    """(K, 5)."""
+    """(K, 5) mean and standard deviation."""
     contrast: tuple[float, float] = (0.0, math.inf)
     """Mean and standard deviation of log F0 of the first class less that of the last."""
 
@@ -100,8 +100,8 @@ class RingTarget:
         """
         one = torch.ones_like(self.distance)[None]
         parts = []
-        for level, tint in zip(theta, self.tints, strict=True):
-            surface = self.surface + SurfaceParameters.from_vector(level)
+        for of_class, tint in zip(theta, self.tints, strict=True):
+            surface = self.surface + SurfaceParameters.from_vector(of_class)
             roughness = torch.sigmoid(surface.roughness + duller)
             parts.append(
                 (

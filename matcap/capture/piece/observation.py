@@ -48,7 +48,7 @@ class PhotographLight:
     """(..., 1, 1) each: log parameters of the uniform material, which `residuals` are added to."""
     tint: Tensor | float = 1.0
     """(3, H, W) specular tint, F0 over the mean of its channels (classes.py); 1 without metal.
-    Departures of F0 are those of its mean."""
+    Residuals of F0 are those of its mean."""
 
     @staticmethod
     def of(coarse: Uniform, points: Tensor) -> PhotographLight:

@@ -438,7 +438,8 @@ def _denoised_energies(
 ) -> NDArray[np.float64]:
     """_energies of log radiance (H, W), less those of white noise of this variance (H, W)."""
     energy = _energies(log, region, around)
-    # Of white noise, three quarters of the energy are in the finest octave. The last is the rest.
+    # Of white noise, three quarters of the energy are in the finest octave. The last band,
+    # the low-pass remainder, has none.
     for octave in range(len(energy) - 1):
         energy[len(energy) - 2 - octave] -= variance[region].mean() * 0.75 * 0.25**octave
     return energy.clip(0.0)

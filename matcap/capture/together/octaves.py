@@ -42,7 +42,7 @@ class _Octave:
     """(H, W) nu."""
     gain: np.float32
     error: np.float32
-    """G and T."""
+    """Symbols g and T of the module."""
 
     def posterior(self, gain: np.float32) -> Floats:
         """(H, W) gain m + sqrt(T / (T + nu)) (y - g m)."""

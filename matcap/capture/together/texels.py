@@ -39,7 +39,8 @@ _ALBEDO = 0.25
 _GLOSS = 0.07
 # Limits of the solve: slopes, and an interior margin of the limits of reflectance, as a diffuse
 # albedo or F0 near 1 and a narrower lobe are no texel's.
-_LARGEST, _ROUGHNESS, _STEEPEST = 0.98, (0.03, 0.98), 3.0
+_ALBEDO_LIMITS, _F0_LIMITS = (ALBEDO_LIMITS[0], 0.98), (F0_LIMITS[0], 0.98)
+_ROUGHNESS_LIMITS, _STEEPEST = (0.03, 0.98), 3.0
 # Levenberg-Marquardt: share of a parameter's precision added to the diagonal. Less overshoots;
 # more leaves the trade-off of albedo and slope at its initial value.
 _DAMPING = 0.005
@@ -128,19 +129,22 @@ class ParameterPrior:
 
 def parameters_of(maps: MapSet) -> Tensor:
     """(PARAMETERS, H, W) parameters of maps; F0 is averaged over its channels."""
-    slopes = slopes_of(maps.height, maps.texel_size)
-    log_f0 = maps.specular.mean(-3, keepdim=True).log()
-    logs = [maps.diffuse.log(), log_f0, maps.roughness.logit(), slopes]
-    return limited(torch.cat(logs).float())
+    # Maps that were resampled by cubics may exceed any limit, where a logarithm is NaN.
+    logs = [
+        maps.diffuse.clamp(*_ALBEDO_LIMITS).log(),
+        maps.specular.mean(-3, keepdim=True).clamp(*_F0_LIMITS).log(),
+        maps.roughness.clamp(*_ROUGHNESS_LIMITS).logit(),
+        slopes_of(maps.height, maps.texel_size),
+    ]
+    return torch.cat(logs).float()
 
 
 def limited(parameters: Tensor) -> Tensor:
     """Parameters (PARAMETERS, H, W) within the limits of the solve."""
-    least = [ALBEDO_LIMITS[0]] * 3 + [F0_LIMITS[0]]
-    low, high = torch.tensor([least, [_LARGEST] * 4]).log()
-    rough = torch.tensor(_ROUGHNESS).logit()
-    steep = torch.tensor([_STEEPEST, _STEEPEST])
-    low, high = torch.cat([low, rough[:1], -steep]), torch.cat([high, rough[1:], steep])
+    albedo, f0 = torch.tensor([_ALBEDO_LIMITS, _F0_LIMITS]).log()
+    roughness = torch.tensor(_ROUGHNESS_LIMITS).logit()
+    steep = torch.tensor([-_STEEPEST, _STEEPEST])
+    low, high = torch.stack([albedo, albedo, albedo, f0, roughness, steep, steep], dim=1)
     return parameters.clamp(low[:, None, None], high[:, None, None])
 
 

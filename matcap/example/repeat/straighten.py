@@ -20,7 +20,8 @@ _BENT = 0.25  # texels: smaller displacements are not resampled
 def unbent(maps: Floats, lattice: PhasedLattice, bits: int = 0) -> Floats:
     """Maps resampled so that their lattice is straight, of the same mean waves.
 
-    The displacement is the least one that removes the phase offsets. Borders are cropped.
+    The displacement is the least one that removes the phase offsets. Borders are cropped, so that
+    the result is smaller.
 
     Args:
         maps: (C, H, W).
@@ -95,7 +96,7 @@ def sheared(maps: Floats, across: Shift, down: Shift) -> tuple[Floats, int, int]
 
 
 def _inside(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """Slices of the largest centred rectangle whose border is all inside."""
+    """Slices of the largest centred rectangle whose border is all inside, or of the middle."""
     height, width = inside.shape
     most = min(height, width) // 4
     for cut in range(most):
@@ -106,7 +107,10 @@ def _inside(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
 
 
 def _read_inside(maps: Floats, x: NDArray[np.floating], y: NDArray[np.floating]) -> Floats:
-    """Maps interpolated at texels (x, y), cropped to where these lie inside."""
+    """Maps interpolated at texels (x, y), cropped to where these lie inside.
+
+    At most a quarter of the shorter side is cropped at each border; beyond, borders are repeated.
+    """
     height, width = maps.shape[1:]
     inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
     rows, columns = _inside(inside)

@@ -71,8 +71,9 @@ class Unfolded:
     code: Tensor
     moments: tuple[Moments, ...]
     waves: tuple[Wave, ...]
+    """As of a Material."""
     texel_size: float
-    """Texel size of a Material, plane units."""
+    """A texel's side, plane units."""
 
     def maps(self, width: int, height: int, *, seed: int = 0, x: int = 0, y: int = 0) -> MapSet:
         """Maps of a rectangle; all four numbers are multiples of ALIGNMENT."""

@@ -21,11 +21,11 @@ class TrainConfig:
     """Settings of training a prior; a TOML file has the same names (cli/prior.py)."""
 
     steps: int = 6000
-    """When training ends; the learning rate falls to nothing over the last quarter."""
+    """Number of steps; the learning rate falls to nothing over the last quarter."""
     materials: int = 4
     """Photographs of different materials in a step."""
     places: int = 2
-    """Windows of each."""
+    """Windows of each photograph."""
     window: int = 160
     """Texels a side, MARGIN short of a multiple of 16 on either side."""
     real_share: float = 0.65
@@ -34,13 +34,13 @@ class TrainConfig:
     """Share of photographs used at half the resolution."""
     rate: float = 2e-3
     encoder_rate: float = 5e-4
-    """AdamW's, of decoder and encoder."""
+    """Learning rates of AdamW, of decoder and encoder."""
     weight_decay: float = 1e-5
-    """AdamW's."""
+    """Weight decay of AdamW."""
     kl: float = 0.03
     """Weight of the KL term, per dimension of the code."""
     kl_warmup: int = 1000
-    """Steps until it counts in full."""
+    """Steps until the KL term counts in full."""
     slope: float = 0.02
     """Weight of the mean squared slope, and of slopes too steep or too fine (step.py)."""
     relit: float = 0.0
@@ -50,12 +50,12 @@ class TrainConfig:
     seed: int = 1
     """Seed of all random numbers."""
     checkpoint_minutes: float = 4.0
-    """Between checkpoints."""
+    """Minutes between checkpoints."""
     report_every: int = 250
     """Steps between reports on the held-out materials."""
     encoder: EncoderConfig = EncoderConfig()
     decoder: DecoderConfig = DecoderConfig()
-    """Their shapes."""
+    """Shapes of encoder and decoder."""
 
 
 def start_head(decoder: Decoder) -> None:

@@ -68,9 +68,9 @@ class PreparedPhotograph:
     picture: Tensor
     """(5, h, w) what the encoder sees."""
     encoding: Encoding
-    """The photograph's."""
+    """Encoding of the photograph."""
     entry: Entry
-    """What the pack says."""
+    """Its entry in the pack."""
     truth: MapSet | None = None
     """Maps of the same material where it was simulated, or None."""
 

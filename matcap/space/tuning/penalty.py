@@ -30,7 +30,7 @@ class Penalties:
     steep: float = 0.3
     """Weight of the squared excess of slopes over `steepest`."""
     outlying: float = 4.0
-    """Standard deviations of a map."""
+    """Standard deviations of a map beyond which a texel is an outlier."""
     outliers_from: float = 0.5
     """Share of the steps before outliers are penalised, as real features (metal between rust) also
     begin as specks."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from matcap.brdf.maps import MapSet
 from matcap.capture.together.ambient_light import AmbientLight
 from matcap.capture.together.shared import texels_solved
 from matcap.capture.together.texels import (
@@ -12,6 +13,7 @@ from matcap.capture.together.texels import (
     derivatives,
     jacobian,
     log_rendered,
+    parameters_of,
     solved_in_place,
 )
 from matcap.flash.light import FlashLight
@@ -78,3 +80,10 @@ def test_derivatives_are_those_of_the_rendered_radiance(light) -> None:
         step[number] = 1e-5
         ahead, behind = (log_rendered(texels + s, [light])[0] for s in (step, -step))
         torch.testing.assert_close(found, ((ahead - behind) / 2e-5).flatten(1), atol=1e-6, rtol=0)
+
+
+def test_maps_beyond_their_limits_have_finite_parameters() -> None:
+    """Cubic interpolation overshoots at a step, as of bare metal beside rust."""
+    plane = torch.tensor([[[-0.03, 0.2, 1.04]]])
+    maps = MapSet(plane.expand(3, 1, 3), plane, plane, torch.zeros(1, 1, 3), texel_size=0.01)
+    assert bool(torch.isfinite(parameters_of(maps)).all())
