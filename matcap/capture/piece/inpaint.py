@@ -121,8 +121,7 @@ def transport(
         light: the photograph's, at every texel.
 
     Returns:
-        The same object if no block is hidden by more than _WANTED_SHARE, or none qualifies as a
-        donor.
+        The same object if no block is hidden by _WANTED_SHARE, or none can be a donor.
     """
     confidence, known = exemplar.confidence[0], kept.numpy()
     relative = confidence / max(float(np.quantile(confidence[known], _WELL_SEEN)), 1e-6)
