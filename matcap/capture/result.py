@@ -197,13 +197,13 @@ def _exemplar_measurements(
 ) -> ExemplarMeasurements:
     """Measurements on an exemplar for its verdict; `drawn` are a decoder's maps."""
     confidence = estimate.mean_confidence(rectified.photo.kept_share)
+    first = estimate.first_rectangle
+    flatter = math.nan if drawn is None else steepness(drawn, map_set_of(first))
     return ExemplarMeasurements(
         maps={"error": estimate.error, "slow": estimate.slow, **confidence},
-        residue=highlight_residue(estimate.first_rectangle, material.setup),
+        residue=highlight_residue(first, material.setup),
         tilt=_mean_tilt(estimate),
-        steepness=math.nan
-        if drawn is None
-        else steepness(drawn, map_set_of(estimate.first_rectangle)),
+        steepness=flatter,
         # Of a lattice, whole periods are rearranged, however small they are.
         variety=1.0 if rectified.waves else estimate.example.variety,
     )

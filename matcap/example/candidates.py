@@ -33,8 +33,6 @@ class Candidates:
     """(H, W) coordinate of the candidates, grid steps."""
     columns: NDArray[np.int32]
     """(H, W) coordinate of the candidates, grid steps."""
-    distances: NDArray[np.int32]
-    """(H, W) squared distance of the appearance vectors."""
 
 
 def find_candidates(
@@ -93,7 +91,7 @@ def find_candidates(
             for y, x in _NEIGHBOURS:
                 rows, columns = (np.roll(one, (y, x), (0, 1)) for one in (best_rows, best_columns))
                 attempt(rows + np.int32(y), columns + np.int32(x))
-    return Candidates(best_rows, best_columns, best)
+    return Candidates(best_rows, best_columns)
 
 
 def _ordered(numbers: NDArray[np.float32]) -> NDArray[np.int64]:

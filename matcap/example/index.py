@@ -45,14 +45,13 @@ from matcap.example.packed import pack, unpack
 _LEAST_STEPS = 4  # least distance between a place and its candidate, grid steps
 _LEAST_TEXELS = 8  # likewise, texels
 _FINENESS = 16  # least number of places along the shorter side of a lattice's patch
-# Standard deviations of a band of brightness from which places stand out, and the bands' octaves
-# of squares of 4 x 4 texels.
-_OUTSTANDING, _OCTAVES = 4.0, (1, 2, 3, 4)
+# Median absolute deviations of a band of brightness from which places stand out (of a Gaussian, 4
+# standard deviations), and the bands' octaves of squares of 4 x 4 texels.
+_OUTSTANDING, _OCTAVES = 6.0, (1, 2, 3, 4)
 # Most such regions of a band, and their largest share: others belong to the material (specks of a
 # glaze are 15, rivets 25, stains 1 to 7, the dark edge of a tile 8 %).
 _FEW, _SMALL = 8, 0.1
-_INVISIBLE = 5e-4  # added to the standard deviation, square root of albedo
-_MAD = 1.4826  # standard deviation of a Gaussian over its median absolute deviation
+_INVISIBLE = 3e-4  # added to the median absolute deviation, square root of albedo
 _LEAST_TRUST = 0.02  # added to a map's confidence before the logarithm
 _TRUSTED = 0.8  # quantile of the confidence that places are compared with
 _SLACK = 0.05  # confidence below that quantile without a penalty
@@ -202,9 +201,9 @@ def _outstanding(brightness: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Places of stains: few regions much brighter or darker than the rest, at any scale.
 
     Band b_k = G(2^k) * B - G(2^(k + 1)) * B of the square root B of albedo (plus F0 where it has a
-    colour), averaged over squares; places where |b_k - median| > _OUTSTANDING standard deviations,
-    measured robustly, if they are at most _FEW connected regions and a share of _SMALL. (rows,
-    columns) on the grid of placement costs.
+    colour), averaged over squares; places where |b_k - median| > _OUTSTANDING median absolute
+    deviations, if they are at most _FEW connected regions and a share of _SMALL. (rows, columns)
+    on the grid of placement costs.
     """
     import cv2  # takes a tenth of a second, which synthesis is spared
 
@@ -214,7 +213,7 @@ def _outstanding(brightness: NDArray[np.float32]) -> NDArray[np.bool_]:
     for k in _OCTAVES:
         band = blurred[k] - blurred[k + 1]
         distance = np.abs(band - np.median(band))
-        far = distance > _OUTSTANDING * (_MAD * np.median(distance) + _INVISIBLE)
+        far = distance > _OUTSTANDING * (np.median(distance) + _INVISIBLE)
         regions = cv2.connectedComponents(far.astype(np.uint8))[0] - 1
         if regions <= _FEW and far.mean() <= _SMALL:
             stains |= far

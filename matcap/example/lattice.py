@@ -100,9 +100,7 @@ class PhasedLattice:
         (ax, ay), (bx, by) = waves
         area = ax * by - ay * bx
         one, other = (_together(wave, cells) for wave in waves)
-        # A wave that the exemplar lacks has no phase to be moved into; the smallest patches keep
-        # that margin all the same.
-        counts = one + 1, other + (len(self.waves) > 1 or cells <= LEAST_PATCH)
+        counts = one + 1, other + (len(self.waves) > 1)  # across stripes alone there is a phase
         return (
             (abs(by) * counts[0] + abs(ay) * counts[1]) / abs(area),
             (abs(bx) * counts[0] + abs(ax) * counts[1]) / abs(area),
