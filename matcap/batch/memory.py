@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from matcap.batch.settings import BatchSettings
-from matcap.capture.detail import UNION_TIMES
+from matcap.capture.rectified import UNION_TIMES
 from matcap.files.memory import cores, free_bytes
 
 _LIBRARIES = 1_150_000_000  # bytes, with the optimisation of one window

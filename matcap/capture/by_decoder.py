@@ -12,11 +12,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from matcap.capture.detail import Rectified
+from matcap.capture.exemplar.estimate import ExemplarEstimate, estimate_exemplar
+from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.method import Method
-from matcap.capture.piece.find import ExemplarEstimate, estimate_exemplar
-from matcap.capture.piece.network.network import load_inverse
 from matcap.capture.progress import CaptureClock
+from matcap.capture.rectified import Rectified
 from matcap.capture.result import CaptureResult, Tuning, judged, provenance
 from matcap.capture.settings import CaptureSettings, Effort
 from matcap.capture.target import photograph_target

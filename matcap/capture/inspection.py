@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from matcap.capture.piece.observation import Observation
-from matcap.capture.piece.strengths import Strengths
+from matcap.capture.exemplar.observation import Observation
+from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
 from matcap.capture.tilt import fitted, tilt_document
 from matcap.capture.verdict.highlight import highlight_profile
 from matcap.flash.coarse.fit import CoarseFit
@@ -30,7 +30,7 @@ class InspectedPhotograph:
 
     quality: Inspection
     """Checks of the photograph, each with a remedy for the next shot."""
-    strengths: Strengths | None
+    relief_spectrum: ReliefSpectrum | None
     """Band energies of relief and albedo; None if they cannot be measured."""
     tilt: Mapping[str, Any] | None = None
     """Estimates of the tilt by source, degrees (capture/tilt.py)."""
@@ -55,7 +55,7 @@ def inspect_file(
     photo, coarse, plane = _rectified(photo)
     return InspectedPhotograph(
         _quality(photo, coarse, plane),
-        Observation.of(plane, coarse).strengths(),
+        Observation.of(plane, coarse).relief_spectrum(),
         tilt_document(coarse),
     )
 

@@ -15,7 +15,7 @@ from matcap.files.exr import write_exr_channels
 from matcap.files.staging import staged
 
 if TYPE_CHECKING:
-    from matcap.capture.piece.find import ExemplarEstimate
+    from matcap.capture.exemplar.estimate import ExemplarEstimate
     from matcap.capture.result import CaptureResult
     from matcap.flash.geometry import FlashSetup
 
@@ -103,7 +103,7 @@ def _write_piece(
     estimate: ExemplarEstimate, setup: FlashSetup, stage: Path, name: str, settings: OutputSettings
 ) -> None:
     """Write the exemplar's maps and their confidence, in [0, 1] per map and texel."""
-    from matcap.capture.piece.find import map_set_of
+    from matcap.capture.exemplar.estimate import map_set_of
 
     exemplar = estimate.exemplar
     about: dict[str, Any] = {"of": "the photographed piece", "error": estimate.error}

@@ -1,8 +1,8 @@
 """Capture, from photographs to a folder with a material: the stages in order.
 
-read, coarse fit, piece, strengths, refine, inpaint, index, verdict, write.
-The stages from piece to index are in piece/find.py, those of several photographs in
-together/find.py, those of the paper's generator in by_decoder.py.
+read, coarse fit, network, relief spectrum, refine, inpaint, index, verdict, write.
+The stages from network to index are in exemplar/estimate.py, those of several photographs in
+multiview/estimate.py, those of the paper's generator in by_decoder.py.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from matcap.capture.detail import Rectified
+from matcap.capture.exemplar.estimate import estimate_exemplar
+from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.method import Method
 from matcap.capture.outputs import write_outputs
-from matcap.capture.piece.find import estimate_exemplar
-from matcap.capture.piece.network.network import load_inverse
 from matcap.capture.progress import (
     DECODER_STAGES,
     DRAWING_STAGES,
-    PIECE_STAGES,
-    TOGETHER_STAGES,
+    EXEMPLAR_STAGES,
+    MULTIVIEW_STAGES,
     CaptureClock,
     CaptureProgress,
 )
+from matcap.capture.rectified import Rectified
 from matcap.capture.registration.keypoints import LONG_SIDE
 from matcap.capture.result import CaptureResult, judged, provenance
 from matcap.capture.settings import (
@@ -166,11 +166,11 @@ def capture_photo(
         rectified = _rectified(photo, settings, method, clock).at_input_resolution()
         return capture_by_decoder(rectified, others, settings, effort, method, clock)
     if others:
-        from matcap.capture.together.find import estimate_together
+        from matcap.capture.multiview.estimate import estimate_multiview
 
         # The multi-view solve is limited to DETAIL; preset and time limit may ask for less.
         detail = settings.detail or min(effort.detail, DETAIL)
-        rectified, estimate = estimate_together(
+        rectified, estimate = estimate_multiview(
             [photo, *others], load_inverse(), detail, clock, union=settings.union
         )
     else:
@@ -197,7 +197,7 @@ def clock_of(
     spent: float = 0.0,
 ) -> CaptureClock:
     """Clock of a capture of a number of photographs; its last stage, `write`, is the caller's."""
-    by_example = TOGETHER_STAGES if photographs > 1 else PIECE_STAGES
+    by_example = MULTIVIEW_STAGES if photographs > 1 else EXEMPLAR_STAGES
     by_decoder = DRAWING_STAGES if settings.draws else DECODER_STAGES
     stages = by_decoder if settings.generator == "decoder" else by_example
     return CaptureClock(progress, stages, settings.time_limit, spent)

@@ -26,7 +26,7 @@ from matcap.photo.orient import standing
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
-    from matcap.capture.piece.find import ExemplarEstimate
+    from matcap.capture.exemplar.estimate import ExemplarEstimate
     from matcap.capture.result import CaptureResult
     from matcap.flash.geometry import FlashSetup
 
@@ -113,17 +113,17 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
     """Draw the sheet of a capture, RGB."""
     blocks = [block(list(panels(result)))]
     if result.estimate is not None:
-        from matcap.capture.piece.find import map_set_of
+        from matcap.capture.exemplar.estimate import map_set_of
 
         made = result.material.generators
         generator = "by example" if "example" in made else "by the decoder"
-        piece = block(list(exemplar_panels(result, result.estimate)))
+        exemplar = block(list(exemplar_panels(result, result.estimate)))
         blocks = [
             titled(blocks[0], f"The material, {generator}"),
-            titled(piece, "The photographed rectangle itself"),
+            titled(exemplar, "The photographed rectangle itself"),
         ]
         if result.estimate.several is not None:
-            from matcap.capture.together.picture import draw_set
+            from matcap.capture.multiview.diagram import draw_set
 
             seen = srgb_picture(_picture(map_set_of(result.estimate.exemplar), "diffuse"))
             several = result.estimate.several
@@ -178,7 +178,7 @@ def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterab
 
     The normals are the height's gradient; the renderings show them.
     """
-    from matcap.capture.piece.find import map_set_of
+    from matcap.capture.exemplar.estimate import map_set_of
 
     maps, setup = map_set_of(estimate.first_rectangle), result.material.setup
     maps = replace(maps, painted=maps.normal)

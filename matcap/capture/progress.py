@@ -13,12 +13,12 @@ from matcap.files.progress import Progress, ignore_progress
 
 # Stages of a capture in order, each with its share of the time, by report.json's stage_seconds of
 # one photograph of 12 megapixels with the preset `standard`.
-PIECE_STAGES: Mapping[str, float] = MappingProxyType(
+EXEMPLAR_STAGES: Mapping[str, float] = MappingProxyType(
     {
         "read": 0.02,
         "coarse fit": 0.18,
-        "piece": 0.06,
-        "strengths": 0.03,
+        "network": 0.06,
+        "relief spectrum": 0.03,
         "refine": 0.07,
         "inpaint": 0.10,
         "index": 0.13,
@@ -27,13 +27,13 @@ PIECE_STAGES: Mapping[str, float] = MappingProxyType(
     }
 )
 # The same of five photographs of one sample.
-TOGETHER_STAGES: Mapping[str, float] = MappingProxyType(
+MULTIVIEW_STAGES: Mapping[str, float] = MappingProxyType(
     {
         "read": 0.04,
         "register": 0.12,
         "coarse fit": 0.02,
-        "piece": 0.11,
-        "strengths": 0.04,
+        "network": 0.11,
+        "relief spectrum": 0.04,
         "refine": 0.05,
         "align": 0.10,
         "solve": 0.30,
@@ -49,8 +49,8 @@ DRAWING_STAGES: Mapping[str, float] = MappingProxyType(
     {
         "read": 0.01,
         "coarse fit": 0.02,
-        "piece": 0.09,
-        "strengths": 0.045,
+        "network": 0.09,
+        "relief spectrum": 0.045,
         "refine": 0.04,
         "inpaint": 0.03,
         "index": 0.03,
@@ -62,7 +62,7 @@ DRAWING_STAGES: Mapping[str, float] = MappingProxyType(
         "write": 0.015,
     }
 )
-_EXEMPLAR = ("piece", "strengths", "refine", "inpaint", "index")
+_EXEMPLAR = ("network", "relief spectrum", "refine", "inpaint", "index")
 _OTHERS = 1.0 - sum(DRAWING_STAGES[name] for name in _EXEMPLAR)
 DECODER_STAGES: Mapping[str, float] = MappingProxyType(
     {name: share / _OTHERS for name, share in DRAWING_STAGES.items() if name not in _EXEMPLAR}
@@ -93,7 +93,7 @@ class CaptureClock:
     def __init__(
         self,
         on_progress: Callable[[CaptureProgress], None] | None,
-        stages: Mapping[str, float] = PIECE_STAGES,
+        stages: Mapping[str, float] = EXEMPLAR_STAGES,
         limit: float | None = None,
         spent: float = 0.0,
     ) -> None:

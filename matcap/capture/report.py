@@ -43,7 +43,7 @@ Keys:
         re-rendering), `slow` (the low-frequency residual, which is not the material's), `left_out`
         (share that stands out, such as stains, which fields avoid), `variety` (0 to 1: small
         patches at 1), `patches` (their size, in words), `strengths` (root-mean-square slope and
-        log albedo by band, measured in the photograph; capture/piece/strengths.py; or null),
+        log albedo by band, measured in the photograph, capture/exemplar/relief_spectrum.py; null),
         `sharpness` (power of the finest octave, re-rendering over photograph), `confidence` (mean,
         by map), `specular_channels` (3 if F0 has a colour), `highlight_residue` (radial variation
         about the mirror point: of the logarithms of `albedo`, `specular` and `grain`, the
@@ -79,10 +79,10 @@ from matcap.files.staging import staged
 from matcap.photo.checks import Rating
 
 if TYPE_CHECKING:
-    from matcap.capture.piece.find import ExemplarEstimate
+    from matcap.capture.exemplar.estimate import ExemplarEstimate
+    from matcap.capture.multiview.set_report import SetReport
     from matcap.capture.result import CaptureResult, Tuning
     from matcap.capture.settings import CaptureSettings
-    from matcap.capture.together.set_report import SetReport
 
 CURVE = "error.png"
 _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "OpenEXR")
@@ -203,7 +203,9 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
         "left_out": estimate.example.index.left_out,
         "variety": estimate.example.variety,
         "patches": summary(estimate.example).patches_text(),
-        "strengths": None if estimate.strengths is None else estimate.strengths.document(),
+        "strengths": None
+        if estimate.relief_spectrum is None
+        else estimate.relief_spectrum.document(),
         "sharpness": estimate.sharpness,
         "confidence": estimate.mean_confidence(result.photo.kept_share),
         "specular_channels": len(estimate.exemplar.specular),
@@ -228,7 +230,7 @@ def warnings(result: CaptureResult) -> Iterable[str]:
         if uncertain:
             yield uncertain
         yield from _union(result.estimate.several, result.settings)
-    if result.estimate is not None and result.estimate.strengths is None:
+    if result.estimate is not None and result.estimate.relief_spectrum is None:
         yield (
             "The photograph is too small, or too much of it is clipped or masked, to measure the "
             "depth of its relief: it is the network's estimate. Photograph again a stop darker, "

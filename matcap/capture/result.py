@@ -12,9 +12,9 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.detail import Rectified
-from matcap.capture.piece.find import ExemplarEstimate, map_set_of
+from matcap.capture.exemplar.estimate import ExemplarEstimate, map_set_of
 from matcap.capture.progress import CaptureClock
+from matcap.capture.rectified import Rectified
 from matcap.capture.settings import CaptureSettings, Effort, resolve
 from matcap.capture.tilt import tilt_document
 from matcap.capture.verdict.judge import CaptureVerdict, judge

@@ -12,8 +12,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from matcap.capture.detail import Rectified
 from matcap.capture.method import FEATURES, WINDOW, Method
+from matcap.capture.rectified import Rectified
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.tilt import fitted
 from matcap.errors import MatcapError

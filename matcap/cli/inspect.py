@@ -101,22 +101,22 @@ def _photo(
     from matcap.capture.tilt import tilt_line
 
     inspected = inspect_file(path, detail, fov, profile)
-    quality, relief = inspected.quality, inspected.strengths
+    quality, relief = inspected.quality, inspected.relief_spectrum
     lines = _rated(str(path), quality)
-    strengths = relief.document() if relief else None
-    lines += [f"     {name:<13} {says}" for name, says in _strengths(strengths)]
+    spectrum = relief.document() if relief else None
+    lines += [f"     {name:<13} {says}" for name, says in _strengths(spectrum)]
     if inspected.tilt is not None:
         lines.append(f"     {'tilt from':<13} {tilt_line(inspected.tilt)}")
     if profile is not None:
         lines.append(f"     {'camera':<13} {profile.says()}")
-    document = quality.document() | {"strengths": strengths, "tilt_sources": inspected.tilt}
+    document = quality.document() | {"strengths": spectrum, "tilt_sources": inspected.tilt}
     document["profile"] = profile and profile.document()
     return document, "\n".join(lines)
 
 
 def _set(paths: Sequence[Path], fov: float | None) -> tuple[dict[str, Any], str]:
     """Checks of several photographs of one sample, for JSON and as text."""
-    from matcap.capture.together.coverage import coverage_of_files
+    from matcap.capture.multiview.coverage import coverage_of_files
 
     quality = coverage_of_files(paths, fov)
     return quality.document(), "\n".join(_rated(f"{len(paths)} photographs together", quality))

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from matcap.capture.pipeline import capture_file, capture_into
-from matcap.capture.progress import DECODER_STAGES, DRAWING_STAGES, PIECE_STAGES, CaptureClock
+from matcap.capture.progress import DECODER_STAGES, DRAWING_STAGES, EXEMPLAR_STAGES, CaptureClock
 from matcap.capture.settings import CaptureSettings, OutputSettings
 
 PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
@@ -19,7 +19,7 @@ PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
 @pytest.mark.parametrize(
     ("generator", "stages", "longest"),
     [
-        ("example", PIECE_STAGES, None),
+        ("example", EXEMPLAR_STAGES, None),
         ("decoder", DRAWING_STAGES, "fine-tuning"),
         ("decoder", DECODER_STAGES, "fine-tuning"),
     ],

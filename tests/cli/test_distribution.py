@@ -20,7 +20,7 @@ LAB = ROOT / "matcap" / "lab"
 DATA = (
     "matcap/py.typed",
     "matcap/space/prior/weights/prior.safetensors",
-    "matcap/capture/piece/network/weights/inverse.safetensors",
+    "matcap/capture/exemplar/network/weights/inverse.safetensors",
     "matcap/view/page/view.js",
 )
 LAB_DATA = ("weights/squeezenet_v1.1.ncnn.bin", "weights/LICENSE", "weights/README.md")

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from reference.formats import keys
 
-from matcap.capture.progress import DECODER_STAGES, PIECE_STAGES, CaptureClock
+from matcap.capture.progress import DECODER_STAGES, EXEMPLAR_STAGES, CaptureClock
 from matcap.capture.report import report, warnings, write_report
 from matcap.capture.result import Tuning
 from matcap.capture.settings import CaptureSettings
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.inspect import inspect_photo
 
-STAGES = {**PIECE_STAGES, **DECODER_STAGES}
+STAGES = {**EXEMPLAR_STAGES, **DECODER_STAGES}
 
 
 @pytest.fixture

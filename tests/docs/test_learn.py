@@ -11,7 +11,7 @@ from guide import ROOT, anchors, commands
 
 import matcap as package
 from matcap.batch.settings import read_settings
-from matcap.capture.progress import DRAWING_STAGES, PIECE_STAGES
+from matcap.capture.progress import DRAWING_STAGES, EXEMPLAR_STAGES
 from matcap.cli.main import app, main
 from matcap.relight.scenefile import parse_scene
 
@@ -109,7 +109,7 @@ def test_python_guide_runs_from_top_to_bottom(small, tmp_path, monkeypatch):
     assert len(snippets) > 10 and Path("leather.html").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("stages", [PIECE_STAGES, DRAWING_STAGES], ids=["example", "decoder"])
+@pytest.mark.parametrize("stages", [EXEMPLAR_STAGES, DRAWING_STAGES], ids=["example", "decoder"])
 def test_how_it_works_goes_through_the_stages_of_today(stages):
     text = (ROOT / "docs/guide/how-it-works.md").read_text(encoding="utf-8")
     lists = re.findall(r"(?:^\d+\. (?:.|\n)*?(?=\n\n|\n\d+\. |\Z)\n?)+", text, re.MULTILINE)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from matcap.capture.piece.find import indexed
+from matcap.capture.exemplar.estimate import indexed
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
 

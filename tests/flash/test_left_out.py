@@ -8,7 +8,7 @@ import pytest
 from uniform import a_setup, photograph
 
 from matcap.batch.settings import read_settings
-from matcap.capture.detail import lit_mirror
+from matcap.capture.rectified import lit_mirror
 from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError, UsageError
 from matcap.files.values import Rectangle

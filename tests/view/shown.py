@@ -7,7 +7,7 @@ import math
 import numpy as np
 from PIL import Image
 
-from matcap.capture.piece.find import map_set_of
+from matcap.capture.exemplar.estimate import map_set_of
 from matcap.files.exr import write_exr
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_rectified

@@ -15,7 +15,7 @@ from matcap.capture.registration.adjust import DISTORTION, Adjusted, Pair, adjus
 from matcap.capture.registration.camera import PosedCamera, log_on_grid
 from matcap.capture.registration.covariance import camera_deviations
 from matcap.capture.registration.keypoints import find_keypoints, is_periodic, match_photographs
-from matcap.capture.registration.sharp import BLURRED, losses_of_sharpness
+from matcap.capture.registration.sharpness import BLURRED, losses_of_sharpness
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.inspect import hot_spot

@@ -144,10 +144,12 @@ def _order(seen: Measurements) -> Iterator[Finding]:
 
 def _piece(seen: Measurements, more: str) -> Iterator[Finding]:
     """Findings on the exemplar's re-rendering error and confidence; none without one."""
-    if seen.piece is None:
+    if seen.exemplar is None:
         return
-    yield CHECKS["piece"].finding(seen.piece["error"], more=more)
-    confidence = {name: seen.piece[name] for name in seen.piece if name not in ("error", "slow")}
+    yield CHECKS["piece"].finding(seen.exemplar["error"], more=more)
+    confidence = {
+        name: seen.exemplar[name] for name in seen.exemplar if name not in ("error", "slow")
+    }
     least = min(confidence, key=lambda name: confidence[name])
     guessed = 1.0 - sum(confidence.values()) / len(confidence)
     yield CHECKS["confidence"].finding(guessed, least=least)

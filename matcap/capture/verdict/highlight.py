@@ -22,9 +22,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.piece.mean_parameters import BOUND
-from matcap.capture.piece.refine import LEAST_SHARE, MIRRORED
-from matcap.capture.piece.smooth import filled
+from matcap.capture.exemplar.filters import filled
+from matcap.capture.exemplar.mean_parameters import BOUND
+from matcap.capture.exemplar.refine import LEAST_SHARE, MIRRORED
 from matcap.flash.geometry import FlashSetup, flash_mirror_point, plane_points
 from matcap.flash.highlight import FAINTEST_HIGHLIGHT
 from matcap.flash.light import FlashLight, cached_rows, strips

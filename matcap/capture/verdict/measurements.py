@@ -15,8 +15,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.capture.exemplar.noise import code_step
 from matcap.capture.method import FEATURES, WINDOW
-from matcap.capture.piece.noise import code_step
 from matcap.capture.verdict.causes import CauseMeasurements, by_place
 from matcap.capture.verdict.connectivity import connectivity
 from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
@@ -54,7 +54,7 @@ class ExemplarMeasurements:
     """Measurements on the exemplar itself, without the photograph."""
 
     maps: Mapping[str, float] | None = None
-    """`error`, `slow` (log radiance) and confidence by map, for Measurements.piece."""
+    """`error`, `slow` (log radiance) and confidence by map, for Measurements.exemplar."""
     residue: Mapping[str, float] | None = None
     """Radial variation by map about the mirror point, for Measurements.residue."""
     tilt: float = 0.0
@@ -94,7 +94,7 @@ class Measurements:
     connectivity: tuple[float, float] | None = None
     """log(mean cluster size of dark texels over bright ones) (connectivity.py); None if the picture
     is too small."""
-    piece: Mapping[str, float] | None = None
+    exemplar: Mapping[str, float] | None = None
     """`error`, `slow` (log radiance) and confidence by map of the exemplar; None without one."""
     residue: Mapping[str, float] | None = None
     """Radial variation of the exemplar's maps about the mirror point (residue.py)."""
@@ -111,7 +111,7 @@ def measured(
     rerendered: Picture,
     valid: TexelMask,
     waves: tuple[Wave, ...] = (),
-    piece: ExemplarMeasurements | None = None,
+    exemplar: ExemplarMeasurements | None = None,
 ) -> Measurements:
     """Measure the differences between a photograph and its re-rendering.
 
@@ -122,9 +122,9 @@ def measured(
         rerendered: (H, W, 3) the material under that flash, linear.
         valid: (H, W) bool, visible and not clipped.
         waves: frequency vectors of its lattice, cycles per texel.
-        piece: measurements on the exemplar.
+        exemplar: measurements on the exemplar.
     """
-    piece = piece or ExemplarMeasurements()
+    exemplar = exemplar or ExemplarMeasurements()
     # Both are clipped at the camera's limit.
     pictures = np.minimum(rectified, 1.0), np.minimum(rerendered, 1.0)
     smooth = _smooth(pictures[0]), _smooth(pictures[1])
@@ -134,11 +134,11 @@ def measured(
     plane = plane_of(planes_of(pictures[0]), torch.from_numpy(valid))
     rendering = planes_of(pictures[1])
     causes = CauseMeasurements(
-        tilt=piece.tilt,
-        variety=piece.variety,
+        tilt=exemplar.tilt,
+        variety=exemplar.variety,
         developed=not photo.radiometric,
         fired=photo.flash_fired,
-        photographs=piece.photographs,
+        photographs=exemplar.photographs,
     )
     return Measurements(
         photograph=inspect_photo(photo, setup.tilt),
@@ -153,9 +153,9 @@ def measured(
         connectivity=connectivity(
             (_log_luminance(pictures[0])[0], _log_luminance(pictures[1])[0]), valid
         ),
-        piece=piece.maps,
-        residue=piece.residue,
-        steepness=piece.steepness,
+        exemplar=exemplar.maps,
+        residue=exemplar.residue,
+        steepness=exemplar.steepness,
         causes=causes.with_photograph(photo.pixels, smooth, pictures, highlights),
     )
 
@@ -188,7 +188,7 @@ def texture_contrasts(
 
     By band, and by region: the photograph's brightest tiles ("in the light", where gloss reveals
     relief) and the others. Medians over tiles, robust to the gradient of a highlight. Colour of a
-    developed photograph is uncertain by a code of 255, which blurs to blotches (piece/noise.py):
+    developed photograph is uncertain by a code of 255, which blurs to blotches (exemplar/noise.py):
     that variance is added to both, so that only visible differences count.
     """
     light = _tiles(channel_mean(seen))

@@ -23,21 +23,21 @@ _RINGS = 6  # rings of equally many blocks; more resolve finer, with more sampli
 _TOE = 0.004  # added to albedo and F0 before logarithms
 
 
-def highlight_residue(piece: Exemplar, setup: FlashSetup) -> dict[str, float]:
+def highlight_residue(exemplar: Exemplar, setup: FlashSetup) -> dict[str, float]:
     """Standard deviation of ring means about the mirror point, sampling variance subtracted.
 
     Returns:
         `albedo` and `specular` (natural log), `roughness`, and `grain` (log of the local
         root-mean-square slope).
     """
-    distance = from_mirror_point(setup, piece.size[::-1])
-    step = piece.texel_size
-    slopes = np.gradient(piece.height[0].astype(np.float64) / step)
+    distance = from_mirror_point(setup, exemplar.size[::-1])
+    step = exemplar.texel_size
+    slopes = np.gradient(exemplar.height[0].astype(np.float64) / step)
     steep = _blocks(np.square(slopes[0]) + np.square(slopes[1]))
     planes = {
-        "albedo": _blocks(np.log(piece.diffuse.mean(0, dtype=np.float64) + _TOE)),
-        "specular": _blocks(np.log(piece.specular.mean(0, dtype=np.float64) + _TOE)),
-        "roughness": _blocks(piece.roughness[0].astype(np.float64)),
+        "albedo": _blocks(np.log(exemplar.diffuse.mean(0, dtype=np.float64) + _TOE)),
+        "specular": _blocks(np.log(exemplar.specular.mean(0, dtype=np.float64) + _TOE)),
+        "roughness": _blocks(exemplar.roughness[0].astype(np.float64)),
         # A flat exemplar has slopes of a thousandth, from rounding.
         "grain": 0.5 * np.log(steep + 1e-4),
     }

@@ -12,9 +12,9 @@ import math
 import numpy as np
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.strengths import slope_strengths
+from matcap.capture.exemplar.relief_spectrum import slope_spectrum
 
-_COARSE = slice(0, 3)  # of strengths.BANDS: 8 to 64 texels
+_COARSE = slice(0, 3)  # of filters.BANDS: 8 to 64 texels
 _FLAT = 0.01  # root-mean-square slope of these waves below which a surface is flat to the eye
 
 
@@ -24,7 +24,7 @@ def steepness(drawn: MapSet, exemplar: MapSet) -> float:
     NaN if both are flat or too small.
     """
     energies = [
-        float(np.square(slope_strengths((maps.height[0] / maps.texel_size).numpy())[_COARSE]).sum())
+        float(np.square(slope_spectrum((maps.height[0] / maps.texel_size).numpy())[_COARSE]).sum())
         for maps in (drawn, exemplar)
     ]
     ours, theirs = (energy + _FLAT**2 for energy in energies)

@@ -55,7 +55,7 @@ def metals_experiment(
     """Photograph into `out` and capture each.
 
     With `known` the flash's intensity is given, as by a calibration card; else the exposure prior
-    fixes the scale of F0 (capture/piece/absolute.py).
+    fixes the scale of F0 (capture/exemplar/exposure_prior.py).
     """
 
     def prepare(subject: Specimen) -> PhotographedMetal:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.find import map_set_of
+from matcap.capture.exemplar.estimate import map_set_of
 from matcap.capture.result import CaptureResult
 from matcap.example.exemplar import Exemplar
 from matcap.field.material import Material

@@ -17,7 +17,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from matcap.capture.piece.find import map_set_of
+from matcap.capture.exemplar.estimate import map_set_of
 from matcap.capture.pipeline import capture_file
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 
-from matcap.capture.progress import PIECE_STAGES, CaptureProgress
+from matcap.capture.progress import EXEMPLAR_STAGES, CaptureProgress
 from matcap.capture.settings import PRESETS, CaptureSettings, OutputSettings
 from matcap.errors import MatcapError
 from matcap.files.memory import keep_memory
@@ -30,7 +30,7 @@ ABOUT = (
     "everything."
 )
 _START, _WHOLE = "start", "whole"
-_STAGES = (_START, *PIECE_STAGES, _WHOLE)
+_STAGES = (_START, *EXEMPLAR_STAGES, _WHOLE)
 
 Cost = Mapping[str, float]
 ByStage = Mapping[str, Cost]
@@ -150,7 +150,7 @@ def main(arguments: Sequence[str]) -> None:
     stages = {stage: costs.of(stage, clocks[stage]) for stage in costs.began}
     none = {"seconds": 0.0, "clock": 0.0, "megabytes": 0.0}
     first = {"seconds": start, "clock": start, "megabytes": before}
-    left_out = {stage: none for stage in PIECE_STAGES if stage not in stages}
+    left_out = {stage: none for stage in EXEMPLAR_STAGES if stage not in stages}
     print(json.dumps({_START: first, **left_out, **stages, _WHOLE: whole}))
 
 

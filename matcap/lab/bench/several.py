@@ -11,11 +11,11 @@ from pathlib import Path
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.find import map_set_of
+from matcap.capture.exemplar.estimate import map_set_of
+from matcap.capture.multiview.mosaic import STEEPEST, sees
 from matcap.capture.pipeline import capture_file
 from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.result import CaptureResult
-from matcap.capture.together.mosaic import STEEPEST, sees
 from matcap.flash.extent import OWN, Extent
 from matcap.lab.bench.nsd import PhotographSettings
 from matcap.lab.experiment.results import Value

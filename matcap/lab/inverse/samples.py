@@ -21,7 +21,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import SurfaceParameters
-from matcap.capture.piece.network.inputs import network_inputs
+from matcap.capture.exemplar.network.inputs import network_inputs
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import FlashLight
 from matcap.flash.render import Uniform, render_flash, uniform_radiance

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.capture.piece.network.network import (
+from matcap.capture.exemplar.network.network import (
     FORMAT,
     VERSION,
     Inverse,

@@ -13,13 +13,13 @@ import numpy as np
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.network.network import load_inverse
-from matcap.capture.progress import TOGETHER_STAGES, CaptureClock
+from matcap.capture.exemplar.network.network import load_inverse
+from matcap.capture.multiview.align import Aligned, aligned
+from matcap.capture.multiview.estimate import predict_alone, registered
+from matcap.capture.progress import MULTIVIEW_STAGES, CaptureClock
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.covariance import UNCERTAIN
 from matcap.capture.registration.register import Registration, register
-from matcap.capture.together.align import Aligned, aligned
-from matcap.capture.together.find import predict_alone, registered
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.lab.experiment.results import Value
@@ -113,7 +113,7 @@ def outcome_of(made: MadeSet, detail: int | None = None) -> SetOutcome:
     try:
         if detail is None:
             return compared(made, register(made.photos, fit_coarse(made.photos[0]).setup))
-        network, clock = load_inverse(), CaptureClock(None, TOGETHER_STAGES)
+        network, clock = load_inverse(), CaptureClock(None, MULTIVIEW_STAGES)
         found, coarse, plane = registered(made.photos, detail, clock)
         read, _, _ = predict_alone(plane, coarse, network, clock)
         placed = aligned(Aligned.of(found.views, coarse.setup), read)

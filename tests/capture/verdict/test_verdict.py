@@ -9,7 +9,7 @@ import pytest
 import simulated_shots as shots
 from arrays import photo_from_array
 
-from matcap.capture.piece.noise import code_step
+from matcap.capture.exemplar.noise import code_step
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.verdict.causes import CauseMeasurements
@@ -65,7 +65,7 @@ FINE = Measurements(
     offset=0.1,
     connectivity=(3.0, 2.5),
     steepness=1.1,
-    piece={
+    exemplar={
         "error": 0.05, "slow": 0.04, "diffuse": 0.9, "specular": 0.8, "roughness": 0.7,
         "height": 0.7,
     },
@@ -151,9 +151,9 @@ BAD = [
     (shot_with("tilt", 20.0), "tilt", "doubtful"),
     ({"offset": 0.5}, "flash_offset", "doubtful"),
     (shot_with("clipped", 0.2), "clipped", "doubtful"),
-    ({"piece": {**FINE.piece, "error": 0.3}}, "piece", "doubtful"),
+    ({"exemplar": {**FINE.exemplar, "error": 0.3}}, "piece", "doubtful"),
     ({"residue": RESIDUE}, "highlight_residue", "doubtful"),
-    ({"piece": {"error": 0.05, "slow": 0.0, "height": 0.05}}, "confidence", "failed"),
+    ({"exemplar": {"error": 0.05, "slow": 0.0, "height": 0.05}}, "confidence", "failed"),
 ]  # fmt: skip
 
 

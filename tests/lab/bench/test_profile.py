@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from matcap.capture.progress import PIECE_STAGES
+from matcap.capture.progress import EXEMPLAR_STAGES
 from matcap.cli.main import main
 from matcap.lab.bench import profile
 from matcap.lab.experiment.results import read
@@ -22,7 +22,7 @@ def test_stages_make_up_the_whole(tmp_path):
     cv2.imwrite(str(tmp_path / "tile.jpg"), small)
     assert main([*PROFILE, str(tmp_path / "tile.jpg"), "-o", str(tmp_path)]) == 0
     rows = {row.configuration: row for row in read(tmp_path / "profile.csv")}
-    assert list(rows) == [f"instant, {stage}" for stage in ("start", *PIECE_STAGES, "whole")]
+    assert list(rows) == [f"instant, {stage}" for stage in ("start", *EXEMPLAR_STAGES, "whole")]
     whole = rows.pop("instant, whole")
     for column in ("seconds", "clock"):
         parts = sum(row.number(column) for row in rows.values())

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_iter, tree_map
 
-from matcap.capture.piece.network.network import Inverse, InverseConfig
+from matcap.capture.exemplar.network.network import Inverse, InverseConfig
 from matcap.lab.inverse.samples import Sample, draw_sample
 from matcap.lab.inverse.train import TrainSettings, start, step_loss
 from matcap.lab.train.trainer import Training

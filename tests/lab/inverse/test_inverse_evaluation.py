@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from matcap.capture.piece.network.network import ERRORS, Inverse, InverseConfig
+from matcap.capture.exemplar.network.network import ERRORS, Inverse, InverseConfig
 from matcap.lab.inverse.distributions import QUANTITIES, drawn, of_picture, plot, table
 from matcap.lab.inverse.evaluate import (
     calibration,

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from matcap.brdf.maps import HEIGHT
-from matcap.capture.piece.network.inputs import network_inputs
-from matcap.capture.piece.network.network import (
+from matcap.capture.exemplar.network.inputs import network_inputs
+from matcap.capture.exemplar.network.network import (
     ANSWERS,
     ERRORS,
     Inverse,

@@ -16,7 +16,7 @@ import torch
 from arrays import photo_from_array
 from numpy.typing import NDArray
 
-from matcap.capture.piece.find import ExemplarEstimate
+from matcap.capture.exemplar.estimate import ExemplarEstimate
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
@@ -91,7 +91,7 @@ def _piece(found: ExemplarEstimate, seed: int) -> list[torch.Tensor]:
     """The piece's maps, small fields that rearrange them, and what the photograph told."""
     area = Rectangle(0, 0, _FIELD, _FIELD)
     fields = [found.example.varied(variety).maps(seed, area, None) for variety in _VARIETIES]
-    values = found.strengths
+    values = found.relief_spectrum
     numbers = [] if values is None else [values.albedo, values.slope, values.significance]
     return [torch.from_numpy(array) for array in (found.exemplar.stacked(), *fields, *numbers)]
 

@@ -1,0 +1,223 @@
+"""The stages that estimate the exemplar of a photograph, in order.
+
+In comes a photograph on its plane (Rectified), out goes an ExemplarEstimate. The network predicts
+maps (predict.py); relief is scaled to the energies that the photograph measures
+(relief_spectrum.py), and texels are classified (material_classes.py); mean parameters and albedo
+are refined until the maps re-render to the photograph (refine.py); hidden maps are inpainted
+(inpaint.py), fine detail and the exposure are added (detail_transfer.py, exposure_prior.py); the
+result is indexed for synthesis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from matcap.brdf.maps import CHANNELS, MapSet
+from matcap.capture.exemplar.detail_transfer import sharpness, transfer_detail
+from matcap.capture.exemplar.exposure_prior import most_probable_scale, scaled
+from matcap.capture.exemplar.inpaint import inpainted
+from matcap.capture.exemplar.material_classes import find_mixture
+from matcap.capture.exemplar.network.network import Inverse
+from matcap.capture.exemplar.observation import Observation
+from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, predict_maps
+from matcap.capture.exemplar.refine import radiance_residual, refine_maps
+from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum, equalise
+from matcap.capture.progress import CaptureClock
+from matcap.capture.rectified import Rectified
+from matcap.example.example import Example
+from matcap.example.exemplar import Exemplar
+from matcap.example.fine_lattice import straightened
+from matcap.example.variety import LOWEST_VARIETY, with_chosen_variety
+from matcap.flash.coarse.fit import CoarseFit
+from matcap.flash.plane import Plane
+from matcap.statistics.lattice import Wave
+
+if TYPE_CHECKING:
+    from matcap.capture.multiview.set_report import SetReport
+
+
+@dataclass(frozen=True)
+class ExemplarEstimate:
+    """The estimate of an exemplar: its maps, and how well they explain the photograph."""
+
+    exemplar: Exemplar
+    """The estimated maps with their confidence."""
+    example: Example
+    """These maps, a fine lattice straightened, indexed for synthesis."""
+    relief_spectrum: ReliefSpectrum | None
+    """Relief and albedo energies measured in the photograph, or None."""
+    error: float
+    """Median |log radiance of photograph - re-rendering| of valid texels."""
+    slow: float
+    """Mean |low-frequency residual| of log radiance, which is not the material's."""
+    sharpness: float = 1.0
+    """Amplitude of the finest octave of log radiance, re-rendering over photograph."""
+    interrupted: bool = False
+    """Whether Ctrl-C ended the estimation from several photographs."""
+    several: SetReport | None = None
+    """Report on several photographs; None for one."""
+    scale: float = 1.0
+    """Factor on albedo and F0 by exposure_prior.py; the flash is divided by it."""
+    turned: bool = False
+    """Whether the maps are rotated to a portrait photograph's orientation."""
+
+    @property
+    def first_rectangle(self) -> Exemplar:
+        """The maps within the first photograph's rectangle."""
+        several = self.several
+        if several is None or not several.mosaic.margins.any:
+            return self.exemplar
+        margins, size = several.mosaic.margins, several.mosaic.size
+        if self.turned:
+            margins, size = margins.turned(), size[::-1]
+        return self.exemplar.cut(*margins.inside(size))
+
+    @property
+    def landscape_maps(self) -> MapSet:
+        """Maps of `first_rectangle` in landscape orientation, in which photographs are measured."""
+        maps = map_set_of(self.first_rectangle)
+        return maps.turned(1) if self.turned else maps
+
+    def upright(self, waves: tuple[Wave, ...]) -> ExemplarEstimate:
+        """A portrait's estimate, its maps rotated upright; `waves` is their lattice."""
+        exemplar, example = indexed(self.exemplar, waves, turned=True)
+        return replace(self, exemplar=exemplar, example=example, turned=True)
+
+    def with_sharpness(self, rectified: Rectified) -> ExemplarEstimate:
+        """The estimate with its sharpness, measured in its photograph."""
+        return replace(
+            self, sharpness=sharpness(self.landscape_maps, rectified.whole, rectified.coarse)
+        )
+
+    def mean_confidence(self, kept: float = 1.0) -> dict[str, float]:
+        """Mean confidence by map, in [0, 1], over the share `kept` of the photograph's texels."""
+        if self.several is not None and self.several.mosaic.margins.any:
+            kept = self.several.mosaic.known
+        means = np.minimum(self.exemplar.confidence.mean((1, 2)) / np.float32(kept), 1.0).tolist()
+        return dict(zip(CHANNELS, means, strict=True))
+
+
+@torch.no_grad()
+def estimate_exemplar(
+    rectified: Rectified,
+    network: Inverse,
+    clock: CaptureClock,
+    *,
+    absolute: bool = False,
+    turned: bool = False,
+) -> ExemplarEstimate:
+    """Estimate the exemplar of a photograph, stage by stage.
+
+    Args:
+        rectified: the photograph on its plane.
+        network: the inverse network (network/network.py).
+        clock: of the stages.
+        absolute: whether the flash intensity is known, so that the exposure prior is not used.
+        turned: whether the photograph is a portrait.
+    """
+    whole, coarse = rectified.whole, rectified.coarse
+    observed, prediction, spectrum = refined(rectified.network_input, coarse, network, clock)
+    with clock.stage("inpaint"):
+        exemplar = inpainted(exemplar_of(observed, prediction), observed)
+        exemplar = transfer_detail(exemplar, whole, coarse)
+        scale = 1.0 if absolute else most_probable_scale(exemplar, prediction.metal)
+        exemplar = scaled(exemplar, scale).rounded()
+    with clock.stage("index"):
+        exemplar, example = indexed(exemplar, rectified.waves, turned=turned)
+    plane = observed.plane
+    residual, slow = radiance_residual(
+        prediction.residuals, plane.linear, plane.measured, observed.light
+    )
+    seen = residual[:, plane.valid].abs()
+    error = float(seen.median()) if seen.numel() else 0.0
+    estimate = ExemplarEstimate(
+        exemplar, example, spectrum, error, float(slow.abs().mean()), scale=scale, turned=turned
+    )
+    return estimate.with_sharpness(rectified)
+
+
+def refined(
+    plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock
+) -> tuple[Observation, NetworkPrediction, ReliefSpectrum | None]:
+    """Predict the maps of a plane and fit them to it: stages network, relief spectrum and refine.
+
+    Returns:
+        The photograph with the specular tint of its metal, the fitted maps, and the energies of
+        relief and albedo measured in the photograph.
+    """
+    with clock.stage("network"):
+        observed, prediction = predict_maps(Observation.of(plane, coarse), network)
+    with clock.stage("relief spectrum"):
+        spectrum = measured_spectrum(observed, prediction)
+        observed, prediction = classified(
+            observed, scaled_to_spectrum(observed, prediction, spectrum)
+        )
+    with clock.stage("refine"):
+        prediction = refine_maps(observed, prediction)
+    return observed, prediction, spectrum
+
+
+def indexed(
+    exemplar: Exemplar, waves: tuple[Wave, ...], *, turned: bool
+) -> tuple[Exemplar, Example]:
+    """An exemplar, and its index with the smallest patches that keep its long structures.
+
+    A fine lattice is straightened in what is indexed, not in what is returned beside it, and has
+    large patches: its threads are the same everywhere, and small ones swirl.
+
+    Args:
+        exemplar: the maps, rounded as in a file.
+        waves: frequency vectors of the lattice, cycles per texel.
+        turned: whether to rotate both upright first, 90 degrees clockwise.
+    """
+    if turned:
+        # Rotated by 90 degrees clockwise, frequency (fx, fy) becomes (-fy, fx).
+        exemplar, waves = exemplar.turned(), tuple(Wave(-wave.fy, wave.fx) for wave in waves)
+    flat = straightened(exemplar, waves)
+    if flat is None:
+        return exemplar, with_chosen_variety(Example.of_rounded(exemplar, waves))
+    return exemplar, Example.of_rounded(*flat, straight=True).varied(LOWEST_VARIETY)
+
+
+def measured_spectrum(
+    observed: Observation, prediction: NetworkPrediction
+) -> ReliefSpectrum | None:
+    """Relief and albedo energies measured in the photograph; None if too few texels are valid."""
+    shown = observed.light.slope_sensitivity(observed.light.maps(prediction.residuals))
+    return observed.relief_spectrum(shown)
+
+
+def scaled_to_spectrum(
+    observed: Observation, prediction: NetworkPrediction, spectrum: ReliefSpectrum | None
+) -> NetworkPrediction:
+    """Scale relief to the measured energies, equally at all places and directions (equalise)."""
+    predicted, sensitivity = prediction.residuals, observed.inputs.slope_sensitivity.numpy()
+    height = torch.from_numpy(equalise(predicted.height[0].numpy(), spectrum, sensitivity))[None]
+    return replace(prediction, residuals=replace(predicted, height=height))
+
+
+def classified(
+    observed: Observation, prediction: NetworkPrediction
+) -> tuple[Observation, NetworkPrediction]:
+    """Classify texels; a class varies in albedo (of metal: F0) and relief, roughness with it."""
+    classes = prediction.classes
+    if prediction.logit is not None:
+        target = observed.ring_target(prediction.residuals, (False,))
+        target = replace(target, surface=observed.light.uniform)
+        mixture = find_mixture(prediction.residuals, prediction.logit, target)
+        if mixture.likely(observed.light.uniform):
+            classes = mixture.classes
+            observed = observed.tinted(classes.metal_share)
+    gloss = torch.from_numpy(observed.specular_fraction) * observed.plane.valid
+    constrained = classes.constrained(prediction.residuals, gloss)
+    return observed, replace(prediction, residuals=constrained, classes=classes)
+
+
+def map_set_of(exemplar: Exemplar) -> MapSet:
+    """An exemplar's maps as a map set."""
+    stacked = torch.from_numpy(exemplar.stacked())
+    return MapSet.from_stacked(stacked, exemplar.texel_size)

@@ -1,0 +1,567 @@
+"""Stage inpaint: maps that the highlight hides are copied from other places of the exemplar.
+
+Near the mirror point the highlight hides albedo, and all maps where it is clipped. A sample is
+stationary, so maps are copied there from visible places, in three steps:
+
+1. remaining_highlight: texels whose albedo still has the highlight lose their confidence;
+2. transport: blocks with too little confidence get the maps of others [aittala2015];
+3. composed: albedo and height are joined to their surroundings without steps [perez2003].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
+from matcap.brdf.parameters import Reflectance
+from matcap.capture.exemplar.noise import DARKEST
+from matcap.capture.exemplar.observation import Observation, PhotographLight
+from matcap.example.exemplar import Exemplar
+from matcap.field.single import one_thread
+from matcap.photo.shrink import area_averaged
+
+# Inpainting under the highlight; docs/notes/capture.md. NSD is the normalised style distance.
+_TRIED = 1000  # random candidate blocks per place
+_RENDERED = 40  # as many of those that match the overlap best, and of the others, are rendered
+_CONTRAST = 0.25  # w of the equation in transport
+_BLOCK = 48  # side of a block, texels: larger than the texture's features, small enough to match
+_OVERLAP = _BLOCK // 4  # overlap of neighbouring blocks, texels
+# Least confidence of albedo in donors, over that of well seen texels. Larger values inpaint
+# visible texels: at 0.93 wood loses 0.4 NSD.
+_LEAST_CONFIDENCE = 0.75
+_WELL_SEEN = 0.75  # quantile of confidence that defines well seen
+_MOST_HIDDEN = 0.2  # largest share of the picture to inpaint, more than any flash hides
+_WHOLE_DONOR = 0.95  # least confident share of a donor block
+_WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
+# Weight of the mismatch with the photograph against the overlap's mismatch.
+_PHOTOGRAPH_WEIGHT = 0.7
+# A place keeps its maps if its energy of log radiance is above _MOST_ENERGY times the candidates'
+# median and a share above _VISIBLE_SHARE is visible: a scratch, or bare metal that only the
+# highlight shows.
+_MOST_ENERGY, _VISIBLE_SHARE = 2.0, 0.5
+_SPREAD = 4  # texels over which a hidden texel's light spreads to its neighbours
+_THINNED = 4  # subsampling, texels, of rendered candidates
+_FARTHEST = 4.0  # upper limit of a squared standardised difference in the overlap
+_SEAM_REACH = _BLOCK / 2.0  # texels over which the two sides of a seam converge
+_TOLERANCE = 1e-3  # norm of the residual over that at the start, at which the iterations end
+
+# Detection of the highlight in albedo.
+_CELLS = 128  # along the long side, over which log albedo is averaged; finer detail is texture
+_WIDTH = 2  # of a ring, cells
+_WIDEST = 20  # radius of the largest ring, cells; wider discs are shading, which `flatten` removes
+_MISSED = 2  # rings in a row that do not stand out, at which the disc ends
+_AROUND = 3 * _WIDTH  # width of the ring around the largest, cells
+_INSIDE = 0.9  # least share of a ring inside the picture, at other centres
+_NEAR = 12  # farthest centre of a disc of the highlight from the mirror point, cells
+_OUTLIER = 4.0  # deviations from the mean over other centres at which a ring stands out
+
+Floats = NDArray[np.float32]
+TexelMask = NDArray[np.bool_]
+BlockPlaces = NDArray[np.int64]
+
+
+def inpainted(exemplar: Exemplar, observed: Observation) -> Exemplar:
+    """Inpaint an exemplar where specular light hides its maps, or is left in its albedo.
+
+    Args:
+        exemplar: estimated maps and their confidence, which also falls to 0 in the highlight's
+            remainder.
+        observed: its photograph.
+    """
+    plane = observed.plane
+    distance = (observed.from_mirror_point / plane.texel_size).numpy()
+    spot = remaining_highlight(exemplar.diffuse, observed.within.numpy(), distance)
+    exemplar = replace(exemplar, confidence=exemplar.confidence * ~spot)
+    return transport(exemplar, plane.linear, plane.valid, plane.kept, observed.light)
+
+
+@dataclass(frozen=True)
+class _MapPlanes:
+    """Map planes in three forms: original, to be copied, and to be compared."""
+
+    stacked: Floats
+    """(6, H, W) the exemplar's maps."""
+    high_passed: Floats
+    """(6, H, W) these maps with height high-passed, as low frequencies are not copied."""
+    features: Floats
+    """(H, W, 3) channel mean of log albedo, and slopes (x, down), each over its deviation."""
+
+
+@one_thread()
+@torch.no_grad()
+def transport(
+    exemplar: Exemplar,
+    linear: Tensor,
+    valid: Tensor,
+    kept: Tensor,
+    light: PhotographLight,
+) -> Exemplar:
+    """Copy blocks of maps to where specular light hides them (reflectance transport).
+
+    A block minimises its mismatch with neighbours in the overlap plus that of its rendering in
+    place with the photograph (texture transfer [efros2001]),
+
+        1 - correlation(a, b) + w |log(|a|^2 / |b|^2)|,
+
+    where a and b are log radiance of the block and of the photograph, less their quadratic trends
+    over the block, which are errors of the fitted highlight, and w is _CONTRAST.
+
+    Args:
+        exemplar: estimated maps; confidence is not changed.
+        linear: (3, H, W) the photograph on its plane.
+        valid: (H, W) bool, visible and not clipped.
+        kept: (H, W) bool, the material; masked texels that it surrounds are inpainted, too.
+        light: the photograph's, at every texel.
+
+    Returns:
+        The same object if no block is hidden by _WANTED_SHARE, or none can be a donor.
+    """
+    confidence, known = exemplar.confidence[0], kept.numpy()
+    relative = confidence / max(float(np.quantile(confidence[known], _WELL_SEEN)), 1e-6)
+    most = float(np.quantile(relative[known], _MOST_HIDDEN)) + 1e-6
+    hidden = _around(relative < min(_LEAST_CONFIDENCE, most))
+    donors = _donors(~hidden & known)
+    # Texels outside of a crop are not inpainted.
+    hidden = (hidden & known) | (_between(known) & ~known)
+    if not len(donors):
+        return exemplar
+    places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > _WANTED_SHARE]
+    if not places:
+        return exemplar
+    planes = _map_planes(exemplar, ~hidden)
+    # From visible surroundings inwards, so that patterns continue.
+    places.sort(key=lambda p: -float(relative[_block(p)].mean()))
+    valid = valid & torch.from_numpy(confidence > 0.0)
+    photograph = _Photograph(exemplar, linear, valid, light)
+    chosen = _choose(places, donors, planes, ~hidden, photograph)
+    source, copied = _sources(chosen, hidden)
+    # F0 and roughness are constant in a class and have steps between classes: no blending.
+    maps = planes.high_passed[:, source[0], source[1]]
+    texel = exemplar.texel_size
+    log_albedo = np.log(planes.high_passed[DIFFUSE].clip(DARKEST))
+    drawing = np.concatenate([log_albedo, planes.high_passed[HEIGHT] / texel])
+    *albedo, fine = composed(drawing, source, copied, _SEAM_REACH)
+    slow = planes.stacked[HEIGHT] - planes.high_passed[HEIGHT]
+    return replace(
+        exemplar,
+        diffuse=np.where(copied, np.exp(np.stack(albedo)), exemplar.diffuse).clip(0.0, 1.0),
+        specular=maps[SPECULAR].clip(0.0, 1.0),
+        roughness=maps[ROUGHNESS].clip(0.0, 1.0),
+        height=np.where(copied, fine * texel + slow, exemplar.height),
+    )
+
+
+@dataclass(frozen=True)
+class _Match:
+    """Match of N candidate blocks, rendered at a place, to the photograph there."""
+
+    mismatch: Floats
+    """(N,) mismatch of log radiance (transport); 0 without valid texels."""
+    energy_ratio: float
+    """Energy of the photographed log radiance over the median of random candidates."""
+    share: float
+    """Share of the place that is visible and not clipped."""
+
+    @property
+    def is_distinct(self) -> bool:
+        """Whether the photograph has far more contrast than the candidates: scratch, bare metal."""
+        return self.share > _VISIBLE_SHARE and self.energy_ratio > _MOST_ENERGY
+
+
+class _Photograph:
+    """The photograph and its light, for comparing rendered blocks with it."""
+
+    def __init__(
+        self, exemplar: Exemplar, linear: Tensor, valid: Tensor, light: PhotographLight
+    ) -> None:
+        self._log = linear.clamp_min(DARKEST).log()
+        # Log radiance is steep where it begins to clip.
+        self._valid = torch.from_numpy(~_around(~valid.numpy()))
+        self._light = light
+        maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
+        planes = torch.cat([maps.diffuse, maps.specular, maps.roughness, maps.normal])
+        self._maps = planes.movedim(0, -1).numpy().copy()  # a texel's numbers lie together
+        # Log radiance of the mean material, subtracted from both sides of a comparison.
+        even, _ = _parts(planes.mean((1, 2), keepdim=True).expand_as(planes))
+        upright = torch.zeros_like(maps.normal)
+        upright[2] = 1.0
+        self._even = light.logs(even, light.flash.onto(upright))[0]
+
+    def match(self, place: tuple[int, int], blocks: BlockPlaces) -> _Match:
+        """Render blocks at a place and compare them with the photograph there."""
+        inner = np.arange(0, _BLOCK, _THINNED)
+        rows, columns = blocks[:, 0, None, None] + inner[:, None], blocks[:, 1, None, None] + inner
+        reflectance, normal = _parts(torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1))
+        here = tuple(slice(start, start + _BLOCK, _THINNED) for start in place)
+        light = self._light.cut(*here)
+        log = light.logs(reflectance, light.flash.onto(normal))[0]
+        seen = self._valid[here].to(log)
+        share = float(self._valid[_block(place)].float().mean())
+        if not seen.any():
+            return _Match(np.zeros(len(blocks), np.float32), 0.0, share)
+        even, shown = (x[(slice(None), *here)][None] for x in (self._even, self._log))
+        a, b = (_detrended(x - even, seen) for x in (log, shown))
+        lit, photographed = (x.square().sum((1, 2, 3)) for x in (a, b))
+        mismatch = 1.0 - (a * b).sum((1, 2, 3)) / ((lit * photographed).sqrt() + 1e-6)
+        ratio = (lit + 1e-6) / (photographed + 1e-6)
+        mismatch += _CONTRAST * ratio.log().abs().clamp_max(2.0)
+        energy_ratio = float(photographed / (lit[len(lit) // 2 :].median() + 1e-6))
+        return _Match(np.asarray(mismatch, np.float32), energy_ratio, share)
+
+
+def _parts(planes: Tensor) -> tuple[Reflectance, Tensor]:
+    """Split planes (..., 8, H, W), or 10 if F0 has a colour, into reflectance and normals."""
+    *reflectance, normal = planes.split([3, planes.shape[-3] - 7, 1, 3], dim=-3)
+    return Reflectance(*reflectance), normal
+
+
+def _detrended(log: Tensor, seen: Tensor) -> Tensor:
+    """Log radiance (..., h, w) less its quadratic trend over visible texels (h, w); 0 elsewhere."""
+    y, x = (torch.linspace(-1.0, 1.0, side).to(log) for side in seen.shape)
+    y, x = (v.flatten() for v in torch.meshgrid(y, x, indexing="ij"))
+    smooth = torch.stack([torch.ones_like(x), x, y, x * x, x * y, y * y]) * seen.flatten()
+    basis = torch.linalg.svd(smooth, full_matrices=False).Vh
+    flat = log.flatten(-2) * seen.flatten()
+    return (flat - (flat @ basis.T) @ basis).unflatten(-1, seen.shape)
+
+
+def _choose(
+    places: list[tuple[int, int]],
+    donors: BlockPlaces,
+    planes: _MapPlanes,
+    known: TexelMask,
+    photograph: _Photograph,
+) -> dict[tuple[int, int], tuple[int, int]]:
+    """Corner of the donor block of every place; distinct places keep their maps, without entry."""
+    rng = np.random.default_rng(0)
+    known, seen = known.copy(), planes.features.copy()
+    allowed = np.zeros(known.shape, np.bool_)
+    allowed[donors[:, 0], donors[:, 1]] = True
+    chosen: dict[tuple[int, int], tuple[int, int]] = {}
+    for place in places:
+        blocks = donors[rng.integers(len(donors), size=_TRIED)]
+        follow = [(y, x) for y, x in _continued(place, chosen) if min(y, x) >= 0 and allowed[y, x]]
+        if follow:
+            blocks = np.concatenate([blocks, np.array(follow)])
+        mismatch = _discontinuity(place, blocks, planes.features, seen, known)
+        nearest = np.argsort(mismatch, kind="stable")[:_RENDERED]
+        nearest = np.concatenate([nearest, np.arange(min(_RENDERED, len(blocks)))])
+        blocks, mismatch = blocks[nearest], mismatch[nearest]
+        shown = photograph.match(place, blocks)
+        best = int((mismatch + _PHOTOGRAPH_WEIGHT * shown.share * shown.mismatch).argmin())
+        source = (int(blocks[best][0]), int(blocks[best][1]))
+        if shown.is_distinct:
+            source = place
+        else:
+            chosen[place] = source
+        here = _block(place)
+        seen[here] = np.where(known[here][..., None], seen[here], planes.features[_block(source)])
+        known[here] = True
+    return chosen
+
+
+def _continued(
+    place: tuple[int, int], chosen: dict[tuple[int, int], tuple[int, int]]
+) -> list[tuple[int, int]]:
+    """Corners of the blocks that continue the donors of the neighbouring places."""
+    step = _BLOCK - _OVERLAP
+    around = [(dy, dx) for dy in (-step, 0, step) for dx in (-step, 0, step) if dy or dx]
+    continued = []
+    for dy, dx in around:
+        source = chosen.get((place[0] + dy, place[1] + dx))
+        if source is not None:
+            continued.append((source[0] - dy, source[1] - dx))
+    return continued
+
+
+def _discontinuity(
+    place: tuple[int, int],
+    blocks: BlockPlaces,
+    donor: Floats,
+    seen: Floats,
+    known: TexelMask,
+) -> Floats:
+    """(N,) mean squared difference of blocks to known texels of a place, standardised."""
+    here = tuple(slice(start, start + _BLOCK, 2) for start in place)
+    rows, columns = 2 * np.array(np.nonzero(known[here]))
+    if not rows.size:
+        return np.zeros(len(blocks), np.float32)
+    wide = donor.shape[1]
+    texels = blocks[:, :1] * wide + blocks[:, 1:] + (rows * wide + columns)
+    difference = np.take(donor.reshape(-1, donor.shape[2]), texels, axis=0)
+    difference -= seen[place[0] + rows, place[1] + columns]
+    np.square(difference, out=difference)
+    np.minimum(difference, np.float32(_FARTHEST), out=difference)
+    return np.asarray(difference.mean((1, 2)), np.float32)
+
+
+def _sources(
+    chosen: dict[tuple[int, int], tuple[int, int]], hidden: TexelMask
+) -> tuple[BlockPlaces, TexelMask]:
+    """(2, H, W) source row and column of each texel, and (H, W) bool, which are copied.
+
+    In an overlap, a texel takes the block whose border is farther from it.
+    """
+    texels = np.arange(_BLOCK)
+    inside = np.minimum(texels + 1, _BLOCK - texels)
+    deep = np.minimum.outer(inside, inside)
+    source, deepest = np.indices(hidden.shape), np.zeros(hidden.shape, np.int64)
+    for place, donor in chosen.items():
+        here = _block(place)
+        deeper = (deep > deepest[here]) & hidden[here]
+        deepest[here] = np.where(deeper, deep, deepest[here])
+        moved = np.array(donor)[:, None, None] - np.array(place)[:, None, None]
+        texel = np.indices(hidden.shape)[:, *here]
+        source[:, *here] = np.where(deeper, texel + moved, source[:, *here])
+    return source, deepest > 0
+
+
+def _map_planes(exemplar: Exemplar, known: TexelMask) -> _MapPlanes:
+    """Prepare an exemplar's planes; albedo is standardised over known texels."""
+    stacked = exemplar.stacked().astype(np.float32)
+    height = exemplar.height[0] / exemplar.texel_size
+    fine = height - cv2.GaussianBlur(height, (0, 0), _BLOCK / 1.5)
+    high_passed = stacked.copy()
+    high_passed[HEIGHT] = fine * exemplar.texel_size
+    down, across = np.gradient(fine)
+    lightness = np.log(exemplar.diffuse.clip(1e-3)).mean(0)
+    steep = np.sqrt(np.mean(np.square(down) + np.square(across))) + 1e-6
+    lightness /= lightness[known].std() + 1e-3
+    features = np.stack([lightness, across / steep, down / steep], axis=-1)
+    return _MapPlanes(stacked, high_passed, features.astype(np.float32))
+
+
+def _around(texels: TexelMask) -> TexelMask:
+    """(H, W) bool: texels, and those within _SPREAD of them."""
+    square = np.ones((2 * _SPREAD + 1,) * 2, np.uint8)
+    return np.asarray(cv2.dilate(texels.astype(np.uint8), square) > 0)
+
+
+def _between(known: TexelMask) -> TexelMask:
+    """(H, W) bool, texels that have a known texel both in their row and in their column."""
+    rows, columns = np.asarray(known.any(axis=1)), np.asarray(known.any(axis=0))
+    return rows[:, None] & columns[None, :]
+
+
+def _donors(visible: TexelMask) -> BlockPlaces:
+    """(N, 2) corners of blocks with high confidence nearly everywhere."""
+    rows, columns = visible.shape
+    if min(rows, columns) <= _BLOCK:
+        return np.zeros((0, 2), np.int64)
+    sums = cv2.integral(visible.astype(np.uint8)).astype(np.int64)
+    n = _BLOCK
+    count = sums[n:, n:] - sums[:-n, n:] - sums[n:, :-n] + sums[:-n, :-n]
+    return np.argwhere(count >= _WHOLE_DONOR * n * n)
+
+
+def _grid(shape: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Corners of overlapping blocks that cover a plane (H, W)."""
+    step = _BLOCK - _OVERLAP
+    rows, columns = ([*range(0, side - _BLOCK, step), side - _BLOCK] for side in shape)
+    return [(row, column) for row in rows for column in columns]
+
+
+def _block(corner: tuple[int, int]) -> tuple[slice, slice]:
+    """Rows and columns of the block at a corner."""
+    return slice(corner[0], corner[0] + _BLOCK), slice(corner[1], corner[1] + _BLOCK)
+
+
+def composed(maps: Floats, source: BlockPlaces, free: TexelMask, reach: float) -> Floats:
+    """Maps copied from their sources without steps at seams: gradient-domain composition.
+
+    Texel p shows v(p) = m(s(p)), with s(p) = p where the maps are kept. The result u minimises,
+    over the texels that are not kept,
+
+        sum_pq (u(q) - u(p) - g(p, q))^2 + sum_p (u(p) - v(p))^2 / reach^2,
+
+    over pairs of neighbours p, q. g(p, q) is the mean of m(s(p) + q - p) - m(s(p)) and
+    m(s(q)) - m(s(q) + p - q), over those whose texels are kept ones. Within a block it is the
+    gradient of the maps; at a seam it has no step.
+
+    Args:
+        maps: (C, H, W) m.
+        source: (2, H, W) row and column of s(p); the texel itself where it is not free.
+        free: (H, W) texels that are not kept.
+        reach: texels over which the two sides of a seam converge.
+
+    Returns:
+        (C, H, W) u; m where not free.
+    """
+    if not free.any():
+        return maps
+    rows, columns = (np.flatnonzero(free.any(axis=axis)) for axis in (1, 0))
+    box = tuple(
+        slice(max(0, line[0] - 1), min(side, line[-1] + 2))
+        for line, side in zip((rows, columns), free.shape, strict=True)
+    )
+    inside, here = free[box], source[:, *box]
+    copied = maps[:, here[0], here[1]].astype(np.float64)
+    wanted = np.zeros_like(copied)
+    for axis in (0, 1):
+        first, last = _ends(axis)
+        step = np.array([[[1 - axis]], [[axis]]])
+        before, after = copied[:, *first], copied[:, *last]
+        ahead, has_ahead = _at(maps, here[:, *first] + step, free)
+        behind, has_behind = _at(maps, here[:, *last] - step, free)
+        drawn = has_ahead * (ahead - before) + has_behind * (after - behind)
+        known = has_ahead + has_behind
+        mismatch = np.where(known > 0.0, after - before - drawn / np.maximum(known, 1.0), 0.0)
+        wanted[:, *first] += mismatch
+        wanted[:, *last] -= mismatch
+    result = maps.copy()
+    shown = copied + _solved(wanted * inside, inside, reach)
+    result[:, *box] = np.where(inside, shown, maps[:, *box])
+    return result
+
+
+def _solved(right: NDArray[np.float64], free: TexelMask, reach: float) -> Floats:
+    """Solution c of (L + reach^-2) c = right, 0 where not free; L is the graph Laplacian.
+
+    Right and c are (C, h, w).
+    """
+    neighbours, degree = _free_neighbours(free)
+    result = np.zeros(right.shape, np.float32)
+    start = np.ascontiguousarray(right[:, free].T, np.float32)
+    result[:, free] = _conjugate_gradients(neighbours, degree + np.float32(reach**-2), start).T
+    return result
+
+
+def _free_neighbours(free: TexelMask) -> tuple[list[NDArray[np.int64]], Floats]:
+    """Of N free texels, the four neighbours' (N,) numbers, and the (N, 1) number of neighbours.
+
+    Texels that are not free have the number N.
+    """
+    number = np.full((free.shape[0] + 2, free.shape[1] + 2), free.sum(), np.int64)
+    number[1:-1, 1:-1][free] = np.arange(free.sum())
+    in_box = np.pad(np.ones(free.shape, np.float32), 1)
+    within, before, after = slice(1, -1), slice(None, -2), slice(2, None)
+    sides = ((before, within), (after, within), (within, before), (within, after))
+    degree = np.stack([in_box[side][free] for side in sides], axis=1).sum(1, keepdims=True)
+    return [number[side][free] for side in sides], degree
+
+
+def _conjugate_gradients(
+    neighbours: Sequence[NDArray[np.int64]], diagonal: Floats, right: Floats
+) -> Floats:
+    """(N, C) x in diagonal x - sum of x at neighbours = right, for all channels together.
+
+    Args:
+        neighbours: (N,) numbers each; N stands for a neighbour with x = 0.
+        diagonal: (N, 1).
+        right: (N, C); overwritten.
+    """
+    residual, one = right, np.float32
+    padded = np.concatenate([residual, np.zeros((1, residual.shape[1]), one)])
+    direction, solution = padded[:-1], np.zeros_like(residual)
+    image, some = np.empty_like(residual), np.empty_like(residual)
+    energy = start = float(np.vdot(residual, residual))
+    for _ in range(len(residual)):  # in exact arithmetic that many suffice
+        if not energy > _TOLERANCE**2 * start:  # or NaN
+            break
+        np.multiply(direction, diagonal, out=image)
+        for each in neighbours:
+            image -= np.take(padded, each, axis=0, out=some, mode="clip")
+        length = one(energy / float(np.vdot(direction, image)))
+        solution += np.multiply(direction, length, out=some)
+        residual -= np.multiply(image, length, out=image)
+        earlier, energy = energy, float(np.vdot(residual, residual))
+        direction *= one(energy / earlier)
+        direction += residual
+    return solution
+
+
+def _ends(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """All but the last and all but the first line along an axis."""
+    every, first, last = slice(None), slice(None, -1), slice(1, None)
+    return ((first, every), (last, every)) if axis == 0 else ((every, first), (every, last))
+
+
+def _at(maps: Floats, places: BlockPlaces, free: TexelMask) -> tuple[Floats, Floats]:
+    """(C, h, w) maps at places (2, h, w), and (h, w) 1 where those are kept texels, else 0."""
+    rows, columns = (np.clip(p, 0, side - 1) for p, side in zip(places, free.shape, strict=True))
+    kept = (rows == places[0]) & (columns == places[1]) & ~free[rows, columns]
+    return maps[:, rows, columns], kept.astype(np.float32)
+
+
+def remaining_highlight(albedo: Floats, known: TexelMask, distance: Floats) -> TexelMask:
+    """(H, W) bool: texels around the mirror point whose albedo still has the highlight.
+
+    What the fitted lobe misses of a highlight is put into albedo: a white spot, or a ring. A
+    material does not know where the flash was, so the mean of log albedo over a ring around the
+    mirror point is compared with the means over equal rings around other centres. The result is the
+    disc up to the last ring that stands out, before two that do not: rings that stand out only
+    farther away are shading. A narrow core may lie off the fitted mirror point, or be long: small
+    discs near it that stand out more than any elsewhere are added.
+
+    Args:
+        albedo: (C, H, W) diffuse albedo, in (0, 1].
+        known: (H, W) bool, texels of the photograph, clipped ones included.
+        distance: (H, W) distance from the mirror point, texels.
+    """
+    step = max(1, max(known.shape) // _CELLS)
+    size = (known.shape[1] // step, known.shape[0] // step)
+    log = np.log(np.maximum(albedo, 1e-3)).mean(0) * known
+    total, share, distances = (
+        area_averaged(plane, size) for plane in (log, known.astype(np.float32), distance / step)
+    )
+    surroundings = _ring_means(total, share, _WIDEST, _WIDEST + _AROUND)
+    rings = [_z_scores(total, share, surroundings, distances, i) for i in range(0, _WIDEST, _WIDTH)]
+    centre = np.unravel_index(int(distances.argmin()), distances.shape)
+    radius = _radius([float(ring[centre]) for ring in rings]) if distances[centre] <= 1.0 else 0
+    discs = np.nan_to_num(rings[0])
+    spots = (distances <= _NEAR) & (discs > discs[distances > _WIDEST].max(initial=_OUTLIER))
+    grown = cv2.dilate(spots.astype(np.uint8), np.ones((2 * _WIDTH + 1,) * 2, np.uint8))
+    texels = cv2.resize(grown, known.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
+    return np.asarray(texels | ((distance < (radius + 1) * step) & (radius > 0)))
+
+
+def _radius(scores: list[float]) -> int:
+    """Outer radius in cells of the last ring that stands out, before two that do not; or 0."""
+    radius = missed = 0
+    for number, contrast in enumerate(scores):
+        if contrast > _OUTLIER:
+            radius, missed = (number + 1) * _WIDTH, 0
+        elif np.isfinite(contrast):
+            missed += 1
+            if missed == _MISSED:
+                break
+    return radius
+
+
+def _z_scores(
+    total: Floats, share: Floats, surroundings: Floats, distances: Floats, inner: int
+) -> Floats:
+    """(h, w) how far the contrast of the ring around each cell is from its mean over those far from
+    the mirror point, in their standard deviations; NaN where it is unknown.
+
+    Args:
+        total: (h, w) sums of log albedo over cells.
+        share: (h, w) known share of the cells.
+        surroundings: (h, w) mean over the ring around the largest disc, NaN where unknown.
+        distances: (h, w) distance of the cells from the mirror point, cells.
+        inner: inner radius of the ring, cells.
+    """
+    outer = inner + _WIDTH
+    contrast = _ring_means(total, share, inner, outer) - surroundings
+    others = contrast[np.isfinite(contrast) & (distances > _WIDEST + outer)]
+    if len(others) < 16:
+        return np.full_like(contrast, np.nan)
+    return np.abs((contrast - others.mean()) / (others.std() + 1e-3)).astype(np.float32)
+
+
+def _ring_means(total: Floats, share: Floats, inner: int, outer: int) -> Floats:
+    """(h, w) means over the ring around each cell; NaN where much of it is outside the picture."""
+    offsets = np.arange(-outer, outer + 1)
+    radius = np.hypot(offsets, offsets[:, None])
+    ring = ((radius >= inner) & (radius < outer)).astype(np.float32)
+    sums, counts = (
+        cv2.filter2D(plane, -1, ring, borderType=cv2.BORDER_CONSTANT) for plane in (total, share)
+    )
+    return np.where(counts > _INSIDE * ring.sum(), sums / np.maximum(counts, 1e-6), np.nan)

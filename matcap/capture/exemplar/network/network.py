@@ -1,0 +1,287 @@
+"""A U-Net from a flash photograph to log-parameter residuals from a uniform material.
+
+Its finest level has half the picture's resolution, with 2 x 2 texels as channels; only a narrow
+head works at full resolution. Fully convolutional; information needed across the whole picture
+(gloss at the rim, relief in the middle) goes through a pooled context: means of every level's
+features, uniform and weighted by the sensitivity to slope and by gloss, scale and shift the
+features of the decoder (FiLM [perez2018]).
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from safetensors import SafetensorError, safe_open
+from torch import Tensor, nn
+
+from matcap.brdf.maps import CHANNELS
+from matcap.brdf.parameters import SurfaceParameters
+from matcap.errors import MatcapError
+from matcap.files.tensors import StoredTensors
+
+# Number of channels of each input, in order.
+_INPUT_CHANNELS = {
+    "log": 3, "valid": 1, "tangent": 2, "slope_sensitivity": 2,
+    "roughness_sensitivity": 1, "gloss": 1, "uniform": 3, "relief": 2,
+}  # fmt: skip
+_DOUBTED = {"albedo": 1, "specular": 1, "roughness": 1, "slope": 1}
+INPUTS, ERRORS = sum(_INPUT_CHANNELS.values()), len(_DOUBTED)
+OUTPUTS = sum(CHANNELS.values())
+ANSWERS = OUTPUTS + ERRORS + 1  # the last is the logit of metal
+_WEIGHTINGS = 3  # of the context's means: uniform, by squared slope sensitivity, by gloss
+_SLOPE = 0.2  # of LeakyReLU
+_SELDOM_METAL = -3.0  # initial bias of the logit of metal
+_GROUPS = 4  # of GroupNorm
+
+# File of the network: weights in half precision, and a model card.
+FORMAT = "matcap-inverse"
+VERSION = 2  # of the file
+SHIPPED = Path(__file__).parent / "weights" / "inverse.safetensors"
+_WIDEST, _DEEPEST = 512, 8
+_REMEDY = "install matcap again, or give another file"
+
+
+@dataclass(frozen=True)
+class InverseConfig:
+    """Widths of the network's layers."""
+
+    widths: tuple[int, ...] = (32, 48, 64, 96, 128)
+    """Channels at 1/2, 1/4, ... of the picture's resolution."""
+    context: int = 96
+    """Channels of the pooled context."""
+
+    @property
+    def multiple(self) -> int:
+        """Sides of the input must be multiples of this."""
+        return 2 ** len(self.widths)
+
+
+@dataclass(frozen=True)
+class NetworkInputs:
+    """Inputs of the network, (..., C, H, W) each (inputs.py)."""
+
+    log: Tensor
+    """Log radiance over the uniform material's, 3 channels."""
+    valid: Tensor
+    """1 where visible and not clipped, else 0."""
+    tangent: Tensor
+    """x / z and y / z of the direction to the light."""
+    slope_sensitivity: Tensor
+    """d log L / d slope along x and y."""
+    roughness_sensitivity: Tensor
+    """d log L / d logit(roughness)."""
+    gloss: Tensor
+    """Specular fraction of the uniform material's radiance, in [0, 1]."""
+    uniform: Tensor
+    """The uniform material's logit of roughness, log F0 and log albedo, scaled; constant planes."""
+    relief: Tensor
+    """First-order estimate of the slope along x and y from log radiance."""
+
+    def stacked(self) -> Tensor:
+        """All inputs concatenated, (..., INPUTS, H, W)."""
+        return torch.cat([getattr(self, name) for name in _INPUT_CHANNELS], dim=-3)
+
+    @staticmethod
+    def from_stacked(stacked: Tensor) -> NetworkInputs:
+        """The inverse of stacked()."""
+        return NetworkInputs(*stacked.split(list(_INPUT_CHANNELS.values()), dim=-3))
+
+
+@dataclass(frozen=True)
+class ExpectedErrors:
+    """Logarithms of the expected absolute errors of a prediction, (..., 1, H, W) each."""
+
+    albedo: Tensor
+    """Log of the error of log albedo."""
+    specular: Tensor
+    """Log of the error of log F0."""
+    roughness: Tensor
+    """Log of the error of logit roughness."""
+    slope: Tensor
+    """Log of the error of slopes."""
+
+    def stacked(self) -> Tensor:
+        """All errors concatenated, (..., ERRORS, H, W)."""
+        return torch.cat([getattr(self, name) for name in _DOUBTED], dim=-3)
+
+    @staticmethod
+    def from_stacked(stacked: Tensor) -> ExpectedErrors:
+        """The inverse of stacked()."""
+        return ExpectedErrors(*stacked.split(list(_DOUBTED.values()), dim=-3))
+
+
+@dataclass(frozen=True)
+class NetworkAnswer:
+    """Output of the network."""
+
+    residuals: SurfaceParameters
+    """Log parameters of the maps less those of the uniform material; F0 is its channels' mean."""
+    errors: ExpectedErrors
+    """Their expected errors."""
+    metal: Tensor
+    """(..., 1, H, W) logit of the share of metal in each texel (material_classes.py)."""
+
+    @staticmethod
+    def from_stacked(stacked: Tensor) -> NetworkAnswer:
+        """Split the output tensor (..., ANSWERS, H, W)."""
+        residuals, errors, metal = stacked.split([OUTPUTS, ERRORS, 1], dim=-3)
+        return NetworkAnswer(
+            SurfaceParameters.from_stacked(residuals), ExpectedErrors.from_stacked(errors), metal
+        )
+
+    def stacked(self) -> Tensor:
+        """The inverse of from_stacked()."""
+        parts = [self.residuals.stacked(), self.errors.stacked(), self.metal]
+        return torch.cat(parts, dim=-3)
+
+
+class Inverse(nn.Module):
+    """The network; see the module."""
+
+    def __init__(self, config: InverseConfig = InverseConfig()) -> None:
+        super().__init__()
+        self.config = config
+        widths = config.widths
+        self.stem = nn.Conv2d(4 * INPUTS, widths[0], 3, padding=1)
+        before = (widths[0], *widths[:-1])
+        self.down = nn.ModuleList(
+            _ResidualBlock(last, width) for last, width in zip(before, widths, strict=True)
+        )
+        self.pooled = nn.ModuleList(
+            nn.Linear(_WEIGHTINGS * width, config.context) for width in widths
+        )
+        self.context = nn.Sequential(
+            nn.LeakyReLU(_SLOPE), nn.Linear(config.context, config.context), nn.LeakyReLU(_SLOPE)
+        )
+        self.merge = nn.ModuleList(
+            nn.Conv2d(width + above, width, 1)
+            for width, above in zip(widths[:-1], widths[1:], strict=True)
+        )
+        self.up = nn.ModuleList(_ResidualBlock(width, width) for width in widths[:-1])
+        self.modulation = nn.ModuleList(
+            nn.Linear(config.context, 2 * width) for width in widths[:-1]
+        )
+        self.heights = nn.ModuleList(nn.Conv2d(width, 1, 3, padding=1) for width in widths[:-1])
+        fine = 16
+        self.head = nn.Conv2d(widths[0], 4 * fine, 3, padding=1)
+        self.fine = nn.Conv2d(fine + INPUTS, fine, 3, padding=1)
+        self.out = nn.Conv2d(fine, ANSWERS, 3, padding=1)
+        with torch.no_grad():
+            for layer in (self.out, *self.heights, *self.modulation):
+                layer.weight.mul_(0.1)
+                assert layer.bias is not None
+                layer.bias.zero_()
+            assert self.out.bias is not None
+            self.out.bias[-1] = _SELDOM_METAL
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        """Predict the maps of a batch of photographs.
+
+        Args:
+            inputs: (B, INPUTS, H, W), sides multiples of config.multiple.
+
+        Returns:
+            (B, ANSWERS, H, W), to be split by NetworkAnswer.from_stacked.
+        """
+        parts = NetworkInputs.from_stacked(inputs)
+        weights = _weightings(parts)
+        x = self.stem(F.pixel_unshuffle(inputs, 2))
+        levels, context = [], 0.0
+        for index, (block, pooled) in enumerate(zip(self.down, self.pooled, strict=True)):
+            if index:
+                x = F.avg_pool2d(x, 2)
+            x = block(x)
+            levels.append(x)
+            context = context + pooled(_means(x, F.avg_pool2d(weights, 2 ** (index + 1))))
+        context = self.context(context)
+        height: Tensor | None = None
+        for index in reversed(range(len(levels) - 1)):
+            x = F.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
+            x = self.merge[index](torch.cat([levels[index], x], dim=1))
+            scale, shift = self.modulation[index](context)[..., None, None].chunk(2, dim=1)
+            x = self.up[index](x * (1.0 + scale) + shift)
+            # Heights are proportional to the wavelength at equal slope.
+            here = self.heights[index](x) * 2.0**index
+            if height is not None:
+                here = here + F.interpolate(
+                    height, scale_factor=2.0, mode="bilinear", align_corners=False
+                )
+            height = here
+        assert height is not None
+        fine = F.pixel_shuffle(self.head(x), 2)
+        fine = F.leaky_relu(self.fine(torch.cat([fine, inputs], dim=1)), _SLOPE)
+        answer = NetworkAnswer.from_stacked(self.out(fine))
+        coarse = F.interpolate(height, scale_factor=2.0, mode="bilinear", align_corners=False)
+        # Albedo is predicted relative to the photograph's log radiance over the uniform material.
+        first = answer.residuals
+        residuals = replace(first, diffuse=first.diffuse + parts.log, height=first.height + coarse)
+        return replace(answer, residuals=residuals).stacked()
+
+
+class _ResidualBlock(nn.Module):
+    """Two convolutions, each after GroupNorm and LeakyReLU, plus a shortcut."""
+
+    def __init__(self, before: int, width: int) -> None:
+        super().__init__()
+        self.before = nn.GroupNorm(_GROUPS, before)
+        self.first = nn.Conv2d(before, width, 3, padding=1)
+        self.between = nn.GroupNorm(_GROUPS, width)
+        self.second = nn.Conv2d(width, width, 3, padding=1)
+        self.shortcut = nn.Conv2d(before, width, 1) if before != width else nn.Identity()
+        with torch.no_grad():
+            self.second.weight.mul_(0.3)
+
+    def forward(self, x: Tensor) -> Tensor:
+        y = self.first(F.leaky_relu(self.before(x), _SLOPE))
+        y = self.second(F.leaky_relu(self.between(y), _SLOPE))
+        return self.shortcut(x) + y
+
+
+def _weightings(parts: NetworkInputs) -> Tensor:
+    """(B, _WEIGHTINGS, H, W) weights of valid texels: 1, squared slope sensitivity, gloss."""
+    valid = parts.valid + 1e-3
+    relief = parts.slope_sensitivity.square().sum(1, keepdim=True)
+    return torch.cat([valid, valid * relief, valid * parts.gloss], dim=1)
+
+
+def _means(features: Tensor, weights: Tensor) -> Tensor:
+    """(B, _WEIGHTINGS * C) weighted means of |features| (B, C, H, W)."""
+    total = weights.sum((2, 3)).clamp_min(1e-6)
+    means = torch.einsum("bchw,bkhw->bkc", features.abs(), weights) / total[..., None]
+    return means.flatten(1)
+
+
+def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
+    """Read a network and its model card.
+
+    Raises:
+        MatcapError: the file is missing, damaged, or of another format or version.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            about = json.loads((file.metadata() or {})["matcap"])
+            if about["format"] != FORMAT or about["version"] != VERSION:
+                raise ValueError(f"it holds {about['format']} of version {about['version']}")
+            widths = tuple(int(width) for width in about["widths"])
+            sizes = (*widths, int(about["context"]))
+            if not (2 <= len(widths) <= _DEEPEST and all(4 <= s <= _WIDEST for s in sizes)):
+                raise ValueError(f"a network of widths {sizes}")
+            network = Inverse(InverseConfig(widths, int(about["context"])))
+            network = StoredTensors(file, path, _REMEDY).load(network)
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise MatcapError.at(
+            path, f"this is not an inverse network's file, or it is damaged ({error})", _REMEDY
+        ) from error
+    return network, dict(about["card"])
+
+
+@cache
+def load_inverse() -> Inverse:
+    """Load the network that comes with matcap, once per process."""
+    return read_inverse(SHIPPED)[0]

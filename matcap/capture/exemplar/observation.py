@@ -1,0 +1,263 @@
+"""Observation: a rectified photograph, its light at every texel, and the network's inputs.
+
+PhotographLight renders maps in that light, and gives the derivative of log radiance by slope. All
+stages from here on compare such renderings with the photograph. Maps are `residuals`: residuals of
+log parameters (brdf/parameters.py) from the uniform material of the coarse fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.brdf.normals import normals_from_slopes
+from matcap.brdf.parameters import F0_LIMITS, Reflectance, SurfaceParameters
+from matcap.capture.exemplar.filters import filled, smoothed
+from matcap.capture.exemplar.material_classes import seen_colour, specular_tint
+from matcap.capture.exemplar.mean_parameters import RingTarget
+from matcap.capture.exemplar.network.inputs import STEP, network_inputs
+from matcap.capture.exemplar.network.network import NetworkInputs
+from matcap.capture.exemplar.noise import AROUND, DARKEST, channel_noise, channel_weights
+from matcap.capture.exemplar.relief_spectrum import (
+    RESPONSE_AROUND,
+    ReliefSpectrum,
+    measure_relief_spectrum,
+)
+from matcap.flash.coarse.fit import CoarseFit
+from matcap.flash.geometry import flash_mirror_point, plane_points
+from matcap.flash.light import FlashLight, Incidence, cached_rows, from_vignetting_centre, strips
+from matcap.flash.plane import Plane
+from matcap.flash.rectify import inside
+from matcap.flash.render import Uniform
+
+_SPREAD_OF_LIGHT = 1.5  # texels, standard deviation of the blur of clipping
+# Radiance (1 at clipping) below which a neighbourhood is unlit: the lowest 8-bit codes, or noise.
+_UNLIT = 1e-3
+
+
+@dataclass(frozen=True)
+class PhotographLight:
+    """The photograph's light at every texel, precomputed."""
+
+    flash: FlashLight
+    """The light."""
+    uniform: SurfaceParameters
+    """(..., 1, 1) each: log parameters of the uniform material, which `residuals` are added to."""
+    tint: Tensor | float = 1.0
+    """(3, H, W) specular tint, F0 over the mean of its channels; 1 without metal
+    (material_classes.py). Residuals of F0 are those of its mean."""
+
+    @staticmethod
+    def of(coarse: Uniform, points: Tensor) -> PhotographLight:
+        """Light and uniform material of a coarse fit, at plane points (3, H, W)."""
+        return PhotographLight(FlashLight.of(coarse.setup, points), coarse.parameters().to(points))
+
+    def cut(self, rows: slice, columns: slice) -> PhotographLight:
+        """The light at a rectangle of texels."""
+        tint = self.tint if isinstance(self.tint, float) else self.tint[..., rows, columns]
+        return replace(self, flash=self.flash.cut(rows, columns), tint=tint)
+
+    def maps(self, residuals: SurfaceParameters, texel_size: float = 1.0) -> MapSet:
+        """Maps with log parameters `uniform` + residuals."""
+        maps = (self.uniform + residuals).maps(texel_size)
+        return replace(maps, specular=(maps.specular * self.tint).clamp(*F0_LIMITS))
+
+    def residuals(self, maps: MapSet) -> SurfaceParameters:
+        """The inverse of maps()."""
+        mean = maps.specular.mean(-3, keepdim=True)
+        return SurfaceParameters.of(replace(maps, specular=mean)) - self.uniform
+
+    def logs(self, maps: MapSet | Reflectance, incidence: Incidence) -> tuple[Tensor, Tensor]:
+        """(3, H, W) each: log radiance of maps, and the diffuse share of the radiance."""
+        diffuse = incidence.diffuse(maps.diffuse)
+        mirrored = incidence.specular(maps.specular, maps.roughness)
+        radiance = (diffuse + mirrored).clamp_min(DARKEST)
+        return radiance.log(), diffuse / radiance
+
+    def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
+        """logs() of maps on their own relief, strip by strip."""
+        return _by_strips(self.cut, maps)
+
+    def slope_sensitivity(self, maps: MapSet | Reflectance) -> Tensor:
+        """(2, H, W) d log L / d slope along x and y on a flat surface, L averaged over channels."""
+        one = torch.ones_like(maps.roughness)
+
+        def tilted(x: float, y: float) -> Tensor:
+            incidence = self.flash.onto(normals_from_slopes(x * one, y * one))
+            return self.logs(maps, incidence)[0].mean(0)
+
+        across = tilted(STEP, 0.0) - tilted(-STEP, 0.0)
+        up = tilted(0.0, STEP) - tilted(0.0, -STEP)
+        return torch.stack([across, up]) / (2.0 * STEP)
+
+
+@dataclass(frozen=True)
+class PlaneLight:
+    """A photograph's light at the texels of its plane, computed for each rectangle that is cut."""
+
+    coarse: Uniform
+    """The fit whose light it is."""
+    size: tuple[int, int]
+    """(width, height) of the plane."""
+
+    def cut(self, rows: slice, columns: slice) -> PhotographLight:
+        """The light at a rectangle of texels."""
+        width, height = self.size
+        top, bottom, step = rows.indices(height)
+        points = plane_points(0, top, width, bottom - top, self.size, dtype=torch.float32)
+        return PhotographLight.of(self.coarse, points[:, ::step, columns])
+
+    def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
+        """PhotographLight.logs() of maps on their own relief, strip by strip."""
+        return _by_strips(self.cut, maps)
+
+
+def _by_strips(
+    light: Callable[[slice, slice], PhotographLight], maps: MapSet
+) -> tuple[Tensor, Tensor]:
+    """PhotographLight.logs() of maps on their own relief, under the light of each strip of rows."""
+    log, share = torch.empty_like(maps.diffuse), torch.empty_like(maps.diffuse)
+    normal, (height, width) = maps.normal, maps.diffuse.shape[-2:]
+    for rows in strips(height, cached_rows(width)):
+        cut = (m[..., rows, :] for m in (maps.diffuse, maps.specular, maps.roughness))
+        lit = light(rows, slice(None))
+        incidence = lit.flash.onto(normal[..., rows, :])
+        log[..., rows, :], share[..., rows, :] = lit.logs(Reflectance(*cut), incidence)
+    return log, share
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A rectified photograph, and its light."""
+
+    plane: Plane
+    """The photograph; valid where visible, unclipped and lit."""
+    coarse: CoarseFit
+    """Coarse fit of the photograph."""
+    points: Tensor
+    """(3, H, W) plane points of the texels."""
+    shown: Tensor
+    """(3, H, W) bool by channel: unclipped and lit, or outside of the photograph."""
+    within: Tensor
+    """(H, W) bool: inside of the photograph and its mask."""
+    inputs: NetworkInputs
+    """Inputs of the network."""
+    light: PhotographLight
+    """The photograph's, at every texel."""
+    noise: Tensor
+    """(3, H, W) standard deviation of log radiance, of the sensor or the 8-bit codes."""
+
+    @staticmethod
+    def of(plane: Plane, coarse: CoarseFit) -> Observation:
+        """Observation of a rectified photograph; texels below the noise become invalid."""
+        width, height = plane.size
+        points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+        points = plane.extent.placed(points)
+        # Texels outside of the photograph are mirrored ones, and count as valid inputs.
+        own = torch.from_numpy(inside(plane.margins.inside_of((height, width)), coarse.setup))
+        mirrors = ~(plane.margins.padded(own) & plane.kept)
+        inputs = network_inputs(plane.linear, plane.valid | mirrors, coarse, points)
+        bright = lit(plane.linear)
+        shown = (plane.measured | mirrors) & bright
+        plane = replace(plane, valid=plane.valid & bright, channels=plane.measured & bright)
+        light = PhotographLight.of(coarse, points)
+        return Observation(
+            plane, coarse, points, shown, ~mirrors, inputs, light, channel_noise(plane)
+        )
+
+    @property
+    def specular_fraction(self) -> NDArray[np.float32]:
+        """(H, W) specular fraction of the uniform material's radiance."""
+        return np.asarray(self.inputs.gloss[0].clamp(0.0, 1.0).numpy(), np.float32)
+
+    @property
+    def from_mirror_point(self) -> Tensor:
+        """(H, W) distance from the flash's mirror point, plane units."""
+        x, y = flash_mirror_point(self.coarse.setup)
+        return torch.hypot(self.points[0] - x, self.points[1] - y)
+
+    @property
+    def from_vignetting_centre(self) -> Tensor:
+        """(H, W) distance from the vignetting's centre in the photograph, in half widths."""
+        return torch.hypot(*from_vignetting_centre(self.points, self.coarse.setup))
+
+    def relief_spectrum(self, predicted: Tensor | None = None) -> ReliefSpectrum | None:
+        """Relief spectrum measured in the photograph; None if too few texels are valid.
+
+        The sensitivity to slope is the coarse fit's, which is nearer to the truth than that of the
+        predicted maps (docs/notes/capture.md); the difference of both adds to the deviation.
+
+        Args:
+            predicted: (2, H, W) d log L / d slope of the predicted maps: bare metal between rust
+                has three times the sensitivity of both together.
+        """
+        plane, use = self.plane, self.plane.measured.numpy()
+        # Interpolate clipped texels, to no less than the clipped value.
+        channels = zip(self.inputs.log.numpy(), use, strict=True)
+        whole = [np.maximum(filled(channel, seen), channel) for channel, seen in channels]
+        weights = channel_weights(self.noise)
+        variance = (weights * self.noise).square().sum(0)[plane.valid]
+        return measure_relief_spectrum(
+            np.asarray((weights.numpy() * whole).sum(0), np.float32),
+            _even(self.inputs.slope_sensitivity),
+            use.mean(0, dtype=np.float32),
+            float(variance.mean().sqrt()) if variance.numel() else 0.0,
+            matte=(1.0 - self.inputs.gloss[0]).clamp(0.0, 1.0).numpy(),
+            also=None if predicted is None else _even(predicted),
+        )
+
+    def tinted(self, metal: Tensor) -> Observation:
+        """Set the specular tint to the colour of texels by their share (1, H, W) of metal."""
+        seen = seen_colour(self.plane.linear, metal * self.shown.all(0, keepdim=True))
+        return replace(self, light=replace(self.light, tint=specular_tint(metal, seen)))
+
+    def ring_target(self, residuals: SurfaceParameters, metal: tuple[bool, ...]) -> RingTarget:
+        """Target of fit_mean_parameters: the photograph around its mirror point, with a surface.
+
+        Args:
+            residuals: log parameters of the surface less those of the coarse fit.
+            metal: whether each of its classes is metal.
+        """
+        return RingTarget(
+            linear=self.plane.linear,
+            measured=self.shown,
+            counts=self.within,
+            distance=self.from_mirror_point,
+            flash=self.light.flash,
+            normal=self.light.maps(residuals).normal,
+            surface=self.light.uniform + residuals,
+            tints=tuple(self.light.tint if each else 1.0 for each in metal),
+        )
+
+
+def seen_share(measured: Tensor) -> NDArray[np.float32]:
+    """(H, W) visibility in [0, 1] of a texel and its neighbours, from unclipped channels (3, H, W).
+
+    Two of three channels suffice, as both show the texture: of red cloth the red one clips first.
+    Light of clipped texels blurs into neighbours: next to an isolated sparkle visibility is little
+    lower, next to a large clipped area it is 0.
+    """
+    share = (measured.float().sum(0) / 2.0).clamp_max(1.0).numpy()
+    around = cv2.GaussianBlur(share, (0, 0), _SPREAD_OF_LIGHT, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(np.minimum(share, np.clip(2.0 * around - 1.0, 0.0, 1.0)), np.float32)
+
+
+def lit(linear: Tensor) -> Tensor:
+    """(H, W) bool: where the local mean of radiance (3, H, W) is above _UNLIT.
+
+    Radiance is limited to 2 _UNLIT first, so that bright neighbours do not light a dark texel.
+    """
+    grey = linear.mean(0).clamp_max(2.0 * _UNLIT).numpy()
+    return torch.from_numpy(smoothed(grey, AROUND) > _UNLIT)
+
+
+def _even(sensitivity: Tensor) -> NDArray[np.float32]:
+    """Smoothed sensitivity (2, H, W)."""
+    return np.stack([smoothed(s, RESPONSE_AROUND) for s in sensitivity.numpy()])

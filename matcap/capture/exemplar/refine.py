@@ -1,0 +1,455 @@
+"""Stage refine: maps are changed until they re-render to the photograph.
+
+In come predicted maps with their classes, out go refined ones (refine_maps):
+
+1. flatten: the low frequencies of albedo, which a stationary sample does not have, are removed;
+2. narrowed: relief is scaled down until the highlight is no wider than photographed;
+3. scaled_by_glints: each octave of relief is scaled to the photographed contrast of glints;
+4. with_mean_parameters: after 2 and 3, each class's mean parameters are fitted to the highlight
+   (mean_parameters.py);
+5. refine_albedo: residual log radiance is assigned to the albedo of every texel, of metal to F0;
+6. flatten and with_photographed_mean: as 1, and the mean radiance is the photograph's.
+
+Glints (3): where the specular fraction s of radiance is high, contrast is due to slopes, as albedo
+is diluted, and F0 and roughness are constant. So the photographed energy E_b of log radiance in
+octave b, noise subtracted, gives the factor g_b on relief:
+
+    E_b(region) = mean (1 - s)^2 A_b + g_b^2 R_b(region),  of the glossiest and the mattest region,
+
+with the unknown energy A_b of log albedo, and the energy R_b of the re-rendering with constant
+albedo. The matte region yields A_b: under a glaze over a pattern, or on polished limestone, part of
+the contrast is albedo.
+
+Albedo (5): Gauss-Newton steps, by a Wiener filter. Of a residual r of log radiance a parameter with
+sensitivity a = d log L / d parameter and prior variance p, the network's expected error, gets
+
+    a p r / (a^2 p + noise variance).
+
+Relief is not changed: misplaced relief would be cancelled instead of moved (docs/notes/capture.md).
+A clipped channel is a lower bound. Low-frequency residuals are errors of coarse fit and tone curve,
+and are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.parameters import SurfaceParameters
+from matcap.capture.exemplar.filters import WIDE, filled, smoothed, split
+from matcap.capture.exemplar.mean_parameters import (
+    ROUGHNESS_DEVIATION,
+    MeanParameterPrior,
+    fit_mean_parameters,
+)
+from matcap.capture.exemplar.network.network import ExpectedErrors
+from matcap.capture.exemplar.noise import DARKEST, channel_weights
+from matcap.capture.exemplar.observation import Observation, PhotographLight
+from matcap.capture.exemplar.predict import NetworkPrediction
+from matcap.flash.coarse.hypotheses import CONDUCTOR_F0, DIELECTRIC_F0
+
+# Refinement; docs/notes/capture.md. NSD is the normalised style distance.
+
+# Gauss-Newton steps. The power of granite's finest octave is 0.66, 0.74 and 0.74 of the
+# photograph's after 3, 4 and 6.
+_STEPS = 5
+# Log radiance, lower limit of the noise. Smaller values copy sensor noise into the maps.
+_LEAST_NOISE = 0.01
+# Largest change of log radiance in a step. Gaps between threads are predicted too bright by more
+# than 0.5.
+_MOST_CHANGE = 1.5
+# Standard deviation of the highlight's log radiance at a specular fraction of 1, of dielectric
+# and metal, whose texture is its F0: a brushed steel has an NSD of 2.5 with 0.5, and of 1.8 with
+# 0.15.
+_SPECULAR_NOISE, _SPECULAR_NOISE_METAL = 0.5, 0.15
+# Ratio of the standard deviations of albedo's chroma and lightness. Larger values take sensor
+# noise for colour.
+_CHROMA = 0.3
+# The long side over the standard deviation of the blur that is subtracted from albedo, as the
+# sample is stationary.
+_STATIONARY = 8.0
+_RINGS, _SECTORS = 64, 16  # rings across the long side, and their parts
+_MOST_SHIFT = 2.0  # largest factor on the mean radiance
+
+# Mean parameters.
+FIT_TEXELS = 384  # short side of the grid of the fit
+# Standard deviation of the mean residual of rings, over that of the log scale of relief.
+_RESIDUAL_BY_SCALE = 0.05
+# Prior standard deviations of mean parameters (log albedo 3, log F0, logit roughness) around their
+# values before relief is known, of dielectric and metal.
+_DIELECTRIC_DEVIATIONS = [*[1.0] * 3, DIELECTRIC_F0[1], ROUGHNESS_DEVIATION]
+_METAL_DEVIATIONS = [*[0.05] * 3, CONDUCTOR_F0[1], ROUGHNESS_DEVIATION]
+
+# Glints.
+# Specular fraction of the radiance that bounds the glossiest region, where slopes dominate.
+MIRRORED = 0.4
+LEAST_SHARE = 0.01  # least share of the photograph for that region
+# Share of the photograph, with the least specular fraction, in the mattest region.
+_MATTE_SHARE = 0.33
+_LEAST_FACTOR, _MOST_FACTOR = 0.5, 6.0  # limits of the factors
+
+
+def refine_maps(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
+    """Fit mean parameters of the classes, then albedo of every texel, to the photograph."""
+    plane, fitted = observed.plane, fitted_to_highlight(observed, prediction)
+    steep = scaled_by_glints(
+        fitted.residuals, plane.linear, plane.measured, observed.light, observed.noise
+    )
+    fitted = with_mean_parameters(observed, replace(fitted, residuals=steep))
+    photograph, metal = (plane.linear, observed.shown), fitted.classes.metal_share
+    refined = refine_albedo(
+        fitted.residuals,
+        fitted.errors,
+        *photograph,
+        observed.light,
+        metal=metal,
+        noise=observed.noise,
+    )
+    even = flattened(observed, replace(fitted, residuals=refined))
+    shifted = with_photographed_mean(even.residuals, *photograph, observed.light, metal)
+    return replace(even, residuals=shifted)
+
+
+def fitted_to_highlight(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
+    """Even albedo; relief and mean parameters of the classes fitted to the highlight's rings."""
+    return with_mean_parameters(observed, narrowed(observed, flattened(observed, prediction)))
+
+
+def flattened(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
+    """Remove low-frequency trends of albedo, except those of the class shares (flatten)."""
+    plane, means = observed.plane, prediction.classes.flat()
+    distances = (observed.from_mirror_point, observed.from_vignetting_centre)
+    even = flatten(
+        prediction.residuals - means,
+        prediction.confidence[0],
+        [(distance / plane.texel_size).numpy() for distance in distances],
+        plane.unit,
+    )
+    return replace(prediction, residuals=even + means)
+
+
+def narrowed(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
+    """Scale relief down until it does not make the highlight wider than photographed.
+
+    Roughness makes up for relief that is too flat; nothing narrows the highlight of relief that is
+    too steep. The scale s <= 1 is the most probable one of half octaves:
+
+        minimise  r(s)^2 + (_RESIDUAL_BY_SCALE log s)^2,
+
+    with r the mean absolute log residual of rings, their mean parameters fitted to relief s h.
+    """
+
+    def scaled(scale: float) -> NetworkPrediction:
+        residuals = prediction.residuals
+        return replace(prediction, residuals=replace(residuals, height=residuals.height * scale))
+
+    def cost(scale: float) -> float:
+        _, residual = _fitted_mean_parameters(observed, scaled(scale), FIT_TEXELS // 2)
+        return math.hypot(residual, _RESIDUAL_BY_SCALE * math.log(scale))
+
+    scale, least = 1.0, cost(1.0)
+    while (lower := cost(scale * math.sqrt(0.5))) < least:
+        scale, least = scale * math.sqrt(0.5), lower
+    return scaled(scale)
+
+
+def with_mean_parameters(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
+    """Fit the classes' mean parameters to the highlight's radial profile (mean_parameters.py)."""
+    classes = prediction.classes
+    moved, _ = _fitted_mean_parameters(observed, prediction, FIT_TEXELS)
+    changed = prediction.residuals + classes.flat(moved)
+    classes = replace(classes, mean_parameters=classes.mean_parameters + moved)
+    return replace(prediction, residuals=changed, classes=classes)
+
+
+def _fitted_mean_parameters(
+    observed: Observation, prediction: NetworkPrediction, texels: int
+) -> tuple[Tensor, float]:
+    """(K, 5) changes of the classes' mean parameters, and the mean absolute log residual of rings.
+
+    Args:
+        observed: the photograph.
+        prediction: the maps with their classes.
+        texels: short side of the grid of the fit, at least.
+    """
+    classes = prediction.classes
+    target = observed.ring_target(prediction.residuals, classes.metal)
+    step = max(1, min(target.distance.shape) // texels)
+    shares = classes.shares[:, ::step, ::step]
+    deviation = torch.tensor(
+        [_METAL_DEVIATIONS if metal else _DIELECTRIC_DEVIATIONS for metal in classes.metal]
+    )
+    start = torch.zeros_like(classes.mean_parameters)
+    return fit_mean_parameters(
+        target.thinned(texels), shares, start, MeanParameterPrior(start, deviation)
+    )
+
+
+def flatten(
+    residuals: SurfaceParameters,
+    confidence: NDArray[np.float32],
+    distances: Sequence[NDArray[np.float32]],
+    unit: float,
+) -> SurfaceParameters:
+    """Remove from albedo (of metal: F0) low frequencies, and rings around given points: the
+    flash's mirror point, and the vignetting's centre.
+
+    A stationary sample has neither. The mean, weighted by squared confidence, is kept.
+
+    Args:
+        residuals: of the exemplar from its classes' mean parameters.
+        confidence: (H, W) of albedo, in [0, 1].
+        distances: (H, W) each, from these points, texels.
+        unit: texels along the photograph's long side.
+    """
+    weight = torch.from_numpy(confidence).square() + 1e-3
+
+    def even(channels: Tensor) -> Tensor:
+        if not bool(channels.any()):
+            return channels
+        mean = (channels * weight).sum((1, 2), keepdim=True) / weight.sum()
+        level = np.stack([c - smoothed(c, unit / _STATIONARY) for c in channels.numpy()])
+        for distance in distances:
+            level -= _rings(level, distance, confidence)
+        return torch.from_numpy(level) + mean
+
+    return replace(residuals, diffuse=even(residuals.diffuse), specular=even(residuals.specular))
+
+
+def _rings(
+    planes: NDArray[np.float32], distance: NDArray[np.float32], weight: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """(C, H, W) means of planes over rings around a point, shrunk by their uncertainty.
+
+    The mean m of a ring becomes m max(1 - e^2 / m^2, 0) (James-Stein), where the standard error e
+    is that of the means of its sectors.
+
+    Args:
+        planes: (C, H, W) of about zero mean.
+        distance: (H, W) distance from the point, texels.
+        weight: (H, W) of the texels.
+    """
+    width = max(distance.shape) / _RINGS
+    row, column = divmod(int(distance.argmin()), distance.shape[1])
+    rows, columns = (np.arange(n, dtype=np.float32) for n in distance.shape)
+    turns = np.arctan2(rows[:, None] - row, columns - column) / (2.0 * np.pi) % 1.0
+    sector = np.minimum((turns * _SECTORS).astype(np.int64), _SECTORS - 1)
+    ring = (distance / width).astype(np.int64)
+    count = int(ring.max()) + 1
+    part = (ring * _SECTORS + sector).ravel()
+
+    def sums(values: NDArray[np.float32]) -> NDArray[np.float64]:
+        flat = np.bincount(part, values.ravel(), count * _SECTORS)
+        return flat.reshape(count, _SECTORS).astype(np.float64)
+
+    weights = sums(weight)
+    seen = weights > 0.25 * weights.max(axis=1, keepdims=True)
+    number = seen.sum(1)
+    middles = (np.arange(count) + 0.5) * width
+    rings = np.empty_like(planes)
+    for plane, means in zip(planes, rings, strict=True):
+        parts = sums(weight * plane) / np.maximum(weights, 1e-6)
+        mean = (parts * seen).sum(1) / np.maximum(number, 1)
+        scatter = (np.square(parts - mean[:, None]) * seen).sum(1)
+        error = scatter / np.maximum(number * (number - 1), 1)
+        kept = mean * np.clip(1.0 - error / np.maximum(np.square(mean), 1e-12), 0.0, 1.0)
+        kept[number < _SECTORS / 4] = 0.0
+        means[:] = np.interp(distance, middles, kept)
+    return rings
+
+
+@torch.no_grad()
+def refine_albedo(
+    residuals: SurfaceParameters,
+    errors: ExpectedErrors,
+    linear: Tensor,
+    valid: Tensor,
+    light: PhotographLight,
+    *,
+    metal: Tensor | float = 0.0,
+    noise: Tensor | float = 0.02,
+) -> SurfaceParameters:
+    """Refine albedo, of metal F0, so that the maps re-render to the photograph.
+
+    Args:
+        residuals: of the exemplar from the coarse fit.
+        errors: expected errors of the prediction.
+        linear: (3, H, W) the photograph on the plane's grid.
+        valid: (H, W) or (3, H, W) bool, visible and not clipped.
+        light: the photograph's own.
+        metal: (1, H, W) share of metal in each texel.
+        noise: standard deviation of the photograph's log radiance; (3, H, W) or one number.
+    """
+    observed = linear.clamp_min(DARKEST).log()
+    valid = valid.expand_as(linear)
+    albedo = errors.albedo.exp().square()
+    colour = albedo * _CHROMA**2
+    maps = light.maps(residuals)
+    incidence = light.flash.onto(maps.normal)
+    log, shares = light.logs(maps, incidence)
+    white = torch.as_tensor(noise).to(linear).expand_as(linear).clamp_min(_LEAST_NOISE)
+    weights = channel_weights(white)
+    specular_noise = _SPECULAR_NOISE + (_SPECULAR_NOISE_METAL - _SPECULAR_NOISE) * metal
+    for step in range(_STEPS):
+        if step:
+            log, shares = light.logs(light.maps(residuals), incidence)
+        difference = _log_difference(observed, log, valid)
+        difference = (difference - _slow(difference, valid)).clamp(-_MOST_CHANGE, _MOST_CHANGE)
+        informative = valid | (difference > 0.0)
+        share = (weights * shares).sum(0, keepdim=True)
+        # d log L / d log albedo, and of metal / d log F0.
+        sensitivity = (1.0 - metal) * share + metal * (1.0 - share)
+        counts = weights * informative
+        counts = counts / counts.sum(0, keepdim=True).clamp_min(1e-6)
+        grey = (counts * difference).sum(0, keepdim=True)
+        specular_variance = (specular_noise * (1.0 - share)).square()
+        # The channels' noise is taken as fully correlated, as development blurs it to blotches.
+        variance = (counts * white).sum(0, keepdim=True).square() + specular_variance
+        common = sensitivity * albedo * grey / (sensitivity.square() * albedo + variance)
+        # A clipped channel that is bright enough gives no information on colour.
+        chroma = torch.where(informative, difference - grey, 0.0)
+        variance = shares.square() * colour + white.square() + specular_variance
+        chroma = chroma * shares * colour / variance
+        residuals = replace(
+            residuals,
+            diffuse=residuals.diffuse + (1.0 - metal) * (common + chroma),
+            specular=residuals.specular + metal * common,
+        )
+    return residuals
+
+
+@torch.no_grad()
+def with_photographed_mean(
+    residuals: SurfaceParameters,
+    linear: Tensor,
+    valid: Tensor,
+    light: PhotographLight,
+    metal: Tensor | float = 0.0,
+) -> SurfaceParameters:
+    """Shift log albedo, and F0 of metal, so that the mean radiance is the photograph's.
+
+        shift = log(sum w (L - R) / sum w B),    w = B / (B + R) / U,
+
+    for each channel, with photographed radiance L, rendered radiance B + R whose part B is
+    proportional to albedo (of metal: F0), and the radiance U of the uniform material. Contrast that
+    refinement adds to log albedo changes the mean radiance: of a black and white weave by 1.5.
+
+    Args:
+        residuals, linear, valid, light, metal: as of refine_albedo.
+    """
+    log, diffuse_share = light.rendered(light.maps(residuals))
+    even, _ = light.rendered(light.maps(residuals - residuals))
+    share = (1.0 - metal) * diffuse_share + metal * (1.0 - diffuse_share)
+    radiance = log.exp()
+    weight = valid * share / even.exp()
+    photographed = (weight * (linear - (1.0 - share) * radiance)).sum((1, 2))
+    rendered = (weight * share * radiance).sum((1, 2)).clamp_min(1e-9)
+    ratio = (photographed / rendered).clamp(1.0 / _MOST_SHIFT, _MOST_SHIFT)
+    shift = ratio.log()[:, None, None]
+    return replace(
+        residuals,
+        diffuse=residuals.diffuse + (1.0 - metal) * shift,
+        specular=residuals.specular + metal * shift.mean(),
+    )
+
+
+def radiance_residual(
+    residuals: SurfaceParameters, linear: Tensor, valid: Tensor, light: PhotographLight
+) -> tuple[Tensor, Tensor]:
+    """(3, H, W) each: residual of log radiance, photograph less re-rendering, and its low
+    frequencies, which are not the material's; arguments as of refine_albedo.
+    """
+    log, _ = light.rendered(light.maps(residuals))
+    difference = _log_difference(linear.clamp_min(DARKEST).log(), log, valid)
+    return difference, _slow(difference, valid)
+
+
+def _log_difference(observed: Tensor, log: Tensor, valid: Tensor) -> Tensor:
+    """(3, H, W) photographed less rendered log radiance; of clipped texels only positive ones."""
+    difference = observed - log
+    return torch.where(valid, difference, difference.clamp_min(0.0))
+
+
+def _slow(difference: Tensor, valid: Tensor) -> Tensor:
+    """Low-frequency part (3, H, W) of a difference, over valid texels."""
+    deviation = max(valid.shape) / WIDE
+    weights = valid.expand_as(difference).numpy().astype(np.float32) + np.float32(1e-4)
+    planes = [
+        smoothed(plane * weight, deviation) / smoothed(weight, deviation)
+        for plane, weight in zip(difference.clamp(-1, 1).numpy(), weights, strict=True)
+    ]
+    return torch.from_numpy(np.stack(planes))
+
+
+def scaled_by_glints(
+    residuals: SurfaceParameters,
+    linear: Tensor,
+    measured: Tensor,
+    light: PhotographLight,
+    noise: Tensor,
+) -> SurfaceParameters:
+    """Scale each octave of relief by its factor g_b, measured in the glints (module).
+
+    Args:
+        residuals: of the exemplar from the coarse fit.
+        linear: (3, H, W) the photograph on the plane's grid.
+        measured: (3, H, W) bool: not clipped.
+        light: the photograph's own.
+        noise: (3, H, W) standard deviation of log radiance.
+    """
+    _, diffuse_share = light.rendered(light.maps(residuals))
+    around = max(linear.shape) / WIDE
+    specular_fraction = 1.0 - smoothed(diffuse_share.mean(0).numpy(), around / 4.0)
+    seen = measured.all(0).numpy()
+    region = (specular_fraction > MIRRORED) & seen
+    if float(region.mean()) < LEAST_SHARE:
+        return residuals
+    matte = (specular_fraction <= np.quantile(specular_fraction[seen], _MATTE_SHARE)) & seen
+    mean = residuals.diffuse.mean((1, 2), keepdim=True)
+    maps = light.maps(replace(residuals, diffuse=mean.expand_as(linear)))
+    rendered = light.rendered(maps)[0].mean(0).numpy()
+    photograph = linear.clamp_min(DARKEST).log().mean(0).numpy()
+    variance = (noise.square().mean(0) / 3.0).numpy()
+    glossy, dull = (_denoised_energies(photograph, variance, r, around) for r in (region, matte))
+    diluted = np.square(1.0 - specular_fraction).clip(1e-8)
+    share = diluted[region].mean() / diluted[matte].mean()
+    whole = _energies(rendered, region, around)
+    # If both regions are equally sensitive to slope, relief and albedo are hardly separable.
+    relief = (whole - share * _energies(rendered, matte, around)).clip(0.5 * whole)
+    excess = (glossy - share * dull).clip(0.0)
+    gains = np.sqrt(excess / relief.clip(1e-12)).clip(_LEAST_FACTOR, _MOST_FACTOR)
+    gains[-1] = 1.0
+    bands = split(residuals.height[0].numpy())
+    height = sum(float(g) * band for g, band in zip(gains, bands, strict=True))
+    return replace(residuals, height=torch.from_numpy(np.asarray(height, np.float32))[None])
+
+
+def _denoised_energies(
+    log: NDArray[np.float32],
+    variance: NDArray[np.float32],
+    region: NDArray[np.bool_],
+    around: float,
+) -> NDArray[np.float64]:
+    """_energies of log radiance (H, W), less those of white noise of this variance (H, W)."""
+    energy = _energies(log, region, around)
+    # Of white noise, three quarters of the energy are in the finest octave. The last band,
+    # the low-pass remainder, has none.
+    for octave in range(len(energy) - 1):
+        energy[len(energy) - 2 - octave] -= variance[region].mean() * 0.75 * 0.25**octave
+    return energy.clip(0.0)
+
+
+def _energies(
+    plane: NDArray[np.float32], region: NDArray[np.bool_], around: float
+) -> NDArray[np.float64]:
+    """(bands,) mean square over a region (H, W) of a plane's bands, longest first."""
+    plane = filled(plane, region)
+    plane = plane - smoothed(plane, around)
+    plane = np.where(region, plane, np.float32(0.0))
+    return np.array([np.square(band[region]).mean() for band in split(plane)], np.float64)

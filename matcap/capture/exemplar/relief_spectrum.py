@@ -1,0 +1,472 @@
+"""Stage spectrum: energies of relief and albedo by band, and relief scaled to them.
+
+In come a photograph and predicted relief, out go the energies that the photograph measures, in
+closed form (measure_relief_spectrum), and relief with these energies (equalise).
+
+To first order log L = log albedo + g . grad h, where g = d log L / d slope (inputs.py): zero at the
+mirror point, and growing with the angle of the light and with gloss. A stationary sample has the
+same spectra everywhere, so in a window whose mean g along a direction is s, the energy of log L in
+a band and that direction is
+
+    E(s) = A m + 2 C s + S s^2,
+
+where A is the energy of log albedo, S that of slopes, C their cross energy, and m, near 1, a factor
+of the window common to all directions: specular radiance dilutes albedo, dark gaps most, and lenses
+are soft towards the corners. At the mirror point both m and s are small, so m = 1 would mistake
+albedo for relief. As relief shows along the light only, a weighted regression over windows and
+directions recovers A, S and the standard error of S, to which the difference between two estimates
+of g is added (docs/notes/capture.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.capture.exemplar.filters import BANDS, COARSER, coarse_smoothed, enlarged, split
+
+# Measurement and use of the relief spectrum; docs/notes/capture.md. NSD is the normalised style
+# distance.
+
+# Side of windows, texels, which overlap by half. Larger ones resolve longer waves, but fewer fit.
+_WINDOW = 128
+# Least visible share of a window; its energy is divided by that share. At 0.98 a photograph with
+# sparkles has no window left.
+_LEAST_SEEN = 0.75
+# |d log L/d slope| at which a window's weight drops to one half; beyond it the first-order
+# shading model fails, and near a highlight its direction changes within a window. A cut-off at
+# 0.8 or 2 instead gives the same within 1 %.
+_LINEAR = 1.2
+_ROUNDS = 4  # of reweighting, as an energy's standard error is proportional to the energy
+_FEWEST_WINDOWS = 8  # least number of windows for the three unknowns
+_SCATTER = 2.0  # factor on standard errors, for windows that overlap and are shared by directions
+# Prior standard deviation of d m / d (squared diffuse share). Specular radiance dilutes dark gaps
+# far more than the mean, so m varies more than the share does.
+_DILUTION = 5.0
+_DISAGREED = 0.5  # share of the difference of two estimates that is added to the standard deviation
+RESPONSE_AROUND = 24.0  # texels, standard deviation of the blur of the sensitivity
+
+# Scaling of predicted relief to the measured energies.
+
+# Standard deviation of the log ratio of true to predicted energy: common to all bands, and of
+# each band. Half or twice as much hardly matters.
+_COMMON_LOG, _BAND_LOG = 1.5, 1.0
+_POSTERIOR_STEP = 0.05  # of the log factors searched
+# Texels, standard deviation of local energies. Smaller values equalise a cell and its groove (at
+# 20 a leather loses 0.1 NSD and a cloth gains as much), larger ones leave arcs around the mirror
+# point.
+_AROUND = 32.0
+_DIRECTIONS = 8  # number of directional bands
+_LEAST_GAIN, _MOST_GAIN = 0.25, 10.0  # limits of the local gain
+# Power of the sensitivity as a weight. Larger values use only places where the light is parallel
+# to the direction.
+_SHARPNESS = 3.0
+_SCALINGS = 3  # iterations of scaling bands to their energies, as neighbours overlap
+# Largest factor on a band. At 5, leather's finest octave, which needs 11, stays too flat.
+_MOST_FACTOR = 30.0
+_LEAST_SLOPE = 1e-4  # root-mean-square slope, lower limit of a band's and of its deviation
+
+Height = NDArray[np.float32]
+Doubles = NDArray[np.float64]
+
+DIRECTIONS = 6
+
+
+@dataclass(frozen=True)
+class ReliefSpectrum:
+    """Root-mean-square amplitudes per band and direction, (len(BANDS), DIRECTIONS) each."""
+
+    albedo: Doubles
+    """Amplitude of log albedo, sqrt(A)."""
+    slope: Doubles
+    """Amplitude of the slope along the direction, sqrt(S)."""
+    significance: Doubles
+    """Significance of the slope energy, S^2 / (S^2 + standard error^2), in [0, 1]."""
+    deviation: Doubles
+    """(len(BANDS),) standard deviation of the slope energy, summed over directions."""
+
+    @property
+    def relief(self) -> float:
+        """Root-mean-square slope over all bands and directions."""
+        return float(np.sqrt(np.square(self.slope).sum()))
+
+    def document(self) -> dict[str, Any]:
+        """JSON: `relief`, and for each of `bands` its wavelengths in texels (`waves`), `albedo`,
+        `slope` and `significance` over all directions, and `slopes` along 0, 30 ... 150 degrees
+        from x.
+        """
+        energy = np.square(self.slope)
+        significance = (self.significance * energy).sum(1) / np.maximum(energy.sum(1), 1e-12)
+        return {
+            "relief": self.relief,
+            "bands": [
+                {
+                    "waves": list(BANDS[band]),
+                    "albedo": float(np.sqrt(np.square(self.albedo[band]).sum())),
+                    "slope": float(np.sqrt(energy[band].sum())),
+                    "significance": float(significance[band]),
+                    "slopes": self.slope[band].tolist(),
+                }
+                for band in range(len(BANDS))
+            ],
+        }
+
+
+def measure_relief_spectrum(
+    log: NDArray[np.float32],
+    sensitivity: NDArray[np.float32],
+    use: NDArray[np.bool_] | NDArray[np.float32],
+    noise: float = 0.0,
+    *,
+    matte: NDArray[np.float32] | None = None,
+    also: NDArray[np.float32] | None = None,
+) -> ReliefSpectrum | None:
+    """Measure the energies of a photograph; None if too few windows are visible.
+
+    Args:
+        log: (H, W) log radiance less that of the coarse fit; invalid texels are interpolated.
+        sensitivity: (2, H, W) d log L / d slope along x and y (upwards).
+        use: (H, W) share of a texel that is visible and not clipped.
+        noise: standard deviation of log radiance due to the sensor.
+        matte: (H, W) diffuse share of the radiance; None for 1.
+        also: (2, H, W) another estimate of `sensitivity`: the difference of their results adds to
+            the standard deviation.
+    """
+    whole = _windows(log.shape)
+    seen = _seen(use, whole)
+    cuts = [cut for cut, share in zip(whole, seen, strict=True) if share >= _LEAST_SEEN]
+    if len(cuts) < _FEWEST_WINDOWS:
+        return None
+    # Interpolated texels are smooth and lack energy.
+    energy = _window_energies(log, cuts) / seen[seen >= _LEAST_SEEN, None, None]
+    window = _WINDOW
+    white = noise**2 * _sums(np.ones((window, window)), _kinds()) / window**2
+    energy = np.maximum(energy - white, 0.0)
+    matte = np.ones_like(log) if matte is None else matte
+    albedo, slope, error = _regressed(energy, _responses(matte, sensitivity, use, cuts))
+    disagreement = 0.0
+    if also is not None:
+        disagreement = np.abs(
+            slope - _regressed(energy, _responses(matte, also, use, cuts))[1]
+        ).sum(1)
+    # Standard errors of directions are independent; model errors have one sign in all of them.
+    deviation = np.hypot(np.sqrt(np.square(error).sum(1)), _DISAGREED * disagreement)
+    return ReliefSpectrum(
+        albedo=np.sqrt(albedo),
+        slope=np.sqrt(slope),
+        significance=np.square(slope) / (np.square(slope) + np.square(error) + 1e-12),
+        deviation=deviation,
+    )
+
+
+def _seen(use: NDArray[np.bool_] | NDArray[np.float32], cuts: list[tuple[slice, slice]]) -> Doubles:
+    """(windows,) visible share of each, weighted by the squared window function."""
+    counts = np.square(_hann())
+    return np.array([(use[cut] * counts).sum() for cut in cuts]) / counts.sum()
+
+
+def _window_energies(log: NDArray[np.float32], cuts: list[tuple[slice, slice]]) -> Doubles:
+    """(windows, len(BANDS), DIRECTIONS) mean square of log radiance in each directional band."""
+    window, kinds = _hann(), _kinds()
+    power = float(np.square(window).sum())
+    energies = []
+    for cut in cuts:
+        flat = log[cut] - (log[cut] * window).sum() / window.sum()
+        spectrum = np.square(np.abs(np.fft.fft2(flat * window))) / power / flat.size
+        energies.append(_sums(spectrum, kinds))
+    return np.array(energies)
+
+
+def _responses(
+    matte: NDArray[np.float32],
+    sensitivity: NDArray[np.float32],
+    use: NDArray[np.bool_] | NDArray[np.float32],
+    cuts: list[tuple[slice, slice]],
+) -> Doubles:
+    """(windows, 6) means over visible texels: squared diffuse share d^2, and g's x, y, xx, xy, yy.
+
+    Around a highlight g changes direction within a window: its mean is small, its square is not.
+    """
+    counts = np.square(_hann())
+    responses = []
+    for cut in cuts:
+        weight = counts * use[cut]
+        d, (x, y) = matte[cut], sensitivity[(slice(None), *cut)]
+        responses.append(
+            [(weight * v).sum() / weight.sum() for v in (d * d, x, y, x * x, x * y, y * y)]
+        )
+    return np.array(responses, np.float64)
+
+
+def _regressed(energy: Doubles, responses: Doubles) -> Doubles:
+    """(3, len(BANDS), DIRECTIONS) A, S and the standard error of S, by regression (module).
+
+    Args:
+        energy: (windows, len(BANDS), DIRECTIONS) of log radiance.
+        responses: (windows, 6) from _responses.
+    """
+    matte, x, y, xx, xy, yy = responses.T
+    counts = 1.0 / (1.0 + (xx + yy) / _LINEAR**2)
+    angle = np.arange(DIRECTIONS)[:, None] * np.pi / DIRECTIONS
+    c, s = np.cos(angle), np.sin(angle)
+    slant, squared = c * x + s * y, c * c * xx + 2.0 * c * s * xy + s * s * yy
+    bands = [_regress(slant, squared, matte, band.T, counts) for band in energy.swapaxes(0, 1)]
+    return np.array(bands).swapaxes(0, 1)
+
+
+def slope_spectrum(height: NDArray[np.float32]) -> Doubles:
+    """(len(BANDS), DIRECTIONS) root-mean-square slopes of a height (H, W) in texels."""
+    window = _hann()
+    power = float(np.square(window).sum())
+    across = np.gradient(height, axis=1)
+    up = -np.gradient(height, axis=0)
+    total = np.zeros_like(window)
+    count = 0
+    # One transform of both: the terms of either that are not its own cancel in symmetric bins.
+    both = across + 1j * up
+    for cut in _windows(height.shape):
+        waves = np.fft.fft2((both[cut] - both[cut].mean()) * window)
+        total += np.square(waves.real) + np.square(waves.imag)
+        count += 1
+    return np.sqrt(_sums(total, _kinds()) / power / window.size / max(1, count))
+
+
+def _hann() -> Doubles:
+    """(window, window) Hann window."""
+    hann = np.hanning(_WINDOW)
+    return np.asarray(hann[:, None] * hann, np.float64)
+
+
+def _windows(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
+    """Rows and columns of all windows of a plane (H, W)."""
+    side = _WINDOW
+    rows = range(0, shape[0] - side + 1, side // 2)
+    columns = range(0, shape[1] - side + 1, side // 2)
+    return [(slice(y, y + side), slice(x, x + side)) for y in rows for x in columns]
+
+
+def _sums(spectrum: Doubles, kinds: NDArray[np.int64]) -> Doubles:
+    """(len(BANDS), DIRECTIONS) sums of a power spectrum (window, window); bins as of _kinds."""
+    sums = np.bincount(kinds.ravel(), spectrum.ravel(), len(BANDS) * DIRECTIONS + 1)
+    return np.asarray(sums[:-1].reshape(len(BANDS), DIRECTIONS), np.float64)
+
+
+def _kinds() -> NDArray[np.int64]:
+    """(window, window) bin of each frequency, DIRECTIONS * band + direction with y upwards.
+
+    Frequencies outside of all bands have the bin len(BANDS) * DIRECTIONS.
+    """
+    frequency = np.fft.fftfreq(_WINDOW)
+    fx, fy = np.meshgrid(frequency, -frequency)
+    radius, angle = np.hypot(fx, fy), np.arctan2(fy, fx)
+    direction = np.rint(angle / (np.pi / DIRECTIONS)).astype(np.int64) % DIRECTIONS
+    kinds = np.full(radius.shape, len(BANDS) * DIRECTIONS)
+    for band, (longest, shortest) in enumerate(BANDS):
+        inside = (radius >= 1.0 / longest) & (radius < 1.0 / shortest)
+        kinds[inside] = DIRECTIONS * band + direction[inside]
+    return kinds
+
+
+def _regress(
+    slant: Doubles, squared: Doubles, matte: Doubles, energy: Doubles, counts: Doubles
+) -> Doubles:
+    """(3, DIRECTIONS) A, S and S's standard error of a band, A and S not negative.
+
+    Iteratively reweighted least squares over windows n and directions k,
+
+        E_kn = A_k (1 + f_n + _DILUTION d (matte_n - mean)) + 2 C_k s_kn + S_k (s^2)_kn,
+
+    with f_n and d ~ N(0, 1). Standard errors are proportional to the energies that the previous
+    round expects. A is taken from that round where it is multiplied by f_n or d, so that the
+    equations are linear. f_n is eliminated (_whitened).
+
+    Args:
+        slant: (DIRECTIONS, N) mean of g along the direction, s, in each window.
+        squared: (DIRECTIONS, N) mean of its square.
+        matte: (N,) mean squared diffuse share.
+        energy: (DIRECTIONS, N) energy of log radiance.
+        counts: (N,) weight of each window, at most 1.
+    """
+    count = len(energy)
+    each = np.eye(count)[:, None, :]
+    terms = (np.ones_like(slant), 2.0 * slant, squared)
+    design = np.concatenate([each * term[..., None] for term in terms], axis=2)
+    dilution = np.broadcast_to(_DILUTION * (matte - matte.mean()), energy.shape)
+    prior = np.eye(3 * count + 1)[-1:]  # of d
+    least = 0.2 * energy.mean(1, keepdims=True) + 1e-12
+    albedo, expected = energy.mean(1, keepdims=True), np.full(energy.shape, energy.mean() + 1e-12)
+    for _ in range(_ROUNDS):
+        weight = np.sqrt(counts) / expected
+        columns = np.concatenate([design, (dilution * albedo)[..., None]], axis=2)
+        rows = np.concatenate([columns, energy[..., None]], axis=2) * weight[..., None]
+        of_factor = albedo * weight  # the column of f
+        white = _whitened(rows, of_factor)
+        matrix = np.concatenate([white[..., :-1].reshape(-1, 3 * count + 1), prior])
+        aim = np.append(white[..., -1], 0.0)
+        solution = np.linalg.lstsq(matrix, aim, rcond=None)[0]
+        left = rows[..., -1] - rows[..., :-1] @ solution
+        factor = (of_factor * left).sum(0) / (1.0 + np.square(of_factor).sum(0))
+        expected = np.maximum(columns @ solution + albedo * factor, least)
+        albedo = solution[:count, None].clip(0.0)
+    scatter = np.square(aim - matrix @ solution).sum() / max(count * (counts.sum() - 3.0), 1.0)
+    slopes = slice(2 * count, 3 * count)
+    variance = np.linalg.pinv(matrix.T @ matrix).diagonal()[slopes].clip(0.0)
+    error = _SCATTER * np.sqrt(scatter * variance)
+    return np.stack([albedo[:, 0], solution[slopes].clip(0.0), error])
+
+
+def _whitened(rows: Doubles, column: Doubles) -> Doubles:
+    """Eliminate an unknown f_n ~ N(0, 1) of each window n from equations of unit variance.
+
+    With the column c of f_n, the errors of a window's equations have the covariance
+    I + c c^T. Returned are the rows times its inverse square root,
+    I - (1 - 1 / sqrt(1 + |c|^2)) c c^T / |c|^2.
+
+    Args:
+        rows: (DIRECTIONS, N, columns) of the equations.
+        column: (DIRECTIONS, N) c.
+    """
+    size = np.square(column).sum(0)
+    along = (1.0 - 1.0 / np.sqrt(1.0 + size)) / np.maximum(size, 1e-12) * column
+    return np.asarray(rows - along[..., None] * (column[..., None] * rows).sum(0), np.float64)
+
+
+def equalise(
+    height: Height, spectrum: ReliefSpectrum | None, sensitivity: Height | None = None
+) -> Height:
+    """Height (H, W) in texels, with local slope energies equalised and bands scaled to `strengths`.
+
+    One flash shows slopes along its direction, hardly across it, and none at the mirror point; the
+    network shrinks slopes that do not show. Relit, such relief is flat in the middle, with
+    concentric ridges around it. So every octave is split into directional bands, and the local
+    energy of each is normalised to its mean over places with high sensitivity in that direction.
+
+    Args:
+        height: (H, W) predicted, texels.
+        spectrum: measured in the photograph; None keeps each band's mean energy.
+        sensitivity: (2, H, W) d log L / d slope along x and y (upwards); None for a constant.
+    """
+    # The low-pass rest is an error of the highlight, shaped like a bowl, and is dropped.
+    bands = split(height)[:-1]
+    seen = _squares(np.ones((2, *height.shape), np.float32) if sensitivity is None else sensitivity)
+    longest, _ = BANDS[0]  # wavelength, texels, by which the picture is mirrored at its borders
+    margin = min(int(longest), *(side - 1 for side in height.shape))
+    directions = [
+        (share, _weight(angle, seen))
+        for angle, share in _directions(tuple(side + 2 * margin for side in height.shape))
+    ]
+    with ThreadPoolExecutor() as pool:
+        evened = partial(_evened, margin=margin, directions=directions)
+        even = np.stack(list(pool.map(evened, bands)))
+    wanted = _wanted(height, spectrum)
+    factors: Doubles = np.ones(len(even))
+    for _ in range(_SCALINGS):
+        here = _energies(_sum(factors, even))
+        factors = (factors * np.sqrt(wanted / here)).clip(1.0 / _MOST_FACTOR, _MOST_FACTOR)
+    return _sum(factors, even)
+
+
+def _sum(factors: Doubles, bands: Height) -> Height:
+    """(H, W) sum of factors (N,) times bands (N, H, W), in fixed order for identical bits."""
+    return np.asarray(np.einsum("n,nhw->hw", factors, bands, optimize=False), np.float32)
+
+
+def _squares(sensitivity: Height) -> Height:
+    """(3, h, w) products xx, xy and yy of the sensitivity, on the grid of coarse_smoothed."""
+    x, y = sensitivity
+    return np.stack([coarse_smoothed(product, COARSER) for product in (x * x, x * y, y * y)])
+
+
+def _evened(band: Height, margin: int, directions: Sequence[tuple[Height, Doubles]]) -> Height:
+    """Normalise the local energy of a band (H, W) in each direction to its mean where it shows.
+
+    Args:
+        band: of the relief.
+        margin: texels by which it is mirrored at its borders.
+        directions: filter of each direction (_directions), and weights of its energy (_weight).
+    """
+    height, width = band.shape
+    padded = np.pad(band, margin, mode="reflect")
+    spectrum = np.fft.rfft2(padded)
+    inside = slice(margin, margin + height), slice(margin, margin + width)
+    even = np.zeros_like(band)
+    for share, weight in directions:
+        waves = np.fft.irfft2(spectrum * share, s=padded.shape)[inside].astype(np.float32)
+        energy = coarse_smoothed(np.square(waves), _AROUND)
+        wanted = float((weight * energy).sum() / weight.sum())
+        gain = np.sqrt(wanted / np.maximum(energy, 1e-20))
+        gain = gain.clip(_LEAST_GAIN, _MOST_GAIN).astype(np.float32)
+        even += enlarged(gain, band.shape) * waves
+    return even
+
+
+def _weight(angle: float, seen: Height) -> Doubles:
+    """(h, w) weight of places by their sensitivity to slopes along `angle`, from _squares."""
+    c, s = np.cos(angle), np.sin(angle)
+    xx, xy, yy = seen.astype(np.float64)
+    weight = np.maximum(c * c * xx + 2.0 * c * s * xy + s * s * yy, 0.0)
+    return np.asarray((weight / max(float(weight.max()), 1e-12)) ** _SHARPNESS + 1e-9)
+
+
+def _directions(shape: tuple[int, ...]) -> list[tuple[float, Height]]:
+    """Angles in [0, pi), y upwards, and the filter on a real spectrum (h, w // 2 + 1) of each.
+
+    The filters overlap smoothly and sum to 1.
+    """
+    count = _DIRECTIONS
+    fx, fy = np.fft.rfftfreq(shape[1]), -np.fft.fftfreq(shape[0])[:, None]
+    along = np.arctan2(fy, fx + np.zeros_like(fy))
+    directions = []
+    for angle in np.arange(count) * np.pi / count:
+        off = (along - angle + np.pi / 2.0) % np.pi - np.pi / 2.0
+        share = np.where(np.abs(off) < np.pi / count, np.square(np.cos(off * count / 2.0)), 0.0)
+        directions.append((float(angle), share.astype(np.float32)))
+    return directions
+
+
+def _energies(height: Height) -> Doubles:
+    """(len(BANDS),) mean squared slopes of a height (H, W) in texels."""
+    return np.square(slope_spectrum(height)).sum(1).clip(_LEAST_SLOPE**2)
+
+
+def _wanted(height: Height, spectrum: ReliefSpectrum | None) -> Doubles:
+    """(len(BANDS),) posterior slope energies (posterior_energies)."""
+    predicted = _energies(height)
+    if spectrum is None:
+        return predicted
+    return posterior_energies(predicted, np.square(spectrum.slope).sum(1), spectrum.deviation)
+
+
+def posterior_energies(predicted: Doubles, measured: Doubles, deviation: Doubles) -> Doubles:
+    """(bands,) squared slopes: MAP estimate from a prediction and a measurement of each band.
+
+    With p_b the network's energy of band b, m_b and d_b the measured one and its deviation,
+
+        minimise  sum_b ((p_b e^{x_b} - m_b) / d_b)^2 + sum_b ((x_b - c) / s)^2 + (c / t)^2
+
+    over the log factors x_b of each band and c common to all (s: _BAND_LOG, t: _COMMON_LOG).
+    The network shrinks uncertain relief by a factor common to all bands and a smaller one per band.
+    Well-measured bands take the measurement; bands measured as zero shrink by the inverse of its
+    variance; bands without a measurement follow c.
+
+    Args:
+        predicted: (bands,) squared slopes of the network's relief, positive.
+        measured: (bands,) by the photograph, not negative.
+        deviation: (bands,) standard deviations of `measured`.
+    """
+    reach, step = 2.0 * (_COMMON_LOG + _BAND_LOG), _POSTERIOR_STEP
+    logs = np.arange(-reach, reach + step / 2.0, step)
+    scatter = deviation[:, None] + _LEAST_SLOPE**2
+    off = np.square((predicted[:, None] * np.exp(logs) - measured[:, None]) / scatter)
+    # (common, band, own): c, b and x_b of the docstring.
+    own_cost = np.square((logs - logs[:, None]) / _BAND_LOG)[:, None, :]
+    price = own_cost + off
+    best = price.argmin(-1)
+    total = price.min(-1).sum(1) + np.square(logs / _COMMON_LOG)
+    return np.asarray(predicted * np.exp(logs[best[total.argmin()]]))

@@ -1,0 +1,312 @@
+"""The stages that estimate the exemplar of several photographs, in order.
+
+In come photographs, out go the first one, rectified, and an ExemplarEstimate in its frame.
+Registration by features; coarse fit and network prediction of the first photograph; registration by
+rendering; joint estimation of all maps; inpainting and indexing. Beyond the first photograph, a
+mosaic (mosaic.py) also needs predictions of the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.exemplar.detail_transfer import transfer_detail
+from matcap.capture.exemplar.estimate import ExemplarEstimate, indexed, map_set_of, refined
+from matcap.capture.exemplar.exposure_prior import most_probable_scale, scaled
+from matcap.capture.exemplar.inpaint import inpainted
+from matcap.capture.exemplar.material_classes import Classes
+from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse
+from matcap.capture.exemplar.observation import Observation
+from matcap.capture.exemplar.predict import NetworkPrediction, confidence_of, exemplar_of
+from matcap.capture.exemplar.refine import fitted_to_highlight
+from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
+from matcap.capture.multiview.align import Aligned, aligned, reframed
+from matcap.capture.multiview.ambient_light import SLOW, without_ambient
+from matcap.capture.multiview.leave_one_out import leave_one_out
+from matcap.capture.multiview.mosaic import (
+    Mosaic,
+    extrapolated,
+    mosaic_of,
+    scatter,
+    seen_by_any,
+    spread_over,
+    tint_over,
+    unpredicted,
+)
+from matcap.capture.multiview.pair import on_albedo
+from matcap.capture.multiview.set_report import SetReport
+from matcap.capture.multiview.solve import Solved, solve
+from matcap.capture.multiview.texels import Estimate
+from matcap.capture.multiview.tint import achromatic, coloured, on_grid
+from matcap.capture.multiview.view_predictions import predict_views, with_others
+from matcap.capture.multiview.views import ResampledView
+from matcap.capture.progress import CaptureClock
+from matcap.capture.rectified import Rectified, network_input
+from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.register import Registration, register_in_any_order
+from matcap.errors import MatcapError
+from matcap.example.example import Example
+from matcap.example.exemplar import Exemplar
+from matcap.field.single import one_thread
+from matcap.flash.coarse.fit import CoarseFit, fit_coarse, under_flash
+from matcap.flash.plane import Plane, read_plane
+from matcap.photo.photo import Photo
+from matcap.statistics.lattice import Wave
+
+# Steps per texel in each round, on a grid that starts from the solution of one half as fine.
+_FINER: tuple[int, ...] = (1,)
+_COARSE = 320  # texels across the grid that starts from the network's prediction
+_COARSE_SHARE = 0.4  # of the time
+
+
+@torch.no_grad()
+def estimate_multiview(
+    photos: Sequence[Photo],
+    network: Inverse,
+    detail: int,
+    clock: CaptureClock,
+    *,
+    union: bool = False,
+) -> tuple[Rectified, ExemplarEstimate]:
+    """Estimate the exemplar of several photographs; an interrupt ends with the best result so far.
+
+    Also returns the first photograph, less ambient light, rectified by its registered camera.
+
+    Args:
+        photos: two or more; the first one with flash defines the frame.
+        network: the inverse network (exemplar/network/network.py).
+        detail: texels along the long side.
+        clock: of the stages.
+        union: estimate all that the photographs show (mosaic.py), not the first one's rectangle.
+
+    Raises:
+        MatcapError: no other photograph can be registered to the first.
+    """
+    registration, coarse, plane = registered(photos, detail, clock)
+    single, spectrum, metal = predict_alone(plane, coarse, network, clock)
+    mosaic = mosaic_of(registration.views, plane.size) if union else Mosaic.own(plane.size)
+    by_features = Aligned.of(registration.views, coarse.setup, mosaic.extent)
+    spread = spread_over(single, mosaic.margins)
+    alignment, interrupted = _aligned(by_features, single.maps, spread, clock)
+    first, camera = alignment.views[0].photo, PosedCamera.of(by_features.setup)
+    prior, tint = _reframed(spread, camera, alignment, mosaic)
+    if mosaic.margins.any:
+        if not interrupted:
+            prior, tint, interrupted = _fused(alignment, prior, tint, mosaic, coarse, network)
+        prior = prior.with_most_error(scatter(single))
+    with clock.stage("solve"):
+        alignment, resampled, solved = _solved(alignment, prior, tint, clock)
+    interrupted |= solved.interrupted
+    rectified = Rectified.of(first, replace(coarse, setup=alignment.setup), detail)
+    lit = replace(coarse, setup=solved.light.onto(alignment.setup))
+    rectified = replace(rectified, coarse=lit)
+    with clock.stage("predict"):
+        unknown = (), solved.residual
+        predicted, residuals = (
+            unknown if interrupted else leave_one_out(alignment, prior, solved, tint)
+        )
+    with clock.stage("inpaint"):
+        mosaic, plane, maps = _whole(rectified.whole, alignment, mosaic, solved.maps)
+        estimate = replace(solved.estimate, maps=maps)
+        exemplar = _inpainted(Observation.of(plane, lit), estimate, tint, resampled)
+    with clock.stage("index"):
+        exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, mosaic)
+    views, left_out, measured = alignment.views, registration.left_out, solved.measured
+    report = SetReport(views, residuals, predicted, left_out, measured, lit.setup.offset, mosaic)
+    error, turned = solved.residual[0], first.turned
+    result = ExemplarEstimate(
+        exemplar, example, spectrum, error, 0.0, 1.0, interrupted, report, scale, turned
+    )
+    return rectified, result.with_sharpness(rectified)
+
+
+def registered(
+    photos: Sequence[Photo], detail: int, clock: CaptureClock
+) -> tuple[Registration, CoarseFit, Plane]:
+    """Register photographs by features; fit and rectify the first with its registered camera.
+
+    Raises:
+        MatcapError: no other photograph can be registered to the first.
+    """
+    with clock.stage("register"):
+        registration = register_in_any_order(photos)
+        if len(registration.views) < 2:
+            each = "; ".join(f"{one.name}: {one.why}" for one in registration.left_out)
+            name = registration.views[0].photo.name
+            raise MatcapError(
+                f"no other photograph can be registered to {name} ({each})",
+                remedy="photograph the same sample again, sharp, with an overlap of two thirds",
+            )
+    with clock.stage("coarse fit"):
+        first, setup = without_ambient(registration.views)[0].photo, registration.setup
+        with one_thread():
+            coarse = fit_coarse(replace(first, fov=setup.fov), tilt=setup.tilt)
+        coarse = under_flash(coarse, first.flash_intensity)
+        views = tuple(
+            replace(view, photo=view.photo.linearised(coarse.tone)) for view in registration.views
+        )
+        # The registered camera replaces the coarse fit's.
+        camera = replace(coarse.setup, fov=setup.fov, tilt=setup.tilt)
+        plane = read_plane(without_ambient(views)[0].photo, camera, detail)
+        registration = replace(registration, views=views)
+    return registration, replace(coarse, setup=camera), plane
+
+
+@torch.no_grad()
+def predict_alone(
+    plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock
+) -> tuple[Estimate, ReliefSpectrum | None, NDArray[np.float32]]:
+    """Estimate from one photograph alone, on its plane's texels.
+
+    Returns:
+        Maps and their errors; relief and albedo energies measured in the photograph, or None; and
+        (h, w) share of metal in each texel.
+    """
+    observed, prediction, spectrum = refined(network_input(plane), coarse, network, clock)
+    exemplar = transfer_detail(exemplar_of(observed, prediction), plane, coarse)
+    errors = prediction.errors.stacked()
+    wide = F.interpolate(errors[None], size=plane.size[::-1], mode="bilinear")[0]
+    return Estimate(map_set_of(exemplar), wide), spectrum, prediction.metal
+
+
+def _aligned(
+    by_features: Aligned, own: MapSet, prediction: Estimate, clock: CaptureClock
+) -> tuple[Aligned, bool]:
+    """Register photographs by rendering; (the registration, whether it was interrupted).
+
+    Args:
+        by_features: the registration by features.
+        own: predicted maps of the first photograph's rectangle.
+        prediction: the network's, over the exemplar's extent.
+        clock: of the stages.
+    """
+    alignment = by_features
+    try:
+        with clock.stage("align"):
+            views = without_ambient(on_albedo(alignment.views, alignment.setup, own))
+            alignment = replace(alignment, views=views)
+            on_progress = clock.callback("align")
+            return aligned(alignment, prediction, on_progress=on_progress), False
+    except KeyboardInterrupt:
+        return alignment, True
+
+
+def _reframed(
+    prediction: Estimate, predicted: PosedCamera, alignment: Aligned, mosaic: Mosaic
+) -> tuple[Estimate, Tensor]:
+    """The prediction, resampled to the plane of the registered camera, and its specular tint.
+
+    Args:
+        prediction: the network's, over the exemplar's extent.
+        predicted: the first photograph's camera at the prediction.
+        alignment: has its registered camera.
+        mosaic: extent, beyond the first photograph without prediction.
+    """
+    cameras = predicted, alignment.views[0].camera
+    maps, tint = achromatic(reframed(prediction.maps, *cameras, mosaic.extent))
+    return Estimate(maps, unpredicted(prediction.log_error, mosaic)), tint
+
+
+def _fused(
+    alignment: Aligned,
+    first: Estimate,
+    tint: Tensor,
+    mosaic: Mosaic,
+    coarse: CoarseFit,
+    network: Inverse,
+) -> tuple[Estimate, Tensor, bool]:
+    """Prediction and tint of a mosaic from all photographs, or `first` and `tint` if interrupted.
+
+    Also returns whether it was interrupted.
+    """
+
+    def predict(plane: Plane, fit: CoarseFit) -> Estimate:
+        return predict_alone(plane, fit, network, CaptureClock(None))[0]
+
+    try:
+        predictions = predict_views(alignment, first, coarse, predict)
+    except KeyboardInterrupt:
+        return first, tint, True
+    return with_others(first, predictions), tint_over(tint, predictions, mosaic), False
+
+
+def _solved(
+    alignment: Aligned, prior: Estimate, tint: Tensor, clock: CaptureClock
+) -> tuple[Aligned, list[ResampledView], Solved]:
+    """Joint estimation on a grid of half the texels across, then on all.
+
+    Photographs were registered with the parallax of predicted relief, which is too flat; on the
+    fine grid they are resampled with that of the relief estimated on the coarse one.
+    """
+    across, down = prior.maps.size
+    if alignment.extent.unit(across) < 2 * _COARSE:
+        views = alignment.on_grid(across, down, tint)
+        on_progress = clock.callback("solve", 0.0, 1.0)
+        return alignment, views, solve(views, prior, alignment.light, on_progress=on_progress)
+    size = round(across / 2), round(down / 2)
+    views = alignment.on_grid(*size, tint)
+    small = prior.resized(size[::-1], alignment.extent)
+    on_progress = clock.callback("solve", 0.0, _COARSE_SHARE)
+    coarser = solve(views, small, alignment.light, on_progress=on_progress)
+    alignment = alignment.with_relief(np.asarray(coarser.maps.height[0].numpy(), np.float32))
+    views = alignment.on_grid(across, down, tint)
+    on_progress = clock.callback("solve", _COARSE_SHARE, 1.0)
+    solved = solve(views, prior, coarser.light, coarser, on_progress, rounds=_FINER)
+    return alignment, views, solved
+
+
+def _whole(
+    plane: Plane, alignment: Aligned, mosaic: Mosaic, maps: MapSet
+) -> tuple[Mosaic, Plane, MapSet]:
+    """The first photograph on the mosaic's grid, unseen texels masked, and maps there."""
+    if not mosaic.margins.any:
+        return mosaic, plane, maps
+    known = seen_by_any(alignment.views, mosaic)
+    return (
+        replace(mosaic, known=float(known.float().mean())),
+        plane.over(mosaic.margins, known),
+        extrapolated(maps, known, SLOW * plane.size[0]),
+    )
+
+
+def _inpainted(
+    observed: Observation, estimate: Estimate, tint: Tensor, views: Sequence[ResampledView]
+) -> Exemplar:
+    """The solved maps with the specular tint of metal, inpainted under the highlight.
+
+    Relief and mean parameters are fitted to the first photograph's highlight, as those of a single
+    photograph are: robust weights take a mirrored light that is a little displaced for an outlier.
+    All texels are one dielectric class there (docs/notes/several.md).
+    """
+    maps = coloured(estimate.maps, tint)
+    light = replace(observed.light, tint=on_grid(tint, maps.size))
+    observed = replace(observed, light=light)
+    seen = torch.stack([view.seen.float().mean(0) for view in views]).amax(0)
+    seen = seen * observed.plane.kept  # of a mosaic, not where unseen, or seen too obliquely
+    errors = ExpectedErrors.from_stacked(estimate.log_error)
+    confidence = confidence_of(errors, np.asarray(seen.numpy(), np.float32), observed.plane.unit)
+    classes = Classes.whole(observed.specular_fraction.shape, metal=False)
+    prediction = NetworkPrediction(light.residuals(maps), errors, confidence, None, classes)
+    return inpainted(exemplar_of(observed, fitted_to_highlight(observed, prediction)), observed)
+
+
+def _indexed(
+    photo: Photo,
+    exemplar: Exemplar,
+    metal: NDArray[np.float32],
+    waves: tuple[Wave, ...],
+    mosaic: Mosaic,
+) -> tuple[Exemplar, Example, float]:
+    """The exemplar, its index, and the factor on its albedo and F0 (exposure_prior.py)."""
+    known = photo.flash_intensity is not None
+    own = exemplar.cut(*mosaic.margins.inside(mosaic.size))
+    scale = 1.0 if known else most_probable_scale(own, metal)
+    return *indexed(scaled(exemplar, scale).rounded(), waves, turned=photo.turned), scale

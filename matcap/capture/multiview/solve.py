@@ -1,0 +1,332 @@
+"""Joint estimation of all maps from all photographs (photometric multi-view).
+
+MAP estimate by Gauss-Newton steps on log radiance at every texel (texels.py). Geman-McClure weights
+limit the influence of shadows, parallax and other outliers; the prior is Gaussian, with the
+network's predictions as mean and its expected errors as standard deviation. The shared parameters
+(gains, flash position, vignetting, mean F0 and roughness) are fitted between rounds to a sample of
+texels (shared.py). Finally slopes are integrated to a height, and albedo is refitted to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.brdf.parameters import ALBEDO, F0, ROUGH
+from matcap.capture.exemplar.filters import smoothed
+from matcap.capture.multiview.ambient_light import SLOW
+from matcap.capture.multiview.octaves import denoised, prediction_error, with_energies
+from matcap.capture.multiview.pair import scaled_by_ratio, with_ambient_gradient
+from matcap.capture.multiview.shared import SAMPLED, shared_step
+from matcap.capture.multiview.surface import integrated, surface_of
+from matcap.capture.multiview.texels import (
+    GLOSS,
+    ROWS,
+    SLOPES,
+    Estimate,
+    ParameterPrior,
+    Stepped,
+    log_rendered,
+    maps_of,
+    parameters_of,
+    points_of,
+    slopes_of,
+    stepped,
+    under_fitted_ambient,
+)
+from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
+from matcap.flash.light import strips
+
+# Per-texel steps in each round; each begins with a fit of the shared parameters.
+ROUNDS: tuple[int, ...] = (2, 2, 1)
+# Prior standard deviation of slopes until the photographs have measured the error of the
+# prediction. It is wide, as each octave's gain is estimated afterwards (octaves.py).
+_SLOPE = 1.0
+# Then that deviation over the measured error, for each photograph: noise of slopes from two
+# photographs is in all octaves. A photograph without flash, which measures albedo, counts as five.
+_WIDER, _UNLIT = 0.5, 5
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Maps that explain all photographs."""
+
+    estimate: Estimate
+    """Maps and their standard deviations."""
+    light: SharedLight
+    """Fitted shared parameters and gains."""
+    residual: tuple[float, ...]
+    """(photographs,) median absolute residual of log radiance of each."""
+    measured: tuple[float, ...]
+    """Share of the posterior precision of log albedo, log F0, roughness and slopes that photographs
+    contribute rather than the prior, in [0, 1]; medians over texels."""
+    prediction_error: float
+    """Standard deviation of the network's slopes, measured by the photographs."""
+    slope_energies: tuple[float, ...]
+    """Mean energies of slopes in the octaves above 4 texels, measured by them."""
+    interrupted: bool = False
+    """Whether Ctrl-C ended the solve, with the best result so far."""
+
+    @property
+    def maps(self) -> MapSet:
+        """The estimated maps."""
+        return self.estimate.maps
+
+    def slope_statistics_on(self, maps: MapSet) -> tuple[float, tuple[float, ...]]:
+        """prediction_error and slope_energies on a grid as fine, or finer by whole octaves."""
+        octaves = round(math.log2(maps.size[0] / self.maps.size[0]))
+        return self.prediction_error, self.slope_energies[octaves:]
+
+
+@dataclass(frozen=True)
+class _Iterate:
+    """The solution after a Gauss-Newton step."""
+
+    views: Sequence[ResampledView]
+    """Photographs; of the ambient one, low frequencies are those of the rendered maps."""
+    light: SharedLight
+    """Fitted shared parameters."""
+    prior: ParameterPrior
+    """Prediction; the deviation of slopes is at least the measured error."""
+    widened: ParameterPrior
+    """The prior of this round."""
+    step: Stepped
+    """Parameters, their precision, and jackknife changes of slopes after the last step."""
+    prediction_error: float
+    slope_energies: tuple[float, ...]
+    """As in Solved."""
+
+    @property
+    def parameters(self) -> Tensor:
+        """(PARAMETERS, H, W) current parameters."""
+        return self.step.parameters
+
+    def with_shared(self, views: Sequence[ResampledView], slope: float, sampled: int) -> _Iterate:
+        """Begin a round: fit the shared parameters.
+
+        Args:
+            views: the photographs.
+            slope: least prior standard deviation of slopes in this round.
+            sampled: texels to which the shared parameters are fitted.
+        """
+        parameters, mean_gloss = self.parameters.clone(), self.light.gloss
+        views = under_fitted_ambient(views, parameters, self.light)
+        light, _ = shared_step(views, parameters, self.prior, self.light, sampled)
+        parameters[GLOSS] += (light.gloss - mean_gloss)[:, None, None]
+        widened = self.prior.with_least_slope(slope).with_gloss_of(light)
+        step = replace(self.step, parameters=parameters)
+        return replace(self, views=views, light=light, widened=widened, step=step)
+
+    def high_passed(self) -> _Iterate:
+        """End a round: remove low frequencies of slopes."""
+        parameters, extent = self.parameters.clone(), self.views[0].extent
+        unit = extent.unit(parameters.shape[-1])
+        parameters[SLOPES] = _without_slow(parameters[SLOPES], unit)
+        return replace(self, step=replace(self.step, parameters=parameters))
+
+    def measured(self) -> _Iterate:
+        """Measure error and energies of the predicted slopes, means over both slopes."""
+        each = zip(
+            self.parameters[SLOPES],
+            self.prior.mean[SLOPES],
+            self.step.changes.movedim(1, 0),
+            strict=True,
+        )
+        of_each = (prediction_error(*(plane.numpy() for plane in planes)) for planes in each)
+        squares, energies = zip(*of_each, strict=True)
+        error = math.sqrt(np.mean(squares))
+        return replace(
+            self,
+            prior=self.prior.with_least_slope(error),
+            prediction_error=error,
+            slope_energies=tuple(np.mean(energies, axis=0).tolist()),
+        )
+
+
+@torch.no_grad()
+def solve(
+    views: Sequence[ResampledView],
+    prediction: Estimate,
+    light: SharedLight,
+    coarser: Solved | None = None,
+    on_progress: Callable[[float], None] = lambda _share: None,
+    *,
+    rounds: Sequence[int] = ROUNDS,
+    sampled: int = SAMPLED,
+) -> Solved:
+    """Estimate the maps; an interrupt ends with the best so far.
+
+    Args:
+        views: photographs on the maps' grid, the first one first.
+        prediction: the network's: mean and deviation of the prior.
+        light: initial value.
+        coarser: solution on a coarser grid, to start from; None to start from the prediction.
+        on_progress: called with the completed share, in [0, 1].
+        rounds, sampled: see ROUNDS and shared.SAMPLED.
+    """
+    iterate, interrupted = _initial(views, prediction, light, coarser), False
+    try:
+        steps = _iterates(iterate, rounds, sampled, measure=coarser is None)
+        for done, newest in enumerate(steps, 1):
+            iterate = newest
+            on_progress(done / (sum(rounds) + 2))
+    except KeyboardInterrupt:
+        interrupted = True
+    views, light, parameters = iterate.views, iterate.light, iterate.parameters
+    texel_size = prediction.maps.texel_size
+    height = surface_of(parameters[SLOPES], texel_size, iterate.step.relief)
+    if not interrupted:
+        height = scaled_by_ratio(_denoised(height, iterate), views, parameters, light)
+    parameters[SLOPES] = slopes_of(height, texel_size)
+    if not interrupted:
+        parameters = _step_at_fixed_slopes(views, parameters, iterate.widened, light)
+    precision = iterate.step.precision
+    return Solved(
+        Estimate(maps_of(parameters, height, texel_size), _log_errors(precision, iterate.widened)),
+        light,
+        _residuals(views, parameters, light),
+        _shares(precision, iterate.widened),
+        iterate.prediction_error,
+        iterate.slope_energies,
+        interrupted,
+    )
+
+
+def _initial(
+    views: Sequence[ResampledView], prediction: Estimate, light: SharedLight, coarser: Solved | None
+) -> _Iterate:
+    """The prediction, or the upsampled solution of a coarser grid; arguments as of solve."""
+    prior = ParameterPrior.of(prediction)
+    if coarser is None:
+        parameters, error, energies = prior.mean.clone(), 0.0, tuple[float, ...]()
+    else:
+        parameters = _continued(prior.mean, prediction.maps, coarser)
+        error, energies = coarser.slope_statistics_on(prediction.maps)
+    prior = prior.with_least_slope(error)
+    light = with_ambient_gradient(views, prior.mean, light)
+    return _Iterate(views, light, prior, prior, Stepped.none(parameters), error, energies)
+
+
+def _iterates(
+    iterate: _Iterate, rounds: Sequence[int], sampled: int, *, measure: bool
+) -> Iterator[_Iterate]:
+    """The solution after each step of each round.
+
+    Args:
+        iterate: the initial one.
+        rounds, sampled: as of solve.
+        measure: whether the first round measures the error of the predicted slopes.
+    """
+    views = iterate.views
+    wider = _WIDER * sum(1 if view.flash else _UNLIT for view in views)
+    for index, steps in enumerate(rounds):
+        measures = measure and index == 0
+        slope = _SLOPE if measures else wider * iterate.prediction_error
+        iterate = iterate.with_shared(views, slope, sampled)
+        for turn in range(1, steps + 1):
+            last = turn == steps
+            jackknife = last and (measures or index == len(rounds) - 1)
+            step = stepped(
+                iterate.views,
+                iterate.parameters,
+                iterate.widened,
+                iterate.light,
+                changed=SLOPES if jackknife else None,
+            )
+            iterate = replace(iterate, step=step)
+            if last:
+                iterate = iterate.high_passed()
+            if last and measures:
+                iterate = iterate.measured()
+            yield iterate
+
+
+def _denoised(height: Tensor, iterate: _Iterate) -> Tensor:
+    """(1, H, W) height denoised octave by octave (octaves.py), plane units.
+
+    Two photographs measure slopes along their baseline only, and across it those of the prior do
+    not change when either is left out. The octaves' energies are then those that were measured with
+    a wide prior (Solved.slope_energies).
+    """
+    views, extent, across = iterate.views, iterate.views[0].extent, height.shape[-1]
+    texel_size, unit = extent.texel(across), extent.unit(across)
+    prediction, *jackknife = (
+        integrated(_without_slow(slopes, unit), texel_size)[0].numpy()
+        for slopes in (iterate.prior.mean[SLOPES], *iterate.step.changes)
+    )
+    result = denoised(height[0].numpy(), prediction, jackknife, keep_energy=True)
+    if len(views) == 2 and views[1].flash:
+        result = with_energies(result, texel_size, iterate.slope_energies)
+    return torch.from_numpy(result)[None]
+
+
+def _continued(prior_mean: Tensor, prior: MapSet, coarser: Solved) -> Tensor:
+    """(PARAMETERS, H, W) prior mean plus upsampled (estimate - prior mean) of a coarse grid."""
+    size = coarser.maps.size[::-1]
+    small = F.interpolate(prior.stacked()[None].float(), size=size, mode="area")[0]
+    coarse = MapSet.from_stacked(small, coarser.maps.texel_size)
+    change = parameters_of(coarser.maps) - parameters_of(coarse)
+    return prior_mean + F.interpolate(change[None], size=prior_mean.shape[1:], mode="bilinear")[0]
+
+
+def _without_slow(slopes: Tensor, unit: float) -> Tensor:
+    """High-pass filtered slopes.
+
+    Low frequencies contain errors of cameras and lights, and bend and tilt of the sample.
+    """
+    deviation = SLOW * unit
+    slow = [torch.from_numpy(smoothed(plane, deviation)) for plane in slopes.numpy()]
+    return slopes - torch.stack(slow)
+
+
+def _step_at_fixed_slopes(
+    views: Sequence[ResampledView],
+    parameters: Tensor,
+    prior: ParameterPrior,
+    light: SharedLight,
+) -> Tensor:
+    """Parameters after a step with slopes fixed, albedo denoised (octaves.py)."""
+    step = stepped(views, parameters, prior, light, slopes=False, changed=ALBEDO)
+    for channel in range(3):
+        measured, prediction, changes = (
+            each.numpy()
+            for each in (step.parameters[channel], prior.mean[channel], step.changes[:, channel])
+        )
+        step.parameters[channel] = torch.from_numpy(denoised(measured, prediction, changes))
+    return step.parameters
+
+
+def _log_errors(precision: Tensor, prior: ParameterPrior) -> Tensor:
+    """(4, H, W) log standard deviation of log albedo, log F0, logit roughness and slope."""
+    # The precision of a parameter alone is optimistic: the others are correlated with it.
+    deviation = (0.25 * precision + prior.precision).rsqrt()
+    albedo, slope = deviation[ALBEDO].mean(0), deviation[SLOPES].mean(0)
+    return torch.stack([albedo, deviation[F0], deviation[ROUGH], slope]).log()
+
+
+def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, ...]:
+    """Photographs' share in the posterior precision of each map, median over texels."""
+    share = precision / (precision + prior.precision)
+    return tuple(share[part].flatten().median().item() for part in (ALBEDO, F0, ROUGH, SLOPES))
+
+
+def _residuals(
+    views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
+) -> tuple[float, ...]:
+    """Median absolute residual of log radiance of each photograph, from a quarter of the rows."""
+    residuals: list[list[Tensor]] = [[] for _ in views]
+    for rows in strips(parameters.shape[1], ROWS // 4)[::4]:
+        points = points_of(parameters.shape[-2:], rows, views[0].extent)
+        lights = [light_at(k, view, light, points) for k, view in enumerate(views)]
+        rendered = log_rendered(parameters[:, rows], lights)
+        for view, residual, log in zip(views, residuals, rendered, strict=True):
+            residual.append((view.log[:, rows] - log)[view.seen[:, rows]].abs())
+    every = (torch.cat(each) for each in residuals)
+    return tuple(float(each.median()) if each.numel() else math.nan for each in every)

@@ -1,0 +1,223 @@
+"""Network predictions of each photograph of a mosaic, fused in the first one's frame.
+
+Each photograph is rectified to the plane facing its own camera, as in training, with the light from
+registration. Predictions of a parameter, resampled to the first photograph's texels, are averaged
+with weights 1 / sigma^2, sigma being the network's expected error. A share of their error variance
+is a bias common to all predictions, which averaging does not reduce:
+
+    variance = shared min sigma^2 + (1 - shared) / sum (1 / sigma^2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.brdf.parameters import ALBEDO, F0, ROUGH
+from matcap.capture.multiview.align import Aligned
+from matcap.capture.multiview.surface import integrated, surface_of
+from matcap.capture.multiview.texels import SLOPES, Estimate, maps_of, parameters_of
+from matcap.capture.multiview.tint import GREY, achromatic
+from matcap.capture.multiview.views import SharedLight, ViewWarp
+from matcap.capture.registration.camera import Doubles, PosedCamera, to_pixels
+from matcap.flash.coarse.fit import CoarseFit
+from matcap.flash.extent import OWN, Extent
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.plane import Plane, read_plane
+
+UNPREDICTED = 4.0  # log error of a prediction outside of its photograph
+_NOTHING = 1e-8  # weight of a prediction at its border, whose log error then exceeds UNPREDICTED
+
+Floats = NDArray[np.float32]
+
+# How predictions are fused; docs/notes/several.md.
+_ACROSS = 384  # texels across the grid of fusion; finer detail is the first photograph's
+_STEEPEST = 35.0  # largest tilt in the network's training, degrees
+_SHARED = 0.5  # share of the error variance that is common to all predictions
+# Width of the border along which weights fall to 0, as a share of the prediction's width.
+_FADES = 0.12
+
+
+@dataclass(frozen=True)
+class OwnPlane:
+    """Frame of the plane that faces a camera, within the first photograph's frame."""
+
+    setup: FlashSetup
+    """Camera and flash in this frame."""
+    origin: Doubles
+    """(2,) its origin in the first photograph's frame."""
+    scale: float
+    """Length of its plane unit in the first photograph's."""
+    roll: float
+    """Angle of its x axis to the first photograph's, radians anticlockwise."""
+
+    @staticmethod
+    def of(camera: PosedCamera, light: SharedLight, number: int) -> OwnPlane:
+        """Frame of photograph `number` with its camera and the shared light."""
+        distance = camera.place[2] / camera.turn[2, 2]
+        origin = (camera.place - distance * camera.turn[2])[:2]
+        scale = float(distance / camera.lens.focal)
+        roll = math.atan2(-camera.turn[1, 0], camera.turn[1, 1])
+        c, s = math.cos(roll), math.sin(roll)
+        turn = camera.turn @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        tilt = (math.atan2(-turn[1, 2], turn[1, 1]), math.atan2(-turn[2, 0], turn[0, 0]))
+        x, y = (light.offset / scale).tolist()
+        lost, more = light.vignetting.tolist()
+        strength = light.intensity * light.gain[number].exp() / scale**2
+        red, green, blue = strength.tolist()
+        setup = FlashSetup(
+            math.degrees(2.0 * math.atan(1.0 / camera.lens.focal)),
+            (x, y, 0.0),
+            tilt,
+            (red, green, blue),
+            lost,
+            more,
+            light.centre,
+        )
+        return OwnPlane(setup, origin, scale, roll)
+
+    def coordinates(self, points: Doubles) -> Doubles:
+        """(2, ...) coordinates in this frame of points (3, ...) of the first photograph's plane."""
+        c, s = math.cos(self.roll), math.sin(self.roll)
+        offset = points[:2] - self.origin.reshape(2, *(1,) * (points.ndim - 1))
+        return np.asarray(np.tensordot(np.array([[c, s], [-s, c]]), offset, 1)) / self.scale
+
+
+@dataclass(frozen=True)
+class ViewPrediction:
+    """The network's prediction of a photograph, on the first one's texels."""
+
+    parameters: Tensor
+    """(PARAMETERS, H, W) predicted parameters (texels.py)."""
+    log_error: Tensor
+    """(4, H, W) log standard deviations, as Estimate.log_error."""
+    extent: Extent = OWN
+    """Extent of the grid."""
+    tint: Tensor = GREY
+    """(1 or 3, H, W) specular tint that was divided out (tint.py); 1 without metal."""
+
+
+def predict_views(
+    alignment: Aligned,
+    first: Estimate,
+    coarse: CoarseFit,
+    predict: Callable[[Plane, CoarseFit], Estimate],
+) -> list[ViewPrediction]:
+    """The network's predictions of the photographs with flash and without too large a tilt.
+
+    Args:
+        alignment: registration and light of the photographs.
+        first: prediction of the first, in the estimated frame.
+        coarse: fit of the first, whose mean material all share.
+        predict: predicts the maps of one photograph on its own plane.
+    """
+    extent = alignment.extent
+    width, height = first.maps.size
+    rectangle_across = min(_ACROSS, round(extent.unit(width)))
+    across = extent.across(rectangle_across)
+    down = max(8, round(height * across / width))
+    small = first.resized((down, across), extent)
+    predictions = [ViewPrediction(parameters_of(small.maps), small.log_error, extent)]
+    for number, view in enumerate(alignment.views[1:], 1):
+        if view.flash and math.degrees(view.camera.tilt) < _STEEPEST:
+            own = OwnPlane.of(view.camera, alignment.light, number)
+            plane = read_plane(view.photo, own.setup, rectangle_across)
+            prediction = predict(plane, replace(coarse, setup=own.setup))
+            warp = alignment.warps[number]
+            predictions.append(resampled_over(prediction, own, view.camera, warp, (across, down)))
+    return predictions
+
+
+def resampled_over(
+    prediction: Estimate,
+    own: OwnPlane,
+    camera: PosedCamera,
+    warp: ViewWarp,
+    size: tuple[int, int],
+) -> ViewPrediction:
+    """Resample a prediction from its photograph's own plane to the first one's.
+
+    Args:
+        prediction: the network's, on its photograph's plane.
+        own: frame of its plane.
+        camera: of its photograph.
+        warp: of its photograph, by registration.
+        size: (across, down) texels of the first one's grid.
+    """
+    width, height = prediction.maps.size
+    whole = np.concatenate([*warp.points(*size)], axis=1)
+    x, y = to_pixels(own.coordinates(camera.on_plane(camera.sees(whole))), width, height)
+
+    def resampled(channel: Tensor, how: int = cv2.INTER_CUBIC) -> Tensor:
+        return torch.from_numpy(
+            cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
+        )
+
+    maps, tint = achromatic(prediction.maps)
+    logs = torch.cat([maps.diffuse.clamp_min(1e-3).log(), maps.specular.clamp_min(5e-3).log()])
+    stacked = torch.stack([resampled(c) for c in torch.cat([logs, maps.roughness, maps.height])])
+    log_albedo, log_f0, roughness, relief = stacked.split([3, 1, 1, 1])
+    texel_size = warp.extent.texel(size[0])
+    over = MapSet(log_albedo.exp(), log_f0.exp(), roughness, own.scale * relief, texel_size)
+    errors = torch.stack([resampled(c, cv2.INTER_LINEAR) for c in prediction.log_error])
+    errors = (errors + torch.from_numpy(_fading(x, y, (width, height)))).clamp_max(UNPREDICTED)
+    tint = torch.stack([resampled(channel, cv2.INTER_LINEAR) for channel in tint])
+    return ViewPrediction(parameters_of(over), errors, warp.extent, tint)
+
+
+def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
+    """(H, W) added to log errors: weights then fall smoothly to 0 at a prediction's border."""
+    width, height = size
+    within = np.minimum(np.minimum(x, width - 1 - x), np.minimum(y, height - 1 - y))
+    share = (within / (_FADES * width)).clip(0.0, 1.0)
+    weight = share**2 * (3.0 - 2.0 * share)
+    return np.asarray(-0.5 * np.log(np.maximum(weight, _NOTHING)), np.float32)
+
+
+def fused(every: Sequence[ViewPrediction]) -> Estimate:
+    """Precision-weighted mean of predictions and its standard deviations (module equation).
+
+    Args:
+        every: predictions in any order.
+    """
+    weights = torch.stack([(-2.0 * one.log_error.clamp(-8.0, 8.0)).exp() for one in every])
+    whole = weights.sum(0)
+    parameters = torch.zeros_like(every[0].parameters)
+    for part, kind in ((ALBEDO, 0), (F0, 1), (ROUGH, 2), (SLOPES, 3)):
+        for one, weight in zip(every, weights, strict=True):
+            parameters[part] += weight[kind] / whole[kind] * one.parameters[part]
+    # The common part of the error variance is that of the best prediction.
+    common = weights.amax(0).reciprocal()
+    log_error = 0.5 * (_SHARED * common + (1.0 - _SHARED) / whole).log()
+    slope_precision = (-2.0 * log_error[3]).exp()
+    texel_size = every[0].extent.texel(parameters.shape[-1])
+    precision = torch.stack([slope_precision, slope_precision, torch.zeros_like(slope_precision)])
+    height = surface_of(parameters[SLOPES], texel_size, precision)
+    return Estimate(maps_of(parameters, height, texel_size), log_error)
+
+
+def with_others(first: Estimate, predictions: Sequence[ViewPrediction]) -> Estimate:
+    """The first photograph's prediction plus the upsampled change by fusion with the others.
+
+    Detail finer than the grid of fusion stays the first photograph's. Its predicted height does not
+    extend beyond it: slopes are integrated.
+    """
+    alone, together = fused(predictions[:1]), fused(predictions)
+
+    def wide(change: Tensor) -> Tensor:
+        return F.interpolate(change[None], size=first.maps.size[::-1], mode="bilinear")[0]
+
+    change = parameters_of(together.maps) - predictions[0].parameters
+    parameters, texel_size = parameters_of(first.maps) + wide(change), first.maps.texel_size
+    height = integrated(parameters[SLOPES], texel_size)
+    log_error = first.log_error + wide(together.log_error - alone.log_error)
+    return Estimate(maps_of(parameters, height, texel_size), log_error)

@@ -1,0 +1,196 @@
+"""Photographs resampled on the exemplar's grid, each with camera and light at every texel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.capture.exemplar.noise import DARKEST
+from matcap.capture.multiview.ambient_light import AMBIENT_NOISE, UNIFORM_SKY, AmbientLight
+from matcap.capture.multiview.tint import on_grid
+from matcap.capture.registration.camera import Doubles, PosedCamera, grid_points, to_pixels
+from matcap.capture.registration.register import RegisteredView
+from matcap.flash.extent import OWN, Extent
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.light import FlashLight, cached_rows, log_vignette, strips
+from matcap.flash.rectify import FINER, planes_of
+from matcap.photo.camera import CameraProfile
+from matcap.photo.photo import FULL
+from matcap.photo.shrink import CLIPPED_SHARE, area_averaged
+
+RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs
+_BORDER = 2.0  # width of a photograph's unused border, pixels
+
+FlashOrAmbient = FlashLight | AmbientLight
+
+
+@dataclass(frozen=True)
+class SharedLight:
+    """Shared light parameters of all photographs, and each one's gains."""
+
+    offset: Tensor
+    """(2,) x, y of the flash from the lens, camera frame, plane units."""
+    vignetting: Tensor
+    """(2,) coefficients of r^2 and r^4 in its exponent (flash/geometry.py)."""
+    gain: Tensor
+    """(photographs, 3) log of each channel's exposure over the first photograph's."""
+    intensity: Tensor
+    """(3,) of the first photograph's flash."""
+    gloss: Tensor = field(default_factory=lambda: torch.zeros(2))
+    """(2,) change of mean log F0 and mean logit roughness from the prediction; their error scales
+    all slopes."""
+    vignetting_deviation: tuple[float, float] = (0.4, 0.6)
+    """(2,) prior standard deviations of `vignetting`, by the camera profile if there is one."""
+    ambient: Tensor = field(default_factory=lambda: torch.tensor(UNIFORM_SKY))
+    """(3,) gradient of the ambient light (AmbientLight.gradient)."""
+    coarse_offset: Tensor = field(default_factory=lambda: torch.zeros(2))
+    """(2,) `offset` by the first photograph's coarse fit, the mean of its prior."""
+    centre: tuple[float, float] = (0.0, 0.0)
+    """Point from which r is measured, image coordinates, as the coarse fit has it."""
+
+    @staticmethod
+    def of(
+        setup: FlashSetup,
+        count: int,
+        profile: CameraProfile | None = None,
+        *,
+        radiometric: bool = False,
+    ) -> SharedLight:
+        """Initial light of `count` photographs, all RAW (`radiometric`) or all developed."""
+        known = SharedLight.vignetting_deviation if profile is None else profile.falloff.deviation
+        offset = torch.tensor(setup.offset[:2]).float()
+        return SharedLight(
+            offset,
+            torch.tensor([setup.vignetting, setup.vignetting_quartic]),
+            torch.zeros(count, 3),
+            torch.tensor(setup.intensity).float(),
+            vignetting_deviation=RAW_FALLOFF if radiometric else known,
+            coarse_offset=offset,
+            centre=setup.vignetting_centre,
+        )
+
+    def onto(self, setup: FlashSetup) -> FlashSetup:
+        """The first photograph's setup with this offset and vignetting."""
+        x, y = self.offset.tolist()
+        lost, more = self.vignetting.tolist()
+        return replace(
+            setup, offset=(x, y, setup.offset[2]), vignetting=lost, vignetting_quartic=more
+        )
+
+    def of_some(self, kept: Sequence[int]) -> SharedLight:
+        """Light of a subset of the photographs; kept[0] becomes the first."""
+        gain = self.gain[list(kept)]
+        return replace(self, gain=gain - gain[:1], intensity=self.intensity * gain[0].exp())
+
+
+@dataclass(frozen=True)
+class ViewWarp:
+    """Map from texels to the plane points at which a photograph is sampled."""
+
+    homography: Doubles
+    """(3, 3) homography of the plane (align.py)."""
+    relief: NDArray[np.float32]
+    """(h, w) height on any grid, plane units, for parallax; 0 of a flat plane."""
+    first: Doubles
+    """(3,) position of the first camera: texels lie on its rays."""
+    extent: Extent = OWN
+    """Extent of the grid."""
+
+    def points(self, across: int, down: int) -> Iterator[NDArray[np.float32]]:
+        """(3, rows, across) plane points of a grid's texels, some rows at a time.
+
+        Single precision rounds a pixel's place by a thousandth.
+        """
+        first, homography = (np.asarray(each, np.float32) for each in (self.first, self.homography))
+        relief = cv2.resize(self.relief, (across, down), interpolation=cv2.INTER_LINEAR)
+        for rows in strips(down, cached_rows(across)):
+            points = np.asarray(grid_points(across, down, self.extent, rows), np.float32)
+            points += relief[rows] / first[2] * (first[:, None, None] - points)
+            height = points[2].copy()
+            points[2] = 1.0
+            points = np.tensordot(homography, points, 1)
+            points /= points[2].copy()
+            points[2] = height
+            yield points
+
+
+@dataclass(frozen=True)
+class ResampledView:
+    """A photograph resampled on the exemplar's grid."""
+
+    log: Tensor
+    """(3, H, W) log radiance."""
+    seen: Tensor
+    """(3, H, W) bool, by channel: in the picture and not clipped."""
+    camera: PosedCamera
+    """Pose and lens."""
+    flash: bool = True
+    """Whether its flash lights it, not ambient light."""
+    extent: Extent = OWN
+    """Extent of the grid."""
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of log radiance in addition to texels._NOISE."""
+        return 0.0 if self.flash else AMBIENT_NOISE
+
+    @staticmethod
+    def of(
+        view: RegisteredView, across: int, down: int, warp: ViewWarp, tint: Tensor
+    ) -> ResampledView:
+        """Resample a registered photograph to a grid of (down, across) texels.
+
+        Args:
+            view: the photograph.
+            across, down: texels.
+            warp: map to plane points.
+            tint: (1 or 3, h, w) specular tint on any grid, divided out (tint.py).
+        """
+        photo = view.photo
+        rows, columns = photo.pixels.shape[:2]
+        finer = FINER if columns >= FINER * across else 1
+        shrink = min(1.0, FINER * across / columns)
+        size = (round(columns * shrink), round(rows * shrink))
+        pixels = area_averaged(photo.pixels, size)
+        full = (photo.clipped[..., None] & (photo.pixels > FULL)).astype(np.float32)
+        clipped = area_averaged(full, size)
+        # A few rows at a time: whole grids of double precision would need much memory.
+        grid = warp.points(across * finer, down * finer)
+        parts = [to_pixels(view.camera.sees(points), *size) for points in grid]
+        x, y = (np.concatenate(each) for each in zip(*parts, strict=True))
+        inside = (x > _BORDER) & (x < size[0] - _BORDER) & (y > _BORDER) & (y < size[1] - _BORDER)
+
+        def gridded(picture: NDArray[np.float32], how: int) -> NDArray[np.float32]:
+            resampled = cv2.remap(picture, x, y, how, borderMode=cv2.BORDER_REFLECT_101)
+            return area_averaged(resampled, (across, down))
+
+        linear = gridded(pixels, cv2.INTER_CUBIC).clip(DARKEST)
+        hidden = gridded(clipped, cv2.INTER_LINEAR) > CLIPPED_SHARE
+        whole = area_averaged(inside.astype(np.float32), (across, down))
+        seen = ~hidden & (whole[..., None] > 0.99)
+        log = planes_of(np.log(linear)) - on_grid(tint, (across, down)).log()
+        return ResampledView(log, planes_of(seen), view.camera, view.flash, warp.extent)
+
+
+def light_at(
+    number: int, view: ResampledView, light: SharedLight, points: Tensor
+) -> FlashOrAmbient:
+    """Light of photograph `number` at plane points (3, h, w)."""
+    if not view.flash:
+        return AmbientLight(light.ambient, light.gain[number].exp()[:, None, None])
+    camera = view.camera
+    turn = torch.from_numpy(camera.turn).to(points)
+    place = torch.from_numpy(camera.place).to(points)
+    flash = place + turn.T @ torch.cat([light.offset, light.offset.new_zeros(1)]).to(points)
+    in_camera = torch.tensordot(turn, points - place[:, None, None], dims=1)
+    image = camera.lens.focal * in_camera[:2] / -in_camera[2:]
+    image = image - image.new_tensor(light.centre)[:, None, None]
+    lost = log_vignette(image, light.vignetting[0], light.vignetting[1])
+    strength = (light.intensity.log() + light.gain[number]).to(points)
+    return FlashLight.between(points, place, flash, (strength[:, None, None] + lost).exp())

@@ -1,0 +1,60 @@
+"""A simulated flash photograph of isotropic bumps, with everything that is known of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.exemplar.observation import PhotographLight
+from matcap.flash.coarse.fit import CoarseFit
+from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.flash.render import render_flash
+
+SETUP = FlashSetup(fov=65.0, offset=(0.08, 0.04, 0.0), intensity=(6.0,) * 3)
+
+
+@dataclass(frozen=True)
+class Photographed:
+    """Picture (3, H, W), truth, and where its texels lie."""
+
+    linear: torch.Tensor
+    maps: MapSet
+    uniform: CoarseFit
+    points: torch.Tensor
+
+    @property
+    def light(self) -> PhotographLight:
+        """At every texel."""
+        return PhotographLight.of(self.uniform, self.points)
+
+
+def photographed(
+    slope: float, contrast: float, *, width: int = 512, height: int = 384, seed: int = 0
+) -> Photographed:
+    """Bumps of a root-mean-square slope under an albedo of a log contrast, matte."""
+    rng = np.random.default_rng(seed)
+
+    def clouds(deviation: float) -> np.ndarray:
+        noise = rng.standard_normal((height, width)).astype(np.float32)
+        return cv2.GaussianBlur(noise, (0, 0), deviation)
+
+    bumps = clouds(3.0)
+    down, across = np.gradient(bumps)
+    bumps *= slope / np.sqrt((down**2 + across**2).mean())
+    tone = clouds(2.0)
+    tone *= contrast / max(float(tone.std()), 1e-9)
+    one = torch.ones(1, height, width)
+    uniform = CoarseFit((0.3, 0.25, 0.2), 0.04, 0.7, SETUP, residual=0.0)
+    maps = MapSet(
+        torch.tensor(uniform.diffuse)[:, None, None] * torch.from_numpy(np.exp(tone)),
+        0.04 * one,
+        0.7 * one,
+        torch.from_numpy(bumps)[None] * (2.0 / width),
+        2.0 / width,
+    )
+    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    return Photographed(render_flash(maps, SETUP, points), maps, uniform, points)

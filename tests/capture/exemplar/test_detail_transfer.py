@@ -1,0 +1,129 @@
+"""The finest bands come from the photograph, whatever the maps were read on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from photographed import photographed
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.exemplar.detail_transfer import sharpness, transfer_detail
+from matcap.capture.exemplar.estimate import map_set_of
+from matcap.capture.rectified import network_input
+from matcap.capture.settings import DETAIL
+from matcap.example.exemplar import Exemplar
+from matcap.flash.plane import Plane, plane_of
+from matcap.flash.render import render_flash
+from matcap.statistics.lattice import Wave
+
+
+@pytest.fixture(scope="module")
+def shot():
+    """A photograph whose albedo has detail of single texels."""
+    smooth = photographed(0.15, 0.1)
+    detail = torch.from_numpy(np.random.default_rng(4).standard_normal((384, 512))).float()
+    maps = replace(smooth.maps, diffuse=smooth.maps.diffuse * (0.15 * detail).exp())
+    linear = render_flash(maps, smooth.uniform.setup, smooth.points)
+    return replace(smooth, maps=maps, linear=linear)
+
+
+def _plane(linear: torch.Tensor) -> Plane:
+    return plane_of(linear, torch.ones(linear.shape[-2:], dtype=torch.bool))
+
+
+def _halved(maps: MapSet) -> Exemplar:
+    half = maps.map(lambda m: F.avg_pool2d(m[None], 2)[0])
+    return Exemplar(
+        *(getattr(half, name).numpy() for name in ("diffuse", "specular", "roughness", "height")),
+        confidence=np.full((4, *half.height.shape[-2:]), 0.8, np.float32),
+        texel_size=2.0 * maps.texel_size,
+    )
+
+
+def test_the_piece_is_as_sharp_as_its_photograph(shot) -> None:
+    plane = _plane(shot.linear)
+    half = _halved(shot.maps)
+    found = transfer_detail(half, plane, shot.uniform)
+    assert found.size == plane.size
+    assert found.texel_size == plane.texel_size
+    assert sharpness(map_set_of(found), plane, shot.uniform) == pytest.approx(1.0, abs=0.1)
+    enlarged = map_set_of(half).map(lambda m: F.interpolate(m[None], scale_factor=2.0)[0])
+    blurred = replace(enlarged, texel_size=plane.texel_size)
+    assert sharpness(blurred, plane, shot.uniform) < 0.5
+
+
+def test_grain_does_not_make_albedo_paler(shot) -> None:
+    detail = torch.from_numpy(np.random.default_rng(5).standard_normal((384, 512))).float()
+    maps = replace(shot.maps, diffuse=(0.15 * (0.6 * detail).exp()).expand(3, -1, -1))
+    half = _halved(maps)
+    linear = render_flash(maps, shot.uniform.setup, shot.points)
+    found = transfer_detail(half, _plane(linear), shot.uniform)
+    assert np.log(found.diffuse).std() > 1.3 * np.log(half.diffuse).std()
+    assert found.diffuse.mean((1, 2)) == pytest.approx(half.diffuse.mean((1, 2)), rel=0.01)
+
+
+def test_grain_of_albedo_comes_back_and_what_is_coarser_stays(shot) -> None:
+    half = _halved(shot.maps)
+    found = map_set_of(transfer_detail(half, _plane(shot.linear), shot.uniform))
+    fine, true = _fine(found), _fine(shot.maps)
+    assert float(torch.corrcoef(torch.stack([fine, true]))[0, 1]) > 0.9
+    coarse = F.avg_pool2d(found.diffuse[None], 4)[0] / F.avg_pool2d(shot.maps.diffuse[None], 4)[0]
+    assert float(coarse.log().abs().mean()) < 0.03
+
+
+def test_the_sensors_noise_is_not_drawn_for_grain(shot) -> None:
+    """Of a smooth albedo little is drawn, and what is drawn of detail is nearer to the truth."""
+    rng = np.random.default_rng(5)
+    true = _fine(shot.maps)
+    smooth = replace(shot.maps, diffuse=torch.full_like(shot.maps.diffuse, 0.3))
+    drawn = {}
+    for name, maps in (("detail", shot.maps), ("smooth", smooth)):
+        linear = render_flash(maps, shot.uniform.setup, shot.points)
+        noisy, result = (
+            0.15 * linear * torch.from_numpy(rng.standard_normal(linear.shape)).float()
+            for _ in range(2)
+        )
+        plane = _plane((linear + noisy).clamp_min(0.0))
+        for noise in (None, result):
+            found = transfer_detail(_halved(maps), replace(plane, noise=noise), shot.uniform)
+            drawn[name, noise is not None] = _fine(map_set_of(found))
+    kept = drawn["smooth", True].std() / drawn["smooth", False].std()
+    assert float(kept) < 0.3
+    off = [float((drawn["detail", result] - true).square().mean()) for result in (False, True)]
+    assert off[1] < 0.9 * off[0]
+
+
+def _fine(maps: MapSet) -> torch.Tensor:
+    """What of log albedo half as many texels cannot hold."""
+    log = maps.diffuse.log().mean(0)
+    held = F.interpolate(F.avg_pool2d(log[None, None], 2), scale_factor=2.0)[0, 0]
+    return (log - held).flatten()
+
+
+def test_flat_maps_stay_flat(shot) -> None:
+    """Grain of albedo over no relief is not drawn as relief."""
+    half = replace(_halved(shot.maps), height=np.zeros((1, 192, 256), np.float32))
+    found = transfer_detail(half, _plane(shot.linear), shot.uniform)
+    assert float(np.abs(found.height).max()) < 1e-6
+
+
+def test_what_clips_is_not_drawn_darker(shot) -> None:
+    clip = float(shot.linear.quantile(0.9))
+    clipped = shot.linear.clamp_max(clip)
+    measured = shot.linear < clip
+    plane = replace(plane_of(clipped, measured.all(0)), channels=measured)
+    found = map_set_of(transfer_detail(_halved(shot.maps), plane, shot.uniform))
+    ratio = (found.diffuse / shot.maps.diffuse)[~measured]
+    assert float(ratio.log().mean()) > -0.1
+
+
+def test_coarse_textures_are_read_on_half_and_lattices_as_they_are() -> None:
+    y, x = torch.meshgrid(torch.arange(768.0), torch.arange(float(DETAIL)), indexing="ij")
+    wide = 0.2 * (0.5 * torch.sin(x / 20.0) * torch.sin(y / 20.0)).exp().expand(3, -1, -1)
+    plane = _plane(wide.contiguous())
+    assert network_input(plane).size == (DETAIL // 2, 384)
+    assert network_input(plane, (Wave(0.05, 0.0),)) is plane

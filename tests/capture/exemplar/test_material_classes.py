@@ -1,0 +1,173 @@
+"""Material classes: metal and a dielectric separated, each with levels of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from photographed import photographed
+
+from matcap.brdf.metals import METAL_F0
+from matcap.brdf.parameters import SurfaceParameters
+from matcap.capture.exemplar.material_classes import (
+    BY_HEIGHT,
+    Classes,
+    Mixture,
+    find_mixture,
+    metal_score,
+)
+from matcap.capture.exemplar.mean_parameters import RingTarget
+from matcap.flash.geometry import flash_mirror_point
+from matcap.flash.render import render_flash
+
+HEIGHT, WIDTH = 96, 128
+GOLD = torch.tensor(METAL_F0["gold"])[:, None, None]
+BOLE = torch.tensor([0.24, 0.06, 0.03])[:, None, None]
+
+
+def patches(part: int = 2) -> torch.Tensor:
+    """(1, H, W) a board of 0 and 1, one in `part` squares 1."""
+    y, x = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
+    return ((x // 8 + y // 8) % part == part - 1)[None].float()
+
+
+def photograph(metal: torch.Tensor, brightness: float = 1.0):
+    """(what is shown, residuals of the truth, residuals as a network in doubt reads them)."""
+    shot = photographed(0.15, 0.1, width=WIDTH, height=HEIGHT)
+    one = torch.ones(1, HEIGHT, WIDTH)
+    maps = replace(
+        shot.maps,
+        diffuse=0.004 * metal + BOLE * (1.0 - metal),
+        specular=0.9 * GOLD * metal + 0.04 * (1.0 - metal),
+        roughness=0.3 * metal + 0.7 * (1.0 - metal),
+    )
+    linear = brightness * render_flash(maps, shot.uniform.setup, shot.points)
+    light = shot.light
+    grey = replace(maps, specular=maps.specular.mean(0, keepdim=True))
+    truth = light.residuals(grey)
+    read = replace(
+        truth,
+        diffuse=light.residuals(replace(grey, diffuse=0.08 * one + 0.0 * BOLE)).diffuse,
+        specular=light.residuals(replace(grey, specular=0.1 * one)).specular,
+        roughness=light.residuals(replace(grey, roughness=0.45 * one)).roughness,
+    )
+    x, y = flash_mirror_point(shot.uniform.setup)
+    shown = RingTarget(
+        linear=linear.clamp_max(1.0),
+        measured=linear < 1.0,
+        counts=torch.ones(HEIGHT, WIDTH, dtype=torch.bool),
+        distance=torch.hypot(shot.points[0] - x, shot.points[1] - y),
+        flash=light.flash,
+        normal=light.maps(read).normal,
+        surface=light.uniform,
+    )
+    return shown, truth, read
+
+
+def doubtful(metal: torch.Tensor, noise: float = 0.5) -> torch.Tensor:
+    """A logit that is right about borders, wrong about one texel in six at 0.5, and drifts."""
+    draw = torch.Generator().manual_seed(2)
+    grain = noise * torch.randn(metal.shape, generator=draw)
+    return metal - 0.5 + grain + torch.linspace(3.0, 0.0, WIDTH)
+
+
+def reached(mixture: Mixture, shown: RingTarget) -> tuple[torch.Tensor, torch.Tensor]:
+    """(2,) F0 and (2, 3) albedo of metal and of the rest."""
+    levels = (shown.surface.vector() + mixture.classes.mean_parameters).exp()
+    return levels[:, 3], levels[:, :3]
+
+
+@pytest.mark.parametrize(
+    ("brightness", "part", "noise"), [(0.05, 2, 0.5), (1.0, 2, 0.5), (0.05, 5, 0.15)]
+)
+def test_each_class_has_its_own_parameters_though_they_were_predicted_alike(
+    brightness: float, part: int, noise: float
+) -> None:
+    metal = patches(part)
+    shown, _, read = photograph(metal, brightness)
+    clipped = float((~shown.measured).float().mean())
+    assert (clipped > 0.02) == (brightness == 1.0)
+    mixture = find_mixture(read, doubtful(metal, noise), shown)
+    assert mixture.likely(shown.surface)
+    right = ((mixture.classes.metal_share > 0.5) == (metal > 0.5)).float().mean()
+    assert float(right) > 0.9
+    f0, albedo = reached(mixture, shown)
+    assert float(f0[0]) == pytest.approx(brightness * 0.9 * float(GOLD.mean()), rel=0.3)
+    assert float(f0[0] / f0[1]) > 6.0  # 16 in truth, 1 as read
+    assert float((albedo[1] / (brightness * BOLE.flatten()) - 1.0).abs().max()) < 0.4
+    assert float(albedo[0].max()) < (0.02 if part == 2 else 0.03) * brightness
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_one_class_is_not_taken_for_two(share: float) -> None:
+    metal = patches()
+    shown, _, read = photograph(share * torch.ones_like(metal))
+    mixture = find_mixture(read, doubtful(metal), shown)
+    assert not mixture.likely(shown.surface)
+
+
+EVEN_GLOSS = torch.ones(HEIGHT, WIDTH)
+
+
+def test_texels_own_are_albedo_of_a_dielectric_and_f0_of_metal() -> None:
+    metal = patches()
+    _, truth, _ = photograph(metal)
+    levels = torch.tensor([[0.1] * 5, [-0.2] * 5])
+    classes = Classes(torch.cat([metal, 1.0 - metal]), (True, False), levels)
+    grain = 0.1 * torch.sin(torch.arange(WIDTH) * 1.7).expand(1, HEIGHT, WIDTH)
+    noisy = replace(truth, diffuse=truth.diffuse + grain, specular=truth.specular + grain)
+    constrained, plain = (classes.constrained(each, EVEN_GLOSS) for each in (noisy, truth))
+    assert torch.allclose(classes.class_means(constrained), levels, atol=1e-4)
+    assert torch.equal(constrained.height, truth.height)
+    bare = metal[0] > 0.5
+    off = constrained.specular - plain.specular - grain
+    assert float(off[:, bare].std()) < 1e-3
+    assert float(constrained.specular[:, ~bare].std()) < 1e-5
+    assert float(constrained.diffuse[:, bare].std()) < 1e-5
+
+
+@pytest.mark.parametrize("slopes", [(0.2, 0.2), (-0.4, 0.3)])
+def test_roughness_follows_height_in_each_class(slopes: tuple[float, float]) -> None:
+    torch.manual_seed(5)
+    height, noise, tone = torch.randn(3, 1, HEIGHT, WIDTH)
+    first = (torch.arange(WIDTH) < WIDTH // 2).float().expand(1, HEIGHT, WIDTH)
+    classes = Classes(torch.cat([first, 1.0 - first]), (True, False), torch.zeros(2, 5))
+    slope = slopes[0] * first + slopes[1] * (1.0 - first)
+    predicted = SurfaceParameters(
+        diffuse=tone.expand(3, -1, -1),
+        specular=torch.zeros_like(tone),
+        roughness=slope * height + 0.2 * tone + 0.2 * noise,
+        height=height,
+    )
+    rough = classes.constrained(predicted, EVEN_GLOSS).roughness
+    for number, one in enumerate(classes.shares):
+        h, r = height[0][one > 0.5], rough[0][one > 0.5]
+        found = (h * r).mean() / (h * h).mean()
+        assert float(found) == pytest.approx(BY_HEIGHT * slopes[number], abs=0.06)
+        assert float((r - found * h).std()) < 0.1
+
+
+def test_flat_and_even_texels_have_one_roughness() -> None:
+    even = torch.zeros(1, HEIGHT, WIDTH)
+    predicted = SurfaceParameters(even.expand(3, -1, -1), even, torch.randn_like(even), even)
+    constrained = Classes.whole((HEIGHT, WIDTH), metal=False).constrained(predicted, EVEN_GLOSS)
+    assert constrained.roughness.abs().max() < 1e-5
+
+
+def test_what_goes_with_metal_is_told_beside_a_drift() -> None:
+    metal = patches()
+    _, truth, _ = photograph(metal)
+    score = metal_score(truth, doubtful(metal))
+    assert float(score.std()) == pytest.approx(1.0, abs=0.01)
+    right = ((score > 0.0) == (metal > 0.5)).float().mean()
+    assert float(right) > 0.95
+
+
+def test_a_prediction_without_texture_is_one_class() -> None:
+    shown, truth, read = photograph(torch.zeros(1, HEIGHT, WIDTH))
+    flat = 0.0 * doubtful(patches())
+    assert torch.isfinite(metal_score(truth, flat)).all()
+    mixture = find_mixture(read, flat, shown)
+    assert torch.isfinite(mixture.classes.mean_parameters).all()
+    assert not mixture.likely(shown.surface)

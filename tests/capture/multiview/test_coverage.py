@@ -1,0 +1,126 @@
+"""What is said of a set before it is captured."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from matcap.capture.multiview.coverage import SAME_PLACE, coverage, coverage_of_files
+from matcap.capture.multiview.mosaic import Mosaic
+from matcap.capture.multiview.set_report import SetReport
+from matcap.capture.registration.register import register
+from matcap.cli.main import main
+from matcap.errors import MatcapError
+from matcap.files.names import are_a_series
+from matcap.flash.coarse.fit import fit_coarse
+from matcap.lab.simulate.hand_held import Hand, hold, take_several
+from matcap.lab.simulate.photograph import PhoneCamera
+from matcap.lab.simulate.specimen import EXAMPLES
+from matcap.lab.simulate.write_jpeg import write_jpeg
+from matcap.photo.checks import Rating
+
+
+@pytest.fixture(scope="module")
+def looked(held, foreign):
+    _, photos = held
+    return register([photos[0], foreign, *photos[1:]], fit_coarse(photos[0]).setup)
+
+
+def test_cameras_are_found_and_a_foreign_photograph_is_named(held, looked):
+    cameras, photos = held
+    assert [view.photo.name for view in looked.views] == [photo.name for photo in photos]
+    assert [one.name for one in looked.left_out] == ["leather_9"]
+    assert looked.left_out[0].why
+    for view, camera in zip(looked.views[1:], cameras[1:], strict=True):
+        apart = np.linalg.norm(view.camera.place - camera.place)
+        assert apart < 0.03 * np.linalg.norm(camera.place)
+
+
+def test_a_set_is_told_what_it_lacks(looked):
+    values = coverage(looked)
+    assert values["belong"].value == {"used": 3, "left_out": ["leather_9"]}
+    assert "leather_9 does not belong" in values["belong"].says
+    # The second camera is moved to the right, the third to the top.
+    assert values["lit_from"].says == "No photograph lights the sample from the left or bottom."
+    assert values["lit_from"].rating is Rating.NOT_JUDGED
+    assert values["places"].rating is Rating.GOOD
+    assert values["common"].rating is Rating.GOOD
+    assert 1.05 < values["union"].value < 2.0 and "--union" in values["union"].says
+    assert json.loads(json.dumps(values.document()))["rating"] == "doubtful"
+
+
+def test_how_far_cameras_are_known_is_told(looked):
+    found = coverage(looked)["cameras"]
+    assert set(found.value) == {"plaster_1", "plaster_2"} and min(found.value.values()) > 0.0
+    sure, unsure = (
+        coverage(
+            replace(looked, views=tuple(replace(v, position_deviation=d) for v in looked.views))
+        )
+        for d in (0.001, 0.004)
+    )
+    assert sure["cameras"].rating is Rating.GOOD and "0.10 %" in sure["cameras"].says
+    assert unsure["cameras"].rating is Rating.NOT_JUDGED and "0.40 %" in unsure["cameras"].says
+
+
+def test_a_capture_says_where_cameras_are_doubted(looked):
+    def result(doubt):
+        views = tuple(
+            replace(v, position_deviation=doubt if n else 0.0) for n, v in enumerate(looked.views)
+        )
+        return SetReport(views, (), (), (), (0.0,) * 4, (0.0,) * 3, Mosaic.own((64, 48))).warning()
+
+    assert result(0.0015) is None
+    assert "0.3 % of their distance (plaster_1, plaster_2)" in result(0.003)
+
+
+def test_directions_are_those_of_the_upright_picture(looked):
+    views = tuple(replace(v, photo=replace(v.photo, turned=True)) for v in looked.views)
+    values = coverage(replace(looked, views=views))
+    # Turned back clockwise what lay at the right lies at the bottom, and the top at the right.
+    assert values["lit_from"].says == "No photograph lights the sample from the left or top."
+
+
+def test_two_from_the_same_place_are_named(looked):
+    again = replace(looked.views[1], photo=replace(looked.views[1].photo, name="again"))
+    values = coverage(replace(looked, views=(*looked.views, again)))
+    assert values["places"].says == "plaster_1 and again were taken from nearly the same place."
+    assert values["places"].value < SAME_PLACE
+
+
+def test_one_alone_is_poor(looked):
+    values = coverage(replace(looked, views=looked.views[:1]))
+    assert values.rating is Rating.FAILED
+    assert values["belong"].says.startswith(
+        "No other photograph shows the same sample as plaster_0."
+    )
+
+
+def test_one_photograph_is_no_set(tmp_path):
+    with pytest.raises(MatcapError, match="two or more"):
+        coverage_of_files([tmp_path / "a.jpg"])
+
+
+def test_names_that_count_are_a_series():
+    assert are_a_series(["oak_1", "oak_2", "Oak_3"]) and are_a_series(["oak 00", "oak 01"])
+    for stems in (["oak_1"], ["oak_1", "elm_2"], ["IMG_0001", "IMG_0002"], ["oak_2", "oak_3"],
+                  ["oak_1", "oak_3"], ["oak1", "oak2"], ["2024_1", "2024_2"], []):  # fmt: skip
+        assert not are_a_series(stems)
+
+
+def test_inspect_tells_of_sets(tmp_path, capsys):
+    plaster = EXAMPLES["plaster"]
+    phone, hand = PhoneCamera(width=320, height=240, supersampling=1), Hand()
+    cameras = hold(phone, hand, 2, 5)
+    paths = []
+    for number, one in enumerate(take_several(plaster.pieces(15), phone, cameras, hand, 5)):
+        paths.append(str(tmp_path / f"plaster_{number}.jpg"))
+        write_jpeg(tmp_path / f"plaster_{number}.jpg", one, number)
+    assert main(["inspect", "--json", *paths]) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values["together"]["belong"]["value"]["used"] == 2
+    assert len(values["photographs"]) == 2
+    assert main(["inspect", "--no-together", *paths]) == 0
+    assert "together" not in capsys.readouterr().out
+    assert main(["inspect", "--together", *paths]) == 0
+    assert "2 photographs together" in capsys.readouterr().out

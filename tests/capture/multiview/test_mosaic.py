@@ -1,0 +1,258 @@
+"""The piece is all that its photographs show: how far it reaches, and what it is there."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from seen_views import photographed
+
+from matcap.brdf.folder import read_mapset
+from matcap.brdf.maps import MapSet
+from matcap.capture.exemplar.estimate import map_set_of
+from matcap.capture.multiview import mosaic as mosaic_module
+from matcap.capture.multiview.mosaic import (
+    LEAST,
+    MOST,
+    STEEPEST,
+    Mosaic,
+    mosaic_of,
+    scatter,
+    seen_by_any,
+    sees,
+    spread_over,
+    tint_over,
+    unpredicted,
+)
+from matcap.capture.multiview.texels import SLOPES, Estimate, parameters_of
+from matcap.capture.multiview.tint import GREY
+from matcap.capture.multiview.view_predictions import ViewPrediction, with_others
+from matcap.capture.outputs import write_outputs
+from matcap.capture.pipeline import capture_photo
+from matcap.capture.registration.camera import PosedCamera, grid_points
+from matcap.capture.registration.register import RegisteredView
+from matcap.capture.settings import CaptureSettings, OutputSettings
+from matcap.cli.main import main
+from matcap.field.opened import open_photographed
+from matcap.flash.extent import OWN, Margins
+from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.lab.measures.maps import map_errors
+from matcap.lab.simulate.hand_held import downward, true_maps_along
+from matcap.lab.simulate.photograph import PhoneCamera
+from matcap.lab.simulate.specimen import EXAMPLES
+from matcap.photo.photo import Photo
+
+PHONE = PhoneCamera(width=640, height=480, supersampling=1)
+BESIDE = downward(PHONE)
+SIZE = (128, 96)
+
+
+def _view(camera, flash=True):
+    pixels = np.full((96, 128, 3), 0.5, np.float32)
+    photo = Photo(
+        pixels, np.zeros((96, 128), bool), PHONE.fov, "exif", True, "made", original_size=(128, 96)
+    )
+    return RegisteredView(photo, camera, flash=flash)
+
+
+def _camera(x=0.0, y=0.0, tilt=(0.0, 0.0)):
+    camera = PosedCamera.of(FlashSetup(fov=PHONE.fov, tilt=tilt))
+    return replace(camera, place=camera.place + np.array([x, y, 0.0]))
+
+
+def test_a_larger_piece_has_the_first_photographs_own_texels():
+    margins = Margins(left=3, right=40, top=5, bottom=0)
+    width, height = margins.around(SIZE)
+    assert (width, height) == (171, 101)
+    points = grid_points(width, height, margins.extent(SIZE[0]))
+    np.testing.assert_allclose(
+        points[:, *margins.inside(SIZE)], grid_points(*SIZE), rtol=0.0, atol=1e-12
+    )
+    floats = plane_points(0, 0, width, height, (width, height), dtype=torch.float64)
+    placed = margins.extent(SIZE[0]).placed(floats).numpy()
+    np.testing.assert_allclose(placed, points, rtol=0.0, atol=1e-12)
+    assert margins.own(SIZE).sum() == SIZE[0] * SIZE[1]
+    assert margins.extent(SIZE[0]).unit(width) == pytest.approx(SIZE[0])
+    assert Margins().extent(128) == OWN and not Margins().any
+
+
+def test_two_photographs_side_by_side_reach_half_as_far_again():
+    mosaic = mosaic_of([_view(_camera()), _view(_camera(x=1.0))], SIZE)
+    assert (mosaic.margins.left, mosaic.margins.top, mosaic.margins.bottom) == (0, 0, 0)
+    assert mosaic.margins.right == pytest.approx(64, abs=2)
+    assert mosaic.times == pytest.approx(1.5, abs=0.02)
+    assert mosaic.known > 0.98 and mosaic.covered > 0.98
+    assert mosaic.warning() is None and "1.5 times" in mosaic.summary()
+    # One that lights nothing reads nothing.
+    assert not mosaic_of([_view(_camera()), _view(_camera(x=1.0), flash=False)], SIZE).margins.any
+
+
+def test_what_nobody_saw_between_photographs_is_not_known():
+    views = [_view(_camera()), _view(_camera(x=1.2)), _view(_camera(y=0.9))]
+    mosaic = mosaic_of(views, SIZE)
+    known = seen_by_any(views, mosaic)
+    assert known.shape == mosaic.margins.around(SIZE)[::-1]
+    assert not known[0, -1] and known[-1, -1] and known[0, 0]
+    assert float(known.float().mean()) == pytest.approx(mosaic.known, abs=0.02)
+
+
+def test_a_leaning_camera_reaches_as_far_as_it_sees_well():
+    lean = math.radians(50.0)
+    camera = PosedCamera.of(FlashSetup(fov=PHONE.fov, tilt=(0.0, lean)))
+    mosaic = mosaic_of([_view(_camera()), _view(camera)], SIZE)
+    points = grid_points(*mosaic.margins.around(SIZE), mosaic.extent)
+    away = camera.place[:, None, None] - points
+    seen = sees(camera, points, 0.75, STEEPEST)
+    steep = np.degrees(np.arccos(away[2] / np.linalg.norm(away, axis=0)))
+    assert steep[seen].max() <= STEEPEST
+    assert sees(camera, points, 0.75, 89.0).sum() > seen.sum()
+    # And no side of the box is hardly seen at all.
+    known = seen_by_any([_view(_camera()), _view(camera)], mosaic).numpy()
+    for side in (known[0], known[-1], known[:, 0], known[:, -1]):
+        assert side.mean() > 0.9 * LEAST
+
+
+def test_a_piece_grows_no_larger_than_memory_allows_and_says_so(monkeypatch):
+    far = [_view(_camera())] + [_view(_camera(x=1.5 * n, y=1.1 * n)) for n in range(1, 5)]
+    mosaic = mosaic_of(far, SIZE)
+    assert mosaic.limited and mosaic.times <= MOST
+    assert "is left out of the maps" in mosaic.warning()
+    monkeypatch.setattr(mosaic_module, "_TEXELS", 1.2 * SIZE[0] * SIZE[1])
+    few = mosaic_of(far, SIZE)
+    assert few.times <= 1.2 and few.covered < mosaic.covered
+
+
+def _drawn(size, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    rows = torch.randn(6, *size[::-1], generator=generator)
+    maps = [0.3 * (0.1 * rows[:3]).exp(), 0.04 * (0.1 * rows[3:4]).exp(), 0.5 + 0.02 * rows[4:5]]
+    return MapSet(*maps, 0.002 * rows[5:], 2.0 / size[0])
+
+
+def test_the_first_reading_goes_on_smoothly_and_is_doubted_by_its_own_scatter():
+    maps, log_error = _drawn(SIZE), torch.full((4, *SIZE[::-1]), -2.0)
+    read = Estimate(maps, log_error)
+    assert spread_over(read, Margins()) is read
+    assert unpredicted(log_error, Mosaic.own(SIZE)) is log_error
+
+    margins = Margins(right=64, bottom=20)
+    spread = spread_over(read, margins)
+    over, unsure = spread.maps, spread.log_error
+    inside = margins.inside(SIZE)
+    assert torch.equal(over.stacked()[:, *inside], maps.stacked())
+    assert torch.equal(unsure[:, *inside], log_error)
+    beyond = over.diffuse[:, :, SIZE[0] + 20 :]
+    assert float(beyond.log().std()) < 0.5 * float(maps.diffuse.log().std())
+    assert float(beyond.mean()) == pytest.approx(0.3, rel=0.1)
+    torch.testing.assert_close(unsure[:, -1, -1], scatter(read))
+    nowhere = unpredicted(unsure, Mosaic(margins, SIZE))
+    assert (nowhere[:, :, SIZE[0] :] > 3.0).all() and torch.equal(nowhere[:, *inside], log_error)
+
+
+def test_beyond_the_first_photograph_the_others_reading_holds():
+    margins = Margins(right=64)
+    extent, whole = margins.extent(SIZE[0]), margins.around(SIZE)
+    true = _drawn(whole, 3)
+    smooth = torch.nn.functional.avg_pool2d(true.stacked()[None], 5, 1, 2)[0]
+    true = MapSet.from_stacked(smooth, 2.0 / SIZE[0])
+    first = true.crop(0, 0, *SIZE)
+    over = spread_over(Estimate(first, torch.full((4, *SIZE[::-1]), -3.0)), margins)
+    unsure = unpredicted(over.log_error, Mosaic(margins, SIZE))
+    over = replace(over, log_error=unsure)
+    read = [
+        ViewPrediction(parameters_of(over.maps), unsure, extent),
+        ViewPrediction(parameters_of(true), torch.full_like(unsure, -3.0), extent),
+    ]
+    found = with_others(over, read)
+    off = (parameters_of(found.maps) - parameters_of(true))[:, 2:-2, 2:-2]
+    assert float(off[: SLOPES.start].abs().max()) < 0.01
+    # Slopes too, and without a step where the first one ends.
+    steep = float(parameters_of(true)[SLOPES].square().mean().sqrt())
+    assert float(off[SLOPES].square().mean().sqrt()) < 0.2 * steep
+    assert float(off[SLOPES][..., SIZE[0] - 4 : SIZE[0] + 4].square().mean().sqrt()) < 0.4 * steep
+    assert (found.log_error < -2.5).all()
+
+
+def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():
+    margins = Margins(right=64)
+    mosaic, extent = Mosaic(margins, SIZE), margins.extent(SIZE[0])
+    whole = margins.around(SIZE)[::-1]
+    gold = torch.tensor([1.3, 1.0, 0.7])[:, None, None].expand(3, *whole)
+    log_error = unpredicted(torch.full((4, *whole), -2.0), mosaic)
+    numbers = torch.zeros(7, *whole)
+    first = ViewPrediction(numbers, log_error, extent)
+    other = ViewPrediction(numbers, torch.full((4, *whole), -2.0), extent, gold)
+    grey = torch.ones(3, *whole)
+    found = tint_over(grey, [first, other], mosaic)
+    assert torch.equal(found[..., : SIZE[0]], grey[..., : SIZE[0]])
+    torch.testing.assert_close(found[..., SIZE[0] :], gold[..., SIZE[0] :])
+    assert tint_over(GREY, [first, other], mosaic) is GREY
+    assert torch.equal(tint_over(grey, [first], mosaic), grey)
+
+
+@pytest.fixture(scope="module")
+def captured():
+    """(cameras, leather, result) of two photographs, each of which shows half of the other."""
+    leather = EXAMPLES["leather"]
+    cameras, photos = photographed(leather, PHONE, 2, 5, hand=BESIDE)
+    settings = CaptureSettings(preset="instant", detail=192, union=True)
+    return cameras, leather, capture_photo(photos[0], settings, others=photos[1:])
+
+
+def test_two_photographs_that_share_a_half_are_one_larger_piece(captured):
+    cameras, leather, result = captured
+    mosaic = result.estimate.several.mosaic
+    assert 1.35 < mosaic.times < 1.75
+    piece = map_set_of(result.estimate.exemplar)
+    assert piece.size == mosaic.margins.around((192, 144))
+    assert piece.texel_size == pytest.approx(2.0 / 192)
+    assert result.estimate.first_rectangle.size == (192, 144)
+    # What nobody saw is believed by nobody.
+    known = seen_by_any(result.estimate.several.views, mosaic).numpy()
+    trusted = result.estimate.exemplar.confidence
+    assert (trusted[:, ~known] == 0.0).all() and trusted[0][known].mean() > 0.3
+
+    other = result.estimate.several.views[1].camera
+    points = grid_points(*piece.size, mosaic.extent)
+    beyond = torch.from_numpy(sees(other, points, 0.75, STEEPEST))
+    beyond &= ~mosaic.margins.own(mosaic.size)
+    args = leather.realise, PHONE, cameras, 1, other, piece.size, mosaic.extent
+    true = true_maps_along(*args)
+    off = map_errors(piece, true, beyond)
+    assert off["normals"] < 0.9 * off["flat"]
+    log = true.diffuse.mean(0).log()[beyond]
+    assert off["albedo"] < 0.9 * float((log - log.median()).abs().mean())
+
+
+def test_a_union_is_written_and_told(captured, tmp_path):
+    _, _, result = captured
+    result = replace(result, settings=replace(result.settings, aligned=True, preset="draft"))
+    write_outputs(result, tmp_path / "leather", OutputSettings((32, 32)))
+    values = json.loads((tmp_path / "leather/report.json").read_text())
+    assert values["several"]["union"]["times"] == pytest.approx(
+        result.estimate.several.mosaic.times
+    )
+    assert any("all that the photographs show" in note for note in values["notes"])
+    assert values["settings"]["union"] is True
+    assert values["effort"]["preset"] == "draft" and values["effort"]["steps"] == 0  # none was run
+    assert not any("its rectangle" in warning for warning in values["warnings"])
+    # Maps of all of the piece, whose middle is not the photograph's.
+    piece, _ = read_mapset(tmp_path / "leather/leather_photo.json")
+    assert piece.size == result.estimate.exemplar.size
+    assert open_photographed(tmp_path / "leather/leather_photo.json") is None
+    assert open_photographed(tmp_path / "leather/leather.matcap").size is None
+
+
+def test_unsaid_where_it_is_not_asked_for():
+    assert "union" not in CaptureSettings().named()
+    assert CaptureSettings.of(CaptureSettings(union=True).named()).union
+
+
+def test_one_photograph_is_no_union(tmp_path, capsys):
+    photo = tmp_path / "a.jpg"
+    photo.write_bytes(b"")
+    for more in ([], ["--together"]):
+        assert main(["capture", str(photo), "--union", *more, "-o", str(tmp_path / "out")]) == 2
+        assert "give two or more of one sample" in capsys.readouterr().err

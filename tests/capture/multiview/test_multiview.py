@@ -1,0 +1,235 @@
+"""Several photographs of one piece: cameras, places, maps, and what is said of them."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from seen_views import LOG_ERROR, OFFSET, PHONE, SIZE, flattened, grainy, photographed, seen
+
+from matcap.capture.multiview.leave_one_out import left_out_residual
+from matcap.capture.multiview.shared import shared_step
+from matcap.capture.multiview.solve import solve
+from matcap.capture.multiview.texels import SLOPES, Estimate, ParameterPrior, parameters_of
+from matcap.capture.multiview.views import RAW_FALLOFF, SharedLight
+from matcap.capture.outputs import write_outputs
+from matcap.capture.pipeline import capture_photo
+from matcap.capture.progress import MULTIVIEW_STAGES
+from matcap.capture.report import warnings
+from matcap.capture.settings import CaptureSettings, OutputSettings
+from matcap.errors import MatcapError
+from matcap.flash.geometry import FlashSetup
+from matcap.lab.simulate.hand_held import Hand, hold
+from matcap.lab.simulate.specimen import subjects
+from matcap.photo.camera import CameraProfile, Falloff
+
+NOTHING_KNOWN = LOG_ERROR.expand(4, *SIZE)
+
+
+def _solved(views, read, light, log_error=NOTHING_KNOWN):
+    """Of RAW photographs."""
+    return solve(views, Estimate(read, log_error), replace(light, vignetting_deviation=RAW_FALLOFF))
+
+
+def _degrees(one, other):
+    return float((one.normal * other.normal).sum(0).clamp(-1.0, 1.0).acos().rad2deg().mean())
+
+
+def test_five_photographs_tell_relief_that_nothing_else_does():
+    maps = grainy(0)
+    views, light = seen([maps] * 5, 0.005)
+    found = _solved(views, flattened(maps), light)
+    assert _degrees(found.maps, maps) < 0.2 * _degrees(flattened(maps), maps)
+    off = (found.maps.diffuse.log() - maps.diffuse.log()).abs().mean()
+    assert off < 0.03
+    assert max(found.residual) < 0.02
+    assert found.measured[3] > 0.5
+
+
+def test_more_photographs_tell_more():
+    maps = grainy(1)
+    off = []
+    for count in (2, 3, 5):
+        views, light = seen([maps] * count, 0.01)
+        found = _solved(views, flattened(maps), light)
+        off.append(_degrees(found.maps, maps))
+    assert off[0] > 1.2 * off[1] and off[1] > 1.2 * off[2]
+
+
+def test_a_photograph_is_predicted_from_the_others():
+    maps = grainy(2)
+    views, light = seen([maps] * 5, 0.01)
+    some = light.of_some([0, 1, 2, 4])
+    kept = [views[k] for k in (0, 1, 2, 4)]
+    found = _solved(kept, flattened(maps), some)
+    assert left_out_residual(views[3], found) < 3.0 * max(found.residual)
+    flat = replace(found, estimate=replace(found.estimate, maps=flattened(maps)))
+    assert left_out_residual(views[3], flat) > 3.0 * left_out_residual(views[3], found)
+
+
+@pytest.fixture(scope="module")
+def five():
+    """Photographs of a piece that is known, their light, and what is known."""
+    maps = grainy(3)
+    return *seen([maps] * 5), ParameterPrior.of(Estimate(maps, NOTHING_KNOWN))
+
+
+def test_the_flash_is_found_beside_the_lens(five):
+    views, light, prior = five
+    begun = replace(light, offset=torch.zeros(2), vignetting_deviation=RAW_FALLOFF)
+    found, _ = shared_step(views, prior.mean, prior, begun)
+    assert np.abs(found.offset.numpy() - OFFSET).max() < 0.01
+
+
+def test_shading_that_is_not_the_flash_s_does_not_move_it_off_the_phone(five):
+    views, light, prior = five
+    begun = replace(light, coarse_offset=light.offset)
+    width = views[0].log.shape[-1]
+    shaded = [replace(view, log=view.log + torch.linspace(-2.0, 2.0, width)) for view in views]
+    for _ in range(4):
+        begun, _ = shared_step(shaded, prior.mean, prior, begun)
+    assert np.abs(begun.offset.numpy() - OFFSET).max() < 0.16
+
+
+def test_the_falloff_of_all_photographs_stays_as_near_as_the_camera_s_profile_says(five):
+    views, light, prior = five
+
+    def off(profile):
+        lost = {"vignetting": 0.3, "vignetting_quartic": 0.0}  # the photographs lose nothing
+        setup = FlashSetup(offset=(*light.offset.tolist(), 0.0), **lost)
+        begun = SharedLight.of(setup, 5, profile)
+        begun = replace(begun, intensity=light.intensity)
+        found, _ = shared_step(views, prior.mean, prior, begun)
+        return float(found.vignetting.sum())
+
+    narrow = CameraProfile("phone", Falloff((0.3, 0.0), (1e-3, 1e-3)), 9)
+    assert off(narrow) == pytest.approx(0.3, abs=0.01)
+    assert abs(off(None)) < 0.1
+
+
+def test_gloss_that_was_read_wrong_does_not_scale_relief():
+    """Nor a network that thinks itself sure of a relief half as steep."""
+    maps = grainy(6)
+    views, light = seen([maps] * 5, 0.005)
+    read = replace(maps, roughness=maps.roughness - 0.2, height=0.5 * maps.height)
+    sure = torch.log(torch.tensor([0.5, 0.05, 0.2, 0.02]))[:, None, None].expand(4, *SIZE)
+    found = _solved(views, read, light, sure)
+    assert found.light.gloss[1] > 0.4
+    before, after = (parameters_of(each)[SLOPES].square().mean() for each in (maps, found.maps))
+    assert 0.75 < float(after / before) < 1.15
+    assert found.prediction_error > 0.3 * float(before.sqrt())
+
+
+def test_a_photograph_beside_its_place_is_brought_back_though_texels_explain_it():
+    """The maps that are begun with are what the shifted photograph made of them."""
+    maps = grainy(4)
+    views, light = seen([maps] * 5)
+    # By two texels to the right: what is looked up there lay two texels further left.
+    shifted = [*views[:3], replace(views[3], log=views[3].log.roll(2, dims=2)), *views[4:]]
+    flat = flattened(maps)
+    found = _solved(shifted, flat, light)
+    prior = ParameterPrior.of(Estimate(flat, NOTHING_KNOWN))
+    numbers = parameters_of(found.maps)
+    _, moves = shared_step(shifted, numbers, prior, found.light, moved=range(1, 5))
+    texel = maps.texel_size
+    assert moves[3][0, 2] > 0.6 * texel
+    for number in (1, 2, 4):
+        assert abs(moves[number][0, 2]) < 0.7 * moves[3][0, 2]
+    assert (moves[0] == np.eye(3)).all()
+
+
+def test_slopes_stay_finite_where_nothing_is_seen():
+    maps = grainy(5)
+    views, light = seen([maps] * 3)
+    blind = [replace(view, seen=torch.zeros_like(view.seen)) for view in views]
+    found = solve(blind, Estimate(maps, NOTHING_KNOWN), light)
+    for channel in found.maps.stacked():
+        assert torch.isfinite(channel).all()
+    # As it was read, but for what is slow.
+    assert _degrees(found.maps, maps) < 0.4 * _degrees(flattened(maps), maps)
+    torch.testing.assert_close(found.maps.diffuse, maps.diffuse, atol=0.01, rtol=0.0)
+    assert torch.isfinite(found.estimate.log_error).all()
+
+
+def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
+    _, photos = held
+    lines = []
+    settings = CaptureSettings(preset="instant", detail=192)
+    result = capture_photo(
+        photos[0], settings, lines.append, others=[photos[1], foreign, photos[2]]
+    )
+    stages = [name for name in MULTIVIEW_STAGES if name not in ("read", "write")]
+    assert list(dict.fromkeys(now.stage for now in lines)) == stages
+    assert sum(MULTIVIEW_STAGES.values()) == pytest.approx(1.0)
+    fractions = [now.fraction for now in lines]
+    assert fractions == sorted(fractions)
+    assert any("leather_9 was left out" in warning for warning in warnings(result))
+    assert result.estimate is not None and result.estimate.error < 0.1
+
+    write_outputs(result, tmp_path / "plaster", OutputSettings((32, 32)))
+    report = json.loads((tmp_path / "plaster/report.json").read_text())
+    several = report["several"]
+    assert [one["name"] for one in several["photographs"]] == [photo.name for photo in photos]
+    assert [one["name"] for one in several["left_out"]] == ["leather_9"]
+    for one in several["photographs"]:
+        assert 0.0 <= one["doubt"] < 0.01
+        assert 0.0 < one["residual"] < 0.1 and math.isfinite(one["predicted"])
+    assert all(0.0 <= share <= 1.0 for share in several["measured_share"].values())
+
+
+def _captured(name, detail):
+    """Two photographs of a subject as one material."""
+    (subject,) = subjects((name,))
+    _, photos = photographed(subject, PHONE, 2, 5)
+    settings = CaptureSettings(preset="instant", detail=detail)
+    return capture_photo(photos[0], settings, others=photos[1:])
+
+
+def test_boards_are_kept_whole_as_of_one_photograph():
+    assert _captured("planks", 128).estimate.example.variety < 1.0
+
+
+def test_a_pair_keeps_the_highlight_of_glossy_tiles():
+    before, after = _captured("tile", 256).measurements.highlights
+    assert before is not None and after is not None
+    assert 0.9 < after.contrast / before.contrast < 1.2  # 0.7 with relief as solved
+
+
+def test_nothing_in_common_is_refused(held, foreign):
+    _, photos = held
+    with pytest.raises(MatcapError, match=r"leather_9.*photograph the same sample"):
+        capture_photo(photos[0], CaptureSettings(preset="instant", detail=192), others=[foreign])
+
+
+def test_a_hand_holds_the_phone_as_it_is_told():
+    cameras = hold(PHONE, Hand(shaken=0.0, turned=0.0, aside=0.3), 5, 0)
+    distance = 1.0 / math.tan(math.radians(PHONE.fov / 2.0))
+    for camera in cameras[1:]:
+        assert np.hypot(*camera.place[:2]) == pytest.approx(0.3 * distance, rel=1e-6)
+        assert 5.0 < math.degrees(camera.tilt) < 25.0
+
+
+@pytest.mark.parametrize("steep", [1.0, 1.5])
+def test_two_photographs_tell_how_strong_relief_is_of_which_half_was_read(steep):
+    """Nothing is measured across their baseline: a mean of both reliefs is weaker than either."""
+    one, two = (replace(maps, height=steep * maps.height) for maps in (grainy(7), grainy(8)))
+    views, light = seen([one] * 2, 0.005)
+    read = replace(flattened(one), height=0.5 * (one.height + two.height))
+    found = _solved(views, read, light)
+    true, before, after = (
+        float(parameters_of(maps)[SLOPES].square().mean()) for maps in (one, read, found.maps)
+    )
+    assert before < 0.5 * true
+    assert 0.85 * true < after < 1.15 * true
+
+
+def test_energies_of_octaves_belong_to_wavelengths_not_to_texels():
+    maps = grainy(7)
+    views, light = seen([maps] * 2, 0.005)
+    found = _solved(views, flattened(maps), light)
+    finer = maps.map(lambda m: m.repeat_interleave(2, -1).repeat_interleave(2, -2))
+    assert len(found.slope_energies) == 6  # from 256 to 4 texels
+    assert found.slope_statistics_on(maps) == (found.prediction_error, found.slope_energies)
+    assert found.slope_statistics_on(finer) == (found.prediction_error, found.slope_energies[1:])
