@@ -311,7 +311,7 @@ FAULTS = (
     Fault("verdict: grain hides a decoder's slow relief", "capture steepness",
           "slope_spectrum((maps.height[0] / maps.texel_size).numpy())[_COARSE]",
           "slope_spectrum((maps.height[0] / maps.texel_size).numpy())",
-          "capture/verdict/test_steepness.py -k slow_waves"),
+          "capture/verdict/test_exemplar_measurements.py -k slow_waves"),
     Fault("verdict: a re-rendering is not clipped", "capture measured",
           "(np.minimum(rectified, 1.0), np.minimum(rerendered, 1.0))",
           "(np.minimum(rectified, 1.0), rerendered)",

@@ -18,7 +18,7 @@ from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.rectify import CLIPPING, picture_of
 from matcap.photo.camera import CameraProfile
-from matcap.photo.checks import Finding, Rating
+from matcap.photo.checks import CHECKS, Finding
 from matcap.photo.inspect import Inspection, inspect_photo
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
@@ -86,14 +86,12 @@ def _gloss(coarse: CoarseFit, plane: Plane) -> tuple[Finding, ...]:
     inside = valid | (picture > CLIPPING).any(axis=2)
     profile = highlight_profile((picture, picture), inside, valid, coarse.setup)
     if profile is None or not profile.glossy:
-        return (Finding("highlight", None, Rating.NOT_JUDGED, "the photograph shows no gloss"),)
+        return (CHECKS["highlight"].finding(math.nan),)
     contrast = profile.contrast[0]
-    says = f"the highlight is {contrast:.1f} times as bright as a matte surface would be there"
-    if profile.bound:
-        says += f", or more: {profile.clipped[0]:.0%} of the highlight is clipped"
-    findings = [Finding("highlight", round(contrast, 3), Rating.NOT_JUDGED, says)]
+    bound = f", or more: {profile.clipped[0]:.0%} of the highlight is clipped"
+    highlight = CHECKS["highlight"].finding(contrast, bound=bound if profile.bound else "")
+    findings = [replace(highlight, value=round(contrast, 3))]
     if profile.glints:
         deviation = math.hypot(*(before for before, _ in profile.glints))
-        says = f"glints in the highlight vary by {math.expm1(deviation):.0%}"
-        findings.append(Finding("glints", round(deviation, 4), Rating.NOT_JUDGED, says))
+        findings.append(CHECKS["glints"].finding(deviation, variation=math.expm1(deviation)))
     return tuple(findings)

@@ -209,7 +209,7 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
         "sharpness": estimate.sharpness,
         "confidence": estimate.mean_confidence(result.photo.kept_share),
         "specular_channels": len(estimate.exemplar.specular),
-        "highlight_residue": result.measurements.residue,
+        "highlight_residue": result.measurements.exemplar.residue,
     }
 
 

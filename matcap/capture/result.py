@@ -12,15 +12,14 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.estimate import ExemplarEstimate, map_set_of
+from matcap.capture.exemplar.estimate import ExemplarEstimate
 from matcap.capture.progress import CaptureClock
 from matcap.capture.rectified import Rectified
 from matcap.capture.settings import CaptureSettings, Effort, resolve
 from matcap.capture.tilt import tilt_document
+from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
 from matcap.capture.verdict.judge import CaptureVerdict, judge
-from matcap.capture.verdict.measurements import ExemplarMeasurements, Measurements, measured
-from matcap.capture.verdict.residue import highlight_residue
-from matcap.capture.verdict.steepness import steepness
+from matcap.capture.verdict.measurements import Measurements, measured
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
 from matcap.flash.rectify import picture_of
@@ -81,7 +80,7 @@ class CaptureResult:
     @property
     def photographs(self) -> int:
         """Number of photographs that the material was made from."""
-        return self.measurements.causes.photographs
+        return self.measurements.photographs
 
     @property
     def effort(self) -> Effort:
@@ -139,14 +138,14 @@ def judged(
         compared = np.where(kept, whole, landscape)  # a difference of zero where masked
         seen = np.where(kept, whole, np.float32(0.0))
         drawn = None if tuning is None else maps
-        about = ExemplarMeasurements()
+        about = None
         if estimate is not None:
-            about = _exemplar_measurements(estimate, rectified, material, drawn)
-        others = material.provenance.get("others", ())
-        about = replace(about, photographs=1 + len(others))
+            about = ExemplarMeasurements.of(estimate, rectified, material.setup, drawn)
         valid = plane.valid.numpy()
         setup = replace(material.setup, turned=False)
         measurements = measured(photo, setup, compared, landscape, valid, rectified.waves, about)
+        others = material.provenance.get("others", ())
+        measurements = replace(measurements, photographs=1 + len(others))
         verdict = judge(measurements)
     return CaptureResult(
         photo=photo,
@@ -187,29 +186,3 @@ def provenance(
         },
     }
     return document | ({"others": joined} if joined else {})
-
-
-def _exemplar_measurements(
-    estimate: ExemplarEstimate,
-    rectified: Rectified,
-    material: Material,
-    drawn: MapSet | None,
-) -> ExemplarMeasurements:
-    """Measurements on an exemplar for its verdict; `drawn` are a decoder's maps."""
-    confidence = estimate.mean_confidence(rectified.photo.kept_share)
-    first = estimate.first_rectangle
-    flatter = math.nan if drawn is None else steepness(drawn, map_set_of(first))
-    return ExemplarMeasurements(
-        maps={"error": estimate.error, "slow": estimate.slow, **confidence},
-        residue=highlight_residue(first, material.setup),
-        tilt=_mean_tilt(estimate),
-        steepness=flatter,
-        # Of a lattice, whole periods are rearranged, however small they are.
-        variety=1.0 if rectified.waves else estimate.example.variety,
-    )
-
-
-def _mean_tilt(estimate: ExemplarEstimate) -> float:
-    """Mean angle between the exemplar's normals and the plane's, degrees."""
-    upright = map_set_of(estimate.exemplar).normal[2].clamp(-1.0, 1.0)
-    return float(upright.acos().rad2deg().mean())

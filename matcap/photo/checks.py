@@ -1,15 +1,16 @@
-"""The table of quality checks of photographs (inspect.py) and captures (capture/verdict).
+"""Tables of the quality checks of photographs, sets and captures, and of causes of poor captures.
 
-A check has limits, message, cause and remedy. Measurements are mapped to one scale of severity: up
-to 1 acceptable, up to 2 visible next to the photograph, up to 3 visible without it, beyond it
-another material. Limits are of what people notice; their sources are in docs/notes/verdict.md.
+A check has limits, messages, a cause and a remedy. Measurements are mapped to one scale of
+severity: up to 1 acceptable, up to 2 visible next to the photograph, up to 3 visible without it,
+beyond it another material. Limits are of what people notice; their sources are in
+docs/notes/verdict.md.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -85,16 +86,21 @@ class QualityCheck:
     measures: str
     """Name of the measurement."""
     unit: str
-    limits: tuple[float, float, float]
-    """Values at severity 1, 2 and 3; decreasing where less is worse."""
+    limits: tuple[float, ...]
+    """Values at severity 1, 2 and 3; decreasing where less is worse. A check of a set has one, the
+    limit of good values, and no severity; a note has none."""
     says: str
     """Message, formatted with `value`, `percent` and the caller's words."""
     cause: str = ""
     """Likely cause if the photograph shows no other, or ""."""
     remedy: str = "{more}"
-    """What to do; `more` is which photographs would help."""
+    """What to do; the word `more` is which photographs would help (capture/verdict/causes.py)."""
     factor: bool = False
     """Whether the measurement is a ratio r, for which r and 1 / r are equally severe."""
+    good: str = ""
+    """Message if the rating is good, where it differs from `says`."""
+    unknown: str = ""
+    """Message if nothing can be measured."""
 
     def severity(self, value: float) -> float:
         """Severity of a measurement: 1, 2, 3 at the limits, linear between (in |log| of a factor).
@@ -105,7 +111,7 @@ class QualityCheck:
         limits = self.limits
         if self.factor:
             value = abs(math.log(max(value, 1e-9)))
-            limits = (math.log(limits[0]), math.log(limits[1]), math.log(limits[2]))
+            limits = tuple(map(math.log, limits))
         sign = 1.0 if limits[0] < limits[2] else -1.0
         value, (first, second, third) = sign * value, (sign * limit for limit in limits)
         if value <= first:
@@ -115,32 +121,63 @@ class QualityCheck:
             return 1.0 + (value - first) / (second - first)
         return 2.0 + (value - second) / (third - second)
 
-    def finding(
-        self, value: float, severity: float | None = None, *, more: str = "", **words: object
-    ) -> Finding:
-        """The finding of a measurement.
+    def finding(self, value: float, severity: float | None = None, **words: object) -> Finding:
+        """The finding of a measurement, NaN if it is unknown.
 
         Args:
-            severity: None is severity(value).
-            more: which photographs would help (capture/verdict/causes.py).
+            severity: None is severity(value), of a note no rating.
             words: further values of the messages.
         """
-        severity = self.severity(value) if severity is None else severity
-        rating = Rating.of(severity)
+        if not math.isfinite(value):
+            return Finding(self.key, None, Rating.NOT_JUDGED, self.unknown)
+        if severity is None and self.limits:
+            severity = self.severity(value)
+        words |= {"value": value, "percent": 100.0 * value}
+        return self.rated(round(float(value), 4), Rating.of(severity), severity or 0.0, **words)
+
+    def rated(
+        self, measurement: object, rating: Rating, severity: float = 0.0, **words: object
+    ) -> Finding:
+        """The finding of a measurement, as JSON, with a known rating."""
         good = rating is Rating.GOOD
         return Finding(
             self.key,
-            round(float(value), 4),
+            measurement,
             rating,
-            self.says.format(value=value, percent=100.0 * value, **words),
-            "" if good else self.remedy.format(more=more, **words),
+            (self.good if good and self.good else self.says).format(**words),
+            "" if good else self.remedy.format(**words),
             "" if good else self.cause,
             severity,
         )
 
-    def not_judged(self, says: str) -> Finding:
-        """The finding where nothing can be measured."""
-        return Finding(self.key, None, Rating.NOT_JUDGED, says)
+
+@dataclass(frozen=True)
+class Cause:
+    """A cause of a poor capture that the photograph shows, by a measurement of its own."""
+
+    name: str
+    """Name in the report."""
+    measures: str
+    """Name of the measurement."""
+    none: float
+    """Its value without this cause."""
+    limit: float
+    """Value from which the cause is reported."""
+    says: str
+    """Message, formatted with `value`, `percent` and the caller's words."""
+    remedy: str
+    """Remedy for the verdict; `more` as in a check."""
+    explains: frozenset[str]
+    """Keys of the checks that it can affect."""
+
+    def strength(self, value: float) -> float:
+        """(value - none) / (limit - none): the cause is reported from 1."""
+        return (value - self.none) / (self.limit - self.none)
+
+    def described(self, value: float, **words: object) -> Cause:
+        """The cause with its messages formatted."""
+        words |= {"value": value, "percent": 100.0 * value}
+        return replace(self, says=self.says.format(**words), remedy=self.remedy.format(**words))
 
 
 def sentence(clause: str) -> str:
@@ -176,12 +213,17 @@ _TABLE = (
         "the phone was tilted by {value:.0f} degrees{side}",
         "it was held askew, or other light came from one side",
         "lift the phone's {raised} side until it is parallel to the sample",
+        good="the phone was square to the sample, within {value:.1f} degrees",
+        unknown="the tilt was not measured",
     ),
     QualityCheck(
         "sharpness", "blur, standard deviation", "pixels", (1.5, 2.05, 2.6),
         "details smaller than {details:.0f} pixels are lost at {width} pixels across, unless the "
         "sample has none", "out of focus, or moved",
         "touch the middle of the screen to focus, and hold still",
+        good="sharp at {width} pixels across",
+        unknown="Sharpness cannot be measured, because the picture has no detail. Check by eye "
+        "that the focus was on the sample.",
     ),
     QualityCheck(
         "stationarity", "difference between parts of the photograph", "times the usual",
@@ -189,19 +231,60 @@ _TABLE = (
         "the sample does not look the same all over; it differs most {where}",
         "several materials, stains, a picture or shadows",
         "fill the picture with one material: no edges, stains, labels or shadows",
+        good="the sample looks the same all over",
+    ),
+    QualityCheck(
+        "highlight", "radiance at the mirror point over a matte surface's", "", (),
+        "the highlight is {value:.1f} times as bright as a matte surface would be there{bound}",
+        remedy="", unknown="the photograph shows no gloss",
+    ),
+    QualityCheck(
+        "glints", "standard deviation of log radiance in the highlight", "", (),
+        "glints in the highlight vary by {variation:.0%}", remedy="",
+    ),
+    # Of a set of photographs; directions are those of the first one as displayed.
+    QualityCheck(
+        "lit_from", "offset of the cameras to each side, over their height", "", (0.15,),
+        "No photograph lights the sample from the {sides}.",
+        remedy="Photograph again with the phone moved by a third of its distance to the {moves}"
+        "{each}.", good="The sample is lit from all four sides.",
+    ),
+    QualityCheck(
+        "places", "baseline of two cameras over their distance to the sample", "", (0.08,),
+        "{one} and {other} were taken from nearly the same place.",
+        remedy="Move the phone by a third of its distance from one to the next.",
+        good="All were taken from different places.",
+    ),
+    QualityCheck(
+        "steep", "tilt of a camera; a part of the finding `places`", "degrees", (50.0,),
+        "{name} was taken {value:.0f} degrees off vertical.",
+        remedy="Stay within 45 degrees of vertical: the far side is covered by few pixels.",
+    ),
+    QualityCheck(
+        "cameras", "standard deviation of a camera's position over its distance", "", (0.002,),
+        "Camera positions are uncertain by {percent:.2f} % of their distance ({name}), because the "
+        "flash's shading moves with the camera.",
+        remedy="None needed: a capture models the shading, which at least halves this.",
+        good="Camera positions are uncertain by {percent:.2f} % of their distance.",
+    ),
+    QualityCheck(
+        "common", "share of the sample that only one photograph shows", "", (0.25,),
+        "{shared:.0%} of the sample is in two photographs or more.",
+        remedy="Aim the phone at the middle of the sample each time, so that all of it is in the "
+        "picture.",
     ),
     # Of the capture.
     QualityCheck(
         "highlight_contrast", "radiance at the mirror point over a matte surface's, re-rendered "
         "over photographed", "times", (1.3, 2.0, 3.0),
         "the highlight is {value:.2g} times as strong as in the photograph{bound}", "", _HIGHLIGHT,
-        factor=True,
+        factor=True, unknown="neither the photograph nor its re-rendering has a highlight",
     ),
     QualityCheck(
         "glint_contrast", "standard deviation of log radiance in the highlight, re-rendered over "
         "photographed", "times", (1.3, 2.0, 3.0),
         "the glints in the highlight are {value:.2g} times as strong as in the photograph",
-        factor=True,
+        factor=True, unknown="no highlight shows glints",
     ),
     QualityCheck(
         "highlight_place", "distance between centres of the highlights", "tolerances",
@@ -217,8 +300,7 @@ _TABLE = (
     QualityCheck(
         "light", "log luminance difference that varies with position as light does", "share",
         (0.12, 0.22, 0.4),
-        "shading across the picture differs from the photograph's by {percent:.0f} %", "",
-        "{more}",
+        "shading across the picture differs from the photograph's by {percent:.0f} %",
     ),
     QualityCheck(
         "colour", "log ratio of a channel, median", "share", (0.06, 0.15, 0.35),
@@ -229,6 +311,7 @@ _TABLE = (
         (1.1, 1.5, 2.3),
         "the texture differs from the photograph {value:.1f} times as much as two parts of the "
         "photograph differ from each other",
+        unknown="the picture is too small to compare textures",
     ),
     QualityCheck(
         "contrast", "contrast of a band of texture, re-rendered over photographed", "times",
@@ -240,12 +323,14 @@ _TABLE = (
         "{which} lines are {value:.2g} times {more_or_less} connected than in the photograph",
         "cells or lines are broken, which decoders cannot draw and small patches cut",
         "capture with --generator example, or synthesise with a lower --variety", factor=True,
+        unknown="the picture is too small to compare how its lines are connected",
     ),
     QualityCheck(
         "order", "loss of autocorrelation at one period", "share", (0.3, 0.5, 0.75),
         "the pattern is {kept:.0f} % as regular as in the photograph",
         "the pattern's period was not measured exactly, or it bends",
         "photograph it flat and from nearer",
+        unknown="the photograph shows no regular pattern to compare",
     ),
     QualityCheck(
         "piece", "difference of log radiance between photograph and re-rendered exemplar", "share",
@@ -263,7 +348,7 @@ _TABLE = (
         "highlight_residue", "radial variation of a map about the mirror point",
         "times the visible threshold",
         (1.0, 2.0, 4.0), "the flash's highlight has left a spot in the maps: {amount}",
-        "part of the highlight was taken for colour or gloss of the material", "{more}",
+        "part of the highlight was taken for colour or gloss of the material",
     ),
     QualityCheck(
         "steepness", "slopes of waves of 8 to 64 texels, a decoder's field over the exemplar",
@@ -281,3 +366,82 @@ _TABLE = (
     ),
 )  # fmt: skip
 CHECKS: Mapping[str, QualityCheck] = {check.key: check for check in _TABLE}
+
+RESIDUES: Mapping[str, tuple[float, str]] = {
+    "albedo": (0.05, "diffuse differs there by a factor of {:.2f}"),
+    "specular": (0.15, "specular differs there by a factor of {:.2f}"),
+    "roughness": (0.025, "roughness differs there by {:.2f}"),
+    "grain": (0.3, "the relief's slopes differ there by a factor of {:.2f}"),
+}
+"""By map: the smallest visible highlight residue, and its phrase in the verdict."""
+
+UNIFORM = 0.1
+"""Largest log ratio of the brightest side's light to that around the centre that is uniform light;
+negative under a flash in any direction."""
+
+_DARK = (
+    "photograph in a dark room, with other lights off, or take one more without flash and give "
+    "them with --together"
+)
+_OF_HIGHLIGHT = frozenset({"highlight_contrast", "highlight_place", "highlight_width"})
+_OF_LIGHT = _OF_HIGHLIGHT | {"light", "colour", "piece", "flash", "tilt", "flash_offset"}
+# A highlight of the wrong contrast looks like a tone curve or ambient light.
+_OF_LEVELS = _OF_LIGHT - {"highlight_contrast"}
+
+_CAUSES = (
+    Cause(
+        "anisotropic highlight", "length over width of the highlight, over the re-rendered one's",
+        1.0, 1.35,
+        "the highlight is a streak {value:.1f} times as long as wide: the reflection is "
+        "anisotropic, as of brushed metal, which the maps cannot represent",
+        "use an anisotropic shader in the renderer",
+        _OF_HIGHLIGHT | {"light", "piece"},
+    ),
+    Cause(
+        "no flash", "1 if light is uniform and the file does not say that the flash fired",
+        0.0, 1.0,
+        "the flash did not fire: the border is as bright as the middle",
+        "photograph again with the flash on, in a dark room",
+        _OF_LIGHT,
+    ),
+    Cause(
+        "light from a side", "log ratio of the brightest side's light to that around the centre, "
+        "if not uniform", -0.3, 0.0,
+        "other light from one side, which is {times:.1f} times as bright as the middle", _DARK,
+        _OF_LIGHT,
+    ),
+    Cause(
+        "room light", "uniform radiance over that of dark parts", 0.0, 0.25,
+        "{share:.0%} of the light in the dark parts is room light, not the flash's", _DARK,
+        _OF_LEVELS,
+    ),
+    Cause(
+        "tone curve", "difference of log radiance that is a function of brightness", 0.0, 0.12,
+        "the camera applied a tone curve, so that pixel values are not proportional to light",
+        "take RAW (DNG)",
+        _OF_LEVELS,
+    ),
+    Cause(
+        "clipping by channel", "share where some channels are clipped and others are not",
+        0.0, 0.04,
+        "one or two of red, green and blue are clipped on {percent:.0f} % of the photograph, which "
+        "changes its colour there",
+        "photograph again a stop darker",
+        _OF_HIGHLIGHT | {"clipped", "colour", "confidence", "piece", "contrast", "light"},
+    ),
+    Cause(
+        "steep relief", "mean angle of the exemplar's normals, degrees", 0.0, 25.0,
+        "the relief's mean slope is {value:.0f} degrees, too steep to measure from one flash "
+        "position",
+        "{more}",
+        frozenset({"texture", "contrast", "piece", "confidence", "glint_contrast"}),
+    ),
+    Cause(
+        "large features", "patch size of the field: small patches at 1, the whole exemplar at 0",
+        1.0, 0.2,
+        "the pattern's features are almost as large as the photograph, too large to rearrange",
+        "use it with --variety 0, or photograph more of the sample from further away",
+        frozenset({"texture", "contrast", "connectivity", "order", "light"}),
+    ),
+)  # fmt: skip
+CAUSES: Mapping[str, Cause] = {cause.name: cause for cause in _CAUSES}

@@ -208,7 +208,7 @@ def _hot_spot(photo: Photo, place: tuple[float, float]) -> Finding:
 
 def _tilt(photo: Photo, tilt: tuple[float, float] | None) -> Finding:
     if tilt is None:
-        return CHECKS["tilt"].not_judged("the tilt was not measured")
+        return CHECKS["tilt"].finding(math.nan)
     # The slope of the plane towards the camera, along x (right) and y (up) of photo.pixels.
     right, up = -math.degrees(tilt[1]), math.degrees(tilt[0])
     if photo.turned:
@@ -217,37 +217,21 @@ def _tilt(photo: Photo, tilt: tuple[float, float] | None) -> Finding:
     finding = CHECKS["tilt"].finding(
         degrees, side=f": the sample's {side} side was nearer", raised=side
     )
-    if finding.rating is Rating.GOOD:
-        says = f"the phone was square to the sample, within {degrees:.1f} degrees"
-        finding = replace(finding, says=says)
     value = {"degrees": round(degrees, 2), "right": round(right, 2), "up": round(up, 2)}
     return replace(finding, value=value)
 
 
 def _sharpness(photo: Photo) -> Finding:
     blur = softness(photo.pixels)
-    width = photo.pixels.shape[1]
-    if math.isnan(blur):
-        return CHECKS["sharpness"].not_judged(
-            "Sharpness cannot be measured, because the picture has no detail. "
-            "Check by eye that the focus was on the sample."
-        )
-    finding = CHECKS["sharpness"].finding(blur, details=2.0 * blur, width=width)
-    if finding.rating is Rating.GOOD:
-        return replace(finding, says=f"sharp at {width} pixels across")
-    return finding
+    return CHECKS["sharpness"].finding(blur, details=2.0 * blur, width=photo.pixels.shape[1])
 
 
 def _stationarity(photo: Photo, place: tuple[float, float]) -> Finding:
     tiles = unevenness(photo.pixels, place)
-    value = float(np.sqrt(np.mean(tiles**2)))
     rows, columns = tiles.shape
     row, column = divmod(int(tiles.argmax()), columns)
     where = _whereabouts(*_upright(photo, (column + 0.5) / columns, (row + 0.5) / rows))
-    finding = CHECKS["stationarity"].finding(value, where=where)
-    if finding.rating is Rating.GOOD:
-        return replace(finding, says="the sample looks the same all over")
-    return finding
+    return CHECKS["stationarity"].finding(float(np.sqrt(np.mean(tiles**2))), where=where)
 
 
 def _radiometric(photo: Photo) -> Finding:

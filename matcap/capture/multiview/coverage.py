@@ -15,23 +15,13 @@ import numpy as np
 
 from matcap.capture.multiview.mosaic import mosaic_of, sees
 from matcap.capture.registration.camera import grid_points
-from matcap.capture.registration.covariance import UNCERTAIN
 from matcap.capture.registration.keypoints import LONG_SIDE
 from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order
 from matcap.errors import MatcapError
-from matcap.photo.checks import Finding, Rating
+from matcap.photo.checks import CHECKS, Finding, Rating
 from matcap.photo.inspect import Inspection
 from matcap.photo.load import load_photo
 
-# Limits of the coverage checks.
-
-# Least lateral offset of a camera, over its height, for the sample to be lit from that side; the
-# remedy asks for a third.
-_ASIDE = 0.15
-# Baseline of two cameras, over their distance to the sample, below which they coincide.
-SAME_PLACE = 0.08
-_STEEP = 50.0  # largest tilt, degrees; beyond it few pixels cover the far side
-_ALONE = 0.25  # largest share of the sample that only one photograph shows
 _GRID = 64  # points across the grid on which coverage is determined
 
 
@@ -104,56 +94,51 @@ def _sides(views: Sequence[RegisteredView]) -> Finding:
     (left, bottom), (right, top) = -leaning.min(0), leaning.max(0)
     offsets = {"left": left, "right": right, "top": top, "bottom": bottom}
     value = {side: round(float(offset), 3) for side, offset in offsets.items()}
-    dark = [side for side, offset in offsets.items() if offset < _ASIDE]
+    check = CHECKS["lit_from"]
+    dark = [side for side, offset in offsets.items() if offset < check.limits[0]]
     if not dark:
-        says = "The sample is lit from all four sides."
-        return Finding("lit_from", value, Rating.GOOD, says)
-    each = "" if len(dark) == 1 else ", once for each"
-    return Finding(
-        "lit_from",
+        return check.rated(value, Rating.GOOD)
+    return check.rated(
         value,
         Rating.NOT_JUDGED if len(dark) < len(offsets) else Rating.DOUBTFUL,
-        f"No photograph lights the sample from the {_listed(dark, 'or')}.",
-        f"Photograph again with the phone moved by a third of its distance to the "
-        f"{_listed(dark, 'and')}{each}.",
+        sides=_listed(dark, "or"),
+        moves=_listed(dark, "and"),
+        each="" if len(dark) == 1 else ", once for each",
     )
 
 
 def _places(views: Sequence[RegisteredView]) -> Finding:
     """Finding on cameras that coincide or are tilted too far."""
-    same, nearest = [], math.inf
+    place, steep = CHECKS["places"], CHECKS["steep"]
+    near, nearest = [], math.inf
     for one, other in combinations(views, 2):
         baseline = np.linalg.norm(one.camera.place - other.camera.place)
         share = float(baseline / np.linalg.norm(one.camera.place))
         nearest = min(nearest, share)
-        if share < SAME_PLACE:
-            same.append(f"{one.photo.name} and {other.photo.name}")
-    steep = [v for v in views if math.degrees(v.camera.tilt) > _STEEP]
-    value = None if math.isinf(nearest) else round(nearest, 3)
-    said = [f"{pair} were taken from nearly the same place." for pair in same]
-    said += [
-        f"{v.photo.name} was taken {math.degrees(v.camera.tilt):.0f} degrees off vertical."
-        for v in steep
+        if share < place.limits[0]:
+            near.append(place.says.format(one=one.photo.name, other=other.photo.name))
+    tilted = [
+        steep.says.format(name=view.photo.name, value=math.degrees(view.camera.tilt))
+        for view in views
+        if math.degrees(view.camera.tilt) > steep.limits[0]
     ]
-    if not said:
-        return Finding("places", value, Rating.GOOD, "All were taken from different places.")
-    moves = ["Move the phone by a third of its distance from one to the next."] if same else []
-    if steep:
-        moves.append("Stay within 45 degrees of vertical: the far side is covered by few pixels.")
-    return Finding("places", value, Rating.DOUBTFUL, " ".join(said), " ".join(moves))
+    value = None if math.isinf(nearest) else round(nearest, 3)
+    if not near and not tilted:
+        return place.rated(value, Rating.GOOD)
+    remedies = [*([place.remedy] if near else []), *([steep.remedy] if tilted else [])]
+    return Finding("places", value, Rating.DOUBTFUL, " ".join(near + tilted), " ".join(remedies))
 
 
 def _cameras(views: Sequence[RegisteredView]) -> Finding:
     """Finding on the standard deviations of the cameras."""
-    worst = max(views, key=lambda view: view.position_deviation)
+    check, worst = CHECKS["cameras"], max(views, key=lambda view: view.position_deviation)
     deviation = worst.position_deviation
-    value = {view.photo.name: round(view.position_deviation, 5) for view in views[1:]}
-    says = f"Camera positions are uncertain by {100 * deviation:.2f} % of their distance"
-    if deviation <= UNCERTAIN:
-        return Finding("cameras", value, Rating.GOOD, f"{says}.")
-    says += f" ({worst.photo.name}), because the flash's shading moves with the camera."
-    remedy = "None needed: a capture models the shading, which at least halves this."
-    return Finding("cameras", value, Rating.NOT_JUDGED, says, remedy)
+    return check.rated(
+        {view.photo.name: round(view.position_deviation, 5) for view in views[1:]},
+        Rating.GOOD if deviation <= check.limits[0] else Rating.NOT_JUDGED,
+        percent=100.0 * deviation,
+        name=worst.photo.name,
+    )
 
 
 def _common(views: Sequence[RegisteredView]) -> Finding:
@@ -163,13 +148,9 @@ def _common(views: Sequence[RegisteredView]) -> Finding:
     each = (sees(view.camera, points, high, 90.0) for view, high in zip(views, up, strict=True))
     seen = np.stack(list(each)).sum(0)
     alone = float((seen < 2).mean())
-    says = f"{1.0 - alone:.0%} of the sample is in two photographs or more."
-    if alone <= _ALONE:
-        return Finding("common", round(alone, 3), Rating.GOOD, says)
-    remedy = (
-        "Aim the phone at the middle of the sample each time, so that all of it is in the picture."
-    )
-    return Finding("common", round(alone, 3), Rating.DOUBTFUL, says, remedy)
+    check = CHECKS["common"]
+    rating = Rating.GOOD if alone <= check.limits[0] else Rating.DOUBTFUL
+    return check.rated(round(alone, 3), rating, shared=1.0 - alone)
 
 
 def _union(views: Sequence[RegisteredView]) -> Finding:

@@ -8,8 +8,8 @@ from typing import Any
 
 from matcap.brdf.maps import CHANNELS
 from matcap.capture.multiview.mosaic import Mosaic
-from matcap.capture.registration.covariance import UNCERTAIN
 from matcap.capture.registration.register import LeftOut, RegisteredView
+from matcap.photo.checks import CHECKS
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ class SetReport:
 
     def warning(self) -> str | None:
         """A sentence if a camera's standard deviation exceeds the limit, else None."""
-        uncertain = [view for view in self.views if view.position_deviation > UNCERTAIN]
+        (limit,) = CHECKS["cameras"].limits
+        uncertain = [view for view in self.views if view.position_deviation > limit]
         if not uncertain:
             return None
         worst = max(view.position_deviation for view in uncertain)

@@ -27,8 +27,6 @@ from matcap.capture.registration.adjust import (
 )
 from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, grid_points
 
-UNCERTAIN = 0.002  # standard deviation of a position, over its distance, above which it is reported
-
 # Prior standard deviations and noise model; docs/notes/several.md.
 # Standard deviation of the features' common apparent depth over that of single ones.
 _COMMON_DEPTH = 3.0

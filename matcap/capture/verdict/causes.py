@@ -1,48 +1,26 @@
-"""Causes of a poor capture that can be measured in the photograph, each with a remedy.
+"""Measurements of causes of a poor capture, in photograph and re-rendering.
 
-Each cause has its own measurement, from photograph and re-rendering, and is reported if that
-exceeds its limit (docs/notes/verdict.md).
+A cause is reported if its measurement exceeds its limit in the table (photo/checks.py).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
 from matcap.flash.highlight import Highlight, elongation, light_of
+from matcap.photo.checks import CAUSES, UNIFORM, Cause
+from matcap.photo.photo import Photo
 
 Picture = NDArray[np.float32]
 SmoothLight = NDArray[np.float64]
 
-DARK = (
-    "photograph in a dark room, with other lights off, or take one more without flash and give "
-    "them with --together"
-)
-_HIGHLIGHT = frozenset({"highlight_contrast", "highlight_place", "highlight_width"})
-_LIGHT = _HIGHLIGHT | {"light", "colour", "piece", "flash", "tilt", "flash_offset"}
-# A highlight of the wrong contrast looks like a tone curve or ambient light.
-_LEVELS = _LIGHT - {"highlight_contrast"}
-_DRAWING = frozenset({"texture", "contrast", "connectivity", "order", "light"})
-_RELIEF = frozenset({"texture", "contrast", "piece", "confidence", "glint_contrast"})
-_CLIPPED = _HIGHLIGHT | {"clipped", "colour", "confidence", "piece", "contrast", "light"}
-
-
-# Limits of CauseMeasurements at which a cause is reported; docs/notes/verdict.md.
-
-# Log ratio of `side` that adds 1 to the strength; any positive ratio excludes a flash.
-_SIDE_UNIT = 0.3
-_EVEN = 0.1  # largest log ratio of `side` that counts as uniform light
-_MOST_ROOM = 0.25  # limit of the share of ambient light, CauseMeasurements.room
-_MOST_CURVE = 0.12  # limit of the tone curve's difference of log radiance, CauseMeasurements.curve
-_MOST_STREAK = 1.35  # limit of the highlight's elongation, CauseMeasurements.streak
-# Limit of the share clipped in some channels only, CauseMeasurements.channels.
-_MOST_CHANNELS = 0.04
-_MOST_TILT = 25.0  # limit of the mean angle of normals, degrees, CauseMeasurements.tilt
-_LEAST_VARIETY = 0.2  # limit of `variety`, below which features are as large as the photograph
+# Settings of the measurements; docs/notes/verdict.md.
 _RING_TERMS = 6  # piecewise linear terms in the distance from the centre
 # Quantile of the light above which texels are not fitted, as the highlight's error would look
 # like a tone curve.
@@ -55,7 +33,7 @@ _CLIP = 0.995  # pixel value from which a channel counts as clipped
 
 @dataclass(frozen=True)
 class CauseMeasurements:
-    """Measurements of causes; the defaults mean that there is none."""
+    """Measurements of causes in the photograph; the defaults mean that there is none."""
 
     side: float = -1.0
     """Log ratio of the brightest side's light to that around the centre; negative under a flash in
@@ -68,59 +46,37 @@ class CauseMeasurements:
     """Length over width of the highlight, divided by that of the re-rendered one."""
     channels: float = 0.0
     """Share of the photograph where some channels are clipped and others are not."""
-    tilt: float = 0.0
-    """Mean angle of the exemplar's normals to the plane's, degrees."""
-    variety: float = 1.0
-    """Patch size of the field: 1 for small patches, 0 for the whole exemplar, whose features are as
-    large as the photograph."""
     developed: bool = False
     """Whether the photograph is developed, so that it can have a tone curve."""
     fired: bool | None = None
     """Whether the flash fired by the file's metadata; None if unknown."""
-    photographs: int = 1
-    """Number of photographs of the sample."""
 
-    def with_photograph(
-        self,
-        pixels: Picture,
+    @staticmethod
+    def of(
+        photo: Photo,
         smooth: tuple[SmoothLight, SmoothLight],
         pictures: tuple[Picture, Picture],
         highlights: tuple[Highlight | None, Highlight | None],
     ) -> CauseMeasurements:
-        """Add measurements from the photograph and its re-rendering.
+        """Measure a photograph and its re-rendering.
 
         Args:
-            pixels: (H, W, 3) the photograph, linear, 1 at clipping.
+            photo: the photograph.
             smooth: (h, w, 3) low-pass filtered photograph and re-rendering on the plane.
             pictures: (H, W, 3) both, unfiltered.
             highlights: of both.
         """
         light, model = (each.mean(axis=2) for each in smooth)
-        clipped = pixels >= _CLIP
-        return replace(
-            self,
+        clipped = photo.pixels >= _CLIP
+        return CauseMeasurements(
             side=_brightest_side(light),
-            room=_laid_over(light, model),
-            curve=_bent(light, model),
+            room=_ambient_share(light, model),
+            curve=_tone_difference(light, model),
             streak=_streak(pictures, highlights),
             channels=float((clipped[..., 1:] != clipped[..., :1]).any(axis=2).mean()),
+            developed=not photo.radiometric,
+            fired=photo.flash_fired,
         )
-
-
-@dataclass(frozen=True)
-class Cause:
-    """A cause of differences between photograph and re-rendering."""
-
-    name: str
-    """Name in the report."""
-    strength: float
-    """The measurement over its limit; a cause is reported from 1."""
-    says: str
-    """Description for the verdict."""
-    remedy: str
-    """Remedy for the verdict."""
-    explains: frozenset[str]
-    """Keys of the checks that it can affect."""
 
 
 def more_photographs(given: int) -> str:
@@ -132,81 +88,32 @@ def more_photographs(given: int) -> str:
     return "photograph again with the phone moved further to each side (see matcap inspect)"
 
 
-def causes(measured: CauseMeasurements) -> tuple[Cause, ...]:
-    """Causes with a strength of at least 1, the strongest first."""
-    visible = [cause for cause in _all(measured) if cause.strength >= 1.0]
-    return tuple(sorted(visible, key=lambda cause: -cause.strength))
-
-
-def _all(measured: CauseMeasurements) -> Iterator[Cause]:
-    """Every cause, at any strength."""
-    yield Cause(
-        "anisotropic highlight",
-        (measured.streak - 1.0) / (_MOST_STREAK - 1.0),
-        f"the highlight is a streak {measured.streak:.1f} times as long as wide: the reflection is "
-        "anisotropic, as of brushed metal, which the maps cannot represent",
-        "use an anisotropic shader in the renderer",
-        _HIGHLIGHT | {"light", "piece"},
-    )
-    yield from _of_light(measured)
-    yield Cause(
-        "steep relief",
-        measured.tilt / _MOST_TILT,
-        f"the relief's mean slope is {measured.tilt:.0f} degrees, too steep to measure from one "
-        "flash position",
-        more_photographs(measured.photographs),
-        _RELIEF,
-    )
-    yield Cause(
-        "large features",
-        (1.0 - measured.variety) / (1.0 - _LEAST_VARIETY),
-        "the pattern's features are almost as large as the photograph, too large to rearrange",
-        "use it with --variety 0, or photograph more of the sample from further away",
-        _DRAWING,
-    )
-
-
-def _of_light(measured: CauseMeasurements) -> Iterator[Cause]:
-    """Causes in the light or in how the camera recorded it."""
-    even = 0.0 <= measured.side <= _EVEN
-    yield Cause(
-        "no flash",
-        1.0 if even and not measured.fired else 0.0,
-        "the flash did not fire: the border is as bright as the middle",
-        "photograph again with the flash on, in a dark room",
-        _LIGHT,
-    )
-    yield Cause(
-        "light from a side",
-        0.0 if even else 1.0 + measured.side / _SIDE_UNIT,
-        f"other light from one side, which is {math.exp(measured.side):.1f} times as bright as the "
-        "middle",
-        DARK,
-        _LIGHT,
-    )
-    bent = measured.developed and measured.curve / _MOST_CURVE >= measured.room / _MOST_ROOM
-    yield Cause(
-        "room light",
-        0.0 if bent else measured.room / _MOST_ROOM,
-        f"{min(measured.room, 1.0):.0%} of the light in the dark parts is room light, not the "
-        "flash's",
-        DARK,
-        _LEVELS,
-    )
-    yield Cause(
-        "tone curve",
-        measured.curve / _MOST_CURVE if bent else 0.0,
-        "the camera applied a tone curve, so that pixel values are not proportional to light",
-        "take RAW (DNG)",
-        _LEVELS,
-    )
-    yield Cause(
-        "clipping by channel",
-        measured.channels / _MOST_CHANNELS,
-        f"one or two of red, green and blue are clipped on {100.0 * measured.channels:.0f} % of "
-        "the photograph, which changes its colour there",
-        "photograph again a stop darker",
-        _CLIPPED,
+def causes(
+    seen: CauseMeasurements, exemplar: ExemplarMeasurements, photographs: int
+) -> tuple[Cause, ...]:
+    """Causes beyond their limits, the strongest first; of a sample with so many photographs."""
+    uniform = 0.0 <= seen.side <= UNIFORM
+    curve, room = CAUSES["tone curve"], CAUSES["room light"]
+    bent = seen.developed and curve.strength(seen.curve) >= room.strength(seen.room)
+    values = {
+        "anisotropic highlight": seen.streak,
+        "no flash": float(uniform and not seen.fired),
+        "light from a side": -math.inf if uniform else seen.side,
+        "room light": 0.0 if bent else seen.room,
+        "tone curve": seen.curve if bent else 0.0,
+        "clipping by channel": seen.channels,
+        "steep relief": exemplar.tilt,
+        "large features": exemplar.variety,
+    }
+    strengths = {name: CAUSES[name].strength(value) for name, value in values.items()}
+    names = sorted(strengths, key=lambda name: -strengths[name])
+    words = {
+        "times": math.exp(seen.side),
+        "share": min(seen.room, 1.0),
+        "more": more_photographs(photographs),
+    }
+    return tuple(
+        CAUSES[name].described(values[name], **words) for name in names if strengths[name] >= 1.0
     )
 
 
@@ -229,7 +136,7 @@ def _brightest_side(light: SmoothLight) -> float:
     return float(np.log((brightest + 1e-6) / (np.median(around) + 1e-6)))
 
 
-def _bent(light: SmoothLight, model: SmoothLight) -> float:
+def _tone_difference(light: SmoothLight, model: SmoothLight) -> float:
     """Standard deviation of log(light / model) explained by log model and its square.
 
     Fitted together with functions linear in position.
@@ -246,7 +153,7 @@ def _bent(light: SmoothLight, model: SmoothLight) -> float:
     return float(curve.std())
 
 
-def _laid_over(light: SmoothLight, model: SmoothLight) -> float:
+def _ambient_share(light: SmoothLight, model: SmoothLight) -> float:
     """Offset b of the fit light = a model + b, over the 10 % quantile of light."""
     fit = model < np.quantile(model, _BRIGHTEST)
     weight = 1.0 / (model[fit] + 1e-6)  # relative residuals

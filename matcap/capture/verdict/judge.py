@@ -1,18 +1,31 @@
-"""The verdict on a capture from its findings and causes."""
+"""The verdict on a capture: every measurement rated by the table of checks (photo/checks.py)."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from matcap.capture.verdict.causes import Cause, causes, more_photographs
-from matcap.capture.verdict.findings import findings
+from matcap.capture.verdict.causes import causes, more_photographs
+from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
+from matcap.capture.verdict.highlight import UNSEEN
 from matcap.capture.verdict.measurements import Measurements
-from matcap.photo.checks import Finding, Rating
+from matcap.flash.highlight import FAINTEST_HIGHLIGHT, Highlight
+from matcap.photo.checks import CHECKS, RESIDUES, Cause, Finding, Rating
 
 NORM = 6.0
 """Exponent p of the severity (sum s^p)^(1/p): near the largest s, and a little above it for several
 (three of 1.8 give 2.2); docs/notes/verdict.md."""
+PHOTOGRAPHED = ("flash", "clipped", "tilt", "stationarity")
+"""Keys of the photograph's own checks that are part of the verdict."""
+
+# Which highlights and lattices are compared; docs/notes/verdict.md.
+_WIDEST = 0.34  # largest half width of a visible highlight, plane units (below that of the falloff)
+_FAINTEST = 2.0  # least peak of a visible highlight over its surroundings
+# Tolerance of a highlight's position: plane units, plus a share of its half width.
+_PLACE_TOLERANCE = (0.03, 0.1)
+_PLAIN_ORDER = 0.15  # least autocorrelation at one period of a photograph with a visible lattice
 
 
 @dataclass(frozen=True)
@@ -80,4 +93,119 @@ class CaptureVerdict:
 
 def judge(seen: Measurements) -> CaptureVerdict:
     """Rate measurements and look for causes."""
-    return CaptureVerdict(tuple(findings(seen)), causes(seen.causes), seen.causes.photographs)
+    return CaptureVerdict(
+        tuple(findings(seen)),
+        causes(seen.causes, seen.exemplar, seen.photographs),
+        seen.photographs,
+    )
+
+
+def findings(seen: Measurements) -> Iterator[Finding]:
+    """All findings, in the order of the report."""
+    more = more_photographs(seen.photographs)
+    yield from (seen.photograph[key] for key in PHOTOGRAPHED)
+    yield from _highlight(seen, more)
+    yield CHECKS["light"].finding(seen.light, more=more)
+    yield CHECKS["colour"].finding(max(map(abs, seen.colour)), more=more)
+    yield CHECKS["texture"].finding(seen.texture, more=more)
+    yield _contrast(seen, more)
+    yield _connectivity(seen)
+    yield from _order(seen)
+    yield from _exemplar(seen.exemplar, more)
+    yield CHECKS["flash_offset"].finding(seen.offset, off=50.0 * seen.offset)
+
+
+def plain(highlight: Highlight | None) -> bool:
+    """Whether a highlight is clearly visible."""
+    return highlight is not None and highlight.width < _WIDEST and highlight.contrast > _FAINTEST
+
+
+def _highlight(seen: Measurements, more: str) -> Iterator[Finding]:
+    """Findings on the highlight: contrast, glints, position and width."""
+    yield _highlight_contrast(seen)
+    glints = math.nan if seen.profile is None else seen.profile.glint_ratio
+    yield CHECKS["glint_contrast"].finding(glints, more=more)
+    before, after = seen.highlights
+    if before is None or after is None or not (plain(before) or plain(after)):
+        return
+    distance = math.dist(before.centre, after.centre)
+    tolerance = _PLACE_TOLERANCE[0] + _PLACE_TOLERANCE[1] * before.width
+    yield CHECKS["highlight_place"].finding(distance / tolerance, off=50.0 * distance)
+    yield CHECKS["highlight_width"].finding(after.width / before.width)
+
+
+def _highlight_contrast(seen: Measurements) -> Finding:
+    """Highlight contrast, re-rendered over photographed: the worse of ring and peak contrast.
+
+    Ring means miss a peak of a few texels, and a highlight that is not at the mirror point.
+    """
+    check, profile = CHECKS["highlight_contrast"], seen.profile
+    ratios = [_peak_ratio(*seen.highlights), math.nan if profile is None else profile.ratio]
+    known = [ratio for ratio in ratios if math.isfinite(ratio)]
+    ratio = max(known, key=check.severity, default=math.nan)
+    clipped = 0.0 if profile is None or not profile.bound else profile.clipped[0]
+    bound = f", or less: {clipped:.0%} of the photograph's highlight is clipped" if clipped else ""
+    return check.finding(ratio, bound=bound)
+
+
+def _peak_ratio(before: Highlight | None, after: Highlight | None) -> float:
+    """Ratio of peak over surroundings, re-rendered over photographed; NaN if neither is visible.
+
+    An undetected highlight counts with the detection limit.
+    """
+    if not plain(before) and not plain(after):
+        return math.nan
+    first, second = (
+        FAINTEST_HIGHLIGHT if each is None else each.contrast for each in (before, after)
+    )
+    return second / first
+
+
+def _contrast(seen: Measurements, more: str) -> Finding:
+    """Finding on texture contrast, in the band and region that differ most."""
+    factors = {
+        band: (after + UNSEEN) / (before + UNSEEN)
+        for band, (before, after) in seen.contrast.items()
+    }
+    band = max(factors, key=lambda name: abs(math.log(factors[name])))
+    factor = factors[band]
+    says = f"{max(factor, 1.0 / factor):.1f} times {'stronger' if factor > 1.0 else 'weaker'}"
+    return CHECKS["contrast"].finding(factor, more=more, band=band, more_or_less=says)
+
+
+def _connectivity(seen: Measurements) -> Finding:
+    """Finding on how well the pattern's dark or bright lines are connected."""
+    check = CHECKS["connectivity"]
+    if seen.connectivity is None:
+        return check.finding(math.nan)
+    before, after = seen.connectivity
+    which, change = ("dark", after - before) if before > 0.0 else ("bright", before - after)
+    more_or_less = "more" if change > 0.0 else "less"
+    return check.finding(math.exp(abs(change)), which=which, more_or_less=more_or_less)
+
+
+def _order(seen: Measurements) -> Iterator[Finding]:
+    """Finding on how regular the pattern is; none for an aperiodic texture."""
+    if seen.order is None:
+        return
+    before, after = seen.order
+    kept = max(after, 0.0) / before if before >= _PLAIN_ORDER else math.nan
+    yield CHECKS["order"].finding(1.0 - kept, kept=100.0 * min(kept, 1.0))
+
+
+def _exemplar(seen: ExemplarMeasurements, more: str) -> Iterator[Finding]:
+    """Findings on the exemplar; none without one."""
+    confidence, residue = seen.confidence, seen.residue
+    if confidence is not None:
+        yield CHECKS["piece"].finding(seen.error, more=more)
+        predicted = 1.0 - sum(confidence.values()) / len(confidence)
+        least = min(confidence, key=lambda name: confidence[name])
+        yield CHECKS["confidence"].finding(predicted, least=least)
+    if residue is not None:
+        # In the map where it is most visible.
+        name = max(RESIDUES, key=lambda name: residue[name] / RESIDUES[name][0])
+        visible, says = RESIDUES[name]
+        amount = says.format(residue[name] if name == "roughness" else math.exp(residue[name]))
+        yield CHECKS["highlight_residue"].finding(residue[name] / visible, more=more, amount=amount)
+    if math.isfinite(seen.steepness):
+        yield CHECKS["steepness"].finding(seen.steepness)

@@ -1,6 +1,6 @@
 """Measured differences between a photograph and its re-rendering: light, highlight, texture.
 
-Read next: findings.py, which rates them.
+Read next: judge.py, which rates them.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from matcap.capture.exemplar.noise import code_step
 from matcap.capture.method import FEATURES, WINDOW
 from matcap.capture.verdict.causes import CauseMeasurements, by_place
 from matcap.capture.verdict.connectivity import connectivity
+from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
 from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
@@ -50,24 +51,6 @@ _LEAST_SEEN = 0.5  # least valid share of a window
 
 
 @dataclass(frozen=True)
-class ExemplarMeasurements:
-    """Measurements on the exemplar itself, without the photograph."""
-
-    maps: Mapping[str, float] | None = None
-    """`error`, `slow` (log radiance) and confidence by map, for Measurements.exemplar."""
-    residue: Mapping[str, float] | None = None
-    """Radial variation by map about the mirror point, for Measurements.residue."""
-    tilt: float = 0.0
-    """Mean angle of the normals to the plane's, degrees."""
-    steepness: float = math.nan
-    """Slopes of a decoder's field over the exemplar's (steepness.py); NaN of the default."""
-    variety: float = 1.0
-    """Patch size of the field, from 0 (the whole exemplar) to 1 (small patches)."""
-    photographs: int = 1
-    """Number of photographs of the sample."""
-
-
-@dataclass(frozen=True)
 class Measurements:
     """Measurements of a capture; pairs are of the photograph and its re-rendering."""
 
@@ -94,14 +77,12 @@ class Measurements:
     connectivity: tuple[float, float] | None = None
     """log(mean cluster size of dark texels over bright ones) (connectivity.py); None if the picture
     is too small."""
-    exemplar: Mapping[str, float] | None = None
-    """`error`, `slow` (log radiance) and confidence by map of the exemplar; None without one."""
-    residue: Mapping[str, float] | None = None
-    """Radial variation of the exemplar's maps about the mirror point (residue.py)."""
-    steepness: float = math.nan
-    """Slopes of a decoder's field over the exemplar's (steepness.py); NaN of the default."""
+    exemplar: ExemplarMeasurements = ExemplarMeasurements()
+    """Measurements on the exemplar itself."""
     causes: CauseMeasurements = CauseMeasurements()
     """Measurements of possible causes."""
+    photographs: int = 1
+    """Number of photographs of the sample."""
 
 
 def measured(
@@ -122,9 +103,8 @@ def measured(
         rerendered: (H, W, 3) the material under that flash, linear.
         valid: (H, W) bool, visible and not clipped.
         waves: frequency vectors of its lattice, cycles per texel.
-        exemplar: measurements on the exemplar.
+        exemplar: measurements on the exemplar, if there is one.
     """
-    exemplar = exemplar or ExemplarMeasurements()
     # Both are clipped at the camera's limit.
     pictures = np.minimum(rectified, 1.0), np.minimum(rerendered, 1.0)
     smooth = _smooth(pictures[0]), _smooth(pictures[1])
@@ -133,13 +113,6 @@ def measured(
     inside = valid | (rectified > CLIPPING).any(axis=2)
     plane = plane_of(planes_of(pictures[0]), torch.from_numpy(valid))
     rendering = planes_of(pictures[1])
-    causes = CauseMeasurements(
-        tilt=exemplar.tilt,
-        variety=exemplar.variety,
-        developed=not photo.radiometric,
-        fired=photo.flash_fired,
-        photographs=exemplar.photographs,
-    )
     return Measurements(
         photograph=inspect_photo(photo, setup.tilt),
         highlights=highlights,
@@ -153,10 +126,8 @@ def measured(
         connectivity=connectivity(
             (_log_luminance(pictures[0])[0], _log_luminance(pictures[1])[0]), valid
         ),
-        exemplar=exemplar.maps,
-        residue=exemplar.residue,
-        steepness=exemplar.steepness,
-        causes=causes.with_photograph(photo.pixels, smooth, pictures, highlights),
+        exemplar=exemplar or ExemplarMeasurements(),
+        causes=CauseMeasurements.of(photo, smooth, pictures, highlights),
     )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.capture.verdict.findings import plain
+from matcap.capture.verdict.judge import plain
 from matcap.errors import MatcapError
 from matcap.files.picture import write_picture
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse

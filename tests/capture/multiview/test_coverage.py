@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from matcap.capture.multiview.coverage import SAME_PLACE, coverage, coverage_of_files
+from matcap.capture.multiview.coverage import coverage, coverage_of_files
 from matcap.capture.multiview.mosaic import Mosaic
 from matcap.capture.multiview.set_report import SetReport
 from matcap.capture.registration.register import register
@@ -18,7 +18,7 @@ from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import PhoneCamera
 from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.lab.simulate.write_jpeg import write_jpeg
-from matcap.photo.checks import Rating
+from matcap.photo.checks import CHECKS, Rating
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_two_from_the_same_place_are_named(looked):
     again = replace(looked.views[1], photo=replace(looked.views[1].photo, name="again"))
     values = coverage(replace(looked, views=(*looked.views, again)))
     assert values["places"].says == "plaster_1 and again were taken from nearly the same place."
-    assert values["places"].value < SAME_PLACE
+    assert values["places"].value < CHECKS["places"].limits[0]
 
 
 def test_one_alone_is_poor(looked):

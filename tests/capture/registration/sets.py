@@ -18,7 +18,6 @@ from matcap.capture.multiview.align import Aligned, aligned
 from matcap.capture.multiview.estimate import predict_alone, registered
 from matcap.capture.progress import MULTIVIEW_STAGES, CaptureClock
 from matcap.capture.registration.camera import PosedCamera
-from matcap.capture.registration.covariance import UNCERTAIN
 from matcap.capture.registration.register import Registration, register
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import fit_coarse
@@ -28,12 +27,14 @@ from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.materials import MATERIALS
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, as_photo
 from matcap.lab.simulate.specimen import EXAMPLES
+from matcap.photo.checks import CHECKS
 from matcap.photo.photo import Photo
 
 EASY = ("leather", "granite", "rust", "plaster")
 # What a set is made hard by; one of each in turn.
 HARD = ("weave", "plain", "blurred", "foreign", "exposed", "apart", "steep")
 
+(UNCERTAIN,) = CHECKS["cameras"].limits
 _WRONG = 0.02  # of the distance: nobody would call that camera right
 
 Verdict = Literal["right", "near", "refused", "wrong"]

@@ -5,13 +5,15 @@ import pytest
 
 from matcap.capture.registration import covariance
 from matcap.capture.registration.adjust import Adjusted, Pair, adjust
-from matcap.capture.registration.covariance import UNCERTAIN, camera_deviations
+from matcap.capture.registration.covariance import camera_deviations
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.hand_held import Hand, hold
 from matcap.lab.simulate.photograph import PhoneCamera
+from matcap.photo.checks import CHECKS
 
 PHONE = PhoneCamera(width=800, height=600)
 PIXEL = 1.0 / 400.0
+(UNCERTAIN,) = CHECKS["cameras"].limits
 
 
 def _matched(seed, noise, depths, count=800):

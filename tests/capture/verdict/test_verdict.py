@@ -13,9 +13,9 @@ from matcap.capture.exemplar.noise import code_step
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.verdict.causes import CauseMeasurements
-from matcap.capture.verdict.findings import RESIDUES, findings
+from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
 from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
-from matcap.capture.verdict.judge import judge
+from matcap.capture.verdict.judge import findings, judge
 from matcap.capture.verdict.measurements import (
     Measurements,
     measured,
@@ -25,7 +25,7 @@ from matcap.capture.verdict.measurements import (
 from matcap.flash.highlight import Highlight
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
-from matcap.photo.checks import CHECKS, Rating
+from matcap.photo.checks import CAUSES, CHECKS, RESIDUES, Rating
 from matcap.photo.inspect import Inspection, inspect_photo
 
 SPOT = Highlight((0.0, 0.0), 0.1, 0.9, 0.1)
@@ -64,19 +64,27 @@ FINE = Measurements(
     order=(0.5, 0.5),
     offset=0.1,
     connectivity=(3.0, 2.5),
-    steepness=1.1,
-    exemplar={
-        "error": 0.05, "slow": 0.04, "diffuse": 0.9, "specular": 0.8, "roughness": 0.7,
-        "height": 0.7,
-    },
-)  # fmt: skip
+    exemplar=ExemplarMeasurements(
+        error=0.05,
+        confidence={"diffuse": 0.9, "specular": 0.8, "roughness": 0.7, "height": 0.7},
+        steepness=1.1,
+    ),
+)
+
+
+def exemplar_with(**changes):
+    """A good exemplar but for these measurements."""
+    return {"exemplar": replace(FINE.exemplar, **changes)}
 
 
 def named(seen):
     return {found.name: found for found in findings(seen)}
 
 
-@pytest.mark.parametrize("check", CHECKS.values(), ids=CHECKS)
+RATED = {key: check for key, check in CHECKS.items() if len(check.limits) == 3}
+
+
+@pytest.mark.parametrize("check", RATED.values(), ids=RATED)
 def test_severity_is_one_two_and_three_at_the_limits_and_grows_between(check):
     assert [check.severity(limit) for limit in check.limits] == pytest.approx([1.0, 2.0, 3.0])
     first, _, third = check.limits
@@ -84,7 +92,7 @@ def test_severity_is_one_two_and_three_at_the_limits_and_grows_between(check):
     assert all(a < b for a, b in zip(found, found[1:], strict=False)) and found[-1] > 3.0
 
 
-@pytest.mark.parametrize("check", [c for c in CHECKS.values() if c.factor], ids=lambda c: c.key)
+@pytest.mark.parametrize("check", [c for c in RATED.values() if c.factor], ids=lambda c: c.key)
 def test_a_factor_counts_alike_above_and_below_one(check):
     assert check.severity(1.0) == 0.0
     assert check.severity(0.4) == pytest.approx(check.severity(2.5))
@@ -92,19 +100,17 @@ def test_a_factor_counts_alike_above_and_below_one(check):
 
 def test_every_row_of_the_table_is_said_of_something(leather):
     """A row that needs words which nobody gives could not be said."""
-    worst = dict.fromkeys(RESIDUES, 1.0)
-    said = [
-        *findings(replace(FINE, residue=worst)),
-        *inspect_photo(leather[0], (0.3, 0.0)).findings,
-    ]
-    assert set(CHECKS) <= {found.name for found in said}
+    worst = exemplar_with(residue=dict.fromkeys(RESIDUES, 1.0))
+    said = [*findings(replace(FINE, **worst)), *inspect_photo(leather[0], (0.3, 0.0)).findings]
+    assert set(RATED) <= {found.name for found in said}
     assert all(found.line() and "{" not in found.line() for found in said)
 
 
 def test_what_is_not_known_is_not_held_against_a_capture():
     unknown = {"texture": math.nan, "connectivity": None}
+    exemplar = ExemplarMeasurements()
     seen = replace(
-        FINE, **unknown, profile=None, highlights=(None, None), order=None, steepness=math.nan
+        FINE, **unknown, profile=None, highlights=(None, None), order=None, exemplar=exemplar
     )
     assert judge(seen).rating is Rating.GOOD
     assert {named(seen)[name].rating for name in unknown} == {Rating.NOT_JUDGED}
@@ -145,15 +151,15 @@ BAD = [
     ({"connectivity": (3.5, 0.2)}, "connectivity", "doubtful"),
     ({"connectivity": (-2.0, 3.0)}, "connectivity", "failed"),
     ({"order": (0.5, 0.05)}, "order", "failed"),
-    ({"steepness": 2.6}, "steepness", "doubtful"),
-    ({"steepness": 0.2}, "steepness", "failed"),
+    (exemplar_with(steepness=2.6), "steepness", "doubtful"),
+    (exemplar_with(steepness=0.2), "steepness", "failed"),
     (shot_with("stationarity", 4.0), "stationarity", "doubtful"),
     (shot_with("tilt", 20.0), "tilt", "doubtful"),
     ({"offset": 0.5}, "flash_offset", "doubtful"),
     (shot_with("clipped", 0.2), "clipped", "doubtful"),
-    ({"exemplar": {**FINE.exemplar, "error": 0.3}}, "piece", "doubtful"),
-    ({"residue": RESIDUE}, "highlight_residue", "doubtful"),
-    ({"exemplar": {"error": 0.05, "slow": 0.0, "height": 0.05}}, "confidence", "failed"),
+    (exemplar_with(error=0.3), "piece", "doubtful"),
+    (exemplar_with(residue=RESIDUE), "highlight_residue", "doubtful"),
+    (exemplar_with(confidence={"height": 0.05}), "confidence", "failed"),
 ]  # fmt: skip
 
 
@@ -168,26 +174,39 @@ def test_one_fault_is_enough_and_is_told_with_remedy(change, check, word):
     assert sentence.startswith(f"{word}: ") and worst.says in sentence and worst.remedy in sentence
 
 
-# A measurement, the cause's name, and the fault that it explains.
+def cause_of(**measured):
+    """A photograph with these measurements of causes."""
+    return {"causes": CauseMeasurements(**measured)}
+
+
+# What is measured, the cause's name, and the fault that it explains.
 SHOWN = [
-    ({"streak": 2.0}, "anisotropic highlight", {"highlights": (SPOT, replace(SPOT, width=0.5))}),
-    ({"side": 0.05}, "no flash", {"light": 0.5}),
-    ({"side": 0.2}, "light from a side", {"light": 0.5}),
-    ({"room": 0.5}, "room light", {"light": 0.5}),
-    ({"curve": 0.3, "developed": True}, "tone curve", {"colour": (0.2, 0.0, -0.25)}),
-    ({"channels": 0.2}, "clipping by channel", shot_with("clipped", 0.2)),
-    ({"tilt": 35.0}, "steep relief", {"texture": 2.0}),
-    ({"variety": 0.1}, "large features", {"order": (0.5, 0.05)}),
+    (
+        cause_of(streak=2.0),
+        "anisotropic highlight",
+        {"highlights": (SPOT, replace(SPOT, width=0.5))},
+    ),
+    (cause_of(side=0.05), "no flash", {"light": 0.5}),
+    (cause_of(side=0.2), "light from a side", {"light": 0.5}),
+    (cause_of(room=0.5), "room light", {"light": 0.5}),
+    (cause_of(curve=0.3, developed=True), "tone curve", {"colour": (0.2, 0.0, -0.25)}),
+    (cause_of(channels=0.2), "clipping by channel", shot_with("clipped", 0.2)),
+    (exemplar_with(tilt=35.0), "steep relief", {"texture": 2.0}),
+    (exemplar_with(variety=0.1), "large features", {"order": (0.5, 0.05)}),
 ]
 
 
-@pytest.mark.parametrize(("measurement", "name", "fault"), SHOWN)
-def test_a_cause_is_named_on_evidence_of_its_own_and_with_what_helps(measurement, name, fault):
-    verdict = judge(replace(FINE, **fault, causes=CauseMeasurements(**measurement)))
+@pytest.mark.parametrize(("measured", "name", "fault"), SHOWN)
+def test_a_cause_is_named_on_evidence_of_its_own_and_with_what_helps(measured, name, fault):
+    verdict = judge(replace(FINE, **fault, **measured))
     (cause,) = verdict.causes
     assert cause.name == name
     assert f"Likely cause: {cause.says}. Remedy: {cause.remedy}." in verdict.sentence()
     assert judge(replace(FINE, **fault)).causes == ()
+
+
+def test_every_cause_is_shown():
+    assert {name for _, name, _ in SHOWN} == set(CAUSES)
 
 
 def test_a_flash_that_fired_is_not_said_to_be_missing():
@@ -445,7 +464,7 @@ def test_a_usable_capture_is_told_its_largest_difference():
 
 def test_a_set_is_not_told_to_be_one():
     def remedy(photographs):
-        seen = replace(FINE, light=0.5, causes=CauseMeasurements(photographs=photographs))
+        seen = replace(FINE, light=0.5, photographs=photographs)
         return judge(seen).sentence().partition("Remedy: ")[2]
 
     assert "take five photographs" in remedy(1)

@@ -1,14 +1,21 @@
-"""Highlight residue: measured where there is some, and not where chance makes rings."""
+"""Highlight residue and steepness, where there is some and where there is none."""
+
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-from matcap.capture.verdict.residue import highlight_residue, in_rings
+from matcap.brdf.maps import MapSet
+from matcap.capture.verdict.exemplar_measurements import highlight_residue, in_rings, steepness
 from matcap.example.exemplar import Exemplar
 from matcap.flash.geometry import FlashSetup, camera_in_plane, flash_mirror_point
 
 SETUP = FlashSetup(offset=(0.2, -0.1, 0.0), tilt=(0.05, -0.03))
 SIZE = (192, 144)
+TEXEL = 0.002
+ALONG = torch.arange(384.0)
 
 
 def piece(**changes):
@@ -75,3 +82,31 @@ def test_a_stain_elsewhere_counts_for_little_and_chance_for_nothing():
     # Of variances, chance adds nothing on the mean; cut off at 0 it is a little.
     assert np.mean(np.square(scatter)) < 0.01
     assert np.median(scatter) < 0.05
+
+
+def relief(slow, fine, phase=0.0):
+    """Maps with waves of 32 and of 3 texels, of these amplitudes in texels, in both directions."""
+    along = slow * torch.sin(math.tau * ALONG / 32.0 + phase) + fine * torch.sin(ALONG * 2.1)
+    height = TEXEL * (along[None, :, None] + along[None, None, :])
+    return MapSet(*(torch.full((count, 384, 384), 0.5) for count in (3, 1, 1)), height, TEXEL)
+
+
+def test_it_is_of_slow_waves_however_fine_grain_is():
+    assert steepness(relief(3.0, 0.1, 1.0), relief(1.0, 0.1)) == pytest.approx(3.0, rel=0.05)
+    assert steepness(relief(1.0, 0.1), relief(3.0, 0.1)) == pytest.approx(1.0 / 3.0, rel=0.05)
+    assert steepness(relief(1.0, 0.02), relief(1.0, 0.1)) == pytest.approx(1.0, rel=0.02)
+
+
+def test_what_no_eye_sees_is_no_relief_and_relief_of_stains_is():
+    assert steepness(relief(0.01, 0.1), relief(0.0, 0.1)) < 1.1
+    assert steepness(relief(0.2, 0.1), relief(0.0, 0.0)) > 3.0
+
+
+def test_without_any_relief_and_in_small_maps_it_is_not_known():
+    flat = relief(0.0, 0.0)
+    assert math.isnan(steepness(flat, flat))
+    small = replace(flat, **{
+        name: getattr(relief(1.0, 0.1), name)[:, :64, :64]
+        for name in ("diffuse", "specular", "roughness", "height")
+    })  # fmt: skip
+    assert math.isnan(steepness(small, small))
