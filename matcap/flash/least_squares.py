@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt minimisation of a cost by its normal equations."""
+"""Robust least squares: Levenberg-Marquardt minimisation, and the Huber loss."""
 
 from __future__ import annotations
 
@@ -47,3 +47,11 @@ def minimised(
         if converged:
             break
     return least, parameters
+
+
+def huber(residuals: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
+    """Huber loss of residuals, and the weights at which squares have its gradient; any shape."""
+    size = residuals.abs()
+    linear = threshold * (size - 0.5 * threshold)
+    loss = torch.where(size < threshold, 0.5 * size.square(), linear)
+    return loss, threshold / size.clamp_min(threshold)

@@ -6,7 +6,8 @@ No shadows: the flash is next to the lens, so the camera hardly sees what it doe
     L = (diffuse / pi + D G F / (4 (n.l)(n.v))) E,    E = I (n.l) / d^2.
 
 Precomputed are directions and power of a light at fixed points (`FlashLight`), and its irradiance
-on a fixed relief (`Incidence`). Any leading batch dimensions.
+on a fixed relief (`Incidence`). Any leading batch dimensions. `linearised` is the Jacobian of log L
+in closed form, for every fit of maps to photographs.
 
 Read next: render.py, pictures of whole map sets.
 """
@@ -14,37 +15,39 @@ Read next: render.py, pictures of whole map sets.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import Angles, LobeGradient, dot, normalize, specular_lobe
+from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import by_slopes
+from matcap.brdf.parameters import Reflectance
 from matcap.flash.geometry import FlashSetup, camera_in_plane, project
 
 # Squared distance from the centre of the corner of a 4:3 picture, the unit of vignetting.
 CORNER_SQUARED = 1.25**2
+DARKEST = 1e-5  # radiance (1 at clipping) below which logarithms are clamped
 _STRIP = 1 << 16  # places whose intermediate values a processor's cache holds
 
 
-@dataclass(frozen=True)
-class Incidence:
-    """Light incident on a relief, with the direction to the camera."""
+class Incident(ABC):
+    """Light incident on a relief."""
 
-    angles: Angles
-    """Angles between normal, light and view."""
     irradiance: Tensor
-    """(..., 1 or 3, H, W) E; 0 where light or view is below the surface, unless Angles.quick."""
+    """(..., 1 or 3, H, W) E."""
 
+    @abstractmethod
     def matte(self, albedo: Tensor) -> Tensor:
         """Radiance over irradiance (..., 3, H, W) of diffuse albedo (..., 3, H, W)."""
-        return albedo / math.pi
 
+    @abstractmethod
     def mirrored(self, specular: Tensor, roughness: Tensor) -> Tensor:
         """Radiance over irradiance of F0 (..., 1 or 3, H, W) and roughness."""
-        return specular_lobe(specular, roughness, self.angles)
 
     def diffuse(self, albedo: Tensor) -> Tensor:
         """Radiance (..., 3, H, W) of diffuse albedo (..., 3, H, W)."""
@@ -57,6 +60,30 @@ class Incidence:
     def radiance(self, diffuse: Tensor, specular: Tensor, roughness: Tensor) -> Tensor:
         """Diffuse plus specular radiance (..., 3, H, W)."""
         return self.diffuse(diffuse) + self.specular(specular, roughness)
+
+    def log_radiance(self, surface: MapSet | Reflectance) -> tuple[Tensor, Tensor]:
+        """(..., 3, H, W) each: log radiance, and the diffuse share of radiance."""
+        diffuse = self.matte(surface.diffuse)
+        reflected = diffuse + self.mirrored(surface.specular, surface.roughness)
+        return (reflected * self.irradiance).clamp_min(DARKEST).log(), diffuse / reflected
+
+
+@dataclass(frozen=True)
+class Incidence(Incident):
+    """A point light's, with the direction to the camera."""
+
+    angles: Angles
+    """Angles between normal, light and view."""
+    irradiance: Tensor
+    """E; 0 where light or view is below the surface, unless Angles.quick."""
+
+    def matte(self, albedo: Tensor) -> Tensor:
+        """Lambertian."""
+        return albedo / math.pi
+
+    def mirrored(self, specular: Tensor, roughness: Tensor) -> Tensor:
+        """The Cook-Torrance lobe."""
+        return specular_lobe(specular, roughness, self.angles)
 
 
 @dataclass(frozen=True)
@@ -128,19 +155,10 @@ class FlashLight:
         angles = Angles.exact(normal, *both) if exact else Angles.quick(normal, *both, self.half)
         return Incidence(angles, angles.lit(self.power * angles.n_dot_l))
 
-    def linearised(
+    def log_gradient(
         self, normal: Tensor, specular: Tensor, roughness: Tensor
     ) -> tuple[Incidence, Tensor, Tensor]:
-        """Incidence on a relief, with derivatives of the logs of specular lobe and irradiance.
-
-        Args:
-            normal: (3, H, W) unit normals.
-            specular, roughness: (1, H, W) F0 and roughness.
-
-        Returns:
-            The light incident on the relief, not exact; (4, H, W) derivatives of the lobe by log
-            F0, logit roughness and both slopes; (2, H, W) of irradiance by both slopes.
-        """
+        """As Light.log_gradient; the incidence is not exact."""
         lit = self.onto(normal)
         lobe = LobeGradient.of(specular, roughness, lit.angles)
         along = (
@@ -149,6 +167,50 @@ class FlashLight:
         slanted = by_slopes(normal, self.to_light) / lit.angles.n_dot_l
         gloss = lobe.log_specular, lobe.logit_roughness
         return lit, torch.cat([*gloss, by_slopes(normal, along)]), slanted
+
+
+class Light(Protocol):
+    """A light at fixed points of the plane."""
+
+    def onto(self, normal: Tensor) -> Incident:
+        """Light incident on a relief of unit normals (..., 3, H, W)."""
+
+    def log_gradient(
+        self, normal: Tensor, specular: Tensor, roughness: Tensor
+    ) -> tuple[Incident, Tensor, Tensor]:
+        """Incidence on a relief, with derivatives of the logs of specular lobe and irradiance.
+
+        Args:
+            normal: (3, H, W) unit normals.
+            specular, roughness: (1, H, W) F0 and roughness.
+
+        Returns:
+            The light incident on the relief; (4, H, W) derivatives of the lobe by log F0, logit
+            roughness and both slopes; (2, H, W) of irradiance by both slopes.
+        """
+
+
+def linearised(
+    light: Light, normal: Tensor, surface: MapSet | Reflectance
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Log radiance (3, H, W) and its derivatives, where it is above DARKEST.
+
+    These are the diffuse share s of radiance (3, H, W), which is d log L / d log albedo of its
+    channel, and (4, 3, H, W) by log F0, logit roughness and both slopes:
+    d log L = (1 - s) d log lobe + d log irradiance, the irradiance depending on slopes only.
+
+    Args:
+        light: at the texels.
+        normal: (3, H, W) unit normals.
+        surface: reflectance.
+    """
+    incident, lobe, slanted = light.log_gradient(
+        normal, surface.specular.mean(0, keepdim=True), surface.roughness
+    )
+    log, share = incident.log_radiance(surface)
+    others = (1.0 - share) * lobe[:, None]
+    others[2:] += slanted[:, None]
+    return log, share, others
 
 
 def strips(height: int, rows: int) -> list[slice]:

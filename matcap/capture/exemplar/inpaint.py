@@ -21,10 +21,10 @@ from torch import Tensor
 
 from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
 from matcap.brdf.parameters import Reflectance
-from matcap.capture.exemplar.noise import DARKEST
 from matcap.capture.exemplar.observation import Observation, PhotographLight
 from matcap.example.exemplar import Exemplar
 from matcap.field.single import one_thread
+from matcap.flash.light import DARKEST
 from matcap.photo.shrink import area_averaged
 
 # Inpainting under the highlight; docs/notes/capture.md. NSD is the normalised style distance.
@@ -192,7 +192,7 @@ class _Photograph:
         even, _ = _parts(planes.mean((1, 2), keepdim=True).expand_as(planes))
         upright = torch.zeros_like(maps.normal)
         upright[2] = 1.0
-        self._even = light.logs(even, light.flash.onto(upright))[0]
+        self._even = light.flash.onto(upright).log_radiance(even)[0]
 
     def match(self, place: tuple[int, int], blocks: BlockPlaces) -> _Match:
         """Render blocks at a place and compare them with the photograph there."""
@@ -201,7 +201,7 @@ class _Photograph:
         reflectance, normal = _parts(torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1))
         here = tuple(slice(start, start + _BLOCK, _THINNED) for start in place)
         light = self._light.cut(*here)
-        log = light.logs(reflectance, light.flash.onto(normal))[0]
+        log = light.flash.onto(normal).log_radiance(reflectance)[0]
         seen = self._valid[here].to(log)
         share = float(self._valid[_block(place)].float().mean())
         if not seen.any():

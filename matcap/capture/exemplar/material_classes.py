@@ -34,7 +34,7 @@ from matcap.capture.exemplar.mean_parameters import (
     RingTarget,
     fit_mean_parameters,
 )
-from matcap.capture.exemplar.noise import DARKEST
+from matcap.flash.light import DARKEST
 
 # Classification; docs/notes/gloss.md.
 _AROUND = 10.0  # the long side over the standard deviation of the blur that the high-pass subtracts
@@ -262,8 +262,9 @@ def _log_likelihood_ratio(target: RingTarget, theta: Tensor) -> Tensor:
     """
     observed = target.linear.clamp_min(DARKEST).log()
     costs = []
-    for diffuse, mirrored in target.rendered(theta, target.flash.onto(target.normal)):
-        residual = observed - (diffuse + mirrored).clamp_min(DARKEST).log()
+    incidence = target.flash.onto(target.normal)
+    for surface in target.surfaces(theta):
+        residual = observed - incidence.log_radiance(surface)[0]
         residual = torch.where(target.measured, residual, residual.clamp_min(0.0))
         grey = residual.mean(0, keepdim=True)
         colour = (residual - grey).square().sum(0, keepdim=True)

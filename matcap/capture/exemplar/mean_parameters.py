@@ -20,11 +20,11 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
-from matcap.brdf.parameters import F0, SurfaceParameters
-from matcap.capture.exemplar.network.inputs import STEP
-from matcap.capture.exemplar.noise import DARKEST
+from matcap.brdf.cook_torrance import LobeGradient
+from matcap.brdf.parameters import F0, Reflectance, SurfaceParameters
 from matcap.field.single import one_thread
-from matcap.flash.light import FlashLight, Incidence
+from matcap.flash.least_squares import huber, minimised
+from matcap.flash.light import DARKEST, FlashLight
 
 _INNERMOST = 0.02  # r0, plane units; the ring of radius r is _PER_OCTAVE log2(1 + r / r0)
 _PER_OCTAVE = 4.0  # rings per octave of radius
@@ -34,8 +34,7 @@ BOUND = 0.05  # clipped share of a ring above which its mean is only a lower bou
 _NOISE, _HUBER = 0.1, 0.3
 ROUGHNESS_DEVIATION = 0.3  # prior standard deviation of logit roughness
 _MOST_STEP = 0.4  # largest change of a parameter in a step
-_STEPS = 16  # most Gauss-Newton steps
-_LEAST_STEP = 1e-5  # change of all parameters below which there is no further step
+_STEPS = 16  # most Levenberg-Marquardt steps
 
 
 @dataclass(frozen=True)
@@ -88,28 +87,17 @@ class RingTarget:
             tints=tuple(thin(tint) if isinstance(tint, Tensor) else tint for tint in self.tints),
         )
 
-    def rendered(
-        self, theta: Tensor, incidence: Incidence, duller: float = 0.0
-    ) -> list[tuple[Tensor, Tensor]]:
-        """Diffuse and specular radiance (3, H, W) of each class at every texel.
-
-        Args:
-            theta: (K, 5) mean parameters, added to the surface.
-            incidence: of the flash on the relief.
-            duller: added to the logit of roughness.
-        """
+    def surfaces(self, theta: Tensor) -> list[Reflectance]:
+        """Reflectance (3 or 1, H, W) of each class, by mean parameters (K, 5)."""
         one = torch.ones_like(self.distance)[None]
-        parts = []
+        surfaces = []
         for of_class, tint in zip(theta, self.tints, strict=True):
             surface = self.surface + SurfaceParameters.from_vector(of_class)
-            roughness = torch.sigmoid(surface.roughness + duller)
-            parts.append(
-                (
-                    incidence.diffuse(surface.diffuse.exp() * one),
-                    incidence.specular(surface.specular.exp() * tint * one, roughness * one),
-                )
+            specular, roughness = surface.specular.exp() * tint, torch.sigmoid(surface.roughness)
+            surfaces.append(
+                Reflectance(surface.diffuse.exp() * one, specular * one, roughness * one)
             )
-        return parts
+        return surfaces
 
 
 class _Rings:
@@ -153,66 +141,80 @@ def fit_mean_parameters(
         start: (K, 5) initial values.
         prior: of the result.
     """
-    rings = _Rings(target, shares)
-    observed = rings.means(target.linear.clamp_max(1.0)).clamp_min(DARKEST).log()
-    incidence = target.flash.onto(target.normal)
-    precision = prior.deviation.flatten().square().reciprocal()
-    contrast = torch.zeros_like(start)
-    contrast[0, F0], contrast[-1, F0] = 1.0, -1.0
-    contrast_mean, contrast_precision = prior.contrast[0], prior.contrast[1] ** -2
-    across = contrast.flatten()
-    counts = rings.counts.flatten() / _NOISE**2
-    open_share = 1.0 - rings.means((~target.measured).float()).flatten() / BOUND
-    bound = open_share.clamp(0.0, 1.0)
-    theta = start
-    for _ in range(_STEPS):
-        residual, columns = _linear(target, incidence, rings, shares, theta, observed)
-        robust = _HUBER / residual.abs().clamp_min(_HUBER)
-        robust = torch.where(residual < 0.0, bound * robust, robust)
-        weighted = columns * (counts * robust)
-        normal = (
-            weighted @ columns.T
-            + torch.diag(precision)
-            + contrast_precision * across[:, None] * across
-        )
-        gradient = weighted @ residual - precision * (theta - prior.mean).flatten()
-        gradient += contrast_precision * (contrast_mean - across @ theta.flatten()) * across
-        step = torch.linalg.solve(normal, gradient).clamp(-_MOST_STEP, _MOST_STEP)
-        theta = theta + step.reshape(theta.shape)
-        if float(step.abs().max()) < _LEAST_STEP:
-            break
-    residual, _ = _linear(target, incidence, rings, shares, theta, observed)
-    counts = counts * torch.where(residual < 0.0, bound, 1.0)
-    return theta, float((residual.abs() * counts).sum() / counts.sum())
+    fit = _RingFit(target, shares, prior)
+    _, theta = minimised(fit.cost, fit.quadratic, start.flatten(), _STEPS, farthest=_MOST_STEP)
+    residual = fit.residuals(theta)
+    weight = fit.weights(residual)
+    return theta.reshape(start.shape), float((residual.abs() * weight).sum() / weight.sum())
 
 
-def _linear(
-    target: RingTarget,
-    incidence: Incidence,
-    rings: _Rings,
-    shares: Tensor,
-    theta: Tensor,
-    observed: Tensor,
-) -> tuple[Tensor, Tensor]:
-    """(N,) residuals of the rings' log radiance, and (5 K, N) d log mean / d mean parameter."""
-    parts = target.rendered(theta, incidence)
-    duller = target.rendered(theta, incidence, STEP)
-    # (K, C, rings) of each class: diffuse, specular, and the latter's derivative by roughness.
-    means = [
-        (
-            rings.means(share * diffuse),
-            rings.means(share * specular),
-            rings.means(share * (moved - specular) / STEP),
-        )
-        for share, (diffuse, specular), (_, moved) in zip(shares, parts, duller, strict=True)
-    ]
-    mean = torch.stack([matte + mirrored for matte, mirrored, _ in means]).sum(0)
-    mean = mean.clamp_min(DARKEST)
-    columns = []
-    for matte, mirrored, widened in means:
-        for channel in range(3):
-            column = torch.zeros_like(mean)
-            column[:, channel] = matte[:, channel] / mean[:, channel]
-            columns.append(column)
-        columns += [mirrored / mean, widened / mean]
-    return (observed - mean.log()).flatten(), torch.stack(columns).flatten(1)
+class _RingFit:
+    """Robust cost of the ring means of N rings, classes and channels, in 5 K mean parameters."""
+
+    def __init__(self, target: RingTarget, shares: Tensor, prior: MeanParameterPrior) -> None:
+        self._target, self._shares, self._prior = target, shares, prior
+        self._rings = _Rings(target, shares)
+        self._incidence = target.flash.onto(target.normal)
+        means = self._rings.means(target.linear.clamp_max(1.0))
+        self._observed = means.clamp_min(DARKEST).log().flatten()
+        self._counts = self._rings.counts.flatten() / _NOISE**2
+        clipped = self._rings.means((~target.measured).float()).flatten()
+        self._open = (1.0 - clipped / BOUND).clamp(0.0, 1.0)
+        self._contrast = torch.zeros_like(prior.mean)
+        self._contrast[0, F0], self._contrast[-1, F0] = 1.0, -1.0
+
+    def residuals(self, theta: Tensor) -> Tensor:
+        """(N,) log radiance of the photograph's ring means less the rendered ones."""
+        pairs = zip(self._shares, self._target.surfaces(theta.unflatten(0, (-1, 5))), strict=True)
+        radiance = sum(share * self._incidence.radiance(*surface) for share, surface in pairs)
+        rendered = self._rings.means(torch.as_tensor(radiance))
+        return self._observed - rendered.clamp_min(DARKEST).log().flatten()
+
+    def weights(self, residual: Tensor) -> Tensor:
+        """(N,) weights of residuals; that of a clipped ring's is small if the model is brighter."""
+        return self._counts * torch.where(residual < 0.0, self._open, 1.0)
+
+    def cost(self, theta: Tensor) -> float:
+        """Huber loss of the residuals plus that of the prior."""
+        residual = self.residuals(theta)
+        likelihood = self.weights(residual) @ huber(residual, _HUBER)[0]
+        off, excess = self._prior_residuals(theta)
+        return float(likelihood + 0.5 * (off.square().sum() + excess.square()))
+
+    def quadratic(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """(5 K, 5 K) Gauss-Newton Hessian of the cost, and (5 K,) its gradient."""
+        residual, columns = self._linear(theta)
+        weighted = columns * (self.weights(residual) * huber(residual, _HUBER)[1])
+        deviation, contrast = self._prior.deviation.flatten(), self._contrast.flatten()
+        off, excess = self._prior_residuals(theta)
+        steep = contrast / self._prior.contrast[1]
+        hessian = weighted @ columns.T + torch.diag(deviation**-2) + steep[:, None] * steep
+        return hessian, off / deviation + excess * steep - weighted @ residual
+
+    def _prior_residuals(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """Deviations of mean parameters (5 K,) and of the contrast of F0 from the prior's."""
+        mean, deviation = self._prior.contrast
+        off = (theta - self._prior.mean.flatten()) / self._prior.deviation.flatten()
+        return off, (self._contrast.flatten() @ theta - mean) / deviation
+
+    def _linear(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """(N,) residuals, and (5 K, N) d log mean / d mean parameter."""
+        # (K, C, rings) of each class: diffuse, and derivatives of specular by both parameters.
+        means, incidence, whole = self._rings.means, self._incidence, torch.zeros(1)
+        parts = []
+        for share, surface in zip(
+            self._shares, self._target.surfaces(theta.unflatten(0, (-1, 5))), strict=True
+        ):
+            matte = share * incidence.diffuse(surface.diffuse)
+            mirrored = share * incidence.specular(surface.specular, surface.roughness)
+            grey = surface.specular.mean(0, keepdim=True)
+            lobe = LobeGradient.of(grey, surface.roughness, incidence.angles)
+            parts.append((matte, mirrored * lobe.log_specular, mirrored * lobe.logit_roughness))
+            whole = whole + matte + mirrored
+        mean = means(whole).clamp_min(DARKEST)
+        columns = []
+        for matte, *by_gloss in parts:
+            albedo = means(matte) / mean
+            columns += [albedo * unit[:, None] for unit in torch.eye(3)]
+            columns += [means(one) / mean for one in by_gloss]
+        return self._observed - mean.log().flatten(), torch.stack(columns).flatten(1)

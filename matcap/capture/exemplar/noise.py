@@ -21,7 +21,6 @@ AROUND = 8.0  # texels, standard deviation of local averages
 # JPEG is the same difference of codes in all channels: too much contrast in the dark ones of a
 # saturated colour, which 0.1 passes on to the others.
 _COMMON_NOISE = 0.02
-DARKEST = 1e-5  # linear radiance below which logarithms are clamped
 
 Floats = NDArray[np.float32]
 

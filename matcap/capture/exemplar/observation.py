@@ -22,9 +22,9 @@ from matcap.brdf.parameters import F0_LIMITS, Reflectance, SurfaceParameters
 from matcap.capture.exemplar.filters import filled, smoothed
 from matcap.capture.exemplar.material_classes import seen_colour, specular_tint
 from matcap.capture.exemplar.mean_parameters import RingTarget
-from matcap.capture.exemplar.network.inputs import STEP, network_inputs
+from matcap.capture.exemplar.network.inputs import network_inputs
 from matcap.capture.exemplar.network.network import NetworkInputs
-from matcap.capture.exemplar.noise import AROUND, DARKEST, channel_noise, channel_weights
+from matcap.capture.exemplar.noise import AROUND, channel_noise, channel_weights
 from matcap.capture.exemplar.relief_spectrum import (
     RESPONSE_AROUND,
     ReliefSpectrum,
@@ -32,7 +32,7 @@ from matcap.capture.exemplar.relief_spectrum import (
 )
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import flash_mirror_point, plane_points
-from matcap.flash.light import FlashLight, Incidence, cached_rows, from_vignetting_centre, strips
+from matcap.flash.light import FlashLight, cached_rows, from_vignetting_centre, linearised, strips
 from matcap.flash.plane import Plane
 from matcap.flash.rectify import inside
 from matcap.flash.render import Uniform
@@ -74,28 +74,15 @@ class PhotographLight:
         mean = maps.specular.mean(-3, keepdim=True)
         return SurfaceParameters.of(replace(maps, specular=mean)) - self.uniform
 
-    def logs(self, maps: MapSet | Reflectance, incidence: Incidence) -> tuple[Tensor, Tensor]:
-        """(3, H, W) each: log radiance of maps, and the diffuse share of the radiance."""
-        diffuse = incidence.diffuse(maps.diffuse)
-        mirrored = incidence.specular(maps.specular, maps.roughness)
-        radiance = (diffuse + mirrored).clamp_min(DARKEST)
-        return radiance.log(), diffuse / radiance
-
     def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
-        """logs() of maps on their own relief, strip by strip."""
+        """Incident.log_radiance() of maps on their own relief, strip by strip."""
         return _by_strips(self.cut, maps)
 
     def slope_sensitivity(self, maps: MapSet | Reflectance) -> Tensor:
         """(2, H, W) d log L / d slope along x and y on a flat surface, L averaged over channels."""
-        one = torch.ones_like(maps.roughness)
-
-        def tilted(x: float, y: float) -> Tensor:
-            incidence = self.flash.onto(normals_from_slopes(x * one, y * one))
-            return self.logs(maps, incidence)[0].mean(0)
-
-        across = tilted(STEP, 0.0) - tilted(-STEP, 0.0)
-        up = tilted(0.0, STEP) - tilted(0.0, -STEP)
-        return torch.stack([across, up]) / (2.0 * STEP)
+        level = torch.zeros_like(maps.roughness)
+        _, _, others = linearised(self.flash, normals_from_slopes(level, level), maps)
+        return others[2:].mean(1)
 
 
 @dataclass(frozen=True)
@@ -115,21 +102,20 @@ class PlaneLight:
         return PhotographLight.of(self.coarse, points[:, ::step, columns])
 
     def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
-        """PhotographLight.logs() of maps on their own relief, strip by strip."""
+        """Incident.log_radiance() of maps on their own relief, strip by strip."""
         return _by_strips(self.cut, maps)
 
 
 def _by_strips(
     light: Callable[[slice, slice], PhotographLight], maps: MapSet
 ) -> tuple[Tensor, Tensor]:
-    """PhotographLight.logs() of maps on their own relief, under the light of each strip of rows."""
+    """Incident.log_radiance() of maps on their own relief, in the light of each strip of rows."""
     log, share = torch.empty_like(maps.diffuse), torch.empty_like(maps.diffuse)
     normal, (height, width) = maps.normal, maps.diffuse.shape[-2:]
     for rows in strips(height, cached_rows(width)):
         cut = (m[..., rows, :] for m in (maps.diffuse, maps.specular, maps.roughness))
-        lit = light(rows, slice(None))
-        incidence = lit.flash.onto(normal[..., rows, :])
-        log[..., rows, :], share[..., rows, :] = lit.logs(Reflectance(*cut), incidence)
+        incidence = light(rows, slice(None)).flash.onto(normal[..., rows, :])
+        log[..., rows, :], share[..., rows, :] = incidence.log_radiance(Reflectance(*cut))
     return log, share
 
 

@@ -49,10 +49,11 @@ from matcap.capture.exemplar.mean_parameters import (
     fit_mean_parameters,
 )
 from matcap.capture.exemplar.network.network import ExpectedErrors
-from matcap.capture.exemplar.noise import DARKEST, channel_weights
+from matcap.capture.exemplar.noise import channel_weights
 from matcap.capture.exemplar.observation import Observation, PhotographLight
 from matcap.capture.exemplar.predict import NetworkPrediction
 from matcap.flash.coarse.hypotheses import CONDUCTOR_F0, DIELECTRIC_F0
+from matcap.flash.light import DARKEST
 
 # Refinement; docs/notes/capture.md. NSD is the normalised style distance.
 
@@ -292,13 +293,13 @@ def refine_albedo(
     colour = albedo * _CHROMA**2
     maps = light.maps(residuals)
     incidence = light.flash.onto(maps.normal)
-    log, shares = light.logs(maps, incidence)
+    log, shares = incidence.log_radiance(maps)
     white = torch.as_tensor(noise).to(linear).expand_as(linear).clamp_min(_LEAST_NOISE)
     weights = channel_weights(white)
     specular_noise = _SPECULAR_NOISE + (_SPECULAR_NOISE_METAL - _SPECULAR_NOISE) * metal
     for step in range(_STEPS):
         if step:
-            log, shares = light.logs(light.maps(residuals), incidence)
+            log, shares = incidence.log_radiance(light.maps(residuals))
         difference = _log_difference(observed, log, valid)
         difference = (difference - _slow(difference, valid)).clamp(-_MOST_CHANGE, _MOST_CHANGE)
         informative = valid | (difference > 0.0)

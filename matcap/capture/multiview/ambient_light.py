@@ -19,6 +19,7 @@ from matcap.brdf.normals import by_slopes
 from matcap.capture.exemplar.filters import local_mean
 from matcap.capture.registration.camera import to_pixels
 from matcap.capture.registration.register import RegisteredView
+from matcap.flash.light import Incident
 from matcap.photo.photo import FULL, Photo
 from matcap.photo.shrink import area_averaged
 
@@ -37,18 +38,18 @@ _BOUND = 0.005  # share of pixels that may be darker than under ambient light al
 
 
 @dataclass(frozen=True)
-class AmbientIncidence:
+class AmbientIncidence(Incident):
     """Ambient light incident on a relief: L = (diffuse albedo + F0) E."""
 
     irradiance: Tensor
     """(1 or 3, h, w) E."""
 
     def matte(self, albedo: Tensor) -> Tensor:
-        """Radiance over irradiance of diffuse albedo, its own."""
+        """The albedo itself."""
         return albedo
 
     def mirrored(self, specular: Tensor, roughness: Tensor) -> Tensor:
-        """Radiance over irradiance of F0, its own with the shape of both."""
+        """F0 itself, with the shape of both."""
         return specular + 0.0 * roughness
 
 
@@ -70,10 +71,10 @@ class AmbientLight:
         irradiance = 1.0 + torch.tensordot(self.gradient.to(change), change, 1)[None]
         return AmbientIncidence(irradiance.clamp_min(_DARKEST) * self.strength)
 
-    def linearised(
+    def log_gradient(
         self, normal: Tensor, specular: Tensor, roughness: Tensor
     ) -> tuple[AmbientIncidence, Tensor, Tensor]:
-        """As FlashLight.linearised; of the lobe, only F0 changes the radiance."""
+        """As Light.log_gradient; of the lobe, only F0 changes the radiance."""
         lit, gradient = self.onto(normal), self.gradient.to(normal)[:, None, None]
         level = lit.irradiance[:1] / self.strength[:1]
         lobe = torch.zeros_like(normal[:1]).repeat(4, 1, 1)

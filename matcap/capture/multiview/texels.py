@@ -14,13 +14,12 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_height, normals_from_slopes
-from matcap.brdf.parameters import ALBEDO, ALBEDO_LIMITS, F0, F0_LIMITS
-from matcap.capture.exemplar.noise import DARKEST
+from matcap.brdf.parameters import ALBEDO, ALBEDO_LIMITS, F0, F0_LIMITS, Reflectance
 from matcap.capture.multiview.ambient_light import AmbientLight, evenly_lit
 from matcap.capture.multiview.views import FlashOrAmbient, ResampledView, SharedLight, light_at
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import plane_points
-from matcap.flash.light import strips
+from matcap.flash.light import linearised, strips
 
 # Parameters of a texel besides ALBEDO, F0 and ROUGH, their number, and the channels of each part.
 GLOSS, SLOPES = slice(3, 5), slice(5, 7)
@@ -174,21 +173,15 @@ def points_of(
 
 def log_rendered(parameters: Tensor, lights: Sequence[FlashOrAmbient]) -> list[Tensor]:
     """Log radiance (3, h, w) of parameters (PARAMETERS, h, w) in each light."""
-    normal, matte, f0, rough = _surface(parameters)
-    incident = (light.onto(normal) for light in lights)
-    return [_log((lit.matte(matte) + lit.mirrored(f0, rough)) * lit.irradiance) for lit in incident]
+    normal, surface = _surface(parameters)
+    return [light.onto(normal).log_radiance(surface)[0] for light in lights]
 
 
-def _surface(parameters: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Normals, diffuse albedo, F0 and roughness of parameters (PARAMETERS, h, w)."""
+def _surface(parameters: Tensor) -> tuple[Tensor, Reflectance]:
+    """Normals and reflectance of parameters (PARAMETERS, h, w)."""
     log_albedo, log_f0, logit_roughness, slopes = parameters.split(_PARTS)
     normal = normals_from_slopes(*slopes.split(1))
-    return normal, log_albedo.exp(), log_f0.exp(), torch.sigmoid(logit_roughness)
-
-
-def _log(radiance: Tensor) -> Tensor:
-    """Log radiance, with radiance bounded below."""
-    return radiance.clamp_min(DARKEST).log()
+    return normal, Reflectance(log_albedo.exp(), log_f0.exp(), torch.sigmoid(logit_roughness))
 
 
 def under_fitted_ambient(
@@ -363,25 +356,15 @@ def _normal_equations(
 def derivatives(
     parameters: Tensor, lights: Iterable[FlashOrAmbient]
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """In each light log radiance (3, h, w) and its derivatives by the parameters.
+    """In each light log radiance (3, h, w) and its derivatives by the parameters, texels in a row.
 
-    These are the diffuse share s of radiance (3, h * w), which is d log L / d log albedo of its
-    channel, and by the other four (4, 3, h * w): d log L = (1 - s) d log lobe + d log irradiance,
-    the irradiance depending on slopes only.
-
-    Args:
-        parameters: (PARAMETERS, h, w).
-        lights: incident at those texels.
+    These are by the albedo of the channel (3, h * w), and by the other four (4, 3, h * w), as of
+    flash.light.linearised.
     """
-    normal, matte, f0, rough = _surface(parameters)
+    normal, surface = _surface(parameters)
     for light in lights:
-        lit, lobe, slanted = light.linearised(normal, f0, rough)
-        diffuse = lit.matte(matte)
-        reflected = diffuse + lit.mirrored(f0, rough)
-        share = diffuse / reflected
-        by_others = (1.0 - share) * lobe[:, None]
-        by_others[OTHER_SLOPES] += slanted[:, None]
-        yield _log(reflected * lit.irradiance), share.flatten(1), by_others.flatten(2)
+        log, share, by_others = linearised(light, normal, surface)
+        yield log, share.flatten(1), by_others.flatten(2)
 
 
 def jacobian(share: Tensor, by_others: Tensor) -> Tensor:

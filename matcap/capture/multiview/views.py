@@ -11,14 +11,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.exemplar.noise import DARKEST
 from matcap.capture.multiview.ambient_light import AMBIENT_NOISE, UNIFORM_SKY, AmbientLight
 from matcap.capture.multiview.tint import on_grid
 from matcap.capture.registration.camera import Doubles, PosedCamera, grid_points, to_pixels
 from matcap.capture.registration.register import RegisteredView
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.light import FlashLight, cached_rows, log_vignette, strips
+from matcap.flash.light import DARKEST, FlashLight, cached_rows, log_vignette, strips
 from matcap.flash.rectify import FINER, planes_of
 from matcap.photo.camera import CameraProfile
 from matcap.photo.photo import FULL

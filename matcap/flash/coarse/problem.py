@@ -22,7 +22,7 @@ from torch import Tensor
 from matcap.flash.coarse.cells import CoarseCells
 from matcap.flash.coarse.model import INDEX, Unknowns, log_radiance, mirror_point, numbers
 from matcap.flash.highlight import SURROUNDINGS, Highlight
-from matcap.flash.least_squares import minimised
+from matcap.flash.least_squares import huber, minimised
 
 HUBER = 0.1  # threshold of the Huber loss, log radiance
 # Number of residuals per nat of the prior in a RAW, chosen empirically; about the number of cells,
@@ -218,7 +218,7 @@ class Problem:
         """
         r = self.residuals(parameters) if r is None else r
         jacobian = _jacobian(self.residuals, parameters, r)
-        weight = self.weight * HUBER / r.abs().clamp_min(HUBER)
+        weight = self.weight * huber(r, HUBER)[1]
         hessian = (jacobian * weight[:, None]).T @ jacobian + self.precision
         return hessian, jacobian.T @ (weight * r) + self.precision @ (parameters - self.prior)
 
@@ -256,13 +256,12 @@ class Problem:
 
     def cost(self, parameters: Tensor, r: Tensor | None = None) -> float:
         """Cost at the parameters; `r` are the residuals there, if they are known."""
-        r = (self.residuals(parameters) if r is None else r).abs()
-        huber = torch.where(r < HUBER, 0.5 * r.square(), HUBER * (r - 0.5 * HUBER))
+        loss, _ = huber(self.residuals(parameters) if r is None else r, HUBER)
         deviation = parameters - self.prior
         prior = 0.5 * deviation @ self.precision @ deviation
         excess, precision = self.bound_excess(parameters)
         prior = prior + 0.5 * (excess.square() * precision).sum()
-        return float((self.weight * huber).sum() + prior)
+        return float((self.weight * loss).sum() + prior)
 
     def minimised(self, start: Tensor, iterations: int) -> tuple[float, Tensor]:
         """(cost, parameters) after at most `iterations` Levenberg-Marquardt steps."""

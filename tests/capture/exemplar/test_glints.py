@@ -56,7 +56,7 @@ def test_a_pattern_under_a_glaze_is_no_relief() -> None:
     drawing = drawing / drawing.std()
     flat = replace(truth, diffuse=truth.diffuse + drawing, height=0.0 * truth.height)
     maps = light.maps(flat)
-    linear = light.logs(maps, light.flash.onto(maps.normal))[0].exp()
+    linear = light.flash.onto(maps.normal).log_radiance(maps)[0].exp()
     linear = linear / float(linear.quantile(0.99))
     guess = replace(truth, height=0.03 * truth.height)  # and an albedo that is even
     scaled = scaled_by_glints(guess, linear, linear < 1.0, light, 1e-3 * torch.ones_like(linear))

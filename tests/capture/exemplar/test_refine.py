@@ -133,7 +133,7 @@ def test_relief_is_not_touched() -> None:
 
 def _log_radiance(residuals, light):
     maps = light.maps(residuals)
-    return light.logs(maps, light.flash.onto(maps.normal))[0]
+    return light.flash.onto(maps.normal).log_radiance(maps)[0]
 
 
 def test_what_is_clipped_must_be_as_bright_as_the_clip_level() -> None:
