@@ -1,12 +1,16 @@
-"""Robust least squares: Levenberg-Marquardt minimisation, and the Huber loss."""
+"""Least squares: Huber loss, Levenberg-Marquardt for few unknowns, conjugate gradients for many."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
+
+Floats = NDArray[np.float32]
 
 _FIRST, _LEAST = 1e-2, 1e-6  # damping: share of the diagonal that is added to it
 
@@ -55,3 +59,38 @@ def huber(residuals: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
     linear = threshold * (size - 0.5 * threshold)
     loss = torch.where(size < threshold, 0.5 * size.square(), linear)
     return loss, threshold / size.clamp_min(threshold)
+
+
+def conjugate_gradients(
+    product: Callable[[Floats], Floats],
+    right: Floats,
+    iterations: int,
+    *,
+    preconditioned: Callable[[Floats], Floats] = lambda residual: residual,
+    tolerance: float = 0.0,
+) -> Floats:
+    """X of A x = right, from x = 0; float32 of any shape.
+
+    Args:
+        product: A x, with A symmetric and positive definite; its result is overwritten.
+        right: the right-hand side.
+        iterations: most of them.
+        preconditioned: an approximation of A^-1 r.
+        tolerance: norm of the residual r over that at the start, at which they end, both weighted
+            by the preconditioner.
+    """
+    solution, residual, some = np.zeros_like(right), right.copy(), np.empty_like(right)
+    direction = preconditioned(residual).copy()
+    energy = start = float(np.vdot(residual, direction))
+    for _ in range(iterations):
+        if not energy > tolerance**2 * start:  # or NaN
+            break
+        image = product(direction)
+        length = np.float32(energy / max(float(np.vdot(direction, image)), 1e-30))
+        solution += np.multiply(direction, length, out=some)
+        residual -= np.multiply(image, length, out=image)
+        gradient = preconditioned(residual)
+        earlier, energy = energy, float(np.vdot(residual, gradient))
+        direction *= np.float32(energy / earlier)
+        direction += gradient
+    return solution

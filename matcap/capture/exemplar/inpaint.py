@@ -10,7 +10,6 @@ stationary, so maps are copied there from visible places, in three steps:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -24,6 +23,7 @@ from matcap.brdf.parameters import Reflectance
 from matcap.capture.exemplar.observation import Observation, PhotographLight
 from matcap.example.exemplar import Exemplar
 from matcap.field.single import one_thread
+from matcap.flash.least_squares import conjugate_gradients
 from matcap.flash.light import DARKEST
 from matcap.photo.shrink import area_averaged
 
@@ -427,9 +427,22 @@ def _solved(right: NDArray[np.float64], free: TexelMask, reach: float) -> Floats
     Right and c are (C, h, w).
     """
     neighbours, degree = _free_neighbours(free)
+    diagonal = degree + np.float32(reach**-2)
+    padded = np.zeros((len(degree) + 1, len(right)), np.float32)  # neighbours that are not free: 0
+    image, some = np.empty_like(padded[:-1]), np.empty_like(padded[:-1])
+
+    def product(values: Floats) -> Floats:
+        padded[:-1] = values
+        np.multiply(values, diagonal, out=image)
+        for each in neighbours:
+            np.subtract(image, np.take(padded, each, 0, some, "clip"), out=image)
+        return image
+
     result = np.zeros(right.shape, np.float32)
-    start = np.ascontiguousarray(right[:, free].T, np.float32)
-    result[:, free] = _conjugate_gradients(neighbours, degree + np.float32(reach**-2), start).T
+    known = np.ascontiguousarray(right[:, free].T, np.float32)
+    # In exact arithmetic as many iterations as unknowns suffice.
+    shift = conjugate_gradients(product, known, len(known), tolerance=_TOLERANCE)
+    result[:, free] = shift.T
     return result
 
 
@@ -445,36 +458,6 @@ def _free_neighbours(free: TexelMask) -> tuple[list[NDArray[np.int64]], Floats]:
     sides = ((before, within), (after, within), (within, before), (within, after))
     degree = np.stack([in_box[side][free] for side in sides], axis=1).sum(1, keepdims=True)
     return [number[side][free] for side in sides], degree
-
-
-def _conjugate_gradients(
-    neighbours: Sequence[NDArray[np.int64]], diagonal: Floats, right: Floats
-) -> Floats:
-    """(N, C) x in diagonal x - sum of x at neighbours = right, for all channels together.
-
-    Args:
-        neighbours: (N,) numbers each; N stands for a neighbour with x = 0.
-        diagonal: (N, 1).
-        right: (N, C); overwritten.
-    """
-    residual, one = right, np.float32
-    padded = np.concatenate([residual, np.zeros((1, residual.shape[1]), one)])
-    direction, solution = padded[:-1], np.zeros_like(residual)
-    image, some = np.empty_like(residual), np.empty_like(residual)
-    energy = start = float(np.vdot(residual, residual))
-    for _ in range(len(residual)):  # in exact arithmetic that many suffice
-        if not energy > _TOLERANCE**2 * start:  # or NaN
-            break
-        np.multiply(direction, diagonal, out=image)
-        for each in neighbours:
-            image -= np.take(padded, each, axis=0, out=some, mode="clip")
-        length = one(energy / float(np.vdot(direction, image)))
-        solution += np.multiply(direction, length, out=some)
-        residual -= np.multiply(image, length, out=image)
-        earlier, energy = energy, float(np.vdot(residual, residual))
-        direction *= one(energy / earlier)
-        direction += residual
-    return solution
 
 
 def _ends(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:

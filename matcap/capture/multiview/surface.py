@@ -12,6 +12,7 @@ from torch import Tensor
 
 from matcap.brdf.integrate import integrate, poisson
 from matcap.capture.multiview.texels import slopes_of
+from matcap.flash.least_squares import conjugate_gradients
 
 Floats = NDArray[np.float32]
 
@@ -71,26 +72,13 @@ def integrated(slopes: Tensor, texel_size: float, rounds: int = 4) -> Tensor:
 
 
 def _nearest(slopes: Floats, weight: Floats) -> Floats:
-    """(H, W) heights in texels, weighted least squares of (2, H, W) by weights (3, H, W).
-
-    Preconditioned conjugate gradients.
-    """
-    preconditioned = _preconditioner(weight)
-    heights = np.zeros(slopes.shape[1:], np.float32)
-    residual = transposed(_weighted(slopes, weight))
-    direction = preconditioned(residual)
-    size = float(np.vdot(residual, direction))
-    for _ in range(_STEPS):
-        if size <= 0.0:
-            break
-        product = transposed(_weighted(texel_slopes(direction), weight))
-        length = np.float32(size / max(float(np.vdot(direction, product)), 1e-30))
-        heights += length * direction
-        residual = residual - length * product
-        gradient = preconditioned(residual)
-        size, before = float(np.vdot(residual, gradient)), size
-        direction = gradient + np.float32(size / before) * direction
-    return heights
+    """(H, W) heights in texels, weighted least squares of (2, H, W) by weights (3, H, W)."""
+    return conjugate_gradients(
+        lambda heights: transposed(_weighted(texel_slopes(heights), weight)),
+        transposed(_weighted(slopes, weight)),
+        _STEPS,
+        preconditioned=_preconditioner(weight),
+    )
 
 
 def _preconditioner(weight: Floats) -> Callable[[Floats], Floats]:
