@@ -8,10 +8,6 @@ The coarse fit decides whether all is metal. Metal and a dielectric in one sampl
 paint) are two classes, fitted by expectation maximisation [dempster1977] from the network's
 prediction: mean parameters to the radial profile around the mirror point (mean_parameters.py), and
 each texel's class shares to its radiance under either.
-
-Dielectrics have an achromatic F0. Metals have no diffuse albedo, so under a white flash their
-radiance has the colour of F0: with the share m of metal in a texel and the colour of radiance,
-normalised to a channel mean of 1, the specular tint of the texel is 1 + m (colour - 1).
 """
 
 from __future__ import annotations
@@ -22,7 +18,6 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -34,6 +29,7 @@ from matcap.capture.exemplar.mean_parameters import (
     RingTarget,
     fit_mean_parameters,
 )
+from matcap.capture.exemplar.tint import whole_colour
 from matcap.flash.light import DARKEST
 
 # Classification; docs/notes/gloss.md.
@@ -60,13 +56,7 @@ _LEAST_ODDS = 1.0  # least log odds that the dielectric is none but a dielectric
 # Least correlation of the photograph's and the network's classification for two classes.
 _LEAST_AGREED = 0.4
 _MOST_RESIDUAL = 0.2  # largest residual of ring means (log radiance) over the correlation
-# Specular tint of metal.
-_LEAST_SHARE = 0.005  # least share of metal in an exemplar
-_COLOUR_SIDE = 5  # texels, side of the neighbourhood whose colour is averaged, against noise
-# Radiance (1 at clipping) at which the local colour weighs as much as the mean: darker texels
-# mirror little, and show dirt and noise.
-_DARK = 0.05
-_LEAST = 1e-6
+_LEAST = 1e-6  # of the change of a threshold, at which its iterations end
 
 
 @dataclass(frozen=True)
@@ -287,47 +277,3 @@ def _share(log_ratio: Tensor, drawn: Tensor, before: float) -> Tensor:
     """
     common = min(max(before, LEAST_PART), 1.0 - LEAST_PART)
     return torch.sigmoid(math.log(common / (1.0 - common)) + log_ratio + drawn)
-
-
-def seen_colour(linear: Tensor, weight: Tensor) -> Tensor:
-    """(..., 3, H, W) local mean colour of radiance, normalised to a channel mean of 1.
-
-    Args:
-        linear: (..., 3, H, W) radiance.
-        weight: (..., 1, H, W) weight of a texel, 0 if clipped. Without weight nearby, the result is
-            the mean colour of the whole; without any, grey.
-    """
-    counted = linear.clamp_min(0.0) * weight.to(linear)
-    around = _mean(counted) + _DARK * whole_colour(linear, weight)
-    return around / around.mean(-3, keepdim=True)
-
-
-def whole_colour(linear: Tensor, weight: Tensor) -> Tensor:
-    """(..., 3, 1, 1) mean colour, weighted by brightness; arguments as of seen_colour."""
-    counted = linear.clamp_min(0.0) * weight.to(linear)
-    bright = counted.mean(-3, keepdim=True)
-    whole = (counted * bright).sum((-2, -1), keepdim=True) + _LEAST
-    return whole / whole.mean(-3, keepdim=True)
-
-
-def has_metal(logit: Tensor) -> bool:
-    """Whether the network's logit of metal (1, H, W) predicts more than hardly any."""
-    return float((logit > 0.0).float().mean()) > _LEAST_SHARE
-
-
-def specular_tint(metal: Tensor, colour: Tensor) -> Tensor:
-    """(..., 3, H, W) specular tint, F0 over its channel mean: 1 without metal.
-
-    Args:
-        metal: (..., 1, H, W) share of metal, in [0, 1].
-        colour: (..., 3, H, W) colour of the metal (seen_colour).
-    """
-    return 1.0 + metal * (colour - 1.0)
-
-
-def _mean(picture: Tensor) -> Tensor:
-    """Local mean with equal weights, so that channels are averaged over the same texels."""
-    flat = picture.reshape(-1, *picture.shape[-3:])
-    pad = _COLOUR_SIDE // 2
-    blurred = F.avg_pool2d(flat, _COLOUR_SIDE, stride=1, padding=pad)
-    return torch.as_tensor(blurred.reshape(picture.shape))

@@ -20,7 +20,6 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_slopes
 from matcap.brdf.parameters import F0_LIMITS, Reflectance, SurfaceParameters
 from matcap.capture.exemplar.filters import filled, smoothed
-from matcap.capture.exemplar.material_classes import seen_colour, specular_tint
 from matcap.capture.exemplar.mean_parameters import RingTarget
 from matcap.capture.exemplar.network.inputs import network_inputs
 from matcap.capture.exemplar.network.network import NetworkInputs
@@ -30,6 +29,7 @@ from matcap.capture.exemplar.relief_spectrum import (
     ReliefSpectrum,
     measure_relief_spectrum,
 )
+from matcap.capture.exemplar.tint import seen_colour, specular_tint
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import flash_mirror_point, plane_points
 from matcap.flash.light import FlashLight, cached_rows, from_vignetting_centre, linearised, strips

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.filters import smoothed
+from matcap.capture.exemplar.tint import achromatic
 from matcap.capture.multiview.shared import shared_step
 from matcap.capture.multiview.surface import integrated
 from matcap.capture.multiview.texels import (
@@ -30,7 +31,6 @@ from matcap.capture.multiview.texels import (
     stepped,
     under_fitted_ambient,
 )
-from matcap.capture.multiview.tint import achromatic
 from matcap.capture.multiview.views import ResampledView, SharedLight, ViewWarp
 from matcap.capture.registration.adjust import Pair, adjust
 from matcap.capture.registration.camera import Doubles, PosedCamera, grid_points, to_pixels

@@ -28,6 +28,7 @@ from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import NetworkPrediction, confidence_of, exemplar_of
 from matcap.capture.exemplar.refine import fitted_to_highlight
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
+from matcap.capture.exemplar.tint import achromatic, coloured, on_grid
 from matcap.capture.multiview.align import Aligned, aligned, reframed
 from matcap.capture.multiview.ambient_light import SLOW, without_ambient
 from matcap.capture.multiview.leave_one_out import leave_one_out
@@ -45,7 +46,6 @@ from matcap.capture.multiview.pair import on_albedo
 from matcap.capture.multiview.set_report import SetReport
 from matcap.capture.multiview.solve import Solved, solve
 from matcap.capture.multiview.texels import Estimate
-from matcap.capture.multiview.tint import achromatic, coloured, on_grid
 from matcap.capture.multiview.view_predictions import predict_views, with_others
 from matcap.capture.multiview.views import ResampledView
 from matcap.capture.progress import CaptureClock

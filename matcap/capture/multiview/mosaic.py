@@ -20,8 +20,8 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.exemplar.filters import filled, smoothed
+from matcap.capture.exemplar.tint import on_grid
 from matcap.capture.multiview.texels import SLOPES, Estimate, parameters_of
-from matcap.capture.multiview.tint import on_grid
 from matcap.capture.multiview.view_predictions import UNPREDICTED, ViewPrediction
 from matcap.capture.rectified import UNION_TIMES
 from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, grid_points

@@ -23,10 +23,10 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO, F0, ROUGH
+from matcap.capture.exemplar.tint import GREY, achromatic
 from matcap.capture.multiview.align import Aligned
 from matcap.capture.multiview.surface import integrated, surface_of
 from matcap.capture.multiview.texels import SLOPES, Estimate, maps_of, parameters_of
-from matcap.capture.multiview.tint import GREY, achromatic
 from matcap.capture.multiview.views import SharedLight, ViewWarp
 from matcap.capture.registration.camera import Doubles, PosedCamera, to_pixels
 from matcap.flash.coarse.fit import CoarseFit

@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.capture.exemplar.tint import on_grid
 from matcap.capture.multiview.ambient_light import AMBIENT_NOISE, UNIFORM_SKY, AmbientLight
-from matcap.capture.multiview.tint import on_grid
 from matcap.capture.registration.camera import Doubles, PosedCamera, grid_points, to_pixels
 from matcap.capture.registration.register import RegisteredView
 from matcap.flash.extent import OWN, Extent

@@ -22,8 +22,8 @@ from torch import Tensor
 from matcap.brdf.cook_torrance import dot
 from matcap.brdf.normals import normals_from_height
 from matcap.brdf.parameters import Reflectance, SurfaceParameters
-from matcap.capture.exemplar.material_classes import seen_colour, specular_tint
 from matcap.capture.exemplar.network.network import ExpectedErrors, NetworkAnswer
+from matcap.capture.exemplar.tint import seen_colour, specular_tint
 from matcap.flash.light import FlashLight
 from matcap.lab.inverse.samples import Sample
 from matcap.lab.measures.lights import spherical

@@ -7,9 +7,9 @@ from dataclasses import replace
 import torch
 from photographed import photographed
 
-from matcap.capture.exemplar.material_classes import has_metal, seen_colour, specular_tint
 from matcap.capture.exemplar.network.network import ExpectedErrors
 from matcap.capture.exemplar.refine import refine_albedo
+from matcap.capture.exemplar.tint import has_metal, seen_colour, specular_tint
 from matcap.flash.render import render_flash
 
 GOLD = torch.tensor([1.0, 0.766, 0.336])[:, None, None]

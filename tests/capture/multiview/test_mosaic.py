@@ -12,6 +12,7 @@ from seen_views import photographed
 from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import map_set_of
+from matcap.capture.exemplar.tint import GREY
 from matcap.capture.multiview import mosaic as mosaic_module
 from matcap.capture.multiview.mosaic import (
     LEAST,
@@ -27,7 +28,6 @@ from matcap.capture.multiview.mosaic import (
     unpredicted,
 )
 from matcap.capture.multiview.texels import SLOPES, Estimate, parameters_of
-from matcap.capture.multiview.tint import GREY
 from matcap.capture.multiview.view_predictions import ViewPrediction, with_others
 from matcap.capture.outputs import write_outputs
 from matcap.capture.pipeline import capture_photo

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.multiview.tint import achromatic, coloured, on_grid
+from matcap.capture.exemplar.tint import achromatic, coloured, on_grid
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_rectified
 
