@@ -14,7 +14,15 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_height, normals_from_slopes
-from matcap.brdf.parameters import ALBEDO, ALBEDO_LIMITS, F0, F0_LIMITS, Reflectance
+from matcap.brdf.parameters import (
+    ALBEDO,
+    ALBEDO_LIMITS,
+    F0,
+    F0_LIMITS,
+    ROUGHNESS_LIMITS,
+    Reflectance,
+    SurfaceParameters,
+)
 from matcap.capture.multiview.ambient_light import AmbientLight, evenly_lit
 from matcap.capture.multiview.views import FlashOrAmbient, ResampledView, SharedLight, light_at
 from matcap.flash.extent import OWN, Extent
@@ -36,10 +44,7 @@ _ALBEDO = 0.25
 # Prior standard deviation of log F0 and logit roughness. They are constant in a material class, so
 # it is small: wider ones scatter from texel to texel (docs/notes/several.md).
 _GLOSS = 0.07
-# Limits of the solve: slopes, and an interior margin of the limits of reflectance, as a diffuse
-# albedo or F0 near 1 and a narrower lobe are no texel's.
-_ALBEDO_LIMITS, _F0_LIMITS = (ALBEDO_LIMITS[0], 0.98), (F0_LIMITS[0], 0.98)
-_ROUGHNESS_LIMITS, _STEEPEST = (0.03, 0.98), 3.0
+_STEEPEST = 3.0  # largest slope
 # Levenberg-Marquardt: share of a parameter's precision added to the diagonal. Less overshoots;
 # more leaves the trade-off of albedo and slope at its initial value.
 _DAMPING = 0.005
@@ -128,20 +133,15 @@ class ParameterPrior:
 
 def parameters_of(maps: MapSet) -> Tensor:
     """(PARAMETERS, H, W) parameters of maps; F0 is averaged over its channels."""
-    # Maps that were resampled by cubics may exceed any limit, where a logarithm is NaN.
-    logs = [
-        maps.diffuse.clamp(*_ALBEDO_LIMITS).log(),
-        maps.specular.mean(-3, keepdim=True).clamp(*_F0_LIMITS).log(),
-        maps.roughness.clamp(*_ROUGHNESS_LIMITS).logit(),
-        slopes_of(maps.height, maps.texel_size),
-    ]
-    return torch.cat(logs).float()
+    surface = SurfaceParameters.of(replace(maps, specular=maps.specular.mean(-3, keepdim=True)))
+    slopes = slopes_of(maps.height, maps.texel_size)
+    return torch.cat([surface.diffuse, surface.specular, surface.roughness, slopes]).float()
 
 
 def limited(parameters: Tensor) -> Tensor:
-    """Parameters (PARAMETERS, H, W) within the limits of the solve."""
-    albedo, f0 = torch.tensor([_ALBEDO_LIMITS, _F0_LIMITS]).log()
-    roughness = torch.tensor(_ROUGHNESS_LIMITS).logit()
+    """Parameters (PARAMETERS, H, W) within the limits of reflectance and slopes."""
+    albedo, f0 = torch.tensor([ALBEDO_LIMITS, F0_LIMITS]).log()
+    roughness = torch.tensor(ROUGHNESS_LIMITS).logit()
     steep = torch.tensor([-_STEEPEST, _STEEPEST])
     low, high = torch.stack([albedo, albedo, albedo, f0, roughness, steep, steep], dim=1)
     return parameters.clamp(low[:, None, None], high[:, None, None])
@@ -149,10 +149,9 @@ def limited(parameters: Tensor) -> Tensor:
 
 def maps_of(parameters: Tensor, height: Tensor, texel_size: float) -> MapSet:
     """Maps of parameters (PARAMETERS, H, W) and a height (1, H, W) that matches their slopes."""
-    log_albedo, log_f0, logit_roughness, _ = limited(parameters).split(_PARTS)
-    return MapSet(
-        log_albedo.exp(), log_f0.exp(), torch.sigmoid(logit_roughness), height, texel_size
-    )
+    log_albedo, log_f0, logit_roughness, _ = parameters.split(_PARTS)
+    surface = SurfaceParameters(log_albedo, log_f0, logit_roughness, height / texel_size)
+    return surface.maps(texel_size)
 
 
 def slopes_of(height: Tensor, texel_size: float) -> Tensor:
