@@ -48,8 +48,9 @@ from matcap.capture.exemplar.mean_parameters import (
     MeanParameterPrior,
     fit_mean_parameters,
 )
+from matcap.capture.exemplar.network.inputs import MOST_RESIDUAL
 from matcap.capture.exemplar.network.network import ExpectedErrors
-from matcap.capture.exemplar.noise import channel_weights
+from matcap.capture.exemplar.noise import COMMON_NOISE, channel_weights
 from matcap.capture.exemplar.observation import Observation, PhotographLight
 from matcap.capture.exemplar.predict import NetworkPrediction
 from matcap.flash.coarse.hypotheses import CONDUCTOR_F0, DIELECTRIC_F0
@@ -60,11 +61,6 @@ from matcap.flash.light import DARKEST
 # Gauss-Newton steps. The power of granite's finest octave is 0.66, 0.74 and 0.74 of the
 # photograph's after 3, 4 and 6.
 _STEPS = 5
-# Log radiance, lower limit of the noise. Smaller values copy sensor noise into the maps.
-_LEAST_NOISE = 0.01
-# Largest change of log radiance in a step. Gaps between threads are predicted too bright by more
-# than 0.5.
-_MOST_CHANGE = 1.5
 # Standard deviation of the highlight's log radiance at a specular fraction of 1, of dielectric
 # and metal, whose texture is its F0: a brushed steel has an NSD of 2.5 with 0.5, and of 1.8 with
 # 0.15.
@@ -294,14 +290,14 @@ def refine_albedo(
     maps = light.maps(residuals)
     incidence = light.flash.onto(maps.normal)
     log, shares = incidence.log_radiance(maps)
-    white = torch.as_tensor(noise).to(linear).expand_as(linear).clamp_min(_LEAST_NOISE)
+    white = torch.as_tensor(noise).to(linear).expand_as(linear).clamp_min(COMMON_NOISE)
     weights = channel_weights(white)
     specular_noise = _SPECULAR_NOISE + (_SPECULAR_NOISE_METAL - _SPECULAR_NOISE) * metal
     for step in range(_STEPS):
         if step:
             log, shares = incidence.log_radiance(light.maps(residuals))
         difference = _log_difference(observed, log, valid)
-        difference = (difference - _slow(difference, valid)).clamp(-_MOST_CHANGE, _MOST_CHANGE)
+        difference = (difference - _slow(difference, valid)).clamp(-MOST_RESIDUAL, MOST_RESIDUAL)
         informative = valid | (difference > 0.0)
         share = (weights * shares).sum(0, keepdim=True)
         # d log L / d log albedo, and of metal / d log F0.

@@ -49,7 +49,6 @@ _SCATTER = 2.0  # factor on standard errors, for windows that overlap and are sh
 # Prior standard deviation of d m / d (squared diffuse share). Specular radiance dilutes dark gaps
 # far more than the mean, so m varies more than the share does.
 _DILUTION = 5.0
-_DISAGREED = 0.5  # share of the difference of two estimates that is added to the standard deviation
 RESPONSE_AROUND = 24.0  # texels, standard deviation of the blur of the sensitivity
 
 # Scaling of predicted relief to the measured energies.
@@ -63,12 +62,9 @@ _POSTERIOR_STEP = 0.05  # of the log factors searched
 # point.
 _AROUND = 32.0
 _DIRECTIONS = 8  # number of directional bands
-_LEAST_GAIN, _MOST_GAIN = 0.25, 10.0  # limits of the local gain
-# Power of the sensitivity as a weight. Larger values use only places where the light is parallel
-# to the direction.
-_SHARPNESS = 3.0
 _SCALINGS = 3  # iterations of scaling bands to their energies, as neighbours overlap
-# Largest factor on a band. At 5, leather's finest octave, which needs 11, stays too flat.
+# Largest factor on a band, and on its local amplitude. At 5, leather's finest octave, which needs
+# 11, stays too flat.
 _MOST_FACTOR = 30.0
 _LEAST_SLOPE = 1e-4  # root-mean-square slope, lower limit of a band's and of its deviation
 
@@ -156,7 +152,7 @@ def measure_relief_spectrum(
             slope - _regressed(energy, _responses(matte, also, use, cuts))[1]
         ).sum(1)
     # Standard errors of directions are independent; model errors have one sign in all of them.
-    deviation = np.hypot(np.sqrt(np.square(error).sum(1)), _DISAGREED * disagreement)
+    deviation = np.hypot(np.sqrt(np.square(error).sum(1)), disagreement)
     return ReliefSpectrum(
         albedo=np.sqrt(albedo),
         slope=np.sqrt(slope),
@@ -401,7 +397,7 @@ def _evened(band: Height, margin: int, directions: Sequence[tuple[Height, Double
         energy = coarse_smoothed(np.square(waves), _AROUND)
         wanted = float((weight * energy).sum() / weight.sum())
         gain = np.sqrt(wanted / np.maximum(energy, 1e-20))
-        gain = gain.clip(_LEAST_GAIN, _MOST_GAIN).astype(np.float32)
+        gain = gain.clip(1.0 / _MOST_FACTOR, _MOST_FACTOR).astype(np.float32)
         even += enlarged(gain, band.shape) * waves
     return even
 
@@ -411,7 +407,7 @@ def _weight(angle: float, seen: Height) -> Doubles:
     c, s = np.cos(angle), np.sin(angle)
     xx, xy, yy = seen.astype(np.float64)
     weight = np.maximum(c * c * xx + 2.0 * c * s * xy + s * s * yy, 0.0)
-    return np.asarray((weight / max(float(weight.max()), 1e-12)) ** _SHARPNESS + 1e-9)
+    return np.asarray(weight / max(float(weight.max()), 1e-12) + 1e-9)
 
 
 def _directions(shape: tuple[int, ...]) -> list[tuple[float, Height]]:

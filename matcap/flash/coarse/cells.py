@@ -22,7 +22,7 @@ _PATCH_REACH = 2.0  # half side of the patch, in half widths of the highlight
 _PATCH_WEIGHT = 0.5  # least weight of the patch; that of the whole picture is 1
 # Radiance (1 at clipping) above which cells are lower bounds: development compresses bright tones
 # below clipping, RAW is linear up to it.
-_KNEE_DEVELOPED, _KNEE_RADIOMETRIC = 0.8, 0.95
+_KNEE_DEVELOPED = 0.8
 _ABOVE_KNEE = 0.25  # factor on the residual of a model brighter than such a cell
 _HIDDEN = 0.02  # share of cells clipped in all channels above which a highlight may be hidden
 # Share of a developed cell's brightest channel added to all of them before the logarithm, as dark
@@ -108,7 +108,7 @@ def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int
     small = area_averaged(pixels, size).astype(np.float64)
     full = photo.clipped[top:bottom, left:right, None] & (pixels > CLIPPING)
     clipped = area_averaged(full.astype(np.float32), size) > MOST_LEFT_OUT
-    knee = _KNEE_RADIOMETRIC if photo.radiometric else _KNEE_DEVELOPED
+    knee = CLIPPING if photo.radiometric else _KNEE_DEVELOPED
     above = np.where(clipped, 0.0, np.where(small > knee, _ABOVE_KNEE, 1.0))
     if photo.radiometric:
         above = np.where(above < 1.0, 0.0, 1.0)

@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 
 from torch import Tensor
 
+from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS
 from matcap.flash.coarse.cells import CoarseCells, cells_of
 from matcap.flash.coarse.hypotheses import Hypothesis, TiltPrior, hypothesis
 from matcap.flash.coarse.model import BLACK, Unknowns, numbers
@@ -72,7 +73,6 @@ _HALF_GGX = 0.644
 _DISTINCT = 0.3  # starts whose logits of roughness differ by less are duplicates
 # Root-mean-square log radiance by which a fit may be worse and count as equal.
 _EQUAL_RESIDUAL = 0.003
-_MOST_ALBEDO = 0.98  # upper limit of albedo and F0 under a known flash intensity
 
 
 @dataclass(frozen=True)
@@ -248,11 +248,11 @@ def under_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
     if intensity is None:
         return coarse
     dimmer = coarse.setup.intensity[1] / intensity
-    red, green, blue = (min(value * dimmer, _MOST_ALBEDO) for value in coarse.diffuse)
+    red, green, blue = (min(value * dimmer, ALBEDO_LIMITS[1]) for value in coarse.diffuse)
     return replace(
         coarse,
         diffuse=(red, green, blue),
-        specular=min(coarse.specular * dimmer, _MOST_ALBEDO),
+        specular=min(coarse.specular * dimmer, F0_LIMITS[1]),
         setup=coarse.setup.with_intensity((intensity,) * 3),
     )
 

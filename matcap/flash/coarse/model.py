@@ -14,9 +14,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from matcap.brdf.parameters import Reflectance
 from matcap.flash.light import FlashLight, log_vignette
 
-_DARKEST = 1e-12  # radiance added before logarithms
 BLACK = 0.005  # diffuse albedo of a conductor over its F0
 
 
@@ -89,12 +89,13 @@ def log_radiance(
     light = FlashLight.between(points, camera, flash, unknowns.flash.exp()[:, None, None])
     incidence = light.onto(normal[:, None, None].expand_as(points), exact=True)
     colour = unknowns.albedo.exp()[:, None, None]
-    radiance = incidence.diffuse(colour * (BLACK if conductor else 1.0))
-    specular = colour if conductor else unknowns.specular.exp()[:, None, None]
-    roughness = torch.sigmoid(unknowns.roughness)[:, None, None]
-    radiance = radiance + incidence.specular(specular, roughness)
+    surface = Reflectance(
+        colour * (BLACK if conductor else 1.0),
+        colour if conductor else unknowns.specular.exp()[:, None, None],
+        torch.sigmoid(unknowns.roughness)[:, None, None],
+    )
     lost = log_vignette(image - unknowns.centre[:, None, None], *unknowns.vignetting)
-    return ((radiance + _DARKEST).log() + lost).flatten(1)
+    return (incidence.log_radiance(surface)[0] + lost).flatten(1)
 
 
 def mirror_point(unknowns: Unknowns, distance: float) -> Tensor:
