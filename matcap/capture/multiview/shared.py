@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -31,11 +32,6 @@ from matcap.capture.multiview.views import FlashOrAmbient, ResampledView, Shared
 from matcap.capture.registration.camera import Doubles
 from matcap.flash.extent import OWN
 
-# The vector of shared parameters: flash offset (2), vignetting (2), gloss (2); then, for every
-# photograph but the first, its log gains (3) and, if any is moved, its homography (8).
-_OFFSET, _VIGNETTING, _GLOSS = slice(0, 2), slice(2, 4), slice(4, 6)
-_LIGHT = slice(0, 4)  # offset and vignetting, which change the radiance of all photographs
-_COMMON, _GAINS, _MOVES = 6, 3, 8  # numbers of parameters: of all, and of one photograph
 # Fourth-order derivative, twelvefold: weights of texels this far away.
 _FOURTH = ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0))
 _ROUNDING = 1e-5  # damping of the diagonal against rounding in single precision
@@ -55,6 +51,43 @@ _LARGEST_OFFSET = 0.15
 _GLOSS_DEVIATION, _KNOWN_GLOSS = (0.1, 1.0), (0.01, 0.01)
 # Prior standard deviation of the log gain of a photograph; and if no texel of a mosaic is in two.
 _GAIN, _SEPARATE_GAIN = 1.5, 0.03
+
+
+class _SharedParameters(NamedTuple):
+    """Shared parameters, or one number about each: an index, a deviation."""
+
+    offset: Tensor
+    """(2,) of the flash."""
+    vignetting: Tensor
+    """(2,) with r^2 and with r^4."""
+    gloss: Tensor
+    """(2,) change of mean log F0 and mean logit roughness."""
+    gain: Tensor
+    """(photographs - 1, 3) log gains of every photograph but the first."""
+    move: Tensor
+    """(photographs - 1, 8) change of its homography; (photographs - 1, 0) if none is moved."""
+
+    @staticmethod
+    def of(light: SharedLight, *, moving: bool) -> _SharedParameters:
+        """Those of a light, with zero change of registration."""
+        parts = light.offset, light.vignetting, light.gloss, light.gain[1:]
+        move = torch.zeros(len(light.gain) - 1, 8 * moving)
+        return _SharedParameters(*(part.double() for part in (*parts, move)))
+
+    def vector(self) -> Tensor:
+        """(n,) all of them."""
+        return torch.cat([part.flatten() for part in self])
+
+    def parts(self, vector: Tensor) -> _SharedParameters:
+        """Views of a vector (n,) as parts of these shapes."""
+        flat = vector.split([part.numel() for part in self])
+        return _SharedParameters(*(v.view(p.shape) for v, p in zip(flat, self, strict=True)))
+
+    def onto(self, light: SharedLight) -> SharedLight:
+        """`light` with these parameters."""
+        offset, vignetting, gloss, gain, _ = (part.float() for part in self)
+        gain = F.pad(gain, (0, 0, 1, 0))
+        return replace(light, offset=offset, vignetting=vignetting, gloss=gloss, gain=gain)
 
 
 def shared_step(
@@ -81,74 +114,46 @@ def shared_step(
     some, mean, deviation = (
         each.flatten(1)[:, chosen] for each in (parameters, prior.mean, prior.deviation)
     )
-    moving = bool(moved)
-    problem = _SharedFit.of(views, chosen, ParameterPrior(mean, deviation), light, moving)
-    values, deviations = _vector(light, moving), _deviations(views, light, moved, joined)
-    expected = values.clone()
+    start = _SharedParameters.of(light, moving=bool(moved))
+    problem = _SharedFit.of(views, chosen, ParameterPrior(mean, deviation), light, start)
+    values, deviations = start.vector(), _deviations(views, light, start, moved, joined).vector()
     # Prior means of gloss and flash offset are always the prediction's and the coarse fit's.
-    expected[_GLOSS], expected[_OFFSET] = 0.0, light.coarse_offset.double()
-    nearest, farthest = (expected[_OFFSET] + side * _LARGEST_OFFSET for side in (-1, 1))
+    flash = light.coarse_offset.double()
+    expected = start._replace(gloss=torch.zeros_like(start.gloss), offset=flash).vector()
     largest_move = _LARGEST_MOVE * views[0].extent.texel(parameters.shape[-1])
     for _ in range(_STEPS):
         matrix, right, texel_step, by_shared = problem.equations(some, values).reduced()
         matrix = _COUNTED * matrix + torch.diag(deviations**-2)
         right = _COUNTED * right + (expected - values) / deviations**2
         step = torch.linalg.solve(matrix, right)
-        _homographies(step, moving).clamp_(-largest_move, largest_move)
+        start.parts(step).move.clamp_(-largest_move, largest_move)
         values = values + step.clamp(-1.5, 1.5)
-        values[_OFFSET] = values[_OFFSET].clamp(nearest, farthest)
+        offset = start.parts(values).offset
+        offset.clamp_(flash - _LARGEST_OFFSET, flash + _LARGEST_OFFSET)
         texel_step = texel_step - (by_shared * step.float()[:, None]).sum(1)
         some = some + texel_step.clamp(-0.7, 0.7)[:, None]
-    moves = _homographies(values, moving) if moving else torch.zeros(0, _MOVES)
-    unmoved = [np.eye(3)] * (len(views) - len(moves))
-    return _with_vector(light, values, moving), [*unmoved, *map(_homography, moves)]
-
-
-def _vector(light: SharedLight, moving: bool) -> Tensor:
-    """Shared parameters of a light, with zero change of registration."""
-    by_photograph = F.pad(light.gain[1:], (0, _MOVES * moving)).flatten()
-    return torch.cat([light.offset, light.vignetting, light.gloss, by_photograph]).double()
-
-
-def _by_photograph(vector: Tensor, moving: bool) -> Tensor:
-    """(photographs - 1, _GAINS or _GAINS + _MOVES) view of the parameters of one photograph."""
-    return vector[_COMMON:].view(-1, _GAINS + _MOVES * moving)
-
-
-def _gains(vector: Tensor, moving: bool) -> Tensor:
-    """(photographs - 1, _GAINS) view of the log gains."""
-    return _by_photograph(vector, moving)[:, :_GAINS]
-
-
-def _homographies(vector: Tensor, moving: bool) -> Tensor:
-    """(photographs - 1, 0 or _MOVES) view of the changes of registration."""
-    return _by_photograph(vector, moving)[:, _GAINS:]
-
-
-def _with_vector(light: SharedLight, vector: Tensor, moving: bool) -> SharedLight:
-    """`light` with the parameters of `vector`, the inverse of _vector."""
-    single = vector.float()
-    return replace(
-        light,
-        offset=single[_OFFSET],
-        vignetting=single[_VIGNETTING],
-        gloss=single[_GLOSS],
-        gain=F.pad(_gains(single, moving), (0, 0, 1, 0)),
-    )
+    result = start.parts(values)
+    moves = [_homography(move) for move in result.move] if moved else []
+    return result.onto(light), [np.eye(3)] * (len(views) - len(moves)) + moves
 
 
 def _deviations(
-    views: Sequence[ResampledView], light: SharedLight, moved: Collection[int], joined: bool
-) -> Tensor:
-    """Prior standard deviation of each shared parameter."""
+    views: Sequence[ResampledView],
+    light: SharedLight,
+    start: _SharedParameters,
+    moved: Collection[int],
+    joined: bool,
+) -> _SharedParameters:
+    """Prior standard deviations; `joined` is whether two photographs show a common texel."""
     one_flash = sum(view.flash for view in views) == 1
-    gain = _GAIN if joined else _SEPARATE_GAIN
-    deviations = [_OFFSET_DEVIATION, _OFFSET_DEVIATION, *light.vignetting_deviation]
-    deviations += _KNOWN_GLOSS if one_flash else _GLOSS_DEVIATION
-    for number in range(1, len(views)):
-        moves = _MISREGISTRATION if number in moved else 1e-9
-        deviations += [gain] * _GAINS + [moves] * (bool(moved) * _MOVES)
-    return torch.tensor(deviations, dtype=torch.float64)
+    moves = [_MISREGISTRATION if number in moved else 1e-9 for number in range(1, len(views))]
+    return _SharedParameters(
+        torch.full_like(start.offset, _OFFSET_DEVIATION),
+        torch.tensor(light.vignetting_deviation, dtype=torch.float64),
+        torch.tensor(_KNOWN_GLOSS if one_flash else _GLOSS_DEVIATION, dtype=torch.float64),
+        torch.full_like(start.gain, _GAIN if joined else _SEPARATE_GAIN),
+        torch.tensor(moves, dtype=torch.float64)[:, None].expand(start.move.shape),
+    )
 
 
 def _chosen(views: Sequence[ResampledView], count: int) -> tuple[Tensor, bool]:
@@ -210,23 +215,24 @@ class _Equations:
     """(n,) c, double precision."""
 
     @staticmethod
-    def of_prior(prior: ParameterPrior, some: Tensor, values: Tensor) -> _Equations:
+    def of_prior(prior: ParameterPrior, some: Tensor, values: Tensor, gloss: Tensor) -> _Equations:
         """Equations by the texels' prior, whose means of gloss are shared: hierarchical.
 
         Args:
             prior: of the texels, (PARAMETERS, 1, N).
             some: (PARAMETERS, 1, N) texel parameters.
             values: (n,) shared parameters.
+            gloss: (2,) indices of _SharedParameters.gloss.
         """
         precision, count = prior.precision[:, 0], len(values)
         right = precision * (prior.mean - some)[:, 0]
-        right[GLOSS] += precision[GLOSS] * values[_GLOSS].float()[:, None]
+        right[GLOSS] += precision[GLOSS] * values[gloss].float()[:, None]
         coupling = torch.zeros(PARAMETERS, count, some.shape[-1])
-        coupling[GLOSS, _GLOSS] = -torch.diag_embed(precision[GLOSS].T).movedim(0, -1)
+        coupling[GLOSS, gloss] = -torch.diag_embed(precision[GLOSS].T).movedim(0, -1)
         shared = torch.zeros(count, count, dtype=torch.float64)
-        shared[_GLOSS, _GLOSS] = torch.diag(precision[GLOSS].double().sum(1))
+        shared[gloss[:, None], gloss] = torch.diag(precision[GLOSS].double().sum(1))
         shared_right = torch.zeros(count, dtype=torch.float64)
-        shared_right[_GLOSS] = -right[GLOSS].double().sum(1)
+        shared_right[gloss] = -right[GLOSS].double().sum(1)
         texels = torch.diag_embed(precision.T).movedim(0, -1).contiguous()
         return _Equations(texels, coupling, right, shared, shared_right)
 
@@ -274,11 +280,13 @@ class _SharedFit:
     points: Tensor
     """(3, 1, N) plane points."""
     by_move: Sequence[Tensor]
-    """(_MOVES, 3, 1, N) d log L / d homography of each photograph; empty if none is moved."""
+    """(8, 3, 1, N) d log L / d homography of each photograph; empty if none is moved."""
     prior: ParameterPrior
     """Prior of the sampled texels' parameters."""
     light: SharedLight
     """Gives the properties that are not fitted."""
+    start: _SharedParameters
+    """Initial shared parameters."""
 
     @staticmethod
     def of(
@@ -286,13 +294,13 @@ class _SharedFit:
         chosen: Tensor,
         prior: ParameterPrior,
         light: SharedLight,
-        moving: bool,
+        start: _SharedParameters,
     ) -> _SharedFit:
-        """The problem at the texels `chosen` (1, N), with image gradients if `moving`."""
+        """The problem at the texels `chosen` (1, N), with image gradients if any is moved."""
         size, extent = views[0].log.shape[-2:], views[0].extent
         points = points_of(size, extent=extent).flatten(1)[:, chosen]
         by_move, (x, y, _) = [], points
-        for view in views if moving else ():
+        for view in views if start.move.numel() else ():
             dx, dy = _gradient(view.log, chosen, extent.texel(size[-1]))
             radial = x * dx + y * dy
             moves = [dx, dx * x, dx * y, dy, dy * x, dy * y, x * radial, y * radial]
@@ -301,45 +309,47 @@ class _SharedFit:
             replace(v, log=v.log.flatten(1)[:, chosen], seen=v.seen.flatten(1)[:, chosen])
             for v in views
         ]
-        return _SharedFit(few, points, by_move, prior, light)
+        return _SharedFit(few, points, by_move, prior, light, start)
 
     def equations(self, some: Tensor, values: Tensor) -> _Equations:
         """Normal equations at texel parameters (PARAMETERS, 1, N) and shared ones (n,)."""
-        equations = _Equations.of_prior(self.prior, some, values)
+        index = self.start.parts(torch.arange(len(values)))
+        equations = _Equations.of_prior(self.prior, some, values, index.gloss)
         lights = [self._lit(number, values) for number in range(len(self.views))]
         shaded = derivatives(some, lights)
         for (number, view), (log, *by_texel) in zip(enumerate(self.views), shaded, strict=True):
             residual = view.log - log
             if number and self.by_move:
-                move = _homographies(values, True)[number - 1].float()
+                move = self.start.parts(values).move[number - 1].float()
                 residual = view.log + torch.einsum("i,icxn->cxn", move, self.by_move[number]) - log
             weight = weights(residual, view.seen, view.noise)[:, 0]
-            by_shared, indices = self._by_shared(number, some, log, values)
+            by_shared, indices = self._by_shared(number, some, log, values, index)
             equations.add(jacobian(*by_texel), by_shared, indices, weight, residual[:, 0])
         return equations
 
     def _lit(self, number: int, values: Tensor) -> FlashOrAmbient:
         """Light of a photograph at the samples, with shared parameters `values`."""
-        light = _with_vector(self.light, values, bool(self.by_move))
+        light = self.start.parts(values).onto(self.light)
         return light_at(number, self.views[number], light, self.points)
 
     def _by_shared(
-        self, number: int, some: Tensor, log: Tensor, values: Tensor
+        self, number: int, some: Tensor, log: Tensor, values: Tensor, index: _SharedParameters
     ) -> tuple[Tensor, Tensor]:
         """(k, 3, N) d log L of a photograph / d shared parameter, and their indices (k,).
 
         By the light, from finite differences; by a gain, 1; by the homography, image gradients.
         """
-        indices, columns = torch.arange(len(values)), []
-        for step in 1e-2 * torch.eye(len(values), dtype=values.dtype)[_LIGHT]:
+        indices, columns = torch.cat([index.offset, index.vignetting]), []
+        for step in 1e-2 * torch.eye(len(values), dtype=values.dtype)[indices]:
             rendered = log_rendered(some, [self._lit(number, values + step)])[0]
             columns.append((rendered - log)[:, 0] / 1e-2)
         if not number:
-            return torch.stack(columns), indices[_LIGHT]
-        columns += [*torch.eye(_GAINS)[..., None].expand(-1, -1, log.shape[-1])]
+            return torch.stack(columns), indices
+        columns += [*torch.eye(3)[..., None].expand(-1, -1, log.shape[-1])]
         columns += [*-self.by_move[number][:, :, 0]] if self.by_move else []
-        own = _by_photograph(indices, bool(self.by_move))[number - 1]
-        return torch.stack(columns), torch.cat([indices[_LIGHT], own])
+        return torch.stack(columns), torch.cat(
+            [indices, index.gain[number - 1], index.move[number - 1]]
+        )
 
 
 def texels_solved(within: Tensor, sides: Tensor) -> Tensor:
