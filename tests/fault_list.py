@@ -411,7 +411,7 @@ FAULTS = (
           "capture/exemplar/test_relief_spectrum.py -k dilutes"),
     Fault("relief spectrum: noise is added, not taken off", "capture measure_relief_spectrum",
           "energy - white", "energy + white", "capture/exemplar/test_relief_spectrum.py -k noise"),
-    Fault("relief spectrum: y downwards", "capture _kinds", "-frequency", "frequency",
+    Fault("relief spectrum: y downwards", "capture _bins", "-frequency", "frequency",
           "capture/exemplar/test_relief_spectrum.py -k slopes_are"),
     # Field.
     Fault("patches: they end at the exemplar's borders", "example _within",

@@ -25,6 +25,7 @@ from matcap.brdf.parameters import ALBEDO, F0, REFLECTANCE, SurfaceParameters
 from matcap.capture.exemplar.exposure_prior import DIELECTRIC, LEAST_PART, METAL, how_metallic
 from matcap.capture.exemplar.filters import smoothed
 from matcap.capture.exemplar.mean_parameters import (
+    ROUGHNESS_DEVIATION,
     MeanParameterPrior,
     RingTarget,
     fit_mean_parameters,
@@ -41,8 +42,8 @@ BY_HEIGHT = 2.5
 _BY_NETWORK = 2.0
 _TEXELS = 128  # short side of the grid of the fit
 _ROUNDS = 3  # iterations of fitting mean parameters and classifying texels
-# Prior standard deviations of the mean parameters (log, log, logit).
-_ALBEDO_DEVIATION, _F0_DEVIATION, _ROUGHNESS_DEVIATION = 1.5, 2.0, 0.35
+# Prior standard deviations of mean log albedo and log F0.
+_ALBEDO_DEVIATION, _F0_DEVIATION = 1.5, 2.0
 # Scale of a texel's residual chroma of log radiance; of the channels' mean, with relief, it is 1.
 _CHROMA_SCALE = 0.2
 # Standard deviation of the blur of log odds, in the picture's long side. Larger values round
@@ -54,7 +55,7 @@ _METAL_ALBEDO, _METAL_ALBEDO_DEVIATION = 0.004, 0.3
 _LEAST_CONTRAST = 1.5  # least log ratio of F0 of metal to that of the dielectric; 2.5 is typical
 _LEAST_ODDS = 1.0  # least log odds that the dielectric is none but a dielectric
 # Least correlation of the photograph's and the network's classification for two classes.
-_LEAST_AGREED = 0.4
+_LEAST_CORRELATION = 0.4
 _MOST_RESIDUAL = 0.2  # largest residual of ring means (log radiance) over the correlation
 _LEAST = 1e-6  # of the change of a threshold, at which its iterations end
 
@@ -136,7 +137,7 @@ class Mixture:
     """Metal first."""
     residual: float
     """Mean absolute residual of log radiance of the ring means."""
-    agreed: float
+    correlation: float
     """Correlation of the class log odds by radiance with the network's."""
 
     def likely(self, uniform: SurfaceParameters) -> bool:
@@ -151,8 +152,8 @@ class Mixture:
             min(share, 1.0 - share) > LEAST_PART
             and float(bare[F0] - rest[F0]) > _LEAST_CONTRAST
             and how_metallic(uniform.vector() + rest) < -_LEAST_ODDS
-            and self.residual < _MOST_RESIDUAL * self.agreed
-            and self.agreed > _LEAST_AGREED
+            and self.residual < _MOST_RESIDUAL * self.correlation
+            and self.correlation > _LEAST_CORRELATION
         )
 
 
@@ -164,37 +165,38 @@ def find_mixture(residuals: SurfaceParameters, logit: Tensor, target: RingTarget
         logit: (1, H, W) predicted logit of metal.
         target: the photograph, with the uniform material as its surface.
     """
-    drawn = _BY_NETWORK * metal_score(residuals, logit)
+    by_network = _BY_NETWORK * metal_score(residuals, logit)
     step = max(1, min(logit.shape[-2:]) // _TEXELS)
-    few, thin = target.thinned(_TEXELS), drawn[:, ::step, ::step]
-    metal = torch.sigmoid(thin)
-    predicted = _pair(torch.sigmoid(drawn)).class_means(residuals)
+    coarse, coarse_by_network = target.thinned(_TEXELS), by_network[:, ::step, ::step]
+    metal = torch.sigmoid(coarse_by_network)
+    predicted = _pair(torch.sigmoid(by_network)).class_means(residuals)
     predicted[0, ALBEDO] = math.log(_METAL_ALBEDO) - target.surface.vector()[ALBEDO]
-    theta = predicted
-    deviation = torch.tensor(
-        [*[_ALBEDO_DEVIATION] * 3, _F0_DEVIATION, _ROUGHNESS_DEVIATION]
-    ).repeat(2, 1)
-    deviation[0, ALBEDO] = _METAL_ALBEDO_DEVIATION
     prior = MeanParameterPrior(
         predicted,
-        deviation,
+        torch.tensor(
+            [
+                [*[_METAL_ALBEDO_DEVIATION] * 3, _F0_DEVIATION, ROUGHNESS_DEVIATION],
+                [*[_ALBEDO_DEVIATION] * 3, _F0_DEVIATION, ROUGHNESS_DEVIATION],
+            ]
+        ),
         (
             METAL.specular[0] - DIELECTRIC.specular[0],
             math.hypot(DIELECTRIC.specular[1], METAL.specular[1]),
         ),
     )
-    residual = 0.0
+    theta, residual = predicted, 0.0
     for number in range(_ROUNDS):
-        few = _coloured(few, metal)
+        coarse = _coloured(coarse, metal)
         if number:
-            metal = _share(_log_likelihood_ratio(few, theta), thin, float(metal.mean()))
-            few = _coloured(few, metal)
-        theta, residual = fit_mean_parameters(few, _pair(metal).shares, theta, prior)
-    log_ratio = _log_likelihood_ratio(replace(target, tints=few.tints), theta)
-    metal = _share(log_ratio, drawn, float(metal.mean()))
-    both = torch.stack([log_ratio.flatten(), drawn.flatten()])
-    agreed = float(torch.corrcoef(both)[0, 1].nan_to_num())
-    return Mixture(replace(_pair(metal), mean_parameters=theta), residual, agreed)
+            by_radiance = _log_likelihood_ratio(coarse, theta)
+            metal = _share(by_radiance, coarse_by_network, float(metal.mean()))
+            coarse = _coloured(coarse, metal)
+        theta, residual = fit_mean_parameters(coarse, _pair(metal).shares, theta, prior)
+    by_radiance = _log_likelihood_ratio(replace(target, tints=coarse.tints), theta)
+    metal = _share(by_radiance, by_network, float(metal.mean()))
+    both = torch.stack([by_radiance.flatten(), by_network.flatten()])
+    correlation = float(torch.corrcoef(both)[0, 1].nan_to_num())
+    return Mixture(replace(_pair(metal), mean_parameters=theta), residual, correlation)
 
 
 def _two_means(score: Tensor) -> float:
@@ -268,12 +270,12 @@ def _log_likelihood_ratio(target: RingTarget, theta: Tensor) -> Tensor:
     return torch.from_numpy(_COUNTS * plane)[None]
 
 
-def _share(log_ratio: Tensor, drawn: Tensor, before: float) -> Tensor:
+def _share(by_radiance: Tensor, by_network: Tensor, before: float) -> Tensor:
     """(1, H, W) posterior probability of metal in each texel.
 
     Args:
-        log_ratio, drawn: (1, H, W) log odds by radiance and by the network.
+        by_radiance, by_network: (1, H, W) log odds.
         before: prior share of metal.
     """
     common = min(max(before, LEAST_PART), 1.0 - LEAST_PART)
-    return torch.sigmoid(math.log(common / (1.0 - common)) + log_ratio + drawn)
+    return torch.sigmoid(math.log(common / (1.0 - common)) + by_radiance + by_network)

@@ -196,7 +196,7 @@ class Observation:
             use.mean(0, dtype=np.float32),
             float(variance.mean().sqrt()) if variance.numel() else 0.0,
             matte=(1.0 - self.inputs.gloss[0]).clamp(0.0, 1.0).numpy(),
-            also=None if predicted is None else _even(predicted),
+            other_sensitivity=None if predicted is None else _even(predicted),
         )
 
     def tinted(self, metal: Tensor) -> Observation:

@@ -1,4 +1,4 @@
-"""Stage spectrum: energies of relief and albedo by band, and relief scaled to them.
+"""Stage relief spectrum: energies of relief and albedo by band, and relief scaled to them.
 
 In come a photograph and predicted relief, out go the energies that the photograph measures, in
 closed form (measure_relief_spectrum), and relief with these energies (equalise).
@@ -121,7 +121,7 @@ def measure_relief_spectrum(
     noise: float = 0.0,
     *,
     matte: NDArray[np.float32] | None = None,
-    also: NDArray[np.float32] | None = None,
+    other_sensitivity: NDArray[np.float32] | None = None,
 ) -> ReliefSpectrum | None:
     """Measure the energies of a photograph; None if too few windows are visible.
 
@@ -131,8 +131,8 @@ def measure_relief_spectrum(
         use: (H, W) share of a texel that is visible and not clipped.
         noise: standard deviation of log radiance due to the sensor.
         matte: (H, W) diffuse share of the radiance; None for 1.
-        also: (2, H, W) another estimate of `sensitivity`: the difference of their results adds to
-            the standard deviation.
+        other_sensitivity: (2, H, W) another estimate of `sensitivity`: the difference of their
+            results adds to the standard deviation.
     """
     whole = _windows(log.shape)
     seen = _seen(use, whole)
@@ -142,14 +142,14 @@ def measure_relief_spectrum(
     # Interpolated texels are smooth and lack energy.
     energy = _window_energies(log, cuts) / seen[seen >= _LEAST_SEEN, None, None]
     window = _WINDOW
-    white = noise**2 * _sums(np.ones((window, window)), _kinds()) / window**2
+    white = noise**2 * _sums(np.ones((window, window)), _bins()) / window**2
     energy = np.maximum(energy - white, 0.0)
     matte = np.ones_like(log) if matte is None else matte
     albedo, slope, error = _regressed(energy, _responses(matte, sensitivity, use, cuts))
     disagreement = 0.0
-    if also is not None:
+    if other_sensitivity is not None:
         disagreement = np.abs(
-            slope - _regressed(energy, _responses(matte, also, use, cuts))[1]
+            slope - _regressed(energy, _responses(matte, other_sensitivity, use, cuts))[1]
         ).sum(1)
     # Standard errors of directions are independent; model errors have one sign in all of them.
     deviation = np.hypot(np.sqrt(np.square(error).sum(1)), disagreement)
@@ -169,13 +169,13 @@ def _seen(use: NDArray[np.bool_] | NDArray[np.float32], cuts: list[tuple[slice, 
 
 def _window_energies(log: NDArray[np.float32], cuts: list[tuple[slice, slice]]) -> Doubles:
     """(windows, len(BANDS), DIRECTIONS) mean square of log radiance in each directional band."""
-    window, kinds = _hann(), _kinds()
+    window, bins = _hann(), _bins()
     power = float(np.square(window).sum())
     energies = []
     for cut in cuts:
         flat = log[cut] - (log[cut] * window).sum() / window.sum()
         spectrum = np.square(np.abs(np.fft.fft2(flat * window))) / power / flat.size
-        energies.append(_sums(spectrum, kinds))
+        energies.append(_sums(spectrum, bins))
     return np.array(energies)
 
 
@@ -230,7 +230,7 @@ def slope_spectrum(height: NDArray[np.float32]) -> Doubles:
         waves = np.fft.fft2((both[cut] - both[cut].mean()) * window)
         total += np.square(waves.real) + np.square(waves.imag)
         count += 1
-    return np.sqrt(_sums(total, _kinds()) / power / window.size / max(1, count))
+    return np.sqrt(_sums(total, _bins()) / power / window.size / max(1, count))
 
 
 def _hann() -> Doubles:
@@ -247,13 +247,13 @@ def _windows(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
     return [(slice(y, y + side), slice(x, x + side)) for y in rows for x in columns]
 
 
-def _sums(spectrum: Doubles, kinds: NDArray[np.int64]) -> Doubles:
-    """(len(BANDS), DIRECTIONS) sums of a power spectrum (window, window); bins as of _kinds."""
-    sums = np.bincount(kinds.ravel(), spectrum.ravel(), len(BANDS) * DIRECTIONS + 1)
+def _sums(spectrum: Doubles, bins: NDArray[np.int64]) -> Doubles:
+    """(len(BANDS), DIRECTIONS) sums of a power spectrum (window, window); bins as of _bins."""
+    sums = np.bincount(bins.ravel(), spectrum.ravel(), len(BANDS) * DIRECTIONS + 1)
     return np.asarray(sums[:-1].reshape(len(BANDS), DIRECTIONS), np.float64)
 
 
-def _kinds() -> NDArray[np.int64]:
+def _bins() -> NDArray[np.int64]:
     """(window, window) bin of each frequency, DIRECTIONS * band + direction with y upwards.
 
     Frequencies outside of all bands have the bin len(BANDS) * DIRECTIONS.
@@ -262,11 +262,11 @@ def _kinds() -> NDArray[np.int64]:
     fx, fy = np.meshgrid(frequency, -frequency)
     radius, angle = np.hypot(fx, fy), np.arctan2(fy, fx)
     direction = np.rint(angle / (np.pi / DIRECTIONS)).astype(np.int64) % DIRECTIONS
-    kinds = np.full(radius.shape, len(BANDS) * DIRECTIONS)
+    bins = np.full(radius.shape, len(BANDS) * DIRECTIONS)
     for band, (longest, shortest) in enumerate(BANDS):
         inside = (radius >= 1.0 / longest) & (radius < 1.0 / shortest)
-        kinds[inside] = DIRECTIONS * band + direction[inside]
-    return kinds
+        bins[inside] = DIRECTIONS * band + direction[inside]
+    return bins
 
 
 def _regress(

@@ -163,8 +163,8 @@ def _fitted_coarsely(
         shoulder=SHOULDER if photo.tone_mapped else 0.0,
         conductor=prior.conductor,
     )
-    begun = starts(cells.observed, prior, highlight, problem.distance)
-    minima = [problem.minimised(start, _FEW) for start in begun]
+    initial = starts(cells.observed, prior, highlight, problem.distance)
+    minima = [problem.minimised(start, _FEW) for start in initial]
     return _CoarselyFitted(prior, problem, sorted(minima, key=lambda candidate: candidate[0]))
 
 
@@ -173,10 +173,10 @@ def _fitted(
 ) -> tuple[CoarseFit, float, float]:
     """The most probable fit on fine cells, its cost, and the cost of a nat of the prior."""
     prior, last = coarse.prior, replace(coarse.problem, cells=cells)
-    begun = [parameters for _, parameters in coarse.minima]
+    initial = [parameters for _, parameters in coarse.minima]
     if photo.radiometric:
-        last = last.whitened(begun[0]).with_estimated_noise(begun[0])
-    best = _best(last, begun)
+        last = last.whitened(initial[0]).with_estimated_noise(initial[0])
+    best = _best(last, initial)
     rest = last.differences(best)[last.cells.above == 1.0]
     picture_tilt = None
     if prior.tilt_alone is not None:
@@ -197,11 +197,11 @@ def _fitted(
 
 def _best(problem: Problem, tried: Sequence[Tensor]) -> Tensor:
     """The best parameters from several starts, the best start first."""
-    worth = distinct(tried)[:_KEPT]
+    distinct_starts = distinct(tried)[:_KEPT]
     if problem.cells.hidden:
         unknowns = Unknowns.of(tried[0])
-        worth.append(replace(unknowns, roughness=numbers(_MATTE)).vector())
-    minima = [problem.minimised(each, _MANY)[1] for each in worth]
+        distinct_starts.append(replace(unknowns, roughness=numbers(_MATTE)).vector())
+    minima = [problem.minimised(each, _MANY)[1] for each in distinct_starts]
     strict = problem
     if problem.measurements is not None:
         strict = replace(problem, measurements=replace(problem.measurements, weight=WEIGHT_BETWEEN))

@@ -75,7 +75,7 @@ def test_what_another_response_tells_differently_is_doubted() -> None:
     inputs = network_inputs(shot.linear, valid, shot.uniform, shot.points)
     log, shows = inputs.log.mean(0).numpy(), inputs.slope_sensitivity.numpy()
     alone, alike, apart = (
-        measure_relief_spectrum(log, shows, valid.numpy(), also=other).deviation
+        measure_relief_spectrum(log, shows, valid.numpy(), other_sensitivity=other).deviation
         for other in (None, shows, 1.5 * shows)
     )
     assert np.allclose(alike, alone)
