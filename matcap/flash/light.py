@@ -158,7 +158,7 @@ class FlashLight:
     def log_gradient(
         self, normal: Tensor, specular: Tensor, roughness: Tensor
     ) -> tuple[Incidence, Tensor, Tensor]:
-        """As Light.log_gradient; the incidence is not exact."""
+        """As DifferentiableLight.log_gradient; the incidence is not exact."""
         lit = self.onto(normal)
         lobe = LobeGradient.of(specular, roughness, lit.angles)
         along = (
@@ -169,7 +169,7 @@ class FlashLight:
         return lit, torch.cat([*gloss, by_slopes(normal, along)]), slanted
 
 
-class Light(Protocol):
+class DifferentiableLight(Protocol):
     """A light at fixed points of the plane."""
 
     def onto(self, normal: Tensor) -> Incident:
@@ -191,7 +191,7 @@ class Light(Protocol):
 
 
 def linearised(
-    light: Light, normal: Tensor, surface: MapSet | Reflectance
+    light: DifferentiableLight, normal: Tensor, surface: MapSet | Reflectance
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Log radiance (3, H, W) and its derivatives, where it is above DARKEST.
 

@@ -74,7 +74,7 @@ class AmbientLight:
     def log_gradient(
         self, normal: Tensor, specular: Tensor, roughness: Tensor
     ) -> tuple[AmbientIncidence, Tensor, Tensor]:
-        """As Light.log_gradient; of the lobe, only F0 changes the radiance."""
+        """As DifferentiableLight.log_gradient; of the lobe, only F0 changes the radiance."""
         lit, gradient = self.onto(normal), self.gradient.to(normal)[:, None, None]
         level = lit.irradiance[:1] / self.strength[:1]
         lobe = torch.zeros_like(normal[:1]).repeat(4, 1, 1)
