@@ -24,7 +24,7 @@ from matcap.brdf.metals import METAL_F0
 from matcap.brdf.parameters import ALBEDO, F0
 from matcap.example.exemplar import Exemplar
 from matcap.files.rec709 import LUMINANCE
-from matcap.flash.coarse.hypotheses import CONDUCTOR_F0, DIELECTRIC_F0
+from matcap.flash.coarse.hypotheses import CONDUCTOR_F0, DIELECTRIC_F0, Gaussian
 
 _LUMINANCE = np.array(LUMINANCE, np.float32)
 _LEAST = 1e-4  # of albedo and F0
@@ -32,17 +32,17 @@ _LEAST = 1e-4  # of albedo and F0
 
 @dataclass(frozen=True)
 class MaterialKind:
-    """Log-normal prior of a material class: mean and standard deviation of natural logarithms."""
+    """Log-normal prior of a material class."""
 
-    albedo: tuple[float, float]
-    """Log mean luminance of diffuse albedo."""
-    specular: tuple[float, float]
-    """Log mean F0."""
+    albedo: Gaussian
+    """Of log mean luminance of diffuse albedo."""
+    specular: Gaussian
+    """Of log mean F0."""
 
     def log_likelihood(self, ratio: float) -> float:
         """Log density of the natural logarithm of F0 over albedo, less a constant."""
-        deviation = math.hypot(self.albedo[1], self.specular[1])
-        difference = (ratio - self.specular[0] + self.albedo[0]) / deviation
+        deviation = math.hypot(self.albedo.deviation, self.specular.deviation)
+        difference = (ratio - self.specular.mean + self.albedo.mean) / deviation
         return -math.log(deviation) - 0.5 * difference**2
 
 
@@ -50,8 +50,8 @@ class MaterialKind:
 
 # A wider F0 prior of dielectrics follows the fitted flash intensity more, and makes black materials
 # grey.
-DIELECTRIC = MaterialKind((math.log(0.15), 1.0), (DIELECTRIC_F0[0], 0.25))
-METAL = MaterialKind((math.log(0.01), 1.5), CONDUCTOR_F0)
+DIELECTRIC = MaterialKind(Gaussian(math.log(0.15), 1.0), DIELECTRIC_F0._replace(deviation=0.25))
+METAL = MaterialKind(Gaussian(math.log(0.01), 1.5), CONDUCTOR_F0)
 _BRIGHTEST = 0.95  # limit of albedo and F0 of the brightest texels
 _MOST_OF = 0.999  # quantile that defines the brightest texels
 _MOST_OF_METAL = 0.9  # the same of F0 with metal, as F0 of glints is overestimated
@@ -109,7 +109,7 @@ def _metal_kind(exemplar: Exemplar, share: NDArray[np.float32]) -> MaterialKind:
     """Prior of metal: F0 of pure metals, weighted by likeness of colour, and that of any metal."""
     planes = np.broadcast_to(exemplar.specular, (3, *share.shape))
     colour = np.log((planes * share).sum((1, 2)) / max(float(share.sum()), 1e-6) + _LEAST)
-    candidates = [(METAL.specular[0], METAL.specular[1], _UNKNOWN)]
+    candidates = [(*METAL.specular, _UNKNOWN)]
     for f0 in METAL_F0.values():
         log = np.log(np.array(f0))
         difference = (colour - colour.mean()) - (log - log.mean())
@@ -118,7 +118,7 @@ def _metal_kind(exemplar: Exemplar, share: NDArray[np.float32]) -> MaterialKind:
     total = sum(weight for _, _, weight in candidates)
     mean = sum(log_f0 * weight for log_f0, _, weight in candidates) / total
     variance = sum(w * (d**2 + (log_f0 - mean) ** 2) for log_f0, d, w in candidates) / total
-    return MaterialKind(METAL.albedo, (mean, math.sqrt(variance)))
+    return MaterialKind(METAL.albedo, Gaussian(mean, math.sqrt(variance)))
 
 
 def _logs(exemplar: Exemplar, part: NDArray[np.float32]) -> tuple[float, float]:

@@ -31,6 +31,7 @@ from matcap.capture.exemplar.mean_parameters import (
     fit_mean_parameters,
 )
 from matcap.capture.exemplar.tint import whole_colour
+from matcap.flash.coarse.hypotheses import Gaussian
 from matcap.flash.light import DARKEST
 
 # Classification; docs/notes/gloss.md.
@@ -56,7 +57,7 @@ _LEAST_CONTRAST = 1.5  # least log ratio of F0 of metal to that of the dielectri
 _LEAST_ODDS = 1.0  # least log odds that the dielectric is none but a dielectric
 # Least correlation of the photograph's and the network's classification for two classes.
 _LEAST_CORRELATION = 0.4
-_MOST_RESIDUAL = 0.2  # largest residual of ring means (log radiance) over the correlation
+_MOST_RING_RESIDUAL = 0.2  # largest residual of ring means (log radiance) over the correlation
 _LEAST = 1e-6  # of the change of a threshold, at which its iterations end
 
 
@@ -152,7 +153,7 @@ class Mixture:
             min(share, 1.0 - share) > LEAST_PART
             and float(bare[F0] - rest[F0]) > _LEAST_CONTRAST
             and how_metallic(uniform.vector() + rest) < -_LEAST_ODDS
-            and self.residual < _MOST_RESIDUAL * self.correlation
+            and self.residual < _MOST_RING_RESIDUAL * self.correlation
             and self.correlation > _LEAST_CORRELATION
         )
 
@@ -179,9 +180,9 @@ def find_mixture(residuals: SurfaceParameters, logit: Tensor, target: RingTarget
                 [*[_ALBEDO_DEVIATION] * 3, _F0_DEVIATION, ROUGHNESS_DEVIATION],
             ]
         ),
-        (
-            METAL.specular[0] - DIELECTRIC.specular[0],
-            math.hypot(DIELECTRIC.specular[1], METAL.specular[1]),
+        Gaussian(
+            METAL.specular.mean - DIELECTRIC.specular.mean,
+            math.hypot(DIELECTRIC.specular.deviation, METAL.specular.deviation),
         ),
     )
     theta, residual = predicted, 0.0

@@ -23,6 +23,7 @@ from torch import Tensor
 from matcap.brdf.cook_torrance import LobeGradient
 from matcap.brdf.parameters import F0, Reflectance, SurfaceParameters
 from matcap.field.single import one_thread
+from matcap.flash.coarse.hypotheses import Gaussian
 from matcap.flash.least_squares import huber, minimised
 from matcap.flash.light import DARKEST, FlashLight
 
@@ -44,8 +45,8 @@ class MeanParameterPrior:
     mean: Tensor
     deviation: Tensor
     """(K, 5) mean and standard deviation."""
-    contrast: tuple[float, float] = (0.0, math.inf)
-    """Mean and standard deviation of log F0 of the first class less that of the last."""
+    contrast: Gaussian = Gaussian(0.0, math.inf)
+    """Of log F0 of the first class less that of the last."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +188,7 @@ class _RingFit:
         weighted = columns * (self.weights(residual) * huber(residual, _HUBER)[1])
         deviation, contrast = self._prior.deviation.flatten(), self._contrast.flatten()
         off, excess = self._prior_residuals(theta)
-        steep = contrast / self._prior.contrast[1]
+        steep = contrast / self._prior.contrast.deviation
         hessian = weighted @ columns.T + torch.diag(deviation**-2) + steep[:, None] * steep
         return hessian, off / deviation + excess * steep - weighted @ residual
 

@@ -80,8 +80,8 @@ FIT_TEXELS = 384  # short side of the grid of the fit
 _RESIDUAL_BY_SCALE = 0.05
 # Prior standard deviations of mean parameters (log albedo 3, log F0, logit roughness) around their
 # values before relief is known, of dielectric and metal.
-_DIELECTRIC_DEVIATIONS = [*[1.0] * 3, DIELECTRIC_F0[1], ROUGHNESS_DEVIATION]
-_METAL_DEVIATIONS = [*[0.05] * 3, CONDUCTOR_F0[1], ROUGHNESS_DEVIATION]
+_DIELECTRIC_DEVIATIONS = [*[1.0] * 3, DIELECTRIC_F0.deviation, ROUGHNESS_DEVIATION]
+_METAL_DEVIATIONS = [*[0.05] * 3, CONDUCTOR_F0.deviation, ROUGHNESS_DEVIATION]
 
 # Glints.
 # Specular fraction of the radiance that bounds the glossiest region, where slopes dominate.

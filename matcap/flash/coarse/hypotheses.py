@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -23,12 +24,21 @@ _TILT_RADIOMETRIC = 0.1
 # about x and 4 about y (root mean square; docs/guide/paper.md).
 _TILTS = 0.087
 _FIXED = 1e-4  # standard deviation of a parameter that is known
-# Mean and standard deviation of log F0: index of refraction 1.5, and metals.
-DIELECTRIC_F0, CONDUCTOR_F0 = (math.log(0.04), 0.15), (math.log(0.5), 0.5)
+
+
+class Gaussian(NamedTuple):
+    """A normal distribution of one number."""
+
+    mean: float
+    deviation: float
+
+
+# Of log F0: index of refraction 1.5, and metals.
+DIELECTRIC_F0, CONDUCTOR_F0 = Gaussian(math.log(0.04), 0.15), Gaussian(math.log(0.5), 0.5)
 # Mean and standard deviation of each unknown.
 _PRIORS = {
     "albedo": ([math.log(0.2)] * 3, [1.5] * 3),
-    "specular": ([DIELECTRIC_F0[0]], [DIELECTRIC_F0[1]]),
+    "specular": ([DIELECTRIC_F0.mean], [DIELECTRIC_F0.deviation]),
     "roughness": ([0.0], [1.5]),
     "intensity": ([3.0], [5.0]),
     "flash_colour": ([0.0] * 2, [0.3] * 2),  # white balance is the whole picture's, not the flash's
@@ -92,9 +102,8 @@ def hypothesis(
     mean = replace(_MEAN, vignetting=numbers(*falloff.mean))
     deviation = _DEVIATION
     if conductor:
-        level, scatter = CONDUCTOR_F0
-        mean = replace(mean, albedo=numbers(*[level] * 3))
-        deviation = replace(deviation, albedo=numbers(*[scatter] * 3))
+        mean = replace(mean, albedo=numbers(*[CONDUCTOR_F0.mean] * 3))
+        deviation = replace(deviation, albedo=numbers(*[CONDUCTOR_F0.deviation] * 3))
     # A conductor colours all that it reflects; RAW and cards are white under the flash.
     if conductor or photo.radiometric or photo.flash_intensity is not None:
         deviation = replace(deviation, flash_colour=numbers(_FIXED, _FIXED))

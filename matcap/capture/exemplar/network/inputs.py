@@ -20,7 +20,7 @@ from matcap.flash.light import FlashLight
 from matcap.flash.render import Uniform, uniform_radiance
 
 MOST_RESIDUAL = 3.0  # log radiance; residuals are clipped to +-this
-STEP = 0.03  # step of slope and of logit roughness in finite differences of radiance
+_STEP = 0.03  # step of slope and of logit roughness in finite differences of radiance
 SUBSAMPLING = 4  # subsampling, texels, of renderings of the uniform material, which are smooth
 _DAMPING = 0.1  # regularises the first-order slope estimate where the sensitivity vanishes
 
@@ -80,18 +80,18 @@ def network_inputs(
 def _shown_of_slope(uniform: Uniform, light: FlashLight) -> Tensor:
     """(2, h, w) d log L / d slope along x and y, by central differences."""
     # One call for all four, as calls dominate the time of small tensors.
-    moves = torch.tensor([[STEP, 0.0], [-STEP, 0.0], [0.0, STEP], [0.0, -STEP]])
+    moves = torch.tensor([[_STEP, 0.0], [-_STEP, 0.0], [0.0, _STEP], [0.0, -_STEP]])
     flat = torch.zeros_like(light.to_light[:1])
     across, up = (move.to(flat)[:, None, None, None] + flat for move in moves.T)
     moved = uniform_radiance(uniform, light, (across, up))[0]
     right, left, above, below = moved.mean(1, keepdim=True).log()
-    return torch.cat([right - left, above - below]) / (2.0 * STEP)
+    return torch.cat([right - left, above - below]) / (2.0 * _STEP)
 
 
 def _shown_of_roughness(uniform: Uniform, light: FlashLight, flat: Tensor) -> Tensor:
     """(1, h, w) d log L / d logit(roughness), by a forward difference from `flat` (3, h, w)."""
-    duller = uniform_radiance(uniform, light, duller=STEP)[0]
-    return (duller.mean(0, keepdim=True).log() - flat.mean(0, keepdim=True).log()) / STEP
+    duller = uniform_radiance(uniform, light, duller=_STEP)[0]
+    return (duller.mean(0, keepdim=True).log() - flat.mean(0, keepdim=True).log()) / _STEP
 
 
 def _resized(picture: Tensor, size: tuple[int, ...]) -> Tensor:
