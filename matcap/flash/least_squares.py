@@ -94,3 +94,11 @@ def conjugate_gradients(
         direction *= np.float32(energy / earlier)
         direction += gradient
     return solution
+
+
+def jacobian(
+    f: Callable[[NDArray[np.float64]], NDArray[np.float64]], at: NDArray[np.float64], step: float
+) -> NDArray[np.float64]:
+    """(m, n) d f / d x at x (n,) by forward differences; values of f are flattened to (m,)."""
+    value = f(at)
+    return np.stack([((f(at + d) - value) / step).ravel() for d in step * np.eye(len(at))], 1)

@@ -1,8 +1,9 @@
 """The one minimiser of costs with normal equations."""
 
+import numpy as np
 import torch
 
-from matcap.flash.least_squares import minimised
+from matcap.flash.least_squares import jacobian, minimised
 
 
 def valley(x):
@@ -45,3 +46,10 @@ def test_it_stays_where_every_step_is_worse():
 
     least, found = minimised(cost, wrong, start, 10)
     assert torch.equal(found, start) and least == cost(start)
+
+
+def test_finite_differences_are_near_the_derivatives():
+    x = torch.tensor([-1.2, 1.0], dtype=torch.float64)
+    by_differences = jacobian(lambda at: valley(torch.from_numpy(at)).numpy(), x.numpy(), 1e-6)
+    exact = torch.autograd.functional.jacobian(valley, x).numpy()
+    np.testing.assert_allclose(by_differences, exact, atol=1e-4)

@@ -33,7 +33,13 @@ from matcap.capture.multiview.texels import (
 )
 from matcap.capture.multiview.views import ResampledView, SharedLight, ViewWarp
 from matcap.capture.registration.adjust import Pair, adjust
-from matcap.capture.registration.camera import Doubles, PosedCamera, grid_points, to_pixels
+from matcap.capture.registration.camera import (
+    Doubles,
+    PosedCamera,
+    grid_points,
+    to_pixels,
+    transformed,
+)
 from matcap.capture.registration.register import RegisteredView
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
@@ -179,8 +185,8 @@ def _on_level(
 
 def _farthest(moves: Sequence[Doubles]) -> float:
     """Largest displacement by any of the homographies (3, 3), plane units."""
-    points = grid_points(8, 6).reshape(3, -1)
-    return max(float(np.abs(_moved(move, points) - points).max()) for move in moves)
+    points = grid_points(8, 6)[:2]
+    return max(float(np.abs(transformed(move, points) - points).max()) for move in moves)
 
 
 def _relief(parameters: Tensor, texel_size: float, unit: float) -> NDArray[np.float32]:
@@ -225,7 +231,8 @@ def _posed(setup: FlashSetup, alignment: Aligned) -> Aligned:
     first = camera.sees(points)
     in_first = np.abs(first).max(0) < 1.0
     for view, warp in zip(alignment.views[1:], alignment.warps[1:], strict=True):
-        image = view.camera.sees(_moved(warp.homography, points))
+        moved = np.concatenate([transformed(warp.homography, points[:2]), points[2:]])
+        image = view.camera.sees(moved)
         both = in_first & (np.abs(image).max(0) < 1.0)
         ratio = view.camera.lens.focal / camera.lens.focal
         pairs.append(Pair(first[:, both], image[:, both], _PIXEL, ratio))
@@ -235,12 +242,6 @@ def _posed(setup: FlashSetup, alignment: Aligned) -> Aligned:
     place = views[0].camera.place
     warps = tuple(replace(warp, homography=np.eye(3), first=place) for warp in alignment.warps)
     return replace(alignment, setup=adjusted.first, views=views, warps=warps)
-
-
-def _moved(homography: Doubles, points: Doubles) -> Doubles:
-    """Apply a homography of the plane to points (3, n)."""
-    x, y, w = homography @ np.stack([points[0], points[1], np.ones_like(points[0])])
-    return np.stack([x / w, y / w, np.zeros_like(x)])
 
 
 def reframed(maps: MapSet, old: PosedCamera, new: PosedCamera, extent: Extent = OWN) -> MapSet:

@@ -40,6 +40,7 @@ from matcap.capture.registration.camera import (
     camera_of,
     grid_points,
     to_pixels,
+    transformed,
 )
 from matcap.capture.registration.register import RegisteredView
 from matcap.flash.geometry import FlashSetup
@@ -103,9 +104,8 @@ def _moved(points: Doubles, homography: Floats, size: tuple[int, int]) -> Double
     """Move plane points (3, n) by a homography of the texels of a grid of (across, down)."""
     across, down = size
     texels = np.stack([0.5 * (points[0] + 1.0) * across, 0.5 * (down - points[1] * across)]) - 0.5
-    x, y, w = homography.astype(np.float64) @ np.vstack([texels, np.ones_like(texels[:1])])
-    x, y = (x / w + 0.5) * 2.0 / across - 1.0, (down - 2.0 * (y / w + 0.5)) / across
-    return np.stack([x, y, np.zeros_like(x)])
+    x, y = transformed(homography.astype(np.float64), texels) + 0.5
+    return np.stack([x * 2.0 / across - 1.0, (down - 2.0 * y) / across, np.zeros_like(x)])
 
 
 def _looked_up(view: RegisteredView, image: Doubles) -> Floats:

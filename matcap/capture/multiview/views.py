@@ -13,7 +13,13 @@ from torch import Tensor
 
 from matcap.capture.exemplar.tint import on_grid
 from matcap.capture.multiview.ambient_light import AMBIENT_NOISE, UNIFORM_SKY, AmbientLight
-from matcap.capture.registration.camera import Doubles, PosedCamera, grid_points, to_pixels
+from matcap.capture.registration.camera import (
+    Doubles,
+    PosedCamera,
+    grid_points,
+    to_pixels,
+    transformed,
+)
 from matcap.capture.registration.register import RegisteredView
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
@@ -111,11 +117,7 @@ class ViewWarp:
         for rows in strips(down, cached_rows(across)):
             points = np.asarray(grid_points(across, down, self.extent, rows), np.float32)
             points += relief[rows] / first[2] * (first[:, None, None] - points)
-            height = points[2].copy()
-            points[2] = 1.0
-            points = np.tensordot(homography, points, 1)
-            points /= points[2].copy()
-            points[2] = height
+            points[:2] = transformed(homography, points[:2])
             yield points
 
 

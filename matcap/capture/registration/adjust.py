@@ -8,9 +8,10 @@ residuals of a photograph depend on its six pose parameters and the common ones 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from torch import Tensor
 
 from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, camera_of
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.least_squares import minimised
+from matcap.flash.least_squares import jacobian, minimised
 
 _HUBER = 1.0  # threshold of the Huber loss, pixels
 # Largest effective number of a photograph's matches, as the parallax of relief is correlated
@@ -68,14 +69,15 @@ class _Common(NamedTuple):
         return replace(setup, fov=fov, tilt=(self.tilt_x, self.tilt_y))
 
     def camera(self, setup: FlashSetup, pose: Doubles, focal: float) -> PosedCamera:
-        """Another photograph's, by its pose (6,) and its focal length over the first's."""
-        turn = np.asarray(cv2.Rodrigues(pose[_TURN])[0], np.float64)
+        """Another photograph's, by its rotation vector and position (6,) and its focal length over
+        the first's.
+        """
+        turn = np.asarray(cv2.Rodrigues(pose[:3])[0], np.float64)
         distance = setup.distance * math.exp(self.log_distance)
-        return PosedCamera(turn, pose[_PLACE], Lens(distance * focal, (self.k1, self.k2)))
+        return PosedCamera(turn, pose[3:], Lens(distance * focal, (self.k1, self.k2)))
 
 
 _COMMON = len(_Common._fields)
-_POSE, _TURN, _PLACE = 6, slice(0, 3), slice(3, 6)  # a pose: rotation vector and position
 
 
 @dataclass(frozen=True)
@@ -111,37 +113,16 @@ def adjust(
     initial = _Common(0.0, 0.0, 0.0, *setup.tilt)
     deviation = np.array([focal, *distortion, TILT, TILT])
     bundle = _Bundle(setup, pairs, np.array(initial), deviation, relief)
-    initial_poses = [_initial_pose(initial.first_camera(setup), pair) for pair in pairs]
-    start = torch.from_numpy(np.concatenate([bundle.prior, *initial_poses]))
+    poses = [_initial_pose(initial.first_camera(setup), pair) for pair in pairs]
+    start = torch.from_numpy(np.concatenate([bundle.prior, *poses]))
     _, minimum = minimised(bundle.cost, bundle.quadratic, start, _STEPS, tolerance=1e-7)
-    common, poses = bundle.parts(minimum.numpy())
-    fitted = _Common(*common.tolist())
-    cameras, errors = [fitted.first_camera(setup)], []
-    for pair, pose in zip(pairs, poses, strict=True):
-        cameras.append(fitted.camera(setup, pose, pair.focal))
-        errors.append(float(np.median(np.hypot(*bundle.residuals(pair, common, pose)))))
-    return Adjusted(fitted.adjusted(setup), tuple(cameras), tuple(errors))
-
-
-class MatchedPoints(NamedTuple):
-    """(3, n) features on the plane, and at a height above it, plane units."""
-
-    points: Doubles
-    raised: Doubles
-
-    @staticmethod
-    def of(first: PosedCamera, pair: Pair, height: float) -> MatchedPoints:
-        """Raised along the first camera's rays, so that it sees both at the same coordinates."""
-        points = first.on_plane(pair.first)
-        return MatchedPoints(
-            points, points + height * (first.place[:, None] - points) / first.place[2]
-        )
-
-    def reprojected(self, camera: PosedCamera, pair: Pair) -> tuple[Doubles, Doubles]:
-        """(2, n) reprojection errors in the other photograph, pixels, and the height's parallax."""
-        image = camera.sees(self.points)
-        parallax = (camera.sees(self.raised) - image) / pair.pixel
-        return (image - pair.second) / pair.pixel, parallax
+    common = _Common(*minimum[:_COMMON].tolist())
+    cameras, errors = [common.first_camera(setup)], []
+    for pair, block in bundle.blocks:
+        fitted = minimum.numpy()[block]
+        cameras.append(common.camera(setup, fitted[_COMMON:], pair.focal))
+        errors.append(float(np.median(np.hypot(*bundle.residuals(pair, fitted)))))
+    return Adjusted(common.adjusted(setup), tuple(cameras), tuple(errors))
 
 
 @dataclass(frozen=True)
@@ -158,58 +139,62 @@ class _Bundle:
     relief: float
     """Prior standard deviation of a feature's height, plane units."""
 
-    @staticmethod
-    def parts(vector: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """(5,) common parameters and (photographs - 1, 6) poses of a vector of all."""
-        return vector[:_COMMON], vector[_COMMON:].reshape(-1, _POSE)
+    @property
+    def blocks(self) -> Iterator[tuple[Pair, NDArray[np.int64]]]:
+        """Each pair with the indices of the parameters (11,) on which its residuals depend."""
+        return zip(self.pairs, parameter_blocks(_COMMON, len(self.pairs)), strict=True)
 
-    def features(self, pair: Pair, common: Doubles) -> MatchedPoints:
-        """MatchedPoints of a pair where the first camera of `common` sees them."""
-        first = _Common(*common.tolist()).first_camera(self.setup)
-        return MatchedPoints.of(first, pair, self.relief)
+    def residuals(self, pair: Pair, parameters: Doubles) -> Doubles:
+        """(2, n) reprojection errors, pixels, less the part explained by relief.
 
-    def residuals(
-        self,
-        pair: Pair,
-        common: Doubles,
-        pose: Doubles,
-        features: MatchedPoints | None = None,
-    ) -> Doubles:
-        """(2, n) reprojection errors of matches, pixels, less the part explained by relief.
-
-        `features` are those of `common` if known.
+        `parameters` (11,) are the common ones and the photograph's pose.
         """
-        camera = _Common(*common.tolist()).camera(self.setup, pose, pair.focal)
-        features = features or self.features(pair, common)
-        return less_relief(*features.reprojected(camera, pair))
+        common, pose = _Common(*parameters[:_COMMON].tolist()), parameters[_COMMON:]
+        first, camera = common.first_camera(self.setup), common.camera(self.setup, pose, pair.focal)
+        return less_relief(*reprojected(first, camera, pair, self.relief))
 
     def cost(self, parameters: Tensor) -> float:
-        """Cost of parameters (5 + 6 photographs,)."""
-        common, poses = self.parts(parameters.numpy())
-        prior = float(np.square((common - self.prior) / self.deviation).sum()) / 2.0
-        both = zip(self.pairs, poses, strict=True)
-        return prior + sum(_huber(self.residuals(pair, common, pose))[0] for pair, pose in both)
+        """Cost of parameters (5 + 6 pairs,)."""
+        values = parameters.numpy()
+        prior = float(np.square((values[:_COMMON] - self.prior) / self.deviation).sum()) / 2.0
+        return prior + sum(
+            _huber(self.residuals(pair, values[block]))[0] for pair, block in self.blocks
+        )
 
     def quadratic(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
-        """Its Gauss-Newton Hessian and gradient; a photograph's errors depend on its pose only."""
-        common, poses = self.parts(parameters.numpy())
-        shared, pose_indices = self.parts(np.arange(len(parameters)))
-        normal, gradient = 1e-12 * np.eye(len(parameters)), np.zeros(len(parameters))
-        normal[shared, shared] += self.deviation**-2
-        gradient[shared] = (common - self.prior) / self.deviation**2
-        for pair, pose, own in zip(self.pairs, poses, pose_indices, strict=True):
-            features = self.features(pair, common)
-            residual = self.residuals(pair, common, pose, features)
-            changed = [self.residuals(pair, common + d, pose) for d in STEP * np.eye(_COMMON)]
-            changed += [
-                self.residuals(pair, common, pose + d, features) for d in STEP * np.eye(_POSE)
-            ]
-            jacobian = np.stack([((each - residual) / STEP).ravel() for each in changed], 1)
-            weighted = jacobian * np.tile(_huber(residual)[1], 2)[:, None]
-            indices = np.r_[shared, own]
-            normal[np.ix_(indices, indices)] += weighted.T @ jacobian
-            gradient[indices] += weighted.T @ residual.ravel()
+        """Its Gauss-Newton Hessian and gradient."""
+        values = parameters.numpy()
+        normal, gradient = 1e-12 * np.eye(len(values)), np.zeros(len(values))
+        normal[:_COMMON, :_COMMON] += np.diag(self.deviation**-2)
+        gradient[:_COMMON] = (values[:_COMMON] - self.prior) / self.deviation**2
+        for pair, block in self.blocks:
+            residuals = partial(self.residuals, pair)
+            residual = residuals(values[block])
+            derivative = jacobian(residuals, values[block], STEP)
+            weighted = derivative * np.tile(_huber(residual)[1], 2)[:, None]
+            normal[np.ix_(block, block)] += weighted.T @ derivative
+            gradient[block] += weighted.T @ residual.ravel()
         return torch.from_numpy(normal), torch.from_numpy(gradient)
+
+
+def parameter_blocks(shared: int, photographs: int) -> list[NDArray[np.int64]]:
+    """Indices of parameters by photograph: the `shared` first ones, and six of its own."""
+    own = shared + np.arange(6 * photographs).reshape(photographs, 6)
+    return [np.r_[:shared, each] for each in own]
+
+
+def reprojected(
+    first: PosedCamera, camera: PosedCamera, pair: Pair, relief: float
+) -> tuple[Doubles, Doubles]:
+    """(2, n) reprojection errors of matches, pixels, and parallax of features `relief` higher.
+
+    A feature is raised along the first camera's ray, so its place in the first photograph is the
+    same.
+    """
+    points = first.on_plane(pair.first)
+    raised = points + relief * (first.place[:, None] - points) / first.place[2]
+    image = camera.sees(points)
+    return (image - pair.second) / pair.pixel, (camera.sees(raised) - image) / pair.pixel
 
 
 def less_relief(residual: Doubles, parallax: Doubles) -> Doubles:

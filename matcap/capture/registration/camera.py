@@ -1,4 +1,4 @@
-"""A camera with any pose over the plane, its lens, and photographs looked up on the plane's grid.
+"""A camera with any pose over the plane, its lens, and points of the plane's grid.
 
 The plane frame is the first photograph's (flash/geometry.py). A point p is q = turn (p - place) in
 the frame of a camera, which looks down -z, x right, y up. Its ideal image coordinates are
@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup, camera_in_plane, setup_rotation
-from matcap.photo.photo import Photo
-from matcap.photo.shrink import area_averaged
 
 Doubles = NDArray[np.float64]
 Points = NDArray[Any]  # of single or double precision
@@ -142,24 +140,7 @@ def to_pixels(
     )
 
 
-def log_on_grid(
-    photo: Photo, camera: PosedCamera, size: tuple[int, int], wide: int, darkest: float, how: int
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """(down, across) each: log radiance of a photograph on the plane's grid, and where it is seen.
-
-    Args:
-        photo: the photograph; the mean of its channels is looked up.
-        camera: its camera.
-        size: (across, down) texels of the grid.
-        wide: pixels across to which the photograph is averaged before.
-        darkest: radiance below which the logarithm is clamped.
-        how: OpenCV interpolation.
-    """
-    rows, columns = photo.pixels.shape[:2]
-    small = (wide, round(wide * rows / columns))
-    grey = area_averaged(photo.pixels, small).mean(2)
-    log = np.log(np.maximum(grey, darkest)).astype(np.float32)
-    x, y = to_pixels(camera.sees(grid_points(*size)), *small)
-    inside = (x > 1) & (x < small[0] - 2) & (y > 1) & (y < small[1] - 2)
-    resampled = cv2.remap(log, x, y, how, borderMode=cv2.BORDER_REFLECT_101)
-    return np.asarray(resampled, np.float32), np.asarray(inside)
+def transformed(homography: Points, points: Points) -> Points:
+    """(2, ...) points of a plane after a homography (3, 3) of it."""
+    x, y, w = np.tensordot(homography, np.stack([*points, np.ones_like(points[0])]), 1)
+    return np.stack([x / w, y / w])

@@ -21,11 +21,13 @@ from matcap.capture.registration.adjust import (
     STEP,
     TILT,
     Adjusted,
-    MatchedPoints,
     Pair,
     less_relief,
+    parameter_blocks,
+    reprojected,
 )
 from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, grid_points
+from matcap.flash.least_squares import jacobian
 
 # Prior standard deviations and noise model; docs/notes/several.md.
 # Standard deviation of the features' common apparent depth over that of single ones.
@@ -35,10 +37,9 @@ _SATURATED = 0.5
 _INDEPENDENT = 0.25  # share of features that are independent (do not overlap others)
 _FOCAL = 0.005  # prior standard deviation of the log focal length
 
-# The changes (10,) of a pair of cameras: of the log focal length and k1, which all photographs
-# share, the first camera's rotation about x and y, and the other's rotation and position.
-_LOG_FOCAL, _K1, _FIRST_TURN, _TURN, _PLACE = 0, 1, slice(2, 4), slice(4, 7), slice(7, 10)
-_SHARED, _OWN = 4, 6  # number of those that all photographs share, and of the other camera's
+# Changes (10,) of two cameras: log focal length, k1, and the first camera's rotation about x and y,
+# which all photographs share; the other camera's rotation and position.
+_SHARED, _CHANGES = 4, 10
 
 
 @dataclass(frozen=True)
@@ -71,21 +72,19 @@ def _covariances(fit: Adjusted, pairs: Sequence[Pair]) -> list[Doubles]:
     """(10, 10) covariance of the changes of each other photograph, error by shading included."""
     first, *others = fit.cameras
     deviation = np.array([_FOCAL, DISTORTION[0], TILT, TILT])
-    normal = np.diag(np.r_[deviation**-2, np.zeros(_OWN * len(pairs))])
-    indices = np.arange(len(normal))
-    shared, own = indices[:_SHARED], indices[_SHARED:].reshape(len(pairs), _OWN)
-    blocks = [np.r_[shared, each] for each in own]
+    blocks = parameter_blocks(_SHARED, len(pairs))
+    normal = np.diag(np.r_[deviation**-2, np.zeros(6 * len(pairs))])
     gradient, depths = np.zeros(len(normal)), []
     for camera, pair, block in zip(others, pairs, blocks, strict=True):
-        residual, parallax = MatchedPoints.of(first, pair, RELIEF).reprojected(camera, pair)
+        residual, parallax = reprojected(first, camera, pair, RELIEF)
         noise, depth = _scatter(residual, parallax)
         depths.append(depth)
-        jacobian, shading = _linear(first, camera, pair)
+        by_change, by_depth = _linear(first, camera, pair)
         # Matches beyond four standard deviations are outliers, with weight 0.
         kept = np.tile(np.hypot(*less_relief(residual, parallax)) < 4.0 * noise, 2)
-        weight = _INDEPENDENT * kept / noise**2
-        normal[np.ix_(block, block)] += (jacobian.T * weight) @ jacobian
-        gradient[block] += (jacobian.T * weight) @ shading
+        weighted = by_change.T * (_INDEPENDENT * kept / noise**2)
+        normal[np.ix_(block, block)] += weighted @ by_change
+        gradient[block] += weighted @ by_depth
     covariance = np.asarray(np.linalg.inv(normal + 1e-9 * np.eye(len(normal))), np.float64)
     depth = float(np.median(depths)) if depths else 0.0
     by_shading = _COMMON_DEPTH * depth * (covariance @ gradient)
@@ -105,15 +104,15 @@ def _scatter(residual: Doubles, parallax: Doubles) -> tuple[float, float]:
 
 def _linear(first: PosedCamera, camera: PosedCamera, pair: Pair) -> tuple[Doubles, Doubles]:
     """(2n, 10) d residual / d change of a photograph, and (2n,) d residual / d common depth."""
-    shading, unchanged = _shading(first, camera, pair), np.zeros(_SHARED + _OWN)
+    shading = _shading(first, camera, pair)
 
-    def residual(change: Doubles, depth: float = 0.0) -> Doubles:
-        one, other = _changed(first, camera, change)
-        errors, parallax = MatchedPoints.of(one, pair, RELIEF).reprojected(other, pair)
-        return less_relief(errors + depth * shading, parallax).ravel()
+    def residual(change: Doubles) -> Doubles:
+        errors, parallax = reprojected(*_changed(first, camera, change[:-1]), pair, RELIEF)
+        return less_relief(errors + change[-1] * shading, parallax)
 
-    by_depth = (residual(unchanged, STEP) - residual(unchanged)) / STEP
-    return _jacobian(residual, len(unchanged)), by_depth
+    derivative = jacobian(residual, np.zeros(_CHANGES + 1), STEP)
+    by_change, by_depth = np.split(derivative, [_CHANGES], 1)
+    return by_change, by_depth.ravel()
 
 
 def _shading(first: PosedCamera, camera: PosedCamera, pair: Pair) -> Doubles:
@@ -133,15 +132,16 @@ def _changed(
     first: PosedCamera, camera: PosedCamera, change: Doubles
 ) -> tuple[PosedCamera, PosedCamera]:
     """The first camera and another after a change (10,)."""
+    (log_focal, k1), first_turn, turn, place = np.split(change, (2, _SHARED, 7))
 
     def lens(old: Lens) -> Lens:
-        k1, k2 = old.distortion
-        return Lens(old.focal * math.exp(change[_LOG_FOCAL]), (k1 + change[_K1], k2))
+        distortion = old.distortion[0] + k1, old.distortion[1]
+        return Lens(old.focal * math.exp(log_focal), distortion)
 
-    turn = _rotation(np.r_[change[_FIRST_TURN], 0.0])
-    one = PosedCamera(first.turn @ turn.T, turn @ first.place, lens(first.lens))
-    turned = _rotation(change[_TURN]) @ camera.turn
-    return one, PosedCamera(turned, camera.place + change[_PLACE], lens(camera.lens))
+    rotation = _rotation(np.r_[first_turn, 0.0])
+    one = PosedCamera(first.turn @ rotation.T, rotation @ first.place, lens(first.lens))
+    turned = _rotation(turn) @ camera.turn
+    return one, PosedCamera(turned, camera.place + place, lens(camera.lens))
 
 
 def _rotation(vector: Doubles) -> Doubles:
@@ -170,18 +170,12 @@ def _misregistration(first: PosedCamera, camera: PosedCamera, covariance: Double
 
     def place(change: Doubles) -> Doubles:
         one, other = _changed(first, camera, change)
-        return camera.on_plane(other.sees(one.on_plane(image)))[:2].ravel()
+        return camera.on_plane(other.sees(one.on_plane(image)))[:2]
 
     return math.sqrt(2.0 * float(_variance(place, covariance).mean()))
 
 
 def _variance(f: Callable[[Doubles], Doubles], covariance: Doubles) -> Doubles:
-    """(n,) variances of f(change) (n,), by linear propagation of the change's covariance."""
-    jacobian = _jacobian(f, len(covariance))
-    return np.asarray(np.einsum("ni,ij,nj->n", jacobian, covariance, jacobian))
-
-
-def _jacobian(f: Callable[[Doubles], Doubles], size: int) -> Doubles:
-    """(n, size) d f(change) / d change at 0."""
-    unchanged = f(np.zeros(size))
-    return np.stack([(f(STEP * unit) - unchanged) / STEP for unit in np.eye(size)], 1)
+    """(n,) variances of f(change), flattened, by linear propagation of the change's covariance."""
+    derivative = jacobian(f, np.zeros(_CHANGES), STEP)
+    return np.asarray(np.einsum("ni,ij,nj->n", derivative, covariance, derivative))

@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.capture.registration.camera import Doubles, transformed
 from matcap.files.srgb import srgb_encode
 from matcap.photo.inspect import blurred
 from matcap.photo.photo import Photo
 from matcap.photo.shrink import area_averaged
 
-Doubles = NDArray[np.float64]
 ContrastNormalisation = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
 
 _AT_ONCE = 1024  # rows of the distance matrix computed at a time, 25 MB
@@ -182,8 +182,7 @@ def _consistent(some: NDArray[np.bool_], one: Doubles, other: Doubles) -> NDArra
     among = np.zeros(one.shape[1], bool)
     if matrix is None:
         return among
-    x, y, w = matrix @ np.concatenate([one, np.ones_like(one[:1])])
-    near = np.hypot(x / w - other[0], y / w - other[1]) < 4.0 * _INLIER
+    near = np.hypot(*(transformed(matrix, one) - other)) < 4.0 * _INLIER
     _, among[near] = _homography(one[:, near], other[:, near])
     return among
 

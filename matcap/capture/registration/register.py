@@ -7,15 +7,13 @@ from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from matcap.capture.registration.adjust import DISTORTION, Adjusted, Pair, adjust
-from matcap.capture.registration.camera import PosedCamera, log_on_grid
+from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.compare import losses_of_sharpness, texture_correlation
 from matcap.capture.registration.covariance import camera_deviations
 from matcap.capture.registration.keypoints import find_keypoints, is_periodic, match_photographs
-from matcap.capture.registration.sharpness import BLURRED, losses_of_sharpness
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.inspect import hot_spot
@@ -28,8 +26,9 @@ _STEEPEST = 65.0  # largest tilt of a camera, degrees
 # Least correlation of fine texture with the first photograph after registration; it is 0 by
 # chance, and 0.2 to 0.9 for the same sample.
 _CORRELATION = 0.12
-_COMPARED = 384  # texels across the grid of the correlation
-_SHIFTED = 5  # shift in texels at which the correlation must be lower
+# Log loss of sharpness against the median from which a photograph is blurred; sharp ones vary by
+# 0.14, a motion blur of a hundredth of the width is 0.28 and more.
+_BLURRED = 0.22
 # Prior of distortion, k1 and k2, if only one photograph has flash, as the displacement of
 # its shading looks like it.
 _STRAIGHT = (0.003, 0.001)
@@ -121,13 +120,13 @@ def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
             "name a photograph with flash first, from the middle",
         )
     pairs, left_out = _matched(photos)
-    adjusted, blurred, wrong = _adjusted(photos, setup, pairs, dark)
-    while wrong:
-        # Remove the worst and fit again, as it affects the others.
-        index, why = wrong[0]
+    adjusted, blurred, worst = _adjusted(photos, setup, pairs, dark)
+    while worst:
+        # Fit again without it, as it affects the others.
+        index, why = worst
         left_out[index] = why
         del pairs[index]
-        adjusted, blurred, wrong = _adjusted(photos, setup, pairs, dark)
+        adjusted, blurred, worst = _adjusted(photos, setup, pairs, dark)
     views, worse = _views(photos, pairs, dark, adjusted)
     left_out |= worse
     named = tuple(
@@ -158,44 +157,46 @@ def _matched(photos: Sequence[Photo]) -> tuple[dict[int, Pair], dict[int, str]]:
 
 def _adjusted(
     photos: Sequence[Photo], setup: FlashSetup, pairs: Mapping[int, Pair], dark: Container[int]
-) -> tuple[Adjusted, bool, list[tuple[int, str]]]:
-    """Bundle adjustment, whether the first is blurred, and photographs to leave out.
+) -> tuple[Adjusted, bool, tuple[int, str] | None]:
+    """Bundle adjustment, whether the first is blurred, and the photograph to leave out, if any.
 
-    The latter are (index, reason), the worst first: with an implausible camera or, if there are
-    none, blurred.
+    The latter is (index, reason): that with the least plausible camera or, if all are plausible,
+    the most blurred.
     """
     known = photos[0].fov_source != "assumed"
     distortion = _STRAIGHT if all(index in dark for index in pairs) else DISTORTION
     adjusted = adjust(setup, list(pairs.values()), known=known, distortion=distortion)
     cameras = dict(zip([0, *pairs], adjusted.cameras, strict=True))
-    wrong = _wrong(photos, cameras, dict(zip(pairs, adjusted.reprojection_errors, strict=True)))
-    if wrong:
-        return adjusted, False, wrong
+    errors = dict(zip(pairs, adjusted.reprojection_errors, strict=True))
+    if implausible := _implausible(photos, cameras, errors):
+        return adjusted, False, implausible
     lit = {index: camera for index, camera in cameras.items() if index not in dark}
     return adjusted, *_blurred(photos, lit)
 
 
 def _views(
     photos: Sequence[Photo],
-    pairs: dict[int, Pair],
+    pairs: Mapping[int, Pair],
     dark: Container[int],
     adjusted: Adjusted,
 ) -> tuple[tuple[RegisteredView, ...], dict[int, str]]:
     """Views with flash, then the best one without; and reasons by index for the others without."""
-    first = adjusted.cameras[0]
+    first, *others = adjusted.cameras
     views = {0: RegisteredView(photos[0], first)}
     deviations = camera_deviations(adjusted, list(pairs.values()))
-    for number, (index, pair) in enumerate(pairs.items()):
-        camera = adjusted.cameras[number + 1]
+    measured = adjusted.reprojection_errors, deviations.positions, deviations.misregistration
+    for (index, pair), camera, error, position, misregistration in zip(
+        pairs.items(), others, *measured, strict=True
+    ):
         views[index] = RegisteredView(
             photos[index],
             camera,
             matches=pair.first.shape[1],
-            reprojection_error=adjusted.reprojection_errors[number],
+            reprojection_error=error,
             correlation=texture_correlation(photos[0], first, photos[index], camera),
             flash=index not in dark,
-            position_deviation=float(deviations.positions[number]),
-            misregistration=float(deviations.misregistration[number]),
+            position_deviation=float(position),
+            misregistration=float(misregistration),
         )
     unlit = sorted((n for n in views if n in dark), key=lambda n: -views[n].matches)
     lit = (view for view in views.values() if view.flash)
@@ -207,24 +208,22 @@ def _views(
 
 def _blurred(
     photos: Sequence[Photo], cameras: Mapping[int, PosedCamera]
-) -> tuple[bool, list[tuple[int, str]]]:
-    """Whether the first is blurred; and (index, reason) of blurred others, the worst first.
+) -> tuple[bool, tuple[int, str] | None]:
+    """Whether the first is blurred; and (index, reason) of the most blurred other, if any.
 
     `cameras` are those of the photographs with flash, by index.
     """
-    blur = losses_of_sharpness([photos[index] for index in cameras], list(cameras.values()))
-    ranked = sorted(zip(blur, cameras, strict=True), reverse=True)
-    return blur[0] > BLURRED, [
-        (index, f"it is blurred: its finest detail is {math.exp(-amount):.0%} of the others'")
-        for amount, index in ranked
-        if index and amount > BLURRED
-    ]
+    losses = losses_of_sharpness([photos[index] for index in cameras], list(cameras.values()))
+    others = list(zip(losses, cameras, strict=True))[1:]
+    loss, index = max(others, default=(0.0, 0))
+    why = f"it is blurred: its finest detail is {math.exp(-loss):.0%} of the others'"
+    return losses[0] > _BLURRED, (index, why) if loss > _BLURRED else None
 
 
-def _wrong(
+def _implausible(
     photos: Sequence[Photo], cameras: Mapping[int, PosedCamera], errors: Mapping[int, float]
-) -> list[tuple[int, str]]:
-    """(index, reason) of photographs with an implausible camera, the worst first.
+) -> tuple[int, str] | None:
+    """(index, reason) of the photograph with the least plausible camera, if any is implausible.
 
     Args:
         photos: all.
@@ -234,15 +233,16 @@ def _wrong(
     wrong = []
     for index, error in errors.items():
         camera = cameras[index]
+        tilt = math.degrees(camera.tilt)
         if not np.isfinite(camera.place).all() or camera.place[2] <= 0.05:
             wrong.append((math.inf, index, "its matches fit no camera above a flat sample"))
         elif error > _REPROJECTION:
             why = f"its matches are {error:.1f} pixels off: the sample moved or is not flat"
             wrong.append((error / _REPROJECTION, index, why))
-        elif math.degrees(camera.tilt) > _STEEPEST:
+        elif tilt > _STEEPEST:
             why = (
-                f"its camera is {math.degrees(camera.tilt):.0f} degrees off vertical, at most "
-                f"{_STEEPEST:.0f} are allowed"
+                f"its camera is {tilt:.0f} degrees off vertical, at most {_STEEPEST:.0f} are "
+                "allowed"
             )
             wrong.append((1.0, index, why))
         else:
@@ -250,42 +250,7 @@ def _wrong(
             if correlation < _CORRELATION:
                 why = f"it differs from {photos[0].name} at the same place, or is blurred"
                 wrong.append((1.0 + _CORRELATION - correlation, index, why))
-    return [(index, why) for _, index, why in sorted(wrong, reverse=True)]
-
-
-def texture_correlation(
-    first: Photo, first_camera: PosedCamera, second: Photo, second_camera: PosedCamera
-) -> float:
-    """Correlation of the fine texture of two registered photographs over their overlap.
-
-    In [-1, 1]; -1 without overlap, or if a shift by a few texels correlates better.
-    """
-    down = round(_COMPARED * first.pixels.shape[0] / first.pixels.shape[1])
-    texture, inside = _texture(first, first_camera, down)
-    other, other_inside = _texture(second, second_camera, down)
-    both = inside & other_inside
-    if both.mean() < 0.05:
-        return -1.0
-
-    def correlation(x: int, y: int) -> float:
-        a, b = texture[both], np.roll(other, (y, x), (0, 1))[both]
-        return float((a * b).mean() / max(float(np.sqrt((a * a).mean() * (b * b).mean())), 1e-9))
-
-    far = _SHIFTED
-    shifted = max(correlation(x, y) for x, y in ((far, 0), (-far, 0), (0, far), (0, -far)))
-    aligned = correlation(0, 0)
-    return aligned if aligned > shifted else -1.0
-
-
-def _texture(
-    photo: Photo, camera: PosedCamera, down: int
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """(down, _COMPARED) high-passed log radiance over its local contrast on the plane, its mask."""
-    size = (_COMPARED, down)
-    log, inside = log_on_grid(photo, camera, size, _COMPARED, 1e-5, cv2.INTER_LINEAR)
-    fine = cv2.GaussianBlur(log, (0, 0), 1.0) - cv2.GaussianBlur(log, (0, 0), 6.0)
-    contrast = np.sqrt(cv2.GaussianBlur(fine * fine, (0, 0), 12.0)) + 1e-4
-    return (fine / contrast).astype(np.float32), inside
+    return max(wrong)[1:] if wrong else None
 
 
 def flash_first(photos: Sequence[Photo]) -> list[Photo]:
