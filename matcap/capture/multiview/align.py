@@ -71,38 +71,28 @@ class Aligned:
     """Camera and flash of the first photograph, with the estimated tilt and field of view."""
     views: tuple[RegisteredView, ...]
     """Photographs with their cameras, the first one first."""
-    warps: tuple[ViewWarp, ...]
-    """Map of each photograph from texels to the plane points at which it is sampled."""
     light: SharedLight
     """Light that all photographs share."""
+    homographies: tuple[Doubles, ...]
+    """(3, 3) correction of each photograph's registration, a homography of the plane."""
+    relief: NDArray[np.float32]
+    """(h, w) height on any grid, plane units, for parallax; 0 of a flat plane."""
+    extent: Extent = OWN
+    """Extent of the exemplar on the plane."""
 
     @staticmethod
     def of(views: tuple[RegisteredView, ...], setup: FlashSetup, extent: Extent = OWN) -> Aligned:
         """Registration by features alone, with the light of the first photograph's coarse fit."""
         raw = all(view.photo.radiometric for view in views)
         light = SharedLight.of(setup, len(views), views[0].photo.profile, radiometric=raw)
-        flat = np.zeros((1, 1), np.float32)
-        warp = ViewWarp(np.eye(3), flat, views[0].camera.place, extent)
-        return Aligned(setup, views, (warp,) * len(views), light)
+        homographies = (np.eye(3),) * len(views)
+        return Aligned(setup, views, light, homographies, np.zeros((1, 1), np.float32), extent)
 
     @property
-    def extent(self) -> Extent:
-        """Extent of the exemplar on the plane."""
-        return self.warps[0].extent
-
-    def with_relief(self, relief: NDArray[np.float32]) -> Aligned:
-        """With the parallax of another relief (h, w), plane units."""
-        return replace(self, warps=tuple(replace(warp, relief=relief) for warp in self.warps))
-
-    def changed(
-        self, moves: Sequence[Doubles], relief: NDArray[np.float32], light: SharedLight
-    ) -> Aligned:
-        """With homographies (3, 3) appended to the warps, and another relief and light."""
-        warps = tuple(
-            replace(warp, homography=warp.homography @ move, relief=relief)
-            for warp, move in zip(self.warps, moves, strict=True)
-        )
-        return replace(self, warps=warps, light=light)
+    def warps(self) -> list[ViewWarp]:
+        """Map of each photograph from texels to the plane points at which it is sampled."""
+        first = self.views[0].camera.place
+        return [ViewWarp(each, self.relief, first, self.extent) for each in self.homographies]
 
     def on_grid(self, across: int, down: int, tint: Tensor) -> list[ResampledView]:
         """Resample every photograph to a grid of (down, across) texels, divided by `tint`."""
@@ -147,7 +137,9 @@ def aligned(
                 views = alignment.on_grid(*size, tint)
             lit = under_fitted_ambient(views, parameters, alignment.light)
             light, moves = shared_step(lit, parameters, prior, alignment.light, moved=uncertain)
-            alignment = alignment.changed(moves, relief, light)
+            both = zip(alignment.homographies, moves, strict=True)
+            homographies = tuple(homography @ move for homography, move in both)
+            alignment = replace(alignment, homographies=homographies, relief=relief, light=light)
             done += 1
             on_progress(done / (len(_LEVELS) * (1 + max(_ROUNDS))))
             if _farthest(moves) < _SETTLED * texel:
@@ -178,7 +170,7 @@ def _on_level(
     extent, (width, height) = alignment.extent, prediction.maps.size
     finest = min(extent.unit(width), _FINEST)
     across = extent.across(max(64, round(level * finest)))
-    down = max(8, round(height * across / width))
+    down = round(height * across / width)
     small = prediction.resized((down, across), extent)
     return replace(small, maps=reframed(small.maps, predicted, alignment.views[0].camera, extent))
 
@@ -230,8 +222,8 @@ def _posed(setup: FlashSetup, alignment: Aligned) -> Aligned:
     camera, pairs = alignment.views[0].camera, []
     first = camera.sees(points)
     in_first = np.abs(first).max(0) < 1.0
-    for view, warp in zip(alignment.views[1:], alignment.warps[1:], strict=True):
-        moved = np.concatenate([transformed(warp.homography, points[:2]), points[2:]])
+    for view, homography in zip(alignment.views[1:], alignment.homographies[1:], strict=True):
+        moved = np.concatenate([transformed(homography, points[:2]), points[2:]])
         image = view.camera.sees(moved)
         both = in_first & (np.abs(image).max(0) < 1.0)
         ratio = view.camera.lens.focal / camera.lens.focal
@@ -239,9 +231,8 @@ def _posed(setup: FlashSetup, alignment: Aligned) -> Aligned:
     adjusted = adjust(setup, pairs, known=True, relief=0.0)
     posed = zip(alignment.views, adjusted.cameras, strict=True)
     views = tuple(replace(view, camera=camera) for view, camera in posed)
-    place = views[0].camera.place
-    warps = tuple(replace(warp, homography=np.eye(3), first=place) for warp in alignment.warps)
-    return replace(alignment, setup=adjusted.first, views=views, warps=warps)
+    homographies = (np.eye(3),) * len(views)
+    return replace(alignment, setup=adjusted.first, views=views, homographies=homographies)
 
 
 def reframed(maps: MapSet, old: PosedCamera, new: PosedCamera, extent: Extent = OWN) -> MapSet:

@@ -36,17 +36,20 @@ from matcap.capture.multiview.mosaic import (
     Mosaic,
     extrapolated,
     mosaic_of,
-    scatter,
     seen_by_any,
-    spread_over,
-    tint_over,
-    unpredicted,
 )
 from matcap.capture.multiview.pair import on_albedo
 from matcap.capture.multiview.set_report import SetReport
 from matcap.capture.multiview.solve import Solved, solve
 from matcap.capture.multiview.texels import Estimate
-from matcap.capture.multiview.view_predictions import predict_views, with_others
+from matcap.capture.multiview.view_predictions import (
+    predict_views,
+    scatter,
+    spread_over,
+    tint_over,
+    unpredicted,
+    with_others,
+)
 from matcap.capture.multiview.views import ResampledView
 from matcap.capture.progress import CaptureClock
 from matcap.capture.rectified import Rectified, network_input
@@ -232,10 +235,10 @@ def _fused(
         return predict_alone(plane, fit, network, CaptureClock(None))[0]
 
     try:
-        predictions = predict_views(alignment, first, coarse, predict)
+        predictions, tints = predict_views(alignment, first, coarse, predict)
     except KeyboardInterrupt:
         return first, tint, True
-    return with_others(first, predictions), tint_over(tint, predictions, mosaic), False
+    return with_others(first, predictions), tint_over(tint, predictions[1:], tints, mosaic), False
 
 
 def _solved(
@@ -256,7 +259,7 @@ def _solved(
     small = prior.resized(size[::-1], alignment.extent)
     on_progress = clock.callback("solve", 0.0, _COARSE_SHARE)
     coarser = solve(views, small, alignment.light, on_progress=on_progress)
-    alignment = alignment.with_relief(np.asarray(coarser.maps.height[0].numpy(), np.float32))
+    alignment = replace(alignment, relief=coarser.maps.height[0].numpy())
     views = alignment.on_grid(across, down, tint)
     on_progress = clock.callback("solve", _COARSE_SHARE, 1.0)
     solved = solve(views, prior, coarser.light, coarser, on_progress, rounds=_FINER)

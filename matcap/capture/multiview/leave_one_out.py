@@ -51,7 +51,7 @@ def leave_one_out(
     """
     width, height = prediction.maps.size
     across = min(alignment.extent.across(_ACROSS), width)
-    down = max(8, round(height * across / width))
+    down = round(height * across / width)
     small = prediction.resized((down, across), alignment.extent)
     views = alignment.on_grid(across, down, tint)
     lit = [number for number, view in enumerate(views) if view.flash]

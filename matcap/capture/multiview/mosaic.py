@@ -18,11 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.brdf.parameters import ALBEDO, F0, ROUGH
 from matcap.capture.exemplar.filters import filled, smoothed
-from matcap.capture.exemplar.tint import on_grid
-from matcap.capture.multiview.texels import SLOPES, Estimate, parameters_of
-from matcap.capture.multiview.view_predictions import UNPREDICTED, ViewPrediction
 from matcap.capture.rectified import UNION_TIMES
 from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, grid_points
 from matcap.capture.registration.register import RegisteredView
@@ -209,35 +205,6 @@ def _box(seen: Marks, rows: int, most: float) -> tuple[slice, slice]:
             high[axis] -= 1
 
 
-def spread_over(prediction: Estimate, margins: Margins) -> Estimate:
-    """Extrapolate the first photograph's estimate smoothly over the margins.
-
-    Its error there is the standard deviation of the parameters within the first photograph.
-
-    Args:
-        prediction: on the first photograph's grid.
-        margins: of the mosaic.
-    """
-    if not margins.any:
-        return prediction
-    own = margins.own(prediction.maps.size)
-    known = own.numpy()
-    padded = margins.padded(prediction.maps.stacked().float()).numpy()
-    wide = torch.from_numpy(np.stack([filled(plane, known) for plane in padded]))
-    beyond = scatter(prediction)[:, None, None]
-    log_error = torch.where(own, margins.padded(prediction.log_error), beyond)
-    return Estimate(MapSet.from_stacked(wide, prediction.maps.texel_size), log_error)
-
-
-def scatter(prediction: Estimate) -> Tensor:
-    """(4,) log standard deviation over the exemplar of each map's parameter, errors included."""
-    parameters = parameters_of(prediction.maps)
-    parts = (parameters[ALBEDO].mean(0), parameters[F0], parameters[ROUGH], parameters[SLOPES])
-    variance = torch.stack([part.std() for part in parts]).square()
-    error_variance = (2.0 * prediction.log_error.clamp(-8.0, 2.0)).exp().mean((1, 2))
-    return 0.5 * (variance + error_variance).log()
-
-
 def extrapolated(maps: MapSet, known: Tensor, slow: float) -> MapSet:
     """Extrapolate maps smoothly over unseen texels, and high-pass the height.
 
@@ -252,32 +219,3 @@ def extrapolated(maps: MapSet, known: Tensor, slow: float) -> MapSet:
     planes = np.stack([filled(plane.numpy(), seen) for plane in maps.stacked().float()])
     planes[-1] -= smoothed(planes[-1], slow)
     return MapSet.from_stacked(torch.from_numpy(planes), maps.texel_size)
-
-
-def tint_over(tint: Tensor, predictions: Sequence[ViewPrediction], mosaic: Mosaic) -> Tensor:
-    """Specular tint over the mosaic, from the other predictions beyond the first's.
-
-    Args:
-        tint: (3, H, W) from the first prediction, extrapolated; 1 (1, H, W) without metal, which is
-            returned.
-        predictions: of photographs, the first one first.
-        mosaic: its extent.
-    """
-    if len(tint) == 1 or len(predictions) < 2:
-        return tint
-    total, weights = torch.zeros(3, 1, 1), torch.zeros(1, 1)
-    for one in predictions[1:]:
-        weight = (-2.0 * one.log_error[1]).exp()
-        total = total + weight * one.tint
-        weights = weights + weight
-    size = tint.shape[-1], tint.shape[-2]
-    beyond = on_grid(total / weights, size)
-    counted = on_grid(weights[None], size) > math.exp(-UNPREDICTED)
-    return torch.where(counted & ~mosaic.margins.own(mosaic.size), beyond, tint)
-
-
-def unpredicted(log_error: Tensor, mosaic: Mosaic) -> Tensor:
-    """Log errors (4, H, W) set to UNPREDICTED beyond the first photograph."""
-    if not mosaic.margins.any:
-        return log_error
-    return torch.where(mosaic.margins.own(mosaic.size), log_error, torch.tensor(UNPREDICTED))

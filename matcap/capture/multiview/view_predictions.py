@@ -23,14 +23,16 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO, F0, ROUGH
-from matcap.capture.exemplar.tint import GREY, achromatic
+from matcap.capture.exemplar.filters import filled
+from matcap.capture.exemplar.tint import achromatic, on_grid
 from matcap.capture.multiview.align import Aligned
+from matcap.capture.multiview.mosaic import Mosaic
 from matcap.capture.multiview.surface import integrated, surface_of
 from matcap.capture.multiview.texels import SLOPES, Estimate, maps_of, parameters_of
 from matcap.capture.multiview.views import SharedLight, ViewWarp
 from matcap.capture.registration.camera import Doubles, PosedCamera, to_pixels
 from matcap.flash.coarse.fit import CoarseFit
-from matcap.flash.extent import OWN, Extent
+from matcap.flash.extent import Margins
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import Plane, read_plane
 
@@ -92,27 +94,16 @@ class OwnPlane:
         return np.asarray(np.tensordot(np.array([[c, s], [-s, c]]), offset, 1)) / self.scale
 
 
-@dataclass(frozen=True)
-class ViewPrediction:
-    """The network's prediction of a photograph, on the first one's texels."""
-
-    parameters: Tensor
-    """(PARAMETERS, H, W) predicted parameters (texels.py)."""
-    log_error: Tensor
-    """(4, H, W) log standard deviations, as Estimate.log_error."""
-    extent: Extent = OWN
-    """Extent of the grid."""
-    tint: Tensor = GREY
-    """(1 or 3, H, W) specular tint that was divided out (tint.py); 1 without metal."""
-
-
 def predict_views(
     alignment: Aligned,
     first: Estimate,
     coarse: CoarseFit,
     predict: Callable[[Plane, CoarseFit], Estimate],
-) -> list[ViewPrediction]:
+) -> tuple[list[Estimate], list[Tensor]]:
     """The network's predictions of the photographs with flash and without too large a tilt.
+
+    All are on the first one's texels, F0 without tint; and the specular tints (1 or 3, H, W) of all
+    but the first.
 
     Args:
         alignment: registration and light of the photographs.
@@ -124,17 +115,18 @@ def predict_views(
     width, height = first.maps.size
     rectangle_across = min(_ACROSS, round(extent.unit(width)))
     across = extent.across(rectangle_across)
-    down = max(8, round(height * across / width))
-    small = first.resized((down, across), extent)
-    predictions = [ViewPrediction(parameters_of(small.maps), small.log_error, extent)]
+    down = round(height * across / width)
+    predictions, tints = [first.resized((down, across), extent)], list[Tensor]()
     for number, view in enumerate(alignment.views[1:], 1):
         if view.flash and math.degrees(view.camera.tilt) < _STEEPEST:
             own = OwnPlane.of(view.camera, alignment.light, number)
             plane = read_plane(view.photo, own.setup, rectangle_across)
             prediction = predict(plane, replace(coarse, setup=own.setup))
             warp = alignment.warps[number]
-            predictions.append(resampled_over(prediction, own, view.camera, warp, (across, down)))
-    return predictions
+            over, tint = resampled_over(prediction, own, view.camera, warp, (across, down))
+            predictions.append(over)
+            tints.append(tint)
+    return predictions, tints
 
 
 def resampled_over(
@@ -143,8 +135,8 @@ def resampled_over(
     camera: PosedCamera,
     warp: ViewWarp,
     size: tuple[int, int],
-) -> ViewPrediction:
-    """Resample a prediction from its photograph's own plane to the first one's.
+) -> tuple[Estimate, Tensor]:
+    """Resample a prediction from its photograph's own plane to the first one's; and its tint.
 
     Args:
         prediction: the network's, on its photograph's plane.
@@ -154,8 +146,8 @@ def resampled_over(
         size: (across, down) texels of the first one's grid.
     """
     width, height = prediction.maps.size
-    whole = np.concatenate([*warp.points(*size)], axis=1)
-    x, y = to_pixels(own.coordinates(camera.on_plane(camera.sees(whole))), width, height)
+    points = np.concatenate([*warp.points(*size)], axis=1)
+    x, y = to_pixels(own.coordinates(camera.on_plane(camera.sees(points))), width, height)
 
     def resampled(channel: Tensor, how: int = cv2.INTER_CUBIC) -> Tensor:
         return torch.from_numpy(
@@ -171,7 +163,7 @@ def resampled_over(
     errors = torch.stack([resampled(c, cv2.INTER_LINEAR) for c in prediction.log_error])
     errors = (errors + torch.from_numpy(_fading(x, y, (width, height)))).clamp_max(UNPREDICTED)
     tint = torch.stack([resampled(channel, cv2.INTER_LINEAR) for channel in tint])
-    return ViewPrediction(parameters_of(over), errors, warp.extent, tint)
+    return Estimate(over, errors), tint
 
 
 def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
@@ -183,41 +175,115 @@ def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
     return np.asarray(-0.5 * np.log(np.maximum(weight, _NOTHING)), np.float32)
 
 
-def fused(every: Sequence[ViewPrediction]) -> Estimate:
+def fused(predictions: Sequence[Estimate]) -> Estimate:
     """Precision-weighted mean of predictions and its standard deviations (module equation).
 
     Args:
-        every: predictions in any order.
+        predictions: in any order.
     """
-    weights = torch.stack([(-2.0 * one.log_error.clamp(-8.0, 8.0)).exp() for one in every])
+    weights = _precisions(predictions)
     whole = weights.sum(0)
-    parameters = torch.zeros_like(every[0].parameters)
+    parameters = torch.stack([parameters_of(prediction.maps) for prediction in predictions])
+    mean = torch.zeros_like(parameters[0])
     for part, kind in ((ALBEDO, 0), (F0, 1), (ROUGH, 2), (SLOPES, 3)):
-        for one, weight in zip(every, weights, strict=True):
-            parameters[part] += weight[kind] / whole[kind] * one.parameters[part]
-    # The common part of the error variance is that of the best prediction.
-    common = weights.amax(0).reciprocal()
-    log_error = 0.5 * (_SHARED * common + (1.0 - _SHARED) / whole).log()
+        for one, weight in zip(parameters, weights, strict=True):
+            mean[part] += weight[kind] / whole[kind] * one[part]
+    log_error = _fused_error(weights)
     slope_precision = (-2.0 * log_error[3]).exp()
-    texel_size = every[0].extent.texel(parameters.shape[-1])
+    texel_size = predictions[0].maps.texel_size
     precision = torch.stack([slope_precision, slope_precision, torch.zeros_like(slope_precision)])
-    height = surface_of(parameters[SLOPES], texel_size, precision)
-    return Estimate(maps_of(parameters, height, texel_size), log_error)
+    height = surface_of(mean[SLOPES], texel_size, precision)
+    return Estimate(maps_of(mean, height, texel_size), log_error)
 
 
-def with_others(first: Estimate, predictions: Sequence[ViewPrediction]) -> Estimate:
+def _precisions(predictions: Sequence[Estimate]) -> Tensor:
+    """(n, 4, H, W) 1 / sigma^2 of predictions."""
+    return torch.stack([(-2.0 * one.log_error.clamp(-8.0, 8.0)).exp() for one in predictions])
+
+
+def _fused_error(precisions: Tensor) -> Tensor:
+    """(4, H, W) log standard deviation of the mean of predictions (n, 4, H, W)."""
+    # The common part of the error variance is that of the best prediction.
+    common = precisions.amax(0).reciprocal()
+    return 0.5 * (_SHARED * common + (1.0 - _SHARED) / precisions.sum(0)).log()
+
+
+def with_others(first: Estimate, predictions: Sequence[Estimate]) -> Estimate:
     """The first photograph's prediction plus the upsampled change by fusion with the others.
 
     Detail finer than the grid of fusion stays the first photograph's. Its predicted height does not
     extend beyond it: slopes are integrated.
+
+    Args:
+        first: prediction of the first photograph.
+        predictions: of all photographs on the grid of fusion, the first one first.
     """
-    alone, together = fused(predictions[:1]), fused(predictions)
+    together, alone = fused(predictions), _fused_error(_precisions(predictions[:1]))
 
     def wide(change: Tensor) -> Tensor:
         return F.interpolate(change[None], size=first.maps.size[::-1], mode="bilinear")[0]
 
-    change = parameters_of(together.maps) - predictions[0].parameters
+    change = parameters_of(together.maps) - parameters_of(predictions[0].maps)
     parameters, texel_size = parameters_of(first.maps) + wide(change), first.maps.texel_size
     height = integrated(parameters[SLOPES], texel_size)
-    log_error = first.log_error + wide(together.log_error - alone.log_error)
+    log_error = first.log_error + wide(together.log_error - alone)
     return Estimate(maps_of(parameters, height, texel_size), log_error)
+
+
+def spread_over(prediction: Estimate, margins: Margins) -> Estimate:
+    """Extrapolate the first photograph's estimate smoothly over the margins.
+
+    Its error there is the standard deviation of the parameters within the first photograph.
+
+    Args:
+        prediction: on the first photograph's grid.
+        margins: of the mosaic.
+    """
+    if not margins.any:
+        return prediction
+    own = margins.own(prediction.maps.size)
+    known = own.numpy()
+    padded = margins.padded(prediction.maps.stacked().float()).numpy()
+    wide = torch.from_numpy(np.stack([filled(plane, known) for plane in padded]))
+    beyond = scatter(prediction)[:, None, None]
+    log_error = torch.where(own, margins.padded(prediction.log_error), beyond)
+    return Estimate(MapSet.from_stacked(wide, prediction.maps.texel_size), log_error)
+
+
+def scatter(prediction: Estimate) -> Tensor:
+    """(4,) log standard deviation over the exemplar of each map's parameter, errors included."""
+    parameters = parameters_of(prediction.maps)
+    parts = (parameters[ALBEDO].mean(0), parameters[F0], parameters[ROUGH], parameters[SLOPES])
+    variance = torch.stack([part.std() for part in parts]).square()
+    error_variance = (2.0 * prediction.log_error.clamp(-8.0, 2.0)).exp().mean((1, 2))
+    return 0.5 * (variance + error_variance).log()
+
+
+def tint_over(
+    tint: Tensor, others: Sequence[Estimate], tints: Sequence[Tensor], mosaic: Mosaic
+) -> Tensor:
+    """Specular tint over the mosaic, beyond the first photograph from the other predictions.
+
+    Args:
+        tint: (3, H, W) from the first prediction, extrapolated; 1 (1, H, W) without metal, which is
+            returned.
+        others: predictions of the other photographs.
+        tints: (1 or 3, h, w) theirs.
+        mosaic: its extent.
+    """
+    if len(tint) == 1 or not others:
+        return tint
+    total, weights = torch.zeros(3, 1, 1), torch.zeros(1, 1)
+    for prediction, own in zip(others, tints, strict=True):
+        weight = (-2.0 * prediction.log_error[1]).exp()
+        total = total + weight * own
+        weights = weights + weight
+    size = tint.shape[-1], tint.shape[-2]
+    beyond = on_grid(total / weights, size)
+    counted = on_grid(weights[None], size) > math.exp(-UNPREDICTED)
+    return torch.where(counted & ~mosaic.margins.own(mosaic.size), beyond, tint)
+
+
+def unpredicted(log_error: Tensor, mosaic: Mosaic) -> Tensor:
+    """Log errors (4, H, W) set to UNPREDICTED beyond the first photograph."""
+    return torch.where(mosaic.margins.own(mosaic.size), log_error, torch.tensor(UNPREDICTED))

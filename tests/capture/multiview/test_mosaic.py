@@ -20,15 +20,17 @@ from matcap.capture.multiview.mosaic import (
     STEEPEST,
     Mosaic,
     mosaic_of,
-    scatter,
     seen_by_any,
     sees,
+)
+from matcap.capture.multiview.texels import SLOPES, Estimate, parameters_of
+from matcap.capture.multiview.view_predictions import (
+    scatter,
     spread_over,
     tint_over,
     unpredicted,
+    with_others,
 )
-from matcap.capture.multiview.texels import SLOPES, Estimate, parameters_of
-from matcap.capture.multiview.view_predictions import ViewPrediction, with_others
 from matcap.capture.outputs import write_outputs
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.registration.camera import PosedCamera, grid_points
@@ -135,7 +137,7 @@ def test_the_first_reading_goes_on_smoothly_and_is_doubted_by_its_own_scatter():
     maps, log_error = _drawn(SIZE), torch.full((4, *SIZE[::-1]), -2.0)
     read = Estimate(maps, log_error)
     assert spread_over(read, Margins()) is read
-    assert unpredicted(log_error, Mosaic.own(SIZE)) is log_error
+    assert torch.equal(unpredicted(log_error, Mosaic.own(SIZE)), log_error)
 
     margins = Margins(right=64, bottom=20)
     spread = spread_over(read, margins)
@@ -153,19 +155,14 @@ def test_the_first_reading_goes_on_smoothly_and_is_doubted_by_its_own_scatter():
 
 def test_beyond_the_first_photograph_the_others_reading_holds():
     margins = Margins(right=64)
-    extent, whole = margins.extent(SIZE[0]), margins.around(SIZE)
-    true = _drawn(whole, 3)
+    true = _drawn(margins.around(SIZE), 3)
     smooth = torch.nn.functional.avg_pool2d(true.stacked()[None], 5, 1, 2)[0]
     true = MapSet.from_stacked(smooth, 2.0 / SIZE[0])
     first = true.crop(0, 0, *SIZE)
     over = spread_over(Estimate(first, torch.full((4, *SIZE[::-1]), -3.0)), margins)
     unsure = unpredicted(over.log_error, Mosaic(margins, SIZE))
     over = replace(over, log_error=unsure)
-    read = [
-        ViewPrediction(parameters_of(over.maps), unsure, extent),
-        ViewPrediction(parameters_of(true), torch.full_like(unsure, -3.0), extent),
-    ]
-    found = with_others(over, read)
+    found = with_others(over, [over, Estimate(true, torch.full_like(unsure, -3.0))])
     off = (parameters_of(found.maps) - parameters_of(true))[:, 2:-2, 2:-2]
     assert float(off[: SLOPES.start].abs().max()) < 0.01
     # Slopes too, and without a step where the first one ends.
@@ -177,19 +174,15 @@ def test_beyond_the_first_photograph_the_others_reading_holds():
 
 def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():
     margins = Margins(right=64)
-    mosaic, extent = Mosaic(margins, SIZE), margins.extent(SIZE[0])
-    whole = margins.around(SIZE)[::-1]
+    mosaic, whole = Mosaic(margins, SIZE), margins.around(SIZE)[::-1]
     gold = torch.tensor([1.3, 1.0, 0.7])[:, None, None].expand(3, *whole)
-    log_error = unpredicted(torch.full((4, *whole), -2.0), mosaic)
-    numbers = torch.zeros(7, *whole)
-    first = ViewPrediction(numbers, log_error, extent)
-    other = ViewPrediction(numbers, torch.full((4, *whole), -2.0), extent, gold)
+    other = Estimate(_drawn(whole[::-1]), torch.full((4, *whole), -2.0))
     grey = torch.ones(3, *whole)
-    found = tint_over(grey, [first, other], mosaic)
+    found = tint_over(grey, [other], [gold], mosaic)
     assert torch.equal(found[..., : SIZE[0]], grey[..., : SIZE[0]])
     torch.testing.assert_close(found[..., SIZE[0] :], gold[..., SIZE[0] :])
-    assert tint_over(GREY, [first, other], mosaic) is GREY
-    assert torch.equal(tint_over(grey, [first], mosaic), grey)
+    assert tint_over(GREY, [other], [gold], mosaic) is GREY
+    assert torch.equal(tint_over(grey, [], [], mosaic), grey)
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,9 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import F0
-from matcap.capture.multiview.texels import Estimate, parameters_of
+from matcap.capture.multiview.texels import Estimate, maps_of, parameters_of
 from matcap.capture.multiview.view_predictions import (
     OwnPlane,
-    ViewPrediction,
     fused,
     resampled_over,
     with_others,
@@ -25,6 +24,7 @@ from matcap.lab.simulate.photograph import PhoneCamera
 
 PHONE = PhoneCamera(width=640, height=480)
 SIZE = (96, 128)
+DOUBT = torch.full((4, *SIZE), -2.0)  # of log errors
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def brought(cameras):
 
     def over(maps):
         log_error = torch.full((4, *maps.size[::-1]), -2.0)
-        return resampled_over(Estimate(maps, log_error), own, cameras[1], warp, SIZE[::-1])
+        return resampled_over(Estimate(maps, log_error), own, cameras[1], warp, SIZE[::-1])[0]
 
     return own, over
 
@@ -90,16 +90,14 @@ def test_a_reading_is_brought_over_the_first(cameras, brought):
     known = (read.log_error[3] < -1.9)[None].expand_as(true)
     known = known & (torch.nn.functional.avg_pool2d(known.float(), 5, 1, 2) > 0.999)
     assert 0.4 < known.float().mean() < 1.0
-    assert float((read.parameters - true)[known].abs().max()) < 0.03
+    assert float((parameters_of(read.maps) - true)[known].abs().max()) < 0.03
 
 
 def test_no_border_of_a_reading_is_seen(brought):
     theirs = brought[1](_waves(np.zeros((2, 192, 256)), 2.0 / 256))
-    otherwise = parameters_of(_waves(np.zeros((2, *SIZE)), 2.0 / SIZE[1]))
-    otherwise[F0] += 1.0
-    both = parameters_of(
-        fused([ViewPrediction(otherwise, torch.full((4, *SIZE), -2.0)), theirs]).maps
-    )[F0]
+    otherwise = _waves(np.zeros((2, *SIZE)), 2.0 / SIZE[1])
+    otherwise = replace(otherwise, specular=math.e * otherwise.specular)
+    both = parameters_of(fused([Estimate(otherwise, DOUBT), theirs]).maps)[F0]
     assert float(both.max() - both.min()) > 0.4
     steps = torch.cat([both.diff(dim=0).abs().flatten(), both.diff(dim=1).abs().flatten()])
     assert float(steps.max()) < 0.1
@@ -108,7 +106,8 @@ def test_no_border_of_a_reading_is_seen(brought):
 def _read(maps, off, generator, doubt):
     numbers = parameters_of(maps)
     noise = off * torch.randn(numbers.shape, generator=generator)
-    return ViewPrediction(numbers + noise, torch.full((4, *SIZE), doubt))
+    noisy = maps_of(numbers + noise, maps.height, maps.texel_size)
+    return Estimate(noisy, torch.full((4, *SIZE), doubt))
 
 
 def test_joined_readings_are_nearer_in_any_order_and_the_doubtful_count_less():
@@ -140,13 +139,12 @@ def test_alone_the_first_stays_as_it_was_read_and_others_leave_it_its_fine_waves
     small = MapSet.from_stacked(
         torch.nn.functional.avg_pool2d(maps.stacked()[None], 2)[0], 2.0 / SIZE[1]
     )
-    first = ViewPrediction(parameters_of(small), torch.full((4, *SIZE), -2.0))
+    first = Estimate(small, DOUBT)
     alone = Estimate(maps, log_error)
     same = with_others(alone, [first])
     torch.testing.assert_close(same.maps.stacked(), maps.stacked(), atol=1e-4, rtol=0.0)
     torch.testing.assert_close(same.log_error, log_error)
-    darker = ViewPrediction(first.parameters.clone(), first.log_error)
-    darker.parameters[:3] -= 0.4
+    darker = Estimate(replace(small, diffuse=math.exp(-0.4) * small.diffuse), DOUBT)
     both = with_others(alone, [first, darker])
     log = both.maps.diffuse.log()
     torch.testing.assert_close(log, maps.diffuse.log() - 0.2, atol=0.01, rtol=0.0)
