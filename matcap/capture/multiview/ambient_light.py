@@ -131,7 +131,7 @@ def _without(view: RegisteredView, ambient: RegisteredView, amount: NDArray[np.f
     photo = view.photo
     added = _seen_from(view, ambient) * amount.astype(np.float32)
     # No pixel can be darker than under ambient light alone; exposure metadata can be wrong.
-    small = (64, max(8, round(64 * photo.pixels.shape[0] / photo.pixels.shape[1])))
+    small = (64, round(64 * photo.pixels.shape[0] / photo.pixels.shape[1]))
     total, by_ambient = (area_averaged(each, small) for each in (photo.pixels, added))
     ratio = total / np.maximum(by_ambient, np.float32(1e-6))
     most = np.asarray(np.quantile(ratio.reshape(-1, 3), _BOUND, axis=0)).clip(max=1.0)

@@ -106,7 +106,7 @@ def mosaic_of(views: Sequence[RegisteredView], size: tuple[int, int]) -> Mosaic:
         views: photographs with their cameras, the first one first.
         size: (width, height) of the first one's grid, texels.
     """
-    rows = max(1, round(_CELLS * size[1] / size[0]))
+    rows = round(_CELLS * size[1] / size[0])
     seen = _any_sees(views, _cells(rows, size))
     most = min(MOST, max(1.0, _TEXELS / (size[0] * size[1])))
     box = _box(seen, rows, most * rows * _CELLS)
@@ -188,12 +188,14 @@ def _box(seen: Marks, rows: int, most: float) -> tuple[slice, slice]:
     high = [int(span[-1]) + 1 for span in spans]
     while True:
         sides = []
-        for axis in (0, 1):
+        for axis, lines in ((0, seen), (1, seen.T)):
             across = slice(low[1 - axis], high[1 - axis])
-            for edge, line in ((low, low[axis]), (high, high[axis] - 1)):
-                beyond = far - line if edge is low else line - far - own[axis] + 1
+            for edge, line, beyond in (
+                (low, low[axis], far - low[axis]),
+                (high, high[axis] - 1, high[axis] - far - own[axis]),
+            ):
                 if beyond > 0:
-                    share = float(np.take(seen, [line], axis).ravel()[across].mean())
+                    share = float(lines[line, across].mean())
                     sides.append((share, -beyond, axis, edge is low))
         small = (high[0] - low[0]) * (high[1] - low[1]) <= most
         if not sides or (small and min(sides)[0] >= LEAST):

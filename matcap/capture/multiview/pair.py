@@ -170,29 +170,27 @@ class Ratio:
             parameters: (PARAMETERS, H, W) current; F0, roughness and mean albedo are used.
             light: of all photographs.
         """
-        some = ((0, views[0]), (len(views) - 1, views[-1]))
-        size = parameters.shape[1:]
-        points = points_of(size, extent=views[0].extent)
+        first, last, size = views[0], views[-1], parameters.shape[1:]
+        points = points_of(size, extent=first.extent)
         flat = parameters.clone()
         flat[ALBEDO] = flat[ALBEDO].mean((1, 2), keepdim=True)
         flat[SLOPES] = 0.0
-        logs, slopes, shares = [], [], []
-        lights = [light_at(number, view, light, points) for number, view in some]
-        shaded = zip(some, derivatives(flat, lights), strict=True)
-        for (_, view), (log, share, by_others) in shaded:
-            logs.append(view.log - log)
-            slopes.append(by_others[OTHER_SLOPES].unflatten(-1, size))
-            shares.append(share.unflatten(-1, size))
-        share = shares[0] / shares[1].clamp_min(1e-3)
+        lights = [light_at(0, first, light, points), light_at(len(views) - 1, last, light, points)]
+        (flash, flash_share, by_flash), (ambient, ambient_share, by_ambient) = (
+            (log, share.unflatten(-1, size), by_others[OTHER_SLOPES].unflatten(-1, size))
+            for log, share, by_others in derivatives(flat, lights)
+        )
+        share = flash_share / ambient_share.clamp_min(1e-3)
 
         def ratio(flash: Tensor, ambient: Tensor) -> Floats:
             return np.asarray((flash - share * ambient).mean(0).numpy(), np.float32)
 
-        by_slope = [smoothed(ratio(*both), RESPONSE_AROUND) for both in zip(*slopes, strict=True)]
-        use = (views[0].seen & views[-1].seen).all(0).numpy().astype(np.float32)
-        log_ratio = ratio(*logs)
-        log_ratio = (log_ratio - local_mean(log_ratio, use, max(use.shape) / _SLOW)) * use
-        return Ratio(log_ratio, np.stack(by_slope), shares[0].mean(0).numpy(), use)
+        both_slopes = zip(by_flash, by_ambient, strict=True)
+        sensitivity = np.stack([smoothed(ratio(*both), RESPONSE_AROUND) for both in both_slopes])
+        use = (first.seen & last.seen).all(0).numpy().astype(np.float32)
+        log = ratio(first.log - flash, last.log - ambient)
+        log = (log - local_mean(log, use, max(use.shape) / _SLOW)) * use
+        return Ratio(log, sensitivity, flash_share.mean(0).numpy(), use)
 
 
 def with_ambient_gradient(

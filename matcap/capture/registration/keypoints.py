@@ -67,23 +67,23 @@ def match_photographs(
 ) -> tuple[Doubles, Doubles, float]:
     """(2, n) image coordinates of inlier matches in both, and a pixel's size in the second."""
     candidates = []
-    for even in (normalise_contrast, equalise_histogram):
-        other = find_keypoints(second, even)
-        candidates.append((*matched(keypoints_of_first(even), other), other.pixel))
+    for normalise in (normalise_contrast, equalise_histogram):
+        other = find_keypoints(second, normalise)
+        candidates.append((*matched(keypoints_of_first(normalise), other), other.pixel))
         if candidates[-1][0].shape[1] >= _ENOUGH:
             break
     return max(candidates, key=lambda candidate: candidate[0].shape[1])
 
 
-def find_keypoints(photo: Photo, even: ContrastNormalisation) -> Keypoints:
-    """Keypoints of a photograph after the contrast normalisation `even`."""
+def find_keypoints(photo: Photo, normalise: ContrastNormalisation) -> Keypoints:
+    """Keypoints of a photograph after a normalisation of its contrast."""
     rows, columns = photo.pixels.shape[:2]
     shrunk = min(1.0, LONG_SIDE / columns)
     size = (round(columns * shrunk), round(rows * shrunk))
     grey = area_averaged(photo.pixels, size).mean(2)
     # Without precise upscaling, all coordinates are biased by a quarter of a pixel.
     sift = cv2.SIFT.create(_MOST, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
-    points, described = sift.detectAndCompute(even(np.asarray(grey, np.float32)), None)
+    points, described = sift.detectAndCompute(normalise(np.asarray(grey, np.float32)), None)
     if described is None:
         points, described = (), np.zeros((0, 128), np.float32)
     share = described / np.maximum(described.sum(1, keepdims=True), 1e-6)
@@ -209,18 +209,10 @@ def _voted(one: Doubles, other: Doubles, shapes: NDArray[np.complex128]) -> NDAr
 
 
 def is_periodic(photo: Photo) -> bool:
-    """Whether the photographed pattern is periodic: largest autocorrelation above _PERIODIC.
+    """Whether the photographed pattern is periodic: a maximum of its autocorrelation > _PERIODIC.
 
-    Its matches are ambiguous by whole periods: only aperiodic features (stains, flaws, a border)
+    Matches are then ambiguous by whole periods: only aperiodic features (stains, flaws, a border)
     resolve the ambiguity, and with too few of them the matches are inconsistent.
-    """
-    return largest_autocorrelation(photo) > _PERIODIC
-
-
-def largest_autocorrelation(photo: Photo) -> float:
-    """Largest local maximum of the texture's autocorrelation at lags of 4 pixels or more.
-
-    In [-1, 1]; lags are up to 0.2 of the width along each axis.
     """
     rows, columns = photo.pixels.shape[:2]
     wide = min(columns, _PERIOD_ACROSS)
@@ -235,9 +227,8 @@ def largest_autocorrelation(photo: Photo) -> float:
         np.fft.irfft2(np.abs(np.fft.rfft2(each, whole)) ** 2, whole) for each in fields
     )
     most = round(_LARGEST_LAG * wide)
-    around = np.ix_(np.arange(most), np.arange(-most, most))
-    correlation = (products[around] / overlap[around]).astype(np.float32)
+    lags = tuple(np.mgrid[:most, -most:most])
+    correlation = (products[lags] / overlap[lags]).astype(np.float32)
     highest = correlation == cv2.dilate(correlation, np.ones((5, 5), np.uint8))
-    far = np.hypot(*np.meshgrid(np.arange(most), np.arange(-most, most), indexing="ij"))
-    maxima = correlation[highest & (far >= _NEAREST)]
-    return float(maxima.max(initial=-1.0)) / max(float(correlation[0, most]), 1e-12)
+    maxima = correlation[highest & (np.hypot(*lags) >= _NEAREST)]
+    return float(maxima.max(initial=-1.0)) > _PERIODIC * float(correlation[0, most])
