@@ -55,18 +55,10 @@ class Compared:
         return f"{self.name}: {said}"
 
 
-def comparison(
-    captures: Sequence[Compared], photographs: Sequence[Photo | None] = ()
-) -> Image.Image:
-    """Draw a block of panels for each capture, the blocks stacked vertically.
-
-    Args:
-        captures: the captures, from top to bottom.
-        photographs: photograph of each capture or None; an empty sequence means none.
-    """
+def comparison(captures: Sequence[Compared], photographs: Sequence[Photo | None]) -> Image.Image:
+    """Draw a block of panels for each capture, with its photograph if given, one below another."""
     blocks = []
-    for index, capture in enumerate(captures):
-        photo = photographs[index] if photographs else None
+    for capture, photo in zip(captures, photographs, strict=True):
         photo = photo and photo.linearised(capture.tone)
         blocks.append(titled(block(list(_panels(capture.material, photo))), capture.title()))
     return stacked(blocks)

@@ -62,11 +62,6 @@ class Panel:
     close: NDArray[np.float32] | None = None
     """The crop at one pixel per texel, where `values` have fewer."""
 
-    @property
-    def aspect(self) -> float:
-        """Height over width."""
-        return self.values.shape[0] / self.values.shape[1]
-
     def resized(self, size: tuple[int, int]) -> Image.Image:
         """The whole picture at a size of (width, height) pixels."""
         import cv2
@@ -93,9 +88,14 @@ def _crop(width: int, height: int) -> tuple[slice, slice]:
     return slice(y, y + _CROP), slice(x, x + _CROP)
 
 
-def _developed(label: str, result: CaptureResult, linear: NDArray[np.float32]) -> Panel:
+def _developed(
+    label: str,
+    result: CaptureResult,
+    linear: NDArray[np.float32],
+    close: NDArray[np.float32] | None = None,
+) -> Panel:
     """Panel of a linear picture (H, W, 3) under the photograph's tone curve, as sRGB."""
-    return Panel(label, linear, lambda some: srgb_picture(result.photo.developed(some)))
+    return Panel(label, linear, lambda some: srgb_picture(result.photo.developed(some)), close)
 
 
 def write_preview(result: CaptureResult, path: Path) -> None:
@@ -122,32 +122,26 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
             titled(blocks[0], f"The material, {generator}"),
             titled(exemplar, "The photographed rectangle itself"),
         ]
-        if result.estimate.several is not None:
+        several = result.several
+        if several is not None:
             from matcap.capture.multiview.diagram import draw_set
 
-            seen = srgb_picture(_picture(map_set_of(result.estimate.exemplar), "diffuse"))
-            several = result.estimate.several
+            maps = map_set_of(result.estimate.exemplar)
+            if several.mosaic.margins.any:
+                whole = block(list(lit_panels(maps, result.rerendered, result.material.setup)))
+                blocks.append(titled(whole, several.mosaic.summary()))
+            seen = srgb_picture(_picture(maps, "diffuse"))
             # Cameras are in landscape coordinates; so must be the picture below them.
             landscape = np.ascontiguousarray(np.rot90(seen)) if result.estimate.turned else seen
             drawn = draw_set(several, landscape, blocks[0].width)
             blocks.append(titled(drawn, "Cameras and flashes"))
-            if several.mosaic.margins.any:
-                maps = map_set_of(result.estimate.exemplar)
-                whole = block(list(lit_panels(maps, result.rerendered, result.material.setup)))
-                blocks.insert(2, titled(whole, several.mosaic.summary()))
     blocks.insert(0, _headline(result, blocks[0].width))
     return stacked(blocks)
 
 
 def stacked(blocks: Sequence[Image.Image]) -> Image.Image:
     """Stack pictures of equal width vertically."""
-    size = (blocks[0].width, sum(shown.height for shown in blocks))
-    sheet = Image.new("RGB", size, _PAPER)
-    y = 0
-    for shown in blocks:
-        sheet.paste(shown, (0, y))
-        y += shown.height
-    return sheet
+    return Image.fromarray(np.vstack([np.asarray(shown) for shown in blocks]))
 
 
 def _headline(result: CaptureResult, width: int) -> Image.Image:
@@ -182,11 +176,10 @@ def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterab
 
     maps, setup = map_set_of(estimate.first_rectangle), result.material.setup
     maps = replace(maps, painted=maps.normal)
-    rerendered = _under_flash(maps, setup)
+    whole, close = _under_flash(maps, setup)
     yield _developed("photograph", result, result.rectified)
-    whole = _developed("re-rendered", result, rerendered.values)
-    yield replace(whole, close=rerendered.close)
-    yield from lit_panels(maps, rerendered.values, setup)
+    yield _developed("re-rendered", result, whole, close)
+    yield from lit_panels(maps, whole, setup)
 
 
 def lit_panels(maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Iterable[Panel]:
@@ -198,24 +191,22 @@ def lit_panels(maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup)
 
 def block(shown: Sequence[Panel]) -> Image.Image:
     """Lay out panels in rows of four, and their crops at one pixel per texel below."""
-    height = max(panel.values.shape[0] for panel in shown)
-    panel_height = max(1, round(_PANEL * shown[0].aspect))
-    rows = -(-len(shown) // _COLUMNS)
-    size = (
-        _GAP + _COLUMNS * (_PANEL + _GAP),
-        rows * (_LABEL + panel_height + _GAP) + _LABEL + min(_CROP, height) + _GAP,
-    )
+    height, width = shown[0].values.shape[:2]
+    panel_height = max(1, round(_PANEL * (height / width)))
+    pitch = _LABEL + panel_height + _GAP
+    panels_height = -(-len(shown) // _COLUMNS) * pitch
+    crop_height = min(_CROP, max(panel.values.shape[0] for panel in shown))
+    size = _GAP + _COLUMNS * (_PANEL + _GAP), panels_height + _LABEL + crop_height + _GAP
     sheet = Image.new("RGB", size, _PAPER)
     draw = ImageDraw.Draw(sheet)
     font = ImageFont.load_default(size=16)
     for index, panel in enumerate(shown):
         row, column = divmod(index, _COLUMNS)
-        x, y = _GAP + column * (_PANEL + _GAP), row * (_LABEL + panel_height + _GAP)
+        x, y = _GAP + column * (_PANEL + _GAP), row * pitch
         draw.text((x, y + 5), panel.label, fill=_INK, font=font)
         sheet.paste(panel.resized((_PANEL, panel_height)), (x, y + _LABEL))
-    y = rows * (_LABEL + panel_height + _GAP)
     for index, panel in enumerate(shown):
-        x = _GAP + index * (_CROP + _GAP)
+        x, y = _GAP + index * (_CROP + _GAP), panels_height
         draw.text((x, y + 5), f"{panel.label.split(':')[0]}, 1:1", fill=_INK, font=font)
         sheet.paste(panel.crop(), (x, y + _LABEL))
     return sheet
@@ -226,22 +217,24 @@ def titled(shown: Image.Image, title: str) -> Image.Image:
     font = ImageFont.load_default(size=24)
     letters = int((shown.width - 2 * _GAP) / (font.getlength(title) / max(1, len(title))))
     lines = textwrap.wrap(title, max(8, letters - 2))
-    tall = _TITLE * max(1, len(lines))
-    sheet = Image.new("RGB", (shown.width, tall + shown.height), _PAPER)
-    ink = ImageDraw.Draw(sheet)
+    heading = Image.new("RGB", (shown.width, _TITLE * max(1, len(lines))), _PAPER)
+    ink = ImageDraw.Draw(heading)
     for row, line in enumerate(lines):
         ink.text((_GAP, 12 + _TITLE * row), line, fill=_TITLE_INK, font=font)
-    sheet.paste(shown, (0, tall))
-    return sheet
+    return stacked([heading, shown])
 
 
 def each_map(maps: MapSet) -> Iterable[Panel]:
-    """A panel for each map without normals: colours as sRGB, others stretched to their range."""
+    """A panel for each map but normals: colours as sRGB, a coloured F0 with its mean in the label,
+    others stretched to their range.
+    """
     yield Panel("diffuse", _picture(maps, "diffuse"))
+    specular = _picture(maps, "specular")
     if len(maps.specular) > 1:
-        yield _coloured("specular", _picture(maps, "specular"))
+        mean = " ".join(f"{value:.2f}" for value in specular.mean(axis=(0, 1)))
+        yield Panel(f"specular: {mean} on average", specular)
     else:
-        yield _stretched("specular", _picture(maps, "specular"))
+        yield _stretched("specular", specular)
     for kind in ("roughness", "height"):
         yield _stretched(kind, _picture(maps, kind))
 
@@ -275,7 +268,9 @@ def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: Flash
     return Panel(f"light from the {side}", gain * whole, close=close)
 
 
-def _under_flash(maps: MapSet, setup: FlashSetup) -> Panel:
+def _under_flash(
+    maps: MapSet, setup: FlashSetup
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Render maps with painted normals under the setup's flash: some texels, and the crop."""
     import torch
 
@@ -297,19 +292,13 @@ def _under_flash(maps: MapSet, setup: FlashSetup) -> Panel:
     rows, columns = _crop(*maps.size)
     if turned:  # its right side is the top of the landscape picture
         rows, columns = slice(max(0, height - columns.stop), height - columns.start), rows
-    return Panel("re-rendered", lit(every, every), close=lit(rows, columns))
+    return lit(every, every), lit(rows, columns)
 
 
 def _picture(maps: MapSet, kind: str) -> NDArray[np.float32]:
     """(H, W, C) of one map."""
     picture: NDArray[np.float32] = getattr(maps, kind).detach().movedim(0, -1).contiguous().numpy()
     return picture
-
-
-def _coloured(kind: str, values: NDArray[np.float32]) -> Panel:
-    """Panel of a colour map in sRGB, with its mean (linear RGB) in the label."""
-    mean = " ".join(f"{value:.2f}" for value in values.mean(axis=(0, 1)))
-    return Panel(f"{kind}: {mean} on average", values)
 
 
 def _stretched(kind: str, values: NDArray[np.float32]) -> Panel:

@@ -79,10 +79,8 @@ from matcap.files.staging import staged
 from matcap.photo.checks import Rating
 
 if TYPE_CHECKING:
-    from matcap.capture.exemplar.estimate import ExemplarEstimate
     from matcap.capture.multiview.set_report import SetReport
     from matcap.capture.result import CaptureResult, Tuning
-    from matcap.capture.settings import CaptureSettings
 
 CURVE = "error.png"
 _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "OpenEXR")
@@ -106,21 +104,18 @@ def write_report(result: CaptureResult, path: Path) -> None:
 
 def report(result: CaptureResult) -> dict[str, Any]:
     """The report as plain data. Angles in degrees, times in seconds, lengths in plane units."""
-    setup, photo = result.material.setup, result.photo
+    setup, photo, several = result.material.setup, result.photo, result.several
     profile = result.measurements.profile
+    extent = [several.mosaic.summary()] if several and several.mosaic.margins.any else []
     return {
         "format": "matcap report",
         "name": result.material.name,
         "interrupted": result.interrupted,
         "verdict": result.verdict.document(),
-        "highlight": None if profile is None else profile.document(),
+        "highlight": profile and profile.document(),
         "error": result.errors,
         "warnings": list(warnings(result)),
-        "notes": [
-            *photo.notes,
-            *_grown(result.estimate),
-            *_rules(result),
-        ],
+        "notes": [*photo.notes, *extent, *_setting_notes(result)],
         "photograph": {
             "name": photo.name,
             "path": None if photo.path is None else str(photo.path),
@@ -153,7 +148,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "stage_seconds": dict(result.stage_seconds),
         "tuning": _tuning(result.tuning),
         "exemplar": _exemplar(result),
-        "several": _several(result.estimate),
+        "several": several and several.document(),
         "provenance": result.material.provenance,
         "versions": {
             "matcap": MAKER_VERSION,
@@ -162,10 +157,6 @@ def report(result: CaptureResult) -> dict[str, Any]:
             **{name: version(name) for name in _LIBRARIES},
         },
     }
-
-
-def _several(estimate: ExemplarEstimate | None) -> dict[str, Any] | None:
-    return None if estimate is None or estimate.several is None else estimate.several.document()
 
 
 def _effort(result: CaptureResult) -> dict[str, Any]:
@@ -197,15 +188,14 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
     estimate = result.estimate
     if estimate is None:
         return None
+    spectrum = estimate.relief_spectrum
     return {
         "error": estimate.error,
         "slow": estimate.slow,
         "left_out": estimate.example.index.left_out,
         "variety": estimate.example.variety,
         "patches": summary(estimate.example).patches_text(),
-        "strengths": None
-        if estimate.relief_spectrum is None
-        else estimate.relief_spectrum.document(),
+        "strengths": spectrum and spectrum.document(),
         "sharpness": estimate.sharpness,
         "confidence": estimate.mean_confidence(result.photo.kept_share),
         "specular_channels": len(estimate.exemplar.specular),
@@ -223,13 +213,8 @@ def warnings(result: CaptureResult) -> Iterable[str]:
     )
     shot = (result.measurements.photograph[key] for key in keys)
     yield from (finding.line() for finding in shot if finding.rating is not Rating.GOOD)
-    if result.estimate is not None and result.estimate.several is not None:
-        for one in result.estimate.several.left_out:
-            yield f"{one.name} was left out: {one.why}."
-        uncertain = result.estimate.several.warning()
-        if uncertain:
-            yield uncertain
-        yield from _union(result.estimate.several, result.settings)
+    if result.several is not None:
+        yield from _set_warnings(result.several, union=result.settings.union)
     if result.estimate is not None and result.estimate.relief_spectrum is None:
         yield (
             "The photograph is too small, or too much of it is clipped or masked, to measure the "
@@ -238,26 +223,23 @@ def warnings(result: CaptureResult) -> Iterable[str]:
         )
 
 
-def _union(several: SetReport, settings: CaptureSettings) -> Iterable[str]:
-    """Sentences on an exemplar requested with --union that is not as large as the photographs."""
-    grown, limited = several.mosaic.margins.any, several.mosaic.warning()
-    if settings.union and not grown:
+def _set_warnings(several: SetReport, *, union: bool) -> Iterable[str]:
+    """Sentences on several photographs: left out, uncertain, or in vain with --union."""
+    for one in several.left_out:
+        yield f"{one.name} was left out: {one.why}."
+    if uncertain := several.warning():
+        yield uncertain
+    if several.mosaic.margins.any:
+        if limited := several.mosaic.warning():
+            yield limited
+    elif union:
         yield (
             "The other photographs show hardly more than the first one, so --union makes the maps "
             "no larger. Move the phone farther from one to the next, by up to half a picture."
         )
-    if grown and limited:
-        yield limited
 
 
-def _grown(estimate: ExemplarEstimate | None) -> Iterable[str]:
-    """Sentence on the size of an exemplar that extends beyond the first photograph."""
-    several = None if estimate is None else estimate.several
-    if several is not None and several.mosaic.margins.any:
-        yield several.mosaic.summary()
-
-
-def _rules(result: CaptureResult) -> Iterable[str]:
+def _setting_notes(result: CaptureResult) -> Iterable[str]:
     """Sentences on settings that act differently from what their names suggest."""
     settings, effort = result.settings, result.effort
     limited = settings.time_limit is not None or settings.target is not None

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import ExemplarEstimate
+from matcap.capture.multiview.set_report import SetReport
 from matcap.capture.progress import CaptureClock
 from matcap.capture.rectified import Rectified
 from matcap.capture.settings import CaptureSettings, Effort, resolve
@@ -81,6 +82,11 @@ class CaptureResult:
     def photographs(self) -> int:
         """Number of photographs that the material was made from."""
         return self.measurements.photographs
+
+    @property
+    def several(self) -> SetReport | None:
+        """Report on several photographs; None for one."""
+        return None if self.estimate is None else self.estimate.several
 
     @property
     def effort(self) -> Effort:

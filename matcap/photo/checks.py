@@ -94,7 +94,7 @@ class QualityCheck:
     cause: str = ""
     """Likely cause if the photograph shows no other, or ""."""
     remedy: str = "{more}"
-    """What to do; the word `more` is which photographs would help (capture/verdict/causes.py)."""
+    """What to do; the word `more` is which photographs would help (capture/verdict/judge.py)."""
     factor: bool = False
     """Whether the measurement is a ratio r, for which r and 1 / r are equally severe."""
     good: str = ""
@@ -164,7 +164,7 @@ class Cause:
     limit: float
     """Value from which the cause is reported."""
     says: str
-    """Message, formatted with `value`, `percent` and the caller's words."""
+    """Message, formatted with `value`, `percent`, `share` (at most 1) and `ratio` (exp(value))."""
     remedy: str
     """Remedy for the verdict; `more` as in a check."""
     explains: frozenset[str]
@@ -174,10 +174,11 @@ class Cause:
         """(value - none) / (limit - none): the cause is reported from 1."""
         return (value - self.none) / (self.limit - self.none)
 
-    def described(self, value: float, **words: object) -> Cause:
+    def described(self, value: float, more: str) -> Cause:
         """The cause with its messages formatted."""
-        words |= {"value": value, "percent": 100.0 * value}
-        return replace(self, says=self.says.format(**words), remedy=self.remedy.format(**words))
+        ratio = math.exp(min(value, 99.0))  # of logarithms, which are smaller
+        words = {"value": value, "percent": 100.0 * value, "share": min(value, 1.0), "ratio": ratio}
+        return replace(self, says=self.says.format(**words), remedy=self.remedy.format(more=more))
 
 
 def sentence(clause: str) -> str:
@@ -407,7 +408,7 @@ _CAUSES = (
     Cause(
         "light from a side", "log ratio of the brightest side's light to that around the centre, "
         "if not uniform", -0.3, 0.0,
-        "other light from one side, which is {times:.1f} times as bright as the middle", _DARK,
+        "other light from one side, which is {ratio:.1f} times as bright as the middle", _DARK,
         _OF_LIGHT,
     ),
     Cause(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from matcap.photo.border import border_crop
 from matcap.photo.checks import CHECKS, Finding, Rating
 from matcap.photo.photo import Photo
-from matcap.photo.shrink import area_averaged
+from matcap.photo.shrink import area_averaged, cell_means
 
 Values = NDArray[np.float64]
 
@@ -107,11 +107,10 @@ def hot_spot(photo: Photo) -> tuple[tuple[float, float], float]:
         (x, y) in shares of the width and height of photo.pixels, from the upper left; and the ratio
         of the blurred radiance there to the median along the border.
     """
-    light = _small(photo.pixels, _HOT_CELLS).mean(axis=-1)
-    light = np.log(light + _TOE * float(np.median(light)) + 1e-9)
+    light = _log(cell_means(photo.pixels, _HOT_CELLS).astype(np.float64).mean(axis=-1))
     height, width = light.shape
-    blurred = cv2.GaussianBlur(light, (0, 0), _HOT_BLUR * width)
-    row, column = np.unravel_index(int(blurred.argmax()), blurred.shape)
+    smooth = cv2.GaussianBlur(light, (0, 0), _HOT_BLUR * width)
+    row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)
     y, x = float(row), float(column)
     rows, columns = np.mgrid[:height, :width].astype(np.float64)
     for _ in range(_HOT_ROUNDS):
@@ -125,8 +124,8 @@ def hot_spot(photo: Photo) -> tuple[tuple[float, float], float]:
         step = np.clip(-width * np.linalg.solve(bend, c[1:3]), -0.1 * width, 0.1 * width)
         x = float(np.clip(x + step[0], 0.0, width - 1.0))
         y = float(np.clip(y + step[1], 0.0, height - 1.0))
-    rim = np.concatenate([blurred[0], blurred[-1], blurred[:, 0], blurred[:, -1]])
-    ratio = math.exp(float(blurred.max()) - float(np.median(rim)))
+    rim = np.concatenate([smooth[0], smooth[-1], smooth[:, 0], smooth[:, -1]])
+    ratio = math.exp(float(smooth.max()) - float(np.median(rim)))
     return ((x + 0.5) / width, (y + 0.5) / height), ratio
 
 
@@ -136,7 +135,7 @@ def softness(pixels: NDArray[np.float32]) -> float:
     NaN if there is no detail. For a texture with equal gradient energy at all scales, blur b leaves
     an energy at scale s proportional to 1 / (b^2 + s^2); it is computed from s = 1 and 2.
     """
-    light = _log_light(pixels)
+    light = _log(channel_mean(pixels))
     one, two = (_tiles(_gradient_energy(light, scale)) for scale in (1.0, 2.0))
     if float(np.quantile(one, 1.0 - _SHARPEST)) < _LEAST_DETAIL:
         return math.nan
@@ -155,10 +154,9 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
         pixels: (H, W, 3) linear.
         place: of the hot spot, from hot_spot.
     """
-    light = _log_light(pixels)
+    light, colour = _log(channel_mean(pixels)), _log(pixels)
     width = light.shape[1]
     fine, middle = (blurred(light, width / s) for s in (128.0, 32.0))
-    colour = np.log(pixels + _TOE * float(np.median(pixels)) + 1e-9)
     measures = [
         0.5 * np.log(_tiles((light - fine) ** 2) + 1e-6),
         0.5 * np.log(_tiles((fine - middle) ** 2) + 1e-6),
@@ -300,9 +298,9 @@ def channel_mean(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     return (picture[..., 0] + picture[..., 1] + picture[..., 2]) / np.float32(3.0)
 
 
-def _log_light(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-    light = channel_mean(pixels)
-    return np.log(light + _TOE * float(np.median(light)) + 1e-9)
+def _log(radiance: NDArray[Any]) -> NDArray[Any]:
+    """Logarithm of radiance plus a share of its median."""
+    return np.log(radiance + _TOE * float(np.median(radiance)) + 1e-9)
 
 
 def _gradient_energy(light: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
@@ -325,12 +323,11 @@ def blurred(picture: NDArray[np.float32], deviation: float) -> NDArray[np.float3
     return np.asarray(cv2.resize(thin, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def _small(picture: NDArray[np.float32], columns: int) -> Values:
-    rows = max(1, round(columns * picture.shape[0] / picture.shape[1]))
-    resized = area_averaged(picture, (columns, rows))
-    return np.asarray(resized, np.float64)
+def band_passed(picture: NDArray[np.float32], fine: float, coarse: float) -> NDArray[np.float32]:
+    """Difference of two Gaussian blurs of a picture, with these standard deviations in pixels."""
+    return blurred(picture, fine) - blurred(picture, coarse)
 
 
 def _tiles(picture: NDArray[np.float32]) -> Values:
     """Averages over about square tiles, _TILES along the long side."""
-    return _small(picture, _TILES)
+    return cell_means(picture, _TILES).astype(np.float64)

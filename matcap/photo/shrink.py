@@ -60,3 +60,11 @@ def area_averaged(picture: NDArray[Any], size: tuple[int, ...]) -> NDArray[np.fl
     import cv2
 
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def cell_means(
+    picture: NDArray[np.float32], columns: int, least_rows: int = 1
+) -> NDArray[np.float32]:
+    """Means of a picture (H, W) or (H, W, C) over about square cells, so many across."""
+    height, width = picture.shape[:2]
+    return area_averaged(picture, (columns, max(least_rows, round(columns * height / width))))

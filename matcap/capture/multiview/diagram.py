@@ -43,7 +43,7 @@ class _View:
 
     @property
     def colour(self) -> CodeTriple:
-        return _CAMERAS[(self.number - 1) % len(_CAMERAS)]
+        return _colour(self.number)
 
 
 @dataclass(frozen=True)
@@ -83,11 +83,12 @@ def draw_set(report: SetReport, exemplar: NDArray[np.float32], width: int) -> Im
     # x and y of the exemplar's bottom left and top right corner, plane units.
     rim = np.array(extent.middle)[:, None] + half * np.array([[-1.0, 1.0]])
     views, part, tall = list(_views(report)), width // 3, width // 4
-    sheet = Image.new("RGB", (width, tall), _PAPER)
-    sheet.paste(_from_above(views, exemplar, rim, part, tall), (0, 0))
-    sheet.paste(_from_the_side(views, rim, part, tall), (part, 0))
-    sheet.paste(_words(report, width - 2 * part, tall), (2 * part, 0))
-    return sheet
+    parts = (
+        _from_above(views, exemplar, rim, part, tall),
+        _from_the_side(views, rim, part, tall),
+        _text(report, width - 2 * part, tall),
+    )
+    return Image.fromarray(np.hstack([np.asarray(picture) for picture in parts]))
 
 
 def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
@@ -95,9 +96,7 @@ def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
 
     The number is None for lines on all photographs, and 0 for a photograph that was left out.
     """
-    predicted = report.predicted or (math.nan,) * len(report.views)
-    each = zip(report.views, report.residuals, predicted, strict=True)
-    for number, (view, residual, prediction) in enumerate(each, 1):
+    for number, (view, residual, prediction) in enumerate(report.by_view(), 1):
         line = f"{number} {view.photo.name}: re-rendered within {100.0 * residual:.1f} %"
         if not view.flash:
             line += ", without flash"
@@ -111,6 +110,11 @@ def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
     yield "measured, not predicted: " + ", ".join(shares), None
     if report.mosaic.margins.any:
         yield report.mosaic.summary(), None
+
+
+def _colour(number: int) -> CodeTriple:
+    """Colour of the photograph of a number, from 1."""
+    return _CAMERAS[(number - 1) % len(_CAMERAS)]
 
 
 def _views(report: SetReport) -> Iterator[_View]:
@@ -158,14 +162,12 @@ def _from_the_side(views: list[_View], rim: Doubles, width: int, height: int) ->
     return sheet
 
 
-def _words(report: SetReport, width: int, height: int) -> Image.Image:
+def _text(report: SetReport, width: int, height: int) -> Image.Image:
     sheet, ink = _blank(width, height, "error of each photograph")
     font = ImageFont.load_default(size=14)
     y = 2 * _LINE
     for text, number in set_report_lines(report):
-        colour = _INK if number is None else _LEFT_OUT
-        if number:
-            colour = _CAMERAS[(number - 1) % len(_CAMERAS)]
+        colour = _INK if number is None else _colour(number) if number else _LEFT_OUT
         for line in _wrapped(text, font, width - 2 * _ROUND):
             ink.text((_ROUND, y), line, fill=colour, font=font)
             y += _LINE - 4

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,10 +33,10 @@ class SetReport:
     mosaic: Mosaic
     """Extent of the maps; without margins, the first photograph's rectangle."""
 
-    @property
-    def distortion(self) -> tuple[float, float]:
-        """Radial distortion of the lens (Lens.distortion)."""
-        return self.views[0].camera.lens.distortion
+    def by_view(self) -> Iterator[tuple[RegisteredView, float, float]]:
+        """Each view with its residual and the residual of its prediction; NaN if not computed."""
+        predicted = self.predicted or (math.nan,) * len(self.views)
+        return zip(self.views, self.residuals, predicted, strict=True)
 
     def warning(self) -> str | None:
         """A sentence if a camera's standard deviation exceeds the limit, else None."""
@@ -52,7 +53,6 @@ class SetReport:
 
     def document(self) -> dict[str, Any]:
         """JSON: angles in degrees, places in plane units."""
-        predicted = self.predicted or (math.nan,) * len(self.views)
         return {
             "photographs": [
                 {
@@ -66,13 +66,11 @@ class SetReport:
                     "residual": residual,
                     "predicted": None if math.isnan(prediction) else prediction,
                 }
-                for view, residual, prediction in zip(
-                    self.views, self.residuals, predicted, strict=True
-                )
+                for view, residual, prediction in self.by_view()
             ],
             "left_out": [{"name": one.name, "why": one.why} for one in self.left_out],
             "measured_share": dict(zip(CHANNELS, self.measured, strict=True)),
             "flash_offset": list(self.flash_offset[:2]),
-            "lens_distortion": list(self.distortion),
+            "lens_distortion": list(self.views[0].camera.lens.distortion),
             **({"union": self.mosaic.document()} if self.mosaic.margins.any else {}),
         }

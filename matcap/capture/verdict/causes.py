@@ -6,8 +6,7 @@ A cause is reported if its measurement exceeds its limit in the table (photo/che
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,89 +30,48 @@ _CENTRE_RING = (0.25, 0.5)
 _CLIP = 0.995  # pixel value from which a channel counts as clipped
 
 
-@dataclass(frozen=True)
-class CauseMeasurements:
-    """Measurements of causes in the photograph; the defaults mean that there is none."""
+def measured_causes(
+    photo: Photo,
+    smooth: tuple[SmoothLight, SmoothLight],
+    pictures: tuple[Picture, Picture],
+    highlights: tuple[Highlight | None, Highlight | None],
+    exemplar: ExemplarMeasurements,
+) -> dict[str, float]:
+    """Measurement of each cause by its name.
 
-    side: float = -1.0
-    """Log ratio of the brightest side's light to that around the centre; negative under a flash in
-    any direction."""
-    room: float = 0.0
-    """Uniform radiance added to the flash's, as a share of the radiance of dark parts."""
-    curve: float = 0.0
-    """Root-mean-square difference of log radiance that is a function of brightness."""
-    streak: float = 1.0
-    """Length over width of the highlight, divided by that of the re-rendered one."""
-    channels: float = 0.0
-    """Share of the photograph where some channels are clipped and others are not."""
-    developed: bool = False
-    """Whether the photograph is developed, so that it can have a tone curve."""
-    fired: bool | None = None
-    """Whether the flash fired by the file's metadata; None if unknown."""
-
-    @staticmethod
-    def of(
-        photo: Photo,
-        smooth: tuple[SmoothLight, SmoothLight],
-        pictures: tuple[Picture, Picture],
-        highlights: tuple[Highlight | None, Highlight | None],
-    ) -> CauseMeasurements:
-        """Measure a photograph and its re-rendering.
-
-        Args:
-            photo: the photograph.
-            smooth: (h, w, 3) low-pass filtered photograph and re-rendering on the plane.
-            pictures: (H, W, 3) both, unfiltered.
-            highlights: of both.
-        """
-        light, model = (each.mean(axis=2) for each in smooth)
-        clipped = photo.pixels >= _CLIP
-        return CauseMeasurements(
-            side=_brightest_side(light),
-            room=_ambient_share(light, model),
-            curve=_tone_difference(light, model),
-            streak=_streak(pictures, highlights),
-            channels=float((clipped[..., 1:] != clipped[..., :1]).any(axis=2).mean()),
-            developed=not photo.radiometric,
-            fired=photo.flash_fired,
-        )
-
-
-def more_photographs(given: int) -> str:
-    """Remedy for a capture that one or more photographs do not determine well enough."""
-    if given < 2:
-        return "take five photographs and give them with --together, which measure more than one"
-    if given < 5:
-        return f"add photographs from other sides to these {given}: five measure more"
-    return "photograph again with the phone moved further to each side (see matcap inspect)"
-
-
-def causes(
-    seen: CauseMeasurements, exemplar: ExemplarMeasurements, photographs: int
-) -> tuple[Cause, ...]:
-    """Causes beyond their limits, the strongest first; of a sample with so many photographs."""
-    uniform = 0.0 <= seen.side <= UNIFORM
-    curve, room = CAUSES["tone curve"], CAUSES["room light"]
-    bent = seen.developed and curve.strength(seen.curve) >= room.strength(seen.room)
-    values = {
-        "anisotropic highlight": seen.streak,
-        "no flash": float(uniform and not seen.fired),
-        "light from a side": -math.inf if uniform else seen.side,
-        "room light": 0.0 if bent else seen.room,
-        "tone curve": seen.curve if bent else 0.0,
-        "clipping by channel": seen.channels,
+    Args:
+        photo: the photograph.
+        smooth: (h, w, 3) low-pass filtered photograph and re-rendering on the plane.
+        pictures: (H, W, 3) both, unfiltered.
+        highlights: of both.
+        exemplar: measurements on the exemplar.
+    """
+    light, model = (each.mean(axis=2) for each in smooth)
+    side, room, curve = _brightest_side(light), _ambient_share(light, model), _bent(light, model)
+    uniform = 0.0 <= side <= UNIFORM
+    # A tone curve or ambient light, whichever is stronger; a RAW has no tone curve.
+    room_strength = CAUSES["room light"].strength(room)
+    developed = not photo.radiometric and CAUSES["tone curve"].strength(curve) >= room_strength
+    clipped = photo.pixels >= _CLIP
+    return {
+        "anisotropic highlight": _streak(pictures, highlights),
+        "no flash": float(uniform and not photo.flash_fired),
+        "light from a side": -math.inf if uniform else side,
+        "room light": 0.0 if developed else room,
+        "tone curve": curve if developed else 0.0,
+        "clipping by channel": float((clipped[..., 1:] != clipped[..., :1]).any(axis=2).mean()),
         "steep relief": exemplar.tilt,
         "large features": exemplar.variety,
     }
-    strengths = {name: CAUSES[name].strength(value) for name, value in values.items()}
-    names = sorted(strengths, key=lambda name: -strengths[name])
-    words = {
-        "times": math.exp(seen.side),
-        "share": min(seen.room, 1.0),
-        "more": more_photographs(photographs),
-    }
+
+
+def causes(measured: Mapping[str, float], more: str) -> tuple[Cause, ...]:
+    """Causes beyond their limits, the strongest first; `more` is which photographs would help."""
+    strengths = {name: CAUSES[name].strength(value) for name, value in measured.items()}
     return tuple(
-        CAUSES[name].described(values[name], **words) for name in names if strengths[name] >= 1.0
+        CAUSES[name].described(measured[name], more)
+        for name in sorted(strengths, key=lambda name: -strengths[name])
+        if strengths[name] >= 1.0
     )
 
 
@@ -122,7 +80,7 @@ def by_place(difference: SmoothLight) -> SmoothLight:
     distance from the centre: light varies so, texture hardly does.
     """
     terms = np.concatenate([_plane(difference.shape), _rings(difference.shape)])
-    return _projected(difference, terms)
+    return np.einsum("n,nhw->hw", _coefficients(difference, terms), terms)
 
 
 def _brightest_side(light: SmoothLight) -> float:
@@ -136,8 +94,8 @@ def _brightest_side(light: SmoothLight) -> float:
     return float(np.log((brightest + 1e-6) / (np.median(around) + 1e-6)))
 
 
-def _tone_difference(light: SmoothLight, model: SmoothLight) -> float:
-    """Standard deviation of log(light / model) explained by log model and its square.
+def _bent(light: SmoothLight, model: SmoothLight) -> float:
+    """Standard deviation of the part of log(light / model) explained by log model and its square.
 
     Fitted together with functions linear in position.
     """
@@ -146,10 +104,8 @@ def _tone_difference(light: SmoothLight, model: SmoothLight) -> float:
     level = np.log(model + floor)
     level = (level - level.mean()) / max(float(level.std()), 1e-6)
     bent = np.stack([level, np.square(level)])
-    plane = _plane(difference.shape)
-    terms = np.concatenate([bent, plane, np.ones((1, *difference.shape))])
-    weights = np.linalg.lstsq(terms.reshape(len(terms), -1).T, difference.ravel(), rcond=1e-9)[0]
-    curve = np.einsum("n,nhw->hw", weights[: len(bent)], bent)
+    terms = [*bent, *_plane(difference.shape), np.ones_like(difference)]
+    curve = np.einsum("n,nhw->hw", _coefficients(difference, np.stack(terms))[:2], bent)
     return float(curve.std())
 
 
@@ -192,8 +148,7 @@ def _from_middle(shape: Sequence[int]) -> tuple[SmoothLight, SmoothLight]:
     return across[None, :], down[:, None]
 
 
-def _projected(plane: SmoothLight, terms: SmoothLight) -> SmoothLight:
-    """Least-squares projection of a plane (h, w) on terms (n, h, w)."""
+def _coefficients(plane: SmoothLight, terms: SmoothLight) -> SmoothLight:
+    """(n,) coefficients of the least-squares fit of terms (n, h, w) to a plane (h, w)."""
     flat = terms.reshape(len(terms), -1)
-    weights = np.linalg.lstsq(flat.T, plane.ravel(), rcond=1e-9)[0]
-    return np.asarray(np.einsum("n,nhw->hw", weights, terms), np.float64)
+    return np.asarray(np.linalg.lstsq(flat.T, plane.ravel(), rcond=1e-9)[0], np.float64)

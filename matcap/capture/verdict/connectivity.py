@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.photo.inspect import blurred
+from matcap.photo.inspect import band_passed
 from matcap.photo.shrink import area_averaged
 
 Picture = NDArray[np.float32]
@@ -49,8 +49,8 @@ def connectivity(pictures: tuple[Picture, Picture], valid: TexelMask) -> tuple[f
     if not places:
         return None
     medians = []
-    for fine, coarse in _BANDS:
-        bands = [blurred(one, fine) - blurred(one, coarse) for one in (before, after)]
+    for deviations in _BANDS:
+        bands = [band_passed(one, *deviations) for one in (before, after)]
         each = np.array([[_of_window(band[place]) for band in bands] for place in places])
         middle = float(np.median(each[:, 0]))
         # Both of a pair have the same light, so their difference has the smaller scatter.

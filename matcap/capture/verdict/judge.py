@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from matcap.capture.verdict.causes import causes, more_photographs
+from matcap.capture.verdict.causes import causes
 from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
 from matcap.capture.verdict.highlight import UNSEEN
 from matcap.capture.verdict.measurements import Measurements
@@ -93,11 +93,8 @@ class CaptureVerdict:
 
 def judge(seen: Measurements) -> CaptureVerdict:
     """Rate measurements and look for causes."""
-    return CaptureVerdict(
-        tuple(findings(seen)),
-        causes(seen.causes, seen.exemplar, seen.photographs),
-        seen.photographs,
-    )
+    more = more_photographs(seen.photographs)
+    return CaptureVerdict(tuple(findings(seen)), causes(seen.causes, more), seen.photographs)
 
 
 def findings(seen: Measurements) -> Iterator[Finding]:
@@ -113,6 +110,15 @@ def findings(seen: Measurements) -> Iterator[Finding]:
     yield from _order(seen)
     yield from _exemplar(seen.exemplar, more)
     yield CHECKS["flash_offset"].finding(seen.offset, off=50.0 * seen.offset)
+
+
+def more_photographs(given: int) -> str:
+    """Remedy for a capture that one or more photographs do not determine well enough."""
+    if given < 2:
+        return "take five photographs and give them with --together, which measure more than one"
+    if given < 5:
+        return f"add photographs from other sides to these {given}: five measure more"
+    return "photograph again with the phone moved further to each side (see matcap inspect)"
 
 
 def plain(highlight: Highlight | None) -> bool:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from matcap.capture.exemplar.noise import code_step
 from matcap.capture.method import FEATURES, WINDOW
-from matcap.capture.verdict.causes import CauseMeasurements, by_place
+from matcap.capture.verdict.causes import by_place, measured_causes
 from matcap.capture.verdict.connectivity import connectivity
 from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
 from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
@@ -25,9 +25,9 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.rectify import CLIPPING, planes_of
-from matcap.photo.inspect import Inspection, blurred, channel_mean, inspect_photo
+from matcap.photo.inspect import Inspection, band_passed, channel_mean, inspect_photo
 from matcap.photo.photo import Photo
-from matcap.photo.shrink import area_averaged
+from matcap.photo.shrink import cell_means
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank
 from matcap.statistics.lattice import Wave, periodicity
@@ -45,6 +45,7 @@ _TOE = 0.02  # share of the median that is added before logarithms
 _FINE = (1.0, 3.0)
 _COARSE_BAND = (4.0, 16.0)  # standard deviations of the band-pass for coarse texture, texels
 _CHROMA_BAND = (2.0, 16.0)  # those for coloured texture, log red / green and blue / green
+_TILES = 8  # across the picture, for contrasts of texture
 _BRIGHT = 0.2  # share of tiles, the brightest, that form the region in the light
 _PLACES = (4, 3)  # number of windows across and down
 _LEAST_SEEN = 0.5  # least valid share of a window
@@ -79,8 +80,8 @@ class Measurements:
     is too small."""
     exemplar: ExemplarMeasurements = ExemplarMeasurements()
     """Measurements on the exemplar itself."""
-    causes: CauseMeasurements = CauseMeasurements()
-    """Measurements of possible causes."""
+    causes: Mapping[str, float] = field(default_factory=dict)
+    """Measurement of each cause by its name (photo/checks.py)."""
     photographs: int = 1
     """Number of photographs of the sample."""
 
@@ -105,6 +106,7 @@ def measured(
         waves: frequency vectors of its lattice, cycles per texel.
         exemplar: measurements on the exemplar, if there is one.
     """
+    exemplar = exemplar or ExemplarMeasurements()
     # Both are clipped at the camera's limit.
     pictures = np.minimum(rectified, 1.0), np.minimum(rerendered, 1.0)
     smooth = _smooth(pictures[0]), _smooth(pictures[1])
@@ -126,8 +128,8 @@ def measured(
         connectivity=connectivity(
             (_log_luminance(pictures[0])[0], _log_luminance(pictures[1])[0]), valid
         ),
-        exemplar=exemplar or ExemplarMeasurements(),
-        causes=CauseMeasurements.of(photo, smooth, pictures, highlights),
+        exemplar=exemplar,
+        causes=measured_causes(photo, smooth, pictures, highlights, exemplar),
     )
 
 
@@ -162,12 +164,12 @@ def texture_contrasts(
     developed photograph is uncertain by a code of 255, which blurs to blotches (exemplar/noise.py):
     that variance is added to both, so that only visible differences count.
     """
-    light = _tiles(channel_mean(seen))
+    light = cell_means(channel_mean(seen), _TILES)
     bright = np.zeros(light.shape, bool)
     bright.flat[light.argsort(axis=None)[-math.ceil(_BRIGHT * light.size) :]] = True
     before, after = (_tile_contrasts(picture) for picture in (seen, again))
     if developed:
-        noise = _code_variance(_tiles(seen), _log_luminance(seen)[1])
+        noise = _code_variance(cell_means(seen, _TILES), _log_luminance(seen)[1])
         for tiles in (before, after):
             tiles["coloured"] = tiles["coloured"] + noise
 
@@ -185,10 +187,13 @@ def _tile_contrasts(picture: Picture) -> dict[str, Picture]:
     """By band, variance of log luminance in each tile."""
     log, floor = _log_luminance(picture)
     bands = {"fine": _FINE, "coarse": _COARSE_BAND}
-    tiles = {band: _tiles(np.square(_band(log, *reach))) for band, reach in bands.items()}
+    tiles = {
+        band: cell_means(np.square(band_passed(log, *reach)), _TILES)
+        for band, reach in bands.items()
+    }
     whole = np.log(picture + floor)
-    chroma = _band(whole[..., ::2] - whole[..., 1:2], *_CHROMA_BAND)
-    return {**tiles, "coloured": _tiles(np.square(chroma)).mean(axis=2)}
+    chroma = band_passed(whole[..., ::2] - whole[..., 1:2], *_CHROMA_BAND)
+    return {**tiles, "coloured": cell_means(np.square(chroma), _TILES).mean(axis=2)}
 
 
 def _code_variance(picture: Picture, floor: float) -> Picture:
@@ -209,23 +214,11 @@ def _log_luminance(picture: Picture) -> tuple[Picture, float]:
     return np.log(luminance + floor), floor
 
 
-def _band(log: Picture, least: float, most: float) -> Picture:
-    """Difference of two Gaussian blurs with these standard deviations, texels."""
-    return blurred(log, least) - blurred(log, most)
-
-
-def _tiles(picture: Picture) -> Picture:
-    """Mean of a picture in tiles, eight across."""
-    rows = max(1, round(8 * picture.shape[0] / picture.shape[1]))
-    return area_averaged(picture, (8, rows))
-
-
 def _smooth(picture: Picture) -> NDArray[np.float64]:
     """Low-pass filtered picture (H, W, 3), _CELLS across."""
-    rows = max(4, round(_CELLS * picture.shape[0] / picture.shape[1]))
-    small = area_averaged(picture, (_CELLS, rows))
-    blurred = cv2.GaussianBlur(small, (0, 0), _SMOOTH, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(blurred, np.float64)
+    small = cell_means(picture, _CELLS, 4)
+    smooth = cv2.GaussianBlur(small, (0, 0), _SMOOTH, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(smooth, np.float64)
 
 
 def texture_difference(plane: Plane, rendering: Tensor) -> float:

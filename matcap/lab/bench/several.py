@@ -147,7 +147,7 @@ def off(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """Errors of maps over the first photograph's rectangle."""
     assert result.estimate is not None
     maps, several = map_set_of(result.estimate.first_rectangle), result.estimate.several
-    distortion = (0.0, 0.0) if several is None else several.distortion
+    distortion = (0.0, 0.0) if several is None else several.views[0].camera.lens.distortion
     estimated = PosedCamera.of(result.material.setup, distortion)
     return map_errors(maps, taken.true_maps(0, estimated, maps.size))
 

@@ -12,7 +12,7 @@ from arrays import photo_from_array
 from matcap.capture.exemplar.noise import code_step
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
-from matcap.capture.verdict.causes import CauseMeasurements
+from matcap.capture.verdict.causes import measured_causes
 from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
 from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
 from matcap.capture.verdict.judge import findings, judge
@@ -174,45 +174,48 @@ def test_one_fault_is_enough_and_is_told_with_remedy(change, check, word):
     assert sentence.startswith(f"{word}: ") and worst.says in sentence and worst.remedy in sentence
 
 
-def cause_of(**measured):
-    """A photograph with these measurements of causes."""
-    return {"causes": CauseMeasurements(**measured)}
+# A cause's measurement, and the fault that it explains.
+SHOWN = {
+    "anisotropic highlight": (2.0, {"highlights": (SPOT, replace(SPOT, width=0.5))}),
+    "no flash": (1.0, {"light": 0.5}),
+    "light from a side": (0.2, {"light": 0.5}),
+    "room light": (0.5, {"light": 0.5}),
+    "tone curve": (0.3, {"colour": (0.2, 0.0, -0.25)}),
+    "clipping by channel": (0.2, shot_with("clipped", 0.2)),
+    "steep relief": (35.0, {"texture": 2.0}),
+    "large features": (0.1, {"order": (0.5, 0.05)}),
+}
 
 
-# What is measured, the cause's name, and the fault that it explains.
-SHOWN = [
-    (
-        cause_of(streak=2.0),
-        "anisotropic highlight",
-        {"highlights": (SPOT, replace(SPOT, width=0.5))},
-    ),
-    (cause_of(side=0.05), "no flash", {"light": 0.5}),
-    (cause_of(side=0.2), "light from a side", {"light": 0.5}),
-    (cause_of(room=0.5), "room light", {"light": 0.5}),
-    (cause_of(curve=0.3, developed=True), "tone curve", {"colour": (0.2, 0.0, -0.25)}),
-    (cause_of(channels=0.2), "clipping by channel", shot_with("clipped", 0.2)),
-    (exemplar_with(tilt=35.0), "steep relief", {"texture": 2.0}),
-    (exemplar_with(variety=0.1), "large features", {"order": (0.5, 0.05)}),
-]
-
-
-@pytest.mark.parametrize(("measured", "name", "fault"), SHOWN)
-def test_a_cause_is_named_on_evidence_of_its_own_and_with_what_helps(measured, name, fault):
-    verdict = judge(replace(FINE, **fault, **measured))
+@pytest.mark.parametrize("name", CAUSES)
+def test_a_cause_is_named_on_evidence_of_its_own_and_with_what_helps(name):
+    value, fault = SHOWN[name]
+    verdict = judge(replace(FINE, **fault, causes={name: value}))
     (cause,) = verdict.causes
     assert cause.name == name
     assert f"Likely cause: {cause.says}. Remedy: {cause.remedy}." in verdict.sentence()
     assert judge(replace(FINE, **fault)).causes == ()
 
 
-def test_every_cause_is_shown():
-    assert {name for _, name, _ in SHOWN} == set(CAUSES)
+def causes_in_even_light(exponent=1.0, **changes):
+    """Measured of a photograph that is evenly lit, and raised to a power unlike its rendering."""
+    x, y = np.arange(64)[None, :, None], np.arange(48)[:, None, None]
+    model = 0.2 * np.exp(np.cos(np.pi * x / 2) * np.cos(np.pi * y / 2)) * np.ones(3)
+    light = model**exponent
+    photo = replace(photo_from_array(light.astype(np.float32)), **changes)
+    return measured_causes(photo, (light, model), (light, model), (None, None), FINE.exemplar)
 
 
-def test_a_flash_that_fired_is_not_said_to_be_missing():
+@pytest.mark.parametrize(("fired", "missing"), [(True, 0.0), (None, 1.0), (False, 1.0)])
+def test_a_flash_that_fired_is_not_said_to_be_missing(fired, missing):
     """Wide beams, photographs of several cameras: an even picture alone is no evidence then."""
-    even = replace(FINE, light=0.5, causes=CauseMeasurements(side=0.05, fired=True))
-    assert judge(even).causes == ()
+    assert causes_in_even_light(flash_fired=fired)["no flash"] == missing
+
+
+def test_a_curve_bends_no_raw():
+    for raw in (False, True):
+        bent = causes_in_even_light(1.5, radiometric=raw)["tone curve"]
+        assert (bent == 0.0) is raw and (CAUSES["tone curve"].strength(bent) > 1.0) is not raw
 
 
 def test_where_the_photograph_shows_no_cause_none_is_named():
@@ -230,12 +233,8 @@ def test_lines_that_break_or_appear_are_told_by_what_they_are():
 
 
 def test_a_cause_that_explains_another_fault_is_not_told_of_this_one():
-    verdict = judge(replace(FINE, order=(0.5, 0.05), causes=CauseMeasurements(room=0.9)))
+    verdict = judge(replace(FINE, order=(0.5, 0.05), causes={"room light": 0.9}))
     assert "period" in verdict.sentence() and "dark parts" not in verdict.sentence()
-
-
-def test_a_curve_bends_no_raw():
-    assert judge(replace(FINE, causes=CauseMeasurements(curve=0.5))).causes == ()
 
 
 def test_several_small_faults_make_a_larger_one_but_not_a_failure():
