@@ -1,4 +1,4 @@
-"""Pieces of a few texels, and their photographs by the renderer itself, on the maps' own grid."""
+"""Small maps, and their photographs by the renderer on the maps' own grid."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,7 +17,7 @@ from matcap.lab.simulate.photograph import PhoneCamera, as_photo
 PHONE, HAND = PhoneCamera(width=640, height=480), Hand()
 SIZE = (48, 64)  # texels
 OFFSET = (0.04, -0.07)  # the flash's, from the lens
-# As of a network that hardly knows: log of what each number is off by, (4, 1, 1).
+# Log errors (4, 1, 1) of an uncertain prediction.
 LOG_ERROR = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.15]))[:, None, None]
 
 
@@ -29,7 +29,7 @@ def photographed(subject, phone, count, seed, hand=HAND, first=0):
 
 
 def grainy(seed: int, size: tuple[int, int] = SIZE, *, albedo: float = 0.2) -> MapSet:
-    """Maps of a rough relief, whose albedo has blots that know nothing of it."""
+    """Maps of a rough relief and independent blots of albedo."""
     rng, texel = np.random.default_rng(seed), 2.0 / size[1]
 
     def grain(deviation: float) -> torch.Tensor:
@@ -46,7 +46,7 @@ def grainy(seed: int, size: tuple[int, int] = SIZE, *, albedo: float = 0.2) -> M
 
 
 def flattened(maps: MapSet) -> MapSet:
-    """What says nothing: the mean of everything, and no relief."""
+    """Maps of the same mean without detail."""
     mean = maps.diffuse.mean((1, 2), keepdim=True).expand_as(maps.diffuse).contiguous()
     return replace(maps, diffuse=mean, height=torch.zeros_like(maps.height))
 

@@ -1,4 +1,4 @@
-"""Photographs are moved as far as they lie astray, and stay where features are surer."""
+"""Registration by rendering: misregistered photographs move, certain ones stay."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ RIBS = 4.7  # texels
 
 
 def _woven(astray=0.0, size=SIZE):
-    """A flat weave whose threads lie so many texels to the right."""
+    """A flat weave, shifted by `astray` texels to the right."""
     texel = 2.0 / size[1]
     x, y = torch.arange(size[1]) - astray, torch.arange(size[0])[:, None]
     threads = torch.sin(2.0 * torch.pi * x / RIBS) + torch.sin(2.0 * torch.pi * y / RIBS)
@@ -36,7 +36,7 @@ def _woven(astray=0.0, size=SIZE):
 
 @pytest.fixture(scope="module")
 def moved():
-    """(texels, held) to the right by which one of five is moved that lies 0.4 texels further."""
+    """Texels by which each of five photographs is moved, if the fourth is 0.4 texels off."""
     views, light = seen([_woven(), _woven(), _woven(), _woven(0.4), _woven()])
     flat = flattened(_woven())
     log_error = LOG_ERROR.expand(4, *SIZE)
@@ -69,7 +69,7 @@ def test_a_photograph_that_is_held_stays_and_others_move(moved):
 
 @pytest.fixture(scope="module")
 def laid(held):
-    """Photographs of plaster laid over each other, as sure of their places as is said."""
+    """Photographs of plaster before and after alignment, with a misregistration by features."""
     _, photos = held
     found = register(photos, FlashSetup(fov=PHONE.fov))
     maps = flattened(grainy(0, (96, 128)))

@@ -1,4 +1,4 @@
-"""A photograph without flash beside those with it: the room's light is taken off, albedo told."""
+"""A photograph without flash: ambient light is subtracted, and it measures albedo."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The piece is all that its photographs show: how far it reaches, and what it is there."""
+"""Extent of a mosaic, and predictions and maps over it."""
 
 import json
 import math

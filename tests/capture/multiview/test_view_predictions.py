@@ -1,4 +1,4 @@
-"""What is read from each photograph, fused in the first one's frame."""
+"""Predictions of each photograph, fused in the first one's frame."""
 
 import math
 from dataclasses import replace
@@ -10,12 +10,7 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import F0
 from matcap.capture.multiview.texels import Estimate, maps_of, parameters_of
-from matcap.capture.multiview.view_predictions import (
-    OwnPlane,
-    fused,
-    resampled_over,
-    with_others,
-)
+from matcap.capture.multiview.view_predictions import OwnPlane, fused, resampled_over, with_others
 from matcap.capture.multiview.views import SharedLight, ViewWarp
 from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.flash.geometry import camera_in_plane
@@ -39,7 +34,7 @@ def _light():
 
 @pytest.fixture(scope="module")
 def brought(cameras):
-    """Its plane, and a function that brings maps read on it over the first photograph."""
+    """The second photograph's plane, and a function that resamples its maps to the first's."""
     own = OwnPlane.of(cameras[1], _light(), 1)
     warp = ViewWarp(np.eye(3), np.zeros((1, 1), np.float32), cameras[0].place)
 

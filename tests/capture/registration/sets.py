@@ -1,4 +1,4 @@
-"""Sets of hand-held photographs, easy and hard, and how right their cameras are found."""
+"""Simulated sets of hand-held photographs, easy and hard, and errors of their cameras."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.multiview.align import Aligned, aligned
 from matcap.capture.multiview.estimate import predict_alone, registered
 from matcap.capture.progress import MULTIVIEW_STAGES, CaptureClock
-from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.camera import Doubles, PosedCamera
 from matcap.capture.registration.register import Registration, register
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import fit_coarse
@@ -42,7 +42,7 @@ Verdict = Literal["right", "near", "refused", "wrong"]
 
 @dataclass(frozen=True)
 class MadeSet:
-    """Photographs of one piece, true cameras, and numbers of photographs that do not belong."""
+    """Photographs of a sample, true cameras, and indices of photographs of another sample."""
 
     photos: tuple[Photo, ...]
     cameras: tuple[PosedCamera, ...]
@@ -51,7 +51,7 @@ class MadeSet:
 
 @dataclass(frozen=True)
 class SetOutcome:
-    """What was found of a set."""
+    """Errors of the registration of a set."""
 
     errors: tuple[float, ...]
     """Error of each used photograph's camera but the first's, over its distance."""
@@ -110,7 +110,7 @@ def make_set(number: int, *, hard: str | None, width: int = 800) -> MadeSet:
 
 
 def outcome_of(made: MadeSet, detail: int | None = None) -> SetOutcome:
-    """Register a set and compare; or after a capture of so many texels has moved photographs."""
+    """Errors of a set registered by features, or also by rendering on `detail` texels across."""
     try:
         if detail is None:
             return compared(made, register(made.photos, fit_coarse(made.photos[0]).setup))
@@ -123,8 +123,13 @@ def outcome_of(made: MadeSet, detail: int | None = None) -> SetOutcome:
         return SetOutcome((), (str(error),), 0, math.nan)
 
 
+def relative_position(first: PosedCamera, camera: PosedCamera) -> Doubles:
+    """(3,) position of a camera in the first one's frame."""
+    return first.turn @ (camera.place - first.place)
+
+
 def compared(made: MadeSet, found: Registration) -> SetOutcome:
-    """Cameras against truth, in the first camera's frame: its own tilt is told apart."""
+    """Errors of cameras in the first one's frame, and of the first one's tilt."""
     names = [photo.name for photo in made.photos]
     first, true_first = found.views[0].camera, made.cameras[0]
     errors, deviations, taken_in = [], [], 0
@@ -134,10 +139,8 @@ def compared(made: MadeSet, found: Registration) -> SetOutcome:
             taken_in += 1
             continue
         true = made.cameras[number]
-        apart = first.turn @ (view.camera.place - first.place)
-        expected = true_first.turn @ (true.place - true_first.place)
-        off = np.linalg.norm(apart - expected) / np.linalg.norm(true.place)
-        errors.append(float(off))
+        off = relative_position(first, view.camera) - relative_position(true_first, true)
+        errors.append(float(np.linalg.norm(off) / np.linalg.norm(true.place)))
         deviations.append(view.position_deviation)
     wrong = [one for one in found.left_out if names.index(one.name) not in made.foreign]
     turned = first.turn[2] @ true_first.turn[2]
@@ -151,7 +154,7 @@ def compared(made: MadeSet, found: Registration) -> SetOutcome:
 
 
 def verdict(outcome: SetOutcome) -> Verdict:
-    """Of a set by its worst camera; refused where no camera is told and that was said."""
+    """Verdict by the worst camera; refused if there is none, with the reason."""
     worst = max(outcome.errors, default=0.0)
     if outcome.taken_in or worst > _WRONG:
         return "wrong"
@@ -161,17 +164,17 @@ def verdict(outcome: SetOutcome) -> Verdict:
 
 
 def unsaid(outcome: SetOutcome) -> bool:
-    """Whether a camera is off by more than is aimed at, and that was said of none of the set."""
+    """Whether an error exceeds UNCERTAIN while no stated deviation does."""
     return max(outcome.errors, default=0.0) > UNCERTAIN >= max(outcome.deviations, default=0.0)
 
 
 def kinds(sets: int) -> list[str | None]:
-    """Of so many sets: every third is hard, its ways in turn."""
+    """What each of `sets` sets is made hard by: every third by HARD in turn, others by None."""
     return [HARD[(n // 3) % len(HARD)] if n % 3 == 2 else None for n in range(sets)]
 
 
 def columns(_made: MadeSet, outcome: SetOutcome) -> Mapping[str, Value]:
-    """Of a set, as a row of a table: shares are 0 or 1, tilt in degrees."""
+    """Row of a table about a set: verdicts are 0 or 1, tilt is in degrees."""
     errors, of = outcome.errors or (math.nan,), verdict(outcome)
     return {
         "cameras": float(len(outcome.errors)),
@@ -190,13 +193,13 @@ def columns(_made: MadeSet, outcome: SetOutcome) -> Mapping[str, Value]:
 def sets_experiment(
     count: int, seed: int, width: int, detail: int | None
 ) -> Experiment[MadeSet, SetOutcome]:
-    """Cameras of so many sets, every third hard, each kind a configuration.
+    """Registration of `count` sets, every third hard; each difficulty is a configuration.
 
     Args:
-        count: of sets.
+        count: number of sets.
         seed: of the first.
-        width: pixels across.
-        detail: after a capture of so many texels across has moved photographs; None before.
+        width: of the photographs, pixels.
+        detail: as of outcome_of.
     """
     kind_of = {f"{number}": kind for number, kind in enumerate(kinds(count), seed)}
 

@@ -1,11 +1,10 @@
-"""How right cameras are found, on many simulated sets of which a third are hard.
+"""Errors of registered cameras on many simulated sets, of which a third are hard.
 
     python tests/capture/registration/sweep.py --sets 300
     python tests/capture/registration/sweep.py --sets 24 --aligned 512
 
-Prints a table of sets, with means by kind; a killed run goes on from its CSV. Exits with 4 where a
-camera is off by more than 2 % of its distance, or a foreign photograph was taken in, without being
-said.
+Prints a table of sets, with means by difficulty; a killed run continues from its CSV. Exits with 4
+if a camera is off by more than 2 % of its distance, or a photograph of another sample was used.
 """
 
 from __future__ import annotations

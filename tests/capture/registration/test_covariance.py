@@ -1,7 +1,8 @@
-"""How far cameras may be off is said, and is as far as they are."""
+"""Standard deviations of cameras and of registration are as large as the true errors."""
 
 import numpy as np
 import pytest
+from sets import relative_position
 
 from matcap.capture.registration import covariance
 from matcap.capture.registration.adjust import Adjusted, Pair, adjust
@@ -16,8 +17,11 @@ PIXEL = 1.0 / 400.0
 (UNCERTAIN,) = CHECKS["cameras"].limits
 
 
-def _matched(seed, noise, depths, count=800):
-    """Cameras, and matches of features off by pixels, that seem to lie so deep to every flash."""
+def _adjusted(seed, noise, depths, count=800):
+    """True cameras, matches, and the cameras fitted to them.
+
+    Matches are off by `noise` pixels, and by the shading of features of apparent `depths`.
+    """
     rng = np.random.default_rng(seed)
     cameras = hold(PHONE, Hand(), 5, seed)
     points = np.stack([rng.uniform(-1.0, 1.0, count), rng.uniform(-0.75, 0.75, count)])
@@ -34,31 +38,24 @@ def _matched(seed, noise, depths, count=800):
     for image in images[1:]:
         both = (np.abs(images[0]).max(0) < 1.0) & (np.abs(image).max(0) < 1.0)
         pairs.append(Pair(images[0][:, both], image[:, both], PIXEL))
-    return cameras, pairs
+    return cameras, pairs, adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
 
 
-def _adjusted(seed, noise, depths):
-    """True cameras, matches, and what is fitted to them."""
-    true, pairs = _matched(seed, noise, depths)
-    return true, pairs, adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
+def _position_errors(true, found):
+    """Errors of positions relative to the first camera, over their distance."""
 
-
-def _off(true, found):
-    first = found.cameras[0]
+    first, *others = found.cameras
     return np.array(
         [
-            np.linalg.norm(
-                first.turn @ (camera.place - first.place)
-                - true[0].turn @ (other.place - true[0].place)
-            )
+            np.linalg.norm(relative_position(first, camera) - relative_position(true[0], other))
             / np.linalg.norm(other.place)
-            for camera, other in zip(found.cameras[1:], true[1:], strict=True)
+            for camera, other in zip(others, true[1:], strict=True)
         ]
     )
 
 
-def _beside(true, found):
-    """Plane units that photographs lie beside the first, where both show the plane."""
+def _misregistration(true, found):
+    """Plane units by which photographs are off the first, where both show the plane."""
     points = np.stack([*np.random.default_rng(0).uniform(-0.7, 0.7, (2, 500)), np.zeros(500)])
     image = found.cameras[0].sees(points)
     off = []
@@ -74,52 +71,49 @@ def _flat(rng, count):
 
 
 def _bumps(rng, count):
-    """All of a kind, as leather's cells: twice as deep as they scatter."""
+    """Alike, as leather's cells: their mean depth is twice its standard deviation."""
     return rng.normal(0.014, 0.007, count)
 
 
-def test_features_of_a_flat_piece_leave_no_doubt():
+def test_deviations_of_a_flat_sample_are_small():
     _, pairs, found = _adjusted(1, 0.1, _flat)
-    assert camera_deviations(found, pairs).positions.max() < UNCERTAIN
+    deviations = camera_deviations(found, pairs)
+    assert deviations.positions.max() < UNCERTAIN
+    _, pairs, found = _adjusted(1, 0.4, _bumps)
+    relief = camera_deviations(found, pairs)
+    assert (deviations.misregistration < 0.25 * relief.misregistration).all()
 
 
-def test_shading_that_moves_cameras_is_said():
-    for seed in range(3):
-        true, pairs, found = _adjusted(seed, 0.4, _bumps)
-        off, said = _off(true, found), camera_deviations(found, pairs).positions
-        assert off.max() > UNCERTAIN  # else this tells nothing
-        assert (said[off > UNCERTAIN] > UNCERTAIN).all()
-        # Neither lulls nor cries wolf.
-        assert 0.3 < np.sqrt(np.mean((off / said) ** 2)) < 2.0
-
-
-def test_how_far_photographs_lie_beside_each_other_is_said():
-    for seed in range(3):
-        true, pairs, found = _adjusted(seed, 0.4, _bumps)
-        off, said = _beside(true, found), camera_deviations(found, pairs).misregistration
-        assert 0.3 < np.sqrt(np.mean((off / said) ** 2)) < 2.0
-    _, pairs, found = _adjusted(0, 0.1, _flat)
-    assert (camera_deviations(found, pairs).misregistration < 0.25 * said).all()
+@pytest.mark.parametrize("seed", range(3))
+def test_what_shading_moves_is_said(seed):
+    true, pairs, found = _adjusted(seed, 0.4, _bumps)
+    deviations = camera_deviations(found, pairs)
+    off = _position_errors(true, found)
+    assert off.max() > UNCERTAIN  # else this shows nothing
+    assert (deviations.positions[off > UNCERTAIN] > UNCERTAIN).all()
+    # Neither too small nor too large.
+    assert 0.3 < np.sqrt(np.mean((off / deviations.positions) ** 2)) < 2.0
+    off = _misregistration(true, found)
+    assert 0.3 < np.sqrt(np.mean((off / deviations.misregistration) ** 2)) < 2.0
 
 
 @pytest.mark.parametrize("more", [1.0, 2.0])
-def test_more_scatter_is_more_doubt(more, monkeypatch):
+def test_deeper_relief_is_less_certain(more, monkeypatch):
     _, pairs, found = _adjusted(2, 0.4, lambda rng, count: more * _bumps(rng, count))
     both = camera_deviations(found, pairs).positions
     monkeypatch.setattr(covariance, "_COMMON_DEPTH", 0.0)
     assert (both > 1.5 * camera_deviations(found, pairs).positions).all()
 
 
-def test_fewer_matches_are_more_doubt(monkeypatch):
+def test_fewer_matches_are_less_certain(monkeypatch):
     _, pairs, found = _adjusted(3, 0.5, _flat)
     few = [Pair(p.first[:, ::8], p.second[:, ::8], p.pixel) for p in pairs]
     monkeypatch.setattr(covariance, "_COMMON_DEPTH", 0.0)
-    assert (
-        camera_deviations(found, few).positions > 1.5 * camera_deviations(found, pairs).positions
-    ).all()
+    by_few, by_all = (camera_deviations(found, some).positions for some in (few, pairs))
+    assert (by_few > 1.5 * by_all).all()
 
 
-def test_nothing_is_said_where_nothing_is_matched():
+def test_without_matches_there_is_no_deviation():
     found = adjust(FlashSetup(fov=PHONE.fov), [], known=True)
     assert isinstance(found, Adjusted) and camera_deviations(found, []).positions.shape == (0,)
     assert camera_deviations(found, []).misregistration.shape == (0,)

@@ -1,4 +1,4 @@
-"""Where features are found in a photograph."""
+"""Positions of features, and their matches."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ def test_features_lie_where_they_are_whichever_way_the_picture_is_held():
 
 
 def _mistaken(right, wrong, seed):
-    """Keypoints of two views of a plane that are alike; few of them show the same place."""
+    """Keypoints of two views of a plane with equal descriptors, of which `right` match."""
     rng = np.random.default_rng(seed)
     count = right + wrong
     one = rng.uniform((-1.0, -0.75), (1.0, 0.75), (count, 2)).T
@@ -70,7 +70,7 @@ def test_what_agrees_by_chance_is_too_little():
 
 @pytest.mark.parametrize("ratio", [0.8, 0.95])
 def test_features_are_matched_that_are_nearest_both_ways(ratio):
-    """Beside OpenCV's matcher, one by one; more than are compared at a time."""
+    """As by OpenCV's matcher; more of them than one block of distances has."""
     rng = np.random.default_rng(0)
     first = rng.random((2100, 128), np.float32)
     second = np.concatenate(

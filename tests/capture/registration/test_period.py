@@ -1,4 +1,4 @@
-"""Regular weaves: threads lie as well one further, and that must not lay a photograph there."""
+"""Periodic weaves, whose photographs could be registered a period off."""
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ from matcap.lab.simulate.photograph import PhoneCamera
 from matcap.photo.photo import Photo
 
 PHONE = PhoneCamera(width=480, height=360)
-FINE = 2  # of a pixel's side that are looked up
+FINE = 2  # samples along a pixel's side
 
 
 def _smooth(rng, deviation):
@@ -21,7 +21,7 @@ def _smooth(rng, deviation):
 
 
 def _weave(thread, clouds, flaws):
-    """(3, h, w) plane points to albedo: threads of a width, clouds and flaws by so much (log)."""
+    """Albedo of plane points (3, h, w): threads of a width; log contrast of clouds and flaws."""
     rng = np.random.default_rng(1)
     irregular = clouds * _smooth(rng, 30.0) + flaws * _smooth(rng, 1.0)
 
@@ -37,7 +37,7 @@ def _weave(thread, clouds, flaws):
 
 
 def _photographs(albedo):
-    """Cameras, and what they see by their flashes."""
+    """Cameras, and their flash photographs of an albedo."""
     cameras, photos = hold(PHONE, Hand(), 2, 5), []
     columns, rows = PHONE.width * FINE, PHONE.height * FINE
     x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)

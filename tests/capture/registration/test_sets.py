@@ -1,4 +1,4 @@
-"""Cameras of sets of photographs, easy and hard; sweep.py does three hundred of them."""
+"""Cameras of sets of photographs, easy and hard; sweep.py registers three hundred of them."""
 
 from dataclasses import replace
 
