@@ -335,7 +335,7 @@ FAULTS = (
           "BY_HEIGHT * slope * share * height", "-BY_HEIGHT * slope * share * height",
           "capture/exemplar/test_material_classes.py -k follows"),
     Fault("flatten: what drifts stays", "capture flatten",
-          "smoothed(c, unit / _STATIONARY)", "0.0 * c",
+          "smoothed(c, unit / WIDE)", "0.0 * c",
           "capture/exemplar/test_refine.py -k stationary or trusted"),
     Fault("flatten: rings around the light stay", "capture.exemplar.refine _rings",
           "mean * np.clip(1.0 - error / np.maximum(np.square(mean), 1e-12), 0.0, 1.0)",

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from matcap.brdf.parameters import ALBEDO, F0, REFLECTANCE, SurfaceParameters
 from matcap.capture.exemplar.exposure_prior import DIELECTRIC, LEAST_PART, METAL, how_metallic
-from matcap.capture.exemplar.filters import smoothed
+from matcap.capture.exemplar.filters import WIDE, smoothed
 from matcap.capture.exemplar.mean_parameters import (
     ROUGHNESS_DEVIATION,
     MeanParameterPrior,
@@ -35,7 +35,6 @@ from matcap.flash.coarse.hypotheses import Gaussian
 from matcap.flash.light import DARKEST
 
 # Classification; docs/notes/gloss.md.
-_AROUND = 10.0  # the long side over the standard deviation of the blur that the high-pass subtracts
 # Slope of logit roughness on height, true over predicted (docs/notes/gloss.md).
 BY_HEIGHT = 2.5
 # Logit of metal per standard deviation of metal_score. Larger values follow the network's
@@ -242,7 +241,7 @@ def metal_score(residuals: SurfaceParameters, logit: Tensor) -> Tensor:
 
 def _high_passed(planes: Tensor) -> NDArray[np.float32]:
     """Planes (C, H, W) less their low frequencies."""
-    around = max(planes.shape) / _AROUND
+    around = max(planes.shape) / WIDE
     return np.stack([plane - smoothed(plane, around) for plane in planes.numpy()])
 
 

@@ -68,9 +68,6 @@ _SPECULAR_NOISE, _SPECULAR_NOISE_METAL = 0.5, 0.15
 # Ratio of the standard deviations of albedo's chroma and lightness. Larger values take sensor
 # noise for colour.
 _CHROMA = 0.3
-# The long side over the standard deviation of the blur that is subtracted from albedo, as the
-# sample is stationary.
-_STATIONARY = 8.0
 _RINGS, _SECTORS = 64, 16  # rings across the long side, and their parts
 _MOST_SHIFT = 2.0  # largest factor on the mean radiance
 
@@ -211,7 +208,7 @@ def flatten(
         if not bool(channels.any()):
             return channels
         mean = (channels * weight).sum((1, 2), keepdim=True) / weight.sum()
-        level = np.stack([c - smoothed(c, unit / _STATIONARY) for c in channels.numpy()])
+        level = np.stack([c - smoothed(c, unit / WIDE) for c in channels.numpy()])
         for distance in distances:
             level -= _rings(level, distance, confidence)
         return torch.from_numpy(level) + mean

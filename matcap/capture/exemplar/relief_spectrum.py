@@ -39,10 +39,6 @@ _WINDOW = 128
 # Least visible share of a window; its energy is divided by that share. At 0.98 a photograph with
 # sparkles has no window left.
 _LEAST_SEEN = 0.75
-# |d log L/d slope| at which a window's weight drops to one half; beyond it the first-order
-# shading model fails, and near a highlight its direction changes within a window. A cut-off at
-# 0.8 or 2 instead gives the same within 1 %.
-_LINEAR = 1.2
 _ROUNDS = 4  # of reweighting, as an energy's standard error is proportional to the energy
 _FEWEST_WINDOWS = 8  # least number of windows for the three unknowns
 _SCATTER = 2.0  # factor on standard errors, for windows that overlap and are shared by directions
@@ -53,10 +49,7 @@ RESPONSE_AROUND = 24.0  # texels, standard deviation of the blur of the sensitiv
 
 # Scaling of predicted relief to the measured energies.
 
-# Standard deviation of the log ratio of true to predicted energy: common to all bands, and of
-# each band. Half or twice as much hardly matters.
-_COMMON_LOG, _BAND_LOG = 1.5, 1.0
-_POSTERIOR_STEP = 0.05  # of the log factors searched
+_MOST_LOG, _POSTERIOR_STEP = 5.0, 0.05  # range and step of the log factors searched
 # Texels, standard deviation of local energies. Smaller values equalise a cell and its groove (at
 # 20 a leather loses 0.1 NSD and a cloth gains as much), larger ones leave arcs around the mirror
 # point.
@@ -208,7 +201,9 @@ def _regressed(energy: Doubles, responses: Doubles) -> Doubles:
         responses: (windows, 6) from _responses.
     """
     matte, x, y, xx, xy, yy = responses.T
-    counts = 1.0 / (1.0 + (xx + yy) / _LINEAR**2)
+    # Beyond |g| of about 1 the first-order shading model fails, and near a highlight the direction
+    # of g changes within a window.
+    counts = 1.0 / (1.0 + xx + yy)
     angle = np.arange(DIRECTIONS)[:, None] * np.pi / DIRECTIONS
     c, s = np.cos(angle), np.sin(angle)
     slant, squared = c * x + s * y, c * c * xx + 2.0 * c * s * xy + s * s * yy
@@ -444,25 +439,22 @@ def posterior_energies(predicted: Doubles, measured: Doubles, deviation: Doubles
 
     With p_b the network's energy of band b, m_b and d_b the measured one and its deviation,
 
-        minimise  sum_b ((p_b e^{x_b} - m_b) / d_b)^2 + sum_b ((x_b - c) / s)^2 + (c / t)^2
+        minimise  sum_b ((p_b e^{x_b} - m_b) / d_b)^2 + sum_b (x_b - c)^2 + c^2
 
-    over the log factors x_b of each band and c common to all (s: _BAND_LOG, t: _COMMON_LOG).
-    The network shrinks uncertain relief by a factor common to all bands and a smaller one per band.
-    Well-measured bands take the measurement; bands measured as zero shrink by the inverse of its
-    variance; bands without a measurement follow c.
+    over the log factors x_b of each band and c common to all, by which the network shrinks
+    uncertain relief. Well-measured bands take the measurement; bands measured as zero shrink by the
+    inverse of its variance; bands without a measurement follow c.
 
     Args:
         predicted: (bands,) squared slopes of the network's relief, positive.
         measured: (bands,) by the photograph, not negative.
         deviation: (bands,) standard deviations of `measured`.
     """
-    reach, step = 2.0 * (_COMMON_LOG + _BAND_LOG), _POSTERIOR_STEP
-    logs = np.arange(-reach, reach + step / 2.0, step)
+    logs = np.arange(-_MOST_LOG, _MOST_LOG + _POSTERIOR_STEP / 2.0, _POSTERIOR_STEP)
     scatter = deviation[:, None] + _LEAST_SLOPE**2
     off = np.square((predicted[:, None] * np.exp(logs) - measured[:, None]) / scatter)
     # (common, band, own): c, b and x_b of the docstring.
-    own_cost = np.square((logs - logs[:, None]) / _BAND_LOG)[:, None, :]
-    price = own_cost + off
+    price = np.square(logs - logs[:, None])[:, None, :] + off
     best = price.argmin(-1)
-    total = price.min(-1).sum(1) + np.square(logs / _COMMON_LOG)
+    total = price.min(-1).sum(1) + np.square(logs)
     return np.asarray(predicted * np.exp(logs[best[total.argmin()]]))
