@@ -15,7 +15,7 @@ def test_flags_win_over_the_file_and_the_file_over_defaults(tmp_path):
     )
     settings = settings_of(tmp_path, {"detail": 256, "preset": None, "png": False})
     capture, outputs = settings.capture, settings.outputs
-    assert (capture.preset, capture.rectified, outputs.png) == ("draft", 256, False)
+    assert (capture.preset, capture.detail, outputs.png) == ("draft", 256, False)
     assert (outputs.size, capture.time_limit, capture.fov) == ((256, 128), 120.0, 60.0)
     assert capture.seed == outputs.seed == CaptureSettings().seed
 
@@ -31,9 +31,9 @@ def test_settings_by_name_and_back():
 def test_the_file_in_the_shoot_wins_over_the_one_beside_it(tmp_path):
     (tmp_path / "shoot").mkdir()
     (tmp_path / "matcap.toml").write_text("detail = 512\n")
-    assert settings_of(tmp_path / "shoot", {}).capture.rectified == 512
+    assert settings_of(tmp_path / "shoot", {}).capture.detail == 512
     (tmp_path / "shoot/matcap.toml").write_text("detail = 256\n")
-    assert settings_of(tmp_path / "shoot", {}).capture.rectified == 256
+    assert settings_of(tmp_path / "shoot", {}).capture.detail == 256
 
 
 def test_a_prior_is_found_beside_the_file(tmp_path):
