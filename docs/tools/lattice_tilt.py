@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from matcap.capture.pipeline import read_photograph
 from matcap.capture.settings import DETAIL, CaptureSettings
-from matcap.capture.tilt import fitted, tilt_document
+from matcap.capture.tilt import fit_photograph, tilt_document
 
 LEAST = 0.75
 SOURCES = ("branch", "picture", "used")
@@ -74,7 +74,7 @@ def measured(path: Path) -> list[tuple[int, float, dict[str, float]]]:
     about_x, about_y = (tilt_about_x(each, distance) for each in (texture, texture.T))
     clear = [(0, *about_x), (1, *about_y)]
     clear = [each for each in clear if each[2] >= LEAST]
-    document = (tilt_document(fitted(photo)) if clear else None) or {}
+    document = (tilt_document(fit_photograph(photo)) if clear else None) or {}
     return [(axis, angle, {s: document[s][axis] for s in SOURCES}) for axis, angle, _ in clear]
 
 

@@ -98,7 +98,7 @@ def estimated_profile(
         settings: field of view, crop and mask.
     """
     from matcap.capture.camera_profile import camera_profile
-    from matcap.capture.tilt import fitted
+    from matcap.capture.tilt import fit_photograph
     from matcap.photo.left_out import leave_out
     from matcap.photo.load import load_photo
 
@@ -114,7 +114,7 @@ def estimated_profile(
         except MatcapError:
             continue  # its capture reports the error
         if seen.flash_fired is not False:
-            fits.append(fitted(seen))
+            fits.append(fit_photograph(seen))
     return camera_profile(camera, fits)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
-from matcap.capture.tilt import fitted, tilt_document
+from matcap.capture.tilt import fit_photograph, tilt_document
 from matcap.capture.verdict.highlight import highlight_profile
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane, read_plane
@@ -67,7 +67,7 @@ def photograph_quality(photo: Photo) -> Inspection:
 
 def _rectified(photo: Photo) -> tuple[Photo, CoarseFit, Plane]:
     """The photograph with its tone curve undone, its coarse fit, and its plane."""
-    coarse = fitted(photo)
+    coarse = fit_photograph(photo)
     photo = photo.linearised(coarse.tone)
     return photo, coarse, read_plane(photo, coarse.setup, photo.pixels.shape[1])
 

@@ -33,7 +33,7 @@ from matcap.capture.settings import (
     check_photographs,
     resolve,
 )
-from matcap.capture.tilt import fitted
+from matcap.capture.tilt import fit_photograph
 from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
@@ -212,7 +212,7 @@ def _rectified(
         MatcapError: the plane is shorter than SHORTEST_SIDE texels.
     """
     with clock.stage("coarse fit"):
-        coarse = fitted(photo, measured=method.measured_tilt)
+        coarse = fit_photograph(photo, measured=method.measured_tilt)
         photo = photo.linearised(coarse.tone)
         rectified = Rectified.of(photo, coarse, settings.detail_of(max(photo.pixels.shape)))
         width, height = rectified.network_input.size

@@ -130,7 +130,7 @@ class Rectified:
     def of(photo: Photo, coarse: CoarseFit, detail: int) -> Rectified:
         """Rectify a photograph to a grid `detail` texels across, and find its lattice."""
         plane = read_plane(photo, coarse.setup, detail)
-        whole, waves = lit_mirror(plane, coarse), lattice_of(plane)
+        whole, waves = fill_masked(plane, coarse), lattice_of(plane)
         return Rectified(photo, coarse, whole, waves, network_input(whole, waves))
 
     @property
@@ -145,7 +145,7 @@ class Rectified:
 
 
 @torch.no_grad()
-def lit_mirror(plane: Plane, uniform: Uniform) -> Plane:
+def fill_masked(plane: Plane, uniform: Uniform) -> Plane:
     """Fill masked texels by mirrored ones, times the ratio of the uniform material's radiance.
 
     With another place's shading they would bias networks and filters whose support includes them.

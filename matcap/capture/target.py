@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from matcap.capture.method import FEATURES, WINDOW, Method
 from matcap.capture.rectified import Rectified
 from matcap.capture.settings import CaptureSettings
-from matcap.capture.tilt import fitted
+from matcap.capture.tilt import fit_photograph
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_encode_tensor
 from matcap.photo.photo import Photo
@@ -57,7 +57,7 @@ def photograph_target(
         weights=method.weights,
         expected=coarse.logits(),
     )
-    fits = ((photo, fitted(photo)) for photo in others)
+    fits = ((photo, fit_photograph(photo)) for photo in others)
     linear = [(photo.linearised(fit.tone), fit) for photo, fit in fits]
     return join(target, coarse, linear, plane.size[0]) if others else (target, [])
 

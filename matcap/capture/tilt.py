@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from matcap.field.single import one_thread
-from matcap.flash.coarse.fit import CoarseFit, fit_coarse, under_flash
+from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
 from matcap.flash.coarse.hypotheses import TiltPrior
 from matcap.photo.photo import Photo
 from matcap.space.alignment import tilt_measurement
 
 
 @one_thread()
-def fitted(photo: Photo, *, measured: bool = True) -> CoarseFit:
+def fit_photograph(photo: Photo, *, measured: bool = True) -> CoarseFit:
     """Coarse fit of a photograph, with the alignment branch's two tilt angles as Gaussian prior.
 
     Albedo is absolute where the flash intensity is known.
@@ -27,7 +27,7 @@ def fitted(photo: Photo, *, measured: bool = True) -> CoarseFit:
     if measured:
         seen = tilt_measurement(photo)
         prior = TiltPrior((seen.x, seen.y), (seen.std_x, seen.std_y))
-    return under_flash(fit_coarse(photo, tilt_prior=prior), photo.flash_intensity)
+    return rescale_to_flash(fit_coarse(photo, tilt_prior=prior), photo.flash_intensity)
 
 
 def tilt_document(coarse: CoarseFit) -> dict[str, Any] | None:

@@ -43,14 +43,14 @@ def fits():
 @pytest.fixture(autouse=True)
 def fitted_once(fits, monkeypatch):
     """Coarse fits are true ones, and of each picture made once: they take a second."""
-    fitted = tilt.fitted
+    fit_photograph = tilt.fit_photograph
 
     def once(photo):
         key = hash(photo.pixels.tobytes())
-        fits[key] = fits.get(key) or fitted(photo)
+        fits[key] = fits.get(key) or fit_photograph(photo)
         return fits[key]
 
-    monkeypatch.setattr(tilt, "fitted", once)
+    monkeypatch.setattr(tilt, "fit_photograph", once)
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from matcap.capture.inspection import inspect_file
 from matcap.capture.outputs import OutputSettings
 from matcap.capture.pipeline import capture_into
 from matcap.capture.settings import CaptureSettings
-from matcap.capture.tilt import fitted, tilt_document
+from matcap.capture.tilt import fit_photograph, tilt_document
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import PhoneCamera
@@ -75,7 +75,7 @@ def test_the_real_branch_brings_fits_nearer_to_the_truth():
     alone, measured = [], []
     for seed in range(UNSEEN + 702, UNSEEN + 710):
         photo, truth = tilted_photo(seed, 320, radiometric=True)
-        for fit, errors in ((fit_coarse(photo), alone), (fitted(photo), measured)):
+        for fit, errors in ((fit_coarse(photo), alone), (fit_photograph(photo), measured)):
             errors += [abs(a - b) for a, b in zip(fit.setup.tilt, truth, strict=True)]
     assert sum(measured) < 0.75 * sum(alone)  # 0.60; with a sign turned at least 1.4
 
@@ -83,4 +83,4 @@ def test_the_real_branch_brings_fits_nearer_to_the_truth():
 def test_without_a_measurement_nothing_is_told(photos):
     photo, _ = tilted_photo(UNSEEN, 128)
     assert tilt_document(fit_coarse(photo)) is None
-    assert fitted(replace(photo, flash_intensity=3.0)).setup.intensity == (3.0,) * 3
+    assert fit_photograph(replace(photo, flash_intensity=3.0)).setup.intensity == (3.0,) * 3

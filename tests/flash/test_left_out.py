@@ -8,7 +8,7 @@ import pytest
 from uniform import a_setup, photograph
 
 from matcap.batch.settings import read_settings
-from matcap.capture.rectified import lit_mirror
+from matcap.capture.rectified import fill_masked
 from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError, UsageError
 from matcap.files.values import Rectangle
@@ -80,7 +80,7 @@ def test_the_plane_knows_what_is_left_out_and_lights_its_mirror(photo, tmp_path)
     mask = a_mask(tmp_path / "mask.png", *part)
     found = leave_out(labelled(photo, *part), None, mask)
     coarse = fit_coarse(found)
-    plane = lit_mirror(read_plane(found, coarse.setup, 128), coarse)
+    plane = fill_masked(read_plane(found, coarse.setup, 128), coarse)
     whole = read_plane(photo, coarse.setup, 128)
     assert plane.size == whole.size
     assert not (plane.valid & plane.left_out).any() and plane.left_out[:, 100:].all()

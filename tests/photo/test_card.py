@@ -14,7 +14,7 @@ from matcap.brdf.maps import MapSet
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_decode
-from matcap.flash.coarse.fit import fit_coarse, under_flash
+from matcap.flash.coarse.fit import fit_coarse, rescale_to_flash
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.photograph import PhoneCamera, take
 from matcap.lab.simulate.write_dng import write_dng
@@ -109,9 +109,9 @@ def test_albedo_becomes_absolute(calibration, tmp_path):
     known = calibrated(photo, calibration)
     assert known.flash_intensity is not None and photo.flash_intensity is None
     untold = fit_coarse(known)
-    coarse = under_flash(untold, known.flash_intensity)
+    coarse = rescale_to_flash(untold, known.flash_intensity)
     assert np.mean(coarse.diffuse) == pytest.approx(0.09, rel=0.15)
-    assert under_flash(untold, None) is untold
+    assert rescale_to_flash(untold, None) is untold
     assert calibrated(replace(photo, radiometric=False), calibration).flash_intensity is None
 
 

@@ -59,7 +59,7 @@ from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.field.single import one_thread
-from matcap.flash.coarse.fit import CoarseFit, fit_coarse, under_flash
+from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
 from matcap.flash.plane import Plane, read_plane
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
@@ -152,7 +152,7 @@ def registered(
         first, setup = without_ambient(registration.views)[0].photo, registration.setup
         with one_thread():
             coarse = fit_coarse(replace(first, fov=setup.fov), tilt=setup.tilt)
-        coarse = under_flash(coarse, first.flash_intensity)
+        coarse = rescale_to_flash(coarse, first.flash_intensity)
         views = tuple(
             replace(view, photo=view.photo.linearised(coarse.tone)) for view in registration.views
         )

@@ -237,7 +237,7 @@ def _uniform(
     return (red, green, blue), math.exp(specular - excess), roughness, setup
 
 
-def under_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
+def rescale_to_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
     """The fit rescaled to a known flash intensity, which makes albedo and F0 absolute.
 
     Args:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.camera_profile import camera_profile
-from matcap.capture.tilt import fitted
+from matcap.capture.tilt import fit_photograph
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.lab.experiment.results import Value
@@ -76,7 +76,9 @@ def camera_experiment(
 
     @cache
     def profile() -> CameraProfile:
-        profiled = camera_profile("bench", [fitted(one().photo) for one in prepared.values()])
+        profiled = camera_profile(
+            "bench", [fit_photograph(one().photo) for one in prepared.values()]
+        )
         if profiled is None:
             raise MatcapError("there are too few photographs", remedy="give five or more")
         return profiled
@@ -85,9 +87,9 @@ def camera_experiment(
         "camera",
         prepared,
         {
-            "alone": Configuration(lambda subject, _seed: fitted(subject.photo)),
+            "alone": Configuration(lambda subject, _seed: fit_photograph(subject.photo)),
             "one camera": Configuration(
-                lambda subject, _seed: fitted(replace(subject.photo, profile=profile()))
+                lambda subject, _seed: fit_photograph(replace(subject.photo, profile=profile()))
             ),
         },
         (fit_errors,),
