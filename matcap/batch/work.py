@@ -160,7 +160,7 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         "error": result.errors,
         "tilt_degrees": [round(angle * 57.29577951, 3) for angle in tilt],
         "clipped": round(result.photo.clipped_share, 5),
-        "doubtful": not verdict.fit or any(inspection.doubtful for inspection in looked_at),
+        "doubtful": not (verdict.fit and all(one.rating.fit for one in looked_at)),
         "warnings": list(dict.fromkeys(said)),
         "notes": list(result.photo.remarks),
         "inspection": [inspection.document() for inspection in looked_at],

@@ -17,7 +17,7 @@ from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.method import Method
 from matcap.capture.progress import CaptureClock
 from matcap.capture.rectified import Rectified
-from matcap.capture.result import CaptureResult, Tuning, judged, provenance
+from matcap.capture.result import CaptureResult, Tuning, judge_material, provenance
 from matcap.capture.settings import CaptureSettings, Effort
 from matcap.capture.target import photograph_target
 from matcap.errors import MatcapError
@@ -98,7 +98,7 @@ def capture_by_decoder(
     if photo.turned:  # all above is in landscape format
         material = _upright(material)
         estimate = estimate and estimate.upright(rectified.waves)
-    return judged(rectified, material, settings, clock, estimate, went)
+    return judge_material(rectified, material, settings, clock, estimate, went)
 
 
 def _start(

@@ -25,7 +25,7 @@ from matcap.capture.progress import (
 )
 from matcap.capture.rectified import Rectified
 from matcap.capture.registration.keypoints import LONG_SIDE
-from matcap.capture.result import CaptureResult, judged, provenance
+from matcap.capture.result import CaptureResult, judge_material, provenance
 from matcap.capture.settings import (
     DETAIL,
     CaptureSettings,
@@ -187,7 +187,7 @@ def capture_photo(
         setup=replace(rectified.coarse.setup.dimmed(estimate.scale), turned=estimate.turned),
         provenance=provenance(rectified, settings, effort, several),
     )
-    return judged(rectified, material, settings, clock, estimate)
+    return judge_material(rectified, material, settings, clock, estimate)
 
 
 def clock_of(

@@ -20,7 +20,7 @@ from matcap.capture.settings import CaptureSettings, Effort, resolve
 from matcap.capture.tilt import tilt_document
 from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
 from matcap.capture.verdict.judge import CaptureVerdict, judge
-from matcap.capture.verdict.measurements import Measurements, measured
+from matcap.capture.verdict.measurements import Measurements, measure_capture
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
 from matcap.flash.rectify import picture_of
@@ -114,7 +114,7 @@ class CaptureResult:
         }
 
 
-def judged(
+def judge_material(
     rectified: Rectified,
     material: Material,
     settings: CaptureSettings,
@@ -149,7 +149,9 @@ def judged(
             about = ExemplarMeasurements.of(estimate, rectified, material.setup, drawn)
         valid = plane.valid.numpy()
         setup = replace(material.setup, turned=False)
-        measurements = measured(photo, setup, compared, landscape, valid, rectified.waves, about)
+        measurements = measure_capture(
+            photo, setup, compared, landscape, valid, rectified.waves, about
+        )
         others = material.provenance.get("others", ())
         measurements = replace(measurements, photographs=1 + len(others))
         verdict = judge(measurements)

@@ -51,13 +51,8 @@ class Inspection:
     @property
     def rating(self) -> Rating:
         """The worst rating of the findings that are rated."""
-        judged = [f.rating for f in self.findings if f.rating is not Rating.NOT_JUDGED]
-        return max(judged, key=list(Rating).index, default=Rating.GOOD)
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether the photograph should be taken again."""
-        return not self.rating.fit
+        rated = [f.rating for f in self.findings if f.rating is not Rating.NOT_JUDGED]
+        return max(rated, key=list(Rating).index, default=Rating.GOOD)
 
     def __getitem__(self, name: str) -> Finding:
         return next(finding for finding in self.findings if finding.name == name)

@@ -11,7 +11,7 @@ from random_maps import random_maps
 from matcap.capture import pipeline as capturing
 from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.verdict.judge import judge
-from matcap.capture.verdict.measurements import measured
+from matcap.capture.verdict.measurements import measure_capture
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
@@ -74,7 +74,7 @@ class FakePipeline:
             clock.within(longest, 0.5)
         material = FakeMaterial(Path(photo.name).stem)
         again = photo.pixels * 0.9
-        seen = measured(photo, material.setup, photo.pixels, again, ~photo.clipped)
+        seen = measure_capture(photo, material.setup, photo.pixels, again, ~photo.clipped)
         tuned = Tuning(((0.5, 1, 0.9), (1.0, 2, 0.5)), self_difference=0.25)
         return CaptureResult(
             photo=photo,

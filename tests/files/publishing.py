@@ -37,7 +37,7 @@ from matcap.capture.outputs import write_outputs
 from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.verdict.judge import judge
-from matcap.capture.verdict.measurements import measured
+from matcap.capture.verdict.measurements import measure_capture
 from matcap.cli.main import main as matcap
 from matcap.errors import MatcapError
 from matcap.export.job import ExportJob
@@ -114,7 +114,7 @@ def _captured(version: int) -> CaptureResult:
     pixels = np.full((_SIDE, _SIDE, 3), 0.2 * version, dtype=np.float32)
     photo = Photo(pixels, pixels[..., 0] > 1.0, 45.0, "assumed", False, "p.jpg", (_SIDE, _SIDE))
     material = a_material("m", seed=version)
-    seen = measured(photo, material.setup, pixels, pixels, ~photo.clipped)
+    seen = measure_capture(photo, material.setup, pixels, pixels, ~photo.clipped)
     return CaptureResult(
         photo, material, pixels, pixels, _maps(version), seen, judge(seen), {"coarse fit": 0.5},
         CaptureSettings(), False, tuning=Tuning(((0.5, 1, 0.9), (1.0, 2, 0.5))),

@@ -105,7 +105,7 @@ def photo_of(pixels: np.ndarray, **changes):
 
 def test_a_good_photograph_is_called_good():
     found = inspect_photo(photo_of(grey(), radiometric=True, flash_fired=True), (0.01, 0.0))
-    assert not found.doubtful
+    assert found.rating.fit
     assert found["hot_spot"].value == pytest.approx([0.5, 0.5], abs=0.02)
 
 

@@ -30,7 +30,7 @@ _CENTRE_RING = (0.25, 0.5)
 _CLIP = 0.995  # pixel value from which a channel counts as clipped
 
 
-def measured_causes(
+def measure_causes(
     photo: Photo,
     smooth: tuple[SmoothLight, SmoothLight],
     pictures: tuple[Picture, Picture],

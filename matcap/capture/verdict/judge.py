@@ -25,7 +25,7 @@ _WIDEST = 0.34  # largest half width of a visible highlight, plane units (below 
 _FAINTEST = 2.0  # least peak of a visible highlight over its surroundings
 # Tolerance of a highlight's position: plane units, plus a share of its half width.
 _PLACE_TOLERANCE = (0.03, 0.1)
-_PLAIN_ORDER = 0.15  # least autocorrelation at one period of a photograph with a visible lattice
+_LEAST_ORDER = 0.15  # least autocorrelation at one period of a photograph with a visible lattice
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def more_photographs(given: int) -> str:
     return "photograph again with the phone moved further to each side (see matcap inspect)"
 
 
-def plain(highlight: Highlight | None) -> bool:
+def visible(highlight: Highlight | None) -> bool:
     """Whether a highlight is clearly visible."""
     return highlight is not None and highlight.width < _WIDEST and highlight.contrast > _FAINTEST
 
@@ -132,7 +132,7 @@ def _highlight(seen: Measurements, more: str) -> Iterator[Finding]:
     glints = math.nan if seen.profile is None else seen.profile.glint_ratio
     yield CHECKS["glint_contrast"].finding(glints, more=more)
     before, after = seen.highlights
-    if before is None or after is None or not (plain(before) or plain(after)):
+    if before is None or after is None or not (visible(before) or visible(after)):
         return
     distance = math.dist(before.centre, after.centre)
     tolerance = _PLACE_TOLERANCE[0] + _PLACE_TOLERANCE[1] * before.width
@@ -159,7 +159,7 @@ def _peak_ratio(before: Highlight | None, after: Highlight | None) -> float:
 
     An undetected highlight counts with the detection limit.
     """
-    if not plain(before) and not plain(after):
+    if not visible(before) and not visible(after):
         return math.nan
     first, second = (
         FAINTEST_HIGHLIGHT if each is None else each.contrast for each in (before, after)
@@ -195,7 +195,7 @@ def _order(seen: Measurements) -> Iterator[Finding]:
     if seen.order is None:
         return
     before, after = seen.order
-    kept = max(after, 0.0) / before if before >= _PLAIN_ORDER else math.nan
+    kept = max(after, 0.0) / before if before >= _LEAST_ORDER else math.nan
     yield CHECKS["order"].finding(1.0 - kept, kept=100.0 * min(kept, 1.0))
 
 

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from matcap.capture.exemplar.noise import code_step
 from matcap.capture.method import FEATURES, WINDOW
-from matcap.capture.verdict.causes import by_place, measured_causes
+from matcap.capture.verdict.causes import by_place, measure_causes
 from matcap.capture.verdict.connectivity import connectivity
 from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
 from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
@@ -86,7 +86,7 @@ class Measurements:
     """Number of photographs of the sample."""
 
 
-def measured(
+def measure_capture(
     photo: Photo,
     setup: FlashSetup,
     rectified: Picture,
@@ -129,7 +129,7 @@ def measured(
             (_log_luminance(pictures[0])[0], _log_luminance(pictures[1])[0]), valid
         ),
         exemplar=exemplar,
-        causes=measured_causes(photo, smooth, pictures, highlights, exemplar),
+        causes=measure_causes(photo, smooth, pictures, highlights, exemplar),
     )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.capture.verdict.judge import plain
+from matcap.capture.verdict.judge import visible
 from matcap.errors import MatcapError
 from matcap.files.picture import write_picture
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse
@@ -62,7 +62,7 @@ def highlight_experiment(
 
     def real(path: Path) -> Seen:
         photo = load_photo(path, noise=False)
-        if not plain(find_highlight(light_of(photo.pixels))):
+        if not visible(find_highlight(light_of(photo.pixels))):
             raise MatcapError("it shows no clear highlight")
         return photo, None
 
@@ -110,7 +110,7 @@ def placed(seen: Seen, fit: CoarseFit) -> Mapping[str, Value]:
     return {
         "offset": math.dist(fit.setup.offset[:2], truth.offset[:2]),
         "tilt": math.degrees(math.dist(fit.setup.tilt, truth.tilt)),
-        "visible": float(plain(find_highlight(light_of(photo.pixels)))),
+        "visible": float(visible(find_highlight(light_of(photo.pixels)))),
     }
 
 

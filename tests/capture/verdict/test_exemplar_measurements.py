@@ -40,7 +40,7 @@ def away():
     return np.hypot(2.0 * u / SIZE[0] - 1.0 - x, (SIZE[1] - 2.0 * v) / SIZE[0] - y)
 
 
-def test_the_foot_is_where_a_mirror_shows_the_flash():
+def test_the_mirror_point_is_where_a_mirror_shows_the_flash():
     x, y = flash_mirror_point(SETUP)
     camera, light = camera_in_plane(SETUP)
     beams = [np.array([x, y, 0.0]) - place.numpy() for place in (camera, light)]
@@ -70,7 +70,7 @@ def test_a_disc_is_told_in_its_map_alone(map_name, mark):
     assert max(found.values()) < 0.03
 
 
-def test_grain_that_fades_towards_the_foot_is_told():
+def test_grain_that_fades_towards_the_mirror_point_is_told():
     fading = np.minimum(away(), 0.8) / 0.8
     assert highlight_residue(piece(height=lambda height: height * fading), SETUP)["grain"] > 0.3
 

@@ -12,13 +12,13 @@ from arrays import photo_from_array
 from matcap.capture.exemplar.noise import code_step
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
-from matcap.capture.verdict.causes import measured_causes
+from matcap.capture.verdict.causes import measure_causes
 from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
 from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
 from matcap.capture.verdict.judge import findings, judge
 from matcap.capture.verdict.measurements import (
     Measurements,
-    measured,
+    measure_capture,
     smooth_difference,
     texture_contrasts,
 )
@@ -203,7 +203,7 @@ def causes_in_even_light(exponent=1.0, **changes):
     model = 0.2 * np.exp(np.cos(np.pi * x / 2) * np.cos(np.pi * y / 2)) * np.ones(3)
     light = model**exponent
     photo = replace(photo_from_array(light.astype(np.float32)), **changes)
-    return measured_causes(photo, (light, model), (light, model), (None, None), FINE.exemplar)
+    return measure_causes(photo, (light, model), (light, model), (None, None), FINE.exemplar)
 
 
 @pytest.mark.parametrize(("fired", "missing"), [(True, 0.0), (None, 1.0), (False, 1.0)])
@@ -260,7 +260,7 @@ def _seen(photo, seen, again):
     picture = seen.movedim(0, -1).contiguous().numpy()
     rendering = again.movedim(0, -1).contiguous().numpy()
     setup = shots.shot("leather").setup
-    return measured(photo, setup, picture, rendering, _valid(photo, setup, picture))
+    return measure_capture(photo, setup, picture, rendering, _valid(photo, setup, picture))
 
 
 def _valid(photo, setup, picture):
@@ -365,7 +365,7 @@ def highlight_of(glossy, **factors):
     maps = shots.maps("granite", seed=4)
     maps = replace(maps, **{name: getattr(maps, name) * by for name, by in factors.items()})
     again = render_rectified(maps, setup).movedim(0, -1).contiguous().numpy()
-    return measured(photo, setup, picture, again, _valid(photo, setup, picture))
+    return measure_capture(photo, setup, picture, again, _valid(photo, setup, picture))
 
 
 def test_a_capture_with_the_photographed_gloss_is_usable(glossy):
@@ -396,9 +396,9 @@ def test_both_pictures_are_clipped_where_the_photograph_is(glossy):
     bright = picture / np.quantile(picture, 0.9)
     clipped = replace(photo_from_array(bright.clip(0, 1)), clipped=(bright >= 1.0).any(axis=-1))
     valid = _valid(clipped, setup, bright)
-    seen = measured(clipped, setup, bright.clip(0, 1), bright, valid)
+    seen = measure_capture(clipped, setup, bright.clip(0, 1), bright, valid)
     assert seen.profile.bound and seen.profile.ratio == pytest.approx(1.0)
-    weaker = measured(clipped, setup, bright.clip(0, 1), 0.2 * bright, valid)
+    weaker = measure_capture(clipped, setup, bright.clip(0, 1), 0.2 * bright, valid)
     assert weaker.profile.contrast[1] > 1.3 * weaker.profile.contrast[0]  # that of its true core
 
 
