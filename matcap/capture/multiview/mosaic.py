@@ -32,7 +32,6 @@ Marks = NDArray[np.bool_]
 # Largest angle of a ray to the plane's normal, degrees; at 60, foreshortening is one half.
 STEEPEST = 60.0
 LEAST = 0.3  # least visible share of a side; below it the side is cut off
-MOST = UNION_TIMES  # largest area over the first photograph's; time and memory are proportional
 _TEXELS = 4_000_000  # largest number of texels, but no fewer than the first photograph's own
 _CELLS = 64  # cells across the first photograph, in which coverage is determined
 _FARTHEST = 256  # cells searched on each side
@@ -52,7 +51,7 @@ class Mosaic:
     known: float = 1.0
     """Share of the mosaic that any photograph shows."""
     limited: bool = False
-    """Whether MOST or _TEXELS cut it."""
+    """Whether UNION_TIMES or _TEXELS cut it."""
 
     @property
     def extent(self) -> Extent:
@@ -108,7 +107,7 @@ def mosaic_of(views: Sequence[RegisteredView], size: tuple[int, int]) -> Mosaic:
     """
     rows = round(_CELLS * size[1] / size[0])
     seen = _any_sees(views, _cells(rows, size))
-    most = min(MOST, max(1.0, _TEXELS / (size[0] * size[1])))
+    most = min(UNION_TIMES, max(1.0, _TEXELS / (size[0] * size[1])))
     box = _box(seen, rows, most * rows * _CELLS)
     limited = box != _box(seen, rows, math.inf)
     beyond = (

@@ -16,7 +16,6 @@ from matcap.capture.exemplar.tint import GREY
 from matcap.capture.multiview import mosaic as mosaic_module
 from matcap.capture.multiview.mosaic import (
     LEAST,
-    MOST,
     STEEPEST,
     Mosaic,
     mosaic_of,
@@ -33,6 +32,7 @@ from matcap.capture.multiview.view_predictions import (
 )
 from matcap.capture.outputs import write_outputs
 from matcap.capture.pipeline import capture_photo
+from matcap.capture.rectified import UNION_TIMES
 from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.settings import CaptureSettings, OutputSettings
@@ -119,7 +119,7 @@ def test_a_leaning_camera_reaches_as_far_as_it_sees_well():
 def test_a_piece_grows_no_larger_than_memory_allows_and_says_so(monkeypatch):
     far = [_view(_camera())] + [_view(_camera(x=1.5 * n, y=1.1 * n)) for n in range(1, 5)]
     mosaic = mosaic_of(far, SIZE)
-    assert mosaic.limited and mosaic.times <= MOST
+    assert mosaic.limited and mosaic.times <= UNION_TIMES
     assert "is left out of the maps" in mosaic.warning()
     monkeypatch.setattr(mosaic_module, "_TEXELS", 1.2 * SIZE[0] * SIZE[1])
     few = mosaic_of(far, SIZE)
