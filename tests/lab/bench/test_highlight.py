@@ -140,6 +140,6 @@ def test_errors_are_of_what_was_simulated_and_only_of_that(subject):
 def test_too_few_photographs_are_refused(subject, monkeypatch):
     experiment = camera_experiment((), subjects(["plaster"]), (0.4, 0.5))
     fit = CoarseFit((0.1,) * 3, 0.04, 0.5, a_setup(), residual=0.0)
-    monkeypatch.setattr(cameras, "fitted", lambda photo: fit)
+    monkeypatch.setattr(cameras, "fit_photograph", lambda photo: fit)
     with pytest.raises(MatcapError, match="give five or more"):
         experiment.configurations["one camera"].run(subject, 0)
