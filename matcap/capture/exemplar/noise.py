@@ -20,7 +20,7 @@ AROUND = 8.0  # texels, standard deviation of local averages
 # Log radiance added in quadrature to the noise before channels are weighted by it. Fine detail of a
 # JPEG is the same difference of codes in all channels: too much contrast in the dark ones of a
 # saturated colour, which 0.1 passes on to the others.
-COMMON_NOISE = 0.02
+_COMMON_NOISE = 0.02
 
 Floats = NDArray[np.float32]
 
@@ -44,7 +44,7 @@ def channel_noise(plane: Plane) -> Tensor:
 
 def channel_weights(noise: Tensor) -> Tensor:
     """(3, H, W) weights of the channels for a mean over them; they sum to 1."""
-    weight = 1.0 / (noise.square() + COMMON_NOISE**2)
+    weight = 1.0 / (noise.square() + _COMMON_NOISE**2)
     return weight / weight.sum(0, keepdim=True)
 
 

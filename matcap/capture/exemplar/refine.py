@@ -50,7 +50,7 @@ from matcap.capture.exemplar.mean_parameters import (
 )
 from matcap.capture.exemplar.network.inputs import MOST_RESIDUAL
 from matcap.capture.exemplar.network.network import ExpectedErrors
-from matcap.capture.exemplar.noise import COMMON_NOISE, channel_weights
+from matcap.capture.exemplar.noise import channel_weights
 from matcap.capture.exemplar.observation import Observation, PhotographLight
 from matcap.capture.exemplar.predict import NetworkPrediction
 from matcap.flash.coarse.hypotheses import CONDUCTOR_F0, DIELECTRIC_F0
@@ -61,6 +61,8 @@ from matcap.flash.light import DARKEST
 # Gauss-Newton steps. The power of granite's finest octave is 0.66, 0.74 and 0.74 of the
 # photograph's after 3, 4 and 6.
 _STEPS = 5
+# Log radiance, lower limit of the noise. Smaller values copy sensor noise into the maps.
+_LEAST_NOISE = 0.01
 # Standard deviation of the highlight's log radiance at a specular fraction of 1, of dielectric
 # and metal, whose texture is its F0: a brushed steel has an NSD of 2.5 with 0.5, and of 1.8 with
 # 0.15.
@@ -68,6 +70,9 @@ _SPECULAR_NOISE, _SPECULAR_NOISE_METAL = 0.5, 0.15
 # Ratio of the standard deviations of albedo's chroma and lightness. Larger values take sensor
 # noise for colour.
 _CHROMA = 0.3
+# The long side over the standard deviation of the blur that is subtracted from albedo, as the
+# sample is stationary.
+_STATIONARY = 8.0
 _RINGS, _SECTORS = 64, 16  # rings across the long side, and their parts
 _MOST_SHIFT = 2.0  # largest factor on the mean radiance
 
@@ -208,7 +213,7 @@ def flatten(
         if not bool(channels.any()):
             return channels
         mean = (channels * weight).sum((1, 2), keepdim=True) / weight.sum()
-        level = np.stack([c - smoothed(c, unit / WIDE) for c in channels.numpy()])
+        level = np.stack([c - smoothed(c, unit / _STATIONARY) for c in channels.numpy()])
         for distance in distances:
             level -= _rings(level, distance, confidence)
         return torch.from_numpy(level) + mean
@@ -287,7 +292,7 @@ def refine_albedo(
     maps = light.maps(residuals)
     incidence = light.flash.onto(maps.normal)
     log, shares = incidence.log_radiance(maps)
-    white = torch.as_tensor(noise).to(linear).expand_as(linear).clamp_min(COMMON_NOISE)
+    white = torch.as_tensor(noise).to(linear).expand_as(linear).clamp_min(_LEAST_NOISE)
     weights = channel_weights(white)
     specular_noise = _SPECULAR_NOISE + (_SPECULAR_NOISE_METAL - _SPECULAR_NOISE) * metal
     for step in range(_STEPS):

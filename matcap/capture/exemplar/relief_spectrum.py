@@ -55,9 +55,12 @@ _MOST_LOG, _POSTERIOR_STEP = 5.0, 0.05  # range and step of the log factors sear
 # point.
 _AROUND = 32.0
 _DIRECTIONS = 8  # number of directional bands
+_LEAST_GAIN, _MOST_GAIN = 0.25, 10.0  # limits of the local gain
+# Power of the sensitivity as a weight. Larger values use only places where the light is parallel
+# to the direction.
+_SHARPNESS = 3.0
 _SCALINGS = 3  # iterations of scaling bands to their energies, as neighbours overlap
-# Largest factor on a band, and on its local amplitude. At 5, leather's finest octave, which needs
-# 11, stays too flat.
+# Largest factor on a band. At 5, leather's finest octave, which needs 11, stays too flat.
 _MOST_FACTOR = 30.0
 _LEAST_SLOPE = 1e-4  # root-mean-square slope, lower limit of a band's and of its deviation
 
@@ -392,7 +395,7 @@ def _evened(band: Height, margin: int, directions: Sequence[tuple[Height, Double
         energy = coarse_smoothed(np.square(waves), _AROUND)
         wanted = float((weight * energy).sum() / weight.sum())
         gain = np.sqrt(wanted / np.maximum(energy, 1e-20))
-        gain = gain.clip(1.0 / _MOST_FACTOR, _MOST_FACTOR).astype(np.float32)
+        gain = gain.clip(_LEAST_GAIN, _MOST_GAIN).astype(np.float32)
         even += enlarged(gain, band.shape) * waves
     return even
 
@@ -402,7 +405,7 @@ def _weight(angle: float, seen: Height) -> Doubles:
     c, s = np.cos(angle), np.sin(angle)
     xx, xy, yy = seen.astype(np.float64)
     weight = np.maximum(c * c * xx + 2.0 * c * s * xy + s * s * yy, 0.0)
-    return np.asarray(weight / max(float(weight.max()), 1e-12) + 1e-9)
+    return np.asarray((weight / max(float(weight.max()), 1e-12)) ** _SHARPNESS + 1e-9)
 
 
 def _directions(shape: tuple[int, ...]) -> list[tuple[float, Height]]:
