@@ -23,8 +23,7 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS, Reflectance
 from matcap.capture.exemplar.filters import smoothed, split
 from matcap.capture.exemplar.network.inputs import MOST_RESIDUAL, SUBSAMPLING
-from matcap.capture.exemplar.noise import AROUND
-from matcap.capture.exemplar.observation import PlaneLight
+from matcap.capture.exemplar.observation import AROUND, PlaneLight
 from matcap.example.exemplar import Exemplar
 from matcap.flash.light import DARKEST
 from matcap.flash.plane import Plane

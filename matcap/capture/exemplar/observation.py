@@ -23,13 +23,13 @@ from matcap.capture.exemplar.filters import filled, smoothed
 from matcap.capture.exemplar.mean_parameters import RingTarget
 from matcap.capture.exemplar.network.inputs import network_inputs
 from matcap.capture.exemplar.network.network import NetworkInputs
-from matcap.capture.exemplar.noise import AROUND, channel_noise, channel_weights
 from matcap.capture.exemplar.relief_spectrum import (
     RESPONSE_AROUND,
     ReliefSpectrum,
     measure_relief_spectrum,
 )
 from matcap.capture.exemplar.tint import seen_colour, specular_tint
+from matcap.files.srgb import srgb_slope
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import flash_mirror_point, plane_points
 from matcap.flash.light import FlashLight, cached_rows, from_vignetting_centre, linearised, strips
@@ -37,6 +37,11 @@ from matcap.flash.plane import Plane
 from matcap.flash.rectify import inside
 from matcap.flash.render import Uniform
 
+AROUND = 8.0  # texels, standard deviation of local averages
+# Log radiance added in quadrature to the noise before channels are weighted by it. Fine detail of a
+# JPEG is the same difference of codes in all channels: too much contrast in the dark ones of a
+# saturated colour, which 0.1 passes on to the others.
+_COMMON_NOISE = 0.02
 _SPREAD_OF_LIGHT = 1.5  # texels, standard deviation of the blur of clipping
 # Radiance (1 at clipping) below which a neighbourhood is unlit: the lowest 8-bit codes, or noise.
 _UNLIT = 1e-3
@@ -247,3 +252,33 @@ def lit(linear: Tensor) -> Tensor:
 def _even(sensitivity: Tensor) -> NDArray[np.float32]:
     """Smoothed sensitivity (2, H, W)."""
     return np.stack([smoothed(s, RESPONSE_AROUND) for s in sensitivity.numpy()])
+
+
+def channel_noise(plane: Plane) -> Tensor:
+    """(3, H, W) standard deviation of log radiance by sensor noise or quantisation, at most 1.
+
+    Of a RAW, by its sensor model (photo/sensor_noise.py); of a developed photograph by the step of
+    its 8-bit codes, which is large in dark channels. Local averages, so that it does not depend on
+    a texel's own darkness.
+    """
+    linear = np.stack([smoothed(c, AROUND) for c in plane.linear.numpy()])
+    if plane.noise is not None:
+        drawn = plane.noise.square().numpy()
+        deviation = np.sqrt(np.stack([smoothed(c, AROUND) for c in drawn]))
+    elif plane.developed:
+        deviation = code_step(linear)
+    else:
+        return torch.zeros_like(plane.linear)
+    share = deviation / np.maximum(linear, np.maximum(deviation, np.float32(1e-9)))
+    return torch.from_numpy(np.asarray(share, np.float32))
+
+
+def channel_weights(noise: Tensor) -> Tensor:
+    """(3, H, W) weights of the channels for a mean over them; they sum to 1."""
+    weight = 1.0 / (noise.square() + _COMMON_NOISE**2)
+    return weight / weight.sum(0, keepdim=True)
+
+
+def code_step(linear: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Step of linear radiance (any shape) per 8-bit code, by the derivative of the sRGB curve."""
+    return np.asarray(1.0 / (255.0 * srgb_slope(linear)), np.float32)

@@ -50,8 +50,7 @@ from matcap.capture.exemplar.mean_parameters import (
 )
 from matcap.capture.exemplar.network.inputs import MOST_RESIDUAL
 from matcap.capture.exemplar.network.network import ExpectedErrors
-from matcap.capture.exemplar.noise import channel_weights
-from matcap.capture.exemplar.observation import Observation, PhotographLight
+from matcap.capture.exemplar.observation import Observation, PhotographLight, channel_weights
 from matcap.capture.exemplar.predict import NetworkPrediction
 from matcap.flash.coarse.hypotheses import CONDUCTOR_F0, DIELECTRIC_F0
 from matcap.flash.light import DARKEST

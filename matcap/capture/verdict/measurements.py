@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.exemplar.noise import code_step
+from matcap.capture.exemplar.observation import code_step
 from matcap.capture.method import FEATURES, WINDOW
 from matcap.capture.verdict.causes import by_place, measure_causes
 from matcap.capture.verdict.connectivity import connectivity
@@ -161,7 +161,7 @@ def texture_contrasts(
 
     By band, and by region: the photograph's brightest tiles ("in the light", where gloss reveals
     relief) and the others. Medians over tiles, robust to the gradient of a highlight. Colour of a
-    developed photograph is uncertain by a code of 255, which blurs to blotches (exemplar/noise.py):
+    developed photograph is uncertain by a code of 255, which blurs to blotches:
     that variance is added to both, so that only visible differences count.
     """
     light = cell_means(channel_mean(seen), _TILES)

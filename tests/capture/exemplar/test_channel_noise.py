@@ -10,7 +10,7 @@ from photographed import Photographed, photographed
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import estimate_exemplar, map_set_of
 from matcap.capture.exemplar.network.network import ExpectedErrors, load_inverse
-from matcap.capture.exemplar.noise import channel_noise, channel_weights, code_step
+from matcap.capture.exemplar.observation import channel_noise, channel_weights, code_step
 from matcap.capture.exemplar.refine import refine_albedo
 from matcap.capture.progress import CaptureClock
 from matcap.capture.rectified import Rectified, network_input

@@ -9,7 +9,7 @@ import pytest
 import simulated_shots as shots
 from arrays import photo_from_array
 
-from matcap.capture.exemplar.noise import code_step
+from matcap.capture.exemplar.observation import code_step
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.verdict.causes import measure_causes
