@@ -22,7 +22,7 @@ from matcap.capture.exemplar.network.inputs import MOST_RESIDUAL, SUBSAMPLING
 from matcap.capture.settings import DETAIL
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import plane_points
-from matcap.flash.light import DARKEST, FlashLight
+from matcap.flash.light import FlashLight
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.render import Uniform, uniform_radiance
 from matcap.photo.left_out import mirrored
@@ -35,6 +35,7 @@ UNION_TIMES = 4  # largest exemplar of several photographs, in texels of the fir
 
 # Detection of coarse textures; docs/notes/capture.md.
 
+_FAINTEST = 1e-4  # linear radiance below which the logarithm is clamped, as it is noise
 _OCTAVES = 6  # number of bands, separated by Gaussian blurs of 1, 2, 4 ... texels
 # Share of variance in the last band (wavelengths of 100 to 200 texels) above which a texture is
 # coarse.
@@ -54,7 +55,7 @@ def coarse_share(linear: Tensor, valid: Tensor) -> float:
     seen = valid.numpy().astype(np.float32)
     if not seen.any():
         return 0.0
-    log = np.log(np.maximum(linear.mean(0).numpy(), DARKEST))
+    log = np.log(np.maximum(linear.mean(0).numpy(), _FAINTEST))
     middle = float(np.median(log[seen > 0.0]))
     finer = (log - middle).clip(-MOST_RESIDUAL, MOST_RESIDUAL)
     variances = []

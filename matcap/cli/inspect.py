@@ -104,7 +104,7 @@ def _photo(
     quality, relief = inspected.quality, inspected.relief_spectrum
     lines = _rated(str(path), quality)
     spectrum = relief.document() if relief else None
-    lines += [f"     {name:<13} {says}" for name, says in _strengths(spectrum)]
+    lines += [f"     {name:<13} {says}" for name, says in _spectrum_lines(spectrum)]
     if inspected.tilt is not None:
         lines.append(f"     {'tilt from':<13} {tilt_line(inspected.tilt)}")
     if profile is not None:
@@ -128,7 +128,7 @@ def _rated(name: str, quality: Inspection) -> list[str]:
     return [f"{name}: {quality.rating.value}", *(f"  {finding}" for finding in findings)]
 
 
-def _strengths(measured: dict[str, Any] | None) -> list[tuple[str, str]]:
+def _spectrum_lines(measured: dict[str, Any] | None) -> list[tuple[str, str]]:
     """Contrast of relief and albedo in words."""
     if measured is None:
         return []

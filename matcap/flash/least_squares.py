@@ -29,7 +29,7 @@ def minimised(
     Args:
         cost: of parameters (n,).
         quadratic: its (n, n) Gauss-Newton Hessian and (n,) gradient at parameters.
-        start: (n,) initial parameters, float64.
+        start: (n,) initial parameters.
         iterations: most steps.
         farthest: largest change of a parameter in a step.
         tolerance: relative decrease of the cost at which it ends.

@@ -7,7 +7,7 @@ No shadows: the flash is next to the lens, so the camera hardly sees what it doe
 
 Precomputed are directions and power of a light at fixed points (`FlashLight`), and its irradiance
 on a fixed relief (`Incidence`). Any leading batch dimensions. `linearised` is the Jacobian of log L
-in closed form, for every fit of maps to photographs.
+in closed form, for fits of maps to photographs (inputs of the network are finite differences).
 
 Read next: render.py, pictures of whole map sets.
 """
@@ -65,7 +65,9 @@ class Incident(ABC):
         """(..., 3, H, W) each: log radiance, and the diffuse share of radiance."""
         diffuse = self.matte(surface.diffuse)
         reflected = diffuse + self.mirrored(surface.specular, surface.roughness)
-        return (reflected * self.irradiance).clamp_min(DARKEST).log(), diffuse / reflected
+        return (reflected * self.irradiance).clamp_min(
+            DARKEST
+        ).log(), diffuse / reflected.clamp_min(1e-12)
 
 
 @dataclass(frozen=True)
@@ -193,11 +195,12 @@ class DifferentiableLight(Protocol):
 def linearised(
     light: DifferentiableLight, normal: Tensor, surface: MapSet | Reflectance
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Log radiance (3, H, W) and its derivatives, where it is above DARKEST.
+    """Log radiance (3, H, W) and its derivatives, which are those above DARKEST.
 
     These are the diffuse share s of radiance (3, H, W), which is d log L / d log albedo of its
     channel, and (4, 3, H, W) by log F0, logit roughness and both slopes:
-    d log L = (1 - s) d log lobe + d log irradiance, the irradiance depending on slopes only.
+    d log L = (1 - s) d log lobe + d log irradiance, the irradiance depending on slopes only. Of a
+    coloured F0, the lobe is that of its mean.
 
     Args:
         light: at the texels.

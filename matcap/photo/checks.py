@@ -48,7 +48,7 @@ class Finding:
     """Result of one check."""
 
     name: str
-    """A key of CHECKS, or the name of a note."""
+    """A key of CHECKS, or another name."""
     value: Any
     """Measurement as JSON, or None if unknown."""
     rating: Rating
@@ -122,13 +122,13 @@ class QualityCheck:
         return 2.0 + (value - second) / (third - second)
 
     def finding(self, value: float, severity: float | None = None, **words: object) -> Finding:
-        """The finding of a measurement, NaN if it is unknown.
+        """The finding of a measurement; NaN where `unknown` says so, else it has failed.
 
         Args:
-            severity: None is severity(value), of a note no rating.
+            severity: None is severity(value), of a note no rating. A check of a set is `rated`.
             words: further values of the messages.
         """
-        if not math.isfinite(value):
+        if self.unknown and not math.isfinite(value):
             return Finding(self.key, None, Rating.NOT_JUDGED, self.unknown)
         if severity is None and self.limits:
             severity = self.severity(value)
@@ -407,7 +407,7 @@ _CAUSES = (
     ),
     Cause(
         "light from a side", "log ratio of the brightest side's light to that around the centre, "
-        "if not uniform", -0.3, 0.0,
+        "-inf if uniform", -0.3, 0.0,
         "other light from one side, which is {ratio:.1f} times as bright as the middle", _DARK,
         _OF_LIGHT,
     ),

@@ -22,7 +22,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS, Reflectance
 from matcap.capture.exemplar.filters import smoothed, split
-from matcap.capture.exemplar.network.inputs import MOST_RESIDUAL, SUBSAMPLING
+from matcap.capture.exemplar.network.inputs import SUBSAMPLING
 from matcap.capture.exemplar.observation import AROUND, PlaneLight
 from matcap.example.exemplar import Exemplar
 from matcap.flash.light import DARKEST
@@ -30,6 +30,7 @@ from matcap.flash.plane import Plane
 from matcap.flash.render import Uniform
 
 # Detail transfer; docs/notes/capture.md.
+_MOST_DETAIL = 1.0  # log radiance; residuals are clipped to +-this
 _HIDDEN = 0.1  # squared diffuse share at which half of the residual is assigned to albedo
 _ROUNDS = 2  # iterations of refining albedo
 # Largest share of the finest bands' energy that is assigned to relief. With 0.5, leather has an
@@ -126,7 +127,7 @@ def _missing_detail(
     for channel, whole, known, shown in zip(
         detail, plane.linear, plane.measured, rendered, strict=True
     ):
-        left = whole.clamp_min(DARKEST).log_().sub_(shown).clamp_(-MOST_RESIDUAL, MOST_RESIDUAL)
+        left = whole.clamp_min(DARKEST).log_().sub_(shown).clamp_(-_MOST_DETAIL, _MOST_DETAIL)
         left = torch.where(known, left, left.clamp_min(0.0))
         channel.copy_(_high_passed(left[None], coarse)[0])
     return detail if noise is None else noise.left_out(detail)
@@ -151,7 +152,7 @@ class _Noise:
             return None
         light = np.stack([smoothed(c, AROUND) for c in plane.linear.numpy()])
         noise = plane.noise / torch.from_numpy(light).clamp_min(DARKEST)
-        noise = _high_passed(noise.clamp(-MOST_RESIDUAL, MOST_RESIDUAL), coarse)
+        noise = _high_passed(noise.clamp(-_MOST_DETAIL, _MOST_DETAIL), coarse)
         grey = noise.mean(0, keepdim=True)
         return _Noise(_energy(grey), _energy(noise - grey))
 

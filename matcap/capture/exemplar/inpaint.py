@@ -441,8 +441,8 @@ def _solved(right: NDArray[np.float64], free: TexelMask, reach: float) -> Floats
     result = np.zeros(right.shape, np.float32)
     known = np.ascontiguousarray(right[:, free].T, np.float32)
     # In exact arithmetic as many iterations as unknowns suffice.
-    shift = conjugate_gradients(product, known, len(known), tolerance=_TOLERANCE)
-    result[:, free] = shift.T
+    solution = conjugate_gradients(product, known, len(known), tolerance=_TOLERANCE)
+    result[:, free] = solution.T
     return result
 
 

@@ -143,7 +143,8 @@ def fit_mean_parameters(
         prior: of the result.
     """
     fit = _RingFit(target, shares, prior)
-    _, theta = minimised(fit.cost, fit.quadratic, start.flatten(), _STEPS, farthest=_MOST_STEP)
+    problem = fit.cost, fit.quadratic, start.flatten(), _STEPS
+    _, theta = minimised(*problem, farthest=_MOST_STEP, tolerance=1e-7)
     residual = fit.residuals(theta)
     weight = fit.weights(residual)
     return theta.reshape(start.shape), float((residual.abs() * weight).sum() / weight.sum())

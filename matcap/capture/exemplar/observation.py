@@ -57,7 +57,7 @@ class PhotographLight:
     """(..., 1, 1) each: log parameters of the uniform material, which `residuals` are added to."""
     tint: Tensor | float = 1.0
     """(3, H, W) specular tint, F0 over the mean of its channels; 1 without metal
-    (material_classes.py). Residuals of F0 are those of its mean."""
+    (tint.py). Residuals of F0 are those of its mean."""
 
     @staticmethod
     def of(coarse: Uniform, points: Tensor) -> PhotographLight:
@@ -84,7 +84,7 @@ class PhotographLight:
         return _by_strips(self.cut, maps)
 
     def slope_sensitivity(self, maps: MapSet | Reflectance) -> Tensor:
-        """(2, H, W) d log L / d slope along x and y on a flat surface, L averaged over channels."""
+        """(2, H, W) d log L / d slope along x and y on a flat surface, a mean over channels."""
         level = torch.zeros_like(maps.roughness)
         _, _, others = linearised(self.flash, normals_from_slopes(level, level), maps)
         return others[2:].mean(1)

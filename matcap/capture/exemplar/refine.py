@@ -48,7 +48,6 @@ from matcap.capture.exemplar.mean_parameters import (
     MeanParameterPrior,
     fit_mean_parameters,
 )
-from matcap.capture.exemplar.network.inputs import MOST_RESIDUAL
 from matcap.capture.exemplar.network.network import ExpectedErrors
 from matcap.capture.exemplar.observation import Observation, PhotographLight, channel_weights
 from matcap.capture.exemplar.predict import NetworkPrediction
@@ -62,6 +61,9 @@ from matcap.flash.light import DARKEST
 _STEPS = 5
 # Log radiance, lower limit of the noise. Smaller values copy sensor noise into the maps.
 _LEAST_NOISE = 0.01
+# Largest change of log radiance in a step. Gaps between threads are predicted too bright by more
+# than 0.5.
+_MOST_CHANGE = 1.5
 # Standard deviation of the highlight's log radiance at a specular fraction of 1, of dielectric
 # and metal, whose texture is its F0: a brushed steel has an NSD of 2.5 with 0.5, and of 1.8 with
 # 0.15.
@@ -298,7 +300,7 @@ def refine_albedo(
         if step:
             log, shares = incidence.log_radiance(light.maps(residuals))
         difference = _log_difference(observed, log, valid)
-        difference = (difference - _slow(difference, valid)).clamp(-MOST_RESIDUAL, MOST_RESIDUAL)
+        difference = (difference - _slow(difference, valid)).clamp(-_MOST_CHANGE, _MOST_CHANGE)
         informative = valid | (difference > 0.0)
         share = (weights * shares).sum(0, keepdim=True)
         # d log L / d log albedo, and of metal / d log F0.

@@ -334,7 +334,7 @@ def _whitened(rows: Doubles, column: Doubles) -> Doubles:
 def equalise(
     height: Height, spectrum: ReliefSpectrum | None, sensitivity: Height | None = None
 ) -> Height:
-    """Height (H, W) in texels, with local slope energies equalised and bands scaled to `strengths`.
+    """Height (H, W) in texels, with local slope energies equalised and bands scaled to `spectrum`.
 
     One flash shows slopes along its direction, hardly across it, and none at the mirror point; the
     network shrinks slopes that do not show. Relit, such relief is flat in the middle, with

@@ -24,7 +24,6 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS
 
-GREY = torch.ones(1, 1, 1)  # the tint without metal
 _LEAST_SHARE = 0.005  # least share of metal in an exemplar
 _COLOUR_SIDE = 5  # texels, side of the neighbourhood whose colour is averaged, against noise
 # Radiance (1 at clipping) at which the local colour weighs as much as the mean: darker texels

@@ -28,9 +28,10 @@ from matcap.capture.multiview.texels import (
     solved_in_place,
     weights,
 )
-from matcap.capture.multiview.views import FlashOrAmbient, ResampledView, SharedLight, light_at
+from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
 from matcap.capture.registration.camera import Doubles
 from matcap.flash.extent import OWN
+from matcap.flash.light import DifferentiableLight
 
 # Fourth-order derivative, twelvefold: weights of texels this far away.
 _FOURTH = ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0))
@@ -54,7 +55,7 @@ _GAIN, _SEPARATE_GAIN = 1.5, 0.03
 
 
 class _SharedParameters(NamedTuple):
-    """Shared parameters, or one number about each: an index, a deviation."""
+    """Shared parameters; also their indices in the vector, and their prior deviations."""
 
     offset: Tensor
     """(2,) of the flash."""
@@ -327,7 +328,7 @@ class _SharedFit:
             equations.add(jacobian(*by_texel), by_shared, indices, weight, residual[:, 0])
         return equations
 
-    def _lit(self, number: int, values: Tensor) -> FlashOrAmbient:
+    def _lit(self, number: int, values: Tensor) -> DifferentiableLight:
         """Light of a photograph at the samples, with shared parameters `values`."""
         light = self.start.parts(values).onto(self.light)
         return light_at(number, self.views[number], light, self.points)

@@ -12,6 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from matcap.brdf.cook_torrance import SINGLE_ROUGHNESS
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_height, normals_from_slopes
 from matcap.brdf.parameters import (
@@ -24,10 +25,10 @@ from matcap.brdf.parameters import (
     SurfaceParameters,
 )
 from matcap.capture.multiview.ambient_light import AmbientLight, evenly_lit
-from matcap.capture.multiview.views import FlashOrAmbient, ResampledView, SharedLight, light_at
+from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import plane_points
-from matcap.flash.light import linearised, strips
+from matcap.flash.light import DifferentiableLight, linearised, strips
 
 # Parameters of a texel besides ALBEDO, F0 and ROUGH, their number, and the channels of each part.
 GLOSS, SLOPES = slice(3, 5), slice(5, 7)
@@ -139,9 +140,12 @@ def parameters_of(maps: MapSet) -> Tensor:
 
 
 def limited(parameters: Tensor) -> Tensor:
-    """Parameters (PARAMETERS, H, W) within the limits of reflectance and slopes."""
+    """Parameters (PARAMETERS, H, W) within the limits of reflectance and slopes.
+
+    Lobes of fits do not change below SINGLE_ROUGHNESS.
+    """
     albedo, f0 = torch.tensor([ALBEDO_LIMITS, F0_LIMITS]).log()
-    roughness = torch.tensor(ROUGHNESS_LIMITS).logit()
+    roughness = torch.tensor([SINGLE_ROUGHNESS, ROUGHNESS_LIMITS[1]]).logit()
     steep = torch.tensor([-_STEEPEST, _STEEPEST])
     low, high = torch.stack([albedo, albedo, albedo, f0, roughness, steep, steep], dim=1)
     return parameters.clamp(low[:, None, None], high[:, None, None])
@@ -170,7 +174,7 @@ def points_of(
     return extent.placed(points)
 
 
-def log_rendered(parameters: Tensor, lights: Sequence[FlashOrAmbient]) -> list[Tensor]:
+def log_rendered(parameters: Tensor, lights: Sequence[DifferentiableLight]) -> list[Tensor]:
     """Log radiance (3, h, w) of parameters (PARAMETERS, h, w) in each light."""
     normal, surface = _surface(parameters)
     return [light.onto(normal).log_radiance(surface)[0] for light in lights]
@@ -353,7 +357,7 @@ def _normal_equations(
 
 
 def derivatives(
-    parameters: Tensor, lights: Iterable[FlashOrAmbient]
+    parameters: Tensor, lights: Iterable[DifferentiableLight]
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """In each light log radiance (3, h, w) and its derivatives by the parameters, texels in a row.
 

@@ -102,14 +102,15 @@ def predict_views(
 ) -> tuple[list[Estimate], list[Tensor]]:
     """The network's predictions of the photographs with flash and without too large a tilt.
 
-    All are on the first one's texels, F0 without tint; and the specular tints (1 or 3, H, W) of all
-    but the first.
-
     Args:
         alignment: registration and light of the photographs.
         first: prediction of the first, in the estimated frame.
         coarse: fit of the first, whose mean material all share.
         predict: predicts the maps of one photograph on its own plane.
+
+    Returns:
+        The predictions, the first one first, on its grid of fusion, F0 without tint; and the
+        specular tints (1 or 3, H, W) of the others.
     """
     extent = alignment.extent
     width, height = first.maps.size

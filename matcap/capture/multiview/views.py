@@ -23,7 +23,14 @@ from matcap.capture.registration.camera import (
 from matcap.capture.registration.register import RegisteredView
 from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.light import DARKEST, FlashLight, cached_rows, log_vignette, strips
+from matcap.flash.light import (
+    DARKEST,
+    DifferentiableLight,
+    FlashLight,
+    cached_rows,
+    log_vignette,
+    strips,
+)
 from matcap.flash.rectify import FINER, planes_of
 from matcap.photo.camera import CameraProfile
 from matcap.photo.photo import FULL
@@ -31,8 +38,6 @@ from matcap.photo.shrink import CLIPPED_SHARE, area_averaged
 
 RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs
 _BORDER = 2.0  # width of a photograph's unused border, pixels
-
-FlashOrAmbient = FlashLight | AmbientLight
 
 
 @dataclass(frozen=True)
@@ -181,7 +186,7 @@ class ResampledView:
 
 def light_at(
     number: int, view: ResampledView, light: SharedLight, points: Tensor
-) -> FlashOrAmbient:
+) -> DifferentiableLight:
     """Light of photograph `number` at plane points (3, h, w)."""
     if not view.flash:
         return AmbientLight(light.ambient, light.gain[number].exp()[:, None, None])

@@ -49,16 +49,16 @@ def measure_causes(
     light, model = (each.mean(axis=2) for each in smooth)
     side, room, curve = _brightest_side(light), _ambient_share(light, model), _bent(light, model)
     uniform = 0.0 <= side <= UNIFORM
-    # A tone curve or ambient light, whichever is stronger; a RAW has no tone curve.
+    # A tone curve or ambient light, whichever is stronger; of a RAW, ambient light.
     room_strength = CAUSES["room light"].strength(room)
-    developed = not photo.radiometric and CAUSES["tone curve"].strength(curve) >= room_strength
+    curved = not photo.radiometric and CAUSES["tone curve"].strength(curve) >= room_strength
     clipped = photo.pixels >= _CLIP
     return {
         "anisotropic highlight": _streak(pictures, highlights),
         "no flash": float(uniform and not photo.flash_fired),
         "light from a side": -math.inf if uniform else side,
-        "room light": 0.0 if developed else room,
-        "tone curve": curve if developed else 0.0,
+        "room light": 0.0 if curved else room,
+        "tone curve": curve if curved else 0.0,
         "clipping by channel": float((clipped[..., 1:] != clipped[..., :1]).any(axis=2).mean()),
         "steep relief": exemplar.tilt,
         "large features": exemplar.variety,
@@ -68,10 +68,10 @@ def measure_causes(
 def causes(measured: Mapping[str, float], more: str) -> tuple[Cause, ...]:
     """Causes beyond their limits, the strongest first; `more` is which photographs would help."""
     strengths = {name: CAUSES[name].strength(value) for name, value in measured.items()}
+    visible = [name for name in strengths if strengths[name] >= 1.0]
     return tuple(
         CAUSES[name].described(measured[name], more)
-        for name in sorted(strengths, key=lambda name: -strengths[name])
-        if strengths[name] >= 1.0
+        for name in sorted(visible, key=lambda name: -strengths[name])
     )
 
 

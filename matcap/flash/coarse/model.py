@@ -17,6 +17,7 @@ from torch import Tensor
 from matcap.brdf.parameters import Reflectance
 from matcap.flash.light import FlashLight, log_vignette
 
+_DARKEST = 1e-12  # radiance added before logarithms
 BLACK = 0.005  # diffuse albedo of a conductor over its F0
 
 
@@ -95,7 +96,7 @@ def log_radiance(
         torch.sigmoid(unknowns.roughness)[:, None, None],
     )
     lost = log_vignette(image - unknowns.centre[:, None, None], *unknowns.vignetting)
-    return (incidence.log_radiance(surface)[0] + lost).flatten(1)
+    return ((incidence.radiance(*surface) + _DARKEST).log() + lost).flatten(1)
 
 
 def mirror_point(unknowns: Unknowns, distance: float) -> Tensor:

@@ -23,7 +23,7 @@ from matcap.lab.simulate.materials.kinds.metal import anodised_f0, metal_colour
 
 _SCALES = (0.3, 2.0)  # texels of the picture to one of the set
 _STRENGTHS = (0.5, 2.0)  # of relief
-_STEEP = 0.9  # root-mean-square slope that relief is not scaled_to_spectrum beyond
+_STEEP = 0.9  # root-mean-square slope that relief is not strengthened beyond
 _LEVELLED = 1.0 / 3.0  # share of pieces rotated by any angle, not by quarter turns
 _MARGIN = 3  # texels read around the crop, for cubic interpolation
 _DARKEST, _PALEST = 0.01, 0.92  # mean albedos of real materials lie within

@@ -76,7 +76,7 @@ def bench_scene(flash: FlashSetup) -> BenchScene:
 def mirrored_scene(flash: FlashSetup) -> BenchScene:
     """The photograph's camera and five lights whose mirror images lie in the picture.
 
-    At 5 to 20 degrees from the plane's normal and at the camera's height, with the spectrum of
+    At 5 to 20 degrees from the plane's normal and at the camera's height, with the strengths of
     `bench_scene`. Only such lights show the specular lobe's peak.
     """
     lights = []

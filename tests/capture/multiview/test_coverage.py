@@ -1,8 +1,10 @@
 """What is said of a set before it is captured."""
 
 import json
+import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -48,6 +50,15 @@ def test_a_set_is_told_what_it_lacks(looked):
     assert values["common"].rating is Rating.GOOD
     assert 1.05 < values["union"].value < 2.0 and "--union" in values["union"].says
     assert json.loads(json.dumps(values.document()))["rating"] == "doubtful"
+
+
+def test_a_steep_camera_is_named(looked):
+    first, last = looked.views[0], looked.views[-1]
+    turn = cv2.Rodrigues(np.array([math.radians(60.0), 0.0, 0.0]))[0]
+    steep = replace(last, camera=replace(last.camera, turn=turn))
+    places = coverage(replace(looked, views=(first, steep)))["places"]
+    assert f"{last.photo.name} was taken 60 degrees off vertical." in places.says
+    assert places.rating is Rating.DOUBTFUL
 
 
 def test_how_far_cameras_are_known_is_told(looked):

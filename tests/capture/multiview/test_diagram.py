@@ -12,7 +12,7 @@ from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.register import LeftOut, RegisteredView
 from matcap.flash.geometry import FlashSetup
 
-PIECE = np.full((48, 64, 3), 0.5, np.float32)
+EXEMPLAR = np.full((48, 64, 3), 0.5, np.float32)
 BLUE, GREEN, SPARK = (120, 200, 255), (140, 230, 150), (255, 214, 90)
 
 
@@ -37,7 +37,7 @@ def middle(picture, colour):
 
 
 def test_cameras_stand_where_they_stood_and_flashes_beside_them():
-    picture = draw_set(report(), PIECE, 1200)
+    picture = draw_set(report(), EXEMPLAR, 1200)
     assert picture.size == (1200, 300)
     first, second = (middle(picture, colour) for colour in (BLUE, GREEN))
     assert second[0] > first[0] + 40
@@ -59,7 +59,7 @@ def test_an_interrupted_set_has_predicted_nothing():
 def test_a_photograph_without_flash_has_a_camera_and_no_spark():
     result = report()
     dark = replace(result, views=(result.views[0], replace(result.views[1], flash=False)))
-    drawn = [np.asarray(draw_set(one, PIECE, 900)) for one in (result, dark)]
+    drawn = [np.asarray(draw_set(one, EXEMPLAR, 900)) for one in (result, dark)]
     sparks = [int((picture == SPARK).all(-1).sum()) for picture in drawn]
     assert 0 < sparks[1] < sparks[0]
     said = [line for line, _ in set_report_lines(dark)]

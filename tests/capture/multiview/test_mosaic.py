@@ -12,7 +12,6 @@ from seen_views import photographed
 from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import map_set_of
-from matcap.capture.exemplar.tint import GREY
 from matcap.capture.multiview import mosaic as mosaic_module
 from matcap.capture.multiview.mosaic import (
     LEAST,
@@ -181,7 +180,8 @@ def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():
     found = tint_over(grey, [other], [gold], mosaic)
     assert torch.equal(found[..., : SIZE[0]], grey[..., : SIZE[0]])
     torch.testing.assert_close(found[..., SIZE[0] :], gold[..., SIZE[0] :])
-    assert tint_over(GREY, [other], [gold], mosaic) is GREY
+    none = torch.ones(1, 1, 1)
+    assert tint_over(none, [other], [gold], mosaic) is none
     assert torch.equal(tint_over(grey, [], [], mosaic), grey)
 
 

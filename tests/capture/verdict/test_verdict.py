@@ -10,6 +10,7 @@ import simulated_shots as shots
 from arrays import photo_from_array
 
 from matcap.capture.exemplar.observation import code_step
+from matcap.capture.inspection import photograph_quality
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.verdict.causes import measure_causes
@@ -104,6 +105,16 @@ def test_every_row_of_the_table_is_said_of_something(leather):
     said = [*findings(replace(FINE, **worst)), *inspect_photo(leather[0], (0.3, 0.0)).findings]
     assert set(RATED) <= {found.name for found in said}
     assert all(found.line() and "{" not in found.line() for found in said)
+
+
+def test_a_measurement_that_is_not_a_number_has_failed():
+    assert judge(replace(FINE, light=math.nan)).rating is Rating.FAILED
+
+
+def test_the_highlight_of_a_photograph_is_described(leather):
+    quality = photograph_quality(leather[0])
+    assert "times as bright as a matte surface" in quality["highlight"].says
+    assert "glints in the highlight vary by" in quality["glints"].says
 
 
 def test_what_is_not_known_is_not_held_against_a_capture():
