@@ -43,7 +43,7 @@ Keys:
         re-rendering), `slow` (the low-frequency residual, which is not the material's), `left_out`
         (share that stands out, such as stains, which fields avoid), `variety` (0 to 1: small
         patches at 1), `patches` (their size, in words), `strengths` (root-mean-square slope and
-        log albedo by band, measured in the photograph; capture/exemplar/relief_spectrum.py; or null),
+        log albedo by band of the photograph, capture/exemplar/relief_spectrum.py; or null),
         `sharpness` (power of the finest octave, re-rendering over photograph), `confidence` (mean,
         by map), `specular_channels` (3 if F0 has a colour), `highlight_residue` (radial variation
         about the mirror point: of the logarithms of `albedo`, `specular` and `grain`, the
