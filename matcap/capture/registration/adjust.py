@@ -21,7 +21,7 @@ from torch import Tensor
 
 from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, camera_of
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.least_squares import jacobian, minimised
+from matcap.flash.least_squares import huber, jacobian, minimised
 
 _HUBER = 1.0  # threshold of the Huber loss, pixels
 # Largest effective number of a photograph's matches, as the parallax of relief is correlated
@@ -210,10 +210,9 @@ def less_relief(residual: Doubles, parallax: Doubles) -> Doubles:
 
 def _huber(residuals: Doubles) -> tuple[float, Doubles]:
     """Huber cost of residuals (2, n), pixels, and the weight of each."""
-    size, threshold = np.hypot(*residuals), _HUBER
-    weight = min(1.0, _COUNTED / max(1, len(size)))
-    cost = np.where(size < threshold, size**2 / 2.0, threshold * (size - threshold / 2.0))
-    return weight * float(cost.sum()), weight * threshold / np.maximum(size, threshold)
+    loss, weight = huber(torch.from_numpy(np.hypot(*residuals)), _HUBER)
+    count = min(1.0, _COUNTED / max(1, len(loss)))
+    return count * float(loss.sum()), count * weight.numpy()
 
 
 def _initial_pose(first: PosedCamera, pair: Pair) -> Doubles:
