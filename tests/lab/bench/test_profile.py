@@ -29,7 +29,7 @@ def test_stages_make_up_the_whole(tmp_path):
         assert parts == pytest.approx(whole.number(column), rel=0.1)
     peaks = [row.number("megabytes") for row in rows.values()]
     assert max(peaks) == whole.number("megabytes") > 200.0
-    assert rows["instant, piece"].number("seconds") > 0.0
+    assert rows["instant, network"].number("seconds") > 0.0
 
 
 OWN_PEAKS = """
