@@ -44,6 +44,7 @@ def test_it_goes_from_photographs_to_a_prior_and_is_not_done_twice(tmp_path, rec
     photographs = tmp_path / "photographs"
     photographs.mkdir()
     monkeypatch.setattr("matcap.lab.train.pack.HELD_OUT", 2)  # twelve take half a minute
+    monkeypatch.setattr("matcap.lab.train.fusion._STEPS", 60)  # three thousand take five seconds
     for index in range(3):
         (photographs / f"m{index}_a.jpg").write_bytes(jpeg(index))
     out = tmp_path / "mine.safetensors"
