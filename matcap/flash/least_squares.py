@@ -69,7 +69,7 @@ def conjugate_gradients(
     preconditioned: Callable[[Floats], Floats] = lambda residual: residual,
     tolerance: float = 0.0,
 ) -> Floats:
-    """X of A x = right, from x = 0; float32 of any shape.
+    """Solution x of A x = right, from x = 0; float32 of any shape.
 
     Args:
         product: A x, with A symmetric and positive definite; its result is overwritten.

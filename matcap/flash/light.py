@@ -64,10 +64,8 @@ class Incident(ABC):
     def log_radiance(self, surface: MapSet | Reflectance) -> tuple[Tensor, Tensor]:
         """(..., 3, H, W) each: log radiance, and the diffuse share of radiance."""
         diffuse = self.matte(surface.diffuse)
-        reflected = diffuse + self.mirrored(surface.specular, surface.roughness)
-        return (reflected * self.irradiance).clamp_min(
-            DARKEST
-        ).log(), diffuse / reflected.clamp_min(1e-12)
+        reflected = (diffuse + self.mirrored(surface.specular, surface.roughness)).clamp_min(1e-12)
+        return (reflected * self.irradiance).clamp_min(DARKEST).log(), diffuse / reflected
 
 
 @dataclass(frozen=True)

@@ -37,10 +37,12 @@ def slopes(height):
     return across, -down
 
 
-def _estimate(slope: np.ndarray, doubt: float = 0.02) -> ReliefSpectrum:
-    """Slopes that a photograph tells, their energies off by a share of themselves."""
+def _estimate(slope: np.ndarray, deviation: float = 0.02) -> ReliefSpectrum:
+    """Slopes measured in a photograph, with deviations that are a share of their energies."""
     energy = np.square(slope).sum(1)
-    return ReliefSpectrum(np.zeros_like(slope), slope.copy(), np.ones_like(slope), doubt * energy)
+    return ReliefSpectrum(
+        np.zeros_like(slope), slope.copy(), np.ones_like(slope), deviation * energy
+    )
 
 
 def _strength(height: np.ndarray, where: tuple[slice, slice]) -> tuple[float, float]:
@@ -162,15 +164,15 @@ def test_waves_of_any_direction_are_left_as_they_are(way) -> None:
 
 
 @pytest.mark.parametrize(
-    ("result", "doubt", "least", "most"),
+    ("result", "deviation", "least", "most"),
     [(2.0, 0.05, 1.9, 2.1), (0.5, 0.05, 0.47, 0.53), (2.0, 100.0, 0.95, 1.3), (2.0, 0.9, 1.3, 2.1)],
 )
 def test_relief_becomes_as_strong_as_the_photograph_says_so_far_as_it_is_sure(
-    result, doubt, least, most
+    result, deviation, least, most
 ) -> None:
     height, found = _grainy()
     own = _strength(_even(grainy=True), (slice(None), slice(None)))[0]
-    spectrum = _estimate(result * found, doubt)
+    spectrum = _estimate(result * found, deviation)
     now = _strength(equalise(height, spectrum), (slice(None), slice(None)))[0]
     assert least < now / own < most
 

@@ -75,9 +75,10 @@ def test_how_far_cameras_are_known_is_told(looked):
 
 
 def test_a_capture_says_where_cameras_are_doubted(looked):
-    def result(doubt):
+    def result(deviation):
         views = tuple(
-            replace(v, position_deviation=doubt if n else 0.0) for n, v in enumerate(looked.views)
+            replace(v, position_deviation=deviation if n else 0.0)
+            for n, v in enumerate(looked.views)
         )
         return SetReport(views, (), (), (), (0.0,) * 4, (0.0,) * 3, Mosaic.own((64, 48))).warning()
 

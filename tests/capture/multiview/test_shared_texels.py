@@ -83,7 +83,7 @@ def test_derivatives_are_those_of_the_rendered_radiance(light) -> None:
 
 
 def test_maps_beyond_their_limits_have_finite_parameters() -> None:
-    """Cubic interpolation overshoots at a step, as of bare metal beside rust."""
+    """Cubic interpolation overshoots at a step, as of bare metal next to rust."""
     plane = torch.tensor([[[-0.03, 0.2, 1.04]]])
     maps = MapSet(plane.expand(3, 1, 3), plane, plane, torch.zeros(1, 1, 3), texel_size=0.01)
     assert bool(torch.isfinite(parameters_of(maps)).all())

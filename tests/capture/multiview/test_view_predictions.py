@@ -98,11 +98,11 @@ def test_no_border_of_a_reading_is_seen(brought):
     assert float(steps.max()) < 0.1
 
 
-def _read(maps, off, generator, doubt):
+def _read(maps, off, generator, log_error):
     numbers = parameters_of(maps)
     noise = off * torch.randn(numbers.shape, generator=generator)
     noisy = maps_of(numbers + noise, maps.height, maps.texel_size)
-    return Estimate(noisy, torch.full((4, *SIZE), doubt))
+    return Estimate(noisy, torch.full((4, *SIZE), log_error))
 
 
 def test_joined_readings_are_nearer_in_any_order_and_the_doubtful_count_less():
