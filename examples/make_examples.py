@@ -9,10 +9,10 @@ import argparse
 from pathlib import Path
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
-from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import EXAMPLES
-from matcap.lab.simulate.write_dng import write_dng
-from matcap.lab.simulate.write_jpeg import write_jpeg
+from matcap_lab.simulate.photograph import PhoneCamera
+from matcap_lab.simulate.specimen import EXAMPLES
+from matcap_lab.simulate.write_dng import write_dng
+from matcap_lab.simulate.write_jpeg import write_jpeg
 
 
 def main() -> None:

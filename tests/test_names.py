@@ -5,9 +5,13 @@ import re
 from collections import Counter
 from pathlib import Path
 
-import matcap
-
-FILES = sorted(Path(matcap.__file__).parent.rglob("*.py"))
+ROOT = Path(__file__).parents[1]
+# Of the product and of the laboratory.
+FILES = sorted(
+    file
+    for file in (*ROOT.glob("matcap/**/*.py"), *ROOT.glob("lab/*/**/*.py"))
+    if "tests" not in file.parts[len(ROOT.parts) :]
+)
 
 
 def test_no_two_classes_share_a_name():

@@ -8,14 +8,15 @@ from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-import matcap
-
-ROOT = Path(matcap.__file__).parent
+CLONE = Path(__file__).parents[1]
+# The product's packages, and the laboratory's.
+ROOTS = [CLONE / "matcap", *(root.parent for root in CLONE.glob("lab/matcap*/__init__.py"))]
 
 
 def name_of(file: Path) -> str:
     """A module's, or a package's."""
-    parts = file.relative_to(ROOT.parent).with_suffix("").parts
+    root = next(root for root in ROOTS if file.is_relative_to(root))
+    parts = file.relative_to(root.parent).with_suffix("").parts
     return ".".join(parts).removesuffix(".__init__")
 
 
@@ -39,7 +40,7 @@ def imports(tree: ast.Module, known: set[str], *, types: bool = False) -> Iterat
 
 def graph_of(*, types: bool = False) -> dict[str, set[str]]:
     """What each module imports."""
-    files = {name_of(file): file for file in ROOT.rglob("*.py")}
+    files = {name_of(file): file for root in ROOTS for file in root.rglob("*.py")}
     known = set(files)
 
     def of(name: str) -> set[str]:
@@ -60,8 +61,9 @@ def test_no_files_go_in_circles() -> None:
 
 
 def room(name: str) -> str:
-    """A package or file of the top level, or the package itself."""
-    return name.split(".")[1] if "." in name else "__init__"
+    """A package or file of the top level, the package itself, or the laboratory's."""
+    top, _, inner = name.partition(".")
+    return top if top != "matcap" else inner.split(".")[0] or "__init__"
 
 
 if __name__ == "__main__":

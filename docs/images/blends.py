@@ -5,7 +5,7 @@ python docs/images/blends.py FILE A B [A B ...]  of materials' files instead
 
 Rows of A, shares 0.25, 0.5 and 0.75, and B: endless fields, lit from the upper left. Simulated
 photographs are captured with the preset `instant`; no pair was left out after it was seen.
-Distances are style distances by SqueezeNet (matcap/lab/measures/nsd.py) under five lights, over
+Distances are style distances by SqueezeNet (lab/matcap_lab/measures/nsd.py) under five lights, over
 that of A and B.
 """
 
@@ -27,12 +27,12 @@ from matcap.capture.pipeline import capture_file
 from matcap.capture.settings import CaptureSettings
 from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.measures.lights import BenchScene, bench_scene, relight_all
-from matcap.lab.measures.nsd import SqueezeNetStyle
-from matcap.lab.measures.style import StyleStatistics, difference
-from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import photograph, subjects
 from matcap.space.between import blend
+from matcap_lab.measures.lights import BenchScene, bench_scene, relight_all
+from matcap_lab.measures.nsd import SqueezeNetStyle
+from matcap_lab.measures.style import StyleStatistics, difference
+from matcap_lab.simulate.photograph import PhoneCamera
+from matcap_lab.simulate.specimen import photograph, subjects
 
 FILE = Path(__file__).parent / "blends.jpg"
 PAIRS = (

@@ -22,8 +22,6 @@ from PIL import Image
 
 from matcap.files.srgb import srgb_picture
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.photograph import PhoneCamera, expose, take
-from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.relight.render import relight
 from matcap.relight.scene import (
     EnvironmentLight,
@@ -31,6 +29,8 @@ from matcap.relight.scene import (
     Scene,
     Surface,
 )
+from matcap_lab.simulate.photograph import PhoneCamera, expose, take
+from matcap_lab.simulate.specimen import EXAMPLES
 
 HERE = Path(__file__).parent
 _SMALL = PhoneCamera(width=640, height=480, supersampling=1)

@@ -21,10 +21,10 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.pipeline import capture_file
 from matcap.capture.settings import CaptureSettings
 from matcap.field.material import Material
-from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import photograph, subjects
 from matcap.space.between import blend
 from matcap.space.prior.store import load_prior
+from matcap_lab.simulate.photograph import PhoneCamera
+from matcap_lab.simulate.specimen import photograph, subjects
 
 FILE = Path(__file__).parent / "paper.jpg"
 _STRIP, _AREA = (4096, 512), (512, 384)  # texels

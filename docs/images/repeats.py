@@ -23,8 +23,8 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.pipeline import capture_file
 from matcap.capture.settings import CaptureSettings
 from matcap.files.srgb import srgb_picture
-from matcap.lab.simulate.photograph import PhoneCamera, as_photo
-from matcap.lab.simulate.specimen import EXAMPLES, Specimen, photograph, subjects
+from matcap_lab.simulate.photograph import PhoneCamera, as_photo
+from matcap_lab.simulate.specimen import EXAMPLES, Specimen, photograph, subjects
 
 FILE = Path(__file__).parent / "repeats.jpg"
 KINDS = (

@@ -21,7 +21,6 @@ from typer.core import TyperCommand
 
 from matcap.cli import (
     batch,
-    bench,
     blend,
     camera,
     capture,
@@ -30,8 +29,6 @@ from matcap.cli import (
     doctor,
     export,
     inspect,
-    inverse,
-    prior,
     relight,
     sample,
     synth,
@@ -70,12 +67,8 @@ app.command("view")(view.view)
 app.command("blend")(blend.blend)
 app.command("sample")(sample.sample)
 app.command("doctor")(doctor.doctor)
-app.add_typer(bench.app, name="bench")
-app.add_typer(prior.app, name="prior")
-app.add_typer(inverse.app, name="inverse")
-for _part in (app, bench.app, prior.app, inverse.app):
-    for _command in _part.registered_commands:
-        _command.cls = PlainCommand if _command.cls is TyperCommand else _command.cls
+for _command in app.registered_commands:
+    _command.cls = PlainCommand if _command.cls is TyperCommand else _command.cls
 
 
 def _print_version(wanted: bool) -> None:
@@ -117,19 +110,23 @@ def _matcap(
 
 
 def main(
-    arguments: Sequence[str] | None = None, *, interrupted: Callable[[], bool] = lambda: False
+    arguments: Sequence[str] | None = None,
+    *,
+    program: typer.Typer | None = None,
+    interrupted: Callable[[], bool] = lambda: False,
 ) -> int:
     """Run the command line and return its exit code; failures become one sentence on stderr.
 
     Args:
         arguments: command line; None for that of the process.
+        program: another one's commands; None for matcap's.
         interrupted: callback, whether a signal arrived; an interrupted library may raise any error.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     warnings.showwarning = partial(_show_warning, quiet=bool({"-q", "--quiet"} & {*arguments}))
     debug = "--debug" in arguments or os.environ.get("MATCAP_DEBUG", "0") not in ("", "0")
     try:
-        app(args=arguments, prog_name="matcap")
+        (program or app)(args=arguments, prog_name=program.info.name if program else "matcap")
     except SystemExit as stop:
         if isinstance(getattr(stop.__context__, "__cause__", None), KeyboardInterrupt):
             return _end_early()  # as typer does for one that no command handled
@@ -160,8 +157,8 @@ def _show_warning(
         typer.echo(f"note: {message}", err=True)
 
 
-def run() -> None:
-    """The console script."""
+def run(program: typer.Typer | None = None) -> None:
+    """The console script of matcap, or of another program with the same errors and exit codes."""
     # Long spinning of waiting threads makes a shared machine many times slower; no spinning halves
     # the speed of fine-tuning. OpenMP reads this when torch loads. A user's setting is kept.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -170,7 +167,7 @@ def run() -> None:
     # they compute.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     came = raise_on_signals()
-    code = main(interrupted=came)
+    code = main(program=program, interrupted=came)
     ignore_signals()
     # Python's last garbage collection takes a third of a second with torch loaded. Without it,
     # OpenImageIO reports leaks one by one.

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Callable, Iterable
 from functools import wraps
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import typer
 from typer.core import TyperCommand
 
-from matcap.errors import MatcapError
 from matcap.files.mark import mark_of
 
 T = TypeVar("T")
@@ -50,11 +46,6 @@ ReplaceOption = Annotated[
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only failures.")]
 
 
-def command_line() -> str:
-    """This process's command, as typed in a shell."""
-    return shlex.join(["matcap", *sys.argv[1:]])
-
-
 def printer(*, quiet: bool) -> Callable[[str], None]:
     """A function that prints lines on stderr; if quiet it does nothing."""
     return (lambda line: None) if quiet else (lambda line: typer.echo(line, err=True))
@@ -70,19 +61,6 @@ class PlainCommand(TyperCommand):
             if getattr(param, "is_flag", False) and param.metavar is None:
                 param.metavar = ""
         return params
-
-
-def require_laboratory() -> None:
-    """Check that the laboratory is installed.
-
-    Raises:
-        MatcapError: it is not.
-    """
-    if find_spec("matcap.lab") is None:
-        raise MatcapError(
-            "this command measures or trains, and the laboratory is not installed",
-            remedy="install it from a clone of matcap with: pip install ./matcap/lab",
-        )
 
 
 _READ = (".matcap", ".json", ".exr")  # of a folder: materials, map sets and their pictures

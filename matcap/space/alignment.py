@@ -39,7 +39,7 @@ UNKNOWN_FOV = 45.0  # degrees: input of a photograph whose field of view is not 
 SHIPPED = Path(__file__).parent / "prior" / "weights" / "alignment.safetensors"
 
 _FORMAT = "matcap-alignment-2"
-_REMEDY = "install matcap again, or train the branch with `matcap prior align`"
+_REMEDY = "install matcap again, or train the branch with `matcap-lab prior align`"
 _GRID = (3, 4)  # rows and columns of the pooled features
 _BLURRED = (12, 16)  # rows and columns of the pooled picture
 _WIDTHS = (32, 48, 64, 64)  # channels of the layers after the first

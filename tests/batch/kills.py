@@ -28,11 +28,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from simulated.files import write_jpeg, write_shot
+from simulated.materials import piece
+from simulated.photographs import PhoneCamera, take
+
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.photograph import PhoneCamera, take
-from matcap.lab.simulate.specimen import EXAMPLES
-from matcap.lab.simulate.write_dng import write_dng
-from matcap.lab.simulate.write_jpeg import write_jpeg
 
 COMMAND = (sys.executable, "-c", "from matcap.cli.main import run; run()", "batch")
 SMALL = ("--detail", "128", "--size", "64")
@@ -49,10 +49,10 @@ def make_shoot(folder: Path, count: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for index, name in enumerate(("leather", "granite", "rust", "plaster")[:count]):
         setup = FlashSetup(offset=(0.1, 0.05, 0.0), tilt=(0.02 * index, -0.02))
-        shot = take(EXAMPLES[name].pieces(5 + index), camera, setup)
+        shot = take(piece(name, 5 + index), camera, setup)
         write_jpeg(folder / f"{name}.jpg", shot, index)
         if index == 0:
-            write_dng(folder / f"{name}.dng", shot, index)
+            write_shot(folder / f"{name}.dng", shot, index)
 
 
 def run_batch(shoot: Path, out: Path, *more: str) -> int:

@@ -4,6 +4,9 @@ import json
 from dataclasses import replace
 
 import pytest
+from simulated.files import write_jpeg
+from simulated.materials import piece
+from simulated.photographs import PhoneCamera, take
 from test_run import FakeWorkers, Watcher
 
 from matcap.batch import cameras, whole
@@ -15,9 +18,6 @@ from matcap.capture import tilt
 from matcap.cli.main import main
 from matcap.errors import UsageError
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.photograph import PhoneCamera, take
-from matcap.lab.simulate.specimen import EXAMPLES
-from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.photo.camera import read_camera_profile, write_camera_profile
 
 NAMES = ("leather", "granite", "rust", "plaster", "cloth", "tile")
@@ -31,7 +31,7 @@ def pictures(tmp_path_factory):
     camera = PhoneCamera(width=160, height=120, supersampling=1)
     setup = FlashSetup(offset=(0.1, 0.05, 0.0), vignetting=LOST[0], vignetting_quartic=LOST[1])
     for seed, name in enumerate(NAMES):
-        write_jpeg(folder / f"{name}.jpg", take(EXAMPLES[name].pieces(seed), camera, setup), seed)
+        write_jpeg(folder / f"{name}.jpg", take(piece(name, seed), camera, setup), seed)
     return folder
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from simulated.photographs import PhoneCamera, noisy, take
 
 from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
@@ -17,7 +18,6 @@ from matcap.field.material import Material
 from matcap.field.opened import open_photographed
 from matcap.flash.extent import Margins
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.relight.photographed import photographed_scene
 from matcap.relight.render import relight
 from matcap.relight.scene import Film
@@ -40,7 +40,7 @@ def slanted(width, height, texel):
 def photographs(tmp_path_factory):
     """The same picture as a landscape, and as a portrait that is stored on its side."""
     folder = tmp_path_factory.mktemp("portrait")
-    light = expose(take(slanted, CAMERA, SETUP), 1)
+    light = noisy(take(slanted, CAMERA, SETUP).linear, CAMERA, 1)
     codes = np.rint(255 * np.clip(light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
     turned = Image.Exif()
     turned[0x0112] = 6  # to be turned a quarter clockwise

@@ -1,6 +1,6 @@
 """Wheel and sdist: what is in them, and that the wheel works away from the source tree.
 
-The laboratory has a wheel of its own, and commands that need it say so where it is missing.
+The laboratory is a distribution of its own, in lab/.
 """
 
 import os
@@ -15,7 +15,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-LAB = ROOT / "matcap" / "lab"
 # What git tracks in the package and setuptools would leave out unless told.
 DATA = (
     "matcap/py.typed",
@@ -23,7 +22,6 @@ DATA = (
     "matcap/capture/exemplar/network/weights/inverse.safetensors",
     "matcap/view/page/view.js",
 )
-LAB_DATA = ("weights/squeezenet_v1.1.ncnn.bin", "weights/LICENSE", "weights/README.md")
 
 BUILD = """
 import sys
@@ -31,11 +29,6 @@ from setuptools import build_meta
 out = sys.argv[1]  # building changes the arguments
 build_meta.build_wheel(out)
 build_meta.build_sdist(out)
-"""
-BUILD_LAB = """
-import sys
-from setuptools import build_meta
-build_meta.build_wheel(sys.argv[1])
 """
 
 # An editable install would stand in for what the wheels lack.
@@ -58,19 +51,6 @@ for words in (
 ):
     code = main(words)
     assert code == 0, (words, code)
-for words in (["bench", "quality"], ["prior", "corpus"], ["inverse", "train", "folder"]):
-    assert main(words) == 3, words
-assert not any(name.startswith("matcap.lab") for name in sys.modules)
-"""
-USE_LAB = """
-import sys
-from pathlib import Path
-from matcap.lab.measures.squeezenet import WEIGHTS, SqueezeNet
-import matcap.lab
-assert Path(matcap.lab.__file__).is_relative_to(sys.argv[1]), matcap.lab.__file__
-SqueezeNet.load()
-from matcap.cli.main import main
-assert main(["bench", "fronts", "--list"]) == 0
 """
 
 
@@ -103,20 +83,10 @@ def dist(source, tmp_path_factory) -> Path:
     return out
 
 
-@pytest.fixture(scope="module")
-def lab(source, tmp_path_factory) -> Path:
-    """The laboratory's wheel."""
-    out = tmp_path_factory.mktemp("lab")
-    build(BUILD_LAB, source / "matcap" / "lab", out)
-    (wheel,) = out.glob("matcap_lab-*.whl")
-    return wheel
-
-
 def packaged() -> set[str]:
-    """All files of the package but the laboratory's, as they lie in the tree."""
+    """All files of the package, as they lie in the tree."""
     files = (path for path in (ROOT / "matcap").rglob("*") if path.is_file())
-    names = {str(f.relative_to(ROOT)) for f in files if "__pycache__" not in f.parts}
-    return {name for name in names if not name.startswith("matcap/lab/")}
+    return {str(f.relative_to(ROOT)) for f in files if "__pycache__" not in f.parts}
 
 
 def unpacked(site: Path, *wheels: Path) -> Path:
@@ -162,32 +132,15 @@ def test_the_sdist_has_all_that_the_wheel_is_built_from(dist):
     assert sources | {"pyproject.toml", "README.md", "LICENSE"} <= names
 
 
-def test_the_wheel_works_away_from_the_source_tree_and_without_the_laboratory(dist, tmp_path):
+def test_the_wheel_works_away_from_the_source_tree(dist, tmp_path):
     site, work = unpacked(tmp_path / "site", *dist.glob("*.whl")), tmp_path / "work"
     done = python(USE, site, work)
     assert done.returncode == 0, done.stderr
     assert (work / "scene" / "matcap_bsdf.py").is_file()
     assert list((work / "script").glob("*_blender.py"))
-    assert done.stderr.splitlines()[-3:] == 3 * [
-        "matcap: this command measures or trains, and the laboratory is not installed; "
-        "install it from a clone of matcap with: pip install ./matcap/lab."
-    ]
 
 
-def test_only_commands_that_measure_or_train_know_the_laboratory():
-    files = (f for f in (ROOT / "matcap").rglob("*.py") if not f.is_relative_to(LAB))
-    knowing = {f.stem for f in files if "from matcap.lab" in f.read_text(encoding="utf-8")}
-    assert knowing == {"bench", "inverse", "prior"}
-
-
-def test_the_laboratory_is_a_wheel_of_its_own_that_goes_beside(dist, lab, tmp_path):
-    with zipfile.ZipFile(lab) as archive:
-        names = {name for name in archive.namelist() if ".dist-info/" not in name}
-    code = {str(f.relative_to(ROOT)) for f in LAB.rglob("*.py")}
-    assert {name for name in names if name.endswith(".py")} == {
-        name for name in code if "/build/" not in name
-    }
-    assert names - code == {f"matcap/lab/measures/{name}" for name in LAB_DATA}
-    site = unpacked(tmp_path / "site", *dist.glob("*.whl"), lab)
-    done = python(USE_LAB, site, tmp_path / "work")
-    assert done.returncode == 0, done.stderr
+def test_nothing_of_the_product_or_of_its_tests_names_the_laboratory():
+    name = "matcap" + "_lab"
+    files = [*(ROOT / "matcap").rglob("*.py"), *(ROOT / "tests").rglob("*.py")]
+    assert [file.name for file in files if name in file.read_text(encoding="utf-8")] == []

@@ -12,9 +12,6 @@ import typer.main
 
 import matcap as package
 from matcap.cli.main import app
-from matcap.lab.inverse.train import TrainSettings
-from matcap.lab.train.evaluate import EvaluateSettings
-from matcap.lab.train.prior_variety import VarietySettings
 
 START = "from matcap.cli.main import run; run()"
 
@@ -30,8 +27,8 @@ def leaves(command, words=()):
 
 
 LEAVES = dict(leaves(typer.main.get_command(app)))
-# What only measures or trains tells its results in any case.
-TALKING = {"bench", "prior", "doctor", "inspect"}
+# What only looks prints its results in any case.
+TALKING = {"doctor", "inspect"}
 
 
 def run(*arguments, **environment):
@@ -50,24 +47,8 @@ def test_every_command_and_option_has_help(words):
 
 
 @pytest.mark.parametrize(
-    ("words", "settings"),
-    [
-        (("inverse", "train"), TrainSettings),
-        (("prior", "evaluate"), EvaluateSettings),
-        (("prior", "variety"), VarietySettings),
-    ],
-)
-def test_options_of_the_laboratory_have_the_defaults_of_its_settings(words, settings):
-    """The laboratory need not be installed, so that its options cannot be made of its settings."""
-    fields = settings.__dataclass_fields__
-    options = {one.name: one.default for one in LEAVES[words].params if one.name in fields}
-    assert options
-    assert options == {name: fields[name].default for name in options}
-
-
-@pytest.mark.parametrize(
     "words",
-    [w for w in LEAVES if w[0] not in TALKING and w != ("inverse", "evaluate")],
+    [words for words in LEAVES if words[0] not in TALKING],
     ids=" ".join,
 )
 def test_commands_that_write_can_be_quiet(words):

@@ -53,7 +53,7 @@ def test_the_console_script_is_installed():
     assert found.stdout == f"matcap {package.__version__}\n"
 
 
-@pytest.mark.parametrize("command", [[], ["capture"], ["synth"], ["relight"], ["bench"]])
+@pytest.mark.parametrize("command", [[], ["capture"], ["synth"], ["relight"]])
 def test_every_command_explains_itself(matcap, command):
     said = matcap(*command, "--help")
     assert said.code == 0
@@ -90,7 +90,7 @@ def test_wrong_usage_is_2(matcap, tmp_path, monkeypatch, arguments):
 
 @pytest.fixture
 def failing(monkeypatch):
-    """Makes `matcap bench` with no arguments fail in a given way."""
+    """Makes the command line fail in a given way."""
 
     def install(failure: BaseException) -> None:
         def fail(*args, **kwargs):
@@ -113,7 +113,7 @@ def failing(monkeypatch):
 def test_failures_are_sentences_and_codes(matcap, failing, monkeypatch, failure, code, said):
     monkeypatch.delenv("MATCAP_DEBUG", raising=False)
     failing(failure)
-    found = matcap("bench")
+    found = matcap("doctor")
     assert found.code == code
     assert said in found.err
     assert found.err.count("\n") <= 1
@@ -123,7 +123,7 @@ def test_failures_are_sentences_and_codes(matcap, failing, monkeypatch, failure,
 def test_tracebacks_on_request(failing, monkeypatch, capsys, way):
     monkeypatch.setenv("MATCAP_DEBUG", "1" if way == "environment" else "0")
     failing(RuntimeError("oh"))
-    assert main_module.main(["--debug", "bench"] if way == "option" else ["bench"]) == 1
+    assert main_module.main(["--debug", "doctor"] if way == "option" else ["doctor"]) == 1
     assert "Traceback" in capsys.readouterr().err
 
 

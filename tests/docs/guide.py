@@ -29,11 +29,6 @@ QUICK: dict[str, tuple[str, ...]] = {
 }
 # Options that stand for hours, and what stands for them here.
 SHORTER = {"16384": "512", "4096x256": "512x64", "2048": "512", "2048x256": "256x64", "200": "2"}
-# Lines that are no command for a folder, and why.
-LEFT_OUT = {
-    "matcap prior": "hours of training; tests/space/prior runs its short forms",
-    "matcap bench": "minutes; tests/lab runs its short forms",
-}
 
 
 @cache
@@ -56,7 +51,7 @@ def commands(page: Path) -> list[str]:
 
 def lines_of(page: str) -> list[str]:
     """The lines of a page's shell blocks that are run here."""
-    shown = [line for line in commands(GUIDE / page) if not line.startswith(tuple(LEFT_OUT))]
+    shown = commands(GUIDE / page)
     # Without --html it is a server, which nobody closes.
     return [line for line in shown if not line.startswith("matcap view") or "--html" in line]
 
@@ -128,16 +123,15 @@ def _mask(path: Path) -> None:
 
 
 def _several(folder: Path) -> None:
-    from matcap.lab.simulate.hand_held import Hand, hold, take_several
-    from matcap.lab.simulate.photograph import PhoneCamera
-    from matcap.lab.simulate.specimen import EXAMPLES
-    from matcap.lab.simulate.write_dng import write_dng
+    from simulated.files import write_shot
+    from simulated.materials import piece
+    from simulated.photographs import Hand, PhoneCamera, hold, take_several
 
-    oak, phone, hand = EXAMPLES["leather"], PhoneCamera(width=800, height=600), Hand()
-    cameras = hold(phone, hand, 5, oak.seed)
-    shots = take_several(oak.realise, phone, cameras, hand, oak.seed)
+    phone, hand = PhoneCamera(width=800, height=600), Hand()
+    cameras = hold(phone, hand, 5, 11)
+    shots = take_several(piece("leather"), phone, cameras, hand, 11)
     for number, shot in enumerate(shots, 1):
-        write_dng(folder / f"oak_{number}.dng", shot, number)
+        write_shot(folder / f"oak_{number}.dng", shot, number)
 
 
 def run(page: str, folder: Path, captured: Path | None = None) -> Iterator[tuple[str, str]]:

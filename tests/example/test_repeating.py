@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from exemplars import PERIODS, an_example, blobs, exemplar, ordered
 from materials import a_material
+from simulated.materials import true_exemplar
 
 from matcap.brdf.folder import read_mapset
 from matcap.brdf.seam import seam_ratio
@@ -18,7 +19,6 @@ from matcap.example.repeat.flatten import flatten
 from matcap.example.repeat.join import is_cut, joined
 from matcap.example.repeat.repeat import repeated
 from matcap.field.plane import Rectangle
-from matcap.lab.bench.methods import true_exemplar
 
 MAPS = (slice(0, 3), slice(3, 4), slice(4, 5), slice(5, 6))
 MATERIALS = ("leather", "cloth", "granite", "rust", "tile")

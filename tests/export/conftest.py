@@ -4,9 +4,9 @@ import pytest
 from exported import MATERIALS
 from metals import metals
 from random_maps import maps  # noqa: F401
+from simulated.materials import realise
 
 from matcap.brdf.maps import MapSet
-from matcap.lab.simulate.materials import realise
 
 
 @pytest.fixture(scope="session")

@@ -1,10 +1,10 @@
 """Small map sets of metals: bare, rusted, painted and worn, anodised; and what is none."""
 
 import torch
+from simulated.materials import realise
 
 from matcap.brdf.maps import MapSet
-from matcap.lab.simulate.materials import realise
-from matcap.lab.simulate.materials.kinds.metal import METAL_F0
+from matcap.brdf.metals import METAL_F0
 
 DIELECTRIC = 0.04
 SIDE = 64

@@ -23,6 +23,7 @@ import render_three
 from chromium import browsing
 from exported import unlike
 from metals import metals
+from simulated.materials import MATERIALS, realise
 from target_surfaces import residual
 
 import matcap
@@ -33,7 +34,6 @@ from matcap.export.surface import residuals
 from matcap.export.targets import DOCUMENTS, preset_forms, write_export
 from matcap.field.opened import open_tile
 from matcap.files.exr import read_exr
-from matcap.lab.simulate.materials import MATERIALS, realise
 from matcap.relight.scene import (
     NAMED_LIGHTS,
     PointLight,

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from materials import a_material
+from simulated.materials import MATERIALS, realise
 
 from matcap.brdf.seam import seam_ratio
 from matcap.example.example import Example
@@ -12,7 +13,6 @@ from matcap.example.exemplar import Exemplar
 from matcap.export.job import ExportJob
 from matcap.export.targets import DOCUMENTS, write_export
 from matcap.field.opened import open_material, open_tile
-from matcap.lab.simulate.materials import MATERIALS, realise
 
 SEAMLESS = 1.15  # invisible: single lines of a texture scatter by as much
 WIDTH, HEIGHT = 256, 192

@@ -11,7 +11,7 @@ from PIL import Image
 
 from matcap.photo.load import load_photo
 
-sys.path.insert(0, str(Path(__file__).parent))  # dng_files, icc_files
+sys.path.insert(0, str(Path(__file__).parent))  # icc_files
 
 
 @pytest.fixture

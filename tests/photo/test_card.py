@@ -9,6 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from simulated.files import write_jpeg, write_shot
+from simulated.materials import piece
+from simulated.photographs import PhoneCamera, take
 
 from matcap.brdf.maps import MapSet
 from matcap.cli.main import main
@@ -16,9 +19,6 @@ from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_decode
 from matcap.flash.coarse.fit import fit_coarse, rescale_to_flash
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.photograph import PhoneCamera, take
-from matcap.lab.simulate.write_dng import write_dng
-from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.photo.calibrate import calibrated, card_sentence, fit_patches, read_card
 from matcap.photo.card import BOARD_AT, PAGE, PATCHES, SQUARE, rectangles
 from matcap.photo.load import load_photo
@@ -65,7 +65,7 @@ def shot():
 @pytest.fixture(scope="module")
 def calibration(shot, tmp_path_factory):
     path = tmp_path_factory.mktemp("card") / "card.dng"
-    write_dng(path, shot, 1)
+    write_shot(path, shot, 1)
     return read_card(path)
 
 
@@ -104,7 +104,7 @@ def test_albedo_becomes_absolute(calibration, tmp_path):
     path = tmp_path / "grey.dng"
     # The same flash and exposure as the card's photograph, whatever the brightness comes to.
     gain = math.pi * shot.setup.distance**2 * calibration.white / shot.setup.intensity[0]
-    write_dng(path, replace(shot, linear=shot.linear * gain), 1)
+    write_shot(path, replace(shot, linear=shot.linear * gain), 1)
     photo = load_photo(path)
     known = calibrated(photo, calibration)
     assert known.flash_intensity is not None and photo.flash_intensity is None
@@ -129,9 +129,8 @@ def test_a_matrix_and_a_falloff_are_found_together():
 
 
 def test_a_photograph_without_a_card_is_refused(tmp_path):
-    from matcap.lab.simulate.specimen import EXAMPLES
 
-    shot = take(EXAMPLES["granite"].pieces(3), PhoneCamera(width=256, height=192), FlashSetup())
+    shot = take(piece("granite", 3), PhoneCamera(width=256, height=192), FlashSetup())
     write_jpeg(tmp_path / "card.jpg", shot, 1)
     with pytest.raises(MatcapError, match="no card is seen"):
         read_card(tmp_path / "card.jpg")

@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 import pytest
-from dng_files import XYZ_TO_REC709, color_matrix, mosaic, rationals, write_dng
+from simulated.files import XYZ_TO_REC709, color_matrix, mosaic, rationals, write_dng
 
 from matcap.photo.dng_color import dng_color, temperature
 from matcap.photo.load import load_photo

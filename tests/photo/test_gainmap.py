@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 import pytest
-from dng_files import BLACK, WHITE, color_matrix, gain_map, mosaic, opcode_list, write_dng
+from simulated.files import BLACK, WHITE, color_matrix, gain_map, mosaic, opcode_list, write_dng
 
 from matcap.errors import MatcapError
 from matcap.photo.gainmap import Shading, parse_opcodes

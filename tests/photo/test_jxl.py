@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
-from dng_files import BLACK, WHITE, color_matrix, gain_map, mosaic, opcode_list, write_dng
+from simulated.files import BLACK, WHITE, color_matrix, gain_map, mosaic, opcode_list, write_dng
 
 from matcap.errors import MatcapError
 from matcap.photo.jxl import plain_copy

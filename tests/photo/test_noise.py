@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from dng_files import BLACK, WHITE, gain_map, mosaic, opcode_list, write_dng
+from simulated.files import BLACK, WHITE, gain_map, mosaic, opcode_list, write_dng
 
 from matcap.photo.load import load_photo
 from matcap.photo.sensor_noise import SensorNoise, find_noise

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from dng_files import BLACK, WHITE, color_matrix, mosaic, write_dng
+from simulated.files import BLACK, WHITE, color_matrix, mosaic, write_dng
 
 from matcap.photo.load import load_photo
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
-from dng_files import mosaic, write_dng
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from simulated.files import mosaic, write_dng
 
 from matcap.errors import ExitCode, MatcapError
 from matcap.photo.load import load_photo

@@ -31,8 +31,14 @@ from reference_scenes import (  # noqa: E402
 )
 
 from matcap.files.exr import write_exr  # noqa: E402
-from matcap.lab.bench.relight import mitsuba_light, mitsuba_sensor  # noqa: E402
-from matcap.relight.scene import Camera  # noqa: E402
+from matcap.relight.scene import (  # noqa: E402
+    Camera,
+    DirectionalLight,
+    EnvironmentLight,
+    PointLight,
+    RectangleLight,
+    SphereLight,
+)
 
 FOLDER = Path(__file__).parent / "references"
 SAMPLES = {"point": 1, "directional": 1, "sphere": 8192, "rectangle": 8192, "sky": 16384}
@@ -227,12 +233,56 @@ def embossed(depth, samples):
         {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": depth, "rr_depth": 99},
-            "sensor": mitsuba_sensor(mi, Camera(), FILM) | {"sampler": {"type": "multijitter"}},
+            "sensor": mitsuba_sensor(Camera(), FILM) | {"sampler": {"type": "multijitter"}},
             "relief": mesh,
-            "light": mitsuba_light(mi, LOW),
+            "light": mitsuba_light(LOW),
         }
     )
     return np.array(mi.render(scene, spp=samples))
+
+
+def mitsuba_sensor(camera, film):
+    """Mitsuba's description of a perspective camera; pixels are averages."""
+    look_at = mi.ScalarTransform4f().look_at
+    return {
+        "type": "perspective",
+        "fov": camera.fov,
+        "fov_axis": "larger",
+        "to_world": look_at(list(camera.position), list(camera.target), [0, 1, 0]),
+        "film": {
+            "type": "hdrfilm", "width": film.width, "height": film.height,
+            "rfilter": {"type": "box"}, "pixel_format": "rgb",
+        },
+    }  # fmt: skip
+
+
+def mitsuba_light(light):
+    """Mitsuba's description of a light; surroundings are those of one radiance."""
+
+    def rgb(colour):
+        return {"type": "rgb", "value": list(colour)}
+
+    if isinstance(light, PointLight):
+        position = list(light.position)
+        return {"type": "point", "position": position, "intensity": rgb(light.intensity)}
+    if isinstance(light, DirectionalLight):
+        direction = [-c for c in light.direction]
+        return {"type": "directional", "direction": direction, "irradiance": rgb(light.irradiance)}
+    if isinstance(light, EnvironmentLight):
+        return {"type": "constant", "radiance": rgb(light.radiance)}
+    shining = {"type": "area", "radiance": rgb(light.radiance)}
+    if isinstance(light, SphereLight):
+        centre = list(light.position)
+        return {"type": "sphere", "center": centre, "radius": light.radius, "emitter": shining}
+    assert isinstance(light, RectangleLight)
+    transform = mi.ScalarTransform4f
+    target = [p + n for p, n in zip(light.position, light.normal, strict=True)]
+    place = transform().look_at(list(light.position), target, list(light.up))
+    return {
+        "type": "rectangle",
+        "to_world": place @ transform().scale([light.size[0] / 2.0, light.size[1] / 2.0, 1.0]),
+        "emitter": shining,
+    }
 
 
 def main():
@@ -246,7 +296,7 @@ def main():
     chosen = sys.argv[1:] or [*LIGHTS, "sky", "embossed"]
     for name, light in LIGHTS.items():
         if name in chosen:
-            save(name, direct(mitsuba_light(mi, light), SAMPLES[name]))
+            save(name, direct(mitsuba_light(light), SAMPLES[name]))
     if "sky" in chosen:
         save("sky", direct(sky_emitter(corners()), SAMPLES["sky"]))
     if "embossed" in chosen:

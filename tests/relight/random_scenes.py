@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.lab.bench.relight import codes
+from matcap.files.srgb import srgb_encode
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
@@ -29,6 +29,12 @@ from matcap.relight.scene import (
     SphereLight,
     Surface,
 )
+
+
+def codes(radiance, film: Film):
+    """Film codes of radiance without clipping, so that errors of highlights count."""
+    light = radiance.astype(np.float64) * film.gain
+    return light if film.transfer == "linear" else srgb_encode(light)
 
 
 def random_maps(rng: random.Random) -> MapSet:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from relight_samples import bumpy, flat
+from simulated.photographs import PhoneCamera, take
 
 from matcap.brdf.folder import PIECE, SETUP, MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
@@ -16,7 +17,6 @@ from matcap.files.exr import read_exr
 from matcap.files.srgb import srgb_encode
 from matcap.flash.geometry import FlashSetup, unproject
 from matcap.flash.render import render_flash, render_rectified
-from matcap.lab.simulate.photograph import PhoneCamera, take
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.photographed import photographed_scene
 from matcap.relight.render import Renderer

@@ -6,9 +6,9 @@
 import numpy as np
 import pytest
 from loop_calls import unit
+from random_scenes import codes
 from relight_samples import bumpy
 
-from matcap.lab.bench.relight import codes
 from matcap.relight import render
 from matcap.relight.effects import area, parallax
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE

@@ -52,7 +52,7 @@ DETAIL = 1024  # texels across two plane units of a drawn material
 _MEAN_SHAPES = {
     "matrix": (VARYING, CODE_SIZE), "offset": (VARYING,), "spread": (VARYING, VARYING),
 }  # fmt: skip
-_REMEDY = "install matcap again, or train a prior with `matcap prior train`"
+_REMEDY = "install matcap again, or train a prior with `matcap-lab prior train`"
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from matcap.capture.exemplar.estimate import (
 from matcap.capture.exemplar.network.network import (
     ERRORS,
     INPUTS,
+    SHIPPED,
     ExpectedErrors,
     Inverse,
     InverseConfig,
@@ -34,7 +35,6 @@ from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.rectify import inside
 from matcap.flash.render import render_flash
-from matcap.lab.inverse.train import save_inverse
 
 
 def _plane(clip: float = 1e9):
@@ -172,16 +172,9 @@ def test_confidence_counts_every_error_in_its_own_units() -> None:
     assert f0 == roughness
 
 
-def test_weights_survive_storing_and_are_refused_when_damaged(tmp_path: Path) -> None:
-    torch.manual_seed(0)
-    network = Inverse(InverseConfig(widths=(8, 8, 12), context=8))
+def test_weights_are_refused_when_damaged_or_missing(tmp_path: Path) -> None:
     path = tmp_path / "inverse.safetensors"
-    save_inverse(network, path, {"steps": 3})
-    again, card = read_inverse(path)
-    assert card == {"steps": 3}
-    for a, b in zip(network.parameters(), again.parameters(), strict=True):
-        assert torch.allclose(a, b, atol=1e-3)
-    path.write_bytes(path.read_bytes()[:-100])
+    path.write_bytes(SHIPPED.read_bytes()[:-100])
     with pytest.raises(MatcapError, match="damaged"):
         read_inverse(path)
     with pytest.raises(MatcapError, match="damaged"):

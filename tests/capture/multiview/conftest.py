@@ -2,9 +2,7 @@
 
 import pytest
 from seen_views import photographed
-
-from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import EXAMPLES
+from simulated.photographs import PhoneCamera
 
 PHONE = PhoneCamera(width=640, height=480, supersampling=1)
 
@@ -12,10 +10,10 @@ PHONE = PhoneCamera(width=640, height=480, supersampling=1)
 @pytest.fixture(scope="session")
 def held():
     """(cameras, photographs) of plaster."""
-    return photographed(EXAMPLES["plaster"], PHONE, 3, 5)
+    return photographed("plaster", PHONE, 3, 5)
 
 
 @pytest.fixture(scope="session")
 def foreign():
     """A photograph of leather."""
-    return photographed(EXAMPLES["leather"], PHONE, 1, 6, first=9)[1][0]
+    return photographed("leather", PHONE, 1, 6, first=9)[1][0]

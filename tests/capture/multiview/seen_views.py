@@ -6,13 +6,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import torch
+from simulated.materials import piece
+from simulated.photographs import Hand, PhoneCamera, as_photo, hold, take_several
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.multiview.texels import log_rendered, parameters_of, points_of
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
 from matcap.capture.registration.camera import PosedCamera
-from matcap.lab.simulate.hand_held import Hand, hold, take_several
-from matcap.lab.simulate.photograph import PhoneCamera, as_photo
 
 PHONE, HAND = PhoneCamera(width=640, height=480), Hand()
 SIZE = (48, 64)  # texels
@@ -21,11 +21,11 @@ OFFSET = (0.04, -0.07)  # the flash's, from the lens
 LOG_ERROR = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.15]))[:, None, None]
 
 
-def photographed(subject, phone, count, seed, hand=HAND, first=0):
-    """Cameras and photographs of a subject by a hand-held phone, numbered from `first`."""
+def photographed(name, phone, count, seed, hand=HAND, first=0):
+    """Cameras and photographs of a material by a hand-held phone, numbered from `first`."""
     cameras = hold(phone, hand, count, seed)
-    shots = enumerate(take_several(subject.realise, phone, cameras, hand, seed), first)
-    return cameras, [as_photo(one, n, f"{subject.name}_{n}") for n, one in shots]
+    shots = enumerate(take_several(piece(name), phone, cameras, hand, seed), first)
+    return cameras, [as_photo(one, n, f"{name}_{n}") for n, one in shots]
 
 
 def grainy(seed: int, size: tuple[int, int] = SIZE, *, albedo: float = 0.2) -> MapSet:

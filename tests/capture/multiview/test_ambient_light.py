@@ -7,6 +7,17 @@ import numpy as np
 import pytest
 import torch
 from seen_views import flattened, grainy, photographed, seen_by
+from simulated.files import write_shot
+from simulated.materials import piece
+from simulated.photographs import (
+    Hand,
+    PhoneCamera,
+    as_photo,
+    hold,
+    take_several,
+    take_without_flash,
+    true_maps_along,
+)
 
 from matcap.brdf.normals import normals_from_slopes
 from matcap.capture.exemplar.relief_spectrum import slope_spectrum
@@ -22,32 +33,20 @@ from matcap.capture.registration.register import RegisteredView, Registration, r
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.hand_held import (
-    Hand,
-    Room,
-    hold,
-    take_several,
-    take_without_flash,
-    true_maps_along,
-)
-from matcap.lab.simulate.photograph import PhoneCamera, as_photo
-from matcap.lab.simulate.specimen import EXAMPLES
-from matcap.lab.simulate.write_dng import write_dng
 
 PHONE = PhoneCamera(width=640, height=480, supersampling=1)
-HAND = Hand(room=Room(0.1), balanced=0.0)
+HAND = Hand(room=0.1, balanced=0.0)
 SIZE, LARGE = (72, 96), (288, 384)  # texels
 
 
 @pytest.fixture(scope="module")
 def lit():
     """Shots of leather in a lit room, what they would be in the dark, and one without flash."""
-    leather = EXAMPLES["leather"]
-    realise = leather.realise
+    sample = piece("leather")
     cameras = hold(PHONE, HAND, 3, 5)
-    bright = take_several(realise, PHONE, cameras, HAND, 5)
-    dark = take_several(realise, PHONE, cameras, replace(HAND, room=None), 5)
-    return cameras, bright, dark, take_without_flash(realise, PHONE, cameras, HAND, 6)
+    bright = take_several(sample, PHONE, cameras, HAND, 5)
+    dark = take_several(sample, PHONE, cameras, replace(HAND, room=0.0), 5)
+    return cameras, bright, dark, take_without_flash(sample, PHONE, cameras, HAND, 6)
 
 
 def _registration(lit, **changes):
@@ -79,9 +78,8 @@ def test_a_photograph_without_flash_is_registered_on_albedo(lit):
     room, cameras = registration.views[-1], lit[0]
     astray = replace(room.camera, place=room.camera.place + np.array([0.012, -0.02, 0.01]))
     off = (*registration.views[:-1], replace(room, camera=astray, misregistration=0.02))
-    leather = EXAMPLES["leather"]
     estimated = PosedCamera.of(registration.setup)
-    maps = true_maps_along(leather.realise, PHONE, cameras, 0, estimated, (320, 240))
+    maps = true_maps_along(piece("leather"), PHONE, cameras, 0, estimated, (320, 240))
     found = on_albedo(off, registration.setup, maps)
     points = grid_points(32, 24)
     before, after = (
@@ -101,7 +99,7 @@ def test_without_a_dark_photograph_registration_is_unchanged(lit):
 
 def test_a_photograph_of_another_surface_is_refused_in_a_sentence(lit):
     room, _ = lit[-1]
-    _, (plaster,) = photographed(EXAMPLES["plaster"], PHONE, 1, 5, hand=HAND)
+    _, (plaster,) = photographed("plaster", PHONE, 1, 5, hand=HAND)
     settings, others = CaptureSettings(preset="instant", detail=192), [as_photo(room, 2, "leather")]
     with pytest.raises(MatcapError, match="no other photograph can be registered to plaster"):
         capture_photo(plaster, settings, others=others)
@@ -205,7 +203,7 @@ def test_one_with_flash_and_one_without_are_a_capture(lit, tmp_path):
     _, bright, _, (room, _) = lit
     paths = [tmp_path / "room.dng", tmp_path / "leather.dng"]
     for path, shot in zip(paths, (room, bright[0]), strict=True):
-        write_dng(path, shot, 1)
+        write_shot(path, shot, 1)
     settings = CaptureSettings(preset="instant", detail=192)
     result = capture_into(tmp_path / "out", paths, settings, OutputSettings((32, 32)))
     assert result.material.name == "out" or result.photo.name == "leather.dng"

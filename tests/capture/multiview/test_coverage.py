@@ -7,6 +7,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from simulated.files import write_jpeg
+from simulated.materials import piece
+from simulated.photographs import Hand, PhoneCamera, hold, take_several
 
 from matcap.capture.multiview.coverage import coverage, coverage_of_files
 from matcap.capture.multiview.mosaic import Mosaic
@@ -16,10 +19,6 @@ from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.files.names import are_a_series
 from matcap.flash.coarse.fit import fit_coarse
-from matcap.lab.simulate.hand_held import Hand, hold, take_several
-from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import EXAMPLES
-from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.photo.checks import CHECKS, Rating
 
 
@@ -121,11 +120,10 @@ def test_names_that_count_are_a_series():
 
 
 def test_inspect_tells_of_sets(tmp_path, capsys):
-    plaster = EXAMPLES["plaster"]
     phone, hand = PhoneCamera(width=320, height=240, supersampling=1), Hand()
     cameras = hold(phone, hand, 2, 5)
     paths = []
-    for number, one in enumerate(take_several(plaster.pieces(15), phone, cameras, hand, 5)):
+    for number, one in enumerate(take_several(piece("plaster", 15), phone, cameras, hand, 5)):
         paths.append(str(tmp_path / f"plaster_{number}.jpg"))
         write_jpeg(tmp_path / f"plaster_{number}.jpg", one, number)
     assert main(["inspect", "--json", *paths]) == 0

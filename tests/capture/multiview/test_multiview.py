@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from seen_views import LOG_ERROR, OFFSET, PHONE, SIZE, flattened, grainy, photographed, seen
+from simulated.photographs import Hand, hold
 
 from matcap.capture.multiview.leave_one_out import left_out_residual
 from matcap.capture.multiview.shared import shared_step
@@ -21,8 +22,6 @@ from matcap.capture.report import warnings
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.hand_held import Hand, hold
-from matcap.lab.simulate.specimen import subjects
 from matcap.photo.camera import CameraProfile, Falloff
 
 NOTHING_KNOWN = LOG_ERROR.expand(4, *SIZE)
@@ -180,9 +179,8 @@ def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
 
 
 def _captured(name, detail):
-    """Two photographs of a subject as one material."""
-    (subject,) = subjects((name,))
-    _, photos = photographed(subject, PHONE, 2, 5)
+    """Two photographs of a material as one material."""
+    _, photos = photographed(name, PHONE, 2, 5)
     settings = CaptureSettings(preset="instant", detail=detail)
     return capture_photo(photos[0], settings, others=photos[1:])
 

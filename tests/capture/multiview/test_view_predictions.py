@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from simulated.photographs import Hand, PhoneCamera, hold
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import F0
@@ -14,8 +15,6 @@ from matcap.capture.multiview.view_predictions import OwnPlane, fused, resampled
 from matcap.capture.multiview.views import SharedLight, ViewWarp
 from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.flash.geometry import camera_in_plane
-from matcap.lab.simulate.hand_held import Hand, hold
-from matcap.lab.simulate.photograph import PhoneCamera
 
 PHONE = PhoneCamera(width=640, height=480)
 SIZE = (96, 128)

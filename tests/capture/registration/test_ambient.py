@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated.materials import piece
+from simulated.photographs import PhoneCamera, as_photo, take, true_maps
 
 from matcap.capture.registration.register import flash_first, register, without_flash
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.photograph import PhoneCamera, as_photo
-from matcap.lab.simulate.specimen import EXAMPLES
 
 CAMERA = PhoneCamera(width=320, height=240, supersampling=1)
 
@@ -17,9 +17,10 @@ CAMERA = PhoneCamera(width=320, height=240, supersampling=1)
 @pytest.fixture(scope="module", params=["granite", "plaster", "leather"])
 def pair(request):
     """A flash photograph, and its albedo under the light of a window."""
-    example = EXAMPLES[request.param]
-    flash = as_photo(example.take(CAMERA), 1, "flash")
-    albedo = example.truth(CAMERA).diffuse.numpy().transpose(1, 2, 0)
+    sample = piece(request.param)
+    setup = FlashSetup(offset=(0.1, 0.05, 0.0), tilt=(0.02, -0.02))
+    flash = as_photo(take(sample, CAMERA, setup), 1, "flash")
+    albedo = true_maps(sample, CAMERA).diffuse.numpy().transpose(1, 2, 0)
     window = np.linspace(0.9, 1.1, CAMERA.width)[None, :, None]
     pixels = np.ascontiguousarray((0.8 * albedo * window).clip(0.0, 1.0), np.float32)
     return flash, replace(flash, pixels=pixels, clipped=pixels.max(-1) >= 1.0, name="ambient")

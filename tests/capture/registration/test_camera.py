@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import torch
 from sets import relative_position
+from simulated.photographs import Hand, PhoneCamera, hold
 
 from matcap.capture.registration import adjust as adjustment
 from matcap.capture.registration.adjust import Pair, adjust
 from matcap.capture.registration.camera import Lens, PosedCamera, grid_points
 from matcap.flash.geometry import FlashSetup, project
-from matcap.lab.simulate.hand_held import Hand, hold
-from matcap.lab.simulate.photograph import PhoneCamera
 
 SETUP = FlashSetup(fov=65.0, tilt=(0.1, -0.05))
 POINTS = grid_points(16, 12)

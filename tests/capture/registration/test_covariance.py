@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 from sets import relative_position
+from simulated.photographs import Hand, PhoneCamera, hold
 
 from matcap.capture.registration import covariance
 from matcap.capture.registration.adjust import Adjusted, Pair, adjust
 from matcap.capture.registration.covariance import camera_deviations
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.hand_held import Hand, hold
-from matcap.lab.simulate.photograph import PhoneCamera
 from matcap.photo.checks import CHECKS
 
 PHONE = PhoneCamera(width=800, height=600)

@@ -3,12 +3,11 @@
 import cv2
 import numpy as np
 import pytest
+from simulated.photographs import Hand, PhoneCamera, hold
 
 from matcap.capture.registration.keypoints import is_periodic
 from matcap.capture.registration.register import register
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.hand_held import Hand, hold
-from matcap.lab.simulate.photograph import PhoneCamera
 from matcap.photo.photo import Photo
 
 PHONE = PhoneCamera(width=480, height=360)

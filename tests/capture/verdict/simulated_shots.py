@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+from simulated.materials import realise
+from simulated.photographs import PhoneCamera, as_photo, take, true_maps
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.materials import realise
-from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take, true_maps
 
 CAMERA = PhoneCamera(width=512, height=384, supersampling=1, blur=0.5)
 SETUP = FlashSetup(offset=(0.05, 0.04, 0.0), tilt=(0.02, -0.01), vignetting=0.02)
@@ -30,7 +30,7 @@ def good(name):
 
 def maps(name, seed=3):
     """The true maps of what the photograph shows, or of another piece of the material."""
-    truth = true_maps(piece(name, seed), CAMERA, SETUP)
+    truth = true_maps(piece(name, seed), CAMERA)
     return MapSet.from_stacked(truth.stacked().float(), truth.texel_size)
 
 

@@ -17,6 +17,9 @@ import numpy as np
 import OpenImageIO as oiio
 import tifffile
 from PIL import Image, PngImagePlugin
+from simulated.files import write_jpeg, write_shot
+from simulated.materials import piece
+from simulated.photographs import PhoneCamera, noisy, take
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.example.example import Example
@@ -24,10 +27,6 @@ from matcap.example.exemplar import Exemplar
 from matcap.field.material import Material
 from matcap.files.digest import DIGEST, METHOD, digest_prefix
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.photograph import PhoneCamera, expose, take
-from matcap.lab.simulate.specimen import EXAMPLES
-from matcap.lab.simulate.write_dng import write_dng
-from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.space.decoder import DecoderConfig
 from matcap.statistics.lattice import Wave
 
@@ -82,11 +81,11 @@ _NUMBERS = (0, 1, 2, 255, 256, 32767, 65535, 65536, 2**31 - 1, 2**31, 2**32 - 1,
 def write_inputs(folder: Path) -> dict[str, list[Path]]:
     """Good files by the kind of reader that they are for."""
     camera = PhoneCamera(width=96, height=72, supersampling=1)
-    shot = take(EXAMPLES["leather"].pieces(3), camera, FlashSetup(offset=(0.1, 0.05, 0.0)))
-    light = expose(shot, 1).astype(np.float32)
+    shot = take(piece("leather", 3), camera, FlashSetup(offset=(0.1, 0.05, 0.0)))
+    light = noisy(shot.linear, shot.camera, 1).astype(np.float32)
     code = np.round(light * 65535.0).astype(np.uint16)
-    write_dng(folder / "plain.dng", shot, 1)
-    write_dng(folder / "shaded.dng", shot, 1, shading=0.4)
+    write_shot(folder / "plain.dng", shot, 1)
+    write_shot(folder / "shaded.dng", shot, 1, shading=0.4)
     write_jpeg(folder / "exif.jpg", shot, 1)
     photographs = _write_photographs(folder, (code >> 8).astype(np.uint8))
     for name, pixels, form in (

@@ -1,3 +1,3 @@
-"""Small photographs and a small untrained prior."""
+"""A small untrained prior."""
 
-from small import pack, prior, small_pack  # noqa: F401
+from small import prior  # noqa: F401

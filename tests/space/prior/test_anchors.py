@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 import torch
+from small import coarse, small_photo
 
 from matcap.errors import UsageError
-from matcap.lab.train.finish import anchors_of
 from matcap.space.decoder import CODE_SIZE
-from matcap.space.prior.anchors import Anchor
+from matcap.space.prior.anchors import Anchor, Anchors
 from matcap.space.prior.base import VARYING, base_of, varying
 from matcap.space.prior.store import load_prior
 from matcap.space.tuned import TunedDecoder
@@ -26,7 +26,10 @@ def anchor(seed, waves=()):
 @pytest.fixture
 def known(prior):
     """A prior that knows two anchors."""
-    return replace(prior, anchors=anchors_of([anchor(1, WOVEN), anchor(2)]))
+    one, other = anchor(1, WOVEN), anchor(2)
+    codes, rest = (torch.stack([getattr(a, key) for a in (one, other)]) for key in ("code", "rest"))
+    waves = torch.tensor([WOVEN, ((0.0, 0.0), (0.0, 0.0))])
+    return replace(prior, anchors=Anchors(codes, rest, waves))
 
 
 def generator(seed=0):
@@ -54,10 +57,9 @@ def test_more_spread_is_farther_and_keeps_the_variance():
     assert float(many.var(0).mean()) == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_base_is_told_by_code_and_rest(prior, pack):
+def test_a_base_is_told_by_code_and_rest(prior):
     habits, code = prior.conditional_mean, anchor(3).code
-    entry = pack.entries[0]
-    base = base_of(entry.coarse, entry.contrast)
+    base = base_of(coarse(), torch.tensor([0.2, 0.3, 0.25]))
     again = habits.base(code, habits.rest(code, base))
     torch.testing.assert_close(varying(again), varying(base), atol=1e-4, rtol=1e-4)
 
@@ -86,8 +88,8 @@ def test_a_spread_that_is_none_is_refused(known, spread):
         known.draw(0, spread=spread)
 
 
-def test_a_photograph_has_a_place(known, pack):
-    photo = pack.entries[0].photo()
+def test_a_photograph_has_a_place(known):
+    photo = small_photo(0)
     place = known.place(photo)
     assert place.code.shape == (CODE_SIZE,) and place.rest.shape == (VARYING,)
     assert bool(torch.isfinite(known.draw(0, near=place).maps(48, 32).stacked()).all())

@@ -5,6 +5,7 @@ import json
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
+from small import coarse, small_photo
 
 from matcap.errors import MatcapError
 from matcap.flash.plane import read_plane
@@ -94,15 +95,14 @@ def test_a_truncated_file_is_refused(path):
         load_prior(path)
 
 
-def test_a_start_states_the_photographs_base(prior, pack):
-    entry = pack.entries[0]
-    photo = entry.photo()
-    plane = read_plane(photo, entry.coarse.setup, 256)
+def test_a_start_states_the_photographs_base(prior):
+    photo, fit = small_photo(0), coarse()
+    plane = read_plane(photo, fit.setup, 256)
     prior.decoder.head.adain.affine.weight.data.zero_()
-    decoder, code = prior.start(photo.pixels, entry.coarse, plane)
+    decoder, code = prior.start(photo.pixels, fit, plane)
     assert code.shape == (CODE_SIZE,)
     mean, deviation = decoder.head.adain.target(code)
-    base = base_of(entry.coarse, log_contrast(plane.linear, plane.valid))
+    base = base_of(fit, log_contrast(plane.linear, plane.valid))
     torch.testing.assert_close(mean, base.mean)
     torch.testing.assert_close(deviation[:3], base.deviation[:3])
     assert all(p.requires_grad for p in decoder.parameters())

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import pytest
 import torch
+from simulated.materials import piece
+from simulated.photographs import PhoneCamera, as_photo, take
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import render_flash
-from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
-from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.space.tuning.likeness import PhotographTarget, render_windows
 from matcap.space.tuning.windows import Windows
 
@@ -37,7 +37,7 @@ def test_each_window_is_rendered_as_in_its_own_photograph():
 
 def test_each_photograph_keeps_its_own_geometry_and_gain():
     camera = PhoneCamera(width=128, height=96, supersampling=1)
-    material = EXAMPLES["leather"].pieces(4)
+    material = piece("leather", 4)
     first, second = (
         as_photo(take(material, camera, setup), 1, f"{index}.dng")
         for index, setup in enumerate(SETUPS)

@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import pytest
 import torch
+from simulated.materials import piece
+from simulated.photographs import PhoneCamera, as_photo, take
 from tuning import CODE, SETUP, start
 
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.render import render_rectified
-from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
-from matcap.lab.simulate.specimen import EXAMPLES
 from matcap.space.freeze import freeze
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.match import _Blocks, _gain, _shift, correction, match_photograph
@@ -171,7 +171,7 @@ def test_a_render_that_is_not_finite_changes_nothing(truth, photo):
 
 def test_a_capture_ends_with_it_but_for_drafts():
     setup = SETUP.with_intensity((3.0, 3.0, 3.0))
-    shot = take(EXAMPLES["leather"].pieces(1), PhoneCamera(128, 96, supersampling=1), setup)
+    shot = take(piece("leather", 1), PhoneCamera(128, 96, supersampling=1), setup)
     stages = {}
     for name, settings in (
         ("tuned", CaptureSettings(steps=2, detail=128, generator="decoder")),

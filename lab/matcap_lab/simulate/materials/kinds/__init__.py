@@ -1,0 +1,123 @@
+"""Random materials of nameable kinds (bricks, wood, felt), each with random parameters.
+
+`random_material` (varied.py) draws abstract patterns; this draws gravel, knits, bonds, hammered
+metal, planks. Placement is in `place.py`, random parameters in `draws.py`, what all share in
+`surface_fields.py`; each further file holds a group of kinds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+
+import numpy as np
+
+from matcap.brdf.maps import MapSet
+from matcap_lab.simulate.materials.draws import Draws
+from matcap_lab.simulate.materials.kinds import (
+    cells,
+    coats,
+    masonry,
+    metal,
+    sheets,
+    stones,
+    textiles,
+    wood,
+)
+from matcap_lab.simulate.materials.kinds.surface_fields import Kind, finish
+from matcap_lab.simulate.procedural import Canvas, Raster, rms_slope
+
+__all__ = ["COLOURED_METALS", "KINDS", "RandomKind", "kind_of", "kinds_known", "random_kind"]
+
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {
+        "plates": Kind(cells.plates, (0.06, 0.5)),
+        "crackle": Kind(cells.crackle, (0.02, 0.12), (0.004, 0.02)),
+        "gravel": Kind(stones.gravel, (0.2, 0.6)),
+        "asphalt": Kind(stones.asphalt, (0.12, 0.5)),
+        "terrazzo": Kind(stones.terrazzo, (0.02, 0.08), (0.004, 0.02)),
+        "marble": Kind(stones.marble, (0.02, 0.06), (0.003, 0.015)),
+        "pitted": Kind(stones.pitted, (0.06, 0.4)),
+        "knit": Kind(textiles.knit, (0.2, 0.6)),
+        "cable": Kind(textiles.cable, (0.2, 0.6)),
+        "ribs": Kind(textiles.ribs, (0.1, 0.6)),
+        "weave": Kind(textiles.weave, (0.1, 0.55)),
+        "basket": Kind(textiles.basket, (0.15, 0.6)),
+        "bond": Kind(masonry.bond, (0.07, 0.45)),
+        "herringbone": Kind(masonry.herringbone, (0.07, 0.45)),
+        "hammered": Kind(metal.hammered, (0.06, 0.35), (0.003, 0.02)),
+        "brushed": Kind(metal.brushed, (0.02, 0.15), (0.003, 0.02)),
+        "planks": Kind(wood.planks, (0.03, 0.3)),
+        "varnish": Kind(wood.varnish, (0.02, 0.15), (0.003, 0.015)),
+        "chipboard": Kind(wood.chipboard, (0.05, 0.35)),
+        "scales": Kind(wood.scales, (0.1, 0.5)),
+        "felt": Kind(sheets.felt, (0.15, 0.55)),
+        "loops": Kind(sheets.loops, (0.15, 0.6)),
+        "tread": Kind(sheets.tread, (0.05, 0.35), (0.003, 0.03)),
+        "paper": Kind(sheets.paper, (0.02, 0.1), (0.004, 0.03)),
+        "creased": Kind(sheets.creased, (0.06, 0.45), (0.004, 0.03)),
+        "chipped": Kind(coats.chipped, (0.05, 0.35)),
+        "worn": Kind(coats.worn, (0.05, 0.35)),
+        "strokes": Kind(coats.strokes, (0.06, 0.4)),
+        "sand": Kind(coats.sand, (0.12, 0.5)),
+    }
+)
+
+# Metals whose F0 has a colour, by name alone: `random_kind`, which training draws from, has none.
+COLOURED_METALS: Mapping[str, Kind] = MappingProxyType(
+    {
+        "anodised": Kind(metal.anodised, (0.02, 0.1), (0.003, 0.015), 0.0),
+        "streaked": Kind(partial(metal.tinted, metal.brushed), (0.03, 0.15), (0.003, 0.02), 0.0),
+        "beaten": Kind(partial(metal.tinted, metal.hammered), (0.06, 0.35), (0.003, 0.02), 0.0),
+        "rusted": Kind(metal.rusted, (0.06, 0.25), (0.004, 0.03), 0.0),
+        "leafed": Kind(metal.leafed, (0.03, 0.12), (0.003, 0.02), 0.0),
+        **{
+            name: Kind(surface, (0.015, 0.08), (0.002, 0.012), 0.0)
+            for name, surface in metal.SHEETS.items()
+        },
+    }
+)
+
+# The sample on which a relief's slope is measured: width, height in texels, size in plane units.
+_SAMPLE = (256, 192, 2.0 / 512.0)
+
+
+@dataclass(frozen=True)
+class RandomKind:
+    """A material of a kind of kinds_known(), with random parameters.
+
+    `number` is their seed, `depth` the plane units per unit of height.
+    """
+
+    kind: str
+    number: int
+    depth: float
+
+    def realise(self, width: int, height: int, seed: int, texel_size: float) -> MapSet:
+        """One realisation, float64 (C, height, width); see materials.realise."""
+        canvas = Canvas(width, height, texel_size, seed)
+        return self._finished(canvas, self.depth)[0]
+
+    def _finished(self, canvas: Canvas, depth: float) -> tuple[MapSet, Raster]:
+        return finish(canvas, kinds_known()[self.kind], depth, Draws.of(self.number))
+
+
+def kinds_known() -> Mapping[str, Kind]:
+    """KINDS and COLOURED_METALS by name."""
+    return {**KINDS, **COLOURED_METALS}
+
+
+def random_kind(rng: np.random.Generator) -> RandomKind:
+    """Draw a material of any of KINDS, all equally often."""
+    names = list(KINDS)
+    return kind_of(names[rng.integers(len(names))], int(rng.integers(2**32)))
+
+
+def kind_of(kind: str, number: int) -> RandomKind:
+    """The material of a kind with parameters of seed `number`."""
+    steepness = Draws.of([number, 1]).log_uniform(*kinds_known()[kind].slopes)
+    width, height, texel = _SAMPLE
+    relief = RandomKind(kind, number, 1.0)._finished(Canvas(width, height, texel, 0), 1.0)[1]
+    return RandomKind(kind, number, steepness / max(rms_slope(relief, texel), 1e-9))

@@ -1,0 +1,343 @@
+"""Evaluation of a prior and ablations, on held-out photographs.
+
+Pictures of a material are compared in the middle of the photograph, under its own flash: style by
+random filters that no capture optimises, colours by XYZ histograms, and diversity of realisations.
+
+*Evaluation*: held-out photographs captured with and without the prior, and the photograph as albedo
+as a baseline. *Ablation* (paper, section 5.4): FULL starts from the prior and fine-tunes. SINGLE
+starts from random weights. NONTUNED does not fine-tune. DECODERONLY starts from random weights and
+has no downsampling path (decoder_only.py); compare it with SINGLE. FOURIER fine-tunes without the
+power spectrum. LIGHT assumes a tilt of 0 (in the paper: no alignment branch).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, zeros
+
+from matcap.brdf.maps import MapSet
+from matcap.field.material import Material
+from matcap.files.png import write_png
+from matcap.files.srgb import srgb_encode_tensor
+from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.flash.plane import Plane, read_plane
+from matcap.flash.render import render_flash
+from matcap.photo.photo import Photo
+from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.prior.encoder_input import FEATURES
+from matcap.space.prior.store import Prior
+from matcap.space.tuned import TunedDecoder
+from matcap.space.tuning.finetune import (
+    RATE_FROM_NOTHING,
+    RATE_FROM_PRIOR,
+    TuneSettings,
+    finetune,
+)
+from matcap.space.tuning.likeness import PhotographTarget
+from matcap.space.tuning.start import log_contrast, untrained
+from matcap.space.tuning.windows import cut_windows
+from matcap.statistics.compare import Weights
+from matcap.statistics.filterbank import FilterBank
+from matcap_lab.bench.methods import photo_as_albedo
+from matcap_lab.experiment.results import Trial, Value, table
+from matcap_lab.experiment.runner import Configuration, Experiment, run
+from matcap_lab.measures.nsd import style_distance
+from matcap_lab.measures.paper_metrics import diversity, xyz_difference
+from matcap_lab.measures.style import RandomFilters
+from matcap_lab.train.decoder_only import DecoderOnly, Unfolded
+from matcap_lab.train.pack import Entry, Pack, first_of_each, read_code
+from matcap_lab.train.pictures import write_grid
+
+ABOUT = (
+    "Held-out photographs under their own flash, in their middle. Style: error of the statistics "
+    "of random filters that no capture optimises, 0 for the same, at most 2; XYZ: share of the "
+    "picture whose colour the photograph does not have; diversity: mean distance between the "
+    "features of realisations, place by place, 0 for the same picture, at most 2. The photograph "
+    "as albedo is its corner laid in its middle and lit once more."
+)
+SIZE = 384  # texels a side of the pictures compared
+DETAIL = 1024  # texels along the photograph's long side
+_WINDOW = 160
+_FIRST_SEED = 5
+REALISATIONS = 3  # of each material, for diversity
+UNSEEN = 1_000_000  # seeds from here on show simulated materials that training never draws
+ALBEDO = "photograph as albedo"  # not on the sheet: photographs may not be published
+
+
+@dataclass(frozen=True)
+class Photographed:
+    """A photograph of the pack, decoded, rectified, and as the target of fine-tuning."""
+
+    entry: Entry
+    photo: Photo
+    plane: Plane
+    scene: PhotographTarget
+
+    @property
+    def middle(self) -> tuple[int, int]:
+        """Left top texel (x, y) of the compared square."""
+        width, height = self.plane.size
+        return (width - SIZE) // 2, (height - SIZE) // 2
+
+    @property
+    def truth(self) -> Tensor:
+        """(3, SIZE, SIZE) sRGB, the middle of the photograph."""
+        x, y = self.middle
+        return _shown(self.plane.linear[:, y : y + SIZE, x : x + SIZE])
+
+    def lit(self, maps: MapSet, setup: FlashSetup | None = None) -> Tensor:
+        """(3, SIZE, SIZE) sRGB of maps of SIZE texels a side in the middle, under the flash.
+
+        `setup` is the coarse fit's by default.
+        """
+        points = plane_points(*self.middle, SIZE, SIZE, self.plane.size, dtype=torch.float32)
+        with torch.inference_mode():
+            return _shown(render_flash(maps, setup or self.scene.setup, points))
+
+
+def _shown(linear: Tensor) -> Tensor:
+    """Code values of a picture."""
+    return srgb_encode_tensor(linear.clamp(0.0, 1.0))
+
+
+def photographed(entry: Entry) -> Photographed:
+    """Decode, rectify and describe a photograph of the pack."""
+    photo, setup = entry.photo(), entry.coarse.setup
+    plane, bank = read_plane(photo, setup, DETAIL), FilterBank(FEATURES)
+    windows = cut_windows(plane, bank, _WINDOW)
+    scene = PhotographTarget(windows, setup, plane.encoding, bank, entry.waves, plane.texel_size)
+    return Photographed(entry, photo, plane, scene)
+
+
+@dataclass(frozen=True)
+class Made:
+    """Result of a method on a photograph."""
+
+    pictures: Tensor
+    """(N, 3, SIZE, SIZE) sRGB realisations under the photograph's flash."""
+
+    seconds: float
+    """Run time of the method, without rendering."""
+
+
+def compared(shown: Photographed, made: Made) -> Mapping[str, Value]:
+    """Errors of a method's pictures against the photograph's, and their diversity."""
+    first, truth, style = made.pictures[0], shown.truth, RandomFilters()
+    return {
+        "seconds": made.seconds,
+        "style": style_distance(style, first[None], truth[None]),
+        "XYZ": xyz_difference(first, truth),
+        "diversity": diversity(made.pictures),
+    }
+
+
+Begin = Callable[[Photographed], tuple[Decoder, Tensor]]
+Methods = Mapping[str, Configuration[Photographed, Made]]
+
+
+def capture(tuned: Photographed, begin: Begin, steps: int, rate: float = RATE_FROM_NOTHING) -> Made:
+    """Fine-tune a decoder to a photograph, freeze it, and render some of its realisations."""
+    started = time.perf_counter()
+    decoder, code = begin(tuned)
+    scene = tuned.scene
+    outcome = finetune(
+        decoder, code, scene, TuneSettings(steps=steps, learning_rate=rate), lambda *_: None
+    )
+    seconds = time.perf_counter() - started
+    if outcome.interrupted:
+        raise KeyboardInterrupt  # half a capture is no measurement
+    decoder = outcome.decoder.eval().requires_grad_(False)
+    frozen = (decoder, code, outcome.moments, scene.waves, scene.texel_size)
+    material: Material | Unfolded
+    if isinstance(decoder, DecoderOnly):
+        material = Unfolded(*frozen)
+    else:
+        material = TunedDecoder(*frozen).material("", scene.setup)
+    seeds = range(_FIRST_SEED, _FIRST_SEED + REALISATIONS)
+    pictures = [tuned.lit(material.maps(SIZE, SIZE, seed=seed)) for seed in seeds]
+    return Made(torch.stack(pictures), seconds)
+
+
+@dataclass(frozen=True)
+class EvaluateSettings:
+    """Steps and numbers of photographs."""
+
+    steps: int = 100
+    """Fine-tuning steps from the prior."""
+
+    longer: int = 1000
+    """Fine-tuning steps from random weights."""
+
+    materials: int = 12
+    """Number of held-out materials."""
+
+
+def run_evaluation(
+    prior: Prior,
+    pack: Pack,
+    settings: EvaluateSettings,
+    out: Path,
+    command: str,
+    on_progress: Callable[[str], None] = lambda line: None,
+    *,
+    ablation: bool = False,
+) -> str:
+    """Measure, write prior-evaluation (or prior-ablation) .csv, .md and .jpg, and give the page."""
+    entries = first_of_each(pack.reporting)[: settings.materials]
+    if ablation:
+        name, more = "prior-ablation", ""
+        methods = variants(prior, settings.steps)
+    else:
+        name, methods = "prior-evaluation", methods_of(prior, settings)
+        dead = prior.about.get("dead_dimensions", "?")
+        more = f"Codes of the training photographs: {dead} of {CODE_SIZE} dimensions dead."
+    return _page(name, measured(name, methods, entries, out, on_progress), out, command, more)
+
+
+def measured(
+    name: str,
+    methods: Methods,
+    entries: Sequence[Entry],
+    out: Path,
+    on_progress: Callable[[str], None] = lambda line: None,
+) -> list[Trial]:
+    """Every method on every photograph; pictures go to a folder of the experiment's name.
+
+    Rows are identified by material and configuration, not by the version of matcap: after
+    changing that, or the pack, remove the CSV.
+    """
+
+    def pictured(method: str, shown: Photographed, seed: int) -> Made:
+        made = methods[method].run(shown, seed)
+        path = _picture(out / name, shown.entry.material, method)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_png(path, made.pictures[0].permute(1, 2, 0).numpy(), bits=8)
+        return made
+
+    experiment = Experiment(
+        name,
+        {entry.material: partial(photographed, entry) for entry in entries},
+        {method: replace(each, run=partial(pictured, method)) for method, each in methods.items()},
+        (compared,),
+        any_version=True,
+    )
+    return run(experiment, out / f"{name}.csv", on_progress)
+
+
+def methods_of(prior: Prior, settings: EvaluateSettings) -> Methods:
+    """From the prior, from nothing, and the photograph as albedo."""
+    start, known, few = partial(from_prior, prior), prior_key(prior), settings.steps
+
+    def method(
+        begin: Begin, steps: int, rate: float = RATE_FROM_NOTHING
+    ) -> Configuration[Photographed, Made]:
+        follows = (REALISATIONS, rate, known if begin is start else "")
+        return Configuration(lambda shown, _: capture(shown, begin, steps, rate), settings=follows)
+
+    return {
+        "prior, not tuned": method(start, 0),
+        f"prior, {few} steps": method(start, few, RATE_FROM_PRIOR),
+        f"nothing, {few} steps": method(from_nothing, few),
+        f"nothing, {settings.longer} steps": method(from_nothing, settings.longer),
+        ALBEDO: Configuration(lambda shown, _: albedo(shown)),
+    }
+
+
+def variants(prior: Prior, steps: int) -> Methods:
+    """FULL and its ablations."""
+    start, known = partial(from_prior, prior), prior_key(prior)
+
+    def method(
+        begin: Begin,
+        view: Callable[[Photographed], Photographed] = lambda shown: shown,
+        taken: int = steps,
+    ) -> Configuration[Photographed, Made]:
+        rate = RATE_FROM_PRIOR if begin is start else RATE_FROM_NOTHING
+        follows = (taken, REALISATIONS, known if begin is start else "")
+        # Every variant is compared with the photograph as it is, however it sees it itself.
+        return Configuration(
+            lambda shown, _: capture(view(shown), begin, taken, rate), settings=follows
+        )
+
+    return {
+        "FULL": method(start),
+        "SINGLE": method(from_nothing),
+        "NONTUNED": method(start, taken=0),
+        "DECODERONLY": method(partial(from_nothing, kind=DecoderOnly)),
+        "FOURIER": method(start, _without_spectrum),
+        "LIGHT": method(start, _without_tilt),
+    }
+
+
+def albedo(shown: Photographed) -> Made:
+    """The photograph as diffuse albedo: a crop of its corner, moved to the middle.
+
+    An unmoved crop would be compared with itself. There is one picture, so its diversity is 0.
+    """
+    began = time.perf_counter()
+    fixed = photo_as_albedo(shown.photo, shown.scene.setup, DETAIL)
+    seconds = time.perf_counter() - began
+    corner = fixed.maps.crop(0, 0, SIZE, SIZE)
+    return Made(shown.lit(corner, fixed.setup)[None], seconds)
+
+
+def from_prior(prior: Prior, shown: Photographed) -> tuple[Decoder, Tensor]:
+    """The prior's decoder and its encoder's code of a photograph."""
+    return prior.start(shown.photo.pixels, shown.entry.coarse, shown.plane)
+
+
+def from_nothing(shown: Photographed, kind: type[Decoder] = Decoder) -> tuple[Decoder, Tensor]:
+    """A random decoder around the coarse fit, and a code of zeros."""
+    contrast = log_contrast(shown.plane.linear, shown.plane.valid)
+    return untrained(DecoderConfig(), shown.entry.coarse, contrast, 0, kind), zeros(CODE_SIZE)
+
+
+def prior_key(prior: Prior) -> str:
+    """Hash of the networks that a capture starts from, 16 hexadecimal digits."""
+    digest = hashlib.sha256()
+    for network in (prior.encoder, prior.decoder):
+        for name, value in network.state_dict().items():
+            digest.update(name.encode() + value.detach().cpu().float().numpy().tobytes())
+    return digest.hexdigest()[:16]
+
+
+def _without_spectrum(shown: Photographed) -> Photographed:
+    return replace(shown, scene=replace(shown.scene, weights=Weights(spectrum=0.0)))
+
+
+def _without_tilt(shown: Photographed) -> Photographed:
+    coarse = shown.entry.coarse
+    straight = replace(coarse, setup=replace(coarse.setup, tilt=(0.0, 0.0)))
+    return photographed(replace(shown.entry, coarse=straight))
+
+
+def _page(name: str, rows: Sequence[Trial], out: Path, command: str, more: str) -> str:
+    """Write the table as a page, and a sheet: a column for each material, a row for each method."""
+    methods = [m for m in dict.fromkeys(row.configuration for row in rows) if m != ALBEDO]
+    materials = list(dict.fromkeys(row.subject for row in rows))
+    paths = [_picture(out / name, material, m) for m in methods for material in materials]
+    write_grid([_read(path) for path in paths], len(materials), out / f"{name}.jpg")
+    sheet = f"![Columns: the materials. Rows: {', '.join(methods)}.]({name}.jpg)"
+    text = f"{table(rows, command, ABOUT)}\n{more}\n\n{sheet}\n"
+    (out / f"{name}.md").write_text(text, encoding="utf-8")
+    return text
+
+
+def _picture(folder: Path, material: str, method: str) -> Path:
+    return folder / f"{material}, {method}.png"
+
+
+def _read(path: Path) -> Tensor:
+    """(3, H, W) sRGB in [0, 1]; black if the file is missing after an interrupted run."""
+    if not path.is_file():
+        return torch.zeros(3, SIZE, SIZE)
+    code = read_code(path.read_bytes(), path.name)[..., ::-1]
+    return torch.from_numpy(np.ascontiguousarray(code.transpose(2, 0, 1))).float() / 255.0

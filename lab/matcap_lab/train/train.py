@@ -1,0 +1,164 @@
+"""Training the prior: encoder and decoder together, as a VAE on flash photographs alone.
+
+Each step takes a few materials. The encoder sees each whole photograph, a code is drawn, the
+decoder turns new noise and that code into maps, and the maps are rendered as at several positions
+of the photograph and compared with its windows there (statistics/compare.py). A KL term with
+warm-up keeps codes near a standard normal. trainer.py runs the steps, curves and checkpoints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from matcap.files.srgb import srgb_decode_tensor
+from matcap.space.prior.encoder_input import FEATURES, texture
+from matcap.space.prior.store import Prior
+from matcap.statistics.compare import Descriptor
+from matcap.statistics.filterbank import FilterBank
+from matcap_lab.train.corpus import srgb_bytes, true_piece
+from matcap_lab.train.pack import Entry, Pack, first_of_each
+from matcap_lab.train.state import Model, TrainConfig, start, start_from
+from matcap_lab.train.step import compare, decode_windows, step_loss, targets
+from matcap_lab.train.trainer import RateSchedule, Reporting, Training, fit, mean, mixed
+from matcap_lab.train.training_windows import PreparedPhotograph, TrainingSample, Turn, cut, prepare
+
+_PIECE = 512  # texels a side of the true maps that windows are cut from
+_WARM_UP = 50  # steps
+
+
+def schedule(steps: int) -> RateSchedule:
+    """Learning rate: a short warm-up, constant, and falling to 0 over the last quarter."""
+    return RateSchedule(steps, _WARM_UP, steps / 4.0, 0.02)
+
+
+def train(
+    pack: Pack,
+    config: TrainConfig,
+    out: Path,
+    *,
+    resume: bool = False,
+    prior: Prior | None = None,
+    device: str = "cpu",
+    on_progress: Callable[[str], None] = lambda line: None,
+) -> Training[Model]:
+    """Train until config.steps, writing checkpoints, curves and a sheet into a folder.
+
+    Starts from random weights, from a prior's networks, or with `resume` from the checkpoint.
+
+    Raises:
+        MatcapError: the checkpoint to resume from is missing, broken or of another shape.
+    """
+    training = start(config, device) if prior is None else start_from(prior, config, device)
+    if resume:
+        training.load(out)
+    out.mkdir(parents=True, exist_ok=True)
+    bank = FilterBank(FEATURES)
+    prepared: dict[str, PreparedPhotograph] = {}
+
+    def source(entry: Entry) -> PreparedPhotograph:
+        if entry.name not in prepared:
+            truth = true_piece(entry, _PIECE) if config.relit else None
+            prepared[entry.name] = prepare(entry, config.encoder.width, truth)
+        return prepared[entry.name]
+
+    def loss_of(step: int) -> tuple[Tensor, Mapping[str, Tensor]]:
+        rng = np.random.default_rng([config.seed, step])
+        turn = Turn(bool(rng.integers(2)), int(rng.integers(4)))
+        samples = [
+            cut(
+                source(entry), config.window, config.places,
+                2 if rng.random() < config.coarse_share else 1, turn, rng,
+            ).to(device)
+            for entry in draw(pack.training, config, rng)
+        ]  # fmt: skip
+        return step_loss(training.model, step, samples, config, bank)
+
+    def measure() -> Mapping[str, float]:
+        with torch.no_grad():
+            loss = held_out_loss(training.average, pack, source, config, bank, out / "sheet.png")
+        return {"held_out": loss}
+
+    reporting = Reporting(config.report_every, config.checkpoint_minutes, measure, on_progress)
+    fit(training, loss_of, schedule(config.steps), out, reporting)
+    return training
+
+
+def draw(entries: Sequence[Entry], config: TrainConfig, rng: np.random.Generator) -> list[Entry]:
+    """Draw different materials uniformly, then one photograph of each."""
+    kinds: dict[bool, dict[str, list[Entry]]] = {True: {}, False: {}}
+    for entry in entries:
+        kinds[entry.simulated].setdefault(entry.material, []).append(entry)
+    chosen: dict[str, Entry] = {}
+    while len(chosen) < min(config.materials, sum(len(k) for k in kinds.values())):
+        simulated = not kinds[False] or (bool(kinds[True]) and rng.random() >= config.real_share)
+        materials = kinds[simulated]
+        material = list(materials)[int(rng.integers(len(materials)))]
+        pictures = materials[material]
+        chosen[material] = pictures[int(rng.integers(len(pictures)))]
+    return list(chosen.values())
+
+
+_SHOWN = 6  # materials of each kind on the sheet
+_SEED = 77
+
+
+def held_out_loss(
+    model: Model,
+    pack: Pack,
+    source: Callable[[Entry], PreparedPhotograph],
+    config: TrainConfig,
+    bank: FilterBank,
+    sheet: Path,
+) -> float:
+    """Mean style loss of a running average on held-out materials; `source` prepares a photograph.
+
+    Writes a sheet, a picture, of some of these and of training ones.
+    """
+    device = next(model.parameters()).device
+    rng = np.random.default_rng(_SEED)
+
+    def window(entry: Entry, places: int) -> TrainingSample:
+        size = config.window  # at random positions, without augmentation
+        return cut(source(entry), size, places, 1, Turn(), rng, augment=False).to(device)
+
+    samples = [window(entry, config.places) for entry in first_of_each(pack.reporting)]
+    losses = []
+    for sample in samples:
+        wanted = targets([sample], bank)
+        code = encode(model, sample, wanted[0])
+        maps = decode_windows(model.decoder, code, [sample], _SEED)
+        loss, _ = compare(maps, [sample], wanted, bank)
+        losses.append(float(torch.log1p(loss)))
+    seen = [window(entry, 1) for entry in first_of_each(pack.training)[:_SHOWN]]
+    pictures = [_pair(model, sample, bank) for sample in [*samples[:_SHOWN], *seen]]
+    if pictures:
+        cv2.imwrite(str(sheet), np.hstack(pictures))
+    return mean(losses)
+
+
+def encode(model: Model, sample: TrainingSample, wanted: Descriptor) -> Tensor:
+    """(1, CODE_SIZE) posterior mean by the averaged weights' encoder."""
+    with mixed(sample.picture.device):
+        return model.encoder(sample.picture[None], sample.numbers[None], texture(wanted)[None])[0]
+
+
+def _pair(model: Model, sample: TrainingSample, bank: FilterBank) -> np.ndarray:
+    """A window of a photograph above its reconstruction."""
+    code = encode(model, sample, targets([sample], bank)[0])
+    (maps,) = decode_windows(model.decoder, code, [sample], 7)
+    height = maps.height[0] / sample.texel_size
+    rows = [
+        sample.linear[0],
+        sample.render(maps)[0],
+        maps.diffuse[0],
+        srgb_decode_tensor(maps.roughness[0].expand(3, -1, -1)),
+        (maps.specular[0].expand(3, -1, -1)) ** 0.8,
+        srgb_decode_tensor((0.5 + (height - height.mean()) / 6.0).clamp(0, 1).expand(3, -1, -1)),
+    ]
+    return np.vstack([srgb_bytes(row.cpu().numpy().transpose(1, 2, 0)) for row in rows])

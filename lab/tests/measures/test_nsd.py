@@ -1,0 +1,201 @@
+"""Style distances that nothing is tuned by, colours by XYZ, and how unlike realisations are."""
+
+import struct
+from functools import partial
+from importlib.util import find_spec
+
+import pytest
+import torch
+
+from matcap.errors import MatcapError
+from matcap_lab.measures.nsd import SqueezeNetStyle, StyleRatio, style_distance
+from matcap_lab.measures.paper_metrics import BINS, diversity, xyz_difference, xyz_histograms
+from matcap_lab.measures.squeezenet import SqueezeNet
+from matcap_lab.measures.style import Patches, PortillaSimoncelli, RandomFilters, difference
+from matcap_lab.simulate.write_dng import REC709_TO_XYZ
+
+
+@pytest.fixture(scope="module")
+def style():
+    return SqueezeNetStyle(random_network(0))
+
+
+def random_network(seed):
+    torch.manual_seed(seed)
+    return SqueezeNet()
+
+
+def ncnn(network):
+    """A network's weights as ncnn writes them."""
+    data = b""
+    for module in network.modules():
+        if isinstance(module, torch.nn.Conv2d):
+            half = module.weight.numpy().astype("<f2").tobytes()
+            data += struct.pack("<I", 0x01306B47) + half + b"\0" * (-len(half) % 4)
+            data += module.bias.numpy().astype("<f4").tobytes()
+    return data
+
+
+def stripes(period, phase=0.0, size=128):
+    wave = 0.5 + 0.3 * torch.sin(2.0 * torch.pi * (torch.arange(size) + phase) / period)
+    return wave.expand(1, 3, size, size)
+
+
+def test_weights_are_read_in_ncnn_s_order(tmp_path):
+    network = random_network(1)
+    path = tmp_path / "weights.bin"
+    path.write_bytes(ncnn(network) + b"classifier")
+    picture = torch.rand(1, 3, 64, 64, generator=torch.Generator().manual_seed(2))
+    for read, written in zip(SqueezeNet.load(path)(picture), network(picture), strict=True):
+        assert torch.allclose(read, written, atol=2e-3)
+
+
+@pytest.mark.parametrize("change", [lambda d: d[:5000], lambda d: b"?" + d[1:]])
+def test_another_file_is_refused(tmp_path, change):
+    path = tmp_path / "weights.bin"
+    path.write_bytes(change(ncnn(random_network(1))))
+    with pytest.raises(MatcapError, match=r"not SqueezeNet 1\.1"):
+        SqueezeNet.load(path)
+
+
+def test_a_missing_file_is_one_sentence(tmp_path):
+    with pytest.raises(MatcapError, match="cannot be read"):
+        SqueezeNet.load(tmp_path / "none.bin")
+
+
+def test_places_do_not_count_and_patterns_do():
+    style = SqueezeNetStyle()
+    moved = style_distance(style, stripes(8), stripes(8, phase=3))
+    assert style_distance(style, stripes(8), stripes(13)) > 2.0 * moved
+
+
+def test_another_true_sample_has_a_normalised_distance_of_1(style):
+    generator = torch.Generator().manual_seed(0)
+    samples = [torch.rand(1, 3, 128, 128, generator=generator) for _ in range(3)]
+    nsd = StyleRatio(style, samples[1:])
+    assert nsd.of(samples[0]) == pytest.approx(1.0, abs=0.3)
+    assert nsd.of(stripes(8)) > 3.0
+
+
+# By the code of 2026-11-25, whose measurements docs/bench holds: distances of the first picture to
+# the second and third, and normalised distance of the third to both.
+REFERENCES = {
+    SqueezeNetStyle: (0.8396788, 1.0320144, 1.0659100),
+    Patches: (0.1768731, 0.1749630, 1.1018112),
+    RandomFilters: (0.8063543, 0.9300728, 1.1456383),
+}
+
+
+@pytest.mark.parametrize("kind", REFERENCES)
+def test_distances_stay_what_was_measured_by(kind):
+    generator = torch.Generator().manual_seed(5)
+    first, second, third = (torch.rand(2, 3, 128, 128, generator=generator) for _ in range(3))
+    second = 0.3 + 0.5 * second
+    wave = torch.sin(torch.arange(128) / 9.0).expand(2, 3, 128, 128)
+    third = (0.5 * third + 0.25 * wave + 0.25).clamp(0, 1)
+    style = kind()
+    found = (
+        style_distance(style, first, second),
+        style_distance(style, first, third),
+        StyleRatio(style, [first, second]).of(third),
+    )
+    assert found == pytest.approx(REFERENCES[kind], rel=1e-3)
+
+
+# Needs the extra bench.
+GREY = [partial(PortillaSimoncelli, (192, 192))] * bool(find_spec("plenoptic"))
+
+
+@pytest.mark.parametrize("kind", [*REFERENCES, *GREY])
+def test_a_distance_is_0_for_equals_symmetric_and_bounded(kind):
+    generator = torch.Generator().manual_seed(1)
+    style, first = kind(), torch.rand(1, 3, 192, 192, generator=generator)
+    second = 0.3 * first.flip(2)
+    assert style_distance(style, first, first) == 0.0
+    there, back = style_distance(style, first, second), style_distance(style, second, first)
+    assert there == pytest.approx(back) and 0.0 < there <= 2.0
+
+
+@pytest.mark.parametrize(("kind", "side"), [(SqueezeNetStyle, 64), (Patches, 40)])
+def test_small_pictures_are_refused(kind, side):
+    with pytest.raises(ValueError, match="too small"):
+        kind()(torch.zeros(1, 3, side, side))
+
+
+def noise(seed, scale=1.0):
+    generator = torch.Generator().manual_seed(seed)
+    return (0.5 + 0.1 * scale * torch.randn(2, 3, 96, 96, generator=generator)).clamp(0.0, 1.0)
+
+
+def patches_apart(first, second):
+    style = Patches()
+    return float(difference(style(first), style(second)).mean())
+
+
+def test_where_patches_are_does_not_count_and_how_often_they_occur_does():
+    first = noise(0)
+    moved = patches_apart(first, first.roll((13, 29), (2, 3)))
+    assert moved < 0.3 * patches_apart(first, noise(1, 2.0))
+    assert moved < 0.3 * patches_apart(first, first + 0.1)
+
+
+def test_patches_tell_grain_from_blotches_of_the_same_contrast():
+    blotches = torch.nn.functional.avg_pool2d(torch.nn.functional.pad(noise(2), [2] * 4), 5, 1)
+    blotches = 0.5 + (blotches - 0.5) * 0.1 / float(blotches.std())
+    assert patches_apart(noise(0), blotches) > 3.0 * patches_apart(noise(0), noise(1))
+
+
+def picture(seed: int, size: int = 64) -> torch.Tensor:
+    return torch.rand(3, size, size, generator=torch.Generator().manual_seed(seed))
+
+
+def test_the_matrix_takes_white_to_d65():
+    # x = 0.3127, y = 0.3290 (IEC 61966-2-1, table 1)
+    x, y, z = REC709_TO_XYZ.sum(axis=1)
+    assert y == pytest.approx(1.0)
+    assert (x / (x + y + z), y / (x + y + z)) == pytest.approx((0.3127, 0.3290), abs=1e-4)
+
+
+def test_histograms_are_shares():
+    shares = xyz_histograms(picture(0))
+    assert shares.shape == (3, BINS)
+    assert shares.sum(axis=1) == pytest.approx(1.0)
+    black, white = xyz_histograms(torch.zeros(3, 4, 4)), xyz_histograms(torch.ones(3, 4, 4))
+    assert (black[:, 0] == 1.0).all()
+    assert (white[:, -1] == 1.0).all()
+
+
+def test_a_picture_has_its_own_colours_in_any_order():
+    one = picture(1)
+    order = torch.randperm(64 * 64, generator=torch.Generator().manual_seed(2))
+    shuffled = one.flatten(1)[:, order].reshape(one.shape)
+    assert xyz_difference(one, one) == 0.0
+    assert xyz_difference(one, shuffled) == 0.0
+
+
+def test_other_colours_are_apart_either_way_round():
+    one = 0.5 * picture(3)
+    redder = one * torch.tensor([1.5, 1.0, 1.0])[:, None, None]
+    apart = xyz_difference(one, redder)
+    assert 0.05 < apart < 1.0
+    assert xyz_difference(redder, one) == apart
+    assert xyz_difference(torch.zeros(3, 8, 8), torch.ones(3, 5, 5)) == 1.0
+
+
+def test_the_same_picture_again_is_no_diversity():
+    assert diversity(torch.stack([picture(4)] * 3)) == 0.0
+    assert diversity(picture(4)[None]) == 0.0
+    assert diversity(torch.zeros(2, 3, 64, 64)) == 0.0
+
+
+def test_diversity_sees_places_more_than_faint_noise():
+    one = picture(5)
+    moved = one.roll((13, 29), dims=(-1, -2))
+    noisy = one + 0.02 * torch.randn(one.shape, generator=torch.Generator().manual_seed(6))
+    assert diversity(torch.stack([one, moved])) > 10.0 * diversity(torch.stack([one, noisy]))
+
+
+def test_diversity_is_the_mean_over_pairs():
+    one, two, three = picture(7), picture(8), picture(9)
+    pairs = [diversity(torch.stack(pair)) for pair in ((one, two), (one, three), (two, three))]
+    assert diversity(torch.stack([one, two, three])) == pytest.approx(sum(pairs) / 3.0)

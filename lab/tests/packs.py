@@ -1,0 +1,50 @@
+"""Small packs of photographs, as fixtures too."""
+
+import numpy as np
+import pytest
+import torch
+from small import coarse
+
+from matcap.statistics.lattice import Wave
+from matcap_lab.train.corpus import srgb_bytes
+from matcap_lab.train.pack import Entry, Pack
+
+
+def jpeg(seed: int) -> bytes:
+    """A noisy, shaded brown picture."""
+    import cv2
+
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[-0.75:0.75:192j, -1.0:1.0:256j]
+    shading = 0.4 / (1.0 + x**2 + y**2)
+    noise = cv2.GaussianBlur(rng.normal(0.0, 1.0, (192, 256, 3)), (0, 0), 1.5)
+    linear = shading[..., None] * np.array([0.6, 0.4, 0.3]) * np.exp(noise)
+    return cv2.imencode(".jpg", srgb_bytes(linear.clip(0.0, 1.0)))[1].tobytes()
+
+
+def entry(name: str, seed: int, *, simulated: bool = False) -> Entry:
+    """A photograph of the pack."""
+    return Entry(
+        name=f"{name}_{seed}.jpg",
+        material=name,
+        simulated=simulated,
+        jpeg=jpeg(seed),
+        coarse=coarse(),
+        contrast=torch.tensor([0.2, 0.3, 0.25]),
+        waves=(Wave(0.05, 0.01),) if simulated else (),
+        tilt=(0.1, -0.2) if simulated else None,
+    )
+
+
+@pytest.fixture(scope="session")
+def pack() -> Pack:
+    """Thirteen real materials, so that one is left to train on, and a simulated one."""
+    real = [entry(f"m{index}", index) for index in range(13)]
+    return Pack((*real, entry("simulated", 99, simulated=True)))
+
+
+@pytest.fixture(scope="session")
+def small_pack() -> Pack:
+    """Two real materials, which are held out, and two simulated ones to train on."""
+    simulated = [entry(f"simulated{index}", index, simulated=True) for index in (20, 21)]
+    return Pack((entry("m0", 0), entry("m1", 1), *simulated))
