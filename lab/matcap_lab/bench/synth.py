@@ -3,20 +3,16 @@
 The decoder is compared with the same network in the paper's form: instance normalisation over the
 whole picture, circular padding, a blur after each upsampling, channels first, unfolded weights; at
 matcap's own widths and at the paper's (width 32, 2.2 million parameters). The two forms alternate
-in one process, so that load of the machine cancels in their ratio: with the default allocator, or
-with one that keeps freed memory. With several workers, the field's blocks run in parallel on one
-thread each, and the paper's form uses as many threads for every operator.
-
-Convolution efficiency: multiply-adds a second of a whole block, relative to those of plain 3 x 3
-convolutions of the same shapes.
+in one process, so that load of the machine cancels in their ratio. With several workers, the
+field's blocks run in parallel on one thread each, and the paper's form uses as many threads for
+every operator.
 """
 
 from __future__ import annotations
 
 import resource
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -29,10 +25,8 @@ from torch import Tensor
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.field.blocks import Grid
-from matcap.field.device import multiplies_bfloat16
 from matcap.field.field import read_source
-from matcap.field.plane import Rectangle, Span
-from matcap.field.single import single_threaded
+from matcap.field.plane import Rectangle
 from matcap.files.memory import keep_memory
 from matcap.space.decoder import (
     CODE_SIZE,
@@ -42,11 +36,10 @@ from matcap.space.decoder import (
     Decoder,
     DecoderConfig,
 )
-from matcap.space.freeze import FoldedDecoder, FoldedLayer, freeze
+from matcap.space.freeze import freeze
 from matcap.space.lattice_channels import WAVE_CHANNELS
 from matcap.space.patch import Patch
 from matcap.space.random_field import noise_of
-from matcap.space.source import BlockSpans, DecoderSource, spans_of_block
 from matcap.space.tuned import TunedDecoder
 from matcap_lab.bench.methods import true_exemplar
 from matcap_lab.experiment.results import Value
@@ -55,14 +48,12 @@ from matcap_lab.experiment.timing import in_turn
 
 ABOUT = (
     "Seconds: wall time; processor: time of all cores; paper: of the paper's form of the network; "
-    "ratio: of these, also in processor time, which other programs disturb less. GMAC: 10^9 "
-    "multiply-adds per second on one thread, of whole blocks and of plain convolutions of the same "
-    "shapes. By example: processor seconds per megatexel. Megabytes: peak memory of the process."
+    "ratio: of these, also in processor time, which other programs disturb less. By example: "
+    "processor seconds per megatexel. Megabytes: peak memory of the process."
 )
 NETWORKS = {"shipped": DecoderConfig(), "paper": PAPER_CONFIG}
 BLOCKS = ("256x256", "512x256", "512x512", "1024x256", "1024x1024")
-ALLOCATORS = ("as it comes", "kept")
-BY_EXAMPLE = "by example"
+BY_NETWORK, BY_EXAMPLE = "by network", "by example"
 _BLUR = (1.0, 2.0, 1.0)
 _MATERIAL = "leather"  # without a lattice, so that synthesis costs more
 
@@ -112,20 +103,12 @@ Costs = Mapping[str, Value]
 
 
 def synth_experiment(settings: SynthSettings) -> Experiment[SynthSubject, Costs]:
-    """Every network by every allocator, number of workers, block and precision; and by example."""
+    """Every network by every number of workers and block; and by example."""
     configurations: dict[str, Configuration[SynthSubject, Costs]] = {}
-    for allocator in ALLOCATORS:
-        for workers in settings.workers:
-            for block in settings.blocks:
-                for precision in _precisions():
-                    name = f"memory {allocator}, {workers} workers, {block}, {precision}"
-                    given = settings, allocator == "kept", workers, block, precision
-                    configurations[name] = Configuration(
-                        partial(_alone, field_costs, given), allocator
-                    )
-    for precision in _precisions():
-        run = partial(_alone, _efficiency_of, (precision, settings.repeats))
-        configurations[f"convolutions, {precision}"] = Configuration(run, "convolutions")
+    for workers in settings.workers:
+        for block in settings.blocks:
+            run = partial(_alone, settings, workers, block)
+            configurations[f"{workers} workers, {block}"] = Configuration(run, BY_NETWORK)
     for name, step in _steps(settings).items():
         configurations[name] = Configuration(step, BY_EXAMPLE)
     names = (*settings.networks, BY_EXAMPLE)
@@ -141,34 +124,23 @@ def synth_experiment(settings: SynthSettings) -> Experiment[SynthSubject, Costs]
 
 
 def _alone(
-    measure: Callable[..., Costs], given: tuple[object, ...], subject: SynthSubject, _seed: int
+    settings: SynthSettings, workers: int, block: str, subject: SynthSubject, _seed: int
 ) -> Costs:
-    """Costs in a new process, since threads' heaps are reused whatever the allocator's setting."""
+    """Costs in a new process, whose memory is its own."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
-        return alone.submit(measure, subject.name, *given).result()
+        return alone.submit(field_costs, subject.name, settings, workers, block).result()
 
 
-def _efficiency_of(network: str, precision: str, repeats: int) -> Costs:
+def field_costs(network: str, settings: SynthSettings, workers: int, block: str) -> Costs:
+    """Costs of the field and of the paper's form of the same network, named in NETWORKS."""
     keep_memory()
-    return efficiency(material(NETWORKS[network]), precision, repeats)
-
-
-def field_costs(
-    network: str, settings: SynthSettings, keeps: bool, workers: int, block: str, precision: str
-) -> Costs:
-    """Costs of the field and of the paper's form of the same network, named in NETWORKS.
-
-    With `keeps` the allocator keeps freed memory.
-    """
-    if keeps:
-        keep_memory()
     subject, (width, height) = material(NETWORKS[network]), settings.size
     config = subject.decoder.config
     noise = noise_of(
         Patch(1, Rectangle(0, 0, width, height)), config.noise_channels, config.structured_channels
     )
     noise = noise[None].contiguous()
-    source = _source(subject, Grid(*map(int, block.split("x"))), precision)
+    source = replace(subject.source(1), grid=Grid(*map(int, block.split("x"))))
 
     def ours() -> None:
         read_source(source, Rectangle(0, 0, width, height), workers)
@@ -266,69 +238,6 @@ def paper_form(decoder: Decoder, code: Tensor, noise: Tensor) -> Tensor:
                 layer, features, (weight if index else weight[:, :-WAVE_CHANNELS]).contiguous()
             )
     return step(decoder.head, features, decoder.head.convolution.weight.contiguous())
-
-
-def efficiency(subject: TunedDecoder, precision: str, repeats: int) -> dict[str, float]:
-    """10^9 multiply-adds a second of one block and of its convolutions alone, on one thread."""
-    source = _source(subject, Grid(), precision)
-    block = Rectangle(0, 0, source.grid.width, source.grid.height)
-    shapes = list(_convolutions(source.decoder, spans_of_block(block, source.decoder.convolutions)))
-    count = sum(
-        weight.numel()
-        * (part.shape[2] - weight.shape[2] + 1)
-        * (part.shape[3] - weight.shape[3] + 1)
-        for part, weight in shapes
-    )
-
-    def plain() -> None:
-        with torch.inference_mode():
-            for part, weight in shapes:
-                F.conv2d(part, weight)
-
-    with single_threaded(1) as pool:
-        times = [
-            [pool.submit(_processor, call).result() for call in (lambda: source.maps(block), plain)]
-            for _ in range(max(repeats, 2))
-        ]
-    ours, theirs = map(min, zip(*times, strict=True))
-    return {
-        "GMAC": count / ours / 1e9, "GMAC plain": count / theirs / 1e9, "share": theirs / ours
-    }  # fmt: skip
-
-
-def _convolutions(decoder: FoldedDecoder, spans: BlockSpans) -> Iterator[tuple[Tensor, Tensor]]:
-    """Random input features and weights of every convolution of a block."""
-    rows, columns = spans.rows, spans.columns
-    steps: list[tuple[FoldedLayer, Span, Span]] = [(decoder.head, rows.output, columns.output)]
-    for blocks, high, wide in (
-        (decoder.down, rows.down, columns.down),
-        (decoder.up[::-1], rows.joined, columns.joined),
-    ):
-        for block, height, width in zip(blocks, high, wide, strict=True):
-            steps += [
-                (layer, height.grown(-index), width.grown(-index))
-                for index, layer in enumerate(block)
-            ]
-    for layer, height, width in steps:
-        for weight in layer.weights:
-            features = torch.rand(1, weight.shape[1], height.size, width.size).to(weight.dtype)
-            yield features.contiguous(memory_format=torch.channels_last), weight
-
-
-def _processor(call: Callable[[], object]) -> float:
-    """Processor time of a call in this thread, s."""
-    start = time.thread_time()
-    call()
-    return time.thread_time() - start
-
-
-def _source(subject: TunedDecoder, grid: Grid, precision: str) -> DecoderSource:
-    source = replace(subject.source(1), grid=grid)
-    return source if precision == "fp32" else source.lowered(0)
-
-
-def _precisions() -> tuple[str, ...]:
-    return ("fp32", "bf16") if multiplies_bfloat16(torch.device("cpu")) else ("fp32",)
 
 
 def _blurred(features: Tensor) -> Tensor:

@@ -6,7 +6,6 @@ This module turns options into an experiment's subjects and configurations.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -54,43 +53,6 @@ _LATTICES = (
     (120.0, 3.0),
     (300.0, 0.0),
 )
-
-
-@app.command()
-@with_settings
-def quality(
-    out: OutOption = Path("bench/quality"),
-    material: OnlyOption = None,
-    method: OnlyOption = None,
-    given: Annotated[
-        Given, Fields(CaptureSettings, only=("preset", "steps", "time_limit"))
-    ] = NOTHING,
-    detail: Annotated[
-        int, typer.Option(min=64, max=8192, help="Texels along the photograph's long side.")
-    ] = 1024,
-) -> None:
-    """Appearance error of captures under new lights.
-
-    Photographs simulated materials, captures them, and compares the relit results, and those of
-    simple baselines, with other true samples of the same materials: normalised style distance,
-    1 is indistinguishable. Prints the table.
-    """
-    from matcap.capture import pipeline
-    from matcap_lab.bench.methods import field_maps
-    from matcap_lab.bench.nsd import QUALITY, quality_experiment
-    from matcap_lab.measures.evaluator import EvaluationSettings
-
-    captured = CaptureSettings(**given, detail=detail, generator="decoder")
-    evaluation = EvaluationSettings(detail=detail, size=384)
-    experiment = quality_experiment(
-        lambda photo: field_maps(pipeline.capture_file(photo, captured).material, evaluation.width),
-        out,
-        materials=material or (),
-        methods=method or (),
-        settings=evaluation,
-        captured=captured,
-    )
-    _print(experiment, out, QUALITY)
 
 
 @app.command()
@@ -251,35 +213,6 @@ def gloss(
 
 
 @app.command()
-def camera(
-    material: MaterialArgument = None,
-    sets: SetsOption = None,
-    photographs: Annotated[
-        Path | None, typer.Option(help="Folder of real photographs by one camera.")
-    ] = None,
-    begins: Annotated[str, typer.Option(help="Beginning of the names to take.")] = "",
-    falloff: Annotated[
-        tuple[float, float],
-        typer.Option(help="Simulated falloff: coefficients of r^2 and r^4 in the log."),
-    ] = (0.6, 1.2),
-    jpeg: Annotated[bool, typer.Option("--jpeg", help="Simulate JPEGs, not RAW.")] = False,
-    out: OutOption = Path("bench/camera"),
-) -> None:
-    """Effect of a common camera profile (vignetting) on coarse fits.
-
-    Fits each photograph alone, then all with the profile fitted to them. Prints the table.
-    """
-    from matcap.batch.input_folder import find_samples
-    from matcap_lab.bench.cameras import ABOUT, camera_experiment
-    from matcap_lab.simulate.specimen import subjects
-
-    samples = find_samples(photographs) if photographs else []
-    real = [one.photos[0] for one in samples if one.photos[0].name.startswith(begins)]
-    specimens = [] if photographs else subjects(material or (), sets)
-    _print(camera_experiment(real, specimens, falloff, developed=jpeg), out, ABOUT)
-
-
-@app.command()
 def highlight(
     photographs: Annotated[
         list[Path] | None,
@@ -368,29 +301,6 @@ def fronts(
         return
     rows = _measured(fronts_experiment(bench), out)
     typer.echo(f"{out / 'fronts.csv'}: {len(rows)} measurements")
-
-
-@app.command()
-def pairs(
-    folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="Folder that `bench fronts` wrote.")
-    ] = _FRONTS,
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder for pages of pairs and pairs.csv.")
-    ] = Path("bench/pairs"),
-    count: Annotated[int, typer.Option("-n", min=1, help="Number of pairs.")] = 40,
-    seed: Annotated[
-        int, typer.Option(min=0, help="Seed of the choice of pairs and of their sides.")
-    ] = 0,
-) -> None:
-    """Pages for blind comparison: pairs of captures of the fronts, the truth between them.
-
-    Look at the pages, write left, right or neither into the column `nearer` of pairs.csv, and put
-    it next to fronts.csv: bench report counts how often each measure agrees.
-    """
-    from matcap_lab.bench.pairs import write_pairs
-
-    typer.echo(str(write_pairs(folder, out, count, seed)))
 
 
 @app.command()
@@ -515,13 +425,11 @@ def report(
 
     Text under the existing page's last heading is kept.
     """
-    from matcap_lab.bench.pairs import agreement
     from matcap_lab.bench.presentations import presentation_of
     from matcap_lab.experiment.page import write_page
+    from matcap_lab.experiment.results import command_line
 
-    presentations = {table: presentation_of(table) for table in tables}
-    more = {table: agreement(table) for table in tables}
-    write_page(presentations, out, ["matcap", *sys.argv[1:]], more)
+    write_page({table: presentation_of(table) for table in tables}, out, command_line())
     typer.echo(str(out))
 
 

@@ -110,34 +110,6 @@ def evaluate(
 
 
 @app.command()
-def distributions(
-    maps: Annotated[Path, typer.Option(help="Real map sets (`inverse pack`).")],
-    photographs: Annotated[Path, typer.Option(help="A folder of flash photographs, JPEGs.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="The picture.")],
-    count: Annotated[int, typer.Option(min=2, help="Number of photographs of each kind.")] = 300,
-    size: Annotated[tuple[int, int], typer.Option(help="Width and height of a photograph.")] = (
-        160,
-        128,
-    ),
-    quiet: QuietOption = False,
-) -> None:
-    """Plot distributions of training samples against real materials and photographs."""
-    from matcap_lab.inverse import distributions as of
-    from matcap_lab.inverse.packed import training_sets
-
-    sets = training_sets(maps)
-    measured = {
-        "drawn, real": of.drawn(count, sets, 1.0, size),
-        "drawn, simulated": of.drawn(count, sets, 0.0, size),
-        "real sets": of.of_sets(sets),
-        "photographs": of.of_photographs(photographs, size),
-    }
-    of.plot(measured, out)
-    if not quiet:
-        typer.echo(of.table(measured))
-
-
-@app.command()
 def ship(
     folder: TrainingArgument,
     out: Annotated[Path, typer.Option("--out", "-o", help="The network's file.")] = Path(

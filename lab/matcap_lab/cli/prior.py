@@ -197,29 +197,6 @@ def evaluate(
 
 
 @app.command()
-def ablate(
-    pack: PackArgument,
-    prior: PriorOption = None,
-    out: ResultsOption = Path("bench/prior"),
-    steps: Annotated[int, typer.Option(min=1, help="Steps of fine-tuning.")] = 350,
-    materials: Annotated[int, typer.Option(min=1, help="Number of held-out materials.")] = 12,
-    quiet: QuietOption = False,
-) -> None:
-    """Ablation: captures of held-out photographs, each without one part of the method.
-
-    Results are stored and resumed as in `prior evaluate`.
-    """
-    from matcap.space.prior.store import load_prior
-    from matcap_lab.experiment.results import command_line
-    from matcap_lab.train.evaluate import EvaluateSettings, run_evaluation
-    from matcap_lab.train.pack import Pack
-
-    settings = EvaluateSettings(steps, materials=materials)
-    given = load_prior(prior), Pack.load(pack), settings, out, command_line(), printer(quiet=quiet)
-    typer.echo(run_evaluation(*given, ablation=True))
-
-
-@app.command()
 def variety(
     pack: PackArgument,
     prior: PriorOption = None,

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import os
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 
 from matcap.errors import MatcapError
 from matcap.files.staging import staged_file
@@ -57,12 +55,7 @@ class Presentation:
     """Whether a plot is drawn."""
 
 
-def write_page(
-    tables: Mapping[Path, Presentation],
-    page: Path,
-    command: Sequence[str],
-    more: Mapping[Path, Sequence[str]] = MappingProxyType({}),
-) -> str:
+def write_page(tables: Mapping[Path, Presentation], page: Path, command: str) -> str:
     """Write the page and a plot next to every CSV; returns the page's text.
 
     The existing page's text below `BY_HAND` is kept.
@@ -71,15 +64,14 @@ def write_page(
         tables: CSVs that experiments wrote.
         page: the Markdown file.
         command: the command that writes the page, quoted on it.
-        more: lines after a table's section.
 
     Raises:
         MatcapError: a table cannot be read or holds nothing, matplotlib is missing, or a file
             cannot be written.
     """
-    lines = ["# What accuracy costs in time", "", "Written by:", "", f"    {shlex.join(command)}"]
+    lines = ["# What accuracy costs in time", "", "Written by:", "", f"    {command}"]
     for table, form in tables.items():
-        lines += ["", *section(table, form, page), *more.get(table, ())]
+        lines += ["", *section(table, form, page)]
     before = page.read_text(encoding="utf-8") if page.exists() else ""
     _, kept, by_hand = before.partition(f"{BY_HAND}\n")
     text = "\n".join(lines).rstrip() + "\n" + (f"\n{kept}{by_hand}" if kept else "")

@@ -1,19 +1,15 @@
 """Style distances of textures, by statistics that no capture optimises.
 
-1. *Portilla-Simoncelli* [portilla2000] statistics of the grey picture, by plenoptic (extra
-   `bench`), and mean and covariance of its colours. The distance is the mean over
-   groups g of statistics of
+The distance is the mean over groups g of statistics of the relative difference
 
-       |a_g - b_g|_1 / ((|a_g|_1 + |b_g|_1) / 2 + n_g t_g),
+    |a_g - b_g|_1 / ((|a_g|_1 + |b_g|_1) / 2),
 
-   with n_g values to a group. The denominator makes a group's term a relative error of at most 2,
-   so that no group dominates; t_g is a threshold of visibility, which keeps small values from being
-   amplified: 0.05 for correlations, 0.2 for skew and kurtosis, 0.005 (about one 8-bit code value)
-   for means and deviations, its square for variances.
-2. *Random filters* of other sizes (7, 11, 13) and another seed than capture's, on a pyramid of four
-   levels, rectified: the mean over levels and over {Gram matrices, means} of the same relative L1,
-   with t = 0. The raw colours are among the means.
-3. *Patches*: sliced Wasserstein distance [rabin2011] of patches [elnekave2022] of 3, 7 and 15
+at most 2, so that no group dominates.
+
+1. *Random filters* of other sizes (7, 11, 13) and another seed than capture's, on a pyramid of four
+   levels, rectified: groups are Gram matrices and means by level. The raw colours are among the
+   means.
+2. *Patches*: sliced Wasserstein distance [rabin2011] of patches [elnekave2022] of 3, 7 and 15
    texels a side at three scales, projected on random directions and sorted. Sensitive to colours,
    edges and grain, hardly to structures longer than a patch.
 
@@ -22,38 +18,15 @@ All are 0 for equal pictures, and symmetric.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.errors import MatcapError
-from matcap.files.rec709 import LUMINANCE
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
 from matcap.statistics.gram import gram
-
-_CODE_VALUE = 0.005
-_CORRELATION = 0.05
-_MOMENT = 0.2
-
-# Groups of plenoptic's statistics and each one's threshold of visibility t_g.
-_GROUPS: Mapping[str, float] = {
-    "auto_correlation_magnitude": _CORRELATION,
-    "auto_correlation_reconstructed": _CORRELATION,
-    "cross_orientation_correlation_magnitude": _CORRELATION,
-    "cross_scale_correlation_magnitude": _CORRELATION,
-    "cross_scale_correlation_real": _CORRELATION,
-    "skew_reconstructed": _MOMENT,
-    "kurtosis_reconstructed": _MOMENT,
-    "std_reconstructed": _CODE_VALUE,
-    "magnitude_std": _CODE_VALUE,
-    "var_highpass_residual": _CODE_VALUE**2,
-}
-# Of pixel_statistics: mean, variance, skew, kurtosis; its extremes are single pixels.
-_PIXEL = {"mean": _CODE_VALUE, "variance": _CODE_VALUE**2, "skew": _MOMENT, "kurtosis": _MOMENT}
 
 
 @dataclass(frozen=True)
@@ -78,46 +51,6 @@ class Style(Protocol):
 def difference(first: StyleStatistics, second: StyleStatistics) -> Tensor:
     """(B,) distance between pictures of the same lights, the mean over groups."""
     return torch.stack([_relative(first[name], second[name]) for name in first]).mean(0)
-
-
-class PortillaSimoncelli:
-    """Portilla-Simoncelli statistics of grey, mean and covariance of colours."""
-
-    def __init__(self, size: tuple[int, int]) -> None:
-        """Prepare for pictures of (width, height).
-
-        Raises:
-            MatcapError: plenoptic is not installed.
-        """
-        try:
-            from plenoptic.models import PortillaSimoncelli as Model
-        except ImportError as error:
-            raise MatcapError(
-                "Portilla-Simoncelli statistics need the package plenoptic",
-                remedy="install it with: pip install './lab[bench]'",
-            ) from error
-        self._model: Any = Model(
-            (size[1], size[0]), n_scales=4, n_orientations=4, spatial_corr_width=9
-        )
-
-    @torch.no_grad()
-    def __call__(self, pictures: Tensor) -> StyleStatistics:
-        """Describe (B, 3, H, W)."""
-        luma = torch.tensor(LUMINANCE).to(pictures)[:, None, None]
-        grey = (pictures * luma).sum(1, keepdim=True)
-        statistics = self._model.convert_to_dict(self._model(grey))
-        groups = {
-            name: Group(_finite(statistics[name]), unseen) for name, unseen in _GROUPS.items()
-        }
-        pixel = _finite(statistics["pixel_statistics"])
-        for column, (name, unseen) in enumerate(_PIXEL.items()):
-            groups[f"pixel {name}"] = Group(pixel[:, column : column + 1], unseen)
-        colours = pictures.flatten(2)
-        centred = colours - colours.mean(2, keepdim=True)
-        covariance = centred @ centred.transpose(1, 2) / colours.shape[2]
-        groups["colour mean"] = Group(colours.mean(2), _CODE_VALUE)
-        groups["colour covariance"] = Group(covariance.flatten(1), _CODE_VALUE**2)
-        return groups
 
 
 class RandomFilters:
@@ -148,12 +81,6 @@ def _relative(first: Group, second: Group) -> Tensor:
     difference = (first.values - second.values).abs().mean(1)
     size = (first.values.abs().mean(1) + second.values.abs().mean(1)) / 2.0
     return difference / (size + first.unseen).clamp_min(1e-12)
-
-
-def _finite(statistics: Tensor) -> Tensor:
-    """(B, N) without plenoptic's NaN, which mark entries redundant by symmetry."""
-    flat = statistics.flatten(1)
-    return flat[:, torch.isfinite(flat[0])]
 
 
 SIDES = (3, 7, 15)  # texels of a patch

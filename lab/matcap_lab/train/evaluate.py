@@ -1,13 +1,9 @@
-"""Evaluation of a prior and ablations, on held-out photographs.
+"""Evaluation of a prior on held-out photographs.
 
 Pictures of a material are compared in the middle of the photograph, under its own flash: style by
 random filters that no capture optimises, colours by XYZ histograms, and diversity of realisations.
 
-*Evaluation*: held-out photographs captured with and without the prior, and the photograph as albedo
-as a baseline. *Ablation* (paper, section 5.4): FULL starts from the prior and fine-tunes. SINGLE
-starts from random weights. NONTUNED does not fine-tune. DECODERONLY starts from random weights and
-has no downsampling path (decoder_only.py); compare it with SINGLE. FOURIER fine-tunes without the
-power spectrum. LIGHT assumes a tilt of 0 (in the paper: no alignment branch).
+They are captured with and without the prior; the photograph as albedo is a baseline. Ablations of the method are in bench/paper.py.
 """
 
 from __future__ import annotations
@@ -24,7 +20,6 @@ import torch
 from torch import Tensor, zeros
 
 from matcap.brdf.maps import MapSet
-from matcap.field.material import Material
 from matcap.files.png import write_png
 from matcap.files.srgb import srgb_encode_tensor
 from matcap.flash.geometry import FlashSetup, plane_points
@@ -44,7 +39,6 @@ from matcap.space.tuning.finetune import (
 from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.start import log_contrast, untrained
 from matcap.space.tuning.windows import cut_windows
-from matcap.statistics.compare import Weights
 from matcap.statistics.filterbank import FilterBank
 from matcap_lab.bench.methods import photo_as_albedo
 from matcap_lab.experiment.results import Trial, Value, table
@@ -52,7 +46,6 @@ from matcap_lab.experiment.runner import Configuration, Experiment, run
 from matcap_lab.measures.nsd import style_distance
 from matcap_lab.measures.paper_metrics import diversity, xyz_difference
 from matcap_lab.measures.style import RandomFilters
-from matcap_lab.train.decoder_only import DecoderOnly, Unfolded
 from matcap_lab.train.pack import Entry, Pack, first_of_each, read_code
 from matcap_lab.train.pictures import write_grid
 
@@ -156,11 +149,7 @@ def capture(tuned: Photographed, begin: Begin, steps: int, rate: float = RATE_FR
         raise KeyboardInterrupt  # half a capture is no measurement
     decoder = outcome.decoder.eval().requires_grad_(False)
     frozen = (decoder, code, outcome.moments, scene.waves, scene.texel_size)
-    material: Material | Unfolded
-    if isinstance(decoder, DecoderOnly):
-        material = Unfolded(*frozen)
-    else:
-        material = TunedDecoder(*frozen).material("", scene.setup)
+    material = TunedDecoder(*frozen).material("", scene.setup)
     seeds = range(_FIRST_SEED, _FIRST_SEED + REALISATIONS)
     pictures = [tuned.lit(material.maps(SIZE, SIZE, seed=seed)) for seed in seeds]
     return Made(torch.stack(pictures), seconds)
@@ -187,18 +176,12 @@ def run_evaluation(
     out: Path,
     command: str,
     on_progress: Callable[[str], None] = lambda line: None,
-    *,
-    ablation: bool = False,
 ) -> str:
-    """Measure, write prior-evaluation (or prior-ablation) .csv, .md and .jpg, and give the page."""
+    """Measure, write prior-evaluation .csv, .md and .jpg, and give the page."""
     entries = first_of_each(pack.reporting)[: settings.materials]
-    if ablation:
-        name, more = "prior-ablation", ""
-        methods = variants(prior, settings.steps)
-    else:
-        name, methods = "prior-evaluation", methods_of(prior, settings)
-        dead = prior.about.get("dead_dimensions", "?")
-        more = f"Codes of the training photographs: {dead} of {CODE_SIZE} dimensions dead."
+    name, methods = "prior-evaluation", methods_of(prior, settings)
+    dead = prior.about.get("dead_dimensions", "?")
+    more = f"Codes of the training photographs: {dead} of {CODE_SIZE} dimensions dead."
     return _page(name, measured(name, methods, entries, out, on_progress), out, command, more)
 
 
@@ -251,32 +234,6 @@ def methods_of(prior: Prior, settings: EvaluateSettings) -> Methods:
     }
 
 
-def variants(prior: Prior, steps: int) -> Methods:
-    """FULL and its ablations."""
-    start, known = partial(from_prior, prior), prior_key(prior)
-
-    def method(
-        begin: Begin,
-        view: Callable[[Photographed], Photographed] = lambda shown: shown,
-        taken: int = steps,
-    ) -> Configuration[Photographed, Made]:
-        rate = RATE_FROM_PRIOR if begin is start else RATE_FROM_NOTHING
-        follows = (taken, REALISATIONS, known if begin is start else "")
-        # Every variant is compared with the photograph as it is, however it sees it itself.
-        return Configuration(
-            lambda shown, _: capture(view(shown), begin, taken, rate), settings=follows
-        )
-
-    return {
-        "FULL": method(start),
-        "SINGLE": method(from_nothing),
-        "NONTUNED": method(start, taken=0),
-        "DECODERONLY": method(partial(from_nothing, kind=DecoderOnly)),
-        "FOURIER": method(start, _without_spectrum),
-        "LIGHT": method(start, _without_tilt),
-    }
-
-
 def albedo(shown: Photographed) -> Made:
     """The photograph as diffuse albedo: a crop of its corner, moved to the middle.
 
@@ -294,10 +251,10 @@ def from_prior(prior: Prior, shown: Photographed) -> tuple[Decoder, Tensor]:
     return prior.start(shown.photo.pixels, shown.entry.coarse, shown.plane)
 
 
-def from_nothing(shown: Photographed, kind: type[Decoder] = Decoder) -> tuple[Decoder, Tensor]:
+def from_nothing(shown: Photographed) -> tuple[Decoder, Tensor]:
     """A random decoder around the coarse fit, and a code of zeros."""
     contrast = log_contrast(shown.plane.linear, shown.plane.valid)
-    return untrained(DecoderConfig(), shown.entry.coarse, contrast, 0, kind), zeros(CODE_SIZE)
+    return untrained(DecoderConfig(), shown.entry.coarse, contrast, 0), zeros(CODE_SIZE)
 
 
 def prior_key(prior: Prior) -> str:
@@ -307,16 +264,6 @@ def prior_key(prior: Prior) -> str:
         for name, value in network.state_dict().items():
             digest.update(name.encode() + value.detach().cpu().float().numpy().tobytes())
     return digest.hexdigest()[:16]
-
-
-def _without_spectrum(shown: Photographed) -> Photographed:
-    return replace(shown, scene=replace(shown.scene, weights=Weights(spectrum=0.0)))
-
-
-def _without_tilt(shown: Photographed) -> Photographed:
-    coarse = shown.entry.coarse
-    straight = replace(coarse, setup=replace(coarse.setup, tilt=(0.0, 0.0)))
-    return photographed(replace(shown.entry, coarse=straight))
 
 
 def _page(name: str, rows: Sequence[Trial], out: Path, command: str, more: str) -> str:

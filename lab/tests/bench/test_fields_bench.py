@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from matcap_lab.cli.main import main
 from matcap_lab.bench import fields
 from matcap_lab.bench.fields import (
     fields_experiment,
@@ -15,6 +14,7 @@ from matcap_lab.bench.fields import (
     seam_contrast,
 )
 from matcap_lab.bench.repetition import SIZES, copies, correlation, repetition_experiment
+from matcap_lab.cli.main import main
 from matcap_lab.experiment.results import read
 from matcap_lab.experiment.runner import run
 from matcap_lab.measures.evaluator import EvaluationSettings

@@ -4,10 +4,10 @@ import sys
 
 import numpy as np
 import pytest
+from matcap_lab.bench.pairs import agreement, write_pairs
 from PIL import Image
 
 from matcap.capture.settings import PRESETS
-from matcap_lab.cli.main import main
 from matcap.errors import MatcapError, UsageError
 from matcap_lab.bench import fronts
 from matcap_lab.bench.fronts import (
@@ -20,8 +20,8 @@ from matcap_lab.bench.fronts import (
     fronts_experiment,
     preset_ways,
 )
-from matcap_lab.bench.pairs import agreement, write_pairs
 from matcap_lab.bench.presentations import presentation_of
+from matcap_lab.cli.main import main
 from matcap_lab.experiment import clocked
 from matcap_lab.experiment.page import BY_HAND, write_page
 from matcap_lab.experiment.results import Trial, append, read

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from matcap_lab.bench.cameras import CameraSubject, camera_experiment, fit_errors
 from uniform import a_setup, photograph
 
 from matcap.brdf.maps import MapSet
@@ -15,7 +16,6 @@ from matcap.brdf.metals import METAL_F0
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse
 from matcap_lab.bench import cameras, highlight
-from matcap_lab.bench.cameras import CameraSubject, camera_experiment, fit_errors
 from matcap_lab.bench.gloss import PlainMaterial, gloss_experiment
 from matcap_lab.bench.highlight import highlight_experiment, kept, placed, simulated
 from matcap_lab.bench.metals import f0_errors

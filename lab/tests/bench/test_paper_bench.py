@@ -7,13 +7,13 @@ import torch
 from materials import a_material
 
 from matcap.brdf.maps import MapSet
-from matcap_lab.cli.main import main
 from matcap.flash.geometry import FlashSetup
 from matcap.space.tuned import TunedDecoder
 from matcap_lab.bench import paper, paper_space, paper_tables
 from matcap_lab.bench.paper import CROP, crop, finetuned_as_in_paper, random_features
 from matcap_lab.bench.paper_space import LINEAR, PaperSubject, generation, interpolation
 from matcap_lab.bench.paper_tables import paper_page
+from matcap_lab.cli.main import main
 from matcap_lab.experiment.results import Trial, append, read
 from matcap_lab.experiment.runner import run
 from matcap_lab.measures.style import RandomFilters

@@ -9,8 +9,8 @@ import cv2
 import pytest
 
 from matcap.capture.progress import EXEMPLAR_STAGES
-from matcap_lab.cli.main import main
 from matcap_lab.bench import profile
+from matcap_lab.cli.main import main
 from matcap_lab.experiment.results import read
 
 EXAMPLES = Path(__file__).parents[3] / "examples/photos"

@@ -9,11 +9,11 @@ import torch
 from packs import entry
 from safetensors.torch import load_file, save_file
 
-from matcap_lab.cli.main import main
 from matcap.errors import MatcapError, UsageError
 from matcap.space.decoder import DecoderConfig
 from matcap.space.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE, Encoder, EncoderConfig
 from matcap.space.prior.store import load_prior
+from matcap_lab.cli.main import main
 from matcap_lab.train import pictures
 from matcap_lab.train.pack import Pack, first_of_each
 from matcap_lab.train.prior_variety import VarietySettings, middles, run_variety
