@@ -9,10 +9,9 @@ import argparse
 from pathlib import Path
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
+from matcap_lab.simulate.files import write_dng, write_jpeg
 from matcap_lab.simulate.photograph import PhoneCamera
 from matcap_lab.simulate.specimen import EXAMPLES
-from matcap_lab.simulate.write_dng import write_dng
-from matcap_lab.simulate.write_jpeg import write_jpeg
 
 
 def main() -> None:

@@ -28,7 +28,7 @@ from matcap.capture.settings import CaptureSettings
 from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
 from matcap.space.between import blend
-from matcap_lab.measures.lights import BenchScene, bench_scene, relight_all
+from matcap_lab.measures.evaluator import BenchScene, bench_scene, relight_all
 from matcap_lab.measures.nsd import SqueezeNetStyle
 from matcap_lab.measures.style import StyleStatistics, difference
 from matcap_lab.simulate.photograph import PhoneCamera

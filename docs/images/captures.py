@@ -27,10 +27,10 @@ from matcap.relight.named import SCENES
 from matcap.relight.output import encode
 from matcap.relight.render import relight
 from matcap.relight.scene import Film, PointLight, Scene, Surface, exposing_intensity
-from matcap_lab.simulate.materials.kinds import kind_of
+from matcap_lab.simulate.files import write_dng
+from matcap_lab.simulate.kinds import kind_of
 from matcap_lab.simulate.photograph import PhoneCamera, as_photo, take
 from matcap_lab.simulate.specimen import EXAMPLES, Specimen
-from matcap_lab.simulate.write_dng import write_dng
 
 HERE = Path(__file__).parent / "gallery"
 # Of each kind the first draw that shows it plainly, chosen before it was captured.

@@ -26,10 +26,10 @@ from matcap.capture.pipeline import capture_file
 from matcap.capture.preview import panels
 from matcap.capture.settings import CaptureSettings
 from matcap.flash.geometry import FlashSetup
-from matcap_lab.simulate.materials.kinds import kind_of
+from matcap_lab.simulate.files import write_jpeg
+from matcap_lab.simulate.kinds import kind_of
 from matcap_lab.simulate.photograph import PhoneCamera, Realise, Shot, take, true_maps
 from matcap_lab.simulate.specimen import EXAMPLES
-from matcap_lab.simulate.write_jpeg import write_jpeg
 
 CAMERA = PhoneCamera()
 LEVEL = FlashSetup(offset=(0.08, 0.05, 0.0), tilt=(math.radians(1.0), 0.0))

@@ -6,8 +6,7 @@ import torch
 from small import coarse
 
 from matcap.statistics.lattice import Wave
-from matcap_lab.train.corpus import srgb_bytes
-from matcap_lab.train.pack import Entry, Pack
+from matcap_lab.train.corpus import Entry, Pack, srgb_bytes
 
 
 def jpeg(seed: int) -> bytes:

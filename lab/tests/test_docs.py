@@ -7,10 +7,10 @@ import pytest
 
 from matcap.photo.inspect import inspect_photo
 from matcap.photo.load import load_photo
-from matcap_lab.bench.paper_tables import paper_page
+from matcap_lab.bench.paper import paper_page
 from matcap_lab.experiment.results import read
+from matcap_lab.simulate.files import write_jpeg
 from matcap_lab.simulate.photograph import PhoneCamera
-from matcap_lab.simulate.write_jpeg import write_jpeg
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/guide/paper.md").read_text(encoding="utf-8")

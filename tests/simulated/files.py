@@ -161,6 +161,7 @@ def _exif_of(shot: Shot) -> dict[int, int | Fraction]:
     across = camera.width / math.hypot(camera.width, camera.height) * math.hypot(36.0, 24.0)
     return {
         33434: Fraction(shot.exposure / 60.0).limit_denominator(1_000_000),
+        33437: Fraction(9, 5),
         34855: 100,
         37385: 9 if shot.fired else 16,
         41989: round(camera.focal_length * across / 36.0),

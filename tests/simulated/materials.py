@@ -125,11 +125,11 @@ def granite(at: Canvas) -> MapSet:
     """Polished: crystals of several colours, hardly any relief."""
     _, _, kind = at.cells("crystals", 0.034)
     _, _, mica = at.cells("mica", 0.018)
-    palette = np.array([[0.44, 0.24, 0.18], [0.38, 0.21, 0.17], [0.6, 0.54, 0.48], [0.25] * 3])
+    palette = np.array([[0.44, 0.26, 0.2], [0.4, 0.24, 0.19], [0.48, 0.42, 0.37], [0.28] * 3])
     body = np.moveaxis(palette[(4 * kind).astype(int)], -1, 0)
     cloud = at.noise("cloud", 0.03, octaves=4, gain=0.7)
-    dark = (mica < 0.18).astype(float)
-    diffuse = body * np.exp(0.1 * cloud) * (1.0 - 0.95 * dark)
+    dark = (mica < 0.12).astype(float)
+    diffuse = body * np.exp(0.1 * cloud) * (1.0 - 0.85 * dark)
     height = 0.0001 * at.noise("polish", 0.03) - 0.0002 * dark
     return at.maps(diffuse, 0.043 + 0.014 * dark, 0.2 + 0.1 * dark, height)
 
@@ -159,7 +159,7 @@ def plaster(at: Canvas) -> MapSet:
 
 def tile(at: Canvas) -> MapSet:
     """Glossy tiles, 24 across the picture, in rough, lower grout."""
-    u, v = at.x * 12.0, at.y * 12.0
+    u, v = (12.0 * axis + 0.02 * at.noise(name, 0.2) for axis, name in ((at.x, "u"), (at.y, "v")))
     column, row = np.floor(u).astype(int), np.floor(v).astype(int)
     own = at.random("fired").random((2, _LATTICE, _LATTICE))
     tone, level = own[:, row % _LATTICE, column % _LATTICE] - 0.5
@@ -169,7 +169,7 @@ def tile(at: Canvas) -> MapSet:
     pillow = 1.0 - np.exp(-np.maximum(inside, 0.0) / 0.05)
     tiles = 0.003 * pillow + 0.001 * level + 0.0002 * mottle
     height = tiles * glazed + (0.0004 * sand - 0.0015) * (1.0 - glazed)
-    glaze = _colour(0.03, 0.17, 0.2) * np.exp(0.8 * tone + 0.12 * mottle)
+    glaze = _colour(0.03, 0.17, 0.2) * np.exp(0.3 * tone + 0.12 * mottle)
     grout = _colour(0.37, 0.35, 0.31) * np.exp(0.1 * sand)
     diffuse = glaze * glazed + grout * (1.0 - glazed)
     return at.maps(diffuse, 0.037 + 0.015 * glazed, 0.84 - 0.66 * glazed, height)

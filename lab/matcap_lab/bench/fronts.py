@@ -1,7 +1,7 @@
 """`matcap-lab bench fronts`: accuracy against time, by measures that no setting is tuned to.
 
 Every configuration is a command line, every subject a material with known truth, photographed
-like real ones (simulate/phone_photographs.py). The command runs in its own process; its output is
+like real ones (simulate/hand_held.py). The command runs in its own process; its output is
 relit and compared with other true samples: normalised style distance by SqueezeNet, by patches and
 by random filters (the last resemble the loss that decoders are tuned by).
 """
@@ -38,12 +38,12 @@ from matcap_lab.experiment.results import Value
 from matcap_lab.experiment.runner import Configuration, Experiment, choose
 from matcap_lab.measures.evaluator import EvaluationSettings, Evaluator
 from matcap_lab.measures.style import Patches, RandomFilters, Style
-from matcap_lab.simulate.phone_photographs import PhonePhotographs
+from matcap_lab.simulate.hand_held import PhonePhotographs
 from matcap_lab.simulate.photograph import PhoneCamera
 from matcap_lab.simulate.specimen import EXAMPLES, Specimen, subjects
 
 BASE = "1024 texels"  # that others are paired with
-# Map sets excluded from training (inverse/packed.py), of six kinds.
+# Map sets excluded from training (inverse/samples.py), of six kinds.
 HELD_OUT = (
     "asphalt10",
     "bark_cgb_bark_01",

@@ -45,9 +45,8 @@ from matcap.relight.scenefile import read_scene
 from matcap.relight.texture import Texture
 from matcap_lab.experiment.page import Presentation
 from matcap_lab.experiment.results import Value
-from matcap_lab.experiment.runner import Configuration, Experiment
-from matcap_lab.experiment.timing import in_turn
-from matcap_lab.simulate.materials import realise
+from matcap_lab.experiment.runner import Configuration, Experiment, in_turn
+from matcap_lab.simulate.named import realise
 
 MEGAPIXEL = "one megapixel"  # under one point light, flat
 # Of the plan, in steps of 8 bits; the default is half of one.

@@ -41,10 +41,9 @@ from matcap.space.lattice_channels import WAVE_CHANNELS
 from matcap.space.patch import Patch
 from matcap.space.random_field import noise_of
 from matcap.space.tuned import TunedDecoder
-from matcap_lab.bench.methods import true_exemplar
+from matcap_lab.bench.floors import true_exemplar
 from matcap_lab.experiment.results import Value
-from matcap_lab.experiment.runner import Configuration, Experiment
-from matcap_lab.experiment.timing import in_turn
+from matcap_lab.experiment.runner import Configuration, Experiment, in_turn
 
 ABOUT = (
     "Seconds: wall time; processor: time of all cores; paper: of the paper's form of the network; "

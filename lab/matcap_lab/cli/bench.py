@@ -110,23 +110,23 @@ def floors(
     other true samples under new lights: normalised style distance by SqueezeNet, 1 is
     indistinguishable. Prints the table, with statistics of the maps and of the truth.
     """
-    from matcap_lab.bench import nsd, several
+    from matcap_lab.bench import floors as of
     from matcap_lab.measures.evaluator import EvaluationSettings
-    from matcap_lab.measures.squeezenet import WEIGHTS
+    from matcap_lab.measures.networks import WEIGHTS
     from matcap_lab.simulate.hand_held import Hand, downward
     from matcap_lab.simulate.photograph import PhoneCamera
     from matcap_lab.simulate.specimen import subjects
 
     camera = PhoneCamera(width=pixels, height=3 * pixels // 8 * 2)
     evaluation = EvaluationSettings(judged, judged // 2, camera, weights=weights or WEIGHTS)
-    settings = nsd.PhotographSettings(CaptureSettings(**given), stops, jpeg)
+    settings = of.PhotographSettings(CaptureSettings(**given), stops, jpeg)
     chosen = subjects(material or (), sets)
     if not photographs:
-        _print(nsd.nsd_experiment(chosen, out, settings, evaluation), out, nsd.ABOUT)
+        _print(of.nsd_experiment(chosen, out, settings, evaluation), out, of.FLOORS)
         return
-    ambient = several.Ambient(room, union, downward(camera) if union else Hand())
-    experiment = several.several_experiment(chosen, photographs, out, settings, evaluation, ambient)
-    rows = _print(experiment, out, several.ABOUT)
+    ambient = of.Ambient(room, union, downward(camera) if union else Hand())
+    experiment = of.several_experiment(chosen, photographs, out, settings, evaluation, ambient)
+    rows = _print(experiment, out, of.SEVERAL)
     _draw(rows, out / "photographs.png", "Error by number of photographs of one sample")
 
 
@@ -150,8 +150,8 @@ def metals(
     Photographs known metals, captures them, and compares F0 where the truth is metal and where it
     is dielectric, texel by texel. Prints the table.
     """
-    from matcap_lab.bench.metals import ABOUT, metals_experiment
-    from matcap_lab.simulate.materials.kinds.metal import SHEETS
+    from matcap_lab.bench.reflectance import ABOUT, metals_experiment
+    from matcap_lab.simulate.kinds.metals_and_coats import SHEETS
     from matcap_lab.simulate.photograph import PhoneCamera
     from matcap_lab.simulate.specimen import subjects
 
@@ -206,7 +206,7 @@ def gloss(
 
     Prints the table, a row for each material and exposure.
     """
-    from matcap_lab.bench.gloss import ABOUT, gloss_experiment, materials
+    from matcap_lab.bench.reflectance import ABOUT, gloss_experiment, materials
 
     chosen = materials(slope or (0.0,))
     _print(gloss_experiment(chosen, stops or (0, 1, 2, 3), exemplar=piece), out, ABOUT)
@@ -234,7 +234,7 @@ def highlight(
     their coarse fits, which are written side by side. Prints the table, and errors of offset and
     tilt on simulated ones.
     """
-    from matcap_lab.bench.highlight import ABOUT, highlight_experiment
+    from matcap_lab.bench.reflectance import ABOUT, highlight_experiment
 
     experiment = highlight_experiment(photographs or (), simulated, seed, out, has_fov=states_fov)
     _print(experiment, out, ABOUT)
@@ -257,7 +257,7 @@ def repetition(
     Autocorrelation and cross-correlation of two seeds, sizes of verbatim copies, and difference of
     two seeds. Prints the table.
     """
-    from matcap_lab.bench.repetition import ABOUT, repetition_experiment
+    from matcap_lab.bench.fields import ABOUT, repetition_experiment
 
     _print(repetition_experiment(materials or (), size), out, ABOUT)
 
@@ -455,7 +455,7 @@ def paper(
     paper.md, with the paper's own figures, and prints the page.
     """
     from matcap.files.staging import staged_file
-    from matcap_lab.bench.paper_tables import paper_experiments, paper_page
+    from matcap_lab.bench.paper import paper_experiments, paper_page
     from matcap_lab.experiment.results import command_line
     from matcap_lab.experiment.runner import choose
     from matcap_lab.simulate.specimen import subjects
@@ -506,7 +506,7 @@ def _draw(
     axes: tuple[str, str] = ("seconds", "NSD"),
     least: float | None = None,
 ) -> None:
-    from matcap_lab.experiment.plot import draw
+    from matcap_lab.experiment.page import draw
     from matcap_lab.experiment.results import means
 
     draw(means(rows), path, axes, title, least=least)

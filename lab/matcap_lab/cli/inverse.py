@@ -82,7 +82,7 @@ def pack(
     quiet: QuietOption = False,
 ) -> None:
     """Pack map sets of real materials into one file for training."""
-    from matcap_lab.inverse.packed import pack as run
+    from matcap_lab.inverse.samples import pack as run
 
     count = run(folder, out)
     printer(quiet=quiet)(f"wrote {out}: {count} materials")
@@ -97,7 +97,7 @@ def evaluate(
 ) -> None:
     """Evaluate networks on held-out real map sets and simulated materials."""
     from matcap_lab.inverse import evaluate as judge
-    from matcap_lab.inverse.packed import held_out_sets
+    from matcap_lab.inverse.samples import held_out_sets
     from matcap_lab.inverse.train import read_network
 
     real, simulated = judge.real_samples(held_out_sets(maps)), judge.simulated_samples()

@@ -10,7 +10,7 @@ import typer
 from matcap.cli.options import QuietOption, printer
 
 if TYPE_CHECKING:
-    from matcap_lab.train.state import TrainConfig
+    from matcap_lab.train.step import TrainConfig
 
 app = typer.Typer(
     help="Train and measure the prior, a latent space of materials.", no_args_is_help=True
@@ -64,8 +64,8 @@ def train(
 ) -> None:
     """Train encoder and decoder on a pack; --resume continues an interrupted run."""
     from matcap.space.prior.store import load_prior
-    from matcap_lab.train.pack import Pack
-    from matcap_lab.train.train import train as run
+    from matcap_lab.train.corpus import Pack
+    from matcap_lab.train.training import train as run
 
     run(
         Pack.load(pack),
@@ -87,9 +87,9 @@ def finish(
     quiet: QuietOption = False,
 ) -> None:
     """Make a prior of a finished training."""
+    from matcap_lab.train.corpus import Pack
     from matcap_lab.train.finish import finish as run
-    from matcap_lab.train.pack import Pack
-    from matcap_lab.train.state import start
+    from matcap_lab.train.step import start
 
     state = start(_config(config), "cpu")
     state.load(training)
@@ -113,8 +113,7 @@ def align(
     """Train the alignment branch, which predicts a photograph's tilt, on simulated ones."""
     from matcap.files.staging import check_writable
     from matcap.space.alignment import load_alignment, save_alignment
-    from matcap_lab.train.align import report_alignment
-    from matcap_lab.train.fusion import train_branch
+    from matcap_lab.train.alignment import report_alignment, train_branch
 
     check_writable(out.parent, 2_000_000)
     begun = None if start is None else load_alignment(start)
@@ -142,7 +141,7 @@ def make(
     """
     from matcap.files.staging import check_writable
     from matcap.space.prior.store import SHIPPED
-    from matcap_lab.train.make import make_prior
+    from matcap_lab.train.finish import make_prior
 
     check_writable(out.parent, 200_000_000)
     make_prior(folder, recipe or SHIPPED.parent / "make.toml", out, printer(quiet=quiet))
@@ -161,8 +160,8 @@ def anchors(
     The networks are unchanged. `prior finish` includes this.
     """
     from matcap.space.prior.store import load_prior
+    from matcap_lab.train.corpus import Pack
     from matcap_lab.train.finish import with_anchors
-    from matcap_lab.train.pack import Pack
 
     with_anchors(load_prior(prior), Pack.load(pack).training).save(out)
     printer(quiet=quiet)(f"wrote {out}")
@@ -188,8 +187,8 @@ def evaluate(
     """
     from matcap.space.prior.store import load_prior
     from matcap_lab.experiment.results import command_line
+    from matcap_lab.train.corpus import Pack
     from matcap_lab.train.evaluate import EvaluateSettings, run_evaluation
-    from matcap_lab.train.pack import Pack
 
     settings = EvaluateSettings(steps, longer, materials)
     given = load_prior(prior), Pack.load(pack), settings, out, command_line(), printer(quiet=quiet)
@@ -217,8 +216,8 @@ def variety(
     from matcap.files.staging import check_writable
     from matcap.space.prior.store import load_prior
     from matcap_lab.experiment.results import command_line
-    from matcap_lab.train.pack import Pack
-    from matcap_lab.train.prior_variety import VarietySettings, run_variety
+    from matcap_lab.train.corpus import Pack
+    from matcap_lab.train.evaluate import VarietySettings, run_variety
 
     check_writable(out, 2_000_000)
     settings = VarietySettings(draws, simulated)
@@ -229,6 +228,6 @@ def variety(
 
 
 def _config(path: Path) -> TrainConfig:
-    from matcap_lab.train.settings import read_config
+    from matcap_lab.train.training import read_config
 
     return read_config(path)

@@ -22,7 +22,8 @@ from matcap.capture.exemplar.network.network import ERRORS, ExpectedErrors, Inve
 from matcap.capture.exemplar.tint import seen_colour, specular_tint
 from matcap.flash.render import shade
 from matcap_lab.experiment.results import markdown
-from matcap_lab.inverse.losses import (
+from matcap_lab.inverse.samples import HELD_OUT, PackedSet, Sample, draw_sample
+from matcap_lab.inverse.train import (
     BLACK,
     DARKEST,
     LEAST_ERROR,
@@ -30,12 +31,10 @@ from matcap_lab.inverse.losses import (
     total,
     wanted,
 )
-from matcap_lab.inverse.packed import PackedSet
-from matcap_lab.inverse.samples import HELD_OUT, Sample, draw_sample
-from matcap_lab.measures.lights import spherical
-from matcap_lab.simulate.materials import realise
-from matcap_lab.simulate.materials.varied import random_material
+from matcap_lab.measures.evaluator import spherical
+from matcap_lab.simulate.named import realise
 from matcap_lab.simulate.photograph import RealiseAt
+from matcap_lab.simulate.varied import random_material
 
 DOUBTS = ("albedo", "F0", "roughness", "slope")
 _FIRST = 50_000_000  # numbers of samples, beyond training's

@@ -23,7 +23,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.statistics.gram import gram
-from matcap_lab.measures.squeezenet import SqueezeNet
+from matcap_lab.measures.networks import SqueezeNet
 from matcap_lab.measures.style import Group, Style, StyleStatistics, difference
 
 SCALES = 2  # the second of half the size

@@ -18,15 +18,21 @@ All are 0 for equal pictures, and symmetric.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.files.srgb import srgb_decode
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
 from matcap.statistics.gram import gram
+from matcap_lab.simulate.files import REC709_TO_XYZ
 
 
 @dataclass(frozen=True)
@@ -122,3 +128,135 @@ class Patches:
                     along[..., places].flatten(1), _UNSEEN
                 )
         return groups
+
+
+# The paper's metrics of diversity and of likeness of colour (section 5.2).
+#
+# Diversity of several realisations of one material: the paper's is the mean pairwise L1 distance of
+# VGG features over all of them, after [henzler2020]; here of RandomFilters' (style.py). They are
+# compared pixel by pixel: the same texture with its features displaced is another picture. Features
+# of several scales, not pixels, make the measure robust to noise.
+#
+# Likeness ("XYZ histogram L1 difference"): the paper does not say how many bins its histograms
+# have; here it is 64 a channel, from black to the white of sRGB.
+
+
+def diversity(pictures: Tensor) -> float:
+    """Mean pairwise distance between sRGB pictures (N, 3, H, W) of the same size and light.
+
+    The distance of two is the mean over levels of |a - b|_1 / ((|a|_1 + |b|_1) / 2), a and b the
+    features of all pixels: 0 for equal pictures, at most 2. A single picture has 0.
+    """
+    levels = RandomFilters().features(pictures)
+    distances = [
+        torch.stack([_relative_l1(level[i], level[j]) for level in levels]).mean()
+        for i, j in itertools.combinations(range(len(pictures)), 2)
+    ]
+    return float(torch.stack(distances).mean()) if distances else 0.0
+
+
+def _relative_l1(first: Tensor, second: Tensor) -> Tensor:
+    size = (first.abs().mean() + second.abs().mean()) / 2.0
+    return (first - second).abs().mean() / size.clamp_min(1e-12)
+
+
+BINS = 64
+
+
+def xyz_histograms(picture: Tensor) -> NDArray[np.float64]:
+    """(3, BINS) normalised histograms of X, Y and Z of an sRGB picture (3, H, W) in [0, 1]."""
+    light = srgb_decode(picture.double().flatten(1).numpy())
+    white = REC709_TO_XYZ.sum(axis=1, keepdims=True)
+    shares = (REC709_TO_XYZ @ light / white).clip(0.0, 1.0)
+    counts = [np.histogram(channel, BINS, (0.0, 1.0))[0] for channel in shares]
+    return np.stack(counts) / light.shape[1]
+
+
+def xyz_difference(first: Tensor, second: Tensor) -> float:
+    """Half the L1 difference of histograms of sRGB pictures (3, H, W), the mean of X, Y and Z.
+
+    0 for equal histograms, 1 for disjoint ones. The pictures may differ in size.
+    """
+    difference = np.abs(xyz_histograms(first) - xyz_histograms(second)).sum(axis=1)
+    return float(difference.mean() / 2.0)
+
+
+# Precision, recall and diversity of generated pictures.
+#
+# Improved precision and recall [kynkaanniemi2019]. Each picture of a set has a ball whose radius is
+# the distance to its k-th nearest neighbour in the set. Precision is the share of generated
+# pictures within the balls of the true ones, recall the share of true pictures within the balls of
+# the generated ones. Distances are those of RandomFilters (style.py), used by no training.
+
+NEIGHBOUR = 3  # the k of the paper
+
+
+@dataclass(frozen=True)
+class Variety:
+    """Precision, recall and diversity of generated pictures against a set of true ones."""
+
+    precision: float
+    """Share of generated pictures within the balls of true ones, 0 to 1."""
+    recall: float
+    """Share of true pictures within the balls of generated ones, 0 to 1."""
+    mean_distance: float
+    """Mean style distance of two generated pictures, 0 to 2."""
+    spread: float
+    """`mean_distance` over the mean style distance of two true pictures."""
+    nearest: Tensor
+    """(generated,) index of the true picture nearest to each generated one."""
+
+
+def variety(made: StyleStatistics, true: StyleStatistics) -> Variety:
+    """Compare generated pictures with true ones, more than NEIGHBOUR (k) each."""
+    across = style_distances(made, true)
+    within, within_true = style_distances(made, made), style_distances(true, true)
+    return Variety(
+        precision=_covered(across, reaches(within_true)),
+        recall=_covered(across.T, reaches(within)),
+        mean_distance=mean_pairwise(within),
+        spread=mean_pairwise(within) / mean_pairwise(within_true),
+        nearest=across.argmin(dim=1),
+    )
+
+
+def describe_pictures(pictures: Sequence[Tensor]) -> StyleStatistics:
+    """Statistics of sRGB pictures (3, H, W), computed one by one to save memory."""
+    style = RandomFilters()
+    return joined([style(picture[None]) for picture in pictures])
+
+
+def joined(parts: Sequence[StyleStatistics]) -> StyleStatistics:
+    """Statistics of several batches, concatenated along the pictures."""
+    return {
+        name: Group(torch.cat([part[name].values for part in parts]), group.unseen)
+        for name, group in parts[0].items()
+    }
+
+
+def style_distances(first: StyleStatistics, second: StyleStatistics) -> Tensor:
+    """(N, M) distances between N and M pictures: style.difference of every pair."""
+    distances = []
+    for name, group in first.items():
+        one, other = group.values, second[name].values
+        count = one.shape[1]
+        sizes = one.abs().mean(1)[:, None] + other.abs().mean(1)[None, :]
+        difference = torch.cdist(one, other, p=1.0) / count
+        distances.append(difference / (sizes / 2.0 + group.unseen).clamp_min(1e-12))
+    return torch.stack(distances).mean(0)
+
+
+def reaches(within: Tensor) -> Tensor:
+    """(N,) distance to the NEIGHBOUR-th nearest member, from distances (N, N)."""
+    return within.sort(dim=1).values[:, NEIGHBOUR]  # the first is the member itself
+
+
+def mean_pairwise(within: Tensor) -> float:
+    """Mean distance of two different members, from (N, N)."""
+    count = len(within)
+    return float(within.sum() - within.diagonal().sum()) / (count * (count - 1))
+
+
+def _covered(across: Tensor, reach: Tensor) -> float:
+    """Share of N pictures in the ball of any of M, from distances (N, M) and radii (M,)."""
+    return float((across <= reach).any(dim=1).float().mean())

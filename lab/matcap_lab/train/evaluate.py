@@ -3,12 +3,14 @@
 Pictures of a material are compared in the middle of the photograph, under its own flash: style by
 random filters that no capture optimises, colours by XYZ histograms, and diversity of realisations.
 
-They are captured with and without the prior; the photograph as albedo is a baseline. Ablations of the method are in bench/paper.py.
+They are captured with and without the prior; the photograph as albedo is a baseline. Ablations of
+the method are in bench/paper.py.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,6 +28,7 @@ from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.render import render_flash
 from matcap.photo.photo import Photo
+from matcap.space.between import blend
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.prior.encoder_input import FEATURES
 from matcap.space.prior.store import Prior
@@ -40,14 +43,30 @@ from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.start import log_contrast, untrained
 from matcap.space.tuning.windows import cut_windows
 from matcap.statistics.filterbank import FilterBank
-from matcap_lab.bench.methods import photo_as_albedo
+from matcap_lab.bench.floors import photo_as_albedo
 from matcap_lab.experiment.results import Trial, Value, table
 from matcap_lab.experiment.runner import Configuration, Experiment, run
 from matcap_lab.measures.nsd import style_distance
-from matcap_lab.measures.paper_metrics import diversity, xyz_difference
-from matcap_lab.measures.style import RandomFilters
-from matcap_lab.train.pack import Entry, Pack, first_of_each, read_code
-from matcap_lab.train.pictures import write_grid
+from matcap_lab.measures.style import (
+    RandomFilters,
+    StyleStatistics,
+    describe_pictures,
+    diversity,
+    joined,
+    style_distances,
+    variety,
+    xyz_difference,
+)
+from matcap_lab.train.corpus import (
+    Entry,
+    Pack,
+    first_of_each,
+    lit,
+    middle,
+    read_code,
+    simulated_middle,
+    write_grid,
+)
 
 ABOUT = (
     "Held-out photographs under their own flash, in their middle. Style: error of the statistics "
@@ -288,3 +307,114 @@ def _read(path: Path) -> Tensor:
         return torch.zeros(3, SIZE, SIZE)
     code = read_code(path.read_bytes(), path.name)[..., ::-1]
     return torch.from_numpy(np.ascontiguousarray(code.transpose(2, 0, 1))).float() / 255.0
+
+
+# Variety and realism of draws from a prior, against held-out photographs.
+#
+# Draws are rendered in the middle of a photograph's plane under a flash; photographs, held out or
+# simulated with seeds that training never draws, are cropped to their middle. All are scaled to the
+# same mean radiance and compared by measures/style.py. Interpolations between held-out
+# photographs, without fine-tuning, test the latent space: an implausible middle is farther from all
+# photographs than the ends are.
+
+PAIRS = 10
+_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+_MIDDLE = 2  # of the shares
+_SHEET, _COLUMNS = 64, 8  # draws that are shown, and how many side by side
+_ABOUT = (
+    "Draws, and training photographs, beside photographs that training never saw, held out, "
+    "simulated or all: precision and recall after Kynkaanniemi et al. (2019), third neighbours, by "
+    "statistics of random filters that nothing is trained on; apart: mean style distance of two of "
+    "them; spread: its share of that of two photographs. The rows of training photographs say what "
+    "a space that shows nothing but what it was trained on would reach. Blends: style distance to "
+    "the nearest of all photographs, the mean of both ends, of the middle, and their ratio."
+)
+
+
+@dataclass(frozen=True)
+class VarietySettings:
+    """Numbers of draws and of photographs."""
+
+    draws: int = 256
+    """Number of materials drawn, with seeds 0, 1, ..."""
+
+    simulated: int = 64
+    """Number of unseen simulated photographs, added to the held-out ones."""
+
+
+def run_variety(
+    prior: Prior,
+    pack: Pack,
+    settings: VarietySettings,
+    out: Path,
+    command: str,
+    on_progress: Callable[[str], None] = lambda line: None,
+) -> str:
+    """Measure draws, write prior-variety.md and .jpg into a folder, and give the page."""
+    real = [middle(entry) for entry in pack.reporting]
+    simulated = [simulated_middle(UNSEEN + seed) for seed in range(settings.simulated)]
+    on_progress(f"{len(real)} held-out photographs and {len(simulated)} simulated ones")
+    drawn = []
+    for seed in range(settings.draws):
+        drawn.append(lit(prior.draw(seed)))
+        if (seed + 1) % 16 == 0:
+            on_progress(f"{seed + 1} of {settings.draws} draws")
+    statistics = describe_pictures(real), describe_pictures(simulated)
+    ceiling = describe_pictures([middle(entry) for entry in pack.training])
+    references = {
+        "all": joined(statistics),
+        "photographs": statistics[0],
+        "simulated": statistics[1],
+    }
+    made = {"draws": describe_pictures(drawn), "training photographs": ceiling}
+    results = {
+        (what, name): variety(ours, true)
+        for what, true in references.items()
+        for name, ours in made.items()
+    }
+    rows = [
+        Trial("prior-variety", name, what, {
+            "precision": one.precision, "recall": one.recall, "apart": one.mean_distance,
+            "spread": one.spread,
+        })
+        for (what, name), one in results.items()
+    ]  # fmt: skip
+    blends = middles(prior, first_of_each(pack.reporting), joined([*statistics, ceiling]))
+    rows += [row for row, _ in blends]
+    pictures = (
+        f"![{_SHEET} draws, in the order of the photographs they are nearest to]"
+        "(prior-variety.jpg)\n\n![Blends, in five steps each](prior-blends.jpg)\n"
+    )
+    page = f"{table(rows, command, _ABOUT)}\n{pictures}"
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "prior-variety.md").write_text(page, encoding="utf-8")
+    order = results["all", "draws"].nearest[:_SHEET].argsort(stable=True).tolist()
+    write_grid([drawn[index] for index in order], _COLUMNS, out / "prior-variety.jpg")
+    write_grid([strip for _, strip in blends], 2, out / "prior-blends.jpg")
+    return page
+
+
+def middles(
+    prior: Prior, entries: Sequence[Entry], photographs: StyleStatistics
+) -> list[tuple[Trial, Tensor]]:
+    """Blends of neighbours in a list of photographs of different materials, at most PAIRS.
+
+    `photographs` are the statistics of those that pictures are compared with.
+
+    Returns:
+        For each the mean style distance of the ends to their nearest photographs, that of the
+        middle, and their ratio; and its five steps side by side, (3, size, 5 size) sRGB.
+    """
+    places = [prior.place(entry.photo()) for entry in entries[: PAIRS + 1]]
+    materials = [prior.draw(0, near=place, spread=0.0) for place in places]
+    blends = []
+    for index in range(len(materials) - 1):
+        first, second = materials[index : index + 2]
+        steps = [lit(blend(first, second, share)) for share in _SHARES]
+        nearest = style_distances(describe_pictures(steps), photographs).min(dim=1).values
+        ends, middle = float(nearest[[0, -1]].mean()), float(nearest[_MIDDLE])
+        name = f"{entries[index].material} and {entries[index + 1].material}"
+        ratio = middle / ends if ends else math.inf
+        values: dict[str, Value] = {"ends": ends, "middle": middle, "ratio": ratio}
+        blends.append((Trial("prior-variety", "blend", name, values), torch.cat(steps, dim=2)))
+    return blends

@@ -2,7 +2,7 @@
 
 import pytest
 
-from matcap_lab.bench import fields, highlight, nsd
+from matcap_lab.bench import fields, floors, reflectance
 from matcap_lab.experiment.runner import Configuration, Experiment
 
 
@@ -22,9 +22,8 @@ def asked(monkeypatch):
 
     for module, name in (
         (fields, "fields"),
-        (highlight, "highlight"),
-        (nsd, "nsd"),
-        (nsd, "quality"),
+        (reflectance, "highlight"),
+        (floors, "nsd"),
     ):
         monkeypatch.setattr(module, f"{name}_experiment", made)
     return calls
@@ -41,26 +40,6 @@ def test_the_table_is_printed_and_written(lab, asked, tmp_path):
     assert (settings.ev, out) == (-0.67, tmp_path / "f")
     again = lab("bench", "floors", "leather", "--stops", "-0.67", "-o", tmp_path / "f")
     assert (again.out, again.err) == (said.out, "")
-
-
-def test_quality_hands_on_what_is_asked_for(lab, asked, tmp_path):
-    said = lab(
-        "bench", "quality", "-o", tmp_path / "q", "--material", "granite", "--detail", 256,
-        "--preset", "draft",
-    )  # fmt: skip
-    assert said.code == 0
-    (((_capture, out), options),) = asked
-    assert out == tmp_path / "q" and options["materials"] == ["granite"]
-    assert options["settings"].detail == 256
-    assert (options["captured"].preset, options["captured"].detail) == ("draft", 256)
-
-
-def test_a_missing_package_is_3_and_writes_nothing(lab, monkeypatch, tmp_path):
-    monkeypatch.setitem(__import__("sys").modules, "plenoptic.models", None)
-    said = lab("bench", "quality", "-o", tmp_path / "q")
-    assert (said.code, said.out) == (3, "")
-    assert said.err.endswith("install it with: pip install './lab[bench]'.\n")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_fields_and_highlights_are_of_what_is_named(lab, asked, tmp_path):

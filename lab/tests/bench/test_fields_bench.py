@@ -7,13 +7,16 @@ import pytest
 
 from matcap_lab.bench import fields
 from matcap_lab.bench.fields import (
+    SIZES,
+    copies,
+    correlation,
     fields_experiment,
     grating,
     joint_length,
     phase_off,
+    repetition_experiment,
     seam_contrast,
 )
-from matcap_lab.bench.repetition import SIZES, copies, correlation, repetition_experiment
 from matcap_lab.cli.main import main
 from matcap_lab.experiment.results import read
 from matcap_lab.experiment.runner import run
@@ -79,8 +82,8 @@ def test_copies_are_counted_by_their_texels():
 
 
 def test_a_small_field_is_measured(monkeypatch, tmp_path):
-    monkeypatch.setattr("matcap_lab.bench.repetition._COPIED", 256)
-    monkeypatch.setattr("matcap_lab.bench.repetition._EXEMPLAR", (192, 160))
+    monkeypatch.setattr("matcap_lab.bench.fields._COPIED", 256)
+    monkeypatch.setattr("matcap_lab.bench.fields._EXEMPLAR", (192, 160))
     (row,) = run(repetition_experiment(["leather"], 512), tmp_path / "repetition.csv")
     assert row.number("with itself") < row.number("of two seeds") + 0.15
     assert 0.8 < row.number("diversity") < 1.2
@@ -95,7 +98,7 @@ def test_a_material_without_an_exemplar_is_refused(tmp_path, capsys):
 
 
 def test_the_command_keeps_the_lattice_of_a_simulated_material(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr("matcap_lab.bench.repetition._EXEMPLAR", (320, 288))
+    monkeypatch.setattr("matcap_lab.bench.fields._EXEMPLAR", (320, 288))
     assert main(["bench", "repetition", "tile", "--size", "512", "-o", str(tmp_path)]) == 0
     assert "| tile | 512 x 512 texels |" in capsys.readouterr().out
     (row,) = read(tmp_path / "repetition.csv")

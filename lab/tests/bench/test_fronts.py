@@ -1,10 +1,9 @@
-"""`matcap-lab bench fronts`, `pairs` and `report`: what is run, skipped, drawn and said."""
+"""`matcap-lab bench fronts` and `report`: what is run, skipped, drawn and said."""
 
 import sys
 
 import numpy as np
 import pytest
-from matcap_lab.bench.pairs import agreement, write_pairs
 from PIL import Image
 
 from matcap.capture.settings import PRESETS
@@ -109,19 +108,13 @@ def some(path):
 
 
 def written(table, page):
-    more = {table: agreement(table)}
-    return write_page({table: presentation_of(table)}, page, ["matcap", "bench", "report"], more)
+    return write_page({table: presentation_of(table)}, page, "matcap-lab bench report")
 
 
 def test_the_page_says_what_is_on_the_front_and_keeps_what_is_by_hand(tmp_path):
     pytest.importorskip("matplotlib", reason="the extra bench is not installed")
     table, page = tmp_path / "bench" / "fronts.csv", tmp_path / "docs" / "page.md"
     some(table)
-    (table.parent / "pairs.csv").write_text(
-        "pair,material,left,right,nearer\n"
-        f'1,leather,"{BASE}","decoder, 160 steps",left\n'
-        f'2,asphalt10,"decoder, 160 steps","{BASE}",neither\n'
-    )
     page.parent.mkdir()
     page.write_text(f"# Old\n\nGone.\n\n{BY_HAND}\n\nKept.\n")
     text = written(table, page)
@@ -130,9 +123,6 @@ def test_the_page_says_what_is_on_the_front_and_keeps_what_is_by_hand(tmp_path):
     assert f"| * | {BASE} | draft, standard | 2 | 30.0 |" in text
     assert "|  | decoder, 160 steps |" in text
     assert "| asphalt10 | 3.00 | 1.80 | doubtful: dark | good |" in text
-    assert "| field | 1 of 1, 100% | 1 of 1, 100% | 1 of 1, 100% |" in text
-    assert "| filters | 0 of 1, 0% | 0 of 1, 0% |" in text
-    assert "| flash | 0 of 1, 0% | 0 of 0, 0% |" in text
     with Image.open(table.with_suffix(".png")) as picture:
         assert picture.width > 600
 
@@ -175,25 +165,6 @@ def test_what_was_measured_for_the_documentation_is_read():
     rows = read(folder / "fronts.csv")
     assert {row.configuration for row in rows} <= set(WAYS)
     assert all(0.5 < row.number("field") < 10.0 and row.number("seconds") > 1.0 for row in rows)
-    assert len(agreement(folder / "fronts.csv")) > 5
-    assert agreement(folder / "relight.csv") == []  # the pairs are of captures
-
-
-def test_pairs_are_of_one_material_without_names(tmp_path):
-    for material in ("leather", "tile"):
-        folder = tmp_path / "sheets" / material
-        folder.mkdir(parents=True)
-        for name in ("truth", "a", "b", "c", "a, seed 1"):
-            Image.new("RGB", (32, 64)).save(folder / f"{name}.png")
-    lines = write_pairs(tmp_path, tmp_path / "out", 40, 0).read_text().splitlines()
-    assert lines[0] == "pair,material,left,right,nearer"
-    assert len(lines) == 7  # three pairs of each material, and no more
-    assert not any("truth" in line or "seed" in line for line in lines)
-    with Image.open(tmp_path / "out" / "page-1.png") as page:
-        assert page.height == 5 * (32 + 16)
-    with pytest.raises(MatcapError, match="no captures"):
-        (tmp_path / "none" / "sheets").mkdir(parents=True)
-        write_pairs(tmp_path / "none", tmp_path / "out", 4, 0)
 
 
 def test_the_command_lists_and_measures(captures, tmp_path, capsys):

@@ -1,27 +1,28 @@
-"""The benches of highlights, gloss, metals and cameras: what is found, where it is known."""
+"""The benches of highlights, gloss and metals: what is found, where it is known."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from matcap_lab.bench.cameras import CameraSubject, camera_experiment, fit_errors
-from uniform import a_setup, photograph
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.metals import METAL_F0
-from matcap.errors import MatcapError
-from matcap.flash.coarse.fit import CoarseFit, fit_coarse
-from matcap_lab.bench import cameras, highlight
-from matcap_lab.bench.gloss import PlainMaterial, gloss_experiment
-from matcap_lab.bench.highlight import highlight_experiment, kept, placed, simulated
-from matcap_lab.bench.metals import f0_errors
+from matcap.flash.coarse.fit import fit_coarse
+from matcap_lab.bench import reflectance
+from matcap_lab.bench.reflectance import (
+    PlainMaterial,
+    f0_errors,
+    gloss_experiment,
+    highlight_experiment,
+    kept,
+    placed,
+    simulated,
+)
 from matcap_lab.experiment.runner import run
 from matcap_lab.simulate.photograph import PhoneCamera
-from matcap_lab.simulate.specimen import subjects
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +47,7 @@ def test_simulated_photographs_tell_errors_and_real_ones_highlights(visible):
 
 def test_a_highlight_that_is_not_rendered_is_lost(visible, monkeypatch):
     photo, _, fit = visible
-    monkeypatch.setattr(highlight, "rerendered", lambda fit, photo: 0.0 * photo.pixels + 0.2)
+    monkeypatch.setattr(reflectance, "rerendered", lambda fit, photo: 0.0 * photo.pixels + 0.2)
     found = kept((photo, None), fit)
     assert (found["kept"], found["width"], found["apart"]) == (0.0, 0.0, math.inf)
 
@@ -114,32 +115,3 @@ def test_truth_on_a_finer_grid_and_a_grey_answer() -> None:
     values = f0_errors(maps(0.7 * torch.ones(1, 8, 16)), fine)
     assert math.isnan(values["dielectric"]) and math.isnan(values["red hue"])
     assert values["red"] == pytest.approx(0.7 / METAL_F0["gold"][0])
-
-
-@pytest.fixture
-def subject():
-    setup = replace(a_setup(), vignetting=0.4, vignetting_quartic=0.5)
-    one = torch.ones(1, 8, 8)
-    maps = MapSet(0.2 * one.expand(3, 8, 8), 0.04 * one, 0.5 * one, 0.0 * one, 0.25)
-    return CameraSubject(photograph(setup), maps, 0.9)
-
-
-def test_errors_are_of_what_was_simulated_and_only_of_that(subject):
-    true = subject.truth
-    setup = replace(a_setup(), vignetting=0.4, vignetting_quartic=0.6)
-    mean = float(true.diffuse.mean())
-    fit = CoarseFit((mean,) * 3, 2.0 * float(true.specular.mean()), 0.5, setup, residual=0.0)
-    found = fit_errors(subject, fit)
-    assert found["lost off"] == pytest.approx(0.1)
-    assert found["F0 over albedo off"] == pytest.approx(math.log(2.0))
-    assert found["albedo off"] == pytest.approx(0.0, abs=1e-6)
-    alone = fit_errors(replace(subject, truth=None), fit)
-    assert alone["lost"] == pytest.approx(1.0) and math.isnan(alone["lost off"])
-
-
-def test_too_few_photographs_are_refused(subject, monkeypatch):
-    experiment = camera_experiment((), subjects(["plaster"]), (0.4, 0.5))
-    fit = CoarseFit((0.1,) * 3, 0.04, 0.5, a_setup(), residual=0.0)
-    monkeypatch.setattr(cameras, "fit_photograph", lambda photo: fit)
-    with pytest.raises(MatcapError, match="give five or more"):
-        experiment.configurations["one camera"].run(subject, 0)

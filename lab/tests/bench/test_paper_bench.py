@@ -9,10 +9,18 @@ from materials import a_material
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
 from matcap.space.tuned import TunedDecoder
-from matcap_lab.bench import paper, paper_space, paper_tables
-from matcap_lab.bench.paper import CROP, crop, finetuned_as_in_paper, random_features
-from matcap_lab.bench.paper_space import LINEAR, PaperSubject, generation, interpolation
-from matcap_lab.bench.paper_tables import paper_page
+from matcap_lab.bench import paper
+from matcap_lab.bench.paper import (
+    CROP,
+    LINEAR,
+    PaperSubject,
+    crop,
+    finetuned_as_in_paper,
+    generation,
+    interpolation,
+    paper_page,
+    random_features,
+)
 from matcap_lab.cli.main import main
 from matcap_lab.experiment.results import Trial, append, read
 from matcap_lab.experiment.runner import run
@@ -114,12 +122,12 @@ def test_steps_go_from_one_material_to_the_other(tmp_path):
 
 def test_draws_like_the_map_sets_are_as_near_and_as_far_apart_as_they_are(monkeypatch, tmp_path):
     sets = [EXAMPLES[name] for name in ("leather", "granite", "plaster")]
-    monkeypatch.setattr(paper_space, "DRAWS", 3)
+    monkeypatch.setattr(paper, "DRAWS", 3)
 
     def values(drawn):
-        monkeypatch.setattr(paper_space, "lit", lambda number: drawn[number])
+        monkeypatch.setattr(paper, "lit", lambda number: drawn[number])
         monkeypatch.setattr(
-            paper_space, "load_prior", lambda: SimpleNamespace(draw=lambda number: number)
+            paper, "load_prior", lambda: SimpleNamespace(draw=lambda number: number)
         )
         experiment = generation(sets, {"style": RandomFilters()}, None)
         (subject,) = (prepare() for prepare in experiment.subjects.values())
@@ -138,9 +146,9 @@ def test_draws_like_the_map_sets_are_as_near_and_as_far_apart_as_they_are(monkey
 def test_one_command_measures_what_is_asked_for(tmp_path, monkeypatch, capsys):
     sets = tmp_path / "sets"
     sets.mkdir()
-    monkeypatch.setattr(paper_tables, "_compared", lambda *_: {"style, relit": 0.5})
-    monkeypatch.setattr(paper_tables, "photograph", lambda *_: (tmp_path, SimpleNamespace(setup=0)))
-    monkeypatch.setattr(paper_tables, "Evaluator", lambda *_: None)
+    monkeypatch.setattr(paper, "_compared", lambda *_: {"style, relit": 0.5})
+    monkeypatch.setattr(paper, "photograph", lambda *_: (tmp_path, SimpleNamespace(setup=0)))
+    monkeypatch.setattr(paper, "Evaluator", lambda *_: None)
     asked = ["--material", "leather", "--configuration", "FULL", "--configuration", "GRAM"]
     assert main(["bench", "paper", str(sets), "-o", str(tmp_path / "out"), *asked]) == 0
     rows = read(tmp_path / "out" / "paper.csv")

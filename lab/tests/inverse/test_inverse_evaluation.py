@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 from matcap.capture.exemplar.network.network import ERRORS, Inverse, InverseConfig
-from matcap_lab.inverse.distributions import QUANTITIES, drawn, of_picture, plot, table
 from matcap_lab.inverse.evaluate import (
     calibration,
     evaluate,
     photograph_as_albedo,
     relit_error,
     score,
+    table,
 )
-from matcap_lab.inverse.evaluate import table as written
 from matcap_lab.inverse.samples import Sample, draw_sample
 
 
@@ -63,17 +61,4 @@ def test_a_network_is_judged(sample: Sample) -> None:
     judged = evaluate(network, [sample])
     assert sum(name.startswith("doubt of") for name in judged) == ERRORS
     assert all(np.isfinite(value) for value in judged.values())
-    assert "| correlation |" in written({"a network": judged})
-
-
-def test_distributions_are_measured_and_drawn(tmp_path: Path) -> None:
-    measured = {"drawn": drawn(3, (), 0.0, (64, 64))}
-    assert {len(values) for values in measured["drawn"].values()} == {3}
-    assert all(name in table(measured) for name in QUANTITIES)
-    flat = np.full((32, 32, 3), 0.5, np.float32)
-    assert of_picture(flat)["contrast of picture (log)"] == pytest.approx(0.0, abs=1e-5)
-    flat[:16] = 1.0
-    assert of_picture(flat)["clipped share"] == 0.5
-    pytest.importorskip("matplotlib")
-    plot(measured, tmp_path / "shares.png")
-    assert (tmp_path / "shares.png").stat().st_size > 1000
+    assert "| correlation |" in table({"a network": judged})

@@ -18,10 +18,17 @@ from matcap.capture.exemplar.network.network import (
     InverseConfig,
     read_inverse,
 )
-from matcap_lab.inverse.losses import loss_parts, total, wanted
 from matcap_lab.inverse.samples import draw_sample, training_material
-from matcap_lab.inverse.train import TrainSettings, save_inverse, ship, train
-from matcap_lab.simulate.materials import random_material
+from matcap_lab.inverse.train import (
+    TrainSettings,
+    loss_parts,
+    save_inverse,
+    ship,
+    total,
+    train,
+    wanted,
+)
+from matcap_lab.simulate.named import random_material
 
 TINY = InverseConfig(widths=(8, 8, 8, 8, 8), context=8)
 SMALL = TrainSettings(width=64, height=64, workers=0)

@@ -13,18 +13,20 @@ import torch
 from matcap.brdf.maps import SURFACE
 from matcap.brdf.normals import normals_from_height
 from matcap.errors import MatcapError
-from matcap_lab.inverse.packed import (
+from matcap_lab.inverse.samples import (
     LEVELS,
     PackedSet,
+    coloured_metal,
+    cut,
+    draw_sample,
     halved,
     held_out_sets,
     is_held_out,
     open_pack,
     pack,
+    real_piece,
     training_sets,
 )
-from matcap_lab.inverse.pieces import coloured_metal, cut, real_piece
-from matcap_lab.inverse.samples import draw_sample
 
 SIDE = 64
 NAMES = tuple(f"material{i}" for i in range(12))

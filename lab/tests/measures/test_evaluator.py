@@ -10,11 +10,9 @@ from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.load import load_photo
-from matcap_lab.measures.evaluator import EvaluationSettings, Evaluator
-from matcap_lab.measures.lights import relight_all
-from matcap_lab.measures.maps import map_statistics
+from matcap_lab.measures.evaluator import EvaluationSettings, Evaluator, map_statistics, relight_all
+from matcap_lab.measures.networks import SqueezeNet
 from matcap_lab.measures.nsd import SqueezeNetStyle
-from matcap_lab.measures.squeezenet import SqueezeNet
 from matcap_lab.simulate.photograph import PhoneCamera
 from matcap_lab.simulate.specimen import EXAMPLES, USUAL, phone_cone, photograph, subjects
 

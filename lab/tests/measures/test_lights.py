@@ -11,7 +11,7 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, camera_in_plane
-from matcap_lab.measures.lights import (
+from matcap_lab.measures.evaluator import (
     BenchScene,
     bench_scene,
     highlight_contrast,

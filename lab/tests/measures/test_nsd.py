@@ -8,11 +8,19 @@ import pytest
 import torch
 
 from matcap.errors import MatcapError
+from matcap_lab.measures.networks import SqueezeNet
 from matcap_lab.measures.nsd import SqueezeNetStyle, StyleRatio, style_distance
-from matcap_lab.measures.paper_metrics import BINS, diversity, xyz_difference, xyz_histograms
-from matcap_lab.measures.squeezenet import SqueezeNet
-from matcap_lab.measures.style import Patches, PortillaSimoncelli, RandomFilters, difference
-from matcap_lab.simulate.write_dng import REC709_TO_XYZ
+from matcap_lab.measures.style import (
+    BINS,
+    Patches,
+    PortillaSimoncelli,
+    RandomFilters,
+    difference,
+    diversity,
+    xyz_difference,
+    xyz_histograms,
+)
+from matcap_lab.simulate.files import REC709_TO_XYZ
 
 
 @pytest.fixture(scope="module")

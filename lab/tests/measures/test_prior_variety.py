@@ -3,8 +3,14 @@
 import pytest
 import torch
 
-from matcap_lab.measures.style import Group, RandomFilters, difference
-from matcap_lab.measures.variety import describe_pictures, style_distances, variety
+from matcap_lab.measures.style import (
+    Group,
+    RandomFilters,
+    describe_pictures,
+    difference,
+    style_distances,
+    variety,
+)
 
 
 def points(values):

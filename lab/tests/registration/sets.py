@@ -26,7 +26,7 @@ from matcap.photo.photo import Photo
 from matcap_lab.experiment.results import Value
 from matcap_lab.experiment.runner import Configuration, Experiment
 from matcap_lab.simulate.hand_held import Hand, hold, take_several
-from matcap_lab.simulate.materials import MATERIALS
+from matcap_lab.simulate.named import MATERIALS
 from matcap_lab.simulate.photograph import PhoneCamera, Realise, as_photo
 from matcap_lab.simulate.specimen import EXAMPLES
 

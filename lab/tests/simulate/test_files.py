@@ -12,9 +12,8 @@ from PIL import Image
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.load import load_photo
+from matcap_lab.simulate.files import gain_map, write_dng, write_jpeg
 from matcap_lab.simulate.photograph import PhoneCamera, Shot, expose
-from matcap_lab.simulate.write_dng import gain_map, write_dng
-from matcap_lab.simulate.write_jpeg import write_jpeg
 
 CAMERA = PhoneCamera(width=240, height=180)
 

@@ -6,14 +6,14 @@ import torch
 from random_maps import steepness
 
 from matcap.flash.render import render_rectified
-from matcap_lab.simulate.materials.draws import Draws
-from matcap_lab.simulate.materials.kinds import COLOURED_METALS, KINDS, kind_of, random_kind
-from matcap_lab.simulate.materials.kinds.metal import (
+from matcap_lab.simulate.kinds import COLOURED_METALS, KINDS, kind_of, random_kind
+from matcap_lab.simulate.kinds.metals_and_coats import (
     METAL_F0,
     anodised_f0,
     metal_colour,
 )
 from matcap_lab.simulate.specimen import subjects
+from matcap_lab.simulate.varied import Draws
 
 WIDTH, HEIGHT, TEXEL = 192, 144, 2.0 / 512.0
 METALS = {"hammered", "brushed"}

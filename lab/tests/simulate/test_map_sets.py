@@ -9,9 +9,8 @@ import torch
 
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap_lab.simulate.map_sets import map_set_folders, read_map_set
 from matcap_lab.simulate.photograph import PhoneCamera, take
-from matcap_lab.simulate.specimen import Specimen
+from matcap_lab.simulate.specimen import Specimen, map_set_folders, read_map_set
 
 SIDE = 32
 SLOPE = 0.5  # the steepest

@@ -4,7 +4,7 @@ import torch
 from random_maps import steepness
 
 from matcap.errors import UsageError
-from matcap_lab.simulate.materials import MATERIALS, random_material, realise
+from matcap_lab.simulate.named import MATERIALS, random_material, realise
 
 WIDTH, HEIGHT, TEXEL = 256, 192, 2.0 / 512.0
 

@@ -10,7 +10,7 @@ from matcap.flash.geometry import FlashSetup, plane_points, project
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
 from matcap.photo.load import load_photo
-from matcap_lab.simulate.phone_photographs import PhonePhotographs
+from matcap_lab.simulate.hand_held import PhonePhotographs
 from matcap_lab.simulate.photograph import PhoneCamera, as_photo, expose, take, true_maps
 from matcap_lab.simulate.specimen import EXAMPLES
 

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from matcap.flash.geometry import FlashSetup, setup_rotation
-from matcap_lab.simulate.materials.kinds import RandomKind
-from matcap_lab.train.align import (
+from matcap_lab.simulate.kinds import RandomKind
+from matcap_lab.train.alignment import (
     HELD_OUT_KINDS,
     UNSEEN,
     Tilted,

@@ -8,7 +8,7 @@ import pytest
 from matcap.space.alignment import (
     tilt_measurement,
 )
-from matcap_lab.train.align import UNSEEN, tilted_photo
+from matcap_lab.train.alignment import UNSEEN, tilted_photo
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,8 @@ import pytest
 import torch
 
 from matcap.errors import MatcapError
-from matcap_lab.simulate.materials.kinds import RandomKind
-from matcap_lab.train.corpus import build, material_of, simulate
-from matcap_lab.train.pack import Pack, held_out
+from matcap_lab.simulate.kinds import RandomKind
+from matcap_lab.train.corpus import Pack, build, held_out, material_of, simulate
 
 
 def test_unreadable_pictures_are_listed_and_left_out(pack, tmp_path):

@@ -1,16 +1,14 @@
-"""Evaluation and ablation: measured once, written as a page and a picture."""
+"""Evaluation: measured once, written as a page and a picture."""
 
 import math
 from dataclasses import replace
-from functools import partial
 
 import pytest
 import torch
 
-from matcap.space.tuning.finetune import RATE_FROM_NOTHING, Tuned
+from matcap.space.tuning.finetune import Tuned
 from matcap_lab.experiment.runner import Configuration
 from matcap_lab.train import evaluate
-from matcap_lab.train.decoder_only import DecoderOnly
 from matcap_lab.train.evaluate import SIZE, Made, capture, compared, photographed
 
 
@@ -80,51 +78,19 @@ def test_only_what_starts_from_the_prior_depends_on_it(prior):
     settings = evaluate.EvaluateSettings()
 
     def result():
-        methods = {**evaluate.methods_of(prior, settings), **evaluate.variants(prior, 2)}
+        methods = evaluate.methods_of(prior, settings)
         return {name: method.settings for name, method in methods.items()}
 
     before = result()
     with torch.no_grad():
         prior.decoder.head.convolution.weight.mul_(1.1)
     changed = {name for name, follows in result().items() if follows != before[name]}
-    assert changed == {
-        "prior, not tuned",
-        "prior, 100 steps",
-        "FULL",
-        "NONTUNED",
-        "FOURIER",
-        "LIGHT",
-    }
-
-
-def test_every_variant_of_the_ablation_lacks_one_part(quick, prior, pack, shown, monkeypatch):
-    begun, rates = [], []
-
-    def captured(tuned, begin, steps, rate):
-        rates.append(rate)
-        begun.append((type(begin(tuned)[0]), steps, tuned))
-        return Made(torch.full((1, 3, 16, 16), 0.5), 1.0)
-
-    def straightened(entry):
-        return replace(shown, entry=entry, scene=replace(shown.scene, setup=entry.coarse.setup))
-
-    monkeypatch.setattr(evaluate, "capture", captured)
-    monkeypatch.setattr(evaluate, "photographed", straightened)
-    for variant in evaluate.variants(prior, 7).values():
-        variant.run(shown, 0)
-    kinds, steps, views = zip(*begun, strict=True)
-    assert [kind is DecoderOnly for kind in kinds] == [False, False, False, True, False, False]
-    assert steps == (7, 7, 0, 7, 7, 7)
-    # A capture from the prior learns more slowly than one from nothing.
-    from_nothing = [rate == RATE_FROM_NOTHING for rate in rates]
-    assert from_nothing == [False, True, False, True, False, False]
-    assert views[4].scene.weights.spectrum == 0.0
-    assert views[5].scene.setup.tilt == (0.0, 0.0) != views[0].scene.setup.tilt
+    assert changed == {"prior, not tuned", "prior, 100 steps"}
 
 
 def test_a_capture_is_measured_from_start_to_realisations(prior, shown, monkeypatch):
     monkeypatch.setattr(evaluate, "REALISATIONS", 2)
-    one = capture(shown, partial(evaluate.from_nothing, kind=DecoderOnly), 0)
+    one = capture(shown, evaluate.from_nothing, 0)
     assert one.pictures.shape == (2, 3, SIZE, SIZE)
     values = compared(shown, one)
     assert math.isfinite(values["style"]) and values["diversity"] > 0.1

@@ -9,11 +9,10 @@ from matcap.errors import UsageError
 from matcap.space.alignment import load_alignment
 from matcap.space.prior.base import base_of
 from matcap.space.prior.store import SHIPPED, load_prior
-from matcap_lab.train import make as recipe_room
-from matcap_lab.train.finish import codes_of, finish, standardise, with_anchors
-from matcap_lab.train.make import make_prior
-from matcap_lab.train.settings import read_config
+from matcap_lab.train import finish as recipe_room
+from matcap_lab.train.finish import codes_of, finish, make_prior, standardise, with_anchors
 from matcap_lab.train.step import fields
+from matcap_lab.train.training import read_config
 
 RECIPE = """
 steps = 2
@@ -44,8 +43,8 @@ def recipe(tmp_path):
 def test_it_goes_from_photographs_to_a_prior_and_is_not_done_twice(tmp_path, recipe, monkeypatch):
     photographs = tmp_path / "photographs"
     photographs.mkdir()
-    monkeypatch.setattr("matcap_lab.train.pack.HELD_OUT", 2)  # twelve take half a minute
-    monkeypatch.setattr("matcap_lab.train.fusion._STEPS", 60)  # three thousand take five seconds
+    monkeypatch.setattr("matcap_lab.train.corpus.HELD_OUT", 2)  # twelve take half a minute
+    monkeypatch.setattr("matcap_lab.train.alignment._STEPS", 60)  # three thousand take five seconds
     for index in range(3):
         (photographs / f"m{index}_a.jpg").write_bytes(jpeg(index))
     out = tmp_path / "mine.safetensors"

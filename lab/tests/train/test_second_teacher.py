@@ -15,10 +15,17 @@ from matcap.space.prior.encoder_input import FEATURES
 from matcap.statistics.encoding import Encoding
 from matcap.statistics.filterbank import FilterBank
 from matcap_lab.train.corpus import simulate, true_piece
-from matcap_lab.train.state import TrainConfig
-from matcap_lab.train.step import comb, relief_distance, relit_distance, side_light
-from matcap_lab.train.train import train
-from matcap_lab.train.training_windows import Turn, cut, prepare
+from matcap_lab.train.step import (
+    TrainConfig,
+    Turn,
+    comb,
+    cut,
+    prepare,
+    relief_distance,
+    relit_distance,
+    side_light,
+)
+from matcap_lab.train.training import train
 
 ENCODING = Encoding(0.2, 3.0 * torch.eye(3))
 

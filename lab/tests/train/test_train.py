@@ -14,13 +14,12 @@ from matcap.space.decoder import DecoderConfig
 from matcap.space.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE, Encoder, EncoderConfig
 from matcap.space.prior.store import load_prior
 from matcap_lab.cli.main import main
-from matcap_lab.train import pictures
-from matcap_lab.train.pack import Pack, first_of_each
-from matcap_lab.train.prior_variety import VarietySettings, middles, run_variety
-from matcap_lab.train.settings import read_config
-from matcap_lab.train.state import TrainConfig
-from matcap_lab.train.train import draw, schedule, train
+from matcap_lab.train import corpus as pictures
+from matcap_lab.train.corpus import Pack, first_of_each
+from matcap_lab.train.evaluate import VarietySettings, middles, run_variety
+from matcap_lab.train.step import TrainConfig
 from matcap_lab.train.trainer import Training
+from matcap_lab.train.training import draw, read_config, schedule, train
 
 TINY = TrainConfig(
     steps=4,
@@ -225,7 +224,7 @@ def test_the_page_tells_what_was_measured(prior, pack, tmp_path, monkeypatch):
     pack = Pack((*pack.entries, *(entry(f"simulated{i}", i, simulated=True) for i in range(4))))
     monkeypatch.setattr(pictures, "SIZE", 64)
     monkeypatch.setattr("matcap_lab.train.corpus.LONG_SIDE", 256)
-    monkeypatch.setattr("matcap_lab.train.prior_variety.PAIRS", 2)
+    monkeypatch.setattr("matcap_lab.train.evaluate.PAIRS", 2)
     said = []
     settings = VarietySettings(draws=16, simulated=5)
     page = run_variety(prior, pack, settings, tmp_path, "matcap-lab prior variety", said.append)
@@ -247,7 +246,7 @@ def test_pictures_are_brought_to_the_same_radiance(prior, pack):
 
 def test_a_photograph_itself_is_no_distance_away(prior, pack, monkeypatch):
     """Ends that are among the photographs leave the middle to be told alone."""
-    from matcap_lab.measures.variety import describe_pictures
+    from matcap_lab.measures.style import describe_pictures
 
     monkeypatch.setattr(pictures, "SIZE", 64)
     entries = first_of_each(pack.reporting)[:2]

@@ -8,8 +8,7 @@ from small import SMALL
 from matcap.brdf.maps import MapSet
 from matcap.space.prior.base import base_of, fold
 from matcap.statistics.lattice import Wave
-from matcap_lab.train.state import start_head
-from matcap_lab.train.training_windows import Turn, cut, prepare
+from matcap_lab.train.step import Turn, cut, prepare, start_head
 
 TURNS = [Turn(mirrored, quarters) for mirrored in (False, True) for quarters in range(4)]
 

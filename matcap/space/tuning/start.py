@@ -62,7 +62,6 @@ def untrained(
     coarse: CoarseFit,
     contrast: Tensor,
     seed: int,
-    kind: type[Decoder] = Decoder,
 ) -> Decoder:
     """A random decoder with the mean maps of a coarse fit; for the latent vector zero.
 
@@ -72,7 +71,7 @@ def untrained(
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        decoder = kind(config)
+        decoder = Decoder(config)
     with torch.no_grad():
         affine = decoder.head.adain.affine
         affine.weight.zero_()

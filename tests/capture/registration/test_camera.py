@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from sets import relative_position
-from simulated.photographs import Hand, PhoneCamera, hold
+from simulated.photographs import Hand, PhoneCamera, hold, relative_position
 
 from matcap.capture.registration import adjust as adjustment
 from matcap.capture.registration.adjust import Pair, adjust

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from sets import relative_position
-from simulated.photographs import Hand, PhoneCamera, hold
+from simulated.photographs import Hand, PhoneCamera, hold, relative_position
 
 from matcap.capture.registration import covariance
 from matcap.capture.registration.adjust import Adjusted, Pair, adjust

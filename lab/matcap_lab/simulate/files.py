@@ -14,9 +14,13 @@ from pathlib import Path
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
 
+from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged_file
-from matcap_lab.simulate.photograph import PhoneCamera, Shot, sensor_noise
+from matcap.photo.tone import ToneCurve
+from matcap_lab.simulate.photograph import PhoneCamera, Shot, expose, sensor_noise
 
 # Linear Rec.709 to XYZ at D65 (IEC 61966-2-1).
 REC709_TO_XYZ = np.array(
@@ -193,3 +197,33 @@ def _exif_directory(shot: Shot, where: int, order: str) -> bytes:
             kind, count, stored = 3, 1, struct.pack(order + "H2x", value)
         entries += struct.pack(order + "2HL4s", number, kind, count, stored)
     return struct.pack(order + "H", len(tags)) + entries + struct.pack(order + "L", 0) + values
+
+
+# A simulated shot as a phone's JPEG: sRGB, with EXIF.
+
+# x^1.3 / (x^1.3 + 0.8^1.3), scaled to 1 at 1.
+PHONE = ToneCurve(1.3, 1.0 / (1.0 + 0.8**1.3))
+_QUALITY = 95
+
+
+def write_jpeg(path: Path, shot: Shot, seed: int, tone: ToneCurve | None = None) -> None:
+    """Write a shot as a JPEG of quality 95 with the noise of a seed; see write_dng.
+
+    The tone curve is only sRGB's encoding by default.
+
+    Raises:
+        MatcapError: the file cannot be written.
+    """
+    linear = expose(shot, seed).astype(np.float32)
+    code = srgb_picture((tone or ToneCurve()).developed(linear))
+    picture = Image.fromarray(np.round(code * 255.0).astype(np.uint8))
+    exif = Image.Exif()
+    exif.update({271: "matcap", 272: "simulated phone", 274: 1})
+    exif.get_ifd(_EXIF_IFD).update(
+        {
+            number: IFDRational(value) if isinstance(value, Fraction) else value
+            for number, value in exif_of(shot).items()
+        }
+    )
+    with staged_file(path) as file:
+        picture.save(file, format="JPEG", quality=_QUALITY, exif=exif)

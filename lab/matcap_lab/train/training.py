@@ -1,32 +1,118 @@
-"""Training the prior: encoder and decoder together, as a VAE on flash photographs alone.
-
-Each step takes a few materials. The encoder sees each whole photograph, a code is drawn, the
-decoder turns new noise and that code into maps, and the maps are rendered as at several positions
-of the photograph and compared with its windows there (statistics/compare.py). A KL term with
-warm-up keeps codes near a standard normal. trainer.py runs the steps, curves and checkpoints.
-"""
+"""Training the prior: its configuration, and the loop."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
+from matcap.errors import UsageError
 from matcap.files.srgb import srgb_decode_tensor
+from matcap.space.decoder import DecoderConfig
+from matcap.space.encoder import BACKBONES, EncoderConfig
 from matcap.space.prior.encoder_input import FEATURES, texture
 from matcap.space.prior.store import Prior
 from matcap.statistics.compare import Descriptor
 from matcap.statistics.filterbank import FilterBank
-from matcap_lab.train.corpus import srgb_bytes, true_piece
-from matcap_lab.train.pack import Entry, Pack, first_of_each
-from matcap_lab.train.state import Model, TrainConfig, start, start_from
-from matcap_lab.train.step import compare, decode_windows, step_loss, targets
+from matcap_lab.train.corpus import Entry, Pack, first_of_each, srgb_bytes, true_piece
+from matcap_lab.train.step import (
+    Model,
+    PreparedPhotograph,
+    TrainConfig,
+    TrainingSample,
+    Turn,
+    compare,
+    cut,
+    decode_windows,
+    fits,
+    prepare,
+    start,
+    start_from,
+    step_loss,
+    targets,
+)
 from matcap_lab.train.trainer import RateSchedule, Reporting, Training, fit, mean, mixed
-from matcap_lab.train.training_windows import PreparedPhotograph, TrainingSample, Turn, cut, prepare
+
+# Reads a training configuration: a TOML file with the names of TrainConfig.
+
+_Table = TypeVar("_Table", TrainConfig, EncoderConfig, DecoderConfig)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Contents of a TOML file.
+
+    Raises:
+        UsageError: no such file, or no TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"it cannot be read ({error.strerror})", where=str(path)) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(
+            f"it cannot be read: this is not TOML ({error})", where=str(path)
+        ) from error
+
+
+def read_config(path: Path) -> TrainConfig:
+    """TrainConfig of a TOML file; missing settings keep their defaults.
+
+    Raises:
+        UsageError: no such file, no TOML, an unknown name or a value of the wrong kind.
+    """
+    return configured(read_toml(path), str(path))
+
+
+def configured(stated: dict[str, Any], path: str) -> TrainConfig:
+    """TrainConfig of the TOML contents `stated`; `path` is for messages. See read_config."""
+    encoder = _filled(EncoderConfig(), stated.pop("encoder", {}), f"{path}, encoder")
+    decoder = _filled(DecoderConfig(), stated.pop("decoder", {}), f"{path}, decoder")
+    config = _filled(TrainConfig(), stated, path)
+    if encoder.backbone not in BACKBONES:
+        raise UsageError.at(
+            path,
+            f"there is no backbone '{encoder.backbone}'",
+            f"choose from {', '.join(BACKBONES)}",
+        )
+    if not fits(config.window):
+        raise UsageError.at(
+            path, f"the window {config.window} is no multiple of 16 from 64 on", "give 96"
+        )
+    return replace(config, encoder=encoder, decoder=decoder)
+
+
+def _filled(default: _Table, stated: dict[str, Any], where: str) -> _Table:
+    """A frozen dataclass with some of its values replaced by those of a table."""
+    values: dict[str, Any] = {}
+    kinds = {f.name: type(getattr(default, f.name)) for f in fields(default)}
+    for name, value in stated.items():
+        if name not in kinds:
+            known = ", ".join(kinds)
+            raise UsageError.at(where, f"there is no setting '{name}'", f"use {known}")
+        kind = kinds[name]
+        if kind is float and type(value) is int:
+            value = float(value)
+        if kind is tuple and isinstance(value, list):
+            value = tuple(value)
+        if type(value) is not kind:
+            raise UsageError.at(where, f"'{name}' is {value!r}", f"give a {kind.__name__}")
+        values[name] = value
+    return replace(default, **values)
+
+
+# Training the prior: encoder and decoder together, as a VAE on flash photographs alone.
+#
+# Each step takes a few materials. The encoder sees each whole photograph, a code is drawn, the
+# decoder turns new noise and that code into maps, and the maps are rendered as at several positions
+# of the photograph and compared with its windows there (statistics/compare.py). A KL term with
+# warm-up keeps codes near a standard normal. trainer.py runs the steps, curves and checkpoints.
 
 _PIECE = 512  # texels a side of the true maps that windows are cut from
 _WARM_UP = 50  # steps

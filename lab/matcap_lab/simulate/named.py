@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 import numpy as np
 
 from matcap.brdf.maps import MapSet
-from matcap_lab.simulate.materials.assemble import assemble
+from matcap.errors import UsageError
 from matcap_lab.simulate.procedural import (
     Canvas,
     Raster,
     Spectrum,
+    assemble,
     bumps,
     cells,
     colour,
@@ -22,6 +25,7 @@ from matcap_lab.simulate.procedural import (
     smoothstep,
     weave,
 )
+from matcap_lab.simulate.varied import RandomMaterial, random_material
 
 _PEBBLE = 0.042  # plane units a pebble
 _PORE = 0.021
@@ -253,3 +257,35 @@ def tile(canvas: Canvas) -> MapSet:
     rough = mix(0.84 + 0.02 * sand, 0.17 + 0.025 * draw("gloss") + 0.01 * mottle, glazed)
     specular = mix(0.037 + 0.0 * sand, 0.052 + 0.004 * draw("glass"), glazed)
     return assemble(canvas, diffuse, specular, rough, height)
+
+
+# Procedural stationary materials: the same parameters, another realisation for every seed.
+
+__all__ = ["MATERIALS", "RandomMaterial", "random_material", "realise"]
+
+MATERIALS: Mapping[str, Callable[[Canvas], MapSet]] = MappingProxyType(
+    {
+        "leather": leather,
+        "cloth": cloth,
+        "granite": granite,
+        "rust": rust,
+        "plaster": plaster,
+        "tile": tile,
+    }
+)
+
+
+def realise(name: str, width: int, height: int, seed: int, texel_size: float) -> MapSet:
+    """One realisation of a material of MATERIALS, float64 (C, height, width).
+
+    A seed, not negative, is a realisation; a finer texel size (plane units) over the same extent
+    shows the same one in more detail.
+
+    Raises:
+        UsageError: no material of that name.
+    """
+    if name not in MATERIALS:
+        raise UsageError.at(
+            name, "there is no such material", f"choose from {', '.join(MATERIALS)}"
+        )
+    return MATERIALS[name](Canvas(width, height, texel_size, seed))

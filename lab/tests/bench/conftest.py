@@ -1,0 +1,3 @@
+"""A small material."""
+
+from materials import a_material, material  # noqa: F401
