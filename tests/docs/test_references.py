@@ -14,7 +14,7 @@ from pathlib import Path
 from guide import anchors
 
 ROOT = Path(__file__).parents[2]
-FOLDERS = ("matcap", "tests", "docs", "examples")
+FOLDERS = ("matcap", "lab", "tests", "docs", "examples")
 # Changes tell of what was; weights' cards stand in the same folder as what they describe.
 PAGES = sorted({*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("matcap/**/*.md")})
 PAGES.remove(ROOT / "CHANGELOG.md")

@@ -99,8 +99,8 @@ def leather(at: Canvas) -> MapSet:
     near, border, tone = at.cells("pebbles", 0.045)
     crease = np.exp(-((border / 0.28) ** 2))
     dye = at.noise("dye", 0.05)
-    height = 0.045 * ((0.04 - 0.04 * near**2 + 0.03 * tone) * (1.0 - crease) - 0.05 * crease)
-    height = height + 0.0004 * at.noise("skin", 0.012)
+    height = 0.045 * ((0.03 - 0.03 * near**2 + 0.02 * tone) * (1.0 - crease) - 0.035 * crease)
+    height = height + 0.0003 * at.noise("skin", 0.012)
     diffuse = _colour(0.19, 0.07, 0.03) * np.exp(0.1 * dye - 0.5 * crease)
     return at.maps(diffuse, 0.046, 0.4 + 0.2 * crease + 0.02 * dye, height)
 
@@ -151,9 +151,9 @@ def plaster(at: Canvas) -> MapSet:
     lumps, sand = at.noise("lumps", 0.08), at.noise("sand", 0.015)
     _, _, holed = at.cells("holes", 0.03)
     stain = at.noise("stain", 0.1)
-    height = 0.003 * lumps + 0.0006 * sand
+    height = 0.001 * lumps + 0.0008 * sand
     pits = (holed < 0.05) * (sand > 0.5)
-    diffuse = _colour(0.61, 0.56, 0.47) * np.exp(0.08 * stain + 0.05 * sand - 0.8 * pits)
+    diffuse = _colour(0.61, 0.56, 0.47) * np.exp(0.05 * stain + 0.05 * sand - 0.8 * pits)
     return at.maps(diffuse, 0.038, 0.82 + 0.02 * stain, height - 0.001 * pits)
 
 

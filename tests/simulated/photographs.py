@@ -146,13 +146,13 @@ def take_several(
     rng = np.random.default_rng(seed)
     maps = _seen_by_all(piece, phone, cameras)
     width, height = maps.size
-    place = torch.cat([plane_points(0, 0, width, height, (width, height)), maps.height.float()])
-    place[:2] *= width * maps.texel_size / 2.0
+    place = plane_points(0, 0, width, height, (width, height), dtype=torch.float64)
+    place = torch.cat([place[:2] * width * maps.texel_size / 2.0, maps.height.double()])
     shots = []
     for camera in cameras:
         balance = np.exp(rng.normal(0.0, hand.balanced, 3))
         light, eye = torch.from_numpy(camera.flash(hand.flash)), torch.from_numpy(camera.place)
-        shaded = shade(maps, place.double(), eye, light, torch.ones(3)).float()
+        shaded = shade(maps, place, eye, light, torch.ones(3)).float()
         radiance = shaded.permute(1, 2, 0).numpy() + _ambient(maps, hand.room)
         linear = _by_camera(radiance, maps, camera, phone, hand.vignetting) * balance
         gain = _exposure(linear, phone)

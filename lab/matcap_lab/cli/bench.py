@@ -314,9 +314,6 @@ def relight(
         bool,
         typer.Option("--tolerances", help="Measure time against accuracy, by tolerance."),
     ] = False,
-    mitsuba: Annotated[
-        bool, typer.Option("--mitsuba", help="Compare the named scenes with Mitsuba 3.")
-    ] = False,
     out: OutOption = Path("bench/relight"),
     width: Annotated[
         int, typer.Option(min=16, max=4096, help="Width of the pictures of --tolerances.")
@@ -327,13 +324,11 @@ def relight(
     One megapixel under one light; each scene with the effects that the renderer chooses, with all
     effects, and a second picture of the same surface. With --tolerances each scene at several
     tolerances, with all effects and with diffuse light alone: seconds against the largest error, as
-    a table and a plot. With --mitsuba the named scenes' time and Mitsuba's to 1 % of noise.
+    a table and a plot.
     """
     from matcap_lab.bench import relight as bench
 
-    if mitsuba:
-        _print(bench.mitsuba_experiment(), out, bench.NOISE, json=json)
-    elif tolerances:
+    if tolerances:
         experiment = bench.tolerance_experiment(scenes or (), width=width)
         about = bench.TOLERANCE
         rows = _print(experiment, out, about.about, json=json)
