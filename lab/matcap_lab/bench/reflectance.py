@@ -1,4 +1,4 @@
-"""`matcap-lab bench highlight`: the coarse fit's highlights, flash offset and tilt.
+"""Coarse fits and F0 against the truth: `matcap-lab bench highlight`, `gloss` and `metals`.
 
 Real photographs: the highlight is measured alike in photograph and re-rendering
 (flash/highlight.py). Simulated ones: errors against the known offset and tilt.

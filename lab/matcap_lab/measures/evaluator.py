@@ -1,4 +1,4 @@
-"""The evaluator: true samples of a material, relit as a camera sees them, to compare maps with.
+"""The evaluator: true samples of a material, relit under lights of its own, to compare maps with.
 
 Estimated maps are compared with samples of the material other than the photographed one, so that
 pixel alignment gives no advantage, and under lights other than the photograph's.

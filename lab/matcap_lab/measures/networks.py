@@ -1,4 +1,4 @@
-"""SqueezeNet 1.1's features [iandola2016], read from ncnn's file of its weights.
+"""SqueezeNet 1.1 [iandola2016] from ncnn's file of its weights; below, VGG-16's Gram matrices.
 
 The file holds the layers in order: each convolution is the tag below (4 bytes, little endian), its
 weights as float16 (out, in, k, k) padded to 4 bytes, and its bias as float32 (out). The classifier

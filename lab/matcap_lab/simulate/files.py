@@ -1,4 +1,4 @@
-"""A simulated shot as a RAW file: a real CFA DNG (Adobe DNG 1.4), 12 bits, uncompressed.
+"""Simulated shots as files: a CFA DNG (Adobe DNG 1.4), 12 bits, uncompressed; a phone's JPEG.
 
 Colours are converted by a phone-like sensor's matrix, the mosaic has black level and noise, EXIF
 states focal length and flash. Optional lens shading is recorded as GainMaps in an OpcodeList2.

@@ -1,4 +1,4 @@
-"""The named materials, which example photographs show."""
+"""The named materials, which example photographs show: realise(name, ...)."""
 
 from __future__ import annotations
 

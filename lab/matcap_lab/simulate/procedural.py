@@ -1,4 +1,4 @@
-"""Random fields that procedural materials are made of: spectral noise, cells, weaves, tiles.
+"""Random fields that procedural materials are made of, and the MapSet made of them.
 
 Every field is defined on the plane, in plane units, and only sampled on a grid: a finer grid of
 the same rectangle and seed shows the same realisation in more detail (noise beyond a grid's

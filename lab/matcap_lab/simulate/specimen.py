@@ -1,4 +1,4 @@
-"""Specimens: materials with known truth that captures are evaluated on."""
+"""Specimens: materials with known truth that captures are evaluated on, map sets among them."""
 
 from __future__ import annotations
 

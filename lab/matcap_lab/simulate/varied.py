@@ -1,4 +1,4 @@
-"""Random parameters of materials: scales and natural colours; uniform numbers by index (hashes)."""
+"""An endless stream of random materials: their parameters, patterns and layers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pack: all photographs a prior is trained on, and their metadata, in one safetensors file.
+"""The pack: photographs that a prior is trained on, in one file; how it is built and shown.
 
 Pictures are JPEGs (sRGB), long side along x. Each has its coarse fit, contrast, plane waves and, if
 simulated, the true tilt. Reading it needs only torch, numpy, cv2 and safetensors, so that training

@@ -1,4 +1,4 @@
-"""Evaluation of a prior on held-out photographs.
+"""Evaluation of a prior on held-out photographs, and the variety of its draws.
 
 Pictures of a material are compared in the middle of the photograph, under its own flash: style by
 random filters that no capture optimises, colours by XYZ histograms, and diversity of realisations.

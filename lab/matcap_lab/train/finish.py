@@ -1,4 +1,4 @@
-"""From a trained state to a prior: standardised codes, and conditional means of the bases.
+"""From photographs to a prior: finishing a trained state, and `matcap-lab prior make`.
 
 The aggregate posterior of all training codes is shifted and scaled to zero mean and unit variance,
 dimension by dimension. Encoder and decoder absorb the change exactly, so that reconstructions are

@@ -1,4 +1,4 @@
-"""Training windows: pieces of photographs, lit and seen as where they were cut, and their turns.
+"""A training step of the prior: its state, windows of photographs, and the loss.
 
 A flip or a quarter turn is applied to pixels, plane points, vignetting, camera, flash and waves
 alike, so the geometry stays consistent. Colour channels are permuted and scaled a little (white

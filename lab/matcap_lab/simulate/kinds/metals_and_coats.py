@@ -1,4 +1,4 @@
-"""Bare metals: hammered and brushed; and such whose F0 has a colour.
+"""Bare metals: hammered, brushed, with coloured F0; and coats: paint, plaster, sand.
 
 The latter are plain sheets, anodised, streaked, beaten, rusted, leafed; COLOURED_METALS in this
 folder's `__init__`. `random_kind`, which training draws from, leaves them out, so that its stream

@@ -1,4 +1,4 @@
-"""Stones: gravel, asphalt, terrazzo, marble, pitted stone or concrete."""
+"""Stones, and bricks and setts laid in bonds."""
 
 from __future__ import annotations
 

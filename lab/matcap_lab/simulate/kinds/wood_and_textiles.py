@@ -1,4 +1,4 @@
-"""Wood: planks with grain and pores, scratched varnish, boards of pressed flakes."""
+"""Wood, textiles, and sheets: felt, carpet, paper, foil, tread plate."""
 
 from __future__ import annotations
 
