@@ -26,7 +26,6 @@ from matcap.cli import (
     camera,
     capture,
     card,
-    compare,
     doctor,
     export,
     inspect,
@@ -60,7 +59,6 @@ app = typer.Typer(
 app.command("capture")(capture.capture)
 app.command("batch")(batch.batch)
 app.command("inspect")(inspect.inspect)
-app.command("compare")(compare.compare)
 app.command("camera")(camera.camera)
 app.command("card")(card.card)
 app.command("synth", cls=synth.SynthCommand)(synth.synth)

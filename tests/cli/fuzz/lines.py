@@ -77,7 +77,7 @@ _WRITTEN = ("--html", "--explain-map")
 _LONG = ("--frames", "--animate", "--sheet", "--like", "--workers", "--resume", "--quiet")
 # How many files each command reads.
 _READS = {
-    "relight": 1, "export": 1, "synth": 1, "blend": 2, "view": 1, "compare": 2, "inspect": 1,
+    "relight": 1, "export": 1, "synth": 1, "blend": 2, "view": 1, "inspect": 1,
 }  # fmt: skip
 
 
@@ -96,7 +96,7 @@ def options_of(command: str) -> dict[str, tuple[str, ...]]:
         elif isinstance(kind, type) and issubclass(kind, Enum):
             values = (*(str(word.value) for word in kind), "zz", "")
         elif flags[0] == "--out":
-            values = _OUTPUTS if command in ("relight", "compare") else _NAMES
+            values = _OUTPUTS if command == "relight" else _NAMES
         elif value == "PATH" or kind is Path:
             values = _OUTPUTS if flags[0] in _WRITTEN else _INPUTS
         else:
