@@ -25,7 +25,6 @@ from matcap.cli import (
     blend,
     camera,
     capture,
-    card,
     doctor,
     export,
     inspect,
@@ -60,7 +59,6 @@ app.command("capture")(capture.capture)
 app.command("batch")(batch.batch)
 app.command("inspect")(inspect.inspect)
 app.command("camera")(camera.camera)
-app.command("card")(card.card)
 app.command("synth", cls=synth.SynthCommand)(synth.synth)
 app.command("relight")(relight.relight)
 app.command("export")(export.export)
