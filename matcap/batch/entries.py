@@ -68,9 +68,8 @@ def make_plan(
     """
     entries = []
     for sample in samples:
-        photos, profile = sample.photos, sample.profile
         try:
-            wanted = identity(photos, settings, prior=prior, card=card, profile=profile)
+            wanted = identity(sample.photos, settings, prior=prior, card=card)
         except MatcapError as error:
             entries.append(BatchEntry(sample, "", "failed", str(error)))
             continue

@@ -1,4 +1,4 @@
-"""Hash of all inputs of a material: photographs, settings, version, prior, calibration, profile.
+"""Hash of all inputs of a material: photographs, settings, version, prior, calibration.
 
 Equal hashes mean equal materials: one that exists need not be made again.
 """
@@ -15,7 +15,6 @@ from matcap.batch.settings import BatchSettings
 from matcap.capture.settings import prior_file
 from matcap.errors import MatcapError
 from matcap.files.maker import MAKER_VERSION
-from matcap.photo.camera import CameraProfile
 
 # Settings that do not change a material; of prior and card the content is hashed instead.
 _NO_MATTER = ("jobs", "group", "gap", "card", "prior")
@@ -30,7 +29,6 @@ def identity(
     *,
     prior: str,
     card: str = "",
-    profile: CameraProfile | None = None,
 ) -> str:
     """SHA-256 of a material's inputs, 64 hexadecimal digits.
 
@@ -38,7 +36,6 @@ def identity(
         photos: in order; their content counts, their names do not.
         prior: prior_hash of the prior.
         card: hash of the calibration, or "".
-        profile: of the camera, estimated from the input folder, or None.
 
     Raises:
         MatcapError: a photograph cannot be read.
@@ -48,10 +45,8 @@ def identity(
         for key, value in settings.named().items()
         if key not in _NO_MATTER and (key not in _SINCE or value != _SINCE[key])
     }
-    for name in ("mask", "camera"):
-        file = getattr(settings.capture, name)
-        if file is not None:
-            chosen[name] = file_hash(file)
+    if settings.capture.mask is not None:
+        chosen["mask"] = file_hash(settings.capture.mask)
     what: dict[str, Any] = {
         "photographs": [file_hash(photo) for photo in photos],
         "settings": chosen,
@@ -59,8 +54,6 @@ def identity(
         "prior": prior,
         "card": card,
     }
-    if profile is not None:  # absent otherwise, so that earlier hashes stay
-        what["camera"] = profile.document()
     return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
 
 

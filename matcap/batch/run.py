@@ -82,7 +82,7 @@ class Batch:
         for entry in (entry for entry in entries if entry.state == "todo"):
             sample, detail = entry.sample, settings.capture.most_detail
             of_sample = (sample.name, sample.photos, entry.identity)
-            job = BatchJob(*of_sample, settings, run, detail, card=card, profile=sample.profile)
+            job = BatchJob(*of_sample, settings, run, detail, card=card)
             self._waiting.append(_Task(entry, job))
         self._elsewhere: deque[_Task] = deque()
         self._alone: deque[_Task] = deque()

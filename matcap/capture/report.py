@@ -28,8 +28,7 @@ Keys:
         `picture`, of the coarse fit without the branch; null of several photographs, where
         registration gives the tilt), flash offset and intensity, vignetting coefficients of r^2 and
         r^4 and its centre (image coordinates), the `tone_curve` that was undone (photo/tone.py) or
-        null, and the camera `profile` that was the prior of the fit, or null: its camera, number of
-        photographs, `falloff` (r^2 and r^4), `deviation` and `correlation`.
+        null.
     texel_size: plane units.
     settings: of the user.
     effort: that follows from the settings: `preset`, `detail` and `steps` of fine-tuning a decoder
@@ -139,7 +138,6 @@ def report(result: CaptureResult) -> dict[str, Any]:
             "vignetting_quartic": setup.vignetting_quartic,
             "vignetting_centre": list(setup.vignetting_centre),
             "tone_curve": photo.tone and asdict(photo.tone),
-            "profile": photo.profile and photo.profile.document(),
         },
         "texel_size": result.material.texel_size,
         "settings": result.settings.named(),

@@ -161,9 +161,6 @@ class CaptureSettings(CheckedSettings):
     mask: Path | None = setting(None, metavar="FILE.png")
     """Picture of the photograph's size: white is captured, black (a finger, a label, the table's
     edge) is left out."""
-    camera: Path | None = setting(None, metavar="FILE.json")
-    """Camera profile, written by matcap camera or matcap batch: the lens's falloff towards the
-    corners."""
     seed: int = setting(0, least=0, most=2**63 - 1)
     """Seed of the optimisation and of the map set."""
     prior: str = setting("auto", metavar="auto|none|PATH")
@@ -203,10 +200,9 @@ class CaptureSettings(CheckedSettings):
         document = asdict(self) | {"statistics": str(self.statistics), "union": self.union or None}
         # Omitted if unset, as in files written before these settings existed.
         document |= {
-            name: part and str(part)
-            for name, part in (("crop", self.crop), ("mask", self.mask), ("camera", self.camera))
+            name: part and str(part) for name, part in (("crop", self.crop), ("mask", self.mask))
         }
-        unsaid = {"crop", "mask", "camera", "union"}
+        unsaid = {"crop", "mask", "union"}
         return {name: value for name, value in document.items() if value or name not in unsaid}
 
     @property

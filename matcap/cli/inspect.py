@@ -17,7 +17,6 @@ from matcap.cli.options import JsonOption
 from matcap.errors import ExitCode, MatcapError, UsageError
 
 if TYPE_CHECKING:
-    from matcap.photo.camera import CameraProfile
     from matcap.photo.inspect import Inspection
 
 _MARKS = {"good": "ok", "not judged": "  ", "usable": "- ", "doubtful": "? ", "failed": "! "}
@@ -33,7 +32,7 @@ def inspect(
         ),
     ],
     given: Annotated[Given, Fields(InspectSettings)] = NOTHING,
-    captured: Annotated[Given, Fields(CaptureSettings, only=("fov", "camera"))] = NOTHING,
+    captured: Annotated[Given, Fields(CaptureSettings, only=("fov",))] = NOTHING,
     as_json: JsonOption = False,
 ) -> None:
     """Rate photographs before they are captured, with advice for the next one.
@@ -46,14 +45,12 @@ def inspect(
     F0, and highlight and glints of its verdict.
     """
     from matcap.files.names import are_a_series
-    from matcap.photo.camera import read_camera_profile
 
     detail, together = astuple(chosen(InspectSettings, given))
-    fov, camera = captured.get("fov"), captured.get("camera")
+    fov = captured.get("fov")
     pictures = [path for path in photos if path.suffix.lower() != ".matcap"]
     if together and not pictures:
         raise UsageError.at("--together", "there are no photographs", "name two or more")
-    profile = None if camera is None else read_camera_profile(camera)
     photographs: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []
     failures = 0
@@ -62,7 +59,7 @@ def inspect(
         documents = materials if of_material else photographs
         kind = "material" if of_material else "photo"
         try:
-            document, text = _material(path) if of_material else _photo(path, detail, fov, profile)
+            document, text = _material(path) if of_material else _photo(path, detail, fov)
         except UsageError:
             raise
         except MatcapError as error:
@@ -93,24 +90,19 @@ def inspect(
         raise typer.Exit(ExitCode.SOME_FAILED if some else ExitCode.NOTHING_SUCCEEDED)
 
 
-def _photo(
-    path: Path, detail: int, fov: float | None, profile: CameraProfile | None
-) -> tuple[dict[str, Any], str]:
+def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], str]:
     """Checks of a photograph, for JSON and as text."""
     from matcap.capture.inspection import inspect_file
     from matcap.capture.tilt import tilt_line
 
-    inspected = inspect_file(path, detail, fov, profile)
+    inspected = inspect_file(path, detail, fov)
     quality, relief = inspected.quality, inspected.relief_spectrum
     lines = _rated(str(path), quality)
     spectrum = relief.document() if relief else None
     lines += [f"     {name:<13} {says}" for name, says in _spectrum_lines(spectrum)]
     if inspected.tilt is not None:
         lines.append(f"     {'tilt from':<13} {tilt_line(inspected.tilt)}")
-    if profile is not None:
-        lines.append(f"     {'camera':<13} {profile.says()}")
     document = quality.document() | {"strengths": spectrum, "tilt_sources": inspected.tilt}
-    document["profile"] = profile and profile.document()
     return document, "\n".join(lines)
 
 

@@ -23,7 +23,6 @@ from matcap.cli import (
     batch,
     bench,
     blend,
-    camera,
     capture,
     doctor,
     export,
@@ -58,7 +57,6 @@ app = typer.Typer(
 app.command("capture")(capture.capture)
 app.command("batch")(batch.batch)
 app.command("inspect")(inspect.inspect)
-app.command("camera")(camera.camera)
 app.command("synth", cls=synth.SynthCommand)(synth.synth)
 app.command("relight")(relight.relight)
 app.command("export")(export.export)

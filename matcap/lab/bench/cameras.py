@@ -1,4 +1,4 @@
-"""`matcap bench camera`: coarse fits of one camera's photographs, each alone and under its profile.
+"""`matcap bench camera`: coarse fits of one camera's photographs.
 
 Real photographs give the scatter of the fitted vignetting and how often metal is detected;
 simulated ones, of known vignetting, also the errors of albedo, F0 and roughness.
@@ -13,16 +13,13 @@ from functools import cache, partial
 from pathlib import Path
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.camera_profile import camera_profile
 from matcap.capture.tilt import fit_photograph
-from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
 from matcap.lab.simulate.specimen import Specimen
 from matcap.lab.simulate.write_jpeg import PHONE
-from matcap.photo.camera import CameraProfile
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
 
@@ -51,7 +48,7 @@ def camera_experiment(
     *,
     developed: bool = False,
 ) -> Experiment[CameraSubject, CoarseFit]:
-    """Fit photographs each alone, and with the camera profile fitted to all of them.
+    """Fit photographs.
 
     `falloff`, the simulated camera's vignetting, has the coefficients of r^2 and r^4. `developed`
     simulates JPEGs with a phone's tone curve, not RAW.
@@ -74,23 +71,11 @@ def camera_experiment(
         **{specimen.name: cache(partial(simulated, specimen)) for specimen in specimens},
     }
 
-    @cache
-    def profile() -> CameraProfile:
-        profiled = camera_profile(
-            "bench", [fit_photograph(one().photo) for one in prepared.values()]
-        )
-        if profiled is None:
-            raise MatcapError("there are too few photographs", remedy="give five or more")
-        return profiled
-
     return Experiment(
         "camera",
         prepared,
         {
             "alone": Configuration(lambda subject, _seed: fit_photograph(subject.photo)),
-            "one camera": Configuration(
-                lambda subject, _seed: fit_photograph(replace(subject.photo, profile=profile()))
-            ),
         },
         (fit_errors,),
         settings=(falloff, developed, list(prepared)),
