@@ -27,7 +27,6 @@ from matcap.photo.photo import Photo
 from matcap.space.decoder import DecoderConfig, with_drawing
 from matcap.space.drawing import Drawing
 from matcap.space.tuned import TunedDecoder
-from matcap.space.tuning.anytime import Forecaster, self_difference
 from matcap.space.tuning.finetune import (
     RATE_WITH_DRAWING,
     Tuned,
@@ -37,6 +36,7 @@ from matcap.space.tuning.finetune import (
 from matcap.space.tuning.initialisation import InitialDecoder, initial_decoder
 from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.match import match_photograph
+from matcap.space.tuning.windows import self_difference
 
 
 def capture_by_decoder(
@@ -118,7 +118,6 @@ def _start(
             tune,
             settings.prior,
             DecoderConfig(),
-            search=settings.time_limit is None,
         )
 
 
@@ -138,16 +137,15 @@ def _tuned_decoder(
     if target.drawing is not None:
         decoder, rate = with_drawing(decoder), RATE_WITH_DRAWING
     with clock.stage("fine-tuning"):
-        limit = clock.left_for("fine-tuning")
+        limit, unit = clock.left_for("fine-tuning"), window_distance or math.nan
         seconds = limit if math.isfinite(limit) else None
         tune = replace(tune, seconds=seconds, learning_rate=rate)
-        ahead = Forecaster(window_distance)
         tuned = finetune(
             decoder,
             start.code,
             target,
             tune,
-            lambda share, error, taken: clock.tuning(share, *ahead.after(error, taken)),
+            lambda share, error, taken: clock.tuning(share, error / unit),
         )
     clock.interrupted |= tuned.interrupted
     network = tuned.decoder.eval().requires_grad_(False)

@@ -36,8 +36,8 @@ Keys:
     seconds: of the whole capture.
     stage_seconds: of each stage.
     tuning: of a decoder, or null: `error` (the last texture distance), `self_difference` (that
-        between neighbouring windows of the photograph), `relative_error` (their ratio),
-        `error_after_another_minute` (forecast) and `error_over_time` (seconds, step and error).
+        between neighbouring windows of the photograph), `relative_error` (their ratio) and
+        `error_over_time` (seconds, step and error).
     exemplar: or null: `error` (median difference of log radiance between photograph and
         re-rendering), `slow` (the low-frequency residual, which is not the material's), `left_out`
         (share that stands out, such as stains, which fields avoid), `variety` (0 to 1: small
@@ -81,12 +81,11 @@ if TYPE_CHECKING:
     from matcap.capture.multiview.set_report import SetReport
     from matcap.capture.result import CaptureResult, Tuning
 
-CURVE = "error.png"
 _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "OpenEXR")
 
 
 def write_report(result: CaptureResult, path: Path) -> None:
-    """Write the report of a capture; of a decoder also error.png, its error over time, next to it.
+    """Write the report of a capture.
 
     Raises:
         MatcapError: the file cannot be written.
@@ -94,11 +93,6 @@ def write_report(result: CaptureResult, path: Path) -> None:
     text = json.dumps(_finite(report(result)), indent=2, default=str, allow_nan=False)
     with staged(path.parent) as stage:
         (stage / path.name).write_text(text + "\n")
-        if result.tuning is not None:
-            from matcap.space.tuning.curve import draw_history
-
-            tuning = result.tuning
-            draw_history(tuning.history, tuning.self_difference).save(stage / CURVE)
 
 
 def report(result: CaptureResult) -> dict[str, Any]:
@@ -167,15 +161,12 @@ def _effort(result: CaptureResult) -> dict[str, Any]:
 def _tuning(tuning: Tuning | None) -> dict[str, Any] | None:
     if tuning is None:
         return None
-    from matcap.space.tuning.anytime import forecast
-
     history = tuning.history
     return {
         "drawing": tuning.drawing,
         "error": history[-1][2] if history else None,
         "self_difference": tuning.self_difference,
         "relative_error": tuning.relative_error,
-        "error_after_another_minute": forecast(history, 60.0),
         "error_over_time": [
             {"seconds": seconds, "step": step, "error": error} for seconds, step, error in history
         ],

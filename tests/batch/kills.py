@@ -37,9 +37,7 @@ from matcap.lab.simulate.write_jpeg import write_jpeg
 COMMAND = (sys.executable, "-c", "from matcap.cli.main import run; run()", "batch")
 SMALL = ("--detail", "128", "--size", "64")
 # What differs from run to run: times, memory, and the sizes of files that tell of times.
-_TIMES = (
-    "seconds", "stage_seconds", "error_over_time", "peak_bytes", "report.json", "error.png",
-)  # fmt: skip
+_TIMES = ("seconds", "stage_seconds", "error_over_time", "peak_bytes", "report.json")
 _PATIENCE = 600.0  # seconds that any batch may take
 
 
@@ -70,8 +68,6 @@ def contents(out: Path) -> dict[str, str]:
     found = {}
     for file in _materials(out):
         name = file.relative_to(out).as_posix()
-        if file.name == "error.png":
-            continue  # a picture of seconds
         try:
             data = file.read_bytes()
         except FileNotFoundError:
