@@ -20,7 +20,7 @@ from matcap.files.staging import staged
 from matcap.files.values import spoken_duration
 
 _COLUMNS = (
-    "name", "state", "photographs", "verdict", "severity", "piece_error",
+    "name", "state", "photographs", "verdict", "severity", "exemplar_error",
     "field_error", "tilt_x", "tilt_y", "clipped", "doubtful", "seconds", "detail", "warnings",
     "notes", "reason",
 )  # fmt: skip
@@ -90,7 +90,7 @@ def _row_of(record: dict[str, Any], state: str, name: str) -> dict[str, Any]:
         "photographs": record.get("photographs", []),
         "verdict": verdict.get("rating"),
         "severity": verdict.get("severity"),
-        "piece_error": error.get("piece"),
+        "exemplar_error": error.get("exemplar", error.get("piece")),
         "field_error": error.get("field"),
         "tilt_x": tilt[0],
         "tilt_y": tilt[1],

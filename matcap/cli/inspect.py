@@ -102,7 +102,7 @@ def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], 
     lines += [f"     {name:<13} {says}" for name, says in _spectrum_lines(spectrum)]
     if inspected.tilt is not None:
         lines.append(f"     {'tilt from':<13} {tilt_line(inspected.tilt)}")
-    document = quality.document() | {"strengths": spectrum, "tilt_sources": inspected.tilt}
+    document = quality.document() | {"relief_spectrum": spectrum, "tilt_sources": inspected.tilt}
     return document, "\n".join(lines)
 
 
@@ -127,7 +127,7 @@ def _spectrum_lines(measured: dict[str, Any] | None) -> list[tuple[str, str]]:
     bands = measured["bands"]
 
     def finest(of: str) -> str:
-        low, high = sorted(max(bands, key=lambda band: float(band[of]))["waves"])
+        low, high = sorted(max(bands, key=lambda band: float(band[of]))["wavelengths"])
         return f"mostly in details of {low / 2:g} to {high / 2:g} pixels"
 
     steep = math.degrees(math.atan(math.hypot(*(band["slope"] for band in bands))))
@@ -141,10 +141,10 @@ def _spectrum_lines(measured: dict[str, Any] | None) -> list[tuple[str, str]]:
 def _material(path: Path) -> tuple[dict[str, Any], str]:
     """Summary of a material, for JSON and as text."""
     from matcap.capture.outputs import REPORT
+    from matcap.capture.report_file import read_report
     from matcap.example.stored import read_exemplified
     from matcap.example.summary import summary
     from matcap.export.job import known_scale
-    from matcap.files.document import read_document
 
     exemplified, made = read_exemplified(path), "by example"
     if exemplified is None:
@@ -156,7 +156,7 @@ def _material(path: Path) -> tuple[dict[str, Any], str]:
         f"     {name:<13} {says}" for name, says in about.lines(known_scale(exemplified.provenance))
     ]
     document: dict[str, Any] = {"exemplar": about.document()}
-    report = read_document(path.parent / REPORT, "matcap report") or {}
+    report = read_report(path.parent / REPORT) or {}
     verdict, photographed = report.get("verdict"), report.get("photograph", {}).get("name")
     own = photographed == exemplified.provenance.get("photograph")
     if own and isinstance(verdict, dict) and "sentence" in verdict:
@@ -164,5 +164,5 @@ def _material(path: Path) -> tuple[dict[str, Any], str]:
         document["verdict"] = verdict
         lines.append(f"     {'verdict':<13} {verdict['sentence']}")
         gloss = (name for name in ("highlight_contrast", "glint_contrast") if name in checks)
-        lines += [f"     {name[:-9]:<13} {checks[name]['says']}" for name in gloss]
+        lines += [f"     {name[:-9]:<13} {checks[name]['message']}" for name in gloss]
     return document, "\n".join([f"{path}: {made}", *lines])

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from report_schema import check_report
 
 from matcap.capture.pipeline import capture_file, capture_into
 from matcap.capture.progress import DECODER_STAGES, DRAWING_STAGES, EXEMPLAR_STAGES, CaptureClock
@@ -41,6 +42,7 @@ def test_every_stage_has_its_share_and_is_reported_in_order(tmp_path, generator,
     assert fractions == sorted(fractions) and fractions[-1] == pytest.approx(1.0)
     within = [now for now in lines if now.stage == longest]
     assert longest is None or len(within) >= 4  # begun, every step, done
+    check_report(tmp_path / "tile" / "report.json")
     report = json.loads((tmp_path / "tile" / "report.json").read_text())
     assert list(report["stage_seconds"]) == list(stages)[:-1]
     assert (report["tuning"] is None) == (generator == "example")

@@ -67,7 +67,7 @@ def test_the_report_holds_what_was_done(matcap, pipeline, photo, out):
     assert report["settings"]["steps"] == 9
     tuning = report["tuning"]
     assert tuning["error"] == 0.5 and tuning["relative_error"] == 2.0
-    assert report["error"] == {"piece": None, "field": None}  # too small a picture
+    assert report["error"] == {"exemplar": None, "field": None}  # too small a picture
     assert "flash did not fire" in report["verdict"]["sentence"]
     assert tuning["error_over_time"][0] == {"seconds": 0.5, "step": 1, "error": 0.9}
     assert report["stage_seconds"] == {"coarse fit": 0.5, "fine-tuning": 0.5}
@@ -91,7 +91,7 @@ def test_json_goes_to_stdout_and_alone(matcap, pipeline, photo, out):
     (result,) = json.loads(said.out)["photographs"]
     assert said.err == ""
     assert result["status"] == "done"
-    assert set(result["error"]) == {"piece", "field"}
+    assert set(result["error"]) == {"exemplar", "field"}
     assert result["verdict"]["rating"] == "failed"  # even grey shows no flash
     assert result["material"] == str(out / "leather" / "leather.matcap")
 

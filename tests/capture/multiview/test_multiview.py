@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from report_schema import check_report
 from seen_views import LOG_ERROR, OFFSET, PHONE, SIZE, flattened, grainy, photographed, seen
 
 from matcap.capture.multiview.leave_one_out import left_out_residual
@@ -167,13 +168,14 @@ def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
     assert result.estimate is not None and result.estimate.error < 0.1
 
     write_outputs(result, tmp_path / "plaster", OutputSettings((32, 32)))
+    check_report(tmp_path / "plaster/report.json")
     report = json.loads((tmp_path / "plaster/report.json").read_text())
-    several = report["several"]
+    several = report["multi_view"]
     assert [one["name"] for one in several["photographs"]] == [photo.name for photo in photos]
     assert [one["name"] for one in several["left_out"]] == ["leather_9"]
     for one in several["photographs"]:
-        assert 0.0 <= one["doubt"] < 0.01
-        assert 0.0 < one["residual"] < 0.1 and math.isfinite(one["predicted"])
+        assert 0.0 <= one["position_deviation"] < 0.01
+        assert 0.0 < one["residual"] < 0.1 and math.isfinite(one["leave_one_out_residual"])
     assert all(0.0 <= share <= 1.0 for share in several["measured_share"].values())
 
 
