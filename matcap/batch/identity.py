@@ -18,9 +18,6 @@ from matcap.files.maker import MAKER_VERSION
 
 # Settings that do not change a material; of prior and card the content is hashed instead.
 _NO_MATTER = ("jobs", "group", "gap", "card", "prior")
-# Settings added later, at the value that earlier versions had: not hashed, so that hashes stay.
-_SINCE = {"statistics": "filterbank", "generator": "decoder", "aligned": False, "width_cm": None,
-          "drawing": True}  # fmt: skip
 
 
 def identity(
@@ -40,11 +37,7 @@ def identity(
     Raises:
         MatcapError: a photograph cannot be read.
     """
-    chosen = {
-        key: value
-        for key, value in settings.named().items()
-        if key not in _NO_MATTER and (key not in _SINCE or value != _SINCE[key])
-    }
+    chosen = {key: value for key, value in settings.named().items() if key not in _NO_MATTER}
     if settings.capture.mask is not None:
         chosen["mask"] = file_hash(settings.capture.mask)
     what: dict[str, Any] = {

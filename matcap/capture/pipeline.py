@@ -161,7 +161,7 @@ def capture_photo(
         from matcap.capture.by_decoder import capture_by_decoder
 
         rectified = _rectified(photo, settings, method, clock).at_input_resolution()
-        return capture_by_decoder(rectified, others, settings, effort, method, clock)
+        return capture_by_decoder(rectified, settings, effort, method, clock)
     if others:
         from matcap.capture.multiview.estimate import estimate_multiview
 

@@ -14,7 +14,7 @@ from matcap.errors import MatcapError
 from matcap.files.document import read_document
 
 # Settings that determine only the effort; the resulting effort is compared instead.
-_HOW_LONG = ("preset", "steps", "time_limit", "target")
+_HOW_LONG = ("preset", "steps", "time_limit")
 
 
 def refuse_to_replace_capture(

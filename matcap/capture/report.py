@@ -236,12 +236,12 @@ def _set_warnings(several: SetReport, *, union: bool) -> Iterable[str]:
 def _setting_notes(result: CaptureResult) -> Iterable[str]:
     """Sentences on settings that act differently from what their names suggest."""
     settings, effort = result.settings, result.effort
-    limited = settings.time_limit is not None or settings.target is not None
+    limited = settings.time_limit is not None
     if limited and settings.generator != "decoder":
         yield "With a time limit, the preset has no effect: the limit determines the texels."
     elif limited and settings.steps is None:
         yield (
-            "With a time limit or a target, the preset has no effect: at most "
+            "With a time limit, the preset has no effect: at most "
             f"{effort.steps} steps. Give --steps for another number."
         )
     if settings.width_cm is None:

@@ -34,14 +34,13 @@ def test_all_outputs_stand_in_a_folder_of_the_photographs_name(matcap, pipeline,
 def test_options_reach_the_pipeline(matcap, pipeline, photo, out):
     matcap(
         "capture", photo, "-o", out, "--preset", "draft", "--steps", 7, "--time", "2m", "--fov", 60,
-        "--target", 1.3, "--detail", 512, "--seed", 3, "--prior", "none", "--size", 16,
+        "--detail", 512, "--seed", 3, "--prior", "none", "--size", 16,
         "--generator", "decoder",
     )  # fmt: skip
     (call,) = pipeline.calls
     assert (call.path, call.long_side, call.fov) == (photo, 512, 60.0)
     asked = call.settings
     assert (asked.preset, asked.steps, asked.time_limit) == ("draft", 7, 120.0)
-    assert asked.target == 1.3
     assert (asked.detail, asked.fov, asked.seed, asked.prior) == (512, 60.0, 3, "none")
 
 

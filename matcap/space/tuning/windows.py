@@ -37,8 +37,6 @@ class Windows:
     """Descriptors of the photograph's windows, corrected for the bias of the L1 distance."""
     noise: Tensor | None = None
     """(B, 3, size, size) a sample of the sensor noise over `shot_deviation`, or None."""
-    photographs: Tensor | None = None
-    """(B,) index of each window's photograph (joint.py), 0 for the first; None with only one."""
 
     @property
     def count(self) -> int:
