@@ -68,18 +68,17 @@ def make_plan(
     """
     entries = []
     for sample in samples:
-        photos, profile = sample.photos, sample.profile
         try:
-            wanted = identity(photos, settings, prior=prior, card=card, profile=profile)
+            wanted = identity(sample.photos, settings, prior=prior, card=card)
         except MatcapError as error:
             entries.append(BatchEntry(sample, "", "failed", str(error)))
             continue
         entries.append(BatchEntry(sample, wanted, "todo"))
-        look_again(entries[-1], out, settings, policy)
+        _judge(entries[-1], out, settings, policy)
     return entries
 
 
-def look_again(entry: BatchEntry, out: Path, settings: BatchSettings, policy: Policy) -> None:
+def _judge(entry: BatchEntry, out: Path, settings: BatchSettings, policy: Policy) -> None:
     """Update an entry whose material is done, failed before, or would replace a longer capture."""
     folder = out / entry.sample.name
     if not policy.force and is_done(folder, entry.identity):

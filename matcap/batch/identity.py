@@ -1,4 +1,4 @@
-"""Hash of all inputs of a material: photographs, settings, version, prior, calibration, profile.
+"""Hash of all inputs of a material: photographs, settings, version, prior, calibration.
 
 Equal hashes mean equal materials: one that exists need not be made again.
 """
@@ -15,13 +15,9 @@ from matcap.batch.settings import BatchSettings
 from matcap.capture.settings import prior_file
 from matcap.errors import MatcapError
 from matcap.files.maker import MAKER_VERSION
-from matcap.photo.camera import CameraProfile
 
 # Settings that do not change a material; of prior and card the content is hashed instead.
 _NO_MATTER = ("jobs", "group", "gap", "card", "prior")
-# Settings added later, at the value that earlier versions had: not hashed, so that hashes stay.
-_SINCE = {"statistics": "filterbank", "generator": "decoder", "aligned": False, "width_cm": None,
-          "drawing": True}  # fmt: skip
 
 
 def identity(
@@ -30,7 +26,6 @@ def identity(
     *,
     prior: str,
     card: str = "",
-    profile: CameraProfile | None = None,
 ) -> str:
     """SHA-256 of a material's inputs, 64 hexadecimal digits.
 
@@ -38,20 +33,13 @@ def identity(
         photos: in order; their content counts, their names do not.
         prior: prior_hash of the prior.
         card: hash of the calibration, or "".
-        profile: of the camera, estimated from the input folder, or None.
 
     Raises:
         MatcapError: a photograph cannot be read.
     """
-    chosen = {
-        key: value
-        for key, value in settings.named().items()
-        if key not in _NO_MATTER and (key not in _SINCE or value != _SINCE[key])
-    }
-    for name in ("mask", "camera"):
-        file = getattr(settings.capture, name)
-        if file is not None:
-            chosen[name] = file_hash(file)
+    chosen = {key: value for key, value in settings.named().items() if key not in _NO_MATTER}
+    if settings.capture.mask is not None:
+        chosen["mask"] = file_hash(settings.capture.mask)
     what: dict[str, Any] = {
         "photographs": [file_hash(photo) for photo in photos],
         "settings": chosen,
@@ -59,8 +47,6 @@ def identity(
         "prior": prior,
         "card": card,
     }
-    if profile is not None:  # absent otherwise, so that earlier hashes stay
-        what["camera"] = profile.document()
     return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
 
 

@@ -16,7 +16,6 @@ from matcap.capture.outputs import files_written
 from matcap.errors import MatcapError
 from matcap.files.names import series, usable_name
 from matcap.files.quiet import quiet_decoders
-from matcap.photo.camera import CameraProfile
 from matcap.photo.exif import exif_tags
 from matcap.photo.kind import RAW_SUFFIXES
 
@@ -51,8 +50,6 @@ class ShotSample:
     """The photographs it is made from."""
     superseded: tuple[Path, ...] = ()
     """JPEG or HEIC files that are not used because a RAW file of the same shot exists."""
-    profile: CameraProfile | None = None
-    """Profile of the camera (cameras.py), or None."""
 
 
 def find_samples(

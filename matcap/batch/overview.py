@@ -1,10 +1,8 @@
-"""index.html, index.csv and index.json of an output folder: all materials and failed samples."""
+"""index.html and index.json of an output folder: all materials and failed samples."""
 
 from __future__ import annotations
 
-import csv
 import html
-import io
 import json
 import math
 import shlex
@@ -19,18 +17,13 @@ from matcap.batch.record import read_record
 from matcap.files.staging import staged
 from matcap.files.values import spoken_duration
 
-_COLUMNS = (
-    "name", "state", "photographs", "verdict", "severity", "piece_error",
-    "field_error", "tilt_x", "tilt_y", "clipped", "doubtful", "seconds", "detail", "warnings",
-    "notes", "reason",
-)  # fmt: skip
 _STATES = {
     "made": "done", "kept": "done", "failed": "failed", "left": "not begun", "todo": "not begun",
 }  # fmt: skip
 
 
 def write_index(out: Path, entries: Sequence[BatchEntry]) -> None:
-    """Write the three files, all or none; they also list materials of earlier batches.
+    """Write both files, all or none; they also list materials of earlier batches.
 
     Raises:
         MatcapError: a full disk, an unwritable folder.
@@ -39,7 +32,6 @@ def write_index(out: Path, entries: Sequence[BatchEntry]) -> None:
     with staged(out) as stage:
         document = {"format": "matcap batch index", "version": 1, "materials": rows}
         (stage / "index.json").write_text(json.dumps(document, indent=2, allow_nan=False) + "\n")
-        (stage / "index.csv").write_text(_csv(rows), encoding="utf-8")
         (stage / "index.html").write_text(page(rows, pictures), encoding="utf-8")
 
 
@@ -90,7 +82,7 @@ def _row_of(record: dict[str, Any], state: str, name: str) -> dict[str, Any]:
         "photographs": record.get("photographs", []),
         "verdict": verdict.get("rating"),
         "severity": verdict.get("severity"),
-        "piece_error": error.get("piece"),
+        "exemplar_error": error.get("exemplar", error.get("piece")),
         "field_error": error.get("field"),
         "tilt_x": tilt[0],
         "tilt_y": tilt[1],
@@ -107,27 +99,6 @@ def _row_of(record: dict[str, Any], state: str, name: str) -> dict[str, Any]:
 def _pictures(record: dict[str, Any]) -> dict[str, str]:
     thumbnails = record.get("thumbnails")
     return dict(thumbnails) if isinstance(thumbnails, dict) else {}
-
-
-def _csv(rows: Sequence[dict[str, Any]]) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, _COLUMNS)
-    writer.writeheader()
-    for row in rows:
-        joined = {
-            "photographs": "; ".join(row["photographs"]),
-            "warnings": " ".join(row["warnings"]),
-            "notes": " ".join(row["notes"]),
-        }
-        writer.writerow({name: _plain({**row, **joined}[name]) for name in _COLUMNS})
-    return text.getvalue()
-
-
-def _plain(value: object) -> object:
-    """Quote text that a spreadsheet would run as a formula."""
-    if isinstance(value, str) and value[:1] in ("=", "+", "-", "@"):
-        return f"'{value}"
-    return value
 
 
 def _row(row: dict[str, Any], pictures: dict[str, str]) -> str:

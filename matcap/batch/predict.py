@@ -1,28 +1,17 @@
-"""Predict a batch's time and disk space, from earlier captures or a short trial of the first."""
+"""Predict a batch's time and disk space from the materials that it has made."""
 
 from __future__ import annotations
 
 import shutil
-import tempfile
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 from matcap.batch.entries import BatchEntry
 from matcap.batch.record import FILE, read_record
-from matcap.batch.settings import BatchSettings
 from matcap.batch.whole import Prepared
-from matcap.batch.work import settle_threads
-from matcap.capture.progress import CaptureProgress
 from matcap.capture.settings import resolve
-from matcap.errors import MatcapError
 from matcap.files.values import spoken_duration
-
-_TRIAL_STEPS = 12  # of fine-tuning, in a trial of a decoder
-_SETTLED = 4  # its first steps, which are slower and not timed
-_TRIED = 3  # most samples tried, if the first are unusable
 
 
 @dataclass(frozen=True)
@@ -34,7 +23,7 @@ class Prediction:
     workers: int
     """Worker processes."""
     seconds_each: float | None
-    """Wall time, seconds, of a sample on one worker; None if no photograph could be tried."""
+    """Wall time, seconds, of a sample on one worker; None before a material is made."""
     bytes_each: int
     """Disk space of a material."""
     worker_bytes: int
@@ -91,75 +80,20 @@ class Prediction:
 
 
 def predict(prepared: Prepared) -> Prediction:
-    """Predict time and disk space of the samples to do.
+    """Predict time and disk space of the samples to do, from materials in the output.
 
-    From materials in the output that were made with the same steps and detail; else from a trial
-    capture, which is discarded; of a decoder, with a few steps.
+    Those count that were made with the same steps and detail.
     """
-    todo, settings, out = prepared.todo, prepared.settings, prepared.out
-    seconds, size, how = None, settings.outputs.room, "nothing measured"
-    if todo:
-        before = _from_before(prepared)
-        if before is not None:
-            seconds, size, how = before
-        for entry in todo[:_TRIED]:
-            if seconds is not None:
-                break
-            try:
-                seconds, size = _trial(entry.sample.photos, settings)
-                how = f"measured on {entry.sample.photos[0].name} alone, longer under load"
-            except MatcapError:
-                continue
+    settings, out = prepared.settings, prepared.out
+    wanted = (resolve(settings.capture).steps, settings.capture.most_detail)
+    records = (read_record(file.parent) for file in sorted(out.glob(f"*/{FILE}")))
+    made = [one for one in records if one and (one.get("steps"), one.get("detail")) == wanted]
     return Prediction(
-        len(todo),
+        len(prepared.todo),
         prepared.workers,
-        seconds,
-        size,
+        sum(float(one["seconds"]) for one in made) / len(made) if made else None,
+        max((sum(one["files"].values()) for one in made), default=settings.outputs.room),
         prepared.worker_bytes,
         shutil.disk_usage(next(p for p in (out, *out.parents) if p.exists())).free,
-        how,
+        f"measured on {len(made)} made before" if made else "no material is made yet",
     )
-
-
-def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
-    earlier = []
-    capture = prepared.settings.capture
-    steps = resolve(capture).steps
-    for file in sorted(prepared.out.glob(f"*/{FILE}")):
-        record = read_record(file.parent)
-        made = record and (record.get("steps"), record.get("detail"))
-        if record and made == (steps, capture.most_detail):
-            earlier.append((float(record["seconds"]), sum(record["files"].values())))
-    if not earlier:
-        return None
-    seconds = sum(s for s, _ in earlier) / len(earlier)
-    return seconds, max(size for _, size in earlier), f"measured on {len(earlier)} made before"
-
-
-def _trial(photos: Sequence[Path], settings: BatchSettings) -> tuple[float, int]:
-    """Seconds and bytes of one capture; a decoder's extrapolated from one with fewer steps."""
-    from matcap.capture.outputs import write_outputs
-    from matcap.capture.pipeline import capture_file
-
-    settle_threads()
-    began = time.perf_counter()
-    wanted = settings.capture
-    work = resolve(wanted).steps
-    steps = min(work, _TRIAL_STEPS)
-    ticks: list[float] = []  # time after each optimisation step, in seconds
-
-    def on_progress(now: CaptureProgress) -> None:
-        if now.stage == "fine-tuning":
-            ticks.append(now.seconds)
-
-    short = replace(wanted, steps=steps, time_limit=None, target=None) if work else wanted
-    result = capture_file(photos[0], short, on_progress, others=photos[1:])
-    with tempfile.TemporaryDirectory(prefix="matcap-") as folder:
-        write_outputs(result, Path(folder) / "trial", settings.outputs)
-        size = sum(file.stat().st_size for file in Path(folder).rglob("*") if file.is_file())
-    spent = time.perf_counter() - began
-    steady = ticks[_SETTLED:-1]  # the last one is the stage's end
-    pace = (steady[-1] - steady[0]) / (len(steady) - 1) if len(steady) > 1 else 0.0
-    seconds = spent + pace * (work - steps)
-    limit = wanted.time_limit
-    return seconds if limit is None else min(seconds, max(limit, spent)), size

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from matcap.batch.entries import BatchEntry, Policy, look_again
+from matcap.batch.entries import BatchEntry, Policy
 from matcap.batch.settings import BatchSettings
 from matcap.batch.work import BatchJob, Failure
 from matcap.batch.worker_pool import BatchWorkers, Event
@@ -23,7 +23,7 @@ from matcap.files.progress import Progress
 from matcap.photo.calibrate import Calibration
 from matcap.photo.checks import Rating
 
-_POLL = 1.0  # seconds between two checks of another run's claims
+_POLL = 1.0  # seconds that events are waited for
 _PAGE_EVERY = 20.0  # least seconds between two updates of the index
 _LEAST_DETAIL = 128  # texels across: the least detail that is tried when memory runs out
 _FORGET = ("memory", "disk", "crash")  # failures that are not recorded: they may pass
@@ -53,7 +53,6 @@ class Show(Protocol):
 class _Task:
     entry: BatchEntry
     job: BatchJob
-    tries: int = 0
 
 
 class Batch:
@@ -82,9 +81,8 @@ class Batch:
         for entry in (entry for entry in entries if entry.state == "todo"):
             sample, detail = entry.sample, settings.capture.most_detail
             of_sample = (sample.name, sample.photos, entry.identity)
-            job = BatchJob(*of_sample, settings, run, detail, card=card, profile=sample.profile)
+            job = BatchJob(*of_sample, settings, run, detail, card=card)
             self._waiting.append(_Task(entry, job))
-        self._elsewhere: deque[_Task] = deque()
         self._alone: deque[_Task] = deque()
         self._tasks: dict[str, _Task] = {}
         self._stop = ""
@@ -96,24 +94,14 @@ class Batch:
         Raises:
             KeyboardInterrupt: re-raised after the workers are stopped and the index is written.
         """
-        announced = False
         try:
-            while self._waiting or self._alone or self._elsewhere or self._workers.busy():
+            while self._waiting or self._alone or self._workers.busy():
                 if self._stop:
                     self._waiting.clear()
                     self._alone.clear()
-                    self._elsewhere.clear()
                 self._fill()
-                if self._workers.busy():
-                    for event in self._workers.wait(_POLL):
-                        self._happened(event)
-                elif self._elsewhere and not self._waiting and not self._alone:
-                    if not announced:
-                        count = len(self._elsewhere)
-                        self._show.note(f"Waiting for another run, which is making {count}.")
-                    announced = True
-                    time.sleep(_POLL)
-                    self._waiting, self._elsewhere = self._elsewhere, deque()
+                for event in self._workers.wait(_POLL) if self._workers.busy() else ():
+                    self._happened(event)
                 if time.monotonic() - self._paged > _PAGE_EVERY:
                     self._page()
                     self._paged = time.monotonic()
@@ -136,24 +124,13 @@ class Batch:
             self._begin(self._alone.popleft())
 
     def _begin(self, task: _Task) -> None:
-        entry, name = task.entry, task.job.name
-        if not task.tries:
-            if not self._run.claim(name):
-                self._elsewhere.append(task)
-                return
-            # Another run may have finished it in the meantime.
-            look_again(entry, self._run.out, self._settings, self._policy)
-            if entry.state != "todo":
-                self._end(task)
-                return
         room = self._settings.outputs.room
         if shutil.disk_usage(self._run.out).free < room:
             self._stop = f"the disk has less than {room / 1e6:.0f} MB left"
             self._show.note(f"No further sample is started: {self._stop}. {_AGAIN}")
-            self._run.release(name)
             return
-        self._show.started(entry)
-        self._tasks[name] = task
+        self._show.started(task.entry)
+        self._tasks[task.job.name] = task
         self._workers.start(task.job)
 
     def _happened(self, event: Event) -> None:
@@ -169,7 +146,7 @@ class Batch:
         else:
             task.entry.state, task.entry.record = "made", event.value
             self._run.forget_failure(task.job.name)
-            self._end(task)
+            self._show.ended(task.entry)
 
     def _died(self, task: _Task, code: int) -> None:
         """Handle a worker's death: SIGKILL is taken for the system's out-of-memory killer."""
@@ -193,7 +170,7 @@ class Batch:
         if failure.kind not in _FORGET:
             about = {"identity": task.entry.identity, "reason": failure.sentence}
             self._run.write_failure(task.job.name, about)
-        self._end(task)
+        self._show.ended(task.entry)
         if failure.kind == "disk":
             self._stop = self._stop or "the disk is full"
             self._show.note(f"No further sample is started: the disk is full. {_AGAIN}")
@@ -204,21 +181,17 @@ class Batch:
 
     def _following(self, task: _Task, failure: Failure, again: bool) -> tuple[_Task, str] | None:
         """The next attempt and its description: alone, then at half the detail; None gives up."""
-        job, tries = task.job, task.tries + 1
+        job = task.job
         others = failure.kind == "memory" and self._workers.size > 1
         if failure.kind in ("memory", "crash") and not job.alone and (again or others):
-            return _Task(task.entry, replace(job, alone=True), tries), " by itself"
+            return _Task(task.entry, replace(job, alone=True)), " by itself"
         if failure.kind != "memory":
             return None
         half = job.detail // 2
         if half < _LEAST_DETAIL or job.detail < self._settings.capture.most_detail:
             return None
         smaller = replace(job, alone=True, detail=half)
-        return _Task(task.entry, smaller, tries), f" at a detail of {half}"
-
-    def _end(self, task: _Task) -> None:
-        self._run.release(task.job.name)
-        self._show.ended(task.entry)
+        return _Task(task.entry, smaller), f" at a detail of {half}"
 
 
 def exit_code(entries: Sequence[BatchEntry], *, strict: bool = False) -> ExitCode:

@@ -119,7 +119,7 @@ def read_settings(file: Path) -> dict[str, Any]:
         one = SETTINGS[name]
         read[one.field] = one.typed(value, f"{file}: {name}")
     plainly: tuple[tuple[str, tuple[str, ...]], ...] = (
-        ("prior", ("auto", "none")), ("card", ("auto", "none")), ("mask", ()), ("camera", ()),
+        ("prior", ("auto", "none")), ("card", ("auto", "none")), ("mask", ()),
     )  # fmt: skip
     for name, plain in plainly:
         if name in read and read[name] not in plain:

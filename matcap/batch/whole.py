@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from matcap.batch.cameras import with_profiles
 from matcap.batch.entries import BatchEntry, Policy, make_plan
 from matcap.batch.identity import prior_hash
 from matcap.batch.input_folder import Grouping, ShotSample, find_samples
@@ -23,7 +22,6 @@ from matcap.errors import ExitCode, MatcapError
 from matcap.files.memory import free_bytes
 from matcap.files.staging import check_writable
 from matcap.photo.calibrate import Calibration, card_sentence, read_card
-from matcap.photo.camera import CameraProfile, write_camera_profile
 
 _SETS_SAID = 12  # most groups of photographs that are listed before a batch starts
 
@@ -44,8 +42,6 @@ class Prepared:
     """Number of worker processes."""
     card: Calibration | None = None
     """Calibration from a card's photograph, or None."""
-    profiles: Mapping[Path, CameraProfile] = field(default_factory=dict)
-    """Camera profiles by their files in the output."""
 
     @property
     def todo(self) -> list[BatchEntry]:
@@ -71,9 +67,6 @@ def prepare(
         show.note(sentence)
     card = read_card(cards[0], fov=settings.capture.fov) if cards else None
     show.note(card_sentence(card))
-    samples, profiles = with_profiles(
-        samples, source, out, settings.capture, show.note, again=policy.force
-    )
     check_writable(out, settings.outputs.room)
     digest = card.digest if card else ""
     entries = make_plan(samples, out, settings, policy, prior=prior, card=digest)
@@ -85,7 +78,7 @@ def prepare(
             f"Using {workers} workers instead of {settings.jobs}: each may need "
             f"{each / 1e9:.1f} GB of memory, and {free_bytes() / 1e9:.1f} GB are free."
         )
-    return Prepared(out, settings, entries, each, workers, card, profiles)
+    return Prepared(out, settings, entries, each, workers, card)
 
 
 def group_sentences(samples: Sequence[ShotSample]) -> list[str]:
@@ -137,8 +130,6 @@ def work_off(
             show.note(str(error))  # a failed index must not end the batch
 
     with open_run(out) as run:
-        for file, profile in prepared.profiles.items():
-            write_camera_profile(file, profile)
         show.expect(len(entries))
         for entry in entries:
             if entry.state != "todo":

@@ -20,7 +20,6 @@ from matcap.files.memory import keep_memory
 from matcap.files.progress import OnProgress, Progress
 from matcap.files.staging import write_error
 from matcap.photo.calibrate import Calibration, calibrated
-from matcap.photo.camera import CameraProfile
 
 if TYPE_CHECKING:
     from matcap.capture.result import CaptureResult
@@ -52,8 +51,6 @@ class BatchJob:
     """Run while no other worker does."""
     card: Calibration | None = None
     """Calibration from a card's photograph, or None."""
-    profile: CameraProfile | None = None
-    """Camera profile estimated from the input folder, or None."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +109,6 @@ def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
     photos = []
     for path in job.photos:
         photo = read_photograph(path, chosen, several=len(job.photos) > 1)
-        photo = photo if job.profile is None else photo.known_by(job.profile)
         photos.append(photo if job.card is None else calibrated(photo, job.card))
 
     result = capture_photo(photos[0], chosen, on_progress, others=photos[1:])
@@ -166,7 +162,6 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         "inspection": [inspection.document() for inspection in looked_at],
         "albedo": "absolute" if result.photo.flash_intensity is not None else "relative",
         "card": job.card.document() if job.card else None,
-        "camera": result.photo.profile and result.photo.profile.document(),
         "stage_seconds": {name: round(s, 3) for name, s in result.stage_seconds.items()},
         "steps": result.effort.steps,
     }

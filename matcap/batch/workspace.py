@@ -1,14 +1,12 @@
-"""Workspace of a batch in its output folder: staging, claims of concurrent runs, known failures.
+"""Workspace of a batch in its output folder: staging, the lock of a run, known failures.
 
-OUT/leather/                      a material, complete or absent
-OUT/.matcap-batch/runs/RUN/       staged and replaced folders of one run
-OUT/.matcap-batch/runs/RUN.alive  locked while the run's process lives
-OUT/.matcap-batch/claims/NAME     locked by the run that makes a material
-OUT/.matcap-batch/failed/NAME     a sample that cannot be used, and why
+OUT/leather/                     a material, complete or absent
+OUT/.matcap-batch/lock           held by the run that writes here, one at a time
+OUT/.matcap-batch/run/           staged and replaced folders of that run
+OUT/.matcap-batch/failed/NAME    a sample that cannot be used, and why
 
-The system releases locks when a process ends, however it ends: a dead run is always recognised.
-Which materials are done is decided by record.py alone. On file systems without locks two runs may
-make the same material, and files of dead runs remain.
+The system releases the lock when a process ends, however it ends; the next run then restores what
+it had moved. Which materials are done is decided by record.py alone.
 
 A material is published by renaming its staged folder, whose files are synced to disk before
 (record.py). After a power cut the name is the old folder or the new one, complete; or missing, if
@@ -17,14 +15,13 @@ the cut was between the two renames of a replacement, and then the next run rest
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import shutil
 import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,31 +31,27 @@ from matcap.batch.input_folder import WORKSPACE
 from matcap.batch.record import FILE as RECORD
 from matcap.batch.record import read_record
 from matcap.capture.outputs import output_files
+from matcap.errors import MatcapError
 from matcap.files.document import read_document
 from matcap.files.publish import sync
 from matcap.files.staging import write_error
 
-_SWAPS = 16  # attempts to rename while another run renames to the same name
-
 
 @dataclass(frozen=True)
 class Run:
-    """One process's run of a batch: its staging folder and the locks it holds in the output."""
+    """The run of a batch that writes into an output folder."""
 
     out: Path
     """The output folder."""
-    folder: Path
-    """The run's own folder below it."""
-    claims: dict[str, FileLock] = field(default_factory=dict, compare=False, repr=False)
-    """Locks of the materials it makes, by name; not sent to workers."""
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return Run, (self.out, self.folder)
+    @property
+    def folder(self) -> Path:
+        """Its staged and replaced folders."""
+        return self.out / WORKSPACE / "run"
 
     def stage(self, name: str) -> Path:
         """Create an empty staging folder with the material's name, on the output's file system."""
-        parent = self.folder / "stage" / uuid.uuid4().hex
-        stage = parent / name
+        stage = self.folder / "stage" / uuid.uuid4().hex / name
         stage.mkdir(parents=True)
         return stage
 
@@ -66,59 +59,31 @@ class Run:
         """Rename a staged folder to its name in the output, replacing an existing one.
 
         Files that matcap did not write are moved to the new folder. The name is missing between
-        two renames, and never holds part of a material. Of two runs at once, the last one wins.
+        two renames, and never holds part of a material.
 
         Raises:
             OSError: the output cannot be written.
         """
         final = self.out / stage.name
-        moved: list[Path] = []
+        old = self.folder / "old" / uuid.uuid4().hex / stage.name
+        if final.is_dir():
+            old.parent.mkdir(parents=True)
+            for folder in (self.folder, old.parent.parent):
+                sync(folder)
+            os.rename(final, old)
         try:
-            for last in reversed(range(_SWAPS)):
-                try:
-                    os.rename(stage, final)
-                    break
-                except OSError as error:
-                    if last == 0 or error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
-                        raise
-                old = self.folder / "old" / uuid.uuid4().hex / stage.name
-                old.parent.mkdir(parents=True)
-                sync(old.parent.parent.parent)
-                sync(old.parent.parent)
-                with suppress(FileNotFoundError):
-                    os.rename(final, old)
-                    moved.append(old)
+            os.rename(stage, final)
         except BaseException:
-            # Restore the replaced folder, unless another run has taken the name.
-            for old in reversed(moved):
-                with suppress(OSError):
-                    os.rename(old, final)
+            if old.exists():
+                os.rename(old, final)
             raise
         sync(self.out)
-        for old in moved:
+        if old.exists():
             _keep_foreign(old, final)
             shutil.rmtree(old.parent, ignore_errors=True)
         with suppress(OSError):
             stage.parent.rmdir()
         return final
-
-    def claim(self, name: str) -> bool:
-        """Claim a material for this run; False if another running batch has it."""
-        if name in self.claims:
-            return True
-        folder = self.out / WORKSPACE / "claims"
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = _acquired(folder / name)
-        if lock is not None:
-            self.claims[name] = lock
-        return lock is not None
-
-    def release(self, name: str) -> None:
-        """Release a claim of this run."""
-        lock = self.claims.pop(name, None)
-        if lock is not None:
-            Path(lock.lock_file).unlink(missing_ok=True)
-            lock.release()
 
     def write_failure(self, name: str, about: Mapping[str, Any]) -> None:
         """Record that a sample cannot be used."""
@@ -140,58 +105,35 @@ def read_failure(out: Path, name: str) -> dict[str, Any] | None:
 
 @contextmanager
 def open_run(out: Path) -> Iterator[Run]:
-    """Create a workspace for the `with` block; first cleans up after dead runs.
+    """Create a workspace for the `with` block; first cleans up after a run that was killed.
 
     Raises:
-        MatcapError: the output folder cannot be created or written.
+        MatcapError: another batch writes into the folder, or it cannot be created or written.
     """
-    folder = out / WORKSPACE / "runs" / f"{os.getpid()}-{uuid.uuid4().hex[:12]}"
+    run, lock = Run(out), FileLock(out / WORKSPACE / "lock", timeout=0)
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        alive = _acquired(_alive(folder))  # before the folder exists, which others may clean up
-        folder.mkdir()
+        run.folder.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(NotImplementedError):  # a file system without locks
+            lock.acquire()
+        _clear(run)
+        run.folder.mkdir(exist_ok=True)
+    except Timeout as error:
+        raise MatcapError.at(
+            out, "another matcap batch writes into this folder", "wait for it, or give another -o"
+        ) from error
     except OSError as error:
         raise write_error(out, error) from error
-    for other in folder.parent.iterdir():
-        if other != folder and other.is_dir():
-            # A dead run's lock is free.
-            with suppress(OSError, NotImplementedError), FileLock(_alive(other), timeout=0):
-                _clear(out, other)
-                _alive(other).unlink(missing_ok=True)
-    run = Run(out, folder)
     try:
         yield run
     finally:
-        with suppress(OSError):
-            for name in list(run.claims):
-                run.release(name)
-        _clear(out, folder)
-        _alive(folder).unlink(missing_ok=True)
-        if alive is not None:
-            alive.release()
+        _clear(run)
+        lock.release()
 
 
-def _acquired(path: Path) -> FileLock | None:
-    """Acquire a lock; None if another process has it. Without lock support, always acquired."""
-    lock = FileLock(path, timeout=0)
-    try:
-        lock.acquire()
-    except Timeout:
-        return None
-    except NotImplementedError:
-        pass
-    return lock
-
-
-def _alive(run: Path) -> Path:
-    """The lock file of a run."""
-    return run.with_name(f"{run.name}.alive")
-
-
-def _clear(out: Path, run: Path) -> None:
+def _clear(run: Run) -> None:
     """Restore folders that a run had moved to replace them, and delete its workspace."""
-    for old in sorted(run.glob("old/*/*")):
-        final = out / old.name
+    for old in sorted(run.folder.glob("old/*/*")):
+        final = run.out / old.name
         try:
             if final.exists():
                 _keep_foreign(old, final)
@@ -199,7 +141,7 @@ def _clear(out: Path, run: Path) -> None:
                 os.rename(old, final)
         except OSError:
             return  # the next run tries again
-    shutil.rmtree(run, ignore_errors=True)
+    shutil.rmtree(run.folder, ignore_errors=True)
 
 
 def _keep_foreign(old: Path, new: Path) -> None:

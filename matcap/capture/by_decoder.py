@@ -9,7 +9,6 @@ matching, verdict.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 from matcap.capture.exemplar.estimate import ExemplarEstimate, estimate_exemplar
@@ -20,14 +19,11 @@ from matcap.capture.rectified import Rectified
 from matcap.capture.result import CaptureResult, Tuning, judge_material, provenance
 from matcap.capture.settings import CaptureSettings, Effort
 from matcap.capture.target import photograph_target
-from matcap.errors import MatcapError
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
-from matcap.photo.photo import Photo
 from matcap.space.decoder import DecoderConfig, with_drawing
 from matcap.space.drawing import Drawing
 from matcap.space.tuned import TunedDecoder
-from matcap.space.tuning.anytime import Forecaster, self_difference
 from matcap.space.tuning.finetune import (
     RATE_WITH_DRAWING,
     Tuned,
@@ -37,11 +33,11 @@ from matcap.space.tuning.finetune import (
 from matcap.space.tuning.initialisation import InitialDecoder, initial_decoder
 from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.match import match_photograph
+from matcap.space.tuning.windows import self_difference
 
 
 def capture_by_decoder(
     rectified: Rectified,
-    others: Sequence[Photo],
     settings: CaptureSettings,
     effort: Effort,
     method: Method,
@@ -51,14 +47,13 @@ def capture_by_decoder(
 
     Args:
         rectified: the photograph, at the network's resolution.
-        others: more photographs of the same sample.
         settings: of the user.
         effort: steps and windows that follow from the settings.
         method: variant of the method.
         clock: of the capture.
 
     Raises:
-        MatcapError: the prior cannot be read, or the picture is too small for `target`.
+        MatcapError: the prior cannot be read.
     """
     photo, coarse, plane = rectified.photo, rectified.coarse, rectified.whole
 
@@ -68,24 +63,22 @@ def capture_by_decoder(
     estimate = estimated(clock) if settings.draws else None
     with clock.stage("statistics"):
         most = None if effort.steps else 1
-        target, joined = photograph_target(rectified, others, settings, method, most)
+        target = photograph_target(rectified, settings, method, most)
         drawing = None if estimate is None else Drawing(estimate.example)
         if drawing is not None:  # it shows the lattice already, with the exemplar's phases
             target = replace(target, waves=())
         window_distance = self_difference(target.windows, target.weights)
         tune = TuneSettings(
             steps=effort.steps,
-            target=_target(settings, window_distance, photo.name),
             places=effort.places,
             seed=settings.seed,
         )
     start = _start(rectified, settings, target, tune, clock)
     target = replace(target, drawing=drawing)
     decoder, tuned = _tuned_decoder(rectified, start, target, tune, clock, window_distance)
-    about = provenance(rectified, settings, effort, joined)
+    about = provenance(rectified, settings, effort, [])
     material = decoder.material(photo.stem, coarse.setup, about)
     if tuned.history and effort.matched:
-        # Of several photographs, the first is matched.
         with clock.stage("matching"), postponed() as stopped:
             material = match_photograph(material, plane, settings.seed)
         clock.interrupted |= stopped()
@@ -118,7 +111,6 @@ def _start(
             tune,
             settings.prior,
             DecoderConfig(),
-            search=settings.time_limit is None,
         )
 
 
@@ -138,16 +130,15 @@ def _tuned_decoder(
     if target.drawing is not None:
         decoder, rate = with_drawing(decoder), RATE_WITH_DRAWING
     with clock.stage("fine-tuning"):
-        limit = clock.left_for("fine-tuning")
+        limit, unit = clock.left_for("fine-tuning"), window_distance or math.nan
         seconds = limit if math.isfinite(limit) else None
         tune = replace(tune, seconds=seconds, learning_rate=rate)
-        ahead = Forecaster(window_distance)
         tuned = finetune(
             decoder,
             start.code,
             target,
             tune,
-            lambda share, error, taken: clock.tuning(share, *ahead.after(error, taken)),
+            lambda share, error, taken: clock.tuning(share, error / unit),
         )
     clock.interrupted |= tuned.interrupted
     network = tuned.decoder.eval().requires_grad_(False)
@@ -162,22 +153,3 @@ def _upright(material: Material) -> Material:
     tuned, setup = material.part(TunedDecoder), replace(material.setup, turned=True)
     assert tuned is not None
     return tuned.material(material.name, setup, material.provenance)
-
-
-def _target(settings: CaptureSettings, window_distance: float, name: str) -> float | None:
-    """Loss at which fine-tuning ends: settings.target times `window_distance`, or None.
-
-    Args:
-        window_distance: texture distance between neighbouring windows of the photograph; NaN if it
-            is too small for two.
-
-    Raises:
-        MatcapError: there is a target and `window_distance` is NaN.
-    """
-    if settings.target is not None and math.isnan(window_distance):
-        raise MatcapError.at(
-            name,
-            "the picture is too small to be compared with itself",
-            "raise --detail, or give --steps or --time in place of --target",
-        )
-    return None if settings.target is None else settings.target * window_distance

@@ -17,7 +17,6 @@ from matcap.capture.verdict.highlight import highlight_profile
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.rectify import CLIPPING, picture_of
-from matcap.photo.camera import CameraProfile
 from matcap.photo.checks import CHECKS, Finding
 from matcap.photo.inspect import Inspection, inspect_photo
 from matcap.photo.load import load_photo
@@ -36,22 +35,18 @@ class InspectedPhotograph:
     """Estimates of the tilt by source, degrees (capture/tilt.py)."""
 
 
-def inspect_file(
-    path: Path, detail: int, fov: float | None = None, profile: CameraProfile | None = None
-) -> InspectedPhotograph:
+def inspect_file(path: Path, detail: int, fov: float | None = None) -> InspectedPhotograph:
     """Inspect a photograph after the same reading and coarse fit as in a capture.
 
     Args:
         path: of the photograph.
         detail: pixels along its long side.
         fov: field of view along that side, degrees; None for the file's metadata.
-        profile: of the camera, or None.
 
     Raises:
         MatcapError: the file cannot be read, or the coarse fit fails.
     """
     photo = load_photo(path, long_side=detail, fov=fov, noise=False)
-    photo = photo if profile is None else photo.known_by(profile)
     photo, coarse, plane = _rectified(photo)
     return InspectedPhotograph(
         _quality(photo, coarse, plane),

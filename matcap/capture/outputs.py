@@ -93,10 +93,10 @@ def no_repeat(size: tuple[int, int], alignment: int) -> str:
 
 
 def output_files(name: str) -> list[str]:
-    """Names of the files that write_outputs writes into a folder of this name, without exports."""
-    from matcap.capture.report import CURVE
-
-    return [f"{name}.matcap", PREVIEW, REPORT, CURVE, *mapset_files(name)]
+    """Names of the files that write_outputs writes into a folder of this name, without exports;
+    error.png is of earlier versions.
+    """
+    return [f"{name}.matcap", PREVIEW, REPORT, *mapset_files(name), "error.png"]
 
 
 def _write_piece(

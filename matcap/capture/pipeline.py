@@ -37,7 +37,6 @@ from matcap.capture.tilt import fit_photograph
 from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
-from matcap.photo.camera import read_camera_profile
 from matcap.photo.left_out import leave_out
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
@@ -52,7 +51,7 @@ def read_photograph(
     *,
     several: bool = False,
 ) -> Photo:
-    """Read a photograph for a capture: at its resolution, with camera profile, crop and mask.
+    """Read a photograph for a capture: at its resolution, with crop and mask.
 
     Args:
         path: of the photograph.
@@ -61,7 +60,7 @@ def read_photograph(
 
     Raises:
         UsageError: the preset is unknown; the crop exceeds the photograph; a crop or mask is given
-            for several photographs; the camera profile is invalid.
+            for several photographs.
         MatcapError: the file cannot be read as a photograph; the mask has another size; one of
             several photographs has transparent pixels.
     """
@@ -73,8 +72,6 @@ def read_photograph(
             "leave it out: what does not belong to the sample is detected",
         )
     photo = load_photo(path, long_side=detail, fov=settings.fov)
-    if settings.camera is not None:
-        photo = photo.known_by(read_camera_profile(settings.camera))
     if several and photo.left_out is not None:
         raise MatcapError.at(
             path,
@@ -164,7 +161,7 @@ def capture_photo(
         from matcap.capture.by_decoder import capture_by_decoder
 
         rectified = _rectified(photo, settings, method, clock).at_input_resolution()
-        return capture_by_decoder(rectified, others, settings, effort, method, clock)
+        return capture_by_decoder(rectified, settings, effort, method, clock)
     if others:
         from matcap.capture.multiview.estimate import estimate_multiview
 

@@ -76,8 +76,6 @@ class CaptureProgress(Progress):
     error: float | None = None
     """Texture distance in fine-tuning a decoder, over that between neighbouring windows of the
     photograph; None in other stages."""
-    in_a_minute: float | None = None
-    """Forecast of `error` a minute later, or None."""
     interrupted: bool = False
     """Whether Ctrl-C was pressed: the remaining stages complete the best result so far."""
 
@@ -139,10 +137,10 @@ class CaptureClock:
         """Callback for the part of a stage from `begin` to `end`; it takes a share in [0, 1]."""
         return lambda share: self.within(name, begin + share * (end - begin))
 
-    def tuning(self, share: float, error: float | None, in_a_minute: float | None) -> None:
-        """Report a step of fine-tuning, with its error and forecast (see CaptureProgress)."""
+    def tuning(self, share: float, error: float) -> None:
+        """Report a step of fine-tuning, with its error (see CaptureProgress); NaN is none."""
         now = self._now("fine-tuning", share)
-        self._on_progress(replace(now, error=error, in_a_minute=in_a_minute))
+        self._on_progress(replace(now, error=error if error == error else None))
 
     def left_for(self, name: str) -> float:
         """Seconds left for a stage: limit - t - t * after / before, at least 0; infinite without.

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from matcap.capture.outputs import REPORT
+from matcap.capture.report_file import read_report
 from matcap.capture.settings import CaptureSettings, OutputSettings, resolve
 from matcap.errors import MatcapError
 from matcap.files.document import read_document
 
 # Settings that determine only the effort; the resulting effort is compared instead.
-_HOW_LONG = ("preset", "steps", "time_limit", "target")
+_HOW_LONG = ("preset", "steps", "time_limit")
 
 
 def refuse_to_replace_capture(
@@ -33,7 +34,7 @@ def refuse_to_replace_capture(
     Raises:
         MatcapError: lists the differences and names --overwrite.
     """
-    old = _report(folder)
+    old = read_report(folder / REPORT)
     if old is None:
         return
     _refuse(folder, _differences(folder, old, photographs, settings, outputs))
@@ -52,7 +53,7 @@ def refuse_to_replace_longer_capture(
     Raises:
         MatcapError: states the old effort and names --overwrite.
     """
-    old = _report(folder)
+    old = read_report(folder / REPORT)
     _refuse(folder, [] if old is None else _longer(old, settings, photographs))
 
 
@@ -69,7 +70,7 @@ def _longer(old: dict[str, Any], settings: CaptureSettings, photographs: int) ->
     """One phrase if the earlier capture, not interrupted, had more photographs, texels or steps."""
     if old.get("interrupted"):
         return []
-    before = len((old.get("several") or {}).get("photographs", ())) or 1
+    before = len((old.get("multi_view") or {}).get("photographs", ())) or 1
     if before > photographs:
         return [f"one of {before} photographs"]
     spent, effort = old.get("effort", {}), resolve(settings)
@@ -110,8 +111,3 @@ def _differences(
         if "png" in maps and not outputs.png:
             differences.append("with PNGs")
     return differences
-
-
-def _report(folder: Path) -> dict[str, Any] | None:
-    """report.json of a folder, or None."""
-    return read_document(folder / REPORT, "matcap report")

@@ -2,13 +2,14 @@
 
 Keys:
     format: "matcap report".
+    version: of this file, 2.
     name: of the material.
     interrupted: whether Ctrl-C ended the capture early.
     verdict: `rating` (good, usable, doubtful or failed), `fit` (good or usable), `severity` (up to
         1 is good, 2 usable, 3 doubtful), `sentence` (the largest difference, its cause and remedy),
         `causes` detected in the photograph, each with its remedy, and all `checks`
-        (photo/checks.py): each `value` and `unit`, rating or "not judged", severity, `says` (the
-        finding in words), cause and remedy.
+        (photo/checks.py): each `value` and `unit`, rating or "not judged", severity, `message`,
+        cause and remedy.
     highlight: of the photograph and its re-rendering, in pairs, both clipped where the photograph
         is; null if the mirror point is outside of the picture. `rings` around that point, with
         outer `radii` (plane units) and one beyond: mean radiance over that of a uniform matte
@@ -17,7 +18,7 @@ Keys:
         that of the innermost unclipped ring, whichever is farther from 1); `clipped`, share of each
         ring: above 5 % in the first the photographed contrast is a lower bound. `glints`, standard
         deviation of log radiance by octave, finest first, and `glint_ratio`.
-    error: `piece`, median difference of log radiance between the photograph and the re-rendered
+    error: `exemplar`, median difference of log radiance between the photograph and the re-rendered
         exemplar; `field`, texture distance between the photograph and the endless material over
         that between parts of the photograph; null if not measured.
     warnings: sentences on what may reduce the quality.
@@ -28,36 +29,35 @@ Keys:
         `picture`, of the coarse fit without the branch; null of several photographs, where
         registration gives the tilt), flash offset and intensity, vignetting coefficients of r^2 and
         r^4 and its centre (image coordinates), the `tone_curve` that was undone (photo/tone.py) or
-        null, and the camera `profile` that was the prior of the fit, or null: its camera, number of
-        photographs, `falloff` (r^2 and r^4), `deviation` and `correlation`.
+        null.
     texel_size: plane units.
     settings: of the user.
     effort: that follows from the settings: `preset`, `detail` and `steps` of fine-tuning a decoder
-        (0 without); of a decoder also `places` (windows per step), and whether it was `matched`.
+        (0 without); of a decoder also `windows_per_step`, and whether it was `matched`.
     seconds: of the whole capture.
     stage_seconds: of each stage.
     tuning: of a decoder, or null: `error` (the last texture distance), `self_difference` (that
-        between neighbouring windows of the photograph), `relative_error` (their ratio),
-        `error_after_another_minute` (forecast) and `error_over_time` (seconds, step and error).
+        between neighbouring windows of the photograph), `relative_error` (their ratio) and
+        `error_over_time` (seconds, step and error).
     exemplar: or null: `error` (median difference of log radiance between photograph and
-        re-rendering), `slow` (the low-frequency residual, which is not the material's), `left_out`
-        (share that stands out, such as stains, which fields avoid), `variety` (0 to 1: small
-        patches at 1), `patches` (their size, in words), `strengths` (root-mean-square slope and
-        log albedo by band of the photograph, capture/exemplar/relief_spectrum.py; or null),
-        `sharpness` (power of the finest octave, re-rendering over photograph), `confidence` (mean,
-        by map), `specular_channels` (3 if F0 has a colour), `highlight_residue` (radial variation
-        about the mirror point: of the logarithms of `albedo`, `specular` and `grain`, the
-        amplitude of relief, and of `roughness`).
-    several: of several photographs of one sample, or null: `photographs` (name, `flash`, false if
-        lit by ambient light, `matches` with the first, `likeness`, `place` of the camera in plane
-        units, tilt, `doubt`, standard deviation of `place` over its distance, `residual` of the
-        re-rendering, and `predicted`, the same with maps from all other photographs, or null),
+        re-rendering), `low_frequency_residual` (which is not the material's), `left_out` (share
+        that stands out, such as stains, which fields avoid), `variety` (0 to 1: small patches at
+        1), `patches` (their size, in words), `relief_spectrum` (root-mean-square slope and log
+        albedo by band of the photograph, capture/exemplar/relief_spectrum.py; or null), `sharpness`
+        (power of the finest octave, re-rendering over photograph), `confidence` (mean, by map),
+        `specular_channels` (3 if F0 has a colour), `highlight_residue` (radial variation about the
+        mirror point: of the logarithms of `albedo`, `specular` and `grain`, the amplitude of
+        relief, and of `roughness`).
+    multi_view: of several photographs of one sample, or null: `photographs` (name, `flash`, false
+        if lit by ambient light, `matches` with the first, their `correlation`, `position` of the
+        camera in plane units, tilt, `position_deviation` over the distance, `residual` of the
+        re-rendering, and `leave_one_out_residual`, with maps from all other photographs, or null),
         `left_out` (name and reason), `measured_share` (by map: share measured by photographs rather
         than predicted by the network), flash offset and lens distortion;
-        with --union `union`: `margins` (texels around the first photograph's rectangle), `times`
-        (its texels over that rectangle's), `covered_share` (share of what photographs show that is
-        in it), `seen_share` (share of it that any photograph shows) and `limited` (reduced to fit
-        memory).
+        with --union `mosaic`: `margins` (texels around the first photograph's rectangle),
+        `area_ratio` (its texels over that rectangle's), `covered_share` (share of what photographs
+        show that is in it), `seen_share` (share of it that any photograph shows) and `limited`
+        (reduced to fit memory).
     provenance: how the material was made.
     versions: of matcap, Python, the system and the libraries.
 """
@@ -73,6 +73,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from matcap.capture.report_file import FORMAT, VERSION
 from matcap.example.summary import summary
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.staging import staged
@@ -82,12 +83,11 @@ if TYPE_CHECKING:
     from matcap.capture.multiview.set_report import SetReport
     from matcap.capture.result import CaptureResult, Tuning
 
-CURVE = "error.png"
 _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "OpenEXR")
 
 
 def write_report(result: CaptureResult, path: Path) -> None:
-    """Write the report of a capture; of a decoder also error.png, its error over time, next to it.
+    """Write the report of a capture.
 
     Raises:
         MatcapError: the file cannot be written.
@@ -95,11 +95,6 @@ def write_report(result: CaptureResult, path: Path) -> None:
     text = json.dumps(_finite(report(result)), indent=2, default=str, allow_nan=False)
     with staged(path.parent) as stage:
         (stage / path.name).write_text(text + "\n")
-        if result.tuning is not None:
-            from matcap.space.tuning.curve import draw_history
-
-            tuning = result.tuning
-            draw_history(tuning.history, tuning.self_difference).save(stage / CURVE)
 
 
 def report(result: CaptureResult) -> dict[str, Any]:
@@ -108,7 +103,8 @@ def report(result: CaptureResult) -> dict[str, Any]:
     profile = result.measurements.profile
     extent = [several.mosaic.summary()] if several and several.mosaic.margins.any else []
     return {
-        "format": "matcap report",
+        "format": FORMAT,
+        "version": VERSION,
         "name": result.material.name,
         "interrupted": result.interrupted,
         "verdict": result.verdict.document(),
@@ -139,7 +135,6 @@ def report(result: CaptureResult) -> dict[str, Any]:
             "vignetting_quartic": setup.vignetting_quartic,
             "vignetting_centre": list(setup.vignetting_centre),
             "tone_curve": photo.tone and asdict(photo.tone),
-            "profile": photo.profile and photo.profile.document(),
         },
         "texel_size": result.material.texel_size,
         "settings": result.settings.named(),
@@ -148,7 +143,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "stage_seconds": dict(result.stage_seconds),
         "tuning": _tuning(result.tuning),
         "exemplar": _exemplar(result),
-        "several": several and several.document(),
+        "multi_view": several and several.document(),
         "provenance": result.material.provenance,
         "versions": {
             "matcap": MAKER_VERSION,
@@ -163,21 +158,20 @@ def _effort(result: CaptureResult) -> dict[str, Any]:
     effort = asdict(result.effort)
     if result.settings.generator != "decoder":
         del effort["places"], effort["matched"]
+    else:
+        effort["windows_per_step"] = effort.pop("places")
     return effort
 
 
 def _tuning(tuning: Tuning | None) -> dict[str, Any] | None:
     if tuning is None:
         return None
-    from matcap.space.tuning.anytime import forecast
-
     history = tuning.history
     return {
         "drawing": tuning.drawing,
         "error": history[-1][2] if history else None,
         "self_difference": tuning.self_difference,
         "relative_error": tuning.relative_error,
-        "error_after_another_minute": forecast(history, 60.0),
         "error_over_time": [
             {"seconds": seconds, "step": step, "error": error} for seconds, step, error in history
         ],
@@ -191,11 +185,11 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
     spectrum = estimate.relief_spectrum
     return {
         "error": estimate.error,
-        "slow": estimate.slow,
+        "low_frequency_residual": estimate.slow,
         "left_out": estimate.example.index.left_out,
         "variety": estimate.example.variety,
         "patches": summary(estimate.example).patches_text(),
-        "strengths": spectrum and spectrum.document(),
+        "relief_spectrum": spectrum and spectrum.document(),
         "sharpness": estimate.sharpness,
         "confidence": estimate.mean_confidence(result.photo.kept_share),
         "specular_channels": len(estimate.exemplar.specular),
@@ -242,12 +236,12 @@ def _set_warnings(several: SetReport, *, union: bool) -> Iterable[str]:
 def _setting_notes(result: CaptureResult) -> Iterable[str]:
     """Sentences on settings that act differently from what their names suggest."""
     settings, effort = result.settings, result.effort
-    limited = settings.time_limit is not None or settings.target is not None
+    limited = settings.time_limit is not None
     if limited and settings.generator != "decoder":
         yield "With a time limit, the preset has no effect: the limit determines the texels."
     elif limited and settings.steps is None:
         yield (
-            "With a time limit or a target, the preset has no effect: at most "
+            "With a time limit, the preset has no effect: at most "
             f"{effort.steps} steps. Give --steps for another number."
         )
     if settings.width_cm is None:

@@ -103,13 +103,13 @@ class CaptureResult:
     def errors(self) -> dict[str, float | None]:
         """Errors of exemplar and material, each None where it is not measured.
 
-        `piece`: median |log radiance of photograph - of re-rendered exemplar|.
+        `exemplar`: median |log radiance of photograph - of re-rendered exemplar|.
         `field`: texture distance between photograph and material over that between parts of the
         photograph.
         """
         field = self.measurements.texture
         return {
-            "piece": None if self.estimate is None else self.estimate.error,
+            "exemplar": None if self.estimate is None else self.estimate.error,
             "field": field if math.isfinite(field) else None,
         }
 

@@ -6,7 +6,6 @@ default and docstring from its field (files/settings.py). Variants for experimen
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -37,11 +36,6 @@ _OF_DECODER: Mapping[str, tuple[str, str, str]] = MappingProxyType(
             "--steps",
             "only a decoder is fine-tuned in steps",
             "--preset or --detail in its place",
-        ),
-        "target": (
-            "--target",
-            "only fine-tuning of a decoder has a target",
-            "--time in its place",
         ),
         "prior": ("--prior", "only a decoder starts from a prior", "leave it out"),
         "statistics": (
@@ -88,7 +82,7 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
         )
     }
 )
-# Under a time limit or a target, so that these end the work rather than its step count.
+# Under a time limit, so that it ends the work rather than the step count.
 UNLIMITED = Effort("standard", 800)
 # (least time limit in seconds, detail): a capture with more texels would exceed a shorter limit.
 TIME_FOR_DETAIL = ((60.0, FINE_DETAIL), (20.0, DETAIL), (0.0, QUICK_DETAIL))
@@ -129,7 +123,7 @@ class Statistics:
 class CaptureSettings(CheckedSettings):
     """User settings of a capture.
 
-    With a time limit or a target, and without steps, the steps are those of UNLIMITED, so that only
+    With a time limit, and without steps, the steps are those of UNLIMITED, so that only
     the limit ends the work.
     """
 
@@ -143,9 +137,6 @@ class CaptureSettings(CheckedSettings):
     )
     """Time limit of the whole capture, in seconds or as 90s, 2m: it determines the texels instead
     of the preset and, without --steps, the steps of a decoder."""
-    target: float | None = setting(None, least=0.01, most=1e6, metavar="TIMES")
-    """With the decoder: stop at this texture distance, in multiples of that between neighbouring
-    windows of the photograph, or after 800 steps without --steps."""
     detail: int | None = setting(None, least=64, most=8192, otherwise="the preset's")
     """Texels along the photograph's long side; by default the preset's if the photograph has as
     many pixels, and 1024 otherwise or with the decoder."""
@@ -161,9 +152,6 @@ class CaptureSettings(CheckedSettings):
     mask: Path | None = setting(None, metavar="FILE.png")
     """Picture of the photograph's size: white is captured, black (a finger, a label, the table's
     edge) is left out."""
-    camera: Path | None = setting(None, metavar="FILE.json")
-    """Camera profile, written by matcap camera or matcap batch: the lens's falloff towards the
-    corners."""
     seed: int = setting(0, least=0, most=2**63 - 1)
     """Seed of the optimisation and of the map set."""
     prior: str = setting("auto", metavar="auto|none|PATH")
@@ -203,10 +191,9 @@ class CaptureSettings(CheckedSettings):
         document = asdict(self) | {"statistics": str(self.statistics), "union": self.union or None}
         # Omitted if unset, as in files written before these settings existed.
         document |= {
-            name: part and str(part)
-            for name, part in (("crop", self.crop), ("mask", self.mask), ("camera", self.camera))
+            name: part and str(part) for name, part in (("crop", self.crop), ("mask", self.mask))
         }
-        unsaid = {"crop", "mask", "camera", "union"}
+        unsaid = {"crop", "mask", "union"}
         return {name: value for name, value in document.items() if value or name not in unsaid}
 
     @property
@@ -323,8 +310,14 @@ def check_photographs(settings: CaptureSettings, photographs: int) -> None:
     """Check settings against the number of photographs of a sample.
 
     Raises:
-        UsageError: `union` is set for one photograph.
+        UsageError: `union` is set for one photograph, or the decoder for several.
     """
+    if settings.generator == "decoder" and photographs > 1:
+        raise UsageError.at(
+            "--generator decoder",
+            "the decoder is fine-tuned to one photograph",
+            "give one, or leave it out",
+        )
     if settings.union and photographs < 2:
         raise UsageError.at(
             "--union",
@@ -361,8 +354,8 @@ def resolve(settings: CaptureSettings) -> Effort:
     effort = PRESETS[settings.preset]
     if settings.steps is not None:
         effort = replace(effort, steps=settings.steps)
-    elif settings.time_limit is not None or settings.target is not None:
-        limit = settings.time_limit or math.inf
+    elif settings.time_limit is not None:
+        limit = settings.time_limit
         detail = next(texels for least, texels in TIME_FOR_DETAIL if limit >= least)
         effort = replace(UNLIMITED, detail=detail)
     if settings.detail is not None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -15,11 +14,8 @@ from torch import Tensor, nn
 from matcap.capture.method import FEATURES, WINDOW, Method
 from matcap.capture.rectified import Rectified
 from matcap.capture.settings import CaptureSettings
-from matcap.capture.tilt import fit_photograph
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_encode_tensor
-from matcap.photo.photo import Photo
-from matcap.space.tuning.joint import join
 from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.windows import cut_windows
 from matcap.statistics.compare import Features
@@ -30,16 +26,14 @@ _WINDOW_STEP = 16  # texels: sides of windows are multiples of this, the decoder
 
 def photograph_target(
     rectified: Rectified,
-    others: Sequence[Photo],
     settings: CaptureSettings,
     method: Method,
     most: int | None = None,
-) -> tuple[PhotographTarget, list[dict[str, Any]]]:
-    """Windows and statistics for the texture distance, and a JSON entry for each other photograph.
+) -> PhotographTarget:
+    """Windows and statistics for the texture distance.
 
     Args:
         rectified: the photograph, at the network's resolution.
-        others: more photographs of the same sample.
         settings: names the statistics.
         method: has the weights.
         most: largest number of windows, or None.
@@ -47,7 +41,7 @@ def photograph_target(
     plane, coarse = rectified.whole, rectified.coarse
     side = min(WINDOW, *(side // _WINDOW_STEP * _WINDOW_STEP for side in plane.size))
     bank = _features(settings)
-    target = PhotographTarget(
+    return PhotographTarget(
         cut_windows(plane, bank, side, most=most),
         coarse.setup,
         plane.encoding,
@@ -57,9 +51,6 @@ def photograph_target(
         weights=method.weights,
         expected=coarse.logits(),
     )
-    fits = ((photo, fit_photograph(photo)) for photo in others)
-    linear = [(photo.linearised(fit.tone), fit) for photo, fit in fits]
-    return join(target, coarse, linear, plane.size[0]) if others else (target, [])
 
 
 def _features(settings: CaptureSettings) -> Features:

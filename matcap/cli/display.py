@@ -96,8 +96,6 @@ class CaptureDisplay(_Shown):
         left = "" if now.seconds_left is None else spoken_duration(now.seconds_left)
         if now.error is not None:
             error = f"texture distance {now.error:.2f} times that between parts of the photograph"
-        if now.in_a_minute is not None:
-            error += f" ({now.in_a_minute:.2f} after another minute)"
         if self._bars is not None and self._task is not None:
             to_go = left and f"{left} left"
             self._bars.update(

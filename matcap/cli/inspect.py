@@ -17,7 +17,6 @@ from matcap.cli.options import JsonOption
 from matcap.errors import ExitCode, MatcapError, UsageError
 
 if TYPE_CHECKING:
-    from matcap.photo.camera import CameraProfile
     from matcap.photo.inspect import Inspection
 
 _MARKS = {"good": "ok", "not judged": "  ", "usable": "- ", "doubtful": "? ", "failed": "! "}
@@ -33,7 +32,7 @@ def inspect(
         ),
     ],
     given: Annotated[Given, Fields(InspectSettings)] = NOTHING,
-    captured: Annotated[Given, Fields(CaptureSettings, only=("fov", "camera"))] = NOTHING,
+    captured: Annotated[Given, Fields(CaptureSettings, only=("fov",))] = NOTHING,
     as_json: JsonOption = False,
 ) -> None:
     """Rate photographs before they are captured, with advice for the next one.
@@ -46,14 +45,12 @@ def inspect(
     F0, and highlight and glints of its verdict.
     """
     from matcap.files.names import are_a_series
-    from matcap.photo.camera import read_camera_profile
 
     detail, together = astuple(chosen(InspectSettings, given))
-    fov, camera = captured.get("fov"), captured.get("camera")
+    fov = captured.get("fov")
     pictures = [path for path in photos if path.suffix.lower() != ".matcap"]
     if together and not pictures:
         raise UsageError.at("--together", "there are no photographs", "name two or more")
-    profile = None if camera is None else read_camera_profile(camera)
     photographs: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []
     failures = 0
@@ -62,7 +59,7 @@ def inspect(
         documents = materials if of_material else photographs
         kind = "material" if of_material else "photo"
         try:
-            document, text = _material(path) if of_material else _photo(path, detail, fov, profile)
+            document, text = _material(path) if of_material else _photo(path, detail, fov)
         except UsageError:
             raise
         except MatcapError as error:
@@ -93,24 +90,19 @@ def inspect(
         raise typer.Exit(ExitCode.SOME_FAILED if some else ExitCode.NOTHING_SUCCEEDED)
 
 
-def _photo(
-    path: Path, detail: int, fov: float | None, profile: CameraProfile | None
-) -> tuple[dict[str, Any], str]:
+def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], str]:
     """Checks of a photograph, for JSON and as text."""
     from matcap.capture.inspection import inspect_file
     from matcap.capture.tilt import tilt_line
 
-    inspected = inspect_file(path, detail, fov, profile)
+    inspected = inspect_file(path, detail, fov)
     quality, relief = inspected.quality, inspected.relief_spectrum
     lines = _rated(str(path), quality)
     spectrum = relief.document() if relief else None
     lines += [f"     {name:<13} {says}" for name, says in _spectrum_lines(spectrum)]
     if inspected.tilt is not None:
         lines.append(f"     {'tilt from':<13} {tilt_line(inspected.tilt)}")
-    if profile is not None:
-        lines.append(f"     {'camera':<13} {profile.says()}")
-    document = quality.document() | {"strengths": spectrum, "tilt_sources": inspected.tilt}
-    document["profile"] = profile and profile.document()
+    document = quality.document() | {"relief_spectrum": spectrum, "tilt_sources": inspected.tilt}
     return document, "\n".join(lines)
 
 
@@ -135,7 +127,7 @@ def _spectrum_lines(measured: dict[str, Any] | None) -> list[tuple[str, str]]:
     bands = measured["bands"]
 
     def finest(of: str) -> str:
-        low, high = sorted(max(bands, key=lambda band: float(band[of]))["waves"])
+        low, high = sorted(max(bands, key=lambda band: float(band[of]))["wavelengths"])
         return f"mostly in details of {low / 2:g} to {high / 2:g} pixels"
 
     steep = math.degrees(math.atan(math.hypot(*(band["slope"] for band in bands))))
@@ -149,10 +141,10 @@ def _spectrum_lines(measured: dict[str, Any] | None) -> list[tuple[str, str]]:
 def _material(path: Path) -> tuple[dict[str, Any], str]:
     """Summary of a material, for JSON and as text."""
     from matcap.capture.outputs import REPORT
+    from matcap.capture.report_file import read_report
     from matcap.example.stored import read_exemplified
     from matcap.example.summary import summary
     from matcap.export.job import known_scale
-    from matcap.files.document import read_document
 
     exemplified, made = read_exemplified(path), "by example"
     if exemplified is None:
@@ -164,7 +156,7 @@ def _material(path: Path) -> tuple[dict[str, Any], str]:
         f"     {name:<13} {says}" for name, says in about.lines(known_scale(exemplified.provenance))
     ]
     document: dict[str, Any] = {"exemplar": about.document()}
-    report = read_document(path.parent / REPORT, "matcap report") or {}
+    report = read_report(path.parent / REPORT) or {}
     verdict, photographed = report.get("verdict"), report.get("photograph", {}).get("name")
     own = photographed == exemplified.provenance.get("photograph")
     if own and isinstance(verdict, dict) and "sentence" in verdict:
@@ -172,5 +164,5 @@ def _material(path: Path) -> tuple[dict[str, Any], str]:
         document["verdict"] = verdict
         lines.append(f"     {'verdict':<13} {verdict['sentence']}")
         gloss = (name for name in ("highlight_contrast", "glint_contrast") if name in checks)
-        lines += [f"     {name[:-9]:<13} {checks[name]['says']}" for name in gloss]
+        lines += [f"     {name[:-9]:<13} {checks[name]['message']}" for name in gloss]
     return document, "\n".join([f"{path}: {made}", *lines])

@@ -22,10 +22,7 @@ from typer.core import TyperCommand
 from matcap.cli import (
     batch,
     blend,
-    camera,
     capture,
-    card,
-    compare,
     doctor,
     export,
     inspect,
@@ -57,9 +54,6 @@ app = typer.Typer(
 app.command("capture")(capture.capture)
 app.command("batch")(batch.batch)
 app.command("inspect")(inspect.inspect)
-app.command("compare")(compare.compare)
-app.command("camera")(camera.camera)
-app.command("card")(card.card)
 app.command("synth", cls=synth.SynthCommand)(synth.synth)
 app.command("relight")(relight.relight)
 app.command("export")(export.export)

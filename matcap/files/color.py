@@ -103,18 +103,14 @@ class ColorSpace:
 SRGB = ColorSpace("sRGB", (srgb_decode,) * 3)
 LINEAR = ColorSpace("linear Rec.709", (linear,) * 3)
 
-# (name, primaries and white) by code point (ITU-T H.273, table 2).
+# (name, primaries and white) by code point (ITU-T H.273, table 2) that cameras and renderers
+# write.
 _PRIMARIES: dict[int, tuple[str, tuple[float, ...]]] = {
     1: ("Rec.709", REC709),
-    4: ("BT.470 M", (0.67, 0.33, 0.21, 0.71, 0.14, 0.08, 0.310, 0.316)),
     5: ("BT.470 BG", (0.64, 0.33, 0.29, 0.60, 0.15, 0.06, 0.3127, 0.3290)),
     6: ("SMPTE 170M", (0.630, 0.340, 0.310, 0.595, 0.155, 0.070, 0.3127, 0.3290)),
-    7: ("SMPTE 240M", (0.630, 0.340, 0.310, 0.595, 0.155, 0.070, 0.3127, 0.3290)),
-    8: ("film", (0.681, 0.319, 0.243, 0.692, 0.145, 0.049, 0.310, 0.316)),
     9: ("BT.2020", (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290)),
-    11: ("DCI-P3", (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, 0.314, 0.351)),
     12: ("Display P3", (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, 0.3127, 0.3290)),
-    22: ("EBU 3213", (0.630, 0.340, 0.295, 0.605, 0.155, 0.077, 0.3127, 0.3290)),
 }
 _UNSPECIFIED = 2  # a code point
 _WHITE = 203.0  # cd/m2, diffuse white (ITU-R BT.2408, table 1)
@@ -130,12 +126,6 @@ def rec709_decode(code: Values) -> Values:
     """Inverse of the camera's curve of ITU-R BT.709-6, item 1.2; code 0.5 is the light 0.2597."""
     above = (np.maximum(code, 0.081) + 0.099) / 1.099
     return np.where(code < 0.081, code / 4.5, above ** (1.0 / 0.45))
-
-
-def _smpte240_decode(code: Values) -> Values:
-    """SMPTE ST 240 (ITU-T H.273, table 3)."""
-    above = (np.maximum(code, 0.0913) + 0.1115) / 1.1115
-    return np.where(code < 0.0913, code / 4.0, above ** (1.0 / 0.45))
 
 
 def pq_decode(code: Values) -> Values:
@@ -160,14 +150,10 @@ def hlg_decode(code: Values) -> Values:
 
 # Curves by code point (ITU-T H.273, table 3).
 _TRANSFERS: dict[int, tuple[str, Curve]] = {
-    **dict.fromkeys((1, 6, 11, 12, 14, 15), ("the curve of BT.709", rec709_decode)),
-    4: ("gamma 2.2", power(2.2)),
-    5: ("gamma 2.8", power(2.8)),
-    7: ("the curve of SMPTE 240M", _smpte240_decode),
+    **dict.fromkeys((1, 6, 14, 15), ("the curve of BT.709", rec709_decode)),
     8: ("linear", linear),
     13: ("the curve of sRGB", srgb_decode),
     16: ("PQ", pq_decode),
-    17: ("gamma 2.6", lambda code: power(2.6)(code) * (52.37 / 48.0)),
     18: ("HLG", hlg_decode),
 }
 

@@ -105,21 +105,11 @@ def read_profile(profile: bytes) -> ColorSpace | None:
 
 
 def _grey(profile: bytes) -> ColorSpace | None:
-    """The colour space of a grey profile, whose curve is to luminance or to CIE L*."""
+    """The colour space of a grey profile, whose curve is to luminance."""
     tags = _tags(profile)
-    if b"kTRC" not in tags or profile[20:24] not in (b"XYZ ", b"Lab "):
+    if b"kTRC" not in tags or profile[20:24] != b"XYZ ":
         return None
-    curve = _checked(_curve(tags[b"kTRC"]))
-    if profile[20:24] == b"Lab ":
-        lightness = curve
-        curve = _checked(lambda code: _of_lightness(lightness(code)))
-    return ColorSpace(_description(tags), (curve,) * 3)
-
-
-def _of_lightness(lightness: Values) -> Values:
-    """Luminance of CIE L* in [0, 1] (CIE 15:2004, 8.2.1.1)."""
-    root = (100.0 * lightness + 16.0) / 116.0
-    return np.where(lightness > 0.08, root**3, 100.0 * lightness * 27.0 / 24389.0)
+    return ColorSpace(_description(tags), (_checked(_curve(tags[b"kTRC"])),) * 3)
 
 
 def _tags(profile: bytes) -> dict[bytes, bytes]:

@@ -1,6 +1,6 @@
 """Calibration of a series of photographs from one of a calibration card.
 
-From a ChArUco board (matcap card): millimetres per plane unit, and the card's tilt. From a
+From a ChArUco board (examples/card.pdf): millimetres per plane unit, and the card's tilt. From a
 ColorChecker Classic in a RAW: a matrix to true colours, and the radiance of white under this flash,
 which makes albedo absolute. Both hold for photographs from the same distance; differences of
 exposure are compensated by Exif. The flash's falloff over the chart is fitted as a smooth factor.
@@ -21,12 +21,27 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_decode, srgb_encode
-from matcap.photo.card import BOARD_AT, PATCHES, PATCHES_AT, PATCHES_SIZE, SQUARE, board
 from matcap.photo.exif import read_exif
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
 
 Values = NDArray[np.float64]
+
+# The card of examples/card.pdf, in millimetres from its page's upper left corner: a ChArUco board,
+# and patches arranged as on a ColorChecker Classic, with its published sRGB values (X-Rite, D65,
+# before November 2014).
+_SQUARES = (7, 5)  # of the board
+_SQUARE, _MARKER = 24.0, 18.0  # mm, sides
+_BOARD_AT = (21.0, 24.0)
+_PATCHES_AT, _PATCHES_SIZE = (24.5, 158.0), (153.0, 101.0)
+
+# sRGB, row by row from dark skin to black.
+PATCHES = (
+    (115, 82, 68), (194, 150, 130), (98, 122, 157), (87, 108, 67), (133, 128, 177), (103, 189, 170),
+    (214, 126, 44), (80, 91, 166), (193, 90, 99), (94, 60, 108), (157, 188, 64), (224, 163, 46),
+    (56, 61, 150), (70, 148, 73), (175, 54, 60), (231, 199, 31), (187, 86, 149), (8, 133, 161),
+    (243, 243, 242), (200, 200, 200), (160, 160, 160), (122, 122, 121), (85, 85, 85), (52, 52, 52),
+)  # fmt: skip
 
 _WIDTH = 2048  # pixels across at which cards are detected
 _LEAST_CORNERS = 6  # of the board; a homography needs four
@@ -176,7 +191,8 @@ _Board = tuple[Values, Values]  # (N, 2) corners in the picture, (N, 3) on the c
 def _board(picture: NDArray[np.uint8]) -> _Board | None:
     """Detect the corners of a ChArUco board; None if there is none."""
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-    pattern = board()
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    pattern = cv2.aruco.CharucoBoard(_SQUARES, _SQUARE, _MARKER, dictionary)
     corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
     if ids is None or len(ids) < _LEAST_CORNERS:
         return None
@@ -209,10 +225,10 @@ def _boxes(picture: NDArray[np.uint8], seen: _Board | None) -> Iterator[Values]:
     shown = picture[..., ::-1].copy()
     if seen is not None:
         card = cv2.findHomography(seen[1], seen[0])[0]
-        (x, y), (width, height) = PATCHES_AT, PATCHES_SIZE
+        (x, y), (width, height) = _PATCHES_AT, _PATCHES_SIZE
         corners = [[x, y], [x + width, y], [x + width, y + height], [x, y + height]]
         # Board coordinates begin at the board's corner, not at the page's.
-        own = np.array([corners], np.float64) - np.array(BOARD_AT)
+        own = np.array([corners], np.float64) - np.array(_BOARD_AT)
         yield cv2.perspectiveTransform(own, card)[0]
         hull = cv2.convexHull(seen[0].astype(np.float32)).reshape(-1, 2)
         middle = hull.mean(axis=0)
@@ -279,7 +295,7 @@ def card_sentence(calibration: Calibration | None) -> str:
         said.append(f"{calibration.millimetres_per_unit:.1f} mm a unit at its distance,")
         said.append(f"seen at {calibration.tilt:.1f} degrees;")
     else:
-        said.append(f"no board of {SQUARE:g} mm squares, so no millimetres;")
+        said.append(f"no board of {_SQUARE:g} mm squares, so no millimetres;")
     if calibration.matrix is None:
         said.append("no ColorChecker in a RAW, so albedo is relative.")
     else:

@@ -72,7 +72,7 @@ class Finding:
             "unit": CHECKS[self.name].unit if self.name in CHECKS else "",
             "rating": self.rating.value,
             "severity": round(self.severity, 3),
-            "says": sentence(self.says),
+            "message": sentence(self.says),
             "cause": self.cause,
             "remedy": sentence(self.remedy),
         }
@@ -251,7 +251,7 @@ _TABLE = (
         "{each}.", good="The sample is lit from all four sides.",
     ),
     QualityCheck(
-        "places", "baseline of two cameras over their distance to the sample", "", (0.08,),
+        "baseline", "baseline of two cameras over their distance to the sample", "", (0.08,),
         "{one} and {other} were taken from nearly the same place.",
         remedy="Move the phone by a third of its distance from one to the next.",
         good="All were taken from different places.",
@@ -269,7 +269,7 @@ _TABLE = (
         good="Camera positions are uncertain by {percent:.2f} % of their distance.",
     ),
     QualityCheck(
-        "common", "share of the sample that only one photograph shows", "", (0.25,),
+        "overlap", "share of the sample that only one photograph shows", "", (0.25,),
         "{shared:.0%} of the sample is in two photographs or more.",
         remedy="Aim the phone at the middle of the sample each time, so that all of it is in the "
         "picture.",
@@ -334,7 +334,7 @@ _TABLE = (
         unknown="the photograph shows no regular pattern to compare",
     ),
     QualityCheck(
-        "piece", "difference of log radiance between photograph and re-rendered exemplar", "share",
+        "exemplar", "difference of log radiance of photograph and re-rendered exemplar", "share",
         (0.12, 0.22, 0.4),
         "the re-rendered maps of the photographed rectangle differ from the photograph by "
         "{percent:.0f} %",
@@ -385,7 +385,7 @@ _DARK = (
     "them with --together"
 )
 _OF_HIGHLIGHT = frozenset({"highlight_contrast", "highlight_place", "highlight_width"})
-_OF_LIGHT = _OF_HIGHLIGHT | {"light", "colour", "piece", "flash", "tilt", "flash_offset"}
+_OF_LIGHT = _OF_HIGHLIGHT | {"light", "colour", "exemplar", "flash", "tilt", "flash_offset"}
 # A highlight of the wrong contrast looks like a tone curve or ambient light.
 _OF_LEVELS = _OF_LIGHT - {"highlight_contrast"}
 
@@ -396,7 +396,7 @@ _CAUSES = (
         "the highlight is a streak {value:.1f} times as long as wide: the reflection is "
         "anisotropic, as of brushed metal, which the maps cannot represent",
         "use an anisotropic shader in the renderer",
-        _OF_HIGHLIGHT | {"light", "piece"},
+        _OF_HIGHLIGHT | {"light", "exemplar"},
     ),
     Cause(
         "no flash", "1 if light is uniform and the file does not say that the flash fired",
@@ -428,14 +428,14 @@ _CAUSES = (
         "one or two of red, green and blue are clipped on {percent:.0f} % of the photograph, which "
         "changes its colour there",
         "photograph again a stop darker",
-        _OF_HIGHLIGHT | {"clipped", "colour", "confidence", "piece", "contrast", "light"},
+        _OF_HIGHLIGHT | {"clipped", "colour", "confidence", "exemplar", "contrast", "light"},
     ),
     Cause(
         "steep relief", "mean angle of the exemplar's normals, degrees", 0.0, 25.0,
         "the relief's mean slope is {value:.0f} degrees, too steep to measure from one flash "
         "position",
         "{more}",
-        frozenset({"texture", "contrast", "piece", "confidence", "glint_contrast"}),
+        frozenset({"texture", "contrast", "exemplar", "confidence", "glint_contrast"}),
     ),
     Cause(
         "large features", "patch size of the field: small patches at 1, the whole exemplar at 0",

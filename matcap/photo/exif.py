@@ -3,7 +3,7 @@
 | container | source |
 | --- | --- |
 | JPEG, TIFF, RAW | Exif; XMP if Exif has no orientation or focal length |
-| PNG | eXIf, ImageMagick's "Raw profile type exif" and orNT, XMP |
+| PNG | eXIf, XMP |
 | WebP | EXIF and XMP |
 | HEIC, AVIF | Exif from the decoder; camera matrix (files/bmff.py) |
 """
@@ -14,7 +14,7 @@ import io
 import re
 import warnings
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import atan, degrees, hypot, radians, tan
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -66,8 +66,6 @@ class Exif:
     exposure: float | None = None
     """Exposure time times sensitivity over the squared f-number, or None; proportional to stored
     values for the same radiance."""
-    camera: str = ""
-    """Maker, model, lens, focal length and digital zoom; "" without a model."""
 
     def view(self, width: int, height: int) -> tuple[float | None, tuple[str, ...]]:
         """Field of view across the long side in degrees, or None; and notes to the user.
@@ -141,46 +139,23 @@ def read_exif(source: Path | bytes, xmp: bytes = b"") -> Exif:
 
 def _of_png(chunks: list[tuple[bytes, bytes]]) -> Exif:
     exif = xmp = b""
-    orientation = 0
     for kind, data in chunks:
         if kind == b"eXIf":
             exif = data
-        elif kind == b"orNT" and len(data) == 1:  # ImageMagick's own
-            orientation = data[0]
-        elif kind in (b"tEXt", b"zTXt", b"iTXt"):
-            key, text = _text(kind, data)
-            if key == b"XML:com.adobe.xmp":
-                xmp = text
-            elif key in (b"Raw profile type exif", b"Raw profile type APP1") and not exif:
-                exif = _hexadecimal(text)
-    read = read_exif(exif, xmp)
-    if read.orientation == 1 and orientation in range(1, 9):
-        return replace(read, orientation=orientation)
-    return read
+        elif kind == b"iTXt" and data.startswith(b"XML:com.adobe.xmp\0"):
+            xmp = _text(data)
+    return read_exif(exif, xmp)
 
 
-def _text(kind: bytes, data: bytes) -> tuple[bytes, bytes]:
-    """Key and text of a PNG's text chunk (PNG 3rd edition, 11.3.3); the text is "" if damaged."""
-    key, _, rest = data.partition(b"\0")
-    packed = kind == b"zTXt"
-    if kind == b"zTXt":
-        rest = rest[1:]
-    if kind == b"iTXt":
-        packed, rest = rest[:1] == b"\1", rest[2:].split(b"\0", 2)[-1]
-    if packed:
-        try:
-            rest = zlib.decompressobj().decompress(rest, _LARGEST_INFLATED)
-        except zlib.error:
-            rest = b""
-    return key, rest
-
-
-def _hexadecimal(text: bytes) -> bytes:
-    """Bytes of ImageMagick's raw profile: lines of name, length and hexadecimal digits."""
-    lines = text.strip().split(b"\n", 2)
+def _text(data: bytes) -> bytes:
+    """Text of a PNG's iTXt chunk (PNG 3rd edition, 11.3.3.4); empty if damaged."""
+    _, _, rest = data.partition(b"\0")
+    text = rest[2:].split(b"\0", 2)[-1]
+    if rest[:1] != b"\1":
+        return text
     try:
-        return bytes.fromhex(b"".join(lines[2].split()).decode("ascii"))
-    except (IndexError, ValueError):
+        return zlib.decompressobj().decompress(text, _LARGEST_INFLATED)
+    except zlib.error:
         return b""
 
 
@@ -217,20 +192,6 @@ def _exposure(tags: dict[str, Any]) -> float | None:
     if time is None or sensitivity is None or aperture is None:
         return None
     return time * sensitivity / aperture**2
-
-
-def _camera(tags: dict[str, Any]) -> str:
-    """Name of camera, lens, focal length and zoom, on which the falloff depends."""
-    names = ("Image Make", "Image Model", "EXIF LensModel")
-    maker, model, lens = (str(getattr(tags.get(name), "values", "")).strip() for name in names)
-    if not model:
-        return ""
-    maker = "" if model.casefold().startswith(maker.casefold()) else maker
-    said = " ".join(part for part in (maker, model, lens) if part)
-    length, zoom = _ratio(tags, "EXIF FocalLength"), _ratio(tags, "EXIF DigitalZoomRatio")
-    said += "" if length is None else f", {length:g} mm"
-    said += "" if zoom is None or zoom == 1.0 else f", zoom {zoom:g}"
-    return "".join(c for c in said if c.isprintable())[:200]
 
 
 def _focal_plane(tags: dict[str, Any]) -> FocalPlane | None:
@@ -282,7 +243,6 @@ def _interpret(tags: dict[str, Any], xmp: bytes) -> Exif:
         focal_plane=_focal_plane(tags),
         flash_fired=bool(flash & 1) if flash >= 0 else None,
         exposure=_exposure(tags),
-        camera=_camera(tags),
     )
 
 

@@ -108,7 +108,6 @@ def _photo(
         noise=None if picture.noise is None else lying(picture.noise),
         exposure=exif.exposure,
         balance=picture.balance,
-        camera=exif.camera,
         tone=ToneCurve() if picture.linear else None,
     )
     if picture.opacity is None:

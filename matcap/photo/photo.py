@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.photo.camera import CameraProfile
 from matcap.photo.tone import ToneCurve
 
 FULL = 0.95  # of the clip level: channels of a clipped pixel above this count as clipped
@@ -87,10 +86,6 @@ class Photo:
     """Exif.exposure, or None; values are proportional to it for the same radiance."""
     balance: tuple[float, float, float] | None = None
     """White-balance gains by channel, or None."""
-    camera: str = ""
-    """Maker, model, lens, focal length and zoom; "" if unknown."""
-    profile: CameraProfile | None = None
-    """The camera's profile, the prior of its falloff; or None."""
     tone: ToneCurve | None = None
     """The tone curve that was removed from `pixels`; None if one may still be in them."""
 
@@ -113,12 +108,6 @@ class Photo:
     def stem(self) -> str:
         """The file name without its suffix."""
         return self.name.rsplit(".", 1)[0] or self.name
-
-    def known_by(self, profile: CameraProfile) -> Photo:
-        """A copy with a camera profile; a note is added if it is another camera's."""
-        said = f"The camera's profile is of {profile.camera}, the photograph of {self.camera}."
-        foreign = self.camera not in profile.camera
-        return replace(self, profile=profile, notes=(*self.notes, said) if foreign else self.notes)
 
     @property
     def remarks(self) -> tuple[str, ...]:

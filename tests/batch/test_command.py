@@ -2,7 +2,6 @@
 
 import io
 import json
-from pathlib import Path
 
 import pytest
 from kills import make_shoot
@@ -12,16 +11,13 @@ from matcap.batch import memory
 from matcap.batch.entries import BatchEntry, Policy
 from matcap.batch.input_folder import ShotSample
 from matcap.batch.memory import photo_pixels, pool_size, worker_bytes
-from matcap.batch.predict import _trial
+from matcap.batch.record import write_record
 from matcap.batch.settings import BatchSettings
 from matcap.batch.whole import prepare
 from matcap.batch.work import measured
-from matcap.capture import outputs, pipeline
-from matcap.capture.progress import CaptureProgress
 from matcap.capture.settings import CaptureSettings
 from matcap.cli.display import BatchDisplay
 from matcap.cli.main import main
-from matcap.errors import MatcapError
 from matcap.files.progress import Progress
 from matcap.photo.calibrate import Calibration
 
@@ -32,56 +28,31 @@ def shoot(tmp_path):
     return tmp_path / "shoot"
 
 
-def test_a_dry_run_predicts_from_a_trial_and_writes_nothing(shoot, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("matcap.batch.predict._trial", lambda photo, settings: (30.0, 5_000_000))
+def test_a_dry_run_writes_nothing_and_does_not_know_the_time(shoot, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["batch", str(shoot), "-o", str(out), "--dry-run", "--json", "-j", "1"]) == 0
     values = json.loads(capsys.readouterr().out)
-    assert (values["todo"], values["seconds"], values["disk_bytes"]) == (1, 30.0, 5_000_000)
+    assert (values["todo"], values["seconds"]) == (1, None)
     assert [row["status"] for row in values["materials"]] == ["to do"]
     assert values["materials"][0]["superseded"][0].endswith("leather.jpg")
     assert not out.exists()
     assert main(["batch", str(shoot), "-o", str(out), "--dry-run"]) == 0
     text = capsys.readouterr().out
-    assert "leather: to do" in text and "30 s" in text and "GB of memory" in text
+    assert "leather: to do" in text and "time unknown" in text and "GB of memory" in text
 
 
-def test_a_trial_that_cannot_be_made_leaves_the_time_unknown(shoot, tmp_path, capsys, monkeypatch):
-    def fail(photo, settings):
-        raise MatcapError("black")
-
-    monkeypatch.setattr("matcap.batch.predict._trial", fail)
-    assert main(["batch", str(shoot), "-o", str(tmp_path / "out"), "--dry-run"]) == 0
-    assert "time unknown" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("chosen", "steps", "seconds"),
-    [
-        ({"preset": "standard"}, 0, 0.0),
-        ({"preset": "draft", "generator": "decoder"}, 32, 32.0),
-        ({"preset": "draft", "generator": "decoder", "target": 1.3}, 800, 800.0),
-        ({"generator": "decoder", "steps": 50}, 50, 50.0),
-        ({"generator": "decoder", "time": 90.0}, 800, 90.0),
-    ],
-)
-def test_what_is_predicted_is_what_a_capture_takes(chosen, steps, seconds, monkeypatch):
-    """A trial of twelve steps at most, a second each, that takes no time besides."""
-    asked = []
-
-    def trial(path, settings, on_progress, others=()):
-        asked.append(settings)
-        for step in range((settings.steps or 0) + 2):
-            now = float(min(step, settings.steps or 0))
-            on_progress(CaptureProgress("fine-tuning", 0.5, now, None))
-
-    monkeypatch.setattr(pipeline, "capture_file", trial)
-    monkeypatch.setattr(outputs, "write_outputs", lambda *_: None)
-    found, _ = _trial([Path("a.jpg")], BatchSettings.of(chosen))
-    tried = min(steps, 12)
-    assert (asked[0].steps or 0) == tried
-    assert found == pytest.approx(min(seconds, steps - tried), abs=0.5)
-    assert (asked[0].time_limit, asked[0].target) == (None, None)
+def test_a_forecast_is_of_materials_made_with_the_same_steps_and_detail(shoot, tmp_path, capsys):
+    out = tmp_path / "out"
+    for name, detail, seconds in (("a", 512, 20.0), ("b", 512, 40.0), ("c", 256, 1.0)):
+        (out / name).mkdir(parents=True)
+        (out / name / "maps.exr").write_bytes(bytes(1000))
+        about = {"identity": name, "steps": 0, "detail": detail, "seconds": seconds}
+        write_record(out / name, about)
+    asked = ["batch", str(shoot), "-o", str(out), "--dry-run", "--json", "--detail", "512"]
+    assert main(asked) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert (values["seconds"], values["disk_bytes"]) == (30.0, 1000)
+    assert values["measured"] == "measured on 2 made before"
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """The page and its tables."""
 
-import csv
 import json
 from html.parser import HTMLParser
 from pathlib import Path
@@ -69,11 +68,9 @@ def test_the_page_fetches_nothing_and_escapes_everything(tmp_path):
 def test_what_was_noticed_when_reading_is_shown(tmp_path):
     written(tmp_path)
     assert "<li>The file states no white balance: daylight" in (tmp_path / "index.html").read_text()
-    with (tmp_path / "index.csv").open(newline="", encoding="utf-8") as file:
-        assert "daylight (D65)" in next(csv.DictReader(file))["notes"]
 
 
-def test_the_tables_hold_every_material_with_the_same_numbers(tmp_path):
+def test_the_table_holds_every_material(tmp_path):
     written(tmp_path)
     rows = json.loads((tmp_path / "index.json").read_text())["materials"]
     assert [(row["name"], row["state"]) for row in rows] == [
@@ -82,11 +79,7 @@ def test_the_tables_hold_every_material_with_the_same_numbers(tmp_path):
         ("late", "not begun"),
         ("earlier", "done"),
     ]
-    with (tmp_path / "index.csv").open(newline="", encoding="utf-8") as file:
-        table = list(csv.DictReader(file))
-    assert [row["name"] for row in table] == [row["name"] for row in rows]
-    assert float(table[0]["tilt_y"]) == rows[0]["tilt_y"] == -7.5
-    assert table[1]["reason"].startswith("'=")  # no formula in a spreadsheet
+    assert rows[0]["tilt_y"] == -7.5 and rows[1]["reason"].startswith("=cmd")
 
 
 def test_doubtful_shots_are_marked(tmp_path):

@@ -203,40 +203,6 @@ def test_no_room_is_seen_before_the_work(batch, monkeypatch):
     assert not workers.jobs and set(states(entries).values()) == {"left"}
 
 
-def test_two_runs_at_once_share_the_work(shoot, tmp_path):
-    """While the first works on a sample, the second does the others and waits for it."""
-    out = tmp_path / "out"
-
-    def plan():
-        return make_plan(find_samples(shoot), out, SETTINGS, Policy(), prior="p")
-
-    second_workers = FakeWorkers(lambda job: True)
-    with open_run(out) as first:
-        mine = plan()
-
-        def answer(job):
-            if job.name == "a":  # the second run comes while the first is busy with a
-                theirs, watcher = plan(), Watcher()
-                with open_run(out) as second:
-                    other = Batch(
-                        theirs, second, second_workers, SETTINGS, Policy(), watcher, lambda: None
-                    )
-                    done.append((other, theirs))
-                    for _ in range(12):  # by hand: go() would wait for a
-                        other._fill()
-                        while second_workers.busy():
-                            for event in second_workers.wait(0.1):
-                                other._happened(event)
-            return True
-
-        done: list = []
-        workers = FakeWorkers(answer, size=1)
-        Batch(mine, first, workers, SETTINGS, Policy(), Watcher(), lambda: None).go()
-    assert [job.name for job in workers.jobs] == ["a"]
-    assert sorted(job.name for job in second_workers.jobs) == ["b", "c", "d"]
-    assert states(mine) == {"a": "made", "b": "kept", "c": "kept", "d": "kept"}
-
-
 def test_an_interrupt_stops_the_workers_and_leaves_the_rest(shoot, tmp_path):
     def answer(job):
         if job.name == "b":

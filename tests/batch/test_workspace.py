@@ -1,7 +1,6 @@
-"""Folders that appear whole, records that say what is done, and claims."""
+"""Folders that appear whole, records that say what is done, and the lock of a run."""
 
 import os
-import pickle
 import subprocess
 import sys
 
@@ -10,6 +9,7 @@ import pytest
 from matcap.batch.input_folder import WORKSPACE
 from matcap.batch.record import FILE, is_done, write_record
 from matcap.batch.workspace import open_run, read_failure
+from matcap.errors import MatcapError
 
 
 def make(run, name, text, identity="i"):
@@ -21,15 +21,15 @@ def make(run, name, text, identity="i"):
 
 
 def dead_run(out):
-    """The folder of a run whose process is gone, as after kill -9."""
+    """The folder of a run that was killed while it had a stage."""
     code = (
         "import os, sys, pathlib, matcap.batch.workspace as w\n"
         "opened = w.open_run(pathlib.Path(sys.argv[1]))\n"
         "run = opened.__enter__()\n"
-        "run.claim('a'); print(run.folder, flush=True); os.kill(os.getpid(), 9)\n"
+        "run.stage('a'); os.kill(os.getpid(), 9)\n"
     )
-    said = subprocess.run([sys.executable, "-c", code, str(out)], capture_output=True, text=True)
-    return out / WORKSPACE / "runs" / os.path.basename(said.stdout.strip())
+    subprocess.run([sys.executable, "-c", code, str(out)])
+    return out / WORKSPACE / "run"
 
 
 def test_a_material_is_done_when_its_files_and_identity_are_right(tmp_path):
@@ -61,7 +61,7 @@ def test_a_second_making_replaces_the_first_whole_and_keeps_what_others_put_ther
         assert sorted(os.listdir(folder)) == [FILE, "my notes.txt", "preview.png"]
         assert (folder / "preview.png").read_text() == "second"
         assert is_done(folder, "2")
-    assert os.listdir(tmp_path / WORKSPACE / "runs") == []
+    assert os.listdir(tmp_path / WORKSPACE) == ["lock"]
 
 
 def test_output_of_a_plain_capture_makes_room(tmp_path):
@@ -80,37 +80,19 @@ def test_a_file_in_the_place_of_a_folder_is_left_alone(tmp_path):
     assert (tmp_path / "a").read_text() == "mine"
 
 
-def test_a_claim_keeps_other_living_runs_away(tmp_path):
-    with open_run(tmp_path) as one, open_run(tmp_path) as other:
-        assert one.claim("a") and one.claim("a")
-        assert not other.claim("a") and other.claim("b")
-        other.release("a")  # not its own: stays
-        assert not other.claim("a")
-        one.release("a")
-        assert other.claim("a")
-    assert os.listdir(tmp_path / WORKSPACE / "claims") == []
+def test_a_second_run_is_refused_while_the_first_lives(tmp_path):
+    with open_run(tmp_path) as run:
+        stage = run.stage("a")
+        with pytest.raises(MatcapError, match="another matcap batch"), open_run(tmp_path):
+            pass
+        assert stage.is_dir()
 
 
-def test_the_claim_of_a_dead_run_counts_for_nothing_and_its_folder_goes(tmp_path):
+def test_what_a_dead_run_had_staged_goes(tmp_path):
     dead = dead_run(tmp_path)
-    assert dead.is_dir() and (tmp_path / WORKSPACE / "claims" / "a").exists()
-    with open_run(tmp_path) as run:
-        assert not dead.exists()
-        assert run.claim("a")
-
-
-def test_a_living_run_keeps_its_folder(tmp_path):
-    with open_run(tmp_path) as one:
-        stage = one.stage("a")
-        with open_run(tmp_path):
-            assert stage.is_dir()
-
-
-def test_a_run_goes_to_workers_without_its_claims(tmp_path):
-    with open_run(tmp_path) as run:
-        assert run.claim("a")
-        sent = pickle.loads(pickle.dumps(run))
-        assert (sent.out, sent.folder, sent.claims) == (run.out, run.folder, {})
+    assert list(dead.rglob("a"))
+    with open_run(tmp_path):
+        assert not list(dead.rglob("a"))
 
 
 def test_what_a_dead_run_had_moved_away_comes_back(tmp_path):

@@ -8,8 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from report_schema import check_report
 
-from matcap.capture.pipeline import capture_file, capture_into
+from matcap.capture.pipeline import capture_into
 from matcap.capture.progress import DECODER_STAGES, DRAWING_STAGES, EXEMPLAR_STAGES, CaptureClock
 from matcap.capture.settings import CaptureSettings, OutputSettings
 
@@ -41,18 +42,12 @@ def test_every_stage_has_its_share_and_is_reported_in_order(tmp_path, generator,
     assert fractions == sorted(fractions) and fractions[-1] == pytest.approx(1.0)
     within = [now for now in lines if now.stage == longest]
     assert longest is None or len(within) >= 4  # begun, every step, done
+    check_report(tmp_path / "tile" / "report.json")
     report = json.loads((tmp_path / "tile" / "report.json").read_text())
     assert list(report["stage_seconds"]) == list(stages)[:-1]
     assert (report["tuning"] is None) == (generator == "example")
     draws = report["tuning"] is not None and report["tuning"]["drawing"]
     assert draws == (stages is DRAWING_STAGES)
-
-
-@pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
-def test_remedies_count_the_photographs_that_a_decoder_was_given():
-    settings = CaptureSettings(detail=160, generator="decoder", steps=0, prior="none")
-    result = capture_file(PHOTO, settings, others=[PHOTO])
-    assert result.photographs == result.verdict.photographs == 2
 
 
 def test_a_time_limit_leaves_room_for_what_comes_after():

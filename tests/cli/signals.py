@@ -1,20 +1,16 @@
-"""Signals at random moments: `python tests/cli/signals.py 50` sends so many of each kind.
+"""Signals at random moments.
 
 Commands run as processes of their own, in a folder that begins empty. Whatever the moment: no
-traceback, nothing leaked, no torn file; what is there is whole. Every other one is sent a second
-signal soon after the first, and must end at once then. `--to capture` keeps to one command.
+traceback, nothing leaked, no torn file; what is there is whole.
 """
 
 from __future__ import annotations
 
 import json
-import random
 import signal
 import subprocess
 import sys
-import tempfile
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,9 +35,7 @@ COMMANDS = {
 }  # fmt: skip
 BEST_SO_FAR = "the best so far"  # as capture says it
 _NEVER = ("Traceback", "Error:", "leaked", "resource_tracker", "internal error")
-AT_ONCE = 3.0  # seconds, on a machine that does nothing else
 _KILLED = {-signal.SIGTERM, -signal.SIGINT}  # before the command line was there
-_PYTHONS_OWN = 0.1  # share of the time in which Python starts, and speaks for itself
 
 
 @dataclass(frozen=True)
@@ -50,8 +44,6 @@ class Struck:
 
     code: int
     said: str
-    seconds: float
-    after_last: float = 0.0
 
 
 def prepare(folder: Path) -> None:
@@ -69,9 +61,7 @@ def prepare(folder: Path) -> None:
     write_mapset(MapSet.from_stacked(stack, 2.0 / 256), folder / "set", MapSetInfo("moss"))
 
 
-def strike(
-    command: str, folder: Path, number: int, after: float, again: float | None = None
-) -> Struck:
+def strike(command: str, folder: Path, number: int, after: float) -> Struck:
     """Run a command and send it a signal after so many seconds, unless it has ended.
 
     Args:
@@ -79,9 +69,7 @@ def strike(
         folder: in which it runs.
         number: of the signal.
         after: seconds.
-        again: seconds to a second one, or None.
     """
-    started = time.monotonic()
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
     run = subprocess.Popen(
         [*MATCAP, *COMMANDS[command]], cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.PIPE
@@ -90,22 +78,13 @@ def strike(
         run.wait(after)
     except subprocess.TimeoutExpired:
         run.send_signal(number)
-        if again is not None:
-            try:
-                run.wait(again)
-            except subprocess.TimeoutExpired:
-                run.send_signal(number)
-    last = time.monotonic()
     said = run.communicate(timeout=600)[1].decode()
-    ended = time.monotonic()
-    return Struck(run.returncode, said, ended - started, ended - last)
+    return Struck(run.returncode, said)
 
 
-def faults(command: str, folder: Path, struck: Struck, *, twice: bool = False) -> list[str]:
+def faults(command: str, folder: Path, struck: Struck) -> list[str]:
     """What must not be."""
     found = [word for word in _NEVER if word in struck.said]
-    if twice and struck.code and struck.after_last > AT_ONCE:
-        found.append(f"went on for {struck.after_last:.1f} s")
     if struck.code not in (0, 130, *_KILLED):
         found.append(f"exit code {struck.code}")
     if struck.code == 130 and "interrupted" not in struck.said:
@@ -154,44 +133,3 @@ def _all_or_none(folder: Path, whole: Callable[[Path], bool], *, needed: bool) -
         return ["nothing was written"] if needed else []
     hidden = [file.name for file in folder.glob(".*")]
     return hidden + ([] if whole(folder) else ["half of it stands there"])
-
-
-def main(count: int, commands: Sequence[str] = tuple(COMMANDS)) -> int:
-    """So many SIGTERM and as many SIGINT, spread over commands; gives the number of faults."""
-    rng, wrong, best = random.Random(1), 0, 0
-    with tempfile.TemporaryDirectory() as usual:
-        prepare(Path(usual))
-        takes = {name: strike(name, Path(usual), 0, 600.0).seconds for name in commands}
-    print(takes, flush=True)
-    went_on: dict[bool, list[float]] = {False: [], True: []}
-    for index in range(2 * count):
-        number = (signal.SIGTERM, signal.SIGINT)[index % 2]
-        command = commands[index // 2 % len(commands)]
-        twice = bool(index // 2 // len(commands) % 2)
-        with tempfile.TemporaryDirectory() as place:
-            folder = Path(place)
-            prepare(folder)
-            after = takes[command] * rng.uniform(_PYTHONS_OWN, 1.0)
-            struck = strike(
-                command, folder, number, after, rng.uniform(0.0, 1.5) if twice else None
-            )
-            found = faults(command, folder, struck, twice=twice)
-        if struck.code:
-            went_on[twice].append(struck.after_last)
-        wrong += bool(found)
-        best += BEST_SO_FAR in struck.said
-        print(f"{index} {command} {number.name} {after:.2f} s: {struck.code} {found}", flush=True)
-        if found:
-            print(struck.said)
-    for twice, seconds in ((key, sorted(values)) for key, values in went_on.items() if values):
-        result = [f"{seconds[round(q * (len(seconds) - 1))]:.1f}" for q in (0.5, 0.95, 1.0)]
-        print(
-            f"{'second' if twice else 'only'} signal to the end, s (median, 95 %, worst): {result}"
-        )
-    print(f"{wrong} of {2 * count} at fault; {best} captures left the best so far")
-    return wrong
-
-
-if __name__ == "__main__":
-    chosen = sys.argv[sys.argv.index("--to") + 1 :] if "--to" in sys.argv else tuple(COMMANDS)
-    sys.exit(min(main(int(sys.argv[1]), chosen), 1))

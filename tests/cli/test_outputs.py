@@ -38,7 +38,6 @@ def place(made, tmp_path, monkeypatch):
 
 PICTURES = {
     "relight": ("relight", "set", "--size", "32", "-q"),
-    "compare": ("compare", "a.matcap", "b.matcap", "-q"),
     "sample": ("sample", "-n", "1", "-q"),
 }
 
@@ -51,7 +50,7 @@ def everything(folder):
     }
 
 
-@pytest.mark.parametrize("command", ["relight", "compare"])
+@pytest.mark.parametrize("command", ["relight", "sample"])
 def test_a_picture_of_somebody_else_stays_unless_overwritten(matcap, place, command):
     for other in ("photo.png", "notes.png"):
         before = everything(place)
@@ -66,8 +65,8 @@ def test_a_picture_of_somebody_else_stays_unless_overwritten(matcap, place, comm
 def test_what_one_command_drew_another_does_not_replace(matcap, place):
     assert matcap(*PICTURES["relight"], "-o", "drawn.png").code == 0
     assert matcap(*PICTURES["relight"], "-o", "drawn.png").code == 0
-    said = matcap(*PICTURES["compare"], "-o", "drawn.png")
-    assert said.code == 3 and "which matcap compare has not written" in said.err
+    said = matcap(*PICTURES["sample"], "-o", "drawn.png")
+    assert said.code == 3 and "which matcap sample has not written" in said.err
 
 
 @pytest.mark.parametrize("suffix", ["png", "exr", "gif", "mp4", "frames.exr"])
@@ -85,7 +84,6 @@ def test_every_format_tells_who_wrote_it(matcap, place, suffix):
         ("relight", "set", "-o", "set/moss_diffuse.exr"),
         ("relight", "set/moss.json", "-o", "set/moss_height.exr"),
         ("relight", "--maps-from", "maps", "-o", "maps/a_diffuse.exr"),
-        ("compare", "a.matcap", "b.matcap", "--photo", "photo.png", "-o", "photo.png"),
         ("export", "set", "--to", "raw", "--maps", "diffuse", "-o", "set"),
     ],
 )
@@ -101,8 +99,6 @@ def test_no_command_writes_over_what_it_reads(matcap, place, words):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("compare", "a.matcap", "b.matcap", "-o", "plain.matcap"), "unknown picture format"),
-        (("compare", "a.matcap", "b.matcap", "-o", "photo.jpg"), "unknown picture format"),
         (("relight", "set", "-o", "a.matcap"), "unknown picture format"),
         (("sample", "-o", "a.matcap"), "unknown picture format"),
         (("view", "set", "--html", "a.matcap"), "unknown page format"),

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from reference.formats import keys
+from report_schema import check_report
 
 from matcap.capture.progress import DECODER_STAGES, EXEMPLAR_STAGES, CaptureClock
 from matcap.capture.report import report, warnings, write_report
@@ -47,7 +48,9 @@ def test_each_warning_says_what_to_do(captured):
     assert "tilted by 14 degrees" in said and "until it is parallel" in said
 
 
-def test_its_keys_are_those_of_the_reference(captured):
+def test_its_keys_are_those_of_the_reference_and_of_the_schema(captured, tmp_path):
+    write_report(captured, tmp_path / "report.json")
+    check_report(tmp_path / "report.json")
     assert set(report(captured)) == keys("matcap.capture.report", "Keys")
 
 
@@ -75,7 +78,11 @@ def test_its_effort_is_what_was_asked_for(captured):
     effort = {"preset": "standard", "steps": 0, "detail": 96}
     assert report(captured)["effort"] == effort
     decoder = replace(captured, settings=replace(captured.settings, generator="decoder", steps=5))
-    assert report(decoder)["effort"] == effort | {"steps": 5, "places": 3, "matched": True}
+    assert report(decoder)["effort"] == effort | {
+        "steps": 5,
+        "windows_per_step": 3,
+        "matched": True,
+    }
 
 
 def test_a_limit_that_chooses_the_preset_is_told(captured):

@@ -22,7 +22,7 @@ RUN = ("synth", "blend")
 # As shown, but smaller: as good a test.
 SIZES = {"relight": "48x36", "export": "48x48"}
 # What takes long, listens, trains, or needs what is not here.
-LONG = {"capture", "batch", "sample", "doctor", "card"}
+LONG = {"capture", "batch", "sample", "doctor"}
 
 
 def toml(page: str) -> list[str]:

@@ -134,8 +134,6 @@ def test_an_inspection_and_a_comparison_show_the_colour(tmp_path, capsys):
     assert shown.values.shape == (144, 176, 3)
     code = shown.code(shown.values)
     assert np.abs(code[..., 0] - code[..., 2]).max() > 0.05
-    out = str(tmp_path / "both.png")
-    assert main(["compare", *files, "-o", out, "-q"]) == 0
 
 
 def test_patches_of_metal_are_not_taken_for_slow_light():

@@ -1,7 +1,6 @@
 """Orientation, field of view and flash, from whatever the tags hold."""
 
 import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
 from matcap.errors import UsageError
-from matcap.files.png import png_chunk
 from matcap.photo.exif import Exif, fov_of_film, phone_fov, read_exif
 from matcap.photo.load import load_photo
 from matcap.photo.orient import upright
@@ -199,27 +197,6 @@ def test_exif_goes_before_xmp(tmp_path, codes):
     save_with_xmp(tmp_path / "a.jpg", codes, AS_ATTRIBUTES, exif=exif(1, 30))
     found = read_exif(tmp_path / "a.jpg")
     assert (found.orientation, found.film_focal_length) == (1, 30)
-
-
-@pytest.mark.parametrize("key", [b"exif", b"APP1"])
-@pytest.mark.parametrize("kind", [b"tEXt", b"zTXt"])
-def test_orientation_as_imagemagick_writes_it_into_png(tmp_path, codes, key, kind):
-    block = exif(3).tobytes()
-    text = b"\n%s\n%8d\n%s\n" % (key, len(block), block.hex().encode())
-    body = text if kind == b"tEXt" else b"\0" + zlib.compress(text)
-    add_chunk(tmp_path / "a.png", codes, kind, b"Raw profile type " + key + b"\0" + body)
-    assert read_exif(tmp_path / "a.png").orientation == 3
-
-
-def test_orientation_in_imagemagick_s_own_chunk(tmp_path, codes):
-    add_chunk(tmp_path / "a.png", codes, b"orNT", b"\6")
-    assert load_photo(tmp_path / "a.png").original_size == (96, 128)
-
-
-def add_chunk(path: Path, codes, kind: bytes, data: bytes) -> None:
-    Image.fromarray(codes).save(path)
-    png = path.read_bytes()
-    path.write_bytes(png[:33] + png_chunk(kind, data) + png[33:])
 
 
 def test_no_exif_at_all(tmp_path, codes):

@@ -199,7 +199,9 @@ def test_the_command_prints_json_and_goes_on_after_a_bad_file(shots, tmp_path, c
     good, bad = json.loads(said.out)["photographs"]
     assert code == 4
     assert good["radiometric"]["value"] is True and good["shading_map"]["value"] is True
-    assert "the flash fired" in good["flash"]["says"] and abs(good["tilt"]["value"]["degrees"]) < 8
+    assert (
+        "the flash fired" in good["flash"]["message"] and abs(good["tilt"]["value"]["degrees"]) < 8
+    )
     assert "truncated or damaged" in bad["reason"]
     assert main(["inspect", str(tmp_path / "b.jpg")]) == 3
 

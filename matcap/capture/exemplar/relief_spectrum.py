@@ -89,7 +89,7 @@ class ReliefSpectrum:
         return float(np.sqrt(np.square(self.slope).sum()))
 
     def document(self) -> dict[str, Any]:
-        """JSON: `relief`, and for each of `bands` its wavelengths in texels (`waves`), `albedo`,
+        """JSON: `relief`, and for each of `bands` its `wavelengths` in texels, `albedo`,
         `slope` and `significance` over all directions, and `slopes` along 0, 30 ... 150 degrees
         from x.
         """
@@ -99,7 +99,7 @@ class ReliefSpectrum:
             "relief": self.relief,
             "bands": [
                 {
-                    "waves": list(BANDS[band]),
+                    "wavelengths": list(BANDS[band]),
                     "albedo": float(np.sqrt(np.square(self.albedo[band]).sum())),
                     "slope": float(np.sqrt(energy[band].sum())),
                     "significance": float(significance[band]),

@@ -84,7 +84,7 @@ class Aligned:
     def of(views: tuple[RegisteredView, ...], setup: FlashSetup, extent: Extent = OWN) -> Aligned:
         """Registration by features alone, with the light of the first photograph's coarse fit."""
         raw = all(view.photo.radiometric for view in views)
-        light = SharedLight.of(setup, len(views), views[0].photo.profile, radiometric=raw)
+        light = SharedLight.of(setup, len(views), radiometric=raw)
         homographies = (np.eye(3),) * len(views)
         return Aligned(setup, views, light, homographies, np.zeros((1, 1), np.float32), extent)
 

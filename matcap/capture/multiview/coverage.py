@@ -109,7 +109,7 @@ def _sides(views: Sequence[RegisteredView]) -> Finding:
 
 def _places(views: Sequence[RegisteredView]) -> Finding:
     """Finding on cameras that coincide or are tilted too far."""
-    place, steep = CHECKS["places"], CHECKS["steep"]
+    place, steep = CHECKS["baseline"], CHECKS["steep"]
     near, nearest = [], math.inf
     for one, other in combinations(views, 2):
         baseline = np.linalg.norm(one.camera.place - other.camera.place)
@@ -126,7 +126,7 @@ def _places(views: Sequence[RegisteredView]) -> Finding:
     if not near and not tilted:
         return place.rated(value, Rating.GOOD)
     remedies = [*([place.remedy] if near else []), *([steep.remedy] if tilted else [])]
-    return Finding("places", value, Rating.DOUBTFUL, " ".join(near + tilted), " ".join(remedies))
+    return Finding("baseline", value, Rating.DOUBTFUL, " ".join(near + tilted), " ".join(remedies))
 
 
 def _cameras(views: Sequence[RegisteredView]) -> Finding:
@@ -148,7 +148,7 @@ def _common(views: Sequence[RegisteredView]) -> Finding:
     each = (sees(view.camera, points, high, 90.0) for view, high in zip(views, up, strict=True))
     seen = np.stack(list(each)).sum(0)
     alone = float((seen < 2).mean())
-    check = CHECKS["common"]
+    check = CHECKS["overlap"]
     rating = Rating.GOOD if alone <= check.limits[0] else Rating.DOUBTFUL
     return check.rated(round(alone, 3), rating, shared=1.0 - alone)
 

@@ -91,7 +91,7 @@ class Mosaic:
         """JSON (report.py describes the keys)."""
         return {
             "margins": asdict(self.margins),
-            "times": self.times,
+            "area_ratio": self.times,
             "covered_share": self.covered,
             "limited": self.limited,
             "seen_share": self.known,

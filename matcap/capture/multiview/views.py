@@ -32,7 +32,6 @@ from matcap.flash.light import (
     strips,
 )
 from matcap.flash.rectify import FINER, planes_of
-from matcap.photo.camera import CameraProfile
 from matcap.photo.photo import FULL
 from matcap.photo.shrink import CLIPPED_SHARE, area_averaged
 
@@ -56,7 +55,7 @@ class SharedLight:
     """(2,) change of mean log F0 and mean logit roughness from the prediction; their error scales
     all slopes."""
     vignetting_deviation: tuple[float, float] = (0.4, 0.6)
-    """(2,) prior standard deviations of `vignetting`, by the camera profile if there is one."""
+    """(2,) prior standard deviations of `vignetting`."""
     ambient: Tensor = field(default_factory=lambda: torch.tensor(UNIFORM_SKY))
     """(3,) gradient of the ambient light (AmbientLight.gradient)."""
     coarse_offset: Tensor = field(default_factory=lambda: torch.zeros(2))
@@ -65,22 +64,15 @@ class SharedLight:
     """Point from which r is measured, image coordinates, as the coarse fit has it."""
 
     @staticmethod
-    def of(
-        setup: FlashSetup,
-        count: int,
-        profile: CameraProfile | None = None,
-        *,
-        radiometric: bool = False,
-    ) -> SharedLight:
+    def of(setup: FlashSetup, count: int, *, radiometric: bool = False) -> SharedLight:
         """Initial light of `count` photographs, all RAW (`radiometric`) or all developed."""
-        known = SharedLight.vignetting_deviation if profile is None else profile.falloff.deviation
         offset = torch.tensor(setup.offset[:2]).float()
         return SharedLight(
             offset,
             torch.tensor([setup.vignetting, setup.vignetting_quartic]),
             torch.zeros(count, 3),
             torch.tensor(setup.intensity).float(),
-            vignetting_deviation=RAW_FALLOFF if radiometric else known,
+            vignetting_deviation=RAW_FALLOFF if radiometric else SharedLight.vignetting_deviation,
             coarse_offset=offset,
             centre=setup.vignetting_centre,
         )

@@ -85,7 +85,7 @@ class CaptureVerdict:
             "severity": round(self.severity, 3),
             "sentence": self.sentence(),
             "causes": [
-                {"name": one.name, "says": one.says, "remedy": one.remedy} for one in self.causes
+                {"name": one.name, "message": one.says, "remedy": one.remedy} for one in self.causes
             ],
             "checks": {finding.name: finding.document() for finding in self.findings},
         }
@@ -203,7 +203,7 @@ def _exemplar(seen: ExemplarMeasurements, more: str) -> Iterator[Finding]:
     """Findings on the exemplar; none without one."""
     confidence, residue = seen.confidence, seen.residue
     if confidence is not None:
-        yield CHECKS["piece"].finding(seen.error, more=more)
+        yield CHECKS["exemplar"].finding(seen.error, more=more)
         predicted = 1.0 - sum(confidence.values()) / len(confidence)
         least = min(confidence, key=lambda name: confidence[name])
         yield CHECKS["confidence"].finding(predicted, least=least)

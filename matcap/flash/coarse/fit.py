@@ -37,7 +37,6 @@ from matcap.flash.coarse.problem import (
     HUBER,
     WEIGHT_BETWEEN,
     WHITE,
-    FalloffLikelihood,
     HighlightMeasurements,
     Problem,
 )
@@ -89,8 +88,6 @@ class CoarseFit(Uniform):
     """(tilt_x, tilt_y) fitted without that prior, radians; None without one."""
     tone: ToneCurve = ToneCurve()
     """The picture's tone curve; the identity where it has none."""
-    falloff: FalloffLikelihood | None = None
-    """Likelihood of the falloff; None of fits not made from a photograph."""
 
 
 def fit_coarse(
@@ -100,8 +97,6 @@ def fit_coarse(
     tilt_prior: TiltPrior | None = None,
 ) -> CoarseFit:
     """Fit a uniform material and its setup to a photograph, in about a second.
-
-    The prior of the falloff is the profile of the photograph's camera, or any phone's.
 
     Args:
         photo: of any size; only its low frequencies are used.
@@ -190,7 +185,6 @@ def _fitted(
         conductor=prior.conductor,
         picture_tilt=picture_tilt,
         tone=ToneCurve(exponent, last.shoulder) if last.shoulder > 0.0 else ToneCurve(),
-        falloff=last.falloff_likelihood(best),
     )
     return fit, last.cost(best), last.unit
 

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from matcap.flash.coarse.model import INDEX, Unknowns, numbers
-from matcap.photo.camera import Falloff
+from matcap.flash.coarse.model import Unknowns, numbers
 from matcap.photo.photo import Photo
 
 # Prior standard deviation of the tilt of a RAW, radians; larger than that of developed pictures,
@@ -44,7 +43,8 @@ _PRIORS = {
     "flash_colour": ([0.0] * 2, [0.3] * 2),  # white balance is the whole picture's, not the flash's
     "offset": ([0.0] * 2, [0.12] * 2),
     "tilt": ([0.0] * 2, [0.05] * 2),
-    "vignetting": ([0.0] * 2, [1.0] * 2),
+    # 95 photographs by one phone had a + b = 0.73 on the median, with a deviation of 0.35.
+    "vignetting": ([0.3, 0.5], [0.35, 0.7]),
     "centre": ([0.0] * 2, [0.2] * 2),
     "tone": ([0.12], [0.08]),
 }
@@ -98,9 +98,7 @@ def hypothesis(
     conductor: bool,
 ) -> Hypothesis:
     """The prior of a photograph's parameters; arguments as of fit_coarse."""
-    falloff = Falloff() if photo.profile is None else photo.profile.falloff
-    mean = replace(_MEAN, vignetting=numbers(*falloff.mean))
-    deviation = _DEVIATION
+    mean, deviation = _MEAN, _DEVIATION
     if conductor:
         mean = replace(mean, albedo=numbers(*[CONDUCTOR_F0.mean] * 3))
         deviation = replace(deviation, albedo=numbers(*[CONDUCTOR_F0.deviation] * 3))
@@ -118,5 +116,4 @@ def hypothesis(
         place, std = tilt_prior.posterior
         mean, deviation = replace(mean, tilt=place), replace(deviation, tilt=std)
     precision = torch.diag(deviation.vector().pow(-2))
-    precision[INDEX.vignetting[:, None], INDEX.vignetting] = torch.from_numpy(falloff.precision)
     return Hypothesis(mean, precision, conductor, tilt is not None, alone)

@@ -99,16 +99,6 @@ def _circle() -> Tensor:
 
 
 @dataclass(frozen=True)
-class FalloffLikelihood:
-    """Gaussian likelihood of the falloff x = (a, b): exp(h x - x L x / 2)."""
-
-    shift: tuple[float, float]
-    """(2,) h = L times the most likely x."""
-    precision: tuple[float, float, float]
-    """Elements aa, ab and bb of L."""
-
-
-@dataclass(frozen=True)
 class Problem:
     """The function to minimise."""
 
@@ -221,22 +211,6 @@ class Problem:
         weight = self.weight * huber(r, HUBER)[1]
         hessian = (jacobian * weight[:, None]).T @ jacobian + self.precision
         return hessian, jacobian.T @ (weight * r) + self.precision @ (parameters - self.prior)
-
-    def falloff_likelihood(self, parameters: Tensor) -> FalloffLikelihood:
-        """Likelihood of the falloff by Laplace's method at the parameters.
-
-        The Hessian over a nat's cost is the posterior's precision; its Schur complement over all
-        other unknowns is the falloff's. Less its prior's, that is the likelihood's.
-        """
-        falloff = INDEX.vignetting
-        block = falloff[:, None], falloff
-        hessian, gradient = self.quadratic(parameters)
-        best = (parameters - torch.linalg.solve(hessian, gradient))[falloff]
-        posterior = torch.linalg.inv(torch.linalg.inv(hessian / self.unit)[block])
-        prior = self.precision[block] / self.unit
-        first, second = (posterior @ best - prior @ self.prior[falloff]).tolist()
-        (aa, ab), (_, bb) = (posterior - prior).tolist()
-        return FalloffLikelihood((first, second), (aa, ab, bb))
 
     def bound_excess(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """(n,) each: how far parameters are beyond their bounds, and the prior's precision there.

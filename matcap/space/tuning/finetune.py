@@ -7,8 +7,7 @@ decoder that reads a drawing is taught by the exemplar's maps, too (teacher.py),
 normalises by more than one window (renormalise.py). The
 last steps use frozen AdaIN statistics, so that the saved network is the optimised one.
 
-It ends after a number of steps, a time, at an error (schedule.py), or by an interrupt, and returns
-the best decoder so far (rollback.py).
+It ends after a number of steps or a time (schedule.py), or by an interrupt.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from matcap.space.random_field import RandomField, lattice_levels, noise_of
 from matcap.space.tuning.likeness import PhotographTarget, compare_windows, render_windows, shuffled
 from matcap.space.tuning.penalty import Penalties, map_penalty
 from matcap.space.tuning.renormalise import Renormalisation
-from matcap.space.tuning.rollback import Rollback
+from matcap.space.tuning.rollback import Optimiser
 from matcap.space.tuning.schedule import Schedule
 from matcap.space.tuning.teacher import MARGIN, Lesson, Teacher
 
@@ -48,8 +47,6 @@ class TuneSettings:
     """Largest number of steps."""
     seconds: float | None = None
     """Most seconds, or None."""
-    target: float | None = None
-    """Running error at which only the frozen steps follow, or None."""
     places: int = 1
     """Windows rendered per step."""
     learning_rate: float = RATE_FROM_NOTHING
@@ -67,7 +64,7 @@ class Tuned:
     """The fine-tuned decoder."""
 
     decoder: Decoder
-    """The decoder of the least running error."""
+    """The fine-tuned decoder, the same as given."""
     moments: tuple[Moments, ...]
     """Frozen statistics it was optimised with."""
     history: tuple[tuple[float, int, float], ...]
@@ -94,8 +91,8 @@ def finetune(
     """
     if not settings.steps:
         return Tuned(decoder, tuple(freeze(decoder, code, scene.waves, scene.drawing)), (), False)
-    schedule = Schedule(settings.steps, settings.seconds, settings.target)
-    rollback = Rollback(decoder, settings.learning_rate)
+    schedule = Schedule(settings.steps, settings.seconds)
+    optimiser = Optimiser(decoder, settings.learning_rate)
     order = shuffled(scene.windows.count, settings.seed)
     half, drawing = settings.half_precision, scene.drawing
     teacher = None if drawing is None else Teacher.of(drawing, scene.windows.size, settings.seed)
@@ -110,10 +107,9 @@ def finetune(
     history: list[tuple[float, int, float]] = []
     interrupted = False
     try:
-        while not schedule.over(rollback.error):
+        while not schedule.over():
             if moments is None and schedule.freezes:
                 moments = freeze(decoder, code, scene.waves, drawing)
-                rollback.begin_again()
             places = torch.tensor([next(order) for _ in range(settings.places)])
             seed = wrap64(settings.seed * _SEED_STRIDE + schedule.step)
             lesson = None if teacher is None else teacher.lesson(seed)
@@ -123,14 +119,13 @@ def finetune(
             penalty = map_penalty(maps, scene.expected, settings.penalties, schedule.share)
             if lesson is not None:
                 penalty = penalty + lesson.loss(maps)
-            taken = rollback.take(loss, penalty, schedule.pace)
+            taken = optimiser.take(loss, penalty, schedule.pace)
             schedule.step += 1
             if taken:
-                history.append((schedule.seconds, schedule.step, rollback.error))
-                report(min(1.0, schedule.share), rollback.error, history[-1][0])
+                history.append((schedule.seconds, schedule.step, optimiser.error))
+                report(min(1.0, schedule.share), optimiser.error, history[-1][0])
     except KeyboardInterrupt:
         interrupted = True
-    rollback.finish()
     if moments is None or not history:
         moments = freeze(decoder, code, scene.waves, drawing)
     return Tuned(decoder, tuple(moments), tuple(history), interrupted)

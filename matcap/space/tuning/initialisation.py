@@ -1,8 +1,7 @@
-"""The decoder that fine-tuning starts from: the prior's, or the best of a few random ones."""
+"""The decoder that fine-tuning starts from: the prior's, or a random one."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,12 +15,9 @@ from matcap.flash.plane import Plane
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.lattice_channels import CELL_CHANNELS
 from matcap.space.prior.store import load_prior
-from matcap.space.tuning.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR, TuneSettings, finetune
+from matcap.space.tuning.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR, TuneSettings
 from matcap.space.tuning.likeness import PhotographTarget
 from matcap.space.tuning.start import log_contrast, reading_cells, untrained
-
-# Without a prior, the result depends on the random start: the best of a few short runs is taken.
-_CANDIDATES, _CANDIDATE_STEPS = 3, 40
 
 
 @dataclass(frozen=True)
@@ -43,8 +39,6 @@ def initial_decoder(
     tune: TuneSettings,
     prior: str,
     shape: DecoderConfig,
-    *,
-    search: bool = True,
 ) -> InitialDecoder:
     """Choose the decoder, latent vector and learning rate that fine-tuning starts from.
 
@@ -53,45 +47,17 @@ def initial_decoder(
         coarse, plane: of the photograph, the plane at the capture's resolution.
         prior: "auto" (the shipped one), "none" (a random decoder) or a file.
         shape: configuration of a random decoder.
-        search: tune several random decoders for a few steps each and take the best.
 
     Raises:
         MatcapError: the prior cannot be read.
     """
     if prior == "none":
-        decoder = _random_decoder(coarse, plane, target, tune, shape, search)
+        shape = replace(shape, cells=CELL_CHANNELS if target.waves else 0)
+        contrast = log_contrast(plane.linear, plane.valid)
+        decoder = untrained(shape, coarse, contrast, tune.seed)
         return InitialDecoder(decoder, torch.zeros(CODE_SIZE), RATE_FROM_NOTHING)
     trained = load_prior(None if prior == "auto" else Path(prior))
     decoder, code = trained.start(pixels, coarse, plane)
     if target.waves and tune.steps:  # without a step, random weights would only add noise
         decoder = reading_cells(decoder, tune.seed)
     return InitialDecoder(decoder.requires_grad_(True), code, RATE_FROM_PRIOR)
-
-
-def _random_decoder(
-    coarse: CoarseFit,
-    plane: Plane,
-    target: PhotographTarget,
-    tune: TuneSettings,
-    shape: DecoderConfig,
-    search: bool,
-) -> Decoder:
-    """A random decoder; with a search, the one of least error after _CANDIDATE_STEPS steps."""
-    shape = replace(shape, cells=CELL_CHANNELS if target.waves else 0)
-    contrast = log_contrast(plane.linear, plane.valid)
-    if tune.steps < 4 * _CANDIDATES * _CANDIDATE_STEPS or not search:
-        return untrained(shape, coarse, contrast, tune.seed)
-    best, least = None, math.inf
-    for seed in range(tune.seed, tune.seed + _CANDIDATES):
-        short = replace(
-            tune, steps=_CANDIDATE_STEPS, learning_rate=RATE_FROM_NOTHING, target=None, seed=seed
-        )
-        first = untrained(shape, coarse, contrast, seed)
-        tried = finetune(first, torch.zeros(CODE_SIZE), target, short, lambda *_: None)
-        error = tried.history[-1][2] if tried.history else math.inf
-        if best is None or error < least:
-            best, least = tried.decoder, error
-        if tried.interrupted:
-            raise KeyboardInterrupt
-    assert best is not None
-    return best

@@ -24,7 +24,7 @@ from matcap.statistics.lattice import Wave
 
 @dataclass(frozen=True)
 class PhotographTarget:
-    """Target statistics of windows of one photograph, or of several of one sample."""
+    """Target statistics of windows of a photograph."""
 
     windows: Windows
     """Windows, with their statistics."""
@@ -44,8 +44,6 @@ class PhotographTarget:
     """(5,) logits of the coarse fit's diffuse albedo, F0 and roughness, or None."""
     drawing: Drawing | None = None
     """The drawing that the decoder reads, or None."""
-    others: tuple[FlashSetup, ...] = ()
-    """Camera and flash of further photographs, the second one's first."""
 
 
 def shuffled(count: int, seed: int) -> Iterator[int]:
@@ -58,18 +56,7 @@ def shuffled(count: int, seed: int) -> Iterator[int]:
 def render_windows(maps: MapSet, target: PhotographTarget, places: Tensor, step: int) -> Tensor:
     """(B, 3, size, size) radiance of maps, lit and viewed as at `places`, with sensor noise."""
     windows = target.windows
-    points = windows.points[places]
-    if windows.photographs is None:
-        rendered = render_flash(maps, target.setup, points)
-    else:
-        setups = (target.setup, *target.others)
-        which = windows.photographs[places].tolist()
-        rendered = torch.cat(
-            [
-                render_flash(maps, setups[number], each[None])
-                for number, each in zip(which, points, strict=True)
-            ]
-        )
+    rendered = render_flash(maps, target.setup, windows.points[places])
     return rendered if windows.noise is None else with_noise(rendered, windows.noise[places], step)
 
 

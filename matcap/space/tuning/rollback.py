@@ -1,8 +1,7 @@
-"""Rollback on divergence: undoes steps that diverge, and keeps the best decoder."""
+"""Optimiser of fine-tuning: Adam with clipped gradients, without the steps that are not finite."""
 
 from __future__ import annotations
 
-import copy
 import math
 
 import torch
@@ -11,72 +10,43 @@ from torch.optim.adam import adam
 
 from matcap.space.decoder import Decoder
 
-# Rollback; docs/notes/prior.md.
 _SMOOTHING = 0.05  # weight of the newest step in the running error
-_EXPLODED = 4.0  # loss over running error beyond which a step diverges
-_LEAST_ERROR = 0.1  # lower limit of the running error in that ratio
-_SNAPSHOT_EVERY = 20  # steps between comparisons with the best decoder
 # Factor on the rate of the weights that read a drawing, which start at zero.
 _DRAWING_RATE = 9.0
 _LONGEST_GRADIENT = 1.0  # norm over all weights to which gradients are clipped
 
 
-class Rollback:
-    """Optimiser with rollback.
-
-    A step diverges if its loss or gradient is not finite, or its loss exceeds _EXPLODED
-    times the running error. Then the best decoder is restored and the learning rate halved.
+class Optimiser:
+    """Takes steps of a decoder, and leaves out those whose loss or gradient is not finite.
 
     Attributes:
-        decoder: changed by every step.
         error: running mean of the loss; NaN before the first step.
     """
 
     def __init__(self, decoder: Decoder, rate: float) -> None:
-        self.decoder, self.error = decoder, math.nan
-        self._rate, self._step = rate, 0
-        self._optimiser = Adam(decoder)
-        self.begin_again()
-
-    def begin_again(self) -> None:
-        """Make the present decoder the best one, whatever its error."""
-        self._best, self._best_error = copy.deepcopy(self.decoder.state_dict()), math.inf
+        self._decoder, self.error = decoder, math.nan
+        self._rate, self._taken, self._adam = rate, 0, Adam(decoder)
 
     def take(self, loss: Tensor, penalty: Tensor, pace: float) -> bool:
-        """Take a step, or roll back; return whether the step was taken.
+        """Take a step; return whether it was taken.
 
         Args:
             loss: texture distance, whose running mean is the error.
             pace: share of the learning rate.
         """
-        self._step += 1
         value = float(loss.detach())
-        slope = math.nan
-        limit = _EXPLODED * max(self.error, _LEAST_ERROR)
-        if math.isfinite(value) and not value > limit:
-            self.decoder.zero_grad(set_to_none=True)
-            (loss + penalty).backward()
-            parameters = self.decoder.parameters()
-            slope = float(torch.nn.utils.clip_grad_norm_(parameters, _LONGEST_GRADIENT))
-        if not math.isfinite(slope):
-            self.decoder.load_state_dict(self._best)
-            self.error = self._best_error if math.isfinite(self._best_error) else math.nan
-            self._rate *= 0.5
-            self._optimiser = Adam(self.decoder)
+        if not math.isfinite(value):
             return False
-        self._optimiser.step(self._rate * pace)
-        smoothing = max(_SMOOTHING, 1.0 / self._step)
+        self._decoder.zero_grad(set_to_none=True)
+        (loss + penalty).backward()
+        norm = torch.nn.utils.clip_grad_norm_(self._decoder.parameters(), _LONGEST_GRADIENT)
+        if not math.isfinite(float(norm)):
+            return False
+        self._adam.step(self._rate * pace)
+        self._taken += 1
         before = value if math.isnan(self.error) else self.error
-        self.error = before + smoothing * (value - before)
-        if self._step % _SNAPSHOT_EVERY == 0 and self.error < self._best_error:
-            self._best = copy.deepcopy(self.decoder.state_dict())
-            self._best_error = self.error
+        self.error = before + max(_SMOOTHING, 1.0 / self._taken) * (value - before)
         return True
-
-    def finish(self) -> None:
-        """Restore the best decoder."""
-        if self._best_error < self.error:
-            self.decoder.load_state_dict(self._best)
 
 
 class Adam:

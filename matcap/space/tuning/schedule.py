@@ -12,29 +12,26 @@ _FROZEN_SHARE = 0.15  # last share of the run, with frozen statistics
 
 
 class Schedule:
-    """Progress of a run, which ends by steps, by time or by its error, whichever is first.
+    """Progress of a run, which ends by steps or by time, whichever is first.
 
     Attributes:
         step: number of completed steps.
         share: completed share of the run, in [0, 1], updated by `over`.
     """
 
-    def __init__(self, steps: int, seconds: float | None, target: float | None) -> None:
+    def __init__(self, steps: int, seconds: float | None) -> None:
         """Start the clock.
 
         Args:
             steps: largest number of steps.
             seconds: time limit, or None.
-            target: error at which the last, frozen share of the run begins, or None.
         """
         self.step, self.share = 0, 0.0
-        self._steps, self._limit, self._target = steps, seconds, target
+        self._steps, self._limit = steps, seconds
         self._started = time.monotonic()
 
-    def over(self, error: float) -> bool:
-        """Update `share` from steps, clock and running error; whether the run is done."""
-        if self._target is not None and error <= self._target and self.step >= _WARM_UP:
-            self._steps = min(self._steps, math.ceil(self.step / (1.0 - _FROZEN_SHARE)))
+    def over(self) -> bool:
+        """Update `share` from steps and clock; whether the run is done."""
         self.share = self.step / self._steps
         if self._limit is not None:
             self.share = max(self.share, self.seconds / self._limit if self._limit > 0.0 else 1.0)

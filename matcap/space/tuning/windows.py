@@ -15,7 +15,7 @@ from torch import Tensor
 
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
-from matcap.statistics.compare import UNSEEN, Descriptor, Features, describe
+from matcap.statistics.compare import UNSEEN, Descriptor, Features, Weights, describe, distance
 
 # Windows in which photograph and rendering are compared; docs/notes/prior.md.
 _HISS = 2e-3  # read noise, as a share of the clip level added to the radiance in shot noise
@@ -37,8 +37,6 @@ class Windows:
     """Descriptors of the photograph's windows, corrected for the bias of the L1 distance."""
     noise: Tensor | None = None
     """(B, 3, size, size) a sample of the sensor noise over `shot_deviation`, or None."""
-    photographs: Tensor | None = None
-    """(B,) index of each window's photograph (joint.py), 0 for the first; None with only one."""
 
     @property
     def count(self) -> int:
@@ -89,6 +87,24 @@ def side_by_side(points: Tensor, size: int) -> tuple[Tensor, Tensor]:
     # Positions are rounded, and closer at a border.
     first, second = ((distance > 0.85) & (distance < 1.15)).nonzero(as_tuple=True)
     return first, second
+
+
+def self_difference(windows: Windows, weights: Weights) -> float:
+    """Mean distance between adjacent windows of a photograph, without their mean colour.
+
+    At an error of 1 self-difference a rendering differs from the photograph as much as the
+    photograph's parts do from each other. The mean colour depends on the light. NaN if no two
+    windows are adjacent.
+
+    Args:
+        windows: of one photograph.
+    """
+    first, second = side_by_side(windows.points, windows.size)
+    if not len(first):
+        return math.nan
+    target = windows.target
+    pairs = target.select(first), target.select(second)
+    return float(distance(*pairs, replace(weights, mean=0.0)).mean())
 
 
 def _raised(target: Descriptor, first: Tensor, second: Tensor) -> Descriptor:

@@ -91,5 +91,5 @@ def test_the_report_says_how_right_it_is(folder: Path) -> None:
     values = json.loads((folder / "report.json").read_text())["exemplar"]
     assert 0.0 <= values["error"] < 0.5
     assert 0.0 <= values["left_out"] < 0.5
-    assert 0.0 < values["strengths"]["relief"] < 1.0
+    assert 0.0 < values["relief_spectrum"]["relief"] < 1.0
     assert set(values["confidence"]) == {"diffuse", "specular", "roughness", "height"}

@@ -37,7 +37,7 @@ def test_slopes_are_found_as_strong_as_they_are(slope: float) -> None:
     assert found.significance[band].mean() > 0.8
     values = found.document()
     assert sum(b["slope"] ** 2 for b in values["bands"]) == pytest.approx(values["relief"] ** 2)
-    assert [tuple(b["waves"]) for b in values["bands"]] == list(BANDS)
+    assert [tuple(b["wavelengths"]) for b in values["bands"]] == list(BANDS)
 
 
 def test_albedo_alone_is_not_taken_for_relief() -> None:

@@ -50,7 +50,7 @@ def test_inspect_tells_it_of_a_file(tmp_path: Path) -> None:
     said = _inspected(tmp_path / "bumps.png", linear, "--json")
     (document,) = json.loads(said)["photographs"]
     # Less than it is: of a PNG neither tone curve nor field of view is known.
-    assert 0.5 < document["strengths"]["relief"] / true < 1.2
+    assert 0.5 < document["relief_spectrum"]["relief"] / true < 1.2
 
 
 def test_of_a_small_picture_it_is_not_told(tmp_path: Path) -> None:

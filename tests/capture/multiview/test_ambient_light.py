@@ -207,12 +207,12 @@ def test_one_with_flash_and_one_without_are_a_capture(lit, tmp_path):
     settings = CaptureSettings(preset="instant", detail=192)
     result = capture_into(tmp_path / "out", paths, settings, OutputSettings((32, 32)))
     assert result.material.name == "out" or result.photo.name == "leather.dng"
-    values = json.loads((tmp_path / "out/report.json").read_text())["several"]
+    values = json.loads((tmp_path / "out/report.json").read_text())["multi_view"]
     assert [(one["name"], one["flash"]) for one in values["photographs"]] == [
         ("leather.dng", True),
         ("room.dng", False),
     ]
-    assert values["photographs"][1]["predicted"] is None
+    assert values["photographs"][1]["leave_one_out_residual"] is None
     assert any("subtracted" in note for note in result.photo.notes)
 
 

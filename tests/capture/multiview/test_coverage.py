@@ -45,8 +45,8 @@ def test_a_set_is_told_what_it_lacks(looked):
     # The second camera is moved to the right, the third to the top.
     assert values["lit_from"].says == "No photograph lights the sample from the left or bottom."
     assert values["lit_from"].rating is Rating.NOT_JUDGED
-    assert values["places"].rating is Rating.GOOD
-    assert values["common"].rating is Rating.GOOD
+    assert values["baseline"].rating is Rating.GOOD
+    assert values["overlap"].rating is Rating.GOOD
     assert 1.05 < values["union"].value < 2.0 and "--union" in values["union"].says
     assert json.loads(json.dumps(values.document()))["rating"] == "doubtful"
 
@@ -55,7 +55,7 @@ def test_a_steep_camera_is_named(looked):
     first, last = looked.views[0], looked.views[-1]
     turn = cv2.Rodrigues(np.array([math.radians(60.0), 0.0, 0.0]))[0]
     steep = replace(last, camera=replace(last.camera, turn=turn))
-    places = coverage(replace(looked, views=(first, steep)))["places"]
+    places = coverage(replace(looked, views=(first, steep)))["baseline"]
     assert f"{last.photo.name} was taken 60 degrees off vertical." in places.says
     assert places.rating is Rating.DOUBTFUL
 
@@ -95,8 +95,8 @@ def test_directions_are_those_of_the_upright_picture(looked):
 def test_two_from_the_same_place_are_named(looked):
     again = replace(looked.views[1], photo=replace(looked.views[1].photo, name="again"))
     values = coverage(replace(looked, views=(*looked.views, again)))
-    assert values["places"].says == "plaster_1 and again were taken from nearly the same place."
-    assert values["places"].value < CHECKS["places"].limits[0]
+    assert values["baseline"].says == "plaster_1 and again were taken from nearly the same place."
+    assert values["baseline"].value < CHECKS["baseline"].limits[0]
 
 
 def test_one_alone_is_poor(looked):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from report_schema import check_report
 from seen_views import photographed
 from simulated.materials import piece
 from simulated.photographs import Hand, PhoneCamera, true_maps_along
@@ -221,8 +222,9 @@ def test_a_union_is_written_and_told(captured, tmp_path):
     _, result = captured
     result = replace(result, settings=replace(result.settings, aligned=True, preset="draft"))
     write_outputs(result, tmp_path / "leather", OutputSettings((32, 32)))
+    check_report(tmp_path / "leather/report.json")
     values = json.loads((tmp_path / "leather/report.json").read_text())
-    assert values["several"]["union"]["times"] == pytest.approx(
+    assert values["multi_view"]["mosaic"]["area_ratio"] == pytest.approx(
         result.estimate.several.mosaic.times
     )
     assert any("all that the photographs show" in note for note in values["notes"])

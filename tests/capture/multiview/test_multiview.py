@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from report_schema import check_report
 from seen_views import LOG_ERROR, OFFSET, PHONE, SIZE, flattened, grainy, photographed, seen
 from simulated.photographs import Hand, hold
 
@@ -22,7 +23,6 @@ from matcap.capture.report import warnings
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.photo.camera import CameraProfile, Falloff
 
 NOTHING_KNOWN = LOG_ERROR.expand(4, *SIZE)
 
@@ -92,20 +92,19 @@ def test_shading_that_is_not_the_flash_s_does_not_move_it_off_the_phone(five):
     assert np.abs(begun.offset.numpy() - OFFSET).max() < 0.16
 
 
-def test_the_falloff_of_all_photographs_stays_as_near_as_the_camera_s_profile_says(five):
+def test_vignetting_stays_within_its_prior_deviation(five):
     views, light, prior = five
 
-    def off(profile):
+    def off(**prior_deviation):
         lost = {"vignetting": 0.3, "vignetting_quartic": 0.0}  # the photographs lose nothing
         setup = FlashSetup(offset=(*light.offset.tolist(), 0.0), **lost)
-        begun = SharedLight.of(setup, 5, profile)
-        begun = replace(begun, intensity=light.intensity)
+        begun = SharedLight.of(setup, 5)
+        begun = replace(begun, intensity=light.intensity, **prior_deviation)
         found, _ = shared_step(views, prior.mean, prior, begun)
         return float(found.vignetting.sum())
 
-    narrow = CameraProfile("phone", Falloff((0.3, 0.0), (1e-3, 1e-3)), 9)
-    assert off(narrow) == pytest.approx(0.3, abs=0.01)
-    assert abs(off(None)) < 0.1
+    assert off(vignetting_deviation=(1e-3, 1e-3)) == pytest.approx(0.3, abs=0.01)
+    assert abs(off()) < 0.1
 
 
 def test_gloss_that_was_read_wrong_does_not_scale_relief():
@@ -168,13 +167,14 @@ def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
     assert result.estimate is not None and result.estimate.error < 0.1
 
     write_outputs(result, tmp_path / "plaster", OutputSettings((32, 32)))
+    check_report(tmp_path / "plaster/report.json")
     report = json.loads((tmp_path / "plaster/report.json").read_text())
-    several = report["several"]
+    several = report["multi_view"]
     assert [one["name"] for one in several["photographs"]] == [photo.name for photo in photos]
     assert [one["name"] for one in several["left_out"]] == ["leather_9"]
     for one in several["photographs"]:
-        assert 0.0 <= one["doubt"] < 0.01
-        assert 0.0 < one["residual"] < 0.1 and math.isfinite(one["predicted"])
+        assert 0.0 <= one["position_deviation"] < 0.01
+        assert 0.0 < one["residual"] < 0.1 and math.isfinite(one["leave_one_out_residual"])
     assert all(0.0 <= share <= 1.0 for share in several["measured_share"].values())
 
 

@@ -168,7 +168,7 @@ BAD = [
     (shot_with("tilt", 20.0), "tilt", "doubtful"),
     ({"offset": 0.5}, "flash_offset", "doubtful"),
     (shot_with("clipped", 0.2), "clipped", "doubtful"),
-    (exemplar_with(error=0.3), "piece", "doubtful"),
+    (exemplar_with(error=0.3), "exemplar", "doubtful"),
     (exemplar_with(residue=RESIDUE), "highlight_residue", "doubtful"),
     (exemplar_with(confidence={"height": 0.05}), "confidence", "failed"),
 ]  # fmt: skip

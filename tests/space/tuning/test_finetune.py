@@ -18,7 +18,7 @@ from matcap.space.freeze import fold
 from matcap.space.patch import Patch
 from matcap.space.random_field import random_field
 from matcap.space.tuning.penalty import Penalties, map_penalty
-from matcap.space.tuning.rollback import Rollback
+from matcap.space.tuning.rollback import Optimiser
 from matcap.statistics.compare import Weights, describe, distance
 
 
@@ -99,7 +99,7 @@ def test_the_same_seed_is_the_same_bits_and_another_is_not():
     assert any(not torch.equal(v, state_of(other)[n]) for n, v in state_of(first).items())
 
 
-def test_ctrl_c_ends_it_with_the_best_so_far():
+def test_ctrl_c_ends_it_with_what_it_has():
     def interrupt(share, error, seconds):
         if share >= 0.5:
             raise KeyboardInterrupt
@@ -115,15 +115,15 @@ class Sabotage:
 
     def __init__(self, monkeypatch, steps, how):
         self.calls = 0
-        true_take = Rollback.take
+        true_take = Optimiser.take
 
-        def take(guard, value, penalty, pace):
+        def take(optimiser, value, penalty, pace):
             self.calls += 1
             if self.calls - 1 in steps:
-                value, penalty = how(value, penalty, guard.decoder)
-            return true_take(guard, value, penalty, pace)
+                value, penalty = how(value, penalty, optimiser._decoder)
+            return true_take(optimiser, value, penalty, pace)
 
-        monkeypatch.setattr(Rollback, "take", take)
+        monkeypatch.setattr(Optimiser, "take", take)
 
 
 def poisoned_gradient(value, penalty, decoder):
@@ -140,15 +140,11 @@ def infinite_loss(value, penalty, decoder):
     return value * math.inf, penalty
 
 
-def explosion(value, penalty, decoder):
-    return value * 1e6, penalty
-
-
-WAYS = [poisoned_gradient, nan_penalty, infinite_loss, explosion]
+WAYS = [poisoned_gradient, nan_penalty, infinite_loss]
 
 
 @pytest.mark.parametrize("how", WAYS)
-def test_steps_that_go_wrong_are_taken_back(monkeypatch, how):
+def test_steps_that_are_not_finite_are_left_out(monkeypatch, how):
     """The first, two in a row, and the last among them."""
     Sabotage(monkeypatch, {0, 10, 11, 30, 39}, how)
     tuned = tune(steps=40)
@@ -158,21 +154,12 @@ def test_steps_that_go_wrong_are_taken_back(monkeypatch, how):
 
 
 @pytest.mark.parametrize("how", WAYS)
-def test_when_every_step_goes_wrong_the_start_is_handed_back(monkeypatch, how):
+def test_without_a_finite_step_the_decoder_stays_as_it_was(monkeypatch, how):
     Sabotage(monkeypatch, range(1000), how)
     tuned = tune(steps=12)
     before = start().state_dict()
-    if how is not explosion:  # whose error has nothing to be compared with
-        for name, value in state_of(tuned).items():
-            assert torch.equal(value, before[name])
-    assert all(bool(torch.isfinite(value).all()) for value in state_of(tuned).values())
-
-
-def test_a_rate_that_diverges_is_lowered_until_it_does_not():
-    tuned = tune(steps=80, learning_rate=30.0)
-    assert all(bool(torch.isfinite(value).all()) for value in state_of(tuned).values())
-    assert math.isfinite(tuned.history[-1][2])
-    assert error_of(tuned.decoder, list(tuned.moments)) < 4.0 * error_at_the_start()
+    for name, value in state_of(tuned).items():
+        assert torch.equal(value, before[name])
 
 
 def test_gloss_that_varies_for_nothing_is_paid_for():
